@@ -1,0 +1,35 @@
+# `make demo` and `make test` are all a newcomer needs; both set up .venv on their first call.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+
+.PHONY: demo test test-slow benchmark lint clean
+demo: $(STAMP)
+	$(BIN)/python -m napari_deltamic.demo
+
+test: $(STAMP)
+	$(BIN)/ruff check src tests benchmarks
+	$(BIN)/mypy
+	$(BIN)/python -m pytest
+
+test-slow: $(STAMP)
+	$(BIN)/python -m pytest -m slow
+
+benchmark: $(STAMP)
+	$(BIN)/python -m benchmarks --markdown docs/benchmarks.md
+
+lint: $(STAMP)
+	$(BIN)/ruff check src tests benchmarks
+	$(BIN)/mypy
+
+# Everything is pinned in constraints.txt; torch goes first and alone, since an open range would
+# pull several gigabytes of CUDA packages.
+$(STAMP): pyproject.toml CMakeLists.txt constraints.txt $(wildcard csrc/*)
+	test -d $(VENV) || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install -q -c constraints.txt torch
+	$(BIN)/python -m pip install -q -c constraints.txt -e ".[qt,test,benchmark]"
+	touch $@
+
+clean:
+	rm -rf $(VENV) build demo-output

@@ -1,0 +1,1 @@
+"""Figures that the software is held to: ``python -m benchmarks --help``."""

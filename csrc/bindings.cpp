@@ -1,0 +1,282 @@
+// Python bindings: geometry of the triangles in double precision, choice of the instruction set,
+// worker threads. Compiled for the oldest processor of the platform.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include <cmath>
+#include <condition_variable>
+#include <cstdint>
+#include <mutex>
+#include <stdexcept>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "mesh_ft.h"
+
+namespace nb = nanobind;
+using namespace deltamic_api;
+
+#define DECLARE_LOOPS(name)                 \
+    namespace deltamic_##name {             \
+    extern const Loops<float> loops_f32;    \
+    extern const Loops<double> loops_f64;   \
+    }
+DECLARE_LOOPS(generic)
+#ifdef DELTAMIC_HAS_avx2
+DECLARE_LOOPS(avx2)
+#endif
+#ifdef DELTAMIC_HAS_avx512
+DECLARE_LOOPS(avx512)
+#endif
+
+namespace {
+
+template <class T>
+using Array = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
+
+struct Level {
+    std::string name;
+    const Loops<float>* f32;
+    const Loops<double>* f64;
+};
+
+#if defined(_MSC_VER) && (defined(_M_X64) || defined(_M_IX86))
+#include <intrin.h>
+bool cpu_has_avx2() {
+    int r[4];
+    __cpuid(r, 1);
+    const bool os = (r[2] & (1 << 27)) && (r[2] & (1 << 12));  // OSXSAVE, FMA
+    if (!os || (_xgetbv(0) & 6) != 6) return false;
+    __cpuidex(r, 7, 0);
+    return (r[1] & (1 << 5)) != 0;
+}
+#elif defined(__x86_64__)
+bool cpu_has_avx2() { return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma"); }
+#else
+bool cpu_has_avx2() { return false; }
+#endif
+
+// Instruction sets that this build has and this processor runs, slowest first.
+std::vector<Level> find_levels() {
+    std::vector<Level> v = {{"generic", &deltamic_generic::loops_f32, &deltamic_generic::loops_f64}};
+#ifdef DELTAMIC_HAS_avx2
+    if (cpu_has_avx2()) v.push_back({"avx2", &deltamic_avx2::loops_f32, &deltamic_avx2::loops_f64});
+#endif
+#ifdef DELTAMIC_HAS_avx512
+    if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
+        __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512bw"))
+        v.push_back({"avx512", &deltamic_avx512::loops_f32, &deltamic_avx512::loops_f64});
+#endif
+    return v;
+}
+
+const std::vector<Level>& levels() {
+    static const std::vector<Level> found = find_levels();
+    return found;
+}
+
+template <class T>
+const Loops<T>& loops(const std::string& name) {
+    for (const Level& l : levels()) {
+        if (l.name == name) {
+            if constexpr (sizeof(T) == 4) return *l.f32;
+            else return *l.f64;
+        }
+    }
+    throw std::invalid_argument("this processor or build has no instruction set '" + name + "'");
+}
+
+// ------------------------------------------------------------------------------------- geometry
+
+struct Vec {
+    double z, y, x;
+};
+Vec sub(const double* a, const double* b) { return {a[0] - b[0], a[1] - b[1], a[2] - b[2]}; }
+Vec cross(Vec a, Vec b) { return {a.y * b.x - a.x * b.y, a.x * b.z - a.z * b.x, a.z * b.y - a.y * b.z}; }
+
+struct Geometry {
+    std::vector<double> centroid, edges, doubled_area, normal, weight, ones;
+
+    Geometry(const Array<const double>& v, const Array<const std::int64_t>& faces, const Array<const double>& density) {
+        const std::size_t n = faces.shape(0), count = v.shape(0);
+        if (density.shape(0) != n) throw std::invalid_argument("one density per face is needed");
+        centroid.resize(3 * n);
+        edges.resize(9 * n);
+        doubled_area.resize(n);
+        normal.resize(3 * n);
+        weight.resize(n);
+        ones.assign(n, 1.0);
+        for (std::size_t f = 0; f < n; ++f) {
+            const double* p[3];
+            for (int k = 0; k < 3; ++k) {
+                const std::int64_t i = faces.data()[3 * f + k];
+                if (i < 0 || static_cast<std::size_t>(i) >= count) throw std::out_of_range("a face names a vertex that is not there");
+                p[k] = v.data() + 3 * i;
+            }
+            const Vec e[3] = {sub(p[2], p[1]), sub(p[0], p[2]), sub(p[1], p[0])};
+            for (int k = 0; k < 3; ++k) {
+                edges[9 * f + 3 * k] = e[k].z;
+                edges[9 * f + 3 * k + 1] = e[k].y;
+                edges[9 * f + 3 * k + 2] = e[k].x;
+                centroid[3 * f + k] = (p[0][k] + p[1][k] + p[2][k]) / 3.0;
+            }
+            // Of the cross product, never Heron's formula, which is far off on needles.
+            const Vec c = cross(e[2], e[0]);
+            const double size = std::hypot(c.z, c.y, c.x);
+            const double inv = size > 0 ? 1.0 / size : 0.0;  // no direction, no area gradient
+            doubled_area[f] = size;
+            normal[3 * f] = c.z * inv;
+            normal[3 * f + 1] = c.y * inv;
+            normal[3 * f + 2] = c.x * inv;
+            weight[f] = size * density.data()[f];
+        }
+    }
+    Triangles triangles(bool backward) const {
+        return {doubled_area.size(), centroid.data(), edges.data(), backward ? ones.data() : weight.data()};
+    }
+};
+
+// grad_{v_p} u = density * ( -F w_p + 2A dF/dphase_p xi ),  w_p = e_p x N
+void scatter(const Geometry& g, const std::vector<double>& sums, const std::int64_t* faces, const double* density,
+             double* grad_vertices, double* grad_density) {
+    for (std::size_t f = 0; f < g.doubled_area.size(); ++f) {
+        const double* s = sums.data() + f * sums_per_triangle;
+        const double area2 = g.doubled_area[f], rho = density[f];
+        const double* n = g.normal.data() + 3 * f;
+        grad_density[f] = area2 * s[0];
+        for (int p = 0; p < 3; ++p) {
+            const double* e = g.edges.data() + 9 * f + 3 * p;
+            const Vec w = cross({e[0], e[1], e[2]}, {n[0], n[1], n[2]});
+            const double wv[3] = {w.z, w.y, w.x};
+            double* out = grad_vertices + 3 * faces[3 * f + p];
+            for (int k = 0; k < 3; ++k) {
+                // The three phase gradients sum to -iF.
+                const double h = p < 2 ? s[1 + 3 * p + k] : s[7 + k] - s[1 + k] - s[4 + k];
+                out[k] += rho * (area2 * h - s[0] * wv[k]);
+            }
+        }
+    }
+}
+
+// -------------------------------------------------------------------------------------- threads
+
+// Runs work(share) on every worker, without the GIL; Ctrl-C stops them.
+template <class F>
+void run(int threads, F work) {
+    const std::size_t n = threads < 1 ? 1 : static_cast<std::size_t>(threads);
+    std::atomic<std::size_t> next{0}, running{n};
+    std::atomic<bool> stop{false};
+    std::mutex mutex;
+    std::condition_variable done;
+    bool interrupted = false;
+    {
+        nb::gil_scoped_release release;
+        std::vector<std::thread> pool;
+        for (std::size_t w = 0; w < n; ++w) {
+            pool.emplace_back([&, w] {
+                work(Share{w, n, &next, &stop});
+                std::lock_guard<std::mutex> lock(mutex);
+                if (--running == 0) done.notify_all();
+            });
+        }
+        for (;;) {
+            {
+                std::unique_lock<std::mutex> lock(mutex);
+                if (done.wait_for(lock, std::chrono::milliseconds(100), [&] { return running == 0; })) break;
+            }
+            nb::gil_scoped_acquire acquire;
+            if (PyErr_CheckSignals() != 0) {
+                interrupted = true;
+                stop = true;
+                break;
+            }
+        }
+        for (std::thread& t : pool) t.join();
+    }
+    if (interrupted) throw nb::python_error();
+}
+
+Band band_of(const Array<const std::int32_t>& rows, const Array<const std::int64_t>& offset,
+             const std::vector<double>& spacing, std::vector<std::int32_t>& columns) {
+    const std::size_t n = rows.shape(0);
+    if (rows.ndim() != 2 || rows.shape(1) != 3) throw std::invalid_argument("rows: (R, 3) of kz, ky, length");
+    if (spacing.size() != 3) throw std::invalid_argument("spacing: three numbers");
+    columns.resize(3 * n);
+    Band b{n, columns.data(), columns.data() + n, columns.data() + 2 * n, offset.data(),
+           {spacing[0], spacing[1], spacing[2]}, 0, 0, 0};
+    for (std::size_t r = 0; r < n; ++r) {
+        const std::int32_t* row = rows.data() + 3 * r;
+        for (int k = 0; k < 3; ++k) columns[k * n + r] = row[k];
+        b.kmax_z = std::max(b.kmax_z, std::abs(row[0]));
+        b.kmax_y = std::max(b.kmax_y, std::abs(row[1]));
+        b.longest = std::max(b.longest, row[2]);
+        if (row[2] < 1) throw std::invalid_argument("a row of the band is empty");
+    }
+    return b;
+}
+
+template <class T>
+void bind(nb::module_& m, const char* suffix) {
+    const std::string s(suffix);
+    m.def(("band_forward_" + s).c_str(),
+          [](Array<const double> v, Array<const std::int64_t> faces, Array<const double> density,
+             Array<const std::int32_t> rows, Array<const std::int64_t> offset, std::vector<double> spacing,
+             Array<T> out, int threads, const std::string& simd) {
+              const Geometry g(v, faces, density);
+              std::vector<std::int32_t> columns;
+              const Band band = band_of(rows, offset, spacing, columns);
+              const Triangles tri = g.triangles(false);
+              const Loops<T>& l = loops<T>(simd);
+              run(threads, [&](const Share& share) { l.band_forward(tri, band, out.data(), share); });
+          });
+    m.def(("band_backward_" + s).c_str(),
+          [](Array<const double> v, Array<const std::int64_t> faces, Array<const double> density,
+             Array<const std::int32_t> rows, Array<const std::int64_t> offset, std::vector<double> spacing,
+             Array<const T> grad, Array<double> grad_v, Array<double> grad_density, int threads, const std::string& simd) {
+              const Geometry g(v, faces, density);
+              std::vector<std::int32_t> columns;
+              const Band band = band_of(rows, offset, spacing, columns);
+              const Triangles tri = g.triangles(true);
+              const Loops<T>& l = loops<T>(simd);
+              std::vector<double> sums(tri.count * sums_per_triangle);
+              run(threads, [&](const Share& share) { l.band_backward(tri, band, grad.data(), sums.data(), share); });
+              scatter(g, sums, faces.data(), density.data(), grad_v.data(), grad_density.data());
+          });
+    m.def(("list_forward_" + s).c_str(),
+          [](Array<const double> v, Array<const std::int64_t> faces, Array<const double> density,
+             Array<const double> xi, Array<T> out, int threads, const std::string& simd) {
+              const Geometry g(v, faces, density);
+              const Triangles tri = g.triangles(false);
+              const Loops<T>& l = loops<T>(simd);
+              run(threads, [&](const Share& share) { l.list_forward(tri, xi.shape(0), xi.data(), out.data(), share); });
+          });
+    m.def(("list_backward_" + s).c_str(),
+          [](Array<const double> v, Array<const std::int64_t> faces, Array<const double> density,
+             Array<const double> xi, Array<const T> grad, Array<double> grad_v, Array<double> grad_density, int threads,
+             const std::string& simd) {
+              const Geometry g(v, faces, density);
+              const Triangles tri = g.triangles(true);
+              const Loops<T>& l = loops<T>(simd);
+              std::vector<double> sums(tri.count * sums_per_triangle);
+              run(threads, [&](const Share& share) {
+                  l.list_backward(tri, xi.shape(0), xi.data(), grad.data(), sums.data(), share);
+              });
+              scatter(g, sums, faces.data(), density.data(), grad_v.data(), grad_density.data());
+          });
+}
+
+}  // namespace
+
+NB_MODULE(_mesh_ft, m) {
+    m.doc() = "Compiled loops of the mesh Fourier transform; use napari_deltamic.fourier instead.";
+    m.def("simd_levels", [] {
+        std::vector<std::string> names;
+        for (const Level& l : levels()) names.push_back(l.name);
+        return names;
+    }, "Instruction sets that this build has and this processor runs, slowest first.");
+    bind<float>(m, "f32");
+    bind<double>(m, "f64");
+}

@@ -1,0 +1,68 @@
+"""The command line: the same engine as the widget, without Qt.
+
+Results go to stdout, one line each; progress, remarks and errors to stderr. Exit codes: 0 done,
+1 failed, 2 bad usage or input, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from typing import NoReturn
+
+from .. import __version__
+from ..errors import InputError
+from . import doctor, fitting, rendering
+from .messages import PROGRAM, Failure, Notes, failure, one_line
+
+COMMANDS = (rendering, fitting, doctor)
+
+
+class _Parser(argparse.ArgumentParser):
+    """Reports bad usage as any other bad input: in one line, without the usage."""
+
+    def error(self, message: str) -> NoReturn:
+        raise InputError(message)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line (of this process by default); returns the exit code."""
+    notes = Notes()
+    try:
+        arguments = build_parser().parse_args(argv)
+        with notes.catching_warnings():
+            return int(arguments.run(arguments, notes))
+    except SystemExit as stop:  # after --help and --version
+        return int(stop.code or 0)
+    except InputError as error:
+        return _end(str(error), 2)
+    except KeyboardInterrupt:
+        return _end("interrupted", 130)
+    except BrokenPipeError:  # whoever reads the results has left
+        return 1
+    except Exception as error:
+        if os.environ.get("DELTAMIC_TRACEBACK"):
+            traceback.print_exc()
+        return _end(str(error if isinstance(error, Failure) else failure(error)), 1)
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The parser of all commands; each sets `run` to what takes the arguments and the notes."""
+    parser = _Parser(
+        prog=PROGRAM,
+        description="Cell shapes in 3D, as meshes, straight from a fluorescence stack.",
+        epilog="Lengths are um, in the order Z Y X.",
+    )
+    parser.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    for command in COMMANDS:
+        command.add_parser(commands)
+    return parser
+
+
+def _end(message: str, code: int) -> int:
+    print(f"{PROGRAM}: error: {one_line(message)}", file=sys.stderr)
+    return code

@@ -1,0 +1,162 @@
+"""``napari-deltamic doctor``: what this machine offers, and what would be used and why."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import sys
+import warnings
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from .. import __version__
+from ..errors import InputError
+from ..fourier import native, simd_level
+from ..fourier.native import threads
+from ..fourier.plan import Method
+from ..geometry import sphere
+from ..optics import GaussianPSF
+from ..report import PACKAGES
+from ..scene import Grid, Renderer
+from .messages import Notes
+
+EXTRAS = ("trimesh", "tifffile", "pydantic", "napari", "PyQt6")
+VARIABLES = ("DELTAMIC_SIMD", "OMP_NUM_THREADS", "OMP_WAIT_POLICY", "MKL_NUM_THREADS")
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command to the parser of all."""
+    parser = commands.add_parser(
+        "doctor",
+        help="devices, engines, threads, versions; what would be used and why",
+        description="Say what this machine offers, and what would be used and why.",
+    )
+    parser.add_argument("--json", action="store_true", help="the same as JSON")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace, notes: Notes) -> int:
+    """Print what is found; problems are lines of their own."""
+    facts = examine()
+    if arguments.json:
+        print(json.dumps(facts, indent=2))
+        return 0
+    for title, items in facts.items():
+        print(title)
+        lines = items.items() if isinstance(items, dict) else enumerate(items, 1)
+        for name, text in lines:
+            print(f"  {name}: {text}")
+    return 0
+
+
+def examine() -> dict[str, Any]:
+    """What ``doctor`` prints: titles -> names -> texts, and a list of problems."""
+    problems: list[str] = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of drivers, and of the extension: both are told below
+        devices = _devices()
+        engines = _engines(problems)
+        used = _used()
+    return {
+        "versions": _versions(),
+        "devices": devices,
+        "engines": engines,
+        "threads": _threads(),
+        "used": used,
+        "problems": problems or ["none found"],
+    }
+
+
+def _versions() -> dict[str, str]:
+    found = {"napari-deltamic": __version__, "python": platform.python_version()}
+    found["system"] = f"{platform.system()} {platform.machine()}"
+    for package in (*PACKAGES[1:], *EXTRAS):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed"
+    return found
+
+
+def _devices() -> dict[str, str]:
+    found = {"cpu": f"{_processor()}, {os.cpu_count()} cores"}
+    unused = "not used: this version computes on the CPU"
+    if torch.cuda.is_available():
+        for i in range(torch.cuda.device_count()):
+            found[f"cuda:{i}"] = f"{torch.cuda.get_device_name(i)} ({unused})"
+    else:
+        reason = "no device found" if torch.version.cuda else "this torch is built without CUDA"
+        found["cuda"] = f"none ({reason})"
+    if torch.backends.mps.is_available():
+        found["mps"] = f"there ({unused})"
+    return found
+
+
+def _processor() -> str:
+    """Name of the processor, as well as the system tells it."""
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine() or "unknown"
+
+
+def _engines(problems: list[str]) -> dict[str, str]:
+    found = {"non-uniform": "FINUFFT, on the CPU"}
+    module = native()
+    if module is None:
+        found["closed form"] = "torch: the compiled extension is missing"
+        problems.append(
+            "the compiled extension is missing: the closed form runs in torch, several hundred "
+            "times slower; reinstall with a C++ compiler to get it back"
+        )
+        return found
+    levels = list(module.simd_levels())
+    try:
+        level = simd_level()
+    except InputError as error:
+        problems.append(str(error))
+        found["closed form"] = f"compiled; {', '.join(levels)}"
+        return found
+    why = "DELTAMIC_SIMD" if os.environ.get("DELTAMIC_SIMD") else "the best one here"
+    found["closed form"] = f"compiled; of {', '.join(levels)} it uses {level} ({why})"
+    return found
+
+
+def _threads() -> dict[str, str]:
+    allowed = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count()
+    found = {"used": f"{threads()}, as torch was told", "cores for this process": str(allowed)}
+    for name in VARIABLES:
+        if name in os.environ:
+            found[name] = os.environ[name]
+    return found
+
+
+def _used() -> dict[str, str]:
+    """The engine that a scene of a usual size gets, with the reason: the time that each takes."""
+    grid = Grid((100, 100, 100), (0.1, 0.1, 0.1))
+    mesh = sphere((5, 5, 5), 3.0, subdivisions=4)
+    optics = GaussianPSF(0.15)
+    found = {"scene": f"100 x 100 x 100 voxels, sigma 1.5 voxels, {len(mesh.faces)} faces"}
+    for accuracy in (1e-2, 1e-3, 1e-5):
+        plan = Renderer(mesh, grid, optics, accuracy).plan
+        other: Method = "closed form" if plan.method == "non-uniform" else "non-uniform"
+        rest = Renderer(mesh, grid, optics, accuracy, method=other).plan
+        found[f"accuracy {accuracy:g}"] = (
+            f"{plan.method}, the faster: about {_time(plan.expected_seconds)} an iteration on one "
+            f"core; {rest.method}: {_time(rest.expected_seconds)}"
+        )
+    found["accuracy 0"] = "closed form at every wavevector: it is exact"
+    return found
+
+
+def _time(seconds: float) -> str:
+    value, unit = (seconds, "s") if seconds >= 1 else (1e3 * seconds, "ms")
+    return f"{value:.0f} {unit}" if value >= 10 else f"{value:.1f} {unit}"

@@ -1,0 +1,219 @@
+"""``napari-deltamic fit``: from an image and seeds to meshes, in a folder."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, get_args
+
+from tqdm import tqdm
+
+from ..errors import InputError
+from ..geometry.files import write_atomically
+from ..inference import FitState, fit
+from ..report import History, make_folder, write_results
+from ..settings import EFFECTS, DensityModel, FitSettings, Likelihood
+from .inputs import FitInput, gather
+from .messages import PROGRAM, Notes, failure
+
+CHECKPOINT = "checkpoint.npz"
+CHECKPOINT_EVERY = 5.0  # s
+TRIPLE = ("Z", "Y", "X")
+# What one would not want to lose; the other results belong to them.
+_PRECIOUS = ("report.json", "mesh.ply", "mesh.rec", CHECKPOINT)
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command to the parser of all."""
+    parser = commands.add_parser(
+        "fit",
+        help="fit meshes, and the PSF, to an image",
+        description="Fit meshes to an image. Writes mesh.ply, mesh.rec, rendered.tif, "
+        "measurements.csv, run.toml, report.json and picture.png.",
+    )
+    add = parser.add_argument
+    add("image", nargs="?", metavar="IMAGE", help=".tif or .npy; not needed with --settings")
+    add("--seeds", metavar="FILE", help="mesh, label image, or CSV (z,y,x or z,y,x,radius; um)")
+    add("--voxel-size", nargs=3, type=float, metavar=TRIPLE, help="um; else from the image file")
+    add(
+        "--sigma",
+        nargs=3,
+        type=float,
+        metavar=TRIPLE,
+        help="um; standard deviations of the PSF (default: 1.2 voxels)",
+    )
+    add("--fit-psf", action=argparse.BooleanOptionalAction, default=None, help=_help("fit_psf"))
+    add("--accuracy", type=float, metavar="A", help=_help("accuracy"))
+    names = ", ".join(EFFECTS)
+    add("--effects", metavar="E", help=f"auto, none, or some of {names}, with commas between")
+    add("--density", choices=get_args(DensityModel), help=_help("density"))
+    add("--likelihood", choices=get_args(Likelihood), help=_help("likelihood"))
+    add("--max-iterations", type=int, metavar="N", help=_help("max_iterations"))
+    add("--settings", metavar="run.toml", help="settings of a former run; other options prevail")
+    add("--resume", metavar="CHECKPOINT", help="go on from a checkpoint of the same fit")
+    add("--missing-nan", action="store_true", help="leave out voxels that are NaN or infinite")
+    add("--overwrite", action="store_true", help="replace the results in DIR")
+    add("-o", "--output", required=True, metavar="DIR", help="folder for the results")
+    parser.set_defaults(run=run)
+
+
+def _help(name: str) -> str:
+    field = FitSettings.model_fields[name]
+    return f"{field.description} (default: {field.default})".replace("%", "%%")
+
+
+def run(arguments: argparse.Namespace, notes: Notes) -> int:
+    """Read, fit, write; prints the path of each result."""
+    folder = Path(arguments.output)
+    _check_folder(folder, arguments.overwrite, arguments.resume)
+    try:
+        job = gather(arguments, notes)
+        states = fit(
+            job.image,
+            job.grid,
+            job.mesh,
+            job.optics,
+            settings=job.settings.fit,
+            counted=job.counted,
+            effects=job.settings.scene.effects,
+            resume=arguments.resume,
+        )
+    except (MemoryError, RuntimeError) as error:
+        raise failure(error) from error
+    make_folder(folder)
+    notes.release()
+    return _Run(job, folder, notes).complete(states)
+
+
+class _Run:
+    """A fit under way: its course, its checkpoints, its end."""
+
+    def __init__(self, job: FitInput, folder: Path, notes: Notes) -> None:
+        self.job, self.folder, self.notes = job, folder, notes
+        self.checkpoint = folder / CHECKPOINT
+        self.history = History()
+        self.last: FitState | None = None
+        self.started = time.monotonic()
+
+    def complete(self, states: Iterator[FitState]) -> int:
+        """Drive the fit to its end, or to that of the user's patience, and write the results."""
+        # A checkpoint is of use only together with the settings.
+        write_atomically(self.folder / "run.toml", self.job.settings.to_toml().encode())
+        try:
+            self._follow(states)
+        except KeyboardInterrupt:
+            return self._interrupted()
+        except Exception as error:
+            raise self._failed(error) from error
+        assert self.last is not None, "a fit yields at least one state"
+        self._write(self.last)
+        if self.last.converged:
+            self.checkpoint.unlink(missing_ok=True)
+        else:
+            self.last.save(self.checkpoint)
+            print(self.checkpoint)
+        return 0
+
+    def _follow(self, states: Iterator[FitState]) -> None:
+        saved = time.monotonic()
+        terminal = sys.stderr.isatty()
+        # How many iterations a fit takes is not known, so there is no share and no time left.
+        with _Bar(unit="it", file=sys.stderr, mininterval=0.2 if terminal else 10.0) as bar:
+            for state in states:
+                if self.last is not None and self.last.message:
+                    self.notes.add(self.last.message)
+                self.last = state
+                self.history.add(state)
+                bar.set_description_str(f"level {state.level}/{state.levels}", refresh=False)
+                bar.set_postfix_str(f"loss {state.loss:.4g}", refresh=False)
+                bar.update()
+                if time.monotonic() - saved > CHECKPOINT_EVERY:
+                    state.save(self.checkpoint)
+                    saved = time.monotonic()
+
+    def _write(self, state: FitState) -> None:
+        job = self.job
+        seconds = time.monotonic() - self.started
+        try:
+            paths = write_results(
+                self.folder,
+                state,
+                job.image,
+                job.grid,
+                job.settings,
+                self.history,
+                seconds,
+                warnings=self.notes.texts,
+            )
+        except (MemoryError, RuntimeError) as error:
+            raise self._failed(error) from error
+        verdict = state.message or ("converged" if state.converged else "ended")
+        print(
+            f"{verdict} ({state.iteration} iterations, {seconds:.1f} s, loss {state.loss:.4g})",
+            file=sys.stderr,
+        )
+        for path in paths:
+            print(path)
+
+    def _interrupted(self) -> int:
+        if self.last is None:
+            print("interrupted before the first iteration: nothing to save", file=sys.stderr)
+            return 130
+        self.last.save(self.checkpoint)
+        print(f"interrupted; the state is in {self.checkpoint}", file=sys.stderr)
+        self._write(replace(self.last, converged=False, message="interrupted"))
+        print(self.checkpoint)
+        toml = self.folder / "run.toml"
+        words = [PROGRAM, "fit", "--settings", toml, "--resume", self.checkpoint]
+        # What is no part of the settings must be said again.
+        words += ["--missing-nan"] if self.job.has_missing else []
+        words += ["--overwrite", "-o", self.folder]
+        print(f"to go on: {shlex.join(map(str, words))}", file=sys.stderr)
+        return 130
+
+    def _failed(self, error: Exception) -> Exception:
+        """What to raise instead; keeps the last state, from which a fit can go on."""
+        reason = error if isinstance(error, InputError) else failure(error, self.job.grid.shape)
+        if self.last is None:
+            return reason
+        try:
+            self.last.save(self.checkpoint)
+        except InputError:
+            return reason
+        return type(reason)(
+            f"{reason}; the state after {self.last.iteration} iterations is in {self.checkpoint}"
+        )
+
+
+class _Bar(tqdm):  # type: ignore[misc]
+    """A progress bar without the thread that watches over progress bars."""
+
+    monitor_interval = 0
+
+
+def _check_folder(folder: Path, overwrite: bool, resume: str | None) -> None:
+    """Refuse, before any work, a folder that cannot take the results or holds others."""
+    above = folder.absolute()
+    while not above.exists() and above != above.parent:
+        above = above.parent
+    if not above.is_dir():
+        raise InputError(f"{above} is a file, not a folder")
+    if not os.access(above, os.W_OK | os.X_OK):
+        raise InputError(f"{folder}: cannot be written: no permission for {above}")
+    if overwrite:
+        return
+    for name in _PRECIOUS:
+        path = folder / name
+        resumed = resume is not None and name == CHECKPOINT and _same(path, Path(resume))
+        if path.exists() and not resumed:
+            raise InputError(f"{folder} holds {name}; --overwrite replaces what is there")
+
+
+def _same(one: Path, other: Path) -> bool:
+    return one.exists() and other.exists() and one.samefile(other)

@@ -1,0 +1,180 @@
+"""From the arguments of ``fit`` to what the engine takes: settings, image, grid, mesh, PSF."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from ..errors import InputError
+from ..geometry import Mesh, load_mesh, mesh_from_labels, read_points_csv, seeds_from_points
+from ..images import EXTENSIONS, VoxelSize, read_image
+from ..inference import counted_voxels
+from ..inference.checks import check_image
+from ..optics import GaussianPSF
+from ..scene import Grid
+from ..settings import RunSettings, validated
+from .messages import Notes
+
+MESHES = (".ply", ".obj", ".off", ".stl", ".rec")
+SIGMA_IN_VOXELS = 1.2  # where the user gives none
+_FIT = ("accuracy", "fit_psf", "density", "likelihood", "max_iterations")
+
+
+@dataclass(frozen=True)
+class FitInput:
+    """What a fit takes.
+
+    image : (Z, Y, X); NaN where missing.
+    counted : (Z, Y, X) bool: voxels that may count; None for all.
+    """
+
+    settings: RunSettings
+    image: NDArray[Any]
+    grid: Grid
+    mesh: Mesh
+    optics: GaussianPSF
+    counted: NDArray[np.bool_] | None
+
+    @property
+    def has_missing(self) -> bool:
+        """Whether some voxels are missing."""
+        return bool(np.isnan(self.image).any())
+
+
+def gather(arguments: argparse.Namespace, notes: Notes) -> FitInput:
+    """Read everything that a fit needs. Raises InputError where something cannot be used."""
+    values = _values(arguments, notes)
+    image, found = read_image(values["image"])
+    scene = values["scene"]
+    scene["voxel_size"] = _voxel_size(scene.get("voxel_size"), found, values["image"], notes)
+    settings: RunSettings = validated(RunSettings, values)
+    if settings.scene.sigma is None:
+        sigma = [SIGMA_IN_VOXELS * d for d in settings.scene.voxel_size]
+        notes.add(
+            f"no sigma given: {_shown(sigma)} um (Z Y X), {SIGMA_IN_VOXELS} voxels, is used"
+            + ("" if settings.fit.fit_psf else "; --fit-psf would fit it")
+        )
+        scene["sigma"] = sigma
+        settings = validated(RunSettings, values)
+    grid = Grid(image.shape, settings.scene.voxel_size, settings.scene.origin)
+    image = _without_bad(image, arguments.missing_nan, notes)
+    check_image(image, grid)
+    optics = GaussianPSF(settings.scene.sigma)
+    mesh, free = load_seeds(settings.seeds, image, grid)
+    counted = None
+    if free:
+        counted = counted_voxels(image, grid, mesh, optics)
+    return FitInput(settings, image, grid, mesh, optics, counted)
+
+
+def load_seeds(path: str, image: NDArray[Any], grid: Grid) -> tuple[Mesh, bool]:
+    """Starting surfaces from a file, by its extension: mesh, label image, or points.
+
+    Returns the mesh, and whether some of it follows from points in the image alone, so that
+    neighbours without a point would attract it. Raises InputError as the readers do.
+    """
+    kind = Path(path).suffix.lower()
+    if kind in MESHES:
+        return load_mesh(path), False
+    if kind in EXTENSIONS:
+        labels, _ = read_image(path)
+        if labels.shape != grid.shape:
+            raise InputError(f"{path}: labels of shape {labels.shape}, the image {grid.shape}")
+        return _naming(path, mesh_from_labels, labels, grid.voxel_size, grid.origin), False
+    if kind == ".csv":
+        points, radii = read_points_csv(path)
+        whole = _filled(image)
+        mesh = _naming(path, seeds_from_points, whole, grid.voxel_size, points, radii, grid.origin)
+        free = radii is None or bool((np.nan_to_num(radii) == 0).any())
+        return mesh, free
+    known = ", ".join((*MESHES, *EXTENSIONS, ".csv"))
+    raise InputError(f"{path}: unknown extension '{kind}' for seeds; known are {known}")
+
+
+def _naming(path: str, function: Any, *arguments: Any) -> Mesh:
+    """The function's mesh; its InputError says which file it is about."""
+    try:
+        mesh: Mesh = function(*arguments)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return mesh
+
+
+def _values(arguments: argparse.Namespace, notes: Notes) -> dict[str, Any]:
+    """The run settings as plain values: those of a file, if any, under those of the arguments."""
+    values: dict[str, Any] = {"scene": {}, "fit": {}}
+    if arguments.settings:
+        values = RunSettings.from_toml(arguments.settings).model_dump()
+    for name in ("image", "seeds"):
+        given = getattr(arguments, name)
+        if given is not None:
+            # Absolute, so that run.toml can be used from any folder.
+            values[name] = str(Path(given).absolute())
+        elif name not in values:
+            wanted = "IMAGE" if name == "image" else "--seeds FILE"
+            raise InputError(f"fit needs {wanted}, or --settings with a run.toml that names it")
+    for part, names in (("fit", _FIT), ("scene", ("voxel_size", "sigma"))):
+        for name in names:
+            if getattr(arguments, name) is not None:
+                values[part][name] = getattr(arguments, name)
+    if arguments.effects is not None:
+        values["scene"]["effects"] = _effects(arguments.effects, notes)
+    return values
+
+
+def _effects(text: str, notes: Notes) -> tuple[str, ...]:
+    if text == "none":
+        return ()
+    if text == "auto":
+        notes.add("effects: 'auto' adds none in this version; name those that you want")
+        return ()
+    return tuple(name.strip().replace("-", "_") for name in text.split(","))
+
+
+def _voxel_size(given: Any, found: VoxelSize | None, path: str, notes: Notes) -> Any:
+    name = Path(path).name
+    if given is not None:
+        if found is not None and np.shape(given) == (3,) and not np.allclose(given, found, 0.01):
+            notes.add(
+                f"{name} says that its voxels are {_shown(found)} um (Z Y X); "
+                f"{_shown(given)} um, as given, is used"
+            )
+        return given
+    if found is None:
+        raise InputError(f"{name} does not say its voxel size: give --voxel-size Z Y X (um)")
+    notes.add(f"voxel size {_shown(found)} um (Z Y X), from the metadata of {name}")
+    return found
+
+
+def _without_bad(image: NDArray[Any], missing_nan: bool, notes: Notes) -> NDArray[Any]:
+    """The image with NaN where it is not finite, if that was asked for."""
+    if not np.issubdtype(image.dtype, np.floating):
+        return image
+    nan, infinite = int(np.isnan(image).sum()), int(np.isinf(image).sum())
+    if not nan + infinite:
+        return image
+    counts = " and ".join(f"{n} {kind}" for n, kind in ((nan, "NaN"), (infinite, "infinite")) if n)
+    if not missing_nan:
+        voxels = "voxel" if nan + infinite == 1 else "voxels"
+        raise InputError(f"the image holds {counts} {voxels}; --missing-nan leaves them out")
+    notes.add(f"{counts} of {image.size} voxels are treated as missing")
+    return np.where(np.isfinite(image), image, np.nan)
+
+
+def _filled(image: NDArray[Any]) -> NDArray[Any]:
+    """Missing voxels take the value of the nearest known one: flooding needs them all."""
+    missing = ~np.isfinite(image)
+    if not missing.any():
+        return image
+    nearest = ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
+    return image[tuple(nearest)]
+
+
+def _shown(values: Any) -> str:
+    return " ".join(f"{float(v):.4g}" for v in values)

@@ -1,0 +1,8 @@
+"""Fourier transform of triangle meshes: closed form, non-uniform FFT, bands, and the plan between them."""
+
+from .band import Band
+from .closed_form import mesh_ft
+from .native import SlowPathWarning, native, simd_level
+from .plan import Plan, make_plan
+
+__all__ = ["Band", "Plan", "SlowPathWarning", "make_plan", "mesh_ft", "native", "simd_level"]

@@ -1,0 +1,183 @@
+"""Bands: which wavevectors are computed, and the way from there to an image.
+
+The optical transfer function (OTF) is a low-pass filter, so only wavevectors near zero matter; the
+image is real, so half of them suffice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import exp, floor, log, pi, sqrt
+
+import numpy as np
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """Wavevectors ``(kz, ky, kx) * spacing`` with ``|kz| <= half[0]``, ``|ky| <= half[1]``, ``0 <= kx <= half[2]``.
+
+    Parameters
+    ----------
+    fft_shape
+        Shape (Z, Y, X) of the periodic grid.
+    voxel_size
+        um, Z, Y, X.
+    half
+        Largest index along each axis; at most half the grid.
+    radius
+        Half axes, in rad/um, of the ellipsoid that holds the band; None: all of the box.
+    """
+
+    fft_shape: tuple[int, int, int]
+    voxel_size: tuple[float, float, float]
+    half: tuple[int, int, int]
+    radius: tuple[float, float, float] | None = None
+
+    @classmethod
+    def within(
+        cls,
+        fft_shape: tuple[int, int, int],
+        voxel_size: tuple[float, float, float],
+        radius: tuple[float, float, float],
+        aligned: bool = True,
+    ) -> Band:
+        """The band inside an ellipsoid of half axes ``radius`` (rad/um), as far as the grid holds it.
+
+        Where the ellipsoid is tilted (not ``aligned``), ``radius`` are the half sides of the box
+        around it, and all of the box is the band.
+        """
+        spacing = [2 * pi / (n * d) for n, d in zip(fft_shape, voxel_size, strict=True)]
+        half = tuple(
+            min(floor(r / s), n // 2) for r, s, n in zip(radius, spacing, fft_shape, strict=True)
+        )
+        return cls(fft_shape, voxel_size, half, radius if aligned else None)  # type: ignore[arg-type]
+
+    @classmethod
+    def full(cls, fft_shape: tuple[int, int, int], voxel_size: tuple[float, float, float]) -> Band:
+        """Every wavevector of the grid."""
+        return cls(fft_shape, voxel_size, tuple(n // 2 for n in fft_shape))  # type: ignore[arg-type]
+
+    @property
+    def spacing(self) -> tuple[float, float, float]:
+        """rad/um from one index to the next."""
+        z, y, x = (
+            2 * pi / (n * d) for n, d in zip(self.fft_shape, self.voxel_size, strict=True)
+        )
+        return z, y, x
+
+    @property
+    def box_shape(self) -> tuple[int, int, int]:
+        """Shape of the tensor that holds the band: (2 Kz + 1, 2 Ky + 1, Kx + 1)."""
+        return 2 * self.half[0] + 1, 2 * self.half[1] + 1, self.half[2] + 1
+
+    def axes(self, dtype: torch.dtype = torch.float64) -> tuple[Tensor, Tensor, Tensor]:
+        """Wavevector components (rad/um) along each axis, shaped to broadcast over the box."""
+        z, y, x = (
+            torch.arange(first, k + 1, dtype=torch.float64) * s
+            for first, k, s in zip((-self.half[0], -self.half[1], 0), self.half, self.spacing, strict=True)
+        )
+        return z.to(dtype)[:, None, None], y.to(dtype)[None, :, None], x.to(dtype)[None, None, :]
+
+    @cached_property
+    def rows(self) -> Tensor:
+        """(R, 3) int32: kz, ky and length of each row along kx inside the ellipsoid."""
+        kz, ky = np.meshgrid(
+            np.arange(-self.half[0], self.half[0] + 1),
+            np.arange(-self.half[1], self.half[1] + 1),
+            indexing="ij",
+        )
+        if self.radius is None:
+            length = np.full(kz.shape, self.half[2] + 1)
+        else:
+            s, r = self.spacing, self.radius
+            left = 1 - (kz * s[0] / r[0]) ** 2 - (ky * s[1] / r[1]) ** 2
+            reach = np.floor(np.sqrt(np.maximum(left, 0)) * r[2] / s[2]) + 1
+            length = np.where(left >= 0, np.minimum(reach, self.half[2] + 1), 0)
+        keep = length > 0
+        return torch.from_numpy(
+            np.stack([kz[keep], ky[keep], length[keep]], 1).astype(np.int32)
+        )
+
+    @cached_property
+    def row_index(self) -> Tensor:
+        """Where the entries of the rows lie in the flattened box."""
+        r = self.rows.to(torch.int64)
+        _, ny, nx = self.box_shape
+        first = ((r[:, 0] + self.half[0]) * ny + r[:, 1] + self.half[1]) * nx
+        start = torch.repeat_interleave(torch.cumsum(r[:, 2], 0) - r[:, 2], r[:, 2])
+        return torch.repeat_interleave(first, r[:, 2]) + torch.arange(len(start)) - start
+
+    @property
+    def count(self) -> int:
+        """Number of wavevectors in the rows."""
+        return int(self.rows[:, 2].sum())
+
+    def to_box(self, values: Tensor) -> Tensor:
+        """Row entries (K,) -> box, zero outside the ellipsoid."""
+        box = values.new_zeros(self.box_shape).reshape(-1)
+        return box.index_copy(0, self.row_index, values).reshape(self.box_shape)
+
+    def to_image(self, box: Tensor, shape: tuple[int, int, int]) -> Tensor:
+        """Inverse transform of a box, cropped to ``shape`` voxels from the origin on.
+
+        One axis at a time, so that the zeros between the band and the full grid are never
+        transformed where that can be avoided. The box is the transform of a density per um^3 ; the
+        result is what falls into each voxel.
+        """
+        n = self.fft_shape
+        for axis in (0, 1):
+            box = torch.fft.ifft(_unfold(box, axis, self.half[axis], n[axis]), dim=axis)
+            box = box.narrow(axis, 0, shape[axis])
+        return torch.fft.irfft(box, n=n[2], dim=2).narrow(2, 0, shape[2])
+
+
+def _unfold(box: Tensor, axis: int, half: int, n: int) -> Tensor:
+    """Indices -half..half along an axis -> FFT order 0..n-1."""
+    positive, negative = box.narrow(axis, half, half + 1), box.narrow(axis, 0, half)
+    if 2 * half == n:  # +n/2 and -n/2 are one wavevector of the grid: their mean, as an image is real
+        last = (box.narrow(axis, 0, 1) + box.narrow(axis, 2 * half, 1)) / 2
+        return torch.cat(
+            [box.narrow(axis, half, half), last, box.narrow(axis, 1, half - 1)], dim=axis
+        )
+    gap = list(box.shape)
+    gap[axis] = n - 2 * half - 1
+    return torch.cat([positive, box.new_zeros(gap), negative], dim=axis)
+
+
+def band_error(threshold: float, area: float, thin: bool) -> float:
+    """Relative L2 error of an image when |OTF| < threshold is left out, for a Gaussian OTF.
+
+    Averaged over directions, the power of a surface is ``min(1, 2 pi / (area xi^2))`` of its total
+    squared, that of a point 1; with lengths in widths of the PSF. Something thin (a speck, a thread,
+    a flake) lies in between, and the point's law is an upper bound for it.
+    """
+    from scipy.integrate import quad
+    from scipy.special import erfc
+
+    reach = sqrt(2 * log(1 / threshold))
+    if thin:
+        return sqrt(float(erfc(reach)) + 2 / sqrt(pi) * reach * exp(-(reach**2)))
+    turn = sqrt(2 * pi / area)  # below it the surface is seen as one piece
+
+    def power(k: float) -> float:
+        return exp(-(k**2)) * min(k**2, turn**2)
+
+    def integral(first: float) -> float:
+        beyond = max(first, turn)
+        near = quad(power, first, turn, epsabs=0, epsrel=1e-6)[0] if first < turn else 0.0
+        return near + turn**2 * sqrt(pi) / 2 * float(erfc(beyond))
+
+    return sqrt(integral(reach) / integral(0.0))
+
+
+def threshold_for(error: float, area: float, thin: bool) -> float:
+    """The threshold whose :func:`band_error` is ``error``."""
+    from scipy.optimize import brentq
+
+    def excess(log_threshold: float) -> float:
+        return log(band_error(exp(log_threshold), area, thin)) - log(error)
+
+    return float(exp(brentq(excess, -150.0, log(0.9), xtol=1e-4))) if error < 0.5 else 0.5

@@ -1,0 +1,55 @@
+"""The compiled loops: found once, chosen once, and their absence told once."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from functools import cache
+from types import ModuleType
+
+import torch
+
+from ..errors import InputError
+
+
+class SlowPathWarning(UserWarning):
+    """The compiled extension is missing; results are the same, several hundred times slower."""
+
+
+@cache
+def native() -> ModuleType | None:
+    """The compiled extension, or None (after one warning) where it was not built."""
+    try:
+        from . import _mesh_ft  # type: ignore[attr-defined]
+    except ImportError:
+        warnings.warn(
+            "the compiled extension of napari-deltamic is missing: the closed form runs in torch, "
+            "several hundred times slower (reinstall with a C++ compiler to get it back)",
+            SlowPathWarning,
+            stacklevel=3,
+        )
+        return None
+    return _mesh_ft
+
+
+def simd_level() -> str:
+    """Instruction set in use: the best one, or the one named by DELTAMIC_SIMD.
+
+    Raises
+    ------
+    InputError
+        If DELTAMIC_SIMD names one that this processor or build does not have.
+    """
+    module = native()
+    if module is None:
+        return "none"
+    levels = module.simd_levels()
+    asked = os.environ.get("DELTAMIC_SIMD")
+    if asked and asked not in levels:
+        raise InputError(f"DELTAMIC_SIMD={asked}: choose one of {', '.join(levels)}")
+    return asked or levels[-1]
+
+
+def threads() -> int:
+    """Worker threads: what torch was told to use."""
+    return torch.get_num_threads()

@@ -1,0 +1,228 @@
+"""Regions that points name: the dark inside of a membrane, found by flooding.
+
+A point names an object by the *basin* of the smoothed image that it lies in: the dark inside of
+a membrane. The basin is found by flooding: water rising from the point fills the object first and
+leaks, at one level, into everything else. The leap in flooded volume at that level is so much
+larger than any within the object that it needs no threshold on intensity, so dim and bright
+membranes are treated alike, and every point of one object gives the same basin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from skimage.morphology import max_tree
+from skimage.segmentation import watershed
+
+from napari_deltamic.errors import InputError
+from napari_deltamic.geometry.mesh import FloatArray, IntArray
+
+Mask = NDArray[np.bool_]
+Ranks = NDArray[np.uint16]
+
+# A region whose area on the image border exceeds this share of the surface of a ball of its
+# volume is mostly outside of the image, or is the background (a halved ball: 0.4).
+BORDER_LIMIT = 0.7
+# Two points are in one object when the pass between them is lower than this fraction of the rise
+# from the inside to the leak.
+SAME_OBJECT = 0.6
+# A lower leap than the largest is believed only if it stands this high above noise.
+LOWER_LEAP = 0.25
+# A leap counts only if it rises above the lowest voxel by this many standard deviations of the
+# noise: dark puddles of noise, which the minimum of many voxels deepens, are no objects.
+NOISE_RISE = 8.0
+MIN_VOXELS = 27
+
+
+@dataclass(frozen=True)
+class _Tree:
+    """Component tree of the sub-level sets of an image: how the dark parts join."""
+
+    level: IntArray
+    parent: IntArray
+    volume: FloatArray  # voxels
+    border: FloatArray  # um^2 on the faces of the image
+    lowest: IntArray
+
+
+@dataclass(frozen=True)
+class _Basin:
+    """The part of a tree that a point names; `path` runs from its lowest voxel to the root."""
+
+    path: IntArray
+    node: int  # position in path of the last component before the leak
+
+
+def label_basins(
+    data: FloatArray, size: FloatArray, voxels: IntArray, names: list[int], smoothing: float | None
+) -> NDArray[np.int32]:
+    """Label the basin of each voxel in `voxels` (n, 3) with its name; 0 elsewhere.
+
+    The work of `labels_from_points`; raises InputError where a point names no region.
+    """
+    sigma = float(size.min()) if smoothing is None else float(smoothing)
+    smooth = ndimage.gaussian_filter(data, sigma / size, mode="nearest")
+    noise = _noise_after(data, sigma / size)
+    # Steps of a fraction of the noise lose nothing and make the tree faster.
+    step = max(float(np.ptp(smooth)) / 65535, noise / 4)
+    ranked = np.round((smooth - smooth.min()) / step).astype(np.uint16)
+    tree = _component_tree(ranked, size)
+    lows = [_descend(ranked, voxel) for voxel in voxels]
+    least = NOISE_RISE * noise / step
+    found = [_find_basin(tree, low, k, size, least) for low, k in zip(lows, names, strict=True)]
+    basins = _separate(tree, found, names)
+    cores = [_core(ranked, tree, basin) for basin in basins]
+    levels = [int(tree.level[basin.path[basin.node]]) for basin in basins]
+    return _grow(ranked, levels, cores, names, size)
+
+
+def _noise_after(data: FloatArray, sigma: FloatArray) -> float:
+    """Standard deviation of what is left of the image's noise by Gaussians of sigma voxels."""
+    if data.shape[2] < 3:
+        return 0.0
+    # Second differences along X hardly see membranes; their median hardly any.
+    noise = float(np.median(np.abs(np.diff(data, 2, axis=2)))) / 0.6745 / 6**0.5
+    pulse = np.zeros(2 * int(4 * sigma.max() + 1) + 1)
+    pulse[len(pulse) // 2] = 1
+    gains = [np.linalg.norm(ndimage.gaussian_filter1d(pulse, width)) for width in sigma]
+    return noise * float(np.prod(gains))
+
+
+def _border_area(shape: tuple[int, ...], size: FloatArray) -> FloatArray:
+    """Area (um^2) of each voxel's faces that lie on the border of the image."""
+    area = np.zeros(shape)
+    for axis in range(3):
+        sides = np.moveaxis(area, axis, 0)
+        face = float(np.prod(size) / size[axis])
+        sides[0] += face
+        sides[-1] += face
+    return area
+
+
+def _component_tree(ranked: Ranks, size: FloatArray) -> _Tree:
+    parents, order = max_tree(65535 - ranked, connectivity=1)
+    level = ranked.ravel().astype(np.int64)
+    parent = parents.ravel().astype(np.int64)
+    # Plain lists: one pass over the voxels is several times faster than with array elements.
+    up, low = parent.tolist(), level.tolist()
+    volume, border = [1.0] * level.size, _border_area(ranked.shape, size).ravel().tolist()
+    for child in order[:0:-1].tolist():
+        above = up[child]
+        volume[above] += volume[child]
+        border[above] += border[child]
+        low[above] = min(low[above], low[child])
+    return _Tree(level, parent, np.array(volume), np.array(border), np.array(low))
+
+
+def _descend(ranked: Ranks, voxel: IntArray) -> int:
+    """Flat index of the local minimum that steepest descent from a voxel ends in."""
+    here = tuple(int(i) for i in voxel)
+    while True:
+        corner = [max(i - 1, 0) for i in here]
+        near = ranked[tuple(slice(c, i + 2) for c, i in zip(corner, here, strict=True))]
+        if near.min() >= ranked[here]:
+            return int(np.ravel_multi_index(here, ranked.shape))
+        step = np.unravel_index(int(near.argmin()), near.shape)
+        here = tuple(c + int(s) for c, s in zip(corner, step, strict=True))
+
+
+def _find_basin(tree: _Tree, low: int, number: int, size: FloatArray, least: float) -> _Basin:
+    """Follow the flood from a minimum and stop it before the leap that is the leak."""
+    path = [low]
+    while tree.parent[path[-1]] != path[-1]:
+        path.append(int(tree.parent[path[-1]]))
+    nodes = np.array(path)
+    volume, level = tree.volume[nodes], tree.level[nodes]
+    rise = level[1:] - tree.lowest[nodes[:-1]]
+    leap = np.where(rise > least, np.diff(volume), 0)
+    ball = np.cbrt(36 * np.pi * (volume * np.prod(size)) ** 2)
+    opened = (tree.border[nodes] > BORDER_LIMIT * ball)[:-1]
+    node = int(leap.argmax()) if len(leap) else 0
+    if len(leap) and opened[node]:
+        # The outside may itself be in parts that join later, with a larger leap than the leak's.
+        fair = ~opened & (leap > volume[:-1]) & (rise > LOWER_LEAP * rise[node])
+        fair[node:] = False
+        leap = np.where(fair, leap, 0)
+        node = int(leap.argmax())
+    if not leap.any():
+        raise InputError(f"point {number} lies in no closed region of the image")
+    if volume[node] < MIN_VOXELS:
+        raise InputError(
+            f"point {number} lies in no closed region of the image (only {volume[node]:.0f} voxels"
+            " around it): it may be on a membrane or in the background"
+        )
+    return _Basin(nodes, node)
+
+
+def _separate(tree: _Tree, basins: list[_Basin], names: list[int]) -> list[_Basin]:
+    """Where points share a basin, cut it at the pass between them, if that stands out."""
+    cut = [basin.node for basin in basins]
+    above = [set(basin.path.tolist()) for basin in basins]
+    for i, one in enumerate(basins):
+        for j, other in enumerate(basins):
+            if i == j or int(one.path[one.node]) not in above[j]:
+                continue
+            # First node on the way up that floods the other point too.
+            meet = int(np.isin(one.path[: one.node + 1], other.path).argmax())
+            height, leak = tree.level[one.path[[meet, one.node + 1]]]
+            meet_other = int(np.flatnonzero(other.path == one.path[meet])[0])
+            floor = height
+            if meet and meet_other:
+                sides = [one.path[meet - 1], other.path[meet_other - 1]]
+                floor = tree.lowest[sides].max()
+            if height == floor or height - floor < SAME_OBJECT * (leak - floor):
+                first, second = sorted((names[i], names[j]))
+                raise InputError(f"points {first} and {second} lie in the same region")
+            cut[i] = min(cut[i], meet - 1)
+    return [_Basin(basin.path, node) for basin, node in zip(basins, cut, strict=True)]
+
+
+def _core(ranked: Ranks, tree: _Tree, basin: _Basin) -> Mask:
+    parts, _ = ndimage.label(ranked <= tree.level[basin.path[basin.node]])
+    mask: Mask = parts == parts.flat[basin.path[0]]
+    return mask
+
+
+def _grow(
+    ranked: Ranks,
+    levels: Sequence[int],
+    cores: list[Mask],
+    names: list[int],
+    size: FloatArray,
+) -> NDArray[np.int32]:
+    """Flood from each core up to the crest, against whatever else is dark at its own level."""
+    labels = np.zeros(ranked.shape, np.int32)
+    every_core = np.logical_or.reduce(cores)
+    for level, core, k in zip(levels, cores, names, strict=True):
+        box = _box_around(core)
+        inside = core[box]
+        markers = np.where(inside, 1, 2 * ((ranked[box] <= level) | every_core[box]))
+        _mark_cuts(markers, box, ranked.shape)
+        region = ndimage.binary_fill_holes(watershed(ranked[box], markers) == 1)
+        region &= inside | (~every_core[box] & (labels[box] == 0))
+        border = float(_border_area(ranked.shape, size)[box][region].sum())
+        ball = np.cbrt(36 * np.pi * (region.sum() * np.prod(size)) ** 2)
+        if border > BORDER_LIMIT * ball:
+            raise InputError(f"the region of point {k} lies mostly on the border of the image")
+        labels[box][region] = k
+    return labels
+
+
+def _box_around(mask: Mask) -> tuple[slice, ...]:
+    """Bounding box with room for the membrane and for what lies beyond it."""
+    box = ndimage.find_objects(mask.astype(np.int8))[0]
+    room = [5 + (s.stop - s.start) // 4 for s in box]
+    return tuple(slice(max(s.start - r, 0), s.stop + r) for s, r in zip(box, room, strict=True))
+
+
+def _mark_cuts(markers: NDArray[np.int_], box: tuple[slice, ...], shape: tuple[int, ...]) -> None:
+    """Give the sides where the box cuts the image to the other territory, so that none leaks."""
+    for axis in range(3):
+        sides = np.moveaxis(markers, axis, 0)
+        for side, cut in ((0, box[axis].start > 0), (-1, box[axis].stop < shape[axis])):
+            if cut:
+                sides[side][sides[side] != 1] = 2

@@ -1,0 +1,376 @@
+"""The multimaterial triangle mesh that everything else reads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from napari_deltamic.errors import InputError
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+OUTSIDE = 0
+
+
+def is_tensor(array: object) -> bool:
+    """True for a torch tensor. Asks by behaviour, so that geometry does not import torch."""
+    return hasattr(array, "detach") and hasattr(array, "requires_grad")
+
+
+def to_numpy(array: Any) -> NDArray[Any]:
+    """A numpy array from an array, a sequence or a tensor (detached, on the CPU)."""
+    return np.asarray(array.detach().cpu().numpy() if is_tensor(array) else array)
+
+
+class _Connectivity:
+    """Faces and regions, checked, and what follows from them alone; shared between meshes."""
+
+    def __init__(self, faces: Any, regions: Any, n_vertices: int) -> None:
+        self.n_vertices = n_vertices
+        self.faces = _integers(faces, 3, "faces")
+        if len(self.faces) == 0:
+            raise InputError("the mesh is empty: it has no faces")
+        low, high = int(self.faces.min()), int(self.faces.max())
+        if low < 0 or high >= n_vertices:
+            bad = low if low < 0 else high
+            raise InputError(
+                f"a face refers to vertex {bad}, but the mesh has vertices 0 to {n_vertices - 1}"
+            )
+        if regions is None:
+            self.regions: IntArray = np.tile(np.array([1, OUTSIDE]), (len(self.faces), 1))
+        else:
+            self.regions = _integers(regions, 2, "regions")
+        if len(self.regions) != len(self.faces):
+            raise InputError(
+                f"regions must have one row per face: {len(self.regions)} rows, "
+                f"{len(self.faces)} faces"
+            )
+        if self.regions.min() < 0:
+            raise InputError("region numbers must be 0 (outside) or positive")
+        n_same = int((self.regions[:, 0] == self.regions[:, 1]).sum())
+        if n_same:
+            raise InputError(f"{n_same} faces have the same region on both sides")
+
+    @cached_property
+    def region_ids(self) -> IntArray:
+        ids = np.unique(self.regions)
+        return ids[ids != OUTSIDE]
+
+    @cached_property
+    def interfaces(self) -> tuple[IntArray, IntArray]:
+        # Larger number first, so that both ways of writing a wall are one interface.
+        pairs, index = np.unique(
+            np.sort(self.regions, axis=1)[:, ::-1], axis=0, return_inverse=True
+        )
+        return pairs, index.reshape(-1).astype(np.int64)
+
+    @cached_property
+    def edges(self) -> tuple[IntArray, IntArray]:
+        corners = np.sort(self.faces[:, [1, 2, 2, 0, 0, 1]].reshape(-1, 2), axis=1)
+        keys, index = np.unique(
+            corners[:, 0] * self.n_vertices + corners[:, 1], return_inverse=True
+        )
+        edges = np.column_stack(np.divmod(keys, self.n_vertices)).astype(np.int64)
+        return edges, index.reshape(-1, 3).astype(np.int64)
+
+    @cached_property
+    def open_regions(self) -> IntArray:
+        """Regions with an edge that an odd number of their faces share."""
+        face_edges = self.edges[1]
+        keys = np.concatenate(
+            [(self.regions[:, side, None] * len(self.edges[0]) + face_edges) for side in (0, 1)]
+        )
+        keys, counts = np.unique(keys, return_counts=True)
+        ids = np.unique(keys[counts % 2 == 1] // len(self.edges[0]))
+        return ids[ids != OUTSIDE].astype(np.int64)
+
+
+class Mesh:
+    """Triangles that separate regions (cells); they may share walls and meet in junctions.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array or torch tensor, um
+        Positions in Z, Y, X order. An array is copied to float64. A tensor is kept as it is, so
+        that rendering is differentiable in a tensor that requires grad.
+    faces : (F, 3) integers
+        Vertex indices, from 0.
+    regions : (F, 2) integers, optional
+        Row (a, b): the face's normal points from region a to region b; 0 is the outside.
+        By default (1, 0) for every face: one closed region.
+
+    Notes
+    -----
+    *Normal.* Seen from its side b, a face's vertices run counter-clockwise in right-handed
+    physical space (x, y, z). A file in x, y, z with the usual outward winding therefore gives
+    positive volumes. In Z, Y, X components the axes are left-handed, so the normal is *minus*
+    the cross product of the edge vectors; ``normals`` does this.
+
+    Treat ``vertices``, ``faces`` and ``regions`` as read-only; use ``with_vertices`` to move
+    vertices.
+
+    Raises
+    ------
+    InputError
+        For wrong shapes, no faces, indices out of range, NaN or infinite vertices, negative
+        region numbers, or the same region on both sides of a face.
+    """
+
+    def __init__(self, vertices: Any, faces: Any, regions: Any = None) -> None:
+        self.vertices = _checked_vertices(vertices)
+        self._connectivity = _Connectivity(faces, regions, len(self.vertices))
+
+    @property
+    def faces(self) -> IntArray:
+        """Vertex indices, (F, 3) int64."""
+        return self._connectivity.faces
+
+    @property
+    def regions(self) -> IntArray:
+        """Region pairs, (F, 2) int64: the normal points from the first to the second."""
+        return self._connectivity.regions
+
+    def __repr__(self) -> str:
+        n_regions = len(self.region_ids())
+        return f"Mesh({len(self.vertices)} vertices, {len(self.faces)} faces, {n_regions} regions)"
+
+    # ---- vertices ---------------------------------------------------------------------------
+
+    def vertices_numpy(self) -> FloatArray:
+        """Vertices as a float64 array, (V, 3) um Z, Y, X; detached if they are a tensor."""
+        return to_numpy(self.vertices).astype(np.float64, copy=False)
+
+    def with_vertices(self, vertices: Any) -> Mesh:
+        """The same connectivity (shared, not copied) with other vertices, (V, 3) um Z, Y, X.
+
+        Raises InputError for another number of vertices, NaN or infinite values.
+        """
+        vertices = _checked_vertices(vertices)
+        if len(vertices) != self._connectivity.n_vertices:
+            raise InputError(
+                f"expected {self._connectivity.n_vertices} vertices, got {len(vertices)}"
+            )
+        mesh = Mesh.__new__(Mesh)
+        mesh.vertices = vertices
+        mesh._connectivity = self._connectivity
+        return mesh
+
+    def translated(self, offset: Sequence[float] | FloatArray) -> Mesh:
+        """The mesh moved by ``offset``, (3,) um in Z, Y, X order."""
+        return self.with_vertices(self.vertices + _like(_triple(offset, "offset"), self.vertices))
+
+    def scaled(self, factor: float | Sequence[float] | FloatArray) -> Mesh:
+        """The mesh scaled about the origin by one positive factor, or one per axis Z, Y, X.
+
+        Raises InputError for a factor that is not positive: mirroring would turn the normals.
+        """
+        factors = _triple(factor, "factor")
+        if not (factors > 0).all():
+            raise InputError("scale factors must be positive")
+        return self.with_vertices(self.vertices * _like(factors, self.vertices))
+
+    def bounds(self) -> FloatArray:
+        """Lowest and highest vertex coordinates, (2, 3) um Z, Y, X."""
+        vertices = self.vertices_numpy()
+        return np.stack([vertices.min(axis=0), vertices.max(axis=0)])
+
+    # ---- faces ------------------------------------------------------------------------------
+
+    def _area_vectors(self) -> FloatArray:
+        """Normal times twice the area of each face, (F, 3) um^2 Z, Y, X."""
+        corners = self.vertices_numpy()[self.faces]
+        # Z, Y, X components are left-handed: hence the sign.
+        return -np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+    def areas(self) -> FloatArray:
+        """Area of each face, (F,) um^2."""
+        # Half the norm of a cross product: Heron's formula fails on needles.
+        return 0.5 * np.linalg.norm(self._area_vectors(), axis=1)
+
+    def normals(self) -> FloatArray:
+        """Unit normal of each face, from region a to region b, (F, 3) Z, Y, X; 0 if no area."""
+        vectors = self._area_vectors()
+        lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
+        return np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
+
+    def membranes(self) -> FloatArray:
+        """Number of membranes in each face, (F,): the default density of a render.
+
+        1 where one side is the outside; 2 for a wall between two regions, because each of the
+        two cells brings its own membrane.
+        """
+        return np.where((self.regions == OUTSIDE).any(axis=1), 1.0, 2.0)
+
+    # ---- regions ----------------------------------------------------------------------------
+
+    def region_ids(self) -> IntArray:
+        """Sorted region numbers, without 0 (the outside)."""
+        return self._connectivity.region_ids
+
+    def interfaces(self) -> tuple[IntArray, IntArray]:
+        """Region pairs that share faces, (I, 2) sorted, and each face's row in them, (F,).
+
+        The larger region number comes first, whichever way the face is wound.
+        """
+        return self._connectivity.interfaces
+
+    def signed_volumes(self) -> FloatArray:
+        """Volume between each face and the mean vertex, (F,) um^3.
+
+        Positive where the face's normal points away from the mean vertex. The sum over a
+        region's faces (negated where the region is side b) is the region's volume.
+        """
+        vertices = self.vertices_numpy()
+        # Relative to the mean vertex: no digits are lost far from the origin.
+        corners = (vertices - vertices.mean(axis=0))[self.faces]
+        cross = np.cross(corners[:, 1], corners[:, 2])
+        return -np.einsum("fi,fi->f", corners[:, 0], cross) / 6.0
+
+    def volumes(self) -> dict[int, float]:
+        """Volume of each region, um^3, by region number.
+
+        Means something only for closed, consistently oriented regions (``is_closed``, ``repair``).
+        """
+        per_face = self.signed_volumes()
+        size = int(self.regions.max()) + 1
+        total = np.bincount(self.regions[:, 0], per_face, size)
+        total -= np.bincount(self.regions[:, 1], per_face, size)
+        return {int(region): float(total[region]) for region in self.region_ids()}
+
+    def region_volume(self, region: int) -> float:
+        """Volume of one region, um^3. Raises InputError if the mesh has no such region."""
+        self._check_region(region)
+        return self.volumes()[region]
+
+    def region_surface(self, region: int) -> Mesh:
+        """The surface of one region as a mesh of its own, outward, with regions (region, 0).
+
+        Vertices that it does not use are left out; a tensor stays a tensor.
+        Raises InputError if the mesh has no such region.
+        """
+        self._check_region(region)
+        inner = self.regions[:, 0] == region
+        outer = self.regions[:, 1] == region
+        faces = np.where(outer[:, None], self.faces[:, ::-1], self.faces)[inner | outer]
+        used, index = np.unique(faces, return_inverse=True)
+        return Mesh(
+            self.vertices[used],
+            index.reshape(-1, 3),
+            np.tile(np.array([region, OUTSIDE]), (len(faces), 1)),
+        )
+
+    def is_closed(self, region: int | None = None) -> bool:
+        """True if every region (or the one given) is bounded by a closed surface.
+
+        That is: an even number of the region's faces meet at each edge.
+        Raises InputError if the mesh has no such region.
+        """
+        if region is None:
+            return len(self._connectivity.open_regions) == 0
+        self._check_region(region)
+        return region not in self._connectivity.open_regions
+
+    def _check_region(self, region: int) -> None:
+        if region not in self.region_ids():
+            raise InputError(f"the mesh has no region {region}")
+
+    # ---- edges ------------------------------------------------------------------------------
+
+    def edges(self) -> IntArray:
+        """Unique edges, (E, 2) vertex indices, the smaller one first."""
+        return self._connectivity.edges[0]
+
+    def face_edges(self) -> IntArray:
+        """Row in ``edges`` of the edge opposite each corner, (F, 3)."""
+        return self._connectivity.edges[1]
+
+    # ---- several meshes ---------------------------------------------------------------------
+
+    @staticmethod
+    def merge(meshes: Iterable[Mesh]) -> Mesh:
+        """Put meshes side by side in one mesh, in which no two share a region number.
+
+        Region numbers are kept where no earlier mesh has them, else replaced by new, higher
+        ones. If any mesh has tensor vertices, so has the result. Vertices are not joined.
+        Raises InputError if there is no mesh.
+        """
+        parts = list(meshes)
+        if not parts:
+            raise InputError("there are no meshes to merge")
+        next_id = max(int(part.regions.max()) for part in parts) + 1
+        used: set[int] = set()
+        faces, regions, offset = [], [], 0
+        for part in parts:
+            table = np.arange(int(part.regions.max()) + 1)
+            for region in part.region_ids().tolist():
+                if region in used:
+                    table[region] = next_id
+                    next_id += 1
+                used.add(int(table[region]))
+            faces.append(part.faces + offset)
+            regions.append(table[part.regions])
+            offset += len(part.vertices)
+        vertices = _concatenated([part.vertices for part in parts])
+        return Mesh(vertices, np.concatenate(faces), np.concatenate(regions))
+
+
+def _integers(values: Any, columns: int, name: str) -> IntArray:
+    """A checked int64 copy of shape (n, columns)."""
+    try:
+        array = to_numpy(values)
+        if array.size == 0:
+            return np.zeros((0, columns), dtype=np.int64)
+        if not (np.isfinite(array).all() and (array == np.floor(array)).all()):
+            raise InputError(f"{name} must be whole numbers")
+        result = array.astype(np.int64)
+    except (TypeError, ValueError, OverflowError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{name} must be whole numbers of shape (n, {columns})") from error
+    if result.ndim != 2 or result.shape[1] != columns:
+        raise InputError(f"{name} must have shape (n, {columns}), not {result.shape}")
+    return result
+
+
+def _checked_vertices(vertices: Any) -> Any:
+    """Vertices as a float64 array (a copy), or the tensor itself, with finite values."""
+    if not is_tensor(vertices):
+        try:
+            vertices = np.array(vertices, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise InputError("vertices must be numbers of shape (n, 3)") from error
+    elif not vertices.is_floating_point():
+        raise InputError("a vertex tensor must hold floating point numbers")
+    if vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise InputError(f"vertices must have shape (n, 3), not {tuple(vertices.shape)}")
+    n_bad = int((~np.isfinite(to_numpy(vertices))).any(axis=1).sum())
+    if n_bad:
+        raise InputError(f"{n_bad} of {len(vertices)} vertices are NaN or infinite")
+    return vertices
+
+
+def _triple(value: ArrayLike, name: str) -> FloatArray:
+    """One finite number, or three, as (3,)."""
+    try:
+        return np.broadcast_to(np.asarray(value, dtype=np.float64), (3,)).copy()
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} must be one number or three, in Z, Y, X order") from error
+
+
+def _like(values: FloatArray, vertices: Any) -> Any:
+    """``values`` as whatever ``vertices`` are."""
+    return vertices.new_tensor(values) if is_tensor(vertices) else values
+
+
+def _concatenated(arrays: list[Any]) -> Any:
+    if not any(is_tensor(array) for array in arrays):
+        return np.concatenate(arrays)
+    import torch  # only reached when a tensor was given, so torch is loaded already
+
+    first = next(array for array in arrays if is_tensor(array))
+    return torch.cat([torch.as_tensor(a, dtype=first.dtype, device=first.device) for a in arrays])

@@ -1,0 +1,176 @@
+"""A closed, smooth, even surface around a mask of voxels (surface nets on a grid of its own)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.sparse import coo_array
+
+from napari_deltamic.errors import InputError
+from napari_deltamic.geometry.mesh import FloatArray, IntArray
+
+Mask = NDArray[np.bool_]
+
+MAX_NODES = 30_000_000  # a typing error in edge_length should not fill the memory
+
+
+def closed_surface(
+    mask: Mask, size: FloatArray, origin: FloatArray, edge: float
+) -> tuple[FloatArray, IntArray] | None:
+    """Closed surface of the largest part of a mask, outward; None if the grid misses it."""
+    spacing = 1.1 * edge  # gives this mean edge length
+    sigma = max(0.7 * float(size.max()), 0.4 * spacing)
+    extent = np.array(mask.shape) * size
+    if extent.max() < spacing:
+        return None
+    nodes = np.prod((extent + 6 * sigma) / spacing + 5)
+    if nodes > MAX_NODES:
+        raise InputError(f"edges of {edge:g} um are too short: they ask for {nodes:.0f} grid nodes")
+    room = np.ceil((3 * sigma + 2 * spacing) / size).astype(int) + 1
+    solid = ndimage.binary_fill_holes(_largest(np.pad(mask, [(int(r),) * 2 for r in room])))
+    solid = _without_fins(solid, 0.5 * edge, size)
+    corner = origin - room * size
+    distance = ndimage.distance_transform_edt(solid, size)
+    distance -= ndimage.distance_transform_edt(~solid, size)
+    best = None
+    # A thin bridge or a pit of noise makes a handle: smooth it away, if a little does.
+    for factor in (1.0, 1.5, 2.0):
+        field = ndimage.gaussian_filter(distance, factor * sigma / size)
+        # Smoothing pulls convex surfaces in; the level that keeps the volume puts them back.
+        field -= np.partition(field, -int(solid.sum()), axis=None)[-int(solid.sum())]
+        surface = _surface_net(field, size, spacing)
+        if surface is None:
+            continue
+        vertices, faces = surface
+        best = best or (vertices + corner, faces)
+        if 2 * len(vertices) - len(faces) == 4:  # closed triangles: Euler number 2
+            return vertices + corner, faces
+    return best
+
+
+def _without_fins(solid: Mask, radius: float, size: FloatArray) -> Mask:
+    """Take away parts too thin for the mesh (an opening by a ball), unless much would go."""
+    kept = ndimage.distance_transform_edt(solid, size) > radius
+    opened = _largest(ndimage.distance_transform_edt(~kept, size) <= radius) if kept.any() else kept
+    return opened if opened.sum() > 0.9 * solid.sum() else solid
+
+
+def _largest(mask: Mask) -> Mask:
+    parts, count = ndimage.label(mask)
+    if count < 2:
+        return mask
+    keep: Mask = parts == 1 + np.bincount(parts.ravel())[1:].argmax()
+    return keep
+
+
+def _surface_net(
+    field: FloatArray, size: FloatArray, spacing: float
+) -> tuple[FloatArray, IntArray] | None:
+    """Zero surface of a field (positive inside) by a dual grid of the wanted spacing."""
+    extent = (np.array(field.shape) - 1) * size
+    axes = [np.arange(0, length + spacing, spacing) for length in extent]
+    nodes = np.stack(np.meshgrid(*axes, indexing="ij"))
+    values = _sample(field, nodes.reshape(3, -1).T, size).reshape(nodes.shape[1:])
+    inside = _well_composed(_largest(values > 0))
+    if not inside.any():
+        return None
+    # The repair moved some signs: there the crossing is put next to the node that changed.
+    values = np.where(inside == (values > 0), values, np.where(inside, 1e-3, -1e-3) * spacing)
+    vertices, quads = _dual_quads(values, inside)
+    vertices = _relax(vertices * spacing, quads, field, size, spacing)
+    return vertices, _split(vertices, quads)
+
+
+def _sample(field: FloatArray, points: FloatArray, size: FloatArray) -> FloatArray:
+    values: FloatArray = ndimage.map_coordinates(field, (points / size).T, order=1, mode="nearest")
+    return values
+
+
+def _well_composed(inside: Mask) -> Mask:
+    """Fill nodes until the surface between in and out is a manifold.
+
+    Three kinds of contact break it: two opposite corners of a square, of a cube, and their
+    complements. Filling always ends: at worst with the bounding box.
+    """
+    inside = inside.copy()
+    while True:
+        before = int(inside.sum())
+        for axis in range(3):
+            a = np.moveaxis(inside, axis, 0)
+            p, q, r, s = a[:, :-1, :-1], a[:, 1:, 1:], a[:, :-1, 1:], a[:, 1:, :-1]
+            one, two = p & q & ~r & ~s, r & s & ~p & ~q
+            r |= one
+            p |= two
+        corners = [inside[_octant(c)] for c in np.ndindex(2, 2, 2)]
+        count = np.sum(corners, axis=0)
+        for c in range(4):
+            first, last = corners[c], corners[7 - c]
+            pair = (first == last) & (count == np.where(first, 2, 6))
+            for corner in corners:
+                corner |= pair
+        if int(inside.sum()) == before:
+            return inside
+
+
+def _octant(corner: tuple[int, ...]) -> tuple[slice, ...]:
+    return tuple(slice(c, None if c else -1) for c in corner)
+
+
+def _dual_quads(values: FloatArray, inside: Mask) -> tuple[FloatArray, IntArray]:
+    """A vertex for each cell that the surface crosses, a quad for each edge, outward.
+
+    The vertex is the mean of the crossings on the edges of its cell, in units of the grid.
+    """
+    shape = np.array(values.shape)
+    stride = np.array([shape[1] * shape[2], shape[2], 1])
+    rings, crossings = [], []
+    for axis in range(3):
+        first = np.moveaxis(inside, axis, 0)[:-1]
+        change = np.moveaxis(first != np.moveaxis(inside, axis, 0)[1:], 0, axis)
+        node = np.argwhere(change)
+        low, high = values[tuple(node.T)], values[tuple((node + np.eye(3, dtype=int)[axis]).T)]
+        place = node.astype(np.float64)
+        place[:, axis] += low / (low - high)
+        b, c = stride[(axis + 1) % 3], stride[(axis + 2) % 3]
+        ring = (node @ stride)[:, None] + np.array([0, -b, -b - c, -c])
+        # Z, Y, X is left-handed, so this order is counter-clockwise from below.
+        ring[low > 0] = ring[low > 0][:, ::-1]
+        rings.append(ring)
+        crossings.append(place)
+    cells, index = np.unique(np.concatenate(rings), return_inverse=True)
+    quads = index.reshape(-1, 4).astype(np.int64)
+    repeated = np.repeat(np.concatenate(crossings), 4, axis=0)
+    total = [np.bincount(quads.ravel(), repeated[:, i], len(cells)) for i in range(3)]
+    return np.stack(total, axis=1) / np.bincount(quads.ravel())[:, None], quads
+
+
+def _relax(
+    vertices: FloatArray, quads: IntArray, field: FloatArray, size: FloatArray, spacing: float
+) -> FloatArray:
+    """Even out the quads: towards the mean of the neighbours, then back onto the surface."""
+    start, end = quads.ravel(), np.roll(quads, -1, axis=1).ravel()
+    n = len(vertices)
+    links = coo_array((np.ones(len(start)), (start, end)), shape=(n, n)).tocsr()
+    valence = np.asarray(links.sum(axis=1)).reshape(-1, 1)
+    slopes = [np.gradient(field, size[axis], axis=axis) for axis in range(3)]
+    for step in range(12):
+        if step:
+            vertices = vertices + 0.5 * ((links @ vertices) / valence - vertices)
+        slope = np.stack([_sample(s, vertices, size) for s in slopes], axis=1)
+        steep = np.maximum((slope**2).sum(axis=1), 0.25)
+        move = _sample(field, vertices, size)[:, None] * slope / steep[:, None]
+        length = np.linalg.norm(move, axis=1, keepdims=True)
+        vertices = vertices - move * np.minimum(1, 0.4 * spacing / np.maximum(length, 1e-12))
+    return vertices
+
+
+def _split(vertices: FloatArray, quads: IntArray) -> IntArray:
+    """Two triangles for each quad, along the diagonal that cuts the wider pair of angles."""
+    p = vertices[quads]
+    after, before = np.roll(p, -1, axis=1) - p, np.roll(p, 1, axis=1) - p
+    length = np.linalg.norm(after, axis=2) * np.linalg.norm(before, axis=2)
+    angle = np.arccos(np.clip((after * before).sum(2) / np.maximum(length, 1e-300), -1, 1))
+    other = angle[:, 1] + angle[:, 3] > angle[:, 0] + angle[:, 2]
+    quads = np.where(other[:, None], np.roll(quads, -1, axis=1), quads)
+    return quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)

@@ -1,0 +1,241 @@
+"""Image files: stacks in, stacks out, with their voxel size."""
+
+from __future__ import annotations
+
+import io
+import logging
+import os
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from math import isfinite
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import tifffile
+from numpy.typing import ArrayLike, NDArray
+
+from .errors import InputError
+from .geometry.files import write_atomically
+
+VoxelSize = tuple[float, float, float]
+
+TIFF = (".tif", ".tiff")
+EXTENSIONS = (*TIFF, ".npy")
+# A voxel side outside of this range (um) is no microscope's: the metadata is wrong.
+_PLAUSIBLE = (1e-4, 1e4)
+_UNITS_UM = {
+    "pm": 1e-6,
+    "å": 1e-4,
+    "angstrom": 1e-4,
+    "nm": 1e-3,
+    "nanometer": 1e-3,
+    "nanometre": 1e-3,
+    "um": 1.0,
+    "micron": 1.0,
+    "microns": 1.0,
+    "micrometer": 1.0,
+    "micrometre": 1.0,
+    "mm": 1e3,
+    "millimeter": 1e3,
+    "cm": 1e4,
+    "inch": 2.54e4,
+    "m": 1e6,
+}
+_REFUSED = {
+    "C": "several channels: save the membrane channel alone",
+    "S": "several channels (colours): save one as a grey image",
+    "T": "several time points: save one, or call its planes slices (Z)",
+}
+
+
+def read_image(path: str | os.PathLike[str]) -> tuple[NDArray[Any], VoxelSize | None]:
+    """Read a stack.
+
+    Parameters
+    ----------
+    path : path
+        A .tif or .tiff file (OME, ImageJ or plain; the first series), or .npy.
+
+    Returns
+    -------
+    image : (Z, Y, X) array of real numbers, as they are in the file (bool becomes uint8).
+    voxel_size : um, Z Y X, from the metadata of OME and ImageJ; None where all three sides in a
+        unit of length are not given, or are not plausible.
+
+    Raises
+    ------
+    InputError
+        Naming the file and the reason: missing, unknown extension, empty, damaged, not 3D, several
+        channels or time points, complex or other values that are no intensities.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in EXTENSIONS:
+        known = ", ".join(EXTENSIONS)
+        raise InputError(f"{path}: unknown image extension '{path.suffix}'; known are {known}")
+    try:
+        if path.stat().st_size == 0:
+            raise InputError("the file is empty")
+        read = _read_tiff if path.suffix.lower() in TIFF else _read_npy
+        image, axes, voxel_size = read(path)
+        return _checked(image, axes), voxel_size
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file") from None
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    except MemoryError:
+        raise
+    except Exception as error:  # whatever a parser may raise on damaged data
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: not a readable image ({reason})") from error
+
+
+def write_image(
+    path: str | os.PathLike[str], image: ArrayLike, voxel_size: Sequence[float]
+) -> None:
+    """Write a stack with its voxel size; the file appears whole or not at all.
+
+    A .tif is an ImageJ hyperstack where that can hold the values (uint8, uint16, float32), else an
+    OME-TIFF, as is a name that ends in .ome.tif. A .npy file holds no voxel size.
+
+    Parameters
+    ----------
+    path : path
+    image : (Z, Y, X) array of real numbers.
+    voxel_size : um, Z Y X.
+
+    Raises
+    ------
+    InputError
+        Unknown extension, not a 3D image of real numbers, a voxel size that is not positive, or
+        the file cannot be written.
+    """
+    path = Path(path)
+    array = _checked(np.asarray(image))
+    z, y, x = (float(d) for d in voxel_size)
+    if not all(isfinite(d) and d > 0 for d in (z, y, x)):
+        raise InputError(f"voxel size must be three positive numbers (um), not {(z, y, x)}")
+    buffer = io.BytesIO()
+    kind = path.suffix.lower()
+    if kind not in EXTENSIONS:
+        raise InputError(f"{path}: unknown image extension '{path.suffix}'; use .tif")
+    if kind == ".npy":
+        np.save(buffer, array)
+    elif array.dtype in (np.uint8, np.uint16, np.float32) and not _named_ome(path):
+        tifffile.imwrite(
+            buffer,
+            array,
+            imagej=True,
+            photometric="minisblack",
+            resolution=(1 / x, 1 / y),
+            metadata={"axes": "ZYX", "spacing": z, "unit": "um"},
+        )
+    else:
+        sides = {f"PhysicalSize{name}": d for name, d in zip("ZYX", (z, y, x), strict=True)}
+        units = {f"PhysicalSize{name}Unit": "µm" for name in "ZYX"}
+        metadata = {"axes": "ZYX", **sides, **units}
+        tifffile.imwrite(buffer, array, ome=True, photometric="minisblack", metadata=metadata)
+    write_atomically(path, buffer.getvalue())
+
+
+def _named_ome(path: Path) -> bool:
+    return path.name.lower().endswith((".ome.tif", ".ome.tiff"))
+
+
+def _read_npy(path: Path) -> tuple[NDArray[Any], str, None]:
+    array = np.load(path, allow_pickle=False)
+    return array, "", None
+
+
+def _read_tiff(path: Path) -> tuple[NDArray[Any], str, VoxelSize | None]:
+    with _quiet(), tifffile.TiffFile(path) as tif:
+        if not tif.series:
+            raise InputError("the file holds no image")
+        series = tif.series[0]
+        return series.asarray(), series.axes, _voxel_size(tif)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """No remarks of tifffile on stderr: what matters becomes an error."""
+    logger = logging.getLogger("tifffile")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL + 1)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.setLevel(level)
+
+
+def _checked(array: NDArray[Any], axes: str = "") -> NDArray[Any]:
+    """The array as (Z, Y, X), in the byte order of this machine."""
+    shape = tuple(int(n) for n in array.shape)
+    if array.size == 0:
+        raise InputError(f"the image is empty: its shape is {shape}")
+    if np.iscomplexobj(array):
+        raise InputError("the image is complex; take its magnitude first")
+    if array.dtype != np.bool_ and not np.issubdtype(array.dtype, np.number):
+        raise InputError(f"an image of real numbers is needed, not of {array.dtype}")
+    described = f"shape {shape}" + (f", axes {axes}" if axes else "")
+    for name, reason in _REFUSED.items():
+        if any(a == name and n > 1 for a, n in zip(axes, shape, strict=False)):
+            raise InputError(f"the image has {reason} ({described})")
+    # Axes of length 1 in front are no dimensions of the stack.
+    while array.ndim > 3 and 1 in array.shape[: array.ndim - 3]:
+        array = np.squeeze(array, axis=array.shape.index(1))
+    if array.ndim != 3:
+        reason = "a 2D image" if array.ndim == 2 else f"an image of {array.ndim} dimensions"
+        raise InputError(f"a 3D stack (Z, Y, X) is needed, not {reason} ({described})")
+    if array.dtype == np.bool_:
+        return array.astype(np.uint8)
+    return array.astype(array.dtype.newbyteorder("="), copy=False)
+
+
+def _voxel_size(tif: tifffile.TiffFile) -> VoxelSize | None:
+    """um, Z Y X; None where the metadata does not say, or cannot be right."""
+    try:
+        size = _ome_size(tif) if tif.is_ome else _imagej_size(tif) if tif.is_imagej else None
+    except (ValueError, KeyError, TypeError, ZeroDivisionError, ElementTree.ParseError):
+        return None
+    low, high = _PLAUSIBLE
+    # This comparison is also false for NaN.
+    return size if size and all(low <= d <= high for d in size) else None
+
+
+def _ome_size(tif: tifffile.TiffFile) -> VoxelSize | None:
+    root = ElementTree.fromstring(tif.ome_metadata or "")
+    pixels = next((e for e in root.iter() if e.tag.endswith("}Pixels")), None)
+    if pixels is None:
+        return None
+    sides = []
+    for name in "ZYX":
+        unit = _unit_um(pixels.get(f"PhysicalSize{name}Unit", "um"))
+        value = pixels.get(f"PhysicalSize{name}")
+        if value is None or unit is None:
+            return None
+        sides.append(float(value) * unit)
+    return sides[0], sides[1], sides[2]
+
+
+def _imagej_size(tif: tifffile.TiffFile) -> VoxelSize | None:
+    metadata = tif.imagej_metadata or {}
+    unit = _unit_um(str(metadata.get("unit", "")))
+    if unit is None or "spacing" not in metadata:
+        return None
+    tags = tif.pages.first.tags
+    sides = [float(metadata["spacing"])]
+    for name in ("YResolution", "XResolution"):
+        count, length = tags[name].value  # pixels per unit, as a fraction
+        sides.append(length / count)
+    return sides[0] * unit, sides[1] * unit, sides[2] * unit
+
+
+def _unit_um(name: str) -> float | None:
+    """How many um the unit is; None if it is no length ('pixel')."""
+    # ImageJ writes the micro sign escaped; there are two characters for it.
+    plain = name.replace("\\u00B5", "µ").strip().lower()
+    return _UNITS_UM.get(plain.replace("µ", "u").replace("μ", "u"))

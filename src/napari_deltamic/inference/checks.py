@@ -1,0 +1,50 @@
+"""What is refused before a fit starts, in one line each."""
+
+from __future__ import annotations
+
+import numpy as np
+from torch import Tensor
+
+from ..errors import InputError
+from ..geometry.mesh import Mesh
+from ..scene import Grid
+
+
+def check_image(image: np.ndarray | Tensor, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+    """Float32 image without NaN, and where it is known.
+
+    Raises
+    ------
+    InputError
+        If it is not 3D, empty, infinite, has no known voxel, is flat, or does not fit the grid.
+    """
+    pixels = np.asarray(image.detach().cpu() if isinstance(image, Tensor) else image)
+    if pixels.ndim != 3:
+        raise InputError(f"a 3D image (Z, Y, X) is needed, not one of {pixels.ndim} dimensions")
+    if pixels.size == 0:
+        raise InputError("the image is empty")
+    if not np.issubdtype(pixels.dtype, np.number) or np.iscomplexobj(pixels):
+        raise InputError(f"an image of real numbers is needed, not of {pixels.dtype}")
+    if pixels.shape != grid.shape:
+        raise InputError(f"the image has shape {pixels.shape}, the grid {grid.shape}")
+    pixels = pixels.astype(np.float32)
+    infinite = int(np.isinf(pixels).sum())
+    if infinite:
+        raise InputError(f"the image holds {infinite} infinite voxels; set them to NaN to leave them out")
+    known = ~np.isnan(pixels)
+    if not known.any():
+        raise InputError("every voxel of the image is missing (NaN)")
+    low, high = pixels[known].min(), pixels[known].max()
+    if low == high:
+        raise InputError(f"the image is flat: every voxel is {low:g}")
+    return np.where(known, pixels, 0).astype(np.float32), known
+
+
+def check_mesh(mesh: Mesh, grid: Grid) -> None:
+    """InputError where a mesh lies wholly outside the image."""
+    low, high = mesh.bounds()
+    first, last = grid.extent
+    if (np.asarray(high) < first).any() or (np.asarray(low) > last).any():
+        ranges = " ".join(f"{a:.3g}..{b:.3g}" for a, b in zip(low, high, strict=True))
+        image = " ".join(f"{a:.3g}..{b:.3g}" for a, b in zip(first, last, strict=True))
+        raise InputError(f"the mesh ({ranges} um, Z Y X) lies outside the image ({image} um)")

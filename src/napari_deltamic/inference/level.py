@@ -1,0 +1,169 @@
+"""One level of the coarse-to-fine fit: both images blurred alike, on a grid just fine enough."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+import torch
+from scipy.ndimage import gaussian_filter
+from torch import Tensor
+
+from ..geometry.mesh import Mesh
+from ..optics import Optics
+from ..scene import Grid, Renderer
+from ..settings import FitSettings
+from .likelihood import ImageNoise, solve_scale
+
+_REFRESH_EVERY = 10  # iterations between two looks at which voxels count
+_COARSE_ACCURACY = 3e-3  # of all levels but the last: they only have to point the right way
+
+
+@dataclass(frozen=True)
+class Voxels:
+    """The voxels that count: flat indices, measured values and weights, each (N,)."""
+
+    index: Tensor
+    measured: Tensor
+    weights: Tensor
+
+    def of(self, image: Tensor) -> Tensor:
+        """Their values in an image (Z, Y, X)."""
+        return image.reshape(-1)[self.index]
+
+
+class Level:
+    """Target image, grid, renderer and weights at one blur.
+
+    Parameters
+    ----------
+    image
+        (Z, Y, X) measured, float32.
+    counted
+        (Z, Y, X) bool: voxels that may count at all (missing ones and foreign ground do not).
+    grid, optics, settings
+        Of the fit.
+    factor
+        Width of the blurred PSF relative to the PSF; 1 at the last level.
+    """
+
+    def __init__(
+        self,
+        image: np.ndarray,
+        counted: np.ndarray,
+        grid: Grid,
+        optics: Optics,
+        settings: FitSettings,
+        effects: tuple[str, ...],
+        factor: float,
+    ) -> None:
+        self.factor = factor
+        self.settings = settings
+        self._effects = effects
+        sigma = np.asarray(optics.sigma_um)
+        extra = sqrt(factor**2 - 1) * sigma
+        self.blur = (float(extra[0]), float(extra[1]), float(extra[2]))
+        self.accuracy = (
+            settings.accuracy
+            if factor == 1 or settings.accuracy == 0
+            else max(settings.accuracy, _COARSE_ACCURACY)
+        )
+        self.smoothing = settings.smoothing * factor
+        self.width = float(factor * sigma.min())
+        # A band-limited image loses nothing on a grid of spacing sigma: its OTF ends there.
+        step = np.maximum(1, np.floor(factor * sigma / np.asarray(grid.voxel_size))).astype(int)
+        if factor == 1:
+            step[:] = 1
+        self._sample = tuple(slice(None, None, int(s)) for s in step)
+        self.grid = grid.strided((int(step[0]), int(step[1]), int(step[2])))
+        self.volume_ratio = float(1 / np.prod(step))
+        self.target, self._counted = self._blurred(image, counted, grid)
+        self.noise = ImageNoise(self.target[self._counted], settings.likelihood)
+        self._renderer: Renderer | None = None
+        self._planned_width: np.ndarray | None = None
+        self._voxels: Voxels | None = None
+        self._age = 0
+
+    def _blurred(self, image: np.ndarray, counted: np.ndarray, grid: Grid) -> tuple[Tensor, Tensor]:
+        """Blurred image and the voxels whose blur rests mostly on counted ones."""
+        if self.factor == 1:
+            y, inside = image, counted
+        else:
+            sigma = np.asarray(self.blur) / np.asarray(grid.voxel_size)
+            known = counted.astype(np.float32)
+            share = gaussian_filter(known, sigma, mode="constant", truncate=3.5)
+            y = gaussian_filter(image * known, sigma, mode="constant", truncate=3.5)
+            y = y / np.maximum(share, 1e-6)
+            inside = (share > 0.6) & counted
+        return (
+            torch.from_numpy(np.ascontiguousarray(y[self._sample], dtype=np.float32)),
+            torch.from_numpy(np.ascontiguousarray(inside[self._sample])),
+        )
+
+    # ------------------------------------------------------------------------------- rendering
+
+    def renderer(self, mesh: Mesh, optics: Optics) -> Renderer:
+        """The renderer, planned anew when the mesh or the PSF has left what it was planned for."""
+        width = np.asarray(optics.sigma_um)
+        stale = (
+            self._renderer is None
+            or not self._renderer.holds_for(mesh.vertices_numpy())
+            or self._planned_width is None
+            or bool((np.abs(np.log(width / self._planned_width)) > 0.1).any())
+        )
+        if stale:
+            # With a PSF that is being fitted the band reaches further: cut at today's width, it
+            # would hide what a sharper PSF explains.
+            sharper = optics if not self.settings.fit_psf else _scaled(optics, 0.8)
+            self._renderer = Renderer(
+                mesh,
+                self.grid,
+                sharper,
+                self.accuracy,
+                blur=self.blur,
+                pixel_integration="pixel_integration" in self._effects,
+                margin=2 * self.width,
+            )
+            self._planned_width = width
+        assert self._renderer is not None
+        return self._renderer
+
+    def rendered(self, renderer: Renderer, transform: Tensor, otf: Tensor) -> Tensor:
+        """Image per voxel of the fine grid, whatever the spacing of this one."""
+        return renderer.image(transform, otf) * self.volume_ratio
+
+    # ---------------------------------------------------------------------------------- voxels
+
+    def voxels(self, rendered: Tensor, uniform: Tensor | None = None) -> Voxels:
+        """The voxels that count: near the surface, known, weighted by the likelihood.
+
+        ``uniform`` is the image at uniform density where ``rendered`` is not; it says where the
+        surface is. Looked at anew every few iterations, as the surface moves.
+        """
+        self._age += 1
+        if self._voxels is not None and self._age % _REFRESH_EVERY != 1:
+            return self._voxels
+        where = rendered if uniform is None else uniform
+        inside = (where > self._image_at_reach()) & self._counted
+        index = torch.nonzero((inside if bool(inside.any()) else self._counted).reshape(-1))[:, 0]
+        measured, model = self.target.reshape(-1)[index], rendered.reshape(-1)[index]
+        if self.noise.kind == "poisson":
+            a, b, _ = solve_scale(model, measured, torch.ones_like(measured))
+            weights = self.noise.weights(measured, a * model + b)
+        else:
+            weights = self.noise.weights(measured, None)
+        self._voxels = Voxels(index, measured, weights)
+        return self._voxels
+
+    def _image_at_reach(self) -> float:
+        """What a flat membrane of density 1 gives a voxel at the reach from it."""
+        sigma = self.factor * max(self._planned_width) if self._planned_width is not None else 1.0
+        volume = float(np.prod(self.grid.voxel_size)) * self.volume_ratio
+        return float(np.exp(-(self.settings.reach**2) / 2) / (sqrt(2 * np.pi) * sigma) * volume)
+
+
+def _scaled(optics: Optics, factor: float) -> Optics:
+    p = optics.parameters().detach().clone()
+    p[:3] += float(np.log(factor))
+    return optics.with_parameters(p)

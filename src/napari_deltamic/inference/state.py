@@ -1,0 +1,83 @@
+"""What a fit shows of itself, and what it keeps on disk."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError
+from ..geometry.files import write_atomically
+from ..geometry.mesh import Mesh
+from ..optics import Optics
+
+
+@dataclass(frozen=True)
+class FitState:
+    """One iteration of a fit; owns its arrays.
+
+    Attributes
+    ----------
+    iteration, level, levels
+        Count from 1; the level of the coarse-to-fine schedule and how many there are.
+    mesh, optics
+        As they are now.
+    density
+        (F,) fluorophores per um^2 relative to the mean.
+    loss
+        Weighted residual relative to the variance of the voxels that count: 1 explains nothing.
+    amplitude, background
+        Measured image = amplitude * rendered image + background.
+    blur
+        Width of both images at this level, in widths of the PSF.
+    converged
+        Whether this is the last state and the criterion was met.
+    message
+        A verdict or a warning in plain words; mostly empty.
+    """
+
+    iteration: int
+    level: int
+    levels: int
+    mesh: Mesh
+    optics: Optics
+    density: np.ndarray
+    loss: float
+    amplitude: float
+    background: float
+    blur: float
+    converged: bool = False
+    message: str = ""
+    _render: Callable[[], np.ndarray] = field(repr=False, default=lambda: np.zeros(0))
+    _checkpoint: Callable[[], dict[str, np.ndarray]] = field(repr=False, default=dict)
+
+    def rendered(self) -> np.ndarray:
+        """(Z, Y, X) float32: what the microscope would show of this state; computed when asked."""
+        return self._render()
+
+    def save(self, path: str | Path) -> None:
+        """Write a checkpoint that ``fit(..., resume=path)`` goes on from."""
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, **self._checkpoint())  # type: ignore[arg-type]
+        write_atomically(path, buffer.getvalue())
+
+
+def load_checkpoint(path: str | Path) -> dict[str, np.ndarray]:
+    """Read what :meth:`FitState.save` wrote.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or no checkpoint.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            kept = {name: file[name] for name in file.files}
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot read checkpoint {path}: {error}") from None
+    if "vertices" not in kept or "level" not in kept:
+        raise InputError(f"{path} is not a checkpoint of a fit")
+    return kept

@@ -1,0 +1,21 @@
+"""Measurements on meshes: cells, sections, and the distance to a surface or to the image."""
+
+from napari_deltamic.measure.cells import measure_cells, write_csv
+from napari_deltamic.measure.ridge import RidgeDistance, ridge_distance
+from napari_deltamic.measure.section import section
+from napari_deltamic.measure.surface_distance import (
+    SurfaceDistance,
+    distance_to_surface,
+    surface_distance,
+)
+
+__all__ = [
+    "RidgeDistance",
+    "SurfaceDistance",
+    "distance_to_surface",
+    "measure_cells",
+    "ridge_distance",
+    "section",
+    "surface_distance",
+    "write_csv",
+]

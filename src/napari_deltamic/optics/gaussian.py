@@ -1,0 +1,159 @@
+"""Gaussian point spread function (PSF)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..errors import InputError
+
+
+class GaussianPSF:
+    """A Gaussian PSF of unit mass; its OTF is ``exp(-xi' Sigma xi / 2)``.
+
+    Parameters
+    ----------
+    sigma
+        um along Z, Y, X (one number: the same along each). A torch tensor is kept as it is, so that
+        rendering is differentiable in it.
+    covariance
+        (3, 3) um^2, symmetric and positive definite, instead of sigma.
+
+    Raises
+    ------
+    InputError
+        If sigma is not positive and finite, or the covariance not positive definite.
+    """
+
+    def __init__(
+        self,
+        sigma: float | Sequence[float] | np.ndarray | Tensor | None = None,
+        covariance: Sequence[Sequence[float]] | np.ndarray | Tensor | None = None,
+    ) -> None:
+        if (sigma is None) == (covariance is None):
+            raise InputError("a Gaussian PSF takes either sigma or a covariance")
+        if sigma is not None:
+            self._cholesky = torch.diag(_checked_sigma(sigma))
+            self._diagonal = True
+        else:
+            self._cholesky = _checked_cholesky(covariance)
+            self._diagonal = False
+
+    @property
+    def diagonal(self) -> bool:
+        """Whether the axes of the PSF are those of the grid."""
+        return self._diagonal
+
+    @property
+    def covariance(self) -> Tensor:
+        """(3, 3) um^2."""
+        return self._cholesky @ self._cholesky.T
+
+    @property
+    def sigma(self) -> Tensor:
+        """(3,) um: the standard deviations along Z, Y, X."""
+        if self._diagonal:
+            return torch.diagonal(self._cholesky)
+        return torch.sqrt(torch.diagonal(self.covariance))
+
+    @property
+    def sigma_um(self) -> tuple[float, float, float]:
+        """``sigma`` as plain numbers."""
+        z, y, x = (float(s) for s in self.sigma.detach())
+        return z, y, x
+
+    def width(self) -> tuple[float, float, float]:
+        """um: the OTF falls below t at ``sqrt(2 ln(1/t)) / width`` along each axis."""
+        inverse = torch.linalg.inv(self.covariance.detach())
+        z, y, x = (float(1 / torch.sqrt(i)) for i in torch.diagonal(inverse))
+        return z, y, x
+
+    def otf(self, axes: tuple[Tensor, Tensor, Tensor]) -> Tensor:
+        """Optical transfer function at wavevector components that broadcast over a box (rad/um)."""
+        z, y, x = axes
+        if self._diagonal:
+            s = self.sigma.to(z.dtype)
+            return (
+                torch.exp(-0.5 * (s[0] * z) ** 2)
+                * torch.exp(-0.5 * (s[1] * y) ** 2)
+                * torch.exp(-0.5 * (s[2] * x) ** 2)
+            )
+        c = self._cholesky.to(z.dtype)
+        a = c[0, 0] * z + c[1, 0] * y + c[2, 0] * x
+        b = c[1, 1] * y + c[2, 1] * x
+        return torch.exp(-0.5 * (a * a + b * b + (c[2, 2] * x) ** 2))
+
+    # ------------------------------------------------------------------ parameters of a fit
+
+    def parameters(self) -> Tensor:
+        """Free numbers of the PSF: log diagonal of the Cholesky factor, then its lower triangle.
+
+        Any values of these give a positive definite covariance.
+        """
+        log_diagonal = torch.log(torch.diagonal(self._cholesky))
+        if self._diagonal:
+            return log_diagonal
+        lower = self._cholesky[(1, 2, 2), (0, 0, 1)]
+        return torch.cat([log_diagonal, lower])
+
+    def with_parameters(self, parameters: Tensor) -> GaussianPSF:
+        """The PSF with other values of :meth:`parameters`; differentiable."""
+        if self._diagonal:
+            return GaussianPSF(sigma=torch.exp(parameters))
+        lower = torch.zeros(3, 3, dtype=parameters.dtype)
+        lower = lower.index_put((torch.tensor([1, 2, 2]), torch.tensor([0, 0, 1])), parameters[3:])
+        return GaussianPSF._from_cholesky(lower + torch.diag(torch.exp(parameters[:3])))
+
+    @classmethod
+    def _from_cholesky(cls, cholesky: Tensor) -> GaussianPSF:
+        psf = cls.__new__(cls)
+        psf._cholesky, psf._diagonal = cholesky, False
+        return psf
+
+    def detach(self) -> GaussianPSF:
+        """A copy that is no part of any gradient."""
+        psf = GaussianPSF._from_cholesky(self._cholesky.detach().clone())
+        psf._diagonal = self._diagonal
+        return psf
+
+    def __repr__(self) -> str:
+        z, y, x = self.sigma_um
+        return f"GaussianPSF(sigma=({z:.4g}, {y:.4g}, {x:.4g}) um)"
+
+
+def _tensor(values: object, name: str) -> Tensor:
+    if isinstance(values, Tensor):
+        return values
+    try:
+        return torch.as_tensor(np.asarray(values, dtype=float))
+    except (TypeError, ValueError):
+        raise InputError(f"{name} takes numbers (um), not {values!r}") from None
+
+
+def _checked_sigma(sigma: float | Sequence[float] | np.ndarray | Tensor) -> Tensor:
+    s = _tensor(sigma, "sigma")
+    s = s.to(torch.float64) if not s.is_floating_point() else s
+    if s.ndim == 0:
+        s = s.expand(3)
+    if s.shape != (3,):
+        raise InputError(f"sigma takes one number or three (Z, Y, X), not shape {tuple(s.shape)}")
+    values = s.detach()
+    if not bool(torch.isfinite(values).all()) or not bool((values > 0).all()):
+        shown = ", ".join(f"{float(v):g}" for v in values)
+        raise InputError(f"sigma must be positive (um), not ({shown})")
+    return s
+
+
+def _checked_cholesky(covariance: object) -> Tensor:
+    c = _tensor(covariance, "a covariance")
+    if c.shape != (3, 3):
+        raise InputError(f"a covariance has shape (3, 3), not {tuple(c.shape)}")
+    if not torch.allclose(c, c.T, rtol=1e-6, atol=0):
+        raise InputError("a covariance is symmetric")
+    factor, failed = torch.linalg.cholesky_ex((c + c.T) / 2)
+    if int(failed) != 0 or not bool(torch.isfinite(factor).all()):
+        raise InputError("a covariance is positive definite")
+    return factor

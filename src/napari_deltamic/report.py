@@ -1,0 +1,210 @@
+"""What a fit leaves on disk: mesh, rendered image, measurements, settings, report, picture."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .errors import InputError
+from .fourier.native import threads
+from .geometry import save_mesh
+from .geometry.files import write_atomically
+from .images import write_image
+from .inference import FitState
+from .measure import measure_cells, write_csv
+from .picture import picture_png
+from .scene import Grid, Renderer
+from .settings import RunSettings
+
+FILES = (
+    "mesh.ply",
+    "mesh.rec",
+    "rendered.tif",
+    "measurements.csv",
+    "run.toml",
+    "report.json",
+    "picture.png",
+)
+PACKAGES = ("napari-deltamic", "torch", "finufft", "numpy", "scipy", "scikit-image", "cholespy")
+
+
+@dataclass
+class History:
+    """The course of a fit, state by state.
+
+    loss, level, blur : one value an iteration, see ``FitState``.
+    first : the iteration that they begin with; above 1 where a fit was resumed.
+    """
+
+    loss: list[float] = field(default_factory=list)
+    level: list[int] = field(default_factory=list)
+    blur: list[float] = field(default_factory=list)
+    first: int = 1
+
+    def add(self, state: FitState) -> None:
+        """Note a state; call it for every one that the fit yields."""
+        if not self.loss:
+            self.first = state.iteration
+        self.loss.append(float(state.loss))
+        self.level.append(int(state.level))
+        self.blur.append(float(state.blur))
+
+    def levels(self) -> list[dict[str, Any]]:
+        """For each level reached: number, blur, iterations and last loss."""
+        found: list[dict[str, Any]] = []
+        for loss, level, blur in zip(self.loss, self.level, self.blur, strict=True):
+            if not found or found[-1]["level"] != level:
+                found.append({"level": level, "blur": blur, "iterations": 0})
+            found[-1]["iterations"] += 1
+            found[-1]["loss"] = loss
+        return found
+
+
+def write_results(
+    folder: str | os.PathLike[str],
+    state: FitState,
+    image: ArrayLike,
+    grid: Grid,
+    settings: RunSettings,
+    history: History,
+    seconds: float,
+    *,
+    warnings: Sequence[str] = (),
+) -> list[Path]:
+    """Write everything that a fit found; files of the same names are replaced.
+
+    ``mesh.ply`` and ``mesh.rec`` (um), ``rendered.tif`` (as the microscope would show it),
+    ``measurements.csv`` (one row a cell), ``run.toml`` (re-runs the fit), ``report.json`` and
+    ``picture.png`` (slices with contours).
+
+    Parameters
+    ----------
+    folder : path
+        Made if it is not there.
+    state : the last one of the fit.
+    image : (Z, Y, X) measured; NaN where missing.
+    grid : where the voxels lie.
+    settings : the whole run.
+    history : every state of the fit.
+    seconds : s; how long the fit took.
+    warnings : remarks that a reader of the report should see.
+
+    Returns
+    -------
+    list of paths, in the order of ``FILES``.
+
+    Raises
+    ------
+    InputError
+        If the folder or a file cannot be written.
+    """
+    folder = Path(folder)
+    make_folder(folder)
+    paths = [folder / name for name in FILES]
+    ply, rec, tif, csv, toml, report, png = paths
+    rendered = np.asarray(state.rendered())
+    save_mesh(state.mesh, ply)
+    save_mesh(state.mesh, rec)
+    write_image(tif, rendered, grid.voxel_size)
+    write_csv(measure_cells(state.mesh), csv)
+    write_atomically(toml, settings.to_toml().encode())
+    write_atomically(png, picture_png(image, rendered, state.mesh, grid))
+    # Last: where there is a report, the rest is complete.
+    facts = describe(state, grid, settings, history, seconds, warnings)
+    write_atomically(report, (json.dumps(facts, indent=2, allow_nan=False) + "\n").encode())
+    return paths
+
+
+def describe(
+    state: FitState,
+    grid: Grid,
+    settings: RunSettings,
+    history: History,
+    seconds: float,
+    warnings: Sequence[str] = (),
+) -> dict[str, Any]:
+    """The content of ``report.json``: plain values; what is not finite is None."""
+    fit = settings.fit
+    facts = {
+        "version": _version("napari-deltamic"),
+        "engine": engine_used(state, grid, fit.accuracy),
+        "accuracy": fit.accuracy,
+        "iterations": state.iteration,
+        "seconds": round(seconds, 3),
+        "converged": state.converged,
+        "message": state.message,
+        "warnings": list(warnings),
+        "optics": {
+            "model": type(state.optics).__name__,
+            "sigma_um": list(state.optics.sigma_um),
+            "fitted": fit.fit_psf,
+        },
+        "effects": list(settings.scene.effects),
+        "amplitude": state.amplitude,
+        "background": state.background,
+        "mesh": {
+            "vertices": len(state.mesh.vertices),
+            "faces": len(state.mesh.faces),
+            "regions": len(state.mesh.region_ids()),
+        },
+        "grid": {
+            "shape": list(grid.shape),
+            "voxel_size_um": list(grid.voxel_size),
+            "origin_um": list(grid.origin),
+        },
+        "settings": settings.model_dump(mode="json"),
+        "levels": history.levels(),
+        "first_iteration": history.first,
+        "loss": list(history.loss),
+        "versions": {name: _version(name) for name in PACKAGES},
+    }
+    plain: dict[str, Any] = _plain(facts)
+    return plain
+
+
+def engine_used(state: FitState, grid: Grid, accuracy: float) -> str:
+    """What computes the images of a state at the last level, in words."""
+    method = Renderer(state.mesh, grid, state.optics, accuracy).plan.method
+    library = f" (finufft {_version('finufft')})" if method == "non-uniform" else ""
+    return f"cpu, {method}{library}, {threads()} threads"
+
+
+def make_folder(folder: str | os.PathLike[str]) -> None:
+    """Make a folder, with those above it. Raises InputError if that, or writing to it, fails."""
+    folder = Path(folder)
+    probe = folder / f".{os.getpid()}.tmp"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written: {error.strerror}") from None
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def _plain(value: Any) -> Any:
+    """Values that JSON knows, numpy's included."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float) and not isfinite(value):
+        return None
+    return value

@@ -1,0 +1,147 @@
+"""The one settings object: what a command line parses, a widget shows and ``run.toml`` holds.
+
+Lengths are um, arrays Z, Y, X. Every field says in its description what it does, so that help texts
+and tooltips need no second source.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from math import isfinite
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from .errors import InputError
+
+Likelihood = Literal["poisson", "gaussian", "paper"]
+DensityModel = Literal["uniform", "interface", "smooth"]
+Triple = tuple[float, float, float]
+EFFECTS: tuple[str, ...] = ("pixel_integration",)
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class FitSettings(_Model):
+    """How a mesh is fitted to an image."""
+
+    accuracy: Annotated[float, Field(ge=0, lt=1)] = Field(
+        1e-3, description="requested relative L2 error of the rendered image; 0 is the closed form"
+    )
+    fit_psf: bool = Field(False, description="also fit the widths of the PSF")
+    density: DensityModel = Field(
+        "uniform",
+        description="fluorophores per um^2: the same everywhere, one per interface, or smooth over the surface",
+    )
+    likelihood: Likelihood = Field("poisson", description="how voxels are weighted")
+    levels: tuple[Annotated[float, Field(ge=1)], ...] = Field(
+        (5.0, 3.2, 2.0, 1.35, 1.0),
+        description="blur of both images at each level, in widths of the PSF; the last is 1",
+    )
+    smoothing: Annotated[float, Field(ge=0)] = Field(
+        3.0, description="lambda of the preconditioner at the last level; grows with the blur"
+    )
+    step: Annotated[float, Field(gt=0)] = Field(
+        0.3, description="first step of a level, in widths of the blurred PSF"
+    )
+    reach: Annotated[float, Field(gt=0)] = Field(
+        3.5, description="voxels count up to this many widths from the surface"
+    )
+    tolerance: Annotated[float, Field(gt=0)] = Field(
+        2e-3, description="a level ends when its loss falls by less than this over its window"
+    )
+    max_iterations: Annotated[int, Field(ge=1)] = Field(
+        3000, description="the fit gives up after this many iterations"
+    )
+
+    @field_validator("levels")
+    @classmethod
+    def _ends_at_one(cls, levels: tuple[float, ...]) -> tuple[float, ...]:
+        if not levels or levels[-1] != 1 or any(a < b for a, b in zip(levels, levels[1:], strict=False)):
+            raise ValueError("levels must decrease and end at 1")
+        return levels
+
+
+class SceneSettings(_Model):
+    """How the image was formed."""
+
+    voxel_size: Triple = Field(description="um, Z Y X")
+    origin: Triple = Field((0.0, 0.0, 0.0), description="centre of the first voxel, um, Z Y X")
+    sigma: Triple | None = Field(
+        None, description="standard deviations of the PSF, um, Z Y X; None: from the voxel size"
+    )
+    effects: tuple[str, ...] = Field((), description="optional parts of image formation")
+
+    @field_validator("voxel_size")
+    @classmethod
+    def _positive_voxels(cls, v: Triple) -> Triple:
+        if not all(isfinite(d) and d > 0 for d in v):
+            raise ValueError(f"voxel size must be three positive numbers (um), not {v}")
+        return v
+
+    @field_validator("sigma")
+    @classmethod
+    def _positive_sigma(cls, v: Triple | None) -> Triple | None:
+        if v is not None and not all(isfinite(d) and d > 0 for d in v):
+            raise ValueError(f"sigma must be positive (um), not {v}")
+        return v
+
+    @field_validator("effects")
+    @classmethod
+    def _known_effects(cls, v: tuple[str, ...]) -> tuple[str, ...]:
+        for name in v:
+            if name not in EFFECTS:
+                raise ValueError(f"unknown effect '{name}': choose from {', '.join(EFFECTS)}")
+        return v
+
+
+class RunSettings(_Model):
+    """A whole run: what is fitted to what, and how. ``run.toml`` holds one."""
+
+    image: str = Field(description="image file")
+    seeds: str = Field(description="mesh file, label image, or CSV of points")
+    scene: SceneSettings
+    fit: FitSettings = FitSettings()
+
+    def to_toml(self) -> str:
+        """The settings as a TOML document."""
+        lines, tables = [], []
+        for name, value in self.model_dump().items():
+            (tables if isinstance(value, dict) else lines).append((name, value))
+        text = "".join(f"{k} = {_toml(v)}\n" for k, v in lines)
+        for name, table in tables:
+            text += f"\n[{name}]\n"
+            text += "".join(f"{k} = {_toml(v)}\n" for k, v in table.items() if v is not None)
+        return text
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> RunSettings:
+        """Read a document written by :meth:`to_toml`; InputError names what is wrong."""
+        try:
+            return validated(cls, tomllib.loads(Path(path).read_text()))
+        except (OSError, tomllib.TOMLDecodeError) as error:
+            raise InputError(f"cannot read settings from {path}: {error}") from None
+
+
+def validated(model: type[Any], values: dict[str, Any]) -> Any:
+    """A settings object from plain values; InputError in one line where they are wrong."""
+    try:
+        return model(**values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(p) for p in first["loc"])
+        reason = str(first["msg"]).removeprefix("Value error, ")
+        raise InputError(f"{where}: {reason}") from None
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, (int, float)):
+        return repr(value)
+    if isinstance(value, str):
+        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    return "[" + ", ".join(_toml(v) for v in value) + "]"

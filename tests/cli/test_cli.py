@@ -1,0 +1,283 @@
+"""The command line: what it writes and says, and how it ends early."""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import napari_deltamic as nd
+from napari_deltamic.geometry import sphere
+from napari_deltamic.images import read_image
+from napari_deltamic.inference import fit
+from napari_deltamic.report import FILES
+from napari_deltamic.settings import RunSettings
+
+SIZE = (0.3, 0.2, 0.2)
+SHAPE = (20, 24, 24)
+CENTER = (2.9, 2.3, 2.3)
+VOXELS = ("--voxel-size", *map(str, SIZE))
+SIGMA = ("--sigma", "0.36", "0.24", "0.24")
+SHORT = ("--max-iterations", "4")
+FIT = "napari_deltamic.cli.fitting.fit"
+
+
+# What works -----------------------------------------------------------------------------------
+
+
+def test_fit_writes_everything(data, tmp_path, run):
+    folder = tmp_path / "deep" / "out"
+    code, out, err = run(
+        "fit", data / "cell.tif", "--seeds", data / "start.ply", *SHORT, "-o", folder
+    )
+    assert code == 0, err
+    assert [Path(line).name for line in out] == [*FILES, "checkpoint.npz"]
+    assert all(Path(line).is_file() for line in out)
+    assert sorted(os.listdir(folder)) == sorted([*FILES, "checkpoint.npz"])
+    assert "note: voxel size 0.3 0.2 0.2 um (Z Y X), from the metadata of cell.tif" in err
+    assert "note: no sigma given: 0.36 0.24 0.24 um" in err
+    assert "level 1/5" in err
+    report = json.loads((folder / "report.json").read_text())
+    assert report["iterations"] == len(report["loss"]) == 4
+    assert report["converged"] is False
+    settings = RunSettings.from_toml(folder / "run.toml")
+    assert settings.scene.sigma == pytest.approx((0.36, 0.24, 0.24))
+    assert Path(settings.image).is_absolute()
+
+
+def test_run_toml_runs_again_identically(data, tmp_path, run):
+    options = ("--fit-psf", "--accuracy", "1e-2", "--likelihood", "gaussian", "--effects")
+    first = run(
+        "fit", data / "cell.npy", *VOXELS, "--seeds", data / "start.ply", *SIGMA, *SHORT,
+        *options, "pixel-integration", "-o", tmp_path / "a",
+    )  # fmt: skip
+    toml = tmp_path / "a" / "run.toml"
+    second = run("fit", "--settings", toml, "-o", tmp_path / "b")
+    assert first[0] == second[0] == 0, first[2] + second[2]
+    assert toml.read_bytes() == (tmp_path / "b" / "run.toml").read_bytes()
+    assert (tmp_path / "a/mesh.ply").read_bytes() == (tmp_path / "b/mesh.ply").read_bytes()
+    settings = RunSettings.from_toml(toml)
+    assert settings.fit.fit_psf
+    assert settings.fit.accuracy == 1e-2
+    assert settings.fit.likelihood == "gaussian"
+    assert settings.scene.effects == ("pixel_integration",)
+
+
+def test_options_prevail_over_settings(data, tmp_path, run, seen):
+    arguments = ("fit", data / "cell.tif", "--seeds", data / "start.ply", *SIGMA, "--fit-psf")
+    run(*arguments, "-o", tmp_path / "a")
+    toml = tmp_path / "a" / "run.toml"
+    code, _, _ = run(
+        "fit", "--settings", toml, "--no-fit-psf", "--density", "smooth",
+        "-o", tmp_path / "b",
+    )  # fmt: skip
+    assert code == 0
+    settings = seen[1][1]["settings"]
+    assert not settings.fit_psf
+    assert settings.density == "smooth"
+
+
+@pytest.mark.parametrize(
+    ("seeds", "free"),
+    [("start.ply", False), ("labels.tif", False), ("points.csv", True), ("balls.csv", False)],
+)
+def test_kinds_of_seeds(data, tmp_path, run, seen, seeds, free):
+    arguments = ("fit", data / "cell.tif", "--seeds", data / seeds, *SIGMA)
+    code, _, err = run(*arguments, "-o", tmp_path / "out")
+    assert code == 0, err
+    ((_, grid, mesh, _), options) = seen[0]
+    assert grid.voxel_size == pytest.approx(SIZE, rel=1e-6)
+    assert np.linalg.norm(mesh.vertices.mean(axis=0) - CENTER) < 0.15
+    assert (options["counted"] is not None) == free
+
+
+def test_missing_voxels(data, tmp_path, run, seen):
+    for name in ("nan", "inf"):
+        arguments = ("fit", data / f"{name}.tif", "--seeds", data / "points.csv", *SIGMA)
+        code, _, err = run(*arguments, "--missing-nan", "-o", tmp_path / name)
+        assert code == 0
+        assert "of 11520 voxels are treated as missing" in err
+    for (image, *_), _ in seen:
+        assert np.isnan(image).sum() == 2
+        assert not np.isinf(image).any()
+
+
+def test_effects_auto_says_what_it_does(data, tmp_path, run, seen):
+    arguments = ("fit", data / "cell.tif", "--seeds", data / "start.ply", *SIGMA)
+    _, _, err = run(*arguments, "--effects", "auto", "-o", tmp_path / "out")
+    assert "note: effects: 'auto' adds none in this version" in err
+    assert seen[0][1]["effects"] == ()
+
+
+def test_repairs_are_notes(data, tmp_path, run, seen):
+    mesh = sphere(CENTER, 1.0, edge_length=0.5)
+    lines = [f"v {x} {y} {z}" for z, y, x in [*mesh.vertices.tolist(), (0, 0, 0)]]
+    lines += [f"f {i} {j} {k}" for i, j, k in (mesh.faces + 1).tolist()]
+    path = tmp_path / "start.obj"
+    path.write_text("\n".join(lines))
+    arguments = ("fit", data / "cell.tif", "--seeds", path, *SIGMA, "-o", tmp_path / "out")
+    code, _, err = run(*arguments)
+    assert code == 0
+    assert "note: start.obj: " in err
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert any("start.obj" in text for text in report["warnings"])
+
+
+def test_a_voxel_size_against_the_metadata_is_told(data, tmp_path, run, seen):
+    arguments = ("fit", data / "cell.tif", "--seeds", data / "start.ply", *SIGMA)
+    _, _, err = run(*arguments, "--voxel-size", "0.3", "0.2", "0.25", "-o", tmp_path)
+    assert "0.3 0.2 0.25 um, as given, is used" in err
+    assert seen[0][0][1].voxel_size == (0.3, 0.2, 0.25)
+
+
+def test_render(data, tmp_path, run, fails):
+    path = tmp_path / "image.tif"
+    arguments = ("render", data / "start.ply", "--shape", *SHAPE, *VOXELS, *SIGMA, "-o", path)
+    assert run(*arguments, "--pixel-integration") == (0, [str(path)], "")
+    image, voxel_size = read_image(path)
+    assert voxel_size == pytest.approx(SIZE, rel=1e-6)
+    wanted = nd.render(
+        nd.load_mesh(data / "start.ply"),
+        nd.Grid(SHAPE, SIZE),
+        nd.GaussianPSF((0.36, 0.24, 0.24)),
+        pixel_integration=True,
+    )
+    assert np.array_equal(image, wanted.numpy())
+    assert "--overwrite" in fails(*arguments)
+    assert run(*arguments, "--overwrite")[0] == 0
+
+
+def test_help_and_version(run):
+    for arguments in (["--help"], ["fit", "--help"], ["render", "-h"], ["--version"]):
+        code, out, err = run(*arguments)
+        assert (code, err) == (0, "")
+        assert out
+    assert out == [f"napari-deltamic {nd.__version__}"]
+
+
+# What ends early ------------------------------------------------------------------------------
+
+
+def stops(monkeypatch, after, error):
+    """Make the fit raise an error after some iterations."""
+
+    def broken(*arguments, **options):
+        for state in fit(*arguments, **options):
+            if state.iteration > after:
+                raise error
+            yield state
+
+    monkeypatch.setattr(FIT, broken)
+
+
+def test_interrupt_saves_and_says_how_to_go_on(data, tmp_path, run, monkeypatch):
+    folder = tmp_path / "out"
+    with monkeypatch.context() as patch:
+        stops(patch, 2, KeyboardInterrupt())
+        arguments = ("fit", data / "cell.tif", "--seeds", data / "start.ply", *SIGMA, *SHORT)
+        code, out, err = run(*arguments, "-o", folder)
+    assert code == 130
+    assert [Path(line).name for line in out] == [*FILES, "checkpoint.npz"]
+    report = json.loads((folder / "report.json").read_text())
+    assert (report["iterations"], report["converged"]) == (2, False)
+    assert report["message"] == "interrupted"
+    command = err.split("to go on: napari-deltamic ")[1].split()
+    code, out, err = run(*command)
+    assert code == 0, err
+    report = json.loads((folder / "report.json").read_text())
+    assert report["iterations"] >= 4
+    assert report["first_iteration"] >= 2
+
+
+def test_interrupt_before_the_first_iteration(data, tmp_path, run, monkeypatch):
+    stops(monkeypatch, 0, KeyboardInterrupt())
+    arguments = ("fit", data / "cell.tif", "--seeds", data / "start.ply", *SIGMA)
+    code, out, err = run(*arguments, "-o", tmp_path / "out")
+    assert (code, out) == (130, [])
+    assert "nothing to save" in err
+
+
+def test_checkpoints_while_it_runs(data, tmp_path, run, monkeypatch):
+    monkeypatch.setattr("napari_deltamic.cli.fitting.CHECKPOINT_EVERY", 0.0)
+    found = []
+
+    def watched(*arguments, **options):
+        for state in fit(*arguments, **options):
+            yield state
+            found.append(sorted(os.listdir(tmp_path)))
+
+    monkeypatch.setattr(FIT, watched)
+    arguments = ("fit", data / "cell.tif", "--seeds", data / "start.ply", *SIGMA, *SHORT)
+    run(*arguments, "-o", tmp_path)
+    assert found[0] == ["checkpoint.npz", "run.toml"]
+
+
+@pytest.mark.parametrize(
+    ("error", "says"),
+    [
+        (FloatingPointError("a number that is not finite"), "a number that is not finite"),
+        (ZeroDivisionError("oh\nno"), "ZeroDivisionError: oh no"),
+        (
+            RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate "
+                         "8589934592 bytes. Error code 12 (Cannot allocate memory)"),
+            "not enough memory (8 GiB more were needed): a coarser accuracy",
+        ),
+        (
+            MemoryError("Unable to allocate 5.96 GiB for an array with shape (2000, 400000)"),
+            "not enough memory (5.96 GiB more were needed)",
+        ),
+        (MemoryError(), "an image of 20 x 24 x 24 voxels needs about"),
+    ],
+)  # fmt: skip
+def test_engine_failure(data, tmp_path, run, monkeypatch, error, says):
+    stops(monkeypatch, 1, error)
+    arguments = ("fit", data / "cell.npy", *VOXELS, *SIGMA, "--seeds", data / "start.ply")
+    code, out, err = run(*arguments, "-o", tmp_path / "out")
+    assert (code, out) == (1, [])
+    last = err.splitlines()[-1]
+    assert last.startswith("napari-deltamic: error: ")
+    assert says in last
+    assert "Traceback" not in err
+    checkpoint = tmp_path / "out" / "checkpoint.npz"
+    assert checkpoint.is_file()
+    assert f"the state after 1 iterations is in {checkpoint}" in last
+
+
+def test_no_memory_before_the_fit(data, tmp_path, fails, monkeypatch):
+    def none_left(*arguments, **options):
+        raise MemoryError
+
+    monkeypatch.setattr(FIT, none_left)
+    arguments = ("fit", data / "cell.npy", *VOXELS, *SIGMA, "--seeds", data / "start.ply")
+    assert "cropped image" in fails(*arguments, "-o", tmp_path / "out", code=1)
+    assert not (tmp_path / "out").exists()
+
+
+# doctor ---------------------------------------------------------------------------------------
+
+
+def test_doctor(run):
+    code, out, err = run("doctor")
+    assert (code, err) == (0, "")
+    text = "\n".join(out)
+    for word in ("versions", "devices", "engines", "threads", "used", "problems", "finufft"):
+        assert word in text
+    code, out, _ = run("doctor", "--json")
+    assert json.loads("\n".join(out))["versions"]["napari-deltamic"] == nd.__version__
+
+
+def test_doctor_without_the_extension(run, monkeypatch):
+    monkeypatch.setattr("napari_deltamic.cli.doctor.native", lambda: None)
+    code, out, err = run("doctor")
+    assert (code, err) == (0, "")
+    assert any("the compiled extension is missing" in line for line in out)
+
+
+def test_doctor_tells_of_a_wrong_setting(run, monkeypatch):
+    if nd.fourier.native() is None:
+        pytest.skip("needs the compiled extension")
+    monkeypatch.setenv("DELTAMIC_SIMD", "abacus")
+    code, out, _ = run("doctor")
+    assert code == 0
+    assert any("DELTAMIC_SIMD=abacus: choose one of" in line for line in out)

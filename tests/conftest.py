@@ -1,0 +1,21 @@
+"""What several tests need."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+def shared_data_folder() -> Path:
+    """Where real images and meshes lie, if anywhere; DELTAMIC_DATA overrides the default."""
+    default = Path(__file__).resolve().parents[1].parent / "shared" / "data"
+    return Path(os.environ.get("DELTAMIC_DATA", default))
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of real images and meshes; tests that ask for it skip where it is absent."""
+    folder = shared_data_folder()
+    if not folder.is_dir():
+        pytest.skip(f"no real data at {folder} (set DELTAMIC_DATA to say where it is)")
+    return folder

@@ -1,0 +1,373 @@
+"""Bands, quadrature, the non-uniform FFT, and the plan that keeps what an accuracy promises."""
+
+import warnings
+from functools import cache
+from itertools import product
+from math import factorial
+
+import numpy as np
+import pytest
+import torch
+from numpy.testing import assert_allclose
+
+import napari_deltamic as nd
+from napari_deltamic.errors import RepairWarning
+from napari_deltamic.fourier import Band, make_plan
+from napari_deltamic.fourier.band import band_error, threshold_for
+from napari_deltamic.fourier.closed_form import band_ft
+from napari_deltamic.fourier.nonuniform import points_ft
+from napari_deltamic.fourier.plan import quadrature_points
+from napari_deltamic.fourier.quadrature import DEGREES, choose_rules, rule
+from napari_deltamic.geometry import box, sphere
+from napari_deltamic.scene import Renderer
+
+METHODS = (None, "closed form", "non-uniform")
+ACCURACIES = (1e-2, 1e-3, 1e-4, 1e-5)
+
+# ------------------------------------------------------------------------- what accuracy promises
+
+GRID = nd.Grid((38, 40, 41), (0.1, 0.1, 0.1), origin=(-1.9, -2.0, -2.0))
+OPTICS = nd.GaussianPSF(0.15)
+TILTED = nd.GaussianPSF(covariance=[[0.04, 0.0, 0.02], [0.0, 0.03, -0.01], [0.02, -0.01, 0.04]])
+FILES = {
+    "cow": "meshes/cow.obj",
+    "knot": "meshes/cgal__knot1.off",
+    "four cells": "multimaterial/deltamic__cell4.rec",
+}
+SHAPES = {
+    "large triangles": sphere((0.0, 0.0, 0.0), 1.3, subdivisions=1),
+    "flat walls": box((0.03, -0.02, 0.01), (1.0, 1.5, 2.0)),
+}
+SMALL_SHAPES = {
+    "vesicle": sphere((0.0, 0.0, 0.0), 0.2, subdivisions=2),
+    "speck": sphere((0.02, 0.0, 0.01), 0.03, subdivisions=1),
+    "thread": box((0.0, 0.01, 0.02), (0.02, 0.02, 2.0), edge_length=0.2),
+}
+
+
+@pytest.fixture
+def folder(request, name):
+    """Where the mesh of this name lies; asked for only where it is a file."""
+    return request.getfixturevalue("shared_data") if name in FILES else None
+
+
+@cache
+def mesh_named(name, folder=None):
+    if name not in FILES:
+        return (SHAPES | SMALL_SHAPES)[name]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RepairWarning)
+        mesh = nd.load_mesh(folder / FILES[name])
+    low, high = mesh.bounds()
+    return mesh.translated(-(low + high) / 2).scaled(2.6 / (high - low).max())
+
+
+@cache
+def exact_image(name, optics, folder=None):
+    return nd.render(mesh_named(name, folder), GRID, optics, accuracy=0)
+
+
+def check_accuracy(name, optics, accuracy, method, folder=None):
+    mesh, exact = mesh_named(name, folder), exact_image(name, optics, folder)
+    renderer = Renderer(mesh, GRID, optics, accuracy, method=method)
+    u = renderer.transform(torch.from_numpy(mesh.vertices_numpy()))
+    image = renderer.image(u, renderer.otf(optics))
+    error = float((image - exact).norm() / exact.norm())
+    if method is not None:
+        assert renderer.plan.method == method
+    assert error <= accuracy
+    assert error <= renderer.plan.expected_error
+    # Nor is more expected than was asked for, or so much less that it would cost time for nothing.
+    assert accuracy / 10 < renderer.plan.expected_error <= accuracy
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("accuracy", ACCURACIES)
+@pytest.mark.parametrize("name", [*FILES, *SHAPES])
+def test_image_is_as_accurate_as_asked(name, accuracy, method, folder):
+    check_accuracy(name, OPTICS, accuracy, method, folder)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("accuracy", ACCURACIES)
+@pytest.mark.parametrize("name", SMALL_SHAPES)
+def test_so_is_the_image_of_what_is_smaller_than_the_psf(name, accuracy, method):
+    """Of a point or a line, whose power falls more slowly with |xi| than that of a surface."""
+    check_accuracy(name, OPTICS, accuracy, method)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("accuracy", ACCURACIES)
+def test_so_is_the_image_under_tilted_optics(accuracy, method):
+    check_accuracy("large triangles", TILTED, accuracy, method)
+
+
+def test_accuracy_zero_is_the_closed_form_everywhere():
+    mesh = SHAPES["large triangles"]
+    for method in METHODS:
+        plan = Renderer(mesh, GRID, OPTICS, 0, method=method).plan
+        assert plan.method == "closed form"
+        assert not plan.single
+        assert plan.expected_error == 0
+        z, y, x = plan.band.fft_shape
+        assert plan.band.count == (2 * (z // 2) + 1) * (2 * (y // 2) + 1) * (x // 2 + 1)
+
+
+def test_a_coarser_accuracy_never_costs_more():
+    mesh = mesh_named("large triangles")
+    plans = [Renderer(mesh, GRID, OPTICS, a).plan for a in (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)]
+    seconds = [p.expected_seconds for p in plans]
+    assert seconds == sorted(seconds, reverse=True)
+    counts = [p.band.count for p in plans]
+    assert counts == sorted(counts, reverse=True)
+    assert counts[0] > 4 * counts[-1]
+
+
+@pytest.mark.parametrize("accuracy", [-1e-3, 1.0, 2.0, float("nan"), float("inf")])
+def test_accuracy_out_of_range(accuracy):
+    mesh = SHAPES["large triangles"]
+    with pytest.raises(nd.InputError, match="accuracy must be at least 0 and below 1"):
+        make_plan(mesh.vertices, mesh.faces, (8, 8, 8), (1, 1, 1), (1, 1, 1), accuracy)
+
+
+@pytest.mark.parametrize("accuracy", [0.99, 1e-8, 1e-12, 1e-15, 1e-300])
+def test_accuracy_at_the_ends_of_its_range(accuracy):
+    mesh = SHAPES["large triangles"]
+    image = nd.render(mesh, GRID, OPTICS, accuracy=accuracy)
+    exact = exact_image("large triangles", OPTICS)
+    assert (image - exact).norm() < max(accuracy, 1e-12) * exact.norm()
+
+
+def test_margin_makes_rules_finer():
+    mesh = SHAPES["large triangles"]
+    args = mesh.vertices, mesh.faces, (40, 40, 40), (0.1, 0.1, 0.1), (0.15, 0.15, 0.15), 1e-3
+    plain, wide = (make_plan(*args, "non-uniform", margin=m) for m in (1.0, 1.5))
+    assert plain.points < wide.points
+
+
+def test_band_error_and_threshold_are_inverse():
+    for error in (0.3, 1e-2, 1e-5, 1e-9):
+        for area, thin in ((1.0, True), (50.0, False), (1e4, False)):
+            assert band_error(threshold_for(error, area, thin), area, thin) == pytest.approx(
+                error, rel=1e-3
+            )
+
+
+# ------------------------------------------------------------------------------------------ bands
+
+
+@pytest.mark.parametrize("shape", [(20, 24, 18), (21, 15, 33), (4, 30, 6)])
+def test_rows_cover_the_ellipsoid_and_no_more(shape):
+    rng = np.random.default_rng(sum(shape))
+    voxel = (0.3, 0.25, 0.2)
+    for radius in rng.uniform(2.0, 14.0, (6, 3)):
+        band = Band.within(shape, voxel, tuple(radius))
+        inside = set()
+        for k in product(*(range(-(n // 2), n // 2 + 1) for n in shape)):
+            xi = [2 * np.pi * i / (n * d) for i, n, d in zip(k, shape, voxel, strict=True)]
+            if k[2] >= 0 and sum((x / r) ** 2 for x, r in zip(xi, radius, strict=True)) <= 1:
+                inside.add(k)
+        listed = [(kz, ky, x) for kz, ky, n in band.rows.tolist() for x in range(n)]
+        assert set(listed) == inside
+        assert len(listed) == len(inside) == band.count
+
+
+def test_to_box_puts_rows_where_their_wavevectors_are():
+    band = Band.within((20, 24, 18), (0.3, 0.25, 0.2), (6.0, 8.0, 7.0))
+    for axis in range(3):
+        spacing = band.spacing[axis]
+        k = band.rows[:, axis].repeat_interleave(band.rows[:, 2]).double()
+        if axis == 2:
+            k = torch.cat([torch.arange(n) for n in band.rows[:, 2].tolist()]).double()
+        filled = band.to_box(k * spacing + 100)
+        expected = band.axes()[axis].expand(band.box_shape) + 100
+        inside = filled != 0
+        assert inside.sum() == band.count
+        assert_allclose(filled[inside], expected[inside], rtol=1e-14)
+
+
+VOXEL = (0.3, 0.2, 0.25)
+
+
+def a_few_triangles():
+    v = torch.from_numpy(np.random.default_rng(0).uniform(0, 1, (6, 3)))
+    return v, torch.tensor([[0, 1, 2], [3, 4, 5], [0, 2, 4]])
+
+
+def full_band_image(shape):
+    v, f = a_few_triangles()
+    band = Band.full(shape, VOXEL)
+    return band.to_image(
+        band.to_box(band_ft(v, f, torch.ones(3), band.rows, band.spacing, False)), shape
+    )
+
+
+def numpy_image(shape, signs):
+    """Real part of the full complex FFT; ``signs`` says which way a Nyquist index counts."""
+    axes = []
+    for n, d, sign in zip(shape, VOXEL, signs, strict=True):
+        k = np.fft.fftfreq(n, d) * 2 * np.pi
+        axes.append(np.where(2 * np.arange(n) == n, sign * np.abs(k), k))
+    xi = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    return np.fft.ifftn(nd.fourier.mesh_ft(*a_few_triangles(), xi).numpy().reshape(shape)).real
+
+
+@pytest.mark.parametrize(
+    "shape", [(7, 9, 5), (8, 7, 5), (7, 8, 5), (7, 7, 8), (1, 4, 5), (3, 2, 1)]
+)
+def test_full_band_is_the_real_part_of_the_full_fft(shape):
+    expected = numpy_image(shape, (-1, -1, -1))
+    assert_allclose(full_band_image(shape), expected, atol=1e-14 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("shape", [(8, 8, 8), (8, 8, 5), (7, 8, 6), (8, 7, 6), (2, 2, 2)])
+def test_where_two_axes_are_at_nyquist_every_sign_counts_alike(shape):
+    """On an even axis +n/2 and -n/2 are one wavevector of the grid, and neither is preferred."""
+    expected = np.mean([numpy_image(shape, s) for s in product((-1, 1), repeat=3)], axis=0)
+    assert_allclose(full_band_image(shape), expected, atol=1e-14 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("shape", [(8, 8, 8), (7, 9, 11), (8, 9, 10)])
+@pytest.mark.parametrize("half", [None, (2, 3, 1)])
+def test_to_image_and_its_adjoint(shape, half):
+    band = Band(shape, VOXEL, half or tuple(n // 2 for n in shape))
+    crop = (5, 6, 7)
+    rng = np.random.default_rng(1)
+    b = torch.from_numpy(rng.normal(size=(*band.box_shape, 2)).view(complex)[..., 0])
+    b.requires_grad_()
+    y = torch.from_numpy(rng.normal(size=crop))
+    image = band.to_image(b, crop)
+    (adjoint,) = torch.autograd.grad(image, b, y)
+    assert image.shape == crop
+    assert_allclose((adjoint.conj() * b).real.sum().item(), (image * y).sum().item(), rtol=1e-12)
+    # A plain sum over the box: the weights are 1, but 2 where the mirror image is left out.
+    k = [np.arange(-h, h + 1) for h in band.half[:2]] + [np.arange(band.half[2] + 1)]
+    wave = [np.exp(2j * np.pi * np.outer(k[i], np.arange(crop[i])) / shape[i]) for i in range(3)]
+    weight = [np.where(2 * np.abs(k[i]) == shape[i], 0.5, 1.0) for i in range(2)]
+    weight.append(np.where((k[2] == 0) | (2 * k[2] == shape[2]), 1.0, 2.0))
+    total = np.einsum("abc,a,b,c,az,by,cx->zyx", b.detach().numpy(), *weight, *wave, optimize=True)
+    assert_allclose(image.detach(), total.real / np.prod(shape), atol=1e-14)
+
+
+# -------------------------------------------------------------------------------- quadrature rules
+
+
+@pytest.mark.parametrize("divisions", [1, 2, 5])
+@pytest.mark.parametrize("degree", DEGREES)
+def test_rules_are_exact_to_their_degree(degree, divisions):
+    r = rule(degree, divisions)
+    assert r.weights.sum() == pytest.approx(1, abs=1e-14)
+    assert_allclose(r.barycentric.sum(1), 1, atol=1e-14)
+    assert (r.barycentric > 0).all()
+    assert (r.weights > 0).all()
+    worst = {}
+    for a, b, c in product(range(degree + 2), repeat=3):
+        exact = 2 * factorial(a) * factorial(b) * factorial(c) / factorial(a + b + c + 2)
+        found = r.weights @ np.prod(r.barycentric ** np.array([a, b, c]), axis=1)
+        n = a + b + c
+        worst[n] = max(worst.get(n, 0), abs(found - exact))
+    assert max(e for n, e in worst.items() if n <= degree) < 1e-15
+    if divisions == 1:
+        assert worst[degree + 1] > 1e-8  # and no further: the degree is what it says
+
+
+def test_rules_cover_every_face_once_and_divide_large_ones():
+    reach = np.array([0.0, 0.1, 1.0, 3.0, 10.0, 100.0, 0.5, 300.0])
+    groups = choose_rules(reach, 1e-3, 1e-4)
+    faces = np.concatenate([where for _, where in groups])
+    assert sorted(faces) == list(range(len(reach)))
+    points = np.zeros(len(reach))
+    for r, where in groups:
+        points[where] = len(r.weights)
+    assert (np.diff(points[np.argsort(reach)]) >= 0).all()
+    # A face ten times longer needs a hundred times the points.
+    assert points[7] / points[5] == pytest.approx(9, rel=0.2)
+    assert choose_rules(np.zeros(0), 1e-3, 1e-4) == []
+
+
+def test_quadrature_points_carry_the_mass():
+    mesh = SHAPES["large triangles"]
+    v, f = torch.from_numpy(mesh.vertices), torch.from_numpy(mesh.faces)
+    rho = torch.linspace(1, 2, len(f), dtype=torch.float64)
+    rules = [(rule(4, 2), np.arange(50)), (rule(1), np.arange(50, 80))]
+    points, weights = quadrature_points(v, f, rho, rules)
+    mass = torch.from_numpy(mesh.areas()) * rho
+    assert len(points) == len(weights) == 50 * 24 + 30
+    assert_allclose(weights.sum(), mass.sum(), rtol=1e-13)
+    assert_allclose(
+        (weights[:, None] * points).sum(0), (mass[:, None] * v[f].mean(1)).sum(0), atol=1e-13
+    )
+
+
+@pytest.mark.parametrize("corners", [[0, 0, 1], [0, 1, 0], [1, 0, 0], [1, 1, 1]])
+def test_a_face_without_area_has_no_gradient(corners):
+    v = torch.tensor([[0.3, 0.7, 5.0], [1.1, -2.0, 4.0]], dtype=torch.float64)[corners]
+    v.requires_grad_()
+    _, w = quadrature_points(v, torch.tensor([[0, 1, 2]]), torch.ones(1), [(rule(2), np.arange(1))])
+    (gradient,) = torch.autograd.grad(w.sum(), v)
+    assert not gradient.any()
+
+
+# ---------------------------------------------------------------------------- non-uniform FFT
+
+
+def some_points(n=9):
+    rng = np.random.default_rng(6)
+    points = torch.from_numpy(rng.uniform(-3, 40, (n, 3))).requires_grad_()
+    return points, torch.from_numpy(rng.normal(size=n)).requires_grad_()
+
+
+def direct_sum(points, weights, half, spacing):
+    axes = [torch.arange(-half[0], half[0] + 1), torch.arange(-half[1], half[1] + 1)]
+    axes.append(torch.arange(half[2] + 1))
+    k = torch.stack(torch.meshgrid(*axes, indexing="ij"), -1).double() * torch.tensor(spacing)
+    return (torch.exp(-1j * (k @ points.T)) * weights).sum(-1)
+
+
+HALVES = [(3, 2, 4), (2, 3, 5), (0, 2, 3), (2, 0, 3), (2, 3, 0), (0, 0, 0)]
+
+
+@pytest.mark.parametrize("count", [9, 1, 0])
+@pytest.mark.parametrize("half", HALVES)
+def test_points_ft_is_the_sum_and_its_gradient(half, count):
+    points, weights = some_points(count)
+    spacing = (0.31, 0.27, 0.4)
+    results = []
+    for transform in (lambda *a: points_ft(*a, 1e-13, False), direct_sum):
+        u = transform(points, weights, half, spacing)
+        g = torch.from_numpy(
+            np.random.default_rng(2).normal(size=(*u.shape, 2)).view(complex)[..., 0]
+        )
+        loss = (u * g.conj()).real.sum()
+        results.append((u, *torch.autograd.grad(loss, (points, weights))))
+    for ours, reference in zip(*results, strict=True):
+        assert ours.shape == reference.shape
+        assert_allclose(ours.detach().numpy(), reference.detach().numpy(), atol=1e-10)
+
+
+@pytest.mark.parametrize("eps", [1e-2, 1e-4, 1e-6])
+def test_points_ft_keeps_its_tolerance_in_single_precision(eps):
+    points, weights = some_points(400)
+    args = points, weights, (8, 9, 7), (0.31, 0.27, 0.4)
+    u, exact = points_ft(*args, eps, True), direct_sum(*args)
+    assert u.dtype == torch.complex64
+    assert (u - exact).norm() < 2 * eps * exact.norm()
+
+
+def test_points_ft_adjoint():
+    """<g, A w> = <A' g, w>: what the optimiser relies on."""
+    points, weights = some_points(50)
+    u = points_ft(points, weights, (6, 7, 5), (0.31, 0.27, 0.4), 1e-12, False)
+    g = torch.from_numpy(np.random.default_rng(2).normal(size=(*u.shape, 2)).view(complex)[..., 0])
+    (back,) = torch.autograd.grad((u * g.conj()).real.sum(), weights)
+    assert (back * weights).sum().item() == pytest.approx(
+        (u * g.conj()).real.sum().item(), rel=1e-10
+    )
+
+
+def test_points_ft_is_registered_correctly():
+    points, weights = some_points()
+    ops, rest = torch.ops.deltamic, ((3, 2, 4), (0.31, 0.27, 0.4), 1e-12, False)
+    torch.library.opcheck(ops.points_ft, (points, weights, *rest))
+    grad = torch.ones(7, 5, 5, dtype=torch.complex128)
+    torch.library.opcheck(ops.points_ft_backward, (grad, points.detach(), weights.detach(), *rest))

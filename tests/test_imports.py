@@ -1,0 +1,100 @@
+"""The engine stands without Qt and napari, and its parts know only those below them."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import napari_deltamic
+
+PACKAGE = Path(napari_deltamic.__file__).parent
+ORDER = ("geometry", "fourier", "optics", "scene", "inference", "measure")
+GUI = ("gui", "_widget", "_reader", "_writer", "_sample_data")
+
+
+def modules():
+    """Dotted name -> file, of every module of the package."""
+    found = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        parts = ["napari_deltamic", *path.relative_to(PACKAGE).with_suffix("").parts]
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+def engine_modules():
+    """All but what napari calls; ``__main__`` runs when it is imported."""
+    left_out = {*GUI, "__main__"}
+    return [name for name in modules() if not left_out & set(name.split("."))]
+
+
+def part_of(module):
+    """Which of the parts in ORDER a module belongs to, or None."""
+    parts = module.split(".")
+    return parts[1] if len(parts) > 1 and parts[1] in ORDER else None
+
+
+def imported(name, path):
+    """Absolute names of what a module imports, anywhere in it."""
+    package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                above = package.split(".")[: len(package.split(".")) - node.level + 1]
+                base = ".".join([*above, *([base] if base else [])])
+            yield base
+            yield from (f"{base}.{alias.name}" for alias in node.names)
+
+
+def test_the_engine_loads_neither_qt_nor_napari():
+    code = (
+        "import importlib, sys\n"
+        f"for name in {engine_modules()!r}:\n"
+        "    importlib.import_module(name)\n"
+        "gui = {'qtpy', 'napari', 'magicgui', 'superqt', 'vispy', 'PyQt5', 'PyQt6', 'PySide6'}\n"
+        "print(sorted(gui & set(sys.modules)))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "[]"
+
+
+def test_the_walk_meets_every_part():
+    """The tests here would pass on nothing."""
+    parts = {part_of(name) for name in engine_modules()}
+    assert parts >= set(ORDER)
+    assert "napari_deltamic.errors" in engine_modules()
+
+
+@pytest.mark.parametrize("part", ORDER)
+def test_imports_run_one_way(part):
+    above = ORDER[ORDER.index(part) + 1 :]
+    wrong = [
+        f"{name} imports {target}"
+        for name, path in modules().items()
+        if part_of(name) == part
+        for target in imported(name, path)
+        if target.startswith("napari_deltamic.")
+        and (part_of(target) in above or target.split(".")[1] in (*GUI, "cli"))
+    ]
+    assert wrong == []
+
+
+def test_engine_code_names_no_gui_library():
+    wrong = [
+        f"{name} imports {target}"
+        for name in engine_modules()
+        for target in imported(name, modules()[name])
+        if target.split(".")[0] in {"qtpy", "napari", "magicgui", "superqt"}
+    ]
+    assert wrong == []
+
+
+def test_relative_imports_are_understood():
+    path = PACKAGE / "fourier" / "plan.py"
+    targets = set(imported("napari_deltamic.fourier.plan", path))
+    assert {"napari_deltamic.errors", "napari_deltamic.fourier.band"} <= targets
