@@ -6,7 +6,9 @@ and tooltips need no second source.
 
 from __future__ import annotations
 
+import json
 import tomllib
+from itertools import pairwise
 from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -18,6 +20,10 @@ from .errors import InputError
 Likelihood = Literal["poisson", "gaussian", "paper"]
 DensityModel = Literal["uniform", "interface", "smooth"]
 Triple = tuple[float, float, float]
+# Coarse-to-fine schedules. A first blur wider than the gap between objects makes them attract each
+# other's mesh, so seeds that already lie on the membranes start near.
+WIDE_LEVELS = (5.0, 3.2, 2.0, 1.35, 1.0)
+NEAR_LEVELS = (1.5, 1.0)
 EFFECTS: tuple[str, ...] = ("pixel_integration",)
 
 
@@ -29,38 +35,50 @@ class FitSettings(_Model):
     """How a mesh is fitted to an image."""
 
     accuracy: Annotated[float, Field(ge=0, lt=1)] = Field(
-        1e-3, description="requested relative L2 error of the rendered image; 0 is the closed form"
+        default=1e-3,
+        description="requested relative L2 error of the rendered image; 0 is the closed form",
     )
-    fit_psf: bool = Field(False, description="also fit the widths of the PSF")
+    fit_psf: bool = Field(default=False, description="also fit the widths of the PSF")
     density: DensityModel = Field(
-        "uniform",
-        description="fluorophores per um^2: the same everywhere, one per interface, or smooth over the surface",
+        default="uniform",
+        description="fluorophores per um^2: the same everywhere, one per interface, or smooth over "
+        "the surface",
     )
-    likelihood: Likelihood = Field("poisson", description="how voxels are weighted")
-    levels: tuple[Annotated[float, Field(ge=1)], ...] = Field(
-        (5.0, 3.2, 2.0, 1.35, 1.0),
-        description="blur of both images at each level, in widths of the PSF; the last is 1",
+    likelihood: Likelihood = Field(default="poisson", description="how voxels are weighted")
+    levels: tuple[Annotated[float, Field(ge=1)], ...] | None = Field(
+        default=None,
+        description="blur of both images at each level, in widths of the PSF; the last is 1; "
+        "None: wide for seeds of any kind, near for seeds taken from the image or from labels",
     )
-    smoothing: Annotated[float, Field(ge=0)] = Field(
-        3.0, description="lambda of the preconditioner at the last level; grows with the blur"
+    smoothing: Annotated[float, Field(ge=0)] | None = Field(
+        default=None,
+        description="lambda of the preconditioner at the last level; grows with the blur; None: "
+        "from the noise of the image",
     )
     step: Annotated[float, Field(gt=0)] = Field(
-        0.3, description="first step of a level, in widths of the blurred PSF"
+        default=0.3, description="first step of a level, in widths of the blurred PSF"
     )
     reach: Annotated[float, Field(gt=0)] = Field(
-        3.5, description="voxels count up to this many widths from the surface"
+        default=3.5, description="voxels count up to this many widths from the surface"
     )
     tolerance: Annotated[float, Field(gt=0)] = Field(
-        2e-3, description="a level ends when its loss falls by less than this over its window"
+        default=1e-2,
+        description="a level ends when its loss falls by less than this over its window",
     )
     max_iterations: Annotated[int, Field(ge=1)] = Field(
-        3000, description="the fit gives up after this many iterations"
+        default=3000, description="the fit gives up after this many iterations"
     )
 
     @field_validator("levels")
     @classmethod
-    def _ends_at_one(cls, levels: tuple[float, ...]) -> tuple[float, ...]:
-        if not levels or levels[-1] != 1 or any(a < b for a, b in zip(levels, levels[1:], strict=False)):
+    def _ends_at_one(cls, levels: tuple[float, ...] | None) -> tuple[float, ...] | None:
+        if levels is None:
+            return None
+        if (
+            not levels
+            or levels[-1] != 1
+            or any(a < b for a, b in pairwise(levels))
+        ):
             raise ValueError("levels must decrease and end at 1")
         return levels
 
@@ -69,11 +87,14 @@ class SceneSettings(_Model):
     """How the image was formed."""
 
     voxel_size: Triple = Field(description="um, Z Y X")
-    origin: Triple = Field((0.0, 0.0, 0.0), description="centre of the first voxel, um, Z Y X")
-    sigma: Triple | None = Field(
-        None, description="standard deviations of the PSF, um, Z Y X; None: from the voxel size"
+    origin: Triple = Field(
+        default=(0.0, 0.0, 0.0), description="centre of the first voxel, um, Z Y X"
     )
-    effects: tuple[str, ...] = Field((), description="optional parts of image formation")
+    sigma: Triple | None = Field(
+        default=None,
+        description="standard deviations of the PSF, um, Z Y X; None: from the voxel size",
+    )
+    effects: tuple[str, ...] = Field(default=(), description="optional parts of image formation")
 
     @field_validator("voxel_size")
     @classmethod
@@ -108,9 +129,13 @@ class RunSettings(_Model):
 
     def to_toml(self) -> str:
         """The settings as a TOML document."""
-        lines, tables = [], []
+        lines: list[tuple[str, Any]] = []
+        tables: list[tuple[str, dict[str, Any]]] = []
         for name, value in self.model_dump().items():
-            (tables if isinstance(value, dict) else lines).append((name, value))
+            if isinstance(value, dict):
+                tables.append((name, value))
+            else:
+                lines.append((name, value))
         text = "".join(f"{k} = {_toml(v)}\n" for k, v in lines)
         for name, table in tables:
             text += f"\n[{name}]\n"
@@ -121,8 +146,8 @@ class RunSettings(_Model):
     def from_toml(cls, path: str | Path) -> RunSettings:
         """Read a document written by :meth:`to_toml`; InputError names what is wrong."""
         try:
-            return validated(cls, tomllib.loads(Path(path).read_text()))
-        except (OSError, tomllib.TOMLDecodeError) as error:
+            return validated(cls, tomllib.loads(Path(path).read_text(encoding="utf-8")))
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
             raise InputError(f"cannot read settings from {path}: {error}") from None
 
 
@@ -143,5 +168,5 @@ def _toml(value: Any) -> str:
     if isinstance(value, (int, float)):
         return repr(value)
     if isinstance(value, str):
-        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+        return json.dumps(value, ensure_ascii=False)  # TOML's basic strings escape as JSON's do
     return "[" + ", ".join(_toml(v) for v in value) + "]"

@@ -320,7 +320,9 @@ def some_points(n=9):
 def direct_sum(points, weights, half, spacing):
     axes = [torch.arange(-half[0], half[0] + 1), torch.arange(-half[1], half[1] + 1)]
     axes.append(torch.arange(half[2] + 1))
-    k = torch.stack(torch.meshgrid(*axes, indexing="ij"), -1).double() * torch.tensor(spacing)
+    k = torch.stack(torch.meshgrid(*axes, indexing="ij"), -1).double() * torch.tensor(
+        spacing, dtype=torch.float64
+    )
     return (torch.exp(-1j * (k @ points.T)) * weights).sum(-1)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +18,11 @@ from ..inference import counted_voxels
 from ..inference.checks import check_image
 from ..optics import GaussianPSF
 from ..scene import Grid
-from ..settings import RunSettings, validated
+from ..settings import NEAR_LEVELS, RunSettings, validated
 from .messages import Notes
 
 MESHES = (".ply", ".obj", ".off", ".stl", ".rec")
+SeedKind = Literal["rough", "labels", "image"]
 SIGMA_IN_VOXELS = 1.2  # where the user gives none
 _FIT = ("accuracy", "fit_psf", "density", "likelihood", "max_iterations")
 
@@ -66,33 +67,35 @@ def gather(arguments: argparse.Namespace, notes: Notes) -> FitInput:
     image = _without_bad(image, arguments.missing_nan, notes)
     check_image(image, grid)
     optics = GaussianPSF(settings.scene.sigma)
-    mesh, free = load_seeds(settings.seeds, image, grid)
-    counted = None
-    if free:
-        counted = counted_voxels(image, grid, mesh, optics)
+    mesh, kind = load_seeds(settings.seeds, image, grid)
+    if kind != "rough" and settings.fit.levels is None:
+        fit = settings.fit.model_copy(update={"levels": NEAR_LEVELS})
+        settings = settings.model_copy(update={"fit": fit})
+    counted = counted_voxels(image, grid, mesh, optics) if kind == "image" else None
     return FitInput(settings, image, grid, mesh, optics, counted)
 
 
-def load_seeds(path: str, image: NDArray[Any], grid: Grid) -> tuple[Mesh, bool]:
+def load_seeds(path: str, image: NDArray[Any], grid: Grid) -> tuple[Mesh, SeedKind]:
     """Starting surfaces from a file, by its extension: mesh, label image, or points.
 
-    Returns the mesh, and whether some of it follows from points in the image alone, so that
-    neighbours without a point would attract it. Raises InputError as the readers do.
+    Returns the mesh and how near to the membranes it lies: "rough" for meshes and spheres,
+    "labels", or "image" where all follows from points in the image alone (neighbours without a
+    point would then attract it). Raises InputError as the readers do.
     """
     kind = Path(path).suffix.lower()
     if kind in MESHES:
-        return load_mesh(path), False
+        return load_mesh(path), "rough"
     if kind in EXTENSIONS:
         labels, _ = read_image(path)
         if labels.shape != grid.shape:
             raise InputError(f"{path}: labels of shape {labels.shape}, the image {grid.shape}")
-        return _naming(path, mesh_from_labels, labels, grid.voxel_size, grid.origin), False
+        return _naming(path, mesh_from_labels, labels, grid.voxel_size, grid.origin), "labels"
     if kind == ".csv":
         points, radii = read_points_csv(path)
         whole = _filled(image)
         mesh = _naming(path, seeds_from_points, whole, grid.voxel_size, points, radii, grid.origin)
-        free = radii is None or bool((np.nan_to_num(radii) == 0).any())
-        return mesh, free
+        spheres = radii is not None and bool((np.nan_to_num(radii) > 0).any())
+        return mesh, "rough" if spheres else "image"
     known = ", ".join((*MESHES, *EXTENSIONS, ".csv"))
     raise InputError(f"{path}: unknown extension '{kind}' for seeds; known are {known}")
 

@@ -1,4 +1,4 @@
-"""Fourier transform of triangle meshes: closed form, non-uniform FFT, bands, and the plan between them."""
+"""Fourier transform of triangle meshes: closed form, non-uniform FFT, and the plan between them."""
 
 from .band import Band
 from .closed_form import mesh_ft

@@ -17,7 +17,7 @@ from torch import Tensor
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """Wavevectors ``(kz, ky, kx) * spacing`` with ``|kz| <= half[0]``, ``|ky| <= half[1]``, ``0 <= kx <= half[2]``.
+    """Wavevectors ``(kz, ky, kx) * spacing`` with indices up to ``half``, kx from 0 on.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class Band:
         radius: tuple[float, float, float],
         aligned: bool = True,
     ) -> Band:
-        """The band inside an ellipsoid of half axes ``radius`` (rad/um), as far as the grid holds it.
+        """The band inside an ellipsoid of half axes ``radius`` (rad/um), cut off at the grid's own.
 
         Where the ellipsoid is tilted (not ``aligned``), ``radius`` are the half sides of the box
         around it, and all of the box is the band.
@@ -63,9 +63,7 @@ class Band:
     @property
     def spacing(self) -> tuple[float, float, float]:
         """rad/um from one index to the next."""
-        z, y, x = (
-            2 * pi / (n * d) for n, d in zip(self.fft_shape, self.voxel_size, strict=True)
-        )
+        z, y, x = (2 * pi / (n * d) for n, d in zip(self.fft_shape, self.voxel_size, strict=True))
         return z, y, x
 
     @property
@@ -77,7 +75,9 @@ class Band:
         """Wavevector components (rad/um) along each axis, shaped to broadcast over the box."""
         z, y, x = (
             torch.arange(first, k + 1, dtype=torch.float64) * s
-            for first, k, s in zip((-self.half[0], -self.half[1], 0), self.half, self.spacing, strict=True)
+            for first, k, s in zip(
+                (-self.half[0], -self.half[1], 0), self.half, self.spacing, strict=True
+            )
         )
         return z.to(dtype)[:, None, None], y.to(dtype)[None, :, None], x.to(dtype)[None, None, :]
 
@@ -97,9 +97,7 @@ class Band:
             reach = np.floor(np.sqrt(np.maximum(left, 0)) * r[2] / s[2]) + 1
             length = np.where(left >= 0, np.minimum(reach, self.half[2] + 1), 0)
         keep = length > 0
-        return torch.from_numpy(
-            np.stack([kz[keep], ky[keep], length[keep]], 1).astype(np.int32)
-        )
+        return torch.from_numpy(np.stack([kz[keep], ky[keep], length[keep]], 1).astype(np.int32))
 
     @cached_property
     def row_index(self) -> Tensor:
@@ -137,7 +135,9 @@ class Band:
 def _unfold(box: Tensor, axis: int, half: int, n: int) -> Tensor:
     """Indices -half..half along an axis -> FFT order 0..n-1."""
     positive, negative = box.narrow(axis, half, half + 1), box.narrow(axis, 0, half)
-    if 2 * half == n:  # +n/2 and -n/2 are one wavevector of the grid: their mean, as an image is real
+    if (
+        2 * half == n
+    ):  # +n/2 and -n/2 are one wavevector of the grid: their mean, as an image is real
         last = (box.narrow(axis, 0, 1) + box.narrow(axis, 2 * half, 1)) / 2
         return torch.cat(
             [box.narrow(axis, half, half), last, box.narrow(axis, 1, half - 1)], dim=axis
@@ -151,8 +151,8 @@ def band_error(threshold: float, area: float, thin: bool) -> float:
     """Relative L2 error of an image when |OTF| < threshold is left out, for a Gaussian OTF.
 
     Averaged over directions, the power of a surface is ``min(1, 2 pi / (area xi^2))`` of its total
-    squared, that of a point 1; with lengths in widths of the PSF. Something thin (a speck, a thread,
-    a flake) lies in between, and the point's law is an upper bound for it.
+    squared, that of a point 1; with lengths in widths of the PSF. Something thin (a speck, a
+    thread, a flake) lies in between, and the point's law is an upper bound for it.
     """
     from scipy.integrate import quad
     from scipy.special import erfc

@@ -70,7 +70,8 @@ def as_mesh_tensors(
     f = torch.as_tensor(faces, device=v.device).to(torch.int64)
     if v.ndim != 2 or v.shape[1] != 3 or f.ndim != 2 or f.shape[1] != 3:
         raise InputError(
-            f"vertices (V, 3) and faces (F, 3) are needed, not {tuple(v.shape)} and {tuple(f.shape)}"
+            f"vertices (V, 3) and faces (F, 3) are needed, "
+            f"not {tuple(v.shape)} and {tuple(f.shape)}"
         )
     if f.numel() and (int(f.min()) < 0 or int(f.max()) >= len(v)):
         raise InputError("a face names a vertex that is not there")
@@ -87,7 +88,9 @@ def as_mesh_tensors(
 
 
 @torch.library.custom_op("deltamic::mesh_ft", mutates_args=(), device_types="cpu")
-def _mesh_ft(vertices: Tensor, faces: Tensor, density: Tensor, wavevectors: Tensor, single: bool) -> Tensor:
+def _mesh_ft(
+    vertices: Tensor, faces: Tensor, density: Tensor, wavevectors: Tensor, single: bool
+) -> Tensor:
     out = torch.zeros(len(wavevectors), dtype=torch.complex64 if single else torch.complex128)
     module = native()
     if module is None:
@@ -95,18 +98,29 @@ def _mesh_ft(vertices: Tensor, faces: Tensor, density: Tensor, wavevectors: Tens
             out[part] = _torch_forward(vertices, faces, density, wavevectors[part], single)
         return out
     function = module.list_forward_f32 if single else module.list_forward_f64
-    function(*_arrays(vertices, faces, density), _double(wavevectors), _out(out), threads(), simd_level())
+    function(
+        *_arrays(vertices, faces, density), _double(wavevectors), _out(out), threads(), simd_level()
+    )
     return out
 
 
 @_mesh_ft.register_fake
-def _(vertices: Tensor, faces: Tensor, density: Tensor, wavevectors: Tensor, single: bool) -> Tensor:
-    return wavevectors.new_empty(len(wavevectors), dtype=torch.complex64 if single else torch.complex128)
+def _(
+    vertices: Tensor, faces: Tensor, density: Tensor, wavevectors: Tensor, single: bool
+) -> Tensor:
+    return wavevectors.new_empty(
+        len(wavevectors), dtype=torch.complex64 if single else torch.complex128
+    )
 
 
 @torch.library.custom_op("deltamic::mesh_ft_backward", mutates_args=(), device_types="cpu")
 def _mesh_ft_backward(
-    grad: Tensor, vertices: Tensor, faces: Tensor, density: Tensor, wavevectors: Tensor, single: bool
+    grad: Tensor,
+    vertices: Tensor,
+    faces: Tensor,
+    density: Tensor,
+    wavevectors: Tensor,
+    single: bool,
 ) -> tuple[Tensor, Tensor]:
     gv = torch.zeros(len(vertices), 3, dtype=torch.float64)
     gd = torch.zeros(len(faces), dtype=torch.float64)
@@ -120,7 +134,9 @@ def _mesh_ft_backward(
         function(
             *_arrays(vertices, faces, density),
             _double(wavevectors),
-            _out(grad.to(torch.complex64 if single else torch.complex128).resolve_conj().contiguous()),
+            _out(
+                grad.to(torch.complex64 if single else torch.complex128).resolve_conj().contiguous()
+            ),
             gv.numpy(),
             gd.numpy(),
             threads(),
@@ -131,7 +147,12 @@ def _mesh_ft_backward(
 
 @_mesh_ft_backward.register_fake
 def _(
-    grad: Tensor, vertices: Tensor, faces: Tensor, density: Tensor, wavevectors: Tensor, single: bool
+    grad: Tensor,
+    vertices: Tensor,
+    faces: Tensor,
+    density: Tensor,
+    wavevectors: Tensor,
+    single: bool,
 ) -> tuple[Tensor, Tensor]:
     return torch.empty_like(vertices), torch.empty_like(density)
 
@@ -154,7 +175,12 @@ _mesh_ft.register_autograd(_grad_mesh_ft, setup_context=_save_mesh_ft)
 
 @torch.library.custom_op("deltamic::band_ft", mutates_args=(), device_types="cpu")
 def band_ft(
-    vertices: Tensor, faces: Tensor, density: Tensor, rows: Tensor, spacing: Sequence[float], single: bool
+    vertices: Tensor,
+    faces: Tensor,
+    density: Tensor,
+    rows: Tensor,
+    spacing: Sequence[float],
+    single: bool,
 ) -> Tensor:
     """Closed form on the rows of a band; see :class:`napari_deltamic.fourier.Band`.
 
@@ -168,14 +194,24 @@ def band_ft(
         return _mesh_ft(vertices, faces, density, _row_wavevectors(rows, spacing), single)
     function = module.band_forward_f32 if single else module.band_forward_f64
     function(
-        *_arrays(vertices, faces, density), *_rows(rows), list(spacing), _out(out), threads(), simd_level()
+        *_arrays(vertices, faces, density),
+        *_rows(rows),
+        list(spacing),
+        _out(out),
+        threads(),
+        simd_level(),
     )
     return out
 
 
 @band_ft.register_fake
 def _(
-    vertices: Tensor, faces: Tensor, density: Tensor, rows: Tensor, spacing: Sequence[float], single: bool
+    vertices: Tensor,
+    faces: Tensor,
+    density: Tensor,
+    rows: Tensor,
+    spacing: Sequence[float],
+    single: bool,
 ) -> Tensor:
     count = torch.library.get_ctx().new_dynamic_size()
     return vertices.new_empty(count, dtype=torch.complex64 if single else torch.complex128)
@@ -244,7 +280,9 @@ def _double(t: Tensor) -> np.ndarray:
     return t.detach().to(torch.float64).contiguous().numpy()
 
 
-def _arrays(vertices: Tensor, faces: Tensor, density: Tensor) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _arrays(
+    vertices: Tensor, faces: Tensor, density: Tensor
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return _double(vertices), faces.contiguous().numpy(), _double(density)
 
 
@@ -264,7 +302,9 @@ def _row_wavevectors(rows: Tensor, spacing: Sequence[float]) -> Tensor:
     start = torch.repeat_interleave(torch.cumsum(r[:, 2], 0) - r[:, 2], r[:, 2])
     kx = torch.arange(len(start)) - start
     kz, ky = (torch.repeat_interleave(r[:, i], r[:, 2]) for i in (0, 1))
-    return torch.stack([kz, ky, kx], 1).to(torch.float64) * torch.tensor(spacing, dtype=torch.float64)
+    return torch.stack([kz, ky, kx], 1).to(torch.float64) * torch.tensor(
+        spacing, dtype=torch.float64
+    )
 
 
 # ------------------------------------------------------------------------------- the torch path
@@ -278,11 +318,13 @@ def _chunks(wavevectors: Tensor, faces: int) -> list[slice]:
 def _torch_parts(
     vertices: Tensor, faces: Tensor, wavevectors: Tensor, single: bool
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Edges (F, 3, 3), doubled-area vectors (F, 3), exp(-iC) (F, K), S (F, K), gradients (3, F, K)."""
+    """Edges (F, 3, 3), doubled areas (F, 3), exp(-iC) and S (F, K), gradients (3, F, K)."""
     corners = vertices.to(torch.float64)[faces]
     edges = torch.stack([corners[:, (p + 2) % 3] - corners[:, (p + 1) % 3] for p in range(3)], 1)
     normal = cross(edges[:, 2], edges[:, 0])
-    d = torch.einsum("fpi,ki->pfk", edges, wavevectors).to(torch.float32 if single else torch.float64)
+    d = torch.einsum("fpi,ki->pfk", edges, wavevectors).to(
+        torch.float32 if single else torch.float64
+    )
     s, g = triangle_transform(d)
     e = torch.exp(-1j * (corners.mean(1) @ wavevectors.T))
     return edges, normal, e, s.to(torch.complex128), g.to(torch.complex128)
@@ -293,11 +335,18 @@ def _torch_forward(
 ) -> Tensor:
     _, normal, e, s, _ = _torch_parts(vertices, faces, wavevectors, single)
     weight = torch.linalg.vector_norm(normal, dim=1) * density
-    return (weight.to(torch.complex128) @ (e * s)).to(torch.complex64 if single else torch.complex128)
+    return (weight.to(torch.complex128) @ (e * s)).to(
+        torch.complex64 if single else torch.complex128
+    )
 
 
 def _torch_backward(
-    grad: Tensor, vertices: Tensor, faces: Tensor, density: Tensor, wavevectors: Tensor, single: bool
+    grad: Tensor,
+    vertices: Tensor,
+    faces: Tensor,
+    density: Tensor,
+    wavevectors: Tensor,
+    single: bool,
 ) -> tuple[Tensor, Tensor]:
     edges, normal, e, s, g = _torch_parts(vertices, faces, wavevectors, single)
     doubled = torch.linalg.vector_norm(normal, dim=1)

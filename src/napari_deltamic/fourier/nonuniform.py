@@ -55,7 +55,7 @@ def _grid_size(n: int) -> int:
 def _plan(
     kind: int, modes: tuple[int, int, int], count: int, eps: float, single: bool, points: int
 ) -> finufft.Plan:
-    """A FINUFFT plan; the last few are kept, per thread (a plan holds points, so it is not shared)."""
+    """A FINUFFT plan; the last few are kept, per thread, since a plan holds points."""
     plans: OrderedDict = _local.__dict__.setdefault("plans", OrderedDict())
     upsampling = _upsampling(modes, eps, 1 << round(log2(points)))
     key = (kind, modes, count, eps, single, threads(), upsampling)
@@ -87,7 +87,7 @@ def _angles(points: Tensor, spacing: Sequence[float], single: bool) -> list[np.n
 
 
 def _shift(theta_x: np.ndarray, nx: int) -> np.ndarray:
-    """FINUFFT counts modes from -nx//2 on, the band from 0 on: a phase factor moves one to the other."""
+    """FINUFFT counts modes from -nx//2 on, the band from 0 on: the factor between the two."""
     return np.exp(-1j * (nx // 2) * theta_x.astype(np.float64)).astype(
         np.complex64 if theta_x.dtype == np.float32 else np.complex128
     )
@@ -95,7 +95,12 @@ def _shift(theta_x: np.ndarray, nx: int) -> np.ndarray:
 
 @torch.library.custom_op("deltamic::points_ft", mutates_args=(), device_types="cpu")
 def points_ft(
-    points: Tensor, weights: Tensor, half: Sequence[int], spacing: Sequence[float], eps: float, single: bool
+    points: Tensor,
+    weights: Tensor,
+    half: Sequence[int],
+    spacing: Sequence[float],
+    eps: float,
+    single: bool,
 ) -> Tensor:
     """``sum_j weights_j exp(-i xi.points_j)`` on the box of a band.
 
@@ -123,7 +128,12 @@ def points_ft(
 
 @points_ft.register_fake
 def _(
-    points: Tensor, weights: Tensor, half: Sequence[int], spacing: Sequence[float], eps: float, single: bool
+    points: Tensor,
+    weights: Tensor,
+    half: Sequence[int],
+    spacing: Sequence[float],
+    eps: float,
+    single: bool,
 ) -> Tensor:
     modes = (2 * half[0] + 1, 2 * half[1] + 1, half[2] + 1)
     return points.new_empty(modes, dtype=torch.complex64 if single else torch.complex128)
@@ -160,7 +170,9 @@ def _points_ft_backward(
     return grad_points.to(points.dtype), grad_weights.to(weights.dtype)
 
 
-def _derivative(g: np.ndarray, which: int, half: Sequence[int], spacing: Sequence[float]) -> np.ndarray:
+def _derivative(
+    g: np.ndarray, which: int, half: Sequence[int], spacing: Sequence[float]
+) -> np.ndarray:
     """The adjoint field's coefficients (0), or those of its derivative along axis ``which - 1``."""
     if which == 0:
         return g

@@ -1,4 +1,4 @@
-"""Plan: what an accuracy asks for. Band, method and quadrature rules, with expected error and time."""
+"""Plan: band, method and quadrature rules for an accuracy, with expected error and time."""
 
 from __future__ import annotations
 
@@ -139,8 +139,8 @@ def make_plan(
         raise InputError(f"method must be 'closed form' or 'non-uniform', not {method!r}")
     if accuracy < _EXACT_BELOW:
         band = Band.full(fft_shape, voxel_size)
-        seconds = prod(band.box_shape) * len(faces) * _SECONDS_PER_PAIR[False]
-        return Plan("closed form", band, accuracy, 0.0, False, 0.0, [], 0.0, seconds)
+        time = prod(band.box_shape) * len(faces) * _SECONDS_PER_PAIR[False]
+        return Plan("closed form", band, accuracy, 0.0, False, 0.0, [], 0.0, time)
     area, thin = _size(vertices / np.asarray(width), faces)
     threshold = threshold_for(_BAND_SHARE * accuracy, area, thin)
     radius = tuple(sqrt(2 * log(1 / threshold)) / w for w in width)
@@ -157,15 +157,13 @@ def make_plan(
         "non-uniform": points * _SECONDS_PER_POINT[single]
         + 8 * modes * log2(modes + 2) * _SECONDS_PER_MODE[single],
     }
-    chosen = method or min(seconds, key=lambda m: seconds[m])
+    chosen = method if method is not None else min(seconds, key=lambda m: seconds[m])
     # The law of the band is that of a smooth surface; corners and edges were seen to add a sixth.
     error = min(accuracy, 1.2 * band_error(threshold, area, thin))
     if chosen == "closed form":
         return Plan(chosen, band, accuracy, threshold, single, 0.0, [], error, seconds[chosen])
     error = min(accuracy, float(np.hypot(np.hypot(error, _RULE_SHARE * accuracy), tolerance)))
-    return Plan(
-        chosen, band, accuracy, threshold, single, tolerance, rules, error, seconds[chosen]
-    )
+    return Plan(chosen, band, accuracy, threshold, single, tolerance, rules, error, seconds[chosen])
 
 
 def check_accuracy(accuracy: float) -> None:

@@ -1,8 +1,8 @@
 """Quadrature on triangles: which weighted points stand in for a face, and with what error.
 
-Symmetric rules (D. A. Dunavant, "High degree efficient symmetrical Gaussian quadrature rules for the
-triangle", Int. J. Numer. Methods Eng. 21, 1985), their coefficients recomputed to double precision
-from the moment equations; larger faces are divided.
+Symmetric rules (D. A. Dunavant, "High degree efficient symmetrical Gaussian quadrature rules for
+the triangle", Int. J. Numer. Methods Eng. 21, 1985), their coefficients recomputed to double
+precision from the moment equations; larger faces are divided.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import torch
 
 from .triangle import triangle_transform
 
-# Orbits of the symmetry group of the triangle: ("centre", w), ("median", w, a), ("general", w, a, b).
+# Orbits of the triangle's symmetry group: ("centre", w), ("median", w, a), ("general", w, a, b).
 _ORBITS: dict[int, list[tuple]] = {
     1: [("centre", 1.0)],
     2: [("median", 1 / 3, 1 / 6)],
@@ -52,7 +52,7 @@ class Rule:
 
 @cache
 def rule(degree: int, divisions: int = 1) -> Rule:
-    """A rule exact for polynomials up to ``degree``, on each of ``divisions``^2 equal parts of a face."""
+    """A rule exact up to ``degree``, on each of ``divisions``^2 equal parts of a face."""
     points, weights = [], []
     for kind, w, *at in _ORBITS[degree]:
         if kind == "centre":
@@ -145,7 +145,9 @@ def _largest_phases(threshold: float, error: float) -> tuple[float, ...]:
     return tuple(out)
 
 
-def choose_rules(reach: np.ndarray, threshold: float, error: float) -> list[tuple[Rule, np.ndarray]]:
+def choose_rules(
+    reach: np.ndarray, threshold: float, error: float
+) -> list[tuple[Rule, np.ndarray]]:
     """The cheapest rule for every face that keeps the image within ``error``.
 
     Parameters

@@ -37,7 +37,10 @@ def _small(d: Tensor, order: int) -> tuple[Tensor, Tensor]:
     q, r = a * a - b * c, a * b * c
     s, sq, sr = _series(q, r, order)
     gradient = torch.stack(
-        [-1j * s / 3 + x * sq + (y * z + q / 3) * sr for x, y, z in ((a, b, c), (b, c, a), (c, a, b))]
+        [
+            -1j * s / 3 + x * sq + (y * z + q / 3) * sr
+            for x, y, z in ((a, b, c), (b, c, a), (c, a, b))
+        ]
     )
     return s, gradient
 

@@ -30,7 +30,9 @@ def check_image(image: np.ndarray | Tensor, grid: Grid) -> tuple[np.ndarray, np.
     pixels = pixels.astype(np.float32)
     infinite = int(np.isinf(pixels).sum())
     if infinite:
-        raise InputError(f"the image holds {infinite} infinite voxels; set them to NaN to leave them out")
+        raise InputError(
+            f"the image holds {infinite} infinite voxels; set them to NaN to leave them out"
+        )
     known = ~np.isnan(pixels)
     if not known.any():
         raise InputError("every voxel of the image is missing (NaN)")

@@ -11,15 +11,15 @@ from ..settings import DensityModel
 from .optimiser import AdamUniform
 from .preconditioner import Preconditioner
 
-_STEP = 0.05  # of the log density, first iteration of a level
+_STEP = 0.15  # of the log density, first iteration of a level
 _LIMIT = 2.0  # |log density|: a wall dimmer than e^-2 of the mean is no evidence of a wall
 
 
 class DensityField:
     """Log density and its optimiser; amplitudes are solved for, so its mean stays zero.
 
-    A smooth field is one number per vertex, with the gradient preconditioned as the vertices' is, so
-    that it follows slow changes of brightness and cannot stand in for shape.
+    A smooth field is one number per vertex, with the gradient preconditioned as the vertices' is,
+    so that it follows slow changes of brightness and cannot stand in for shape.
     """
 
     def __init__(self, mesh: Mesh, pieces: np.ndarray, model: DensityModel) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,22 +14,23 @@ from ..errors import InputError
 from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..scene import Grid, render
-from ..settings import FitSettings
+from ..settings import WIDE_LEVELS, FitSettings
 from .checks import check_image, check_mesh
 from .density import DensityField
+from .health import GrowthAlarm
 from .level import Level
-from .likelihood import match, solve_scale
+from .likelihood import Match, match, noise_ratio, smoothing_for
 from .optimiser import AdamUniform
 from .preconditioner import Preconditioner, components
 from .psf_step import psf_step
 from .state import FitState, load_checkpoint
 
-_WINDOW = 15  # iterations over which a level must gain
+_WINDOW = 12  # iterations over which a level must gain
 # A coarse level ends when its window gains less than this share of the loss, or moves the vertices
 # by less than this share of its width: it only has to bring the next one within reach.
 _COARSE_GAIN, _COARSE_STILL = 0.05, 0.04
-_STILL = 0.005  # the same at the last level
-_SETTLE = 3  # times the last level halves its step before it counts as converged
+_STILL = 0.015  # the same at the last level
+_SETTLE = 2  # times the last level halves its step before it counts as converged
 _PSF_EVERY = 5
 _PSF_BELOW = 2.5  # blur, in widths of the PSF, from which on the PSF is fitted
 
@@ -83,10 +85,19 @@ def fit(
             raise InputError(f"counted has shape {counted.shape}, the image {grid.shape}")
         known = known & counted
     check_mesh(mesh, grid)
+    settings = _completed(settings, pixels, known)
     run = _Run(pixels, known, grid, mesh, optics, settings, effects)
     if resume is not None:
         run.load(load_checkpoint(resume))
     return run.states()
+
+
+def _completed(settings: FitSettings, pixels: np.ndarray, known: np.ndarray) -> FitSettings:
+    """The settings with what was left to the software filled in."""
+    smoothing, levels = settings.smoothing, settings.levels
+    if smoothing is None:
+        smoothing = smoothing_for(noise_ratio(pixels, known))
+    return settings.model_copy(update={"smoothing": smoothing, "levels": levels or WIDE_LEVELS})
 
 
 class _Run:
@@ -104,6 +115,8 @@ class _Run:
     ) -> None:
         self.image, self.counted, self.grid = image, counted, grid
         self.settings, self.effects = settings, effects
+        self.levels = settings.levels or WIDE_LEVELS
+        self.growth = GrowthAlarm(mesh)
         self.mesh = mesh.with_vertices(mesh.vertices_numpy().copy())
         self.optics = optics.detach()
         self.pieces = components(mesh)
@@ -119,7 +132,7 @@ class _Run:
     # --------------------------------------------------------------------------- iterations
 
     def states(self) -> Iterator[FitState]:
-        levels = self.settings.levels
+        levels = self.levels
         first = self.level_number
         for number in range(first, len(levels)):
             level = Level(
@@ -131,21 +144,23 @@ class _Run:
                 self.effects,
                 levels[number],
             )
+            last = number == len(levels) - 1
+            if not (level.usable or last):
+                continue
             smoother = Preconditioner(self.mesh, level.smoothing)
             if number > first or self.iteration == 0:
                 self._enter(number)
-            last = number == len(levels) - 1
             while True:
                 state = self._iterate(level, smoother)
                 finished = self._settled(level, last)
                 if finished and last:
-                    yield _with(state, converged=True, message="converged")
+                    yield replace(state, converged=True, message="converged")
                     return
                 if self.iteration >= self.settings.max_iterations:
                     message = f"stopped after {self.iteration} iterations, before it converged"
-                    yield _with(state, message=message)
+                    yield replace(state, message=message)
                     return
-                yield state
+                yield replace(state, message=self.growth.check(self.mesh) if finished else "")
                 if finished:
                     break
 
@@ -159,8 +174,9 @@ class _Run:
         self.density.restart()
 
     def _iterate(self, level: Level, smoother: Preconditioner) -> FitState:
+        kept = self._kept()
         vertices = torch.from_numpy(self.mesh.vertices_numpy()).requires_grad_()
-        with_density = level.factor < self.settings.levels[0] or len(self.settings.levels) == 1
+        with_density = level.factor < self.levels[0] or len(self.levels) == 1
         density = self.density.faces(active=with_density)
         renderer = level.renderer(self.mesh, self.optics)
         otf = renderer.otf(self.optics)
@@ -179,7 +195,7 @@ class _Run:
         loss = float(result.loss.detach())
         if not np.isfinite(loss) or not np.isfinite(moved).all():
             raise FloatingPointError("the fit met a number that is not finite")
-        state = self._state(level, loss, result.amplitude, result.background)
+        state = self._state(level, result, kept)
         fits_psf = self.settings.fit_psf and level.factor <= _PSF_BELOW
         if fits_psf and len(self.losses) % _PSF_EVERY == _PSF_EVERY - 1:
             self.optics = psf_step(level, renderer, self.optics, transform.detach(), voxels)
@@ -212,10 +228,10 @@ class _Run:
 
     # ---------------------------------------------------------------------------- reporting
 
-    def _state(self, level: Level, loss: float, amplitude: float, background: float) -> FitState:
+    def _state(self, level: Level, result: Match, kept: dict[str, np.ndarray]) -> FitState:
+        amplitude, background = result.amplitude, result.background
         mesh, optics = self.mesh, self.optics
         density = self.density.faces_numpy()
-        kept = self._kept()
         grid, accuracy, effects = self.grid, self.settings.accuracy, self.effects
 
         def rendered() -> np.ndarray:
@@ -233,11 +249,11 @@ class _Run:
         return FitState(
             iteration=self.iteration + 1,
             level=self.level_number + 1,
-            levels=len(self.settings.levels),
+            levels=len(self.levels),
             mesh=mesh,
             optics=optics,
             density=density,
-            loss=loss,
+            loss=float(result.loss.detach()),
             amplitude=amplitude,
             background=background,
             blur=level.factor,
@@ -272,13 +288,9 @@ class _Run:
         self.step_factor = float(kept["step_factor"])
         self.halvings = int(kept["halvings"])
         self.losses = list(kept["losses"])
-        self.adam.load({k.removeprefix("adam_"): v for k, v in kept.items() if k.startswith("adam_")})
+        self.adam.load(
+            {k.removeprefix("adam_"): v for k, v in kept.items() if k.startswith("adam_")}
+        )
         self.density.load(
             {k.removeprefix("density_"): v for k, v in kept.items() if k.startswith("density_")}
         )
-
-
-def _with(state: FitState, *, converged: bool = False, message: str = "") -> FitState:
-    from dataclasses import replace
-
-    return replace(state, converged=converged, message=message)

@@ -17,6 +17,7 @@ from ..settings import FitSettings
 from .likelihood import ImageNoise, solve_scale
 
 _REFRESH_EVERY = 10  # iterations between two looks at which voxels count
+_FEWEST_VOXELS = 64
 _COARSE_ACCURACY = 3e-3  # of all levels but the last: they only have to point the right way
 
 
@@ -69,7 +70,7 @@ class Level:
             if factor == 1 or settings.accuracy == 0
             else max(settings.accuracy, _COARSE_ACCURACY)
         )
-        self.smoothing = settings.smoothing * factor
+        self.smoothing = (settings.smoothing or 0.0) * factor
         self.width = float(factor * sigma.min())
         # A band-limited image loses nothing on a grid of spacing sigma: its OTF ends there.
         step = np.maximum(1, np.floor(factor * sigma / np.asarray(grid.voxel_size))).astype(int)
@@ -79,7 +80,10 @@ class Level:
         self.grid = grid.strided((int(step[0]), int(step[1]), int(step[2])))
         self.volume_ratio = float(1 / np.prod(step))
         self.target, self._counted = self._blurred(image, counted, grid)
-        self.noise = ImageNoise(self.target[self._counted], settings.likelihood)
+        # Where the blur is wider than the field of view, hardly a voxel is left to go by.
+        self.usable = int(self._counted.sum()) >= _FEWEST_VOXELS
+        if self.usable:
+            self.noise = ImageNoise(self.target[self._counted], settings.likelihood)
         self._renderer: Renderer | None = None
         self._planned_width: np.ndarray | None = None
         self._voxels: Voxels | None = None

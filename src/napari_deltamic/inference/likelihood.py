@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import sqrt
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -27,7 +29,7 @@ class Match:
 class ImageNoise:
     """Weights of the voxels: one over the variance that the likelihood gives them.
 
-    ``"poisson"``: variance in proportion to the (detached) model above the dark level, plus a floor.
+    ``"poisson"``: variance in proportion to the (detached) model above the dark level, and a floor.
     It needs the dark level and the scale of the image only, both from its histogram; gain cancels.
     ``"gaussian"``: all alike. ``"paper"``: the measured intensity, as in the paper, which costs
     about three times the photons and shifts the background by one.
@@ -36,20 +38,42 @@ class ImageNoise:
     def __init__(self, measured: Tensor, kind: Likelihood, floor: float = 0.05) -> None:
         self.kind = kind
         sample = measured.reshape(-1)[:: max(1, measured.numel() // 200_000)]
-        low, high = (
-            float(torch.quantile(sample.to(torch.float64), q)) for q in (0.01, 0.999)
-        )
+        low, high = (float(torch.quantile(sample.to(torch.float64), q)) for q in (0.01, 0.999))
         self.dark = low
         self.floor = max(floor * (high - low), 1e-12 * max(abs(high), 1.0))
 
     def weights(self, measured: Tensor, model: Tensor | None) -> Tensor:
-        """Weights of voxels, given what the model shows there (None: the measured value stands in)."""
+        """Weights of voxels, given what the model shows there (None: the measured values)."""
         if self.kind == "gaussian":
             return torch.ones_like(measured)
         if self.kind == "paper":
             return (measured - self.dark).clamp(min=0)
         reference = measured if model is None else model
         return self.floor / ((reference - self.dark).clamp(min=0) + self.floor)
+
+
+def noise_ratio(image: np.ndarray, known: np.ndarray) -> float:
+    """Standard deviation of the voxel noise relative to the range of the image.
+
+    From what is left of neighbours along the last axis when their mean is taken away, by the median
+    absolute deviation, so that structures do not count.
+    """
+    left = image[..., 1:-1] - (image[..., :-2] + image[..., 2:]) / 2
+    left = left[known[..., 1:-1] & known[..., :-2] & known[..., 2:]]
+    if left.size == 0:
+        return 0.0
+    deviation = 1.4826 * float(np.median(np.abs(left))) / sqrt(1.5)
+    low, high = np.percentile(image[known][:: max(1, image.size // 500_000)], (1, 99.9))
+    return deviation / float(high - low) if high > low else 0.0
+
+
+def smoothing_for(noise: float) -> float:
+    """lambda of the preconditioner for a :func:`noise_ratio`.
+
+    Noise and what no model describes ask for a smooth gradient, fine detail for a rough one: 2 on
+    images without noise, 10 from 1 % on (measured on rendered targets and on real vesicles).
+    """
+    return 2.0 + 8.0 * min(noise / 0.01, 1.0)
 
 
 def solve_scale(rendered: Tensor, measured: Tensor, weights: Tensor) -> tuple[float, float, bool]:

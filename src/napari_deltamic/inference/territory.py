@@ -1,8 +1,8 @@
 """Which voxels belong to the structures that meshes describe.
 
 Neighbours that no mesh describes (other cells, cells cut by the border, debris) would attract a
-mesh, which then grows a neck and swallows them. So the ground is shared out: a voxel counts if it is
-nearer to a starting surface than to bright signal that no starting surface explains.
+mesh, which then grows a neck and swallows them. So the ground is shared out: a voxel counts if it
+is nearer to a starting surface than to bright signal that no starting surface explains.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Models of the microscope: from a point spread function to the optical transfer function on a band.
+"""Models of the microscope: from a point spread function (PSF) to its transfer function (OTF).
 
 What the engine asks of a model is the :class:`Optics` protocol; :class:`GaussianPSF` is one.
 """

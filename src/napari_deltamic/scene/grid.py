@@ -40,7 +40,9 @@ class Grid:
         except (TypeError, ValueError):
             raise InputError("voxel size and origin take three numbers (Z, Y, X) in um") from None
         if len(size) != 3 or not all(isfinite(d) and d > 0 for d in size):
-            raise InputError(f"voxel size must be three positive numbers (um), not {self.voxel_size}")
+            raise InputError(
+                f"voxel size must be three positive numbers (um), not {self.voxel_size}"
+            )
         if len(origin) != 3 or not all(isfinite(o) for o in origin):
             raise InputError(f"origin must be three finite numbers (um), not {self.origin}")
         object.__setattr__(self, "shape", shape)

@@ -9,8 +9,8 @@ import torch
 from scipy.fft import next_fast_len
 from torch import Tensor
 
-from ..fourier import Plan, make_plan
 from ..errors import InputError
+from ..fourier import Plan, make_plan
 from ..fourier.plan import Method, check_accuracy
 from ..geometry.mesh import Mesh, is_tensor
 from ..optics import Optics
@@ -151,7 +151,9 @@ def render(
         If the accuracy is not in [0, 1), the density not one number per face, or the mesh so far
         from the grid that its units must be wrong.
     """
-    vertices = mesh.vertices if is_tensor(mesh.vertices) else torch.from_numpy(mesh.vertices_numpy())
+    vertices = (
+        mesh.vertices if is_tensor(mesh.vertices) else torch.from_numpy(mesh.vertices_numpy())
+    )
     renderer = Renderer(
         mesh, grid, optics, accuracy, pixel_integration=pixel_integration, method=method
     )
@@ -175,12 +177,14 @@ def _padded_shape(vertices: np.ndarray, grid: Grid, reach: np.ndarray) -> tuple[
     first, last = grid.extent
     low, high = vertices.min(0) - reach, vertices.max(0) + reach
     # A copy of the mesh one period away must stay clear of the grid, on either side.
-    period = np.maximum.reduce([last - low, high - first, last - first + np.asarray(grid.voxel_size)])
+    period = np.maximum.reduce(
+        [last - low, high - first, last - first + np.asarray(grid.voxel_size)]
+    )
     n = np.ceil(period / np.asarray(grid.voxel_size) - 1e-9)
     if (n > _LARGEST_PERIOD * (np.asarray(grid.shape) + reach / np.asarray(grid.voxel_size))).any():
         raise InputError(
-            f"the mesh reaches from {_um(vertices.min(0))} to {_um(vertices.max(0))} um, the image from "
-            f"{_um(first)} to {_um(last)} um: are the units the same?"
+            f"the mesh reaches from {_um(vertices.min(0))} to {_um(vertices.max(0))} um, "
+            f"the image from {_um(first)} to {_um(last)} um: are the units the same?"
         )
     z, y, x = (int(next_fast_len(int(k), real=True)) for k in n)
     return z, y, x
