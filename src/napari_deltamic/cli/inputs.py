@@ -3,49 +3,23 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from ..errors import InputError
 from ..geometry import Mesh, load_mesh, mesh_from_labels, read_points_csv, seeds_from_points
 from ..images import EXTENSIONS, VoxelSize, read_image
-from ..inference import counted_voxels
 from ..inference.checks import check_image
-from ..optics import GaussianPSF
+from ..job import SIGMA_IN_VOXELS, FitInput, SeedKind, assemble, filled
 from ..scene import Grid
-from ..settings import NEAR_LEVELS, RunSettings, validated
+from ..settings import RunSettings, validated
 from .messages import Notes
 
 MESHES = (".ply", ".obj", ".off", ".stl", ".rec")
-SeedKind = Literal["rough", "labels", "image"]
-SIGMA_IN_VOXELS = 1.2  # where the user gives none
 _FIT = ("accuracy", "fit_psf", "density", "likelihood", "max_iterations")
-
-
-@dataclass(frozen=True)
-class FitInput:
-    """What a fit takes.
-
-    image : (Z, Y, X); NaN where missing.
-    counted : (Z, Y, X) bool: voxels that may count; None for all.
-    """
-
-    settings: RunSettings
-    image: NDArray[Any]
-    grid: Grid
-    mesh: Mesh
-    optics: GaussianPSF
-    counted: NDArray[np.bool_] | None
-
-    @property
-    def has_missing(self) -> bool:
-        """Whether some voxels are missing."""
-        return bool(np.isnan(self.image).any())
 
 
 def gather(arguments: argparse.Namespace, notes: Notes) -> FitInput:
@@ -66,13 +40,8 @@ def gather(arguments: argparse.Namespace, notes: Notes) -> FitInput:
     grid = Grid(image.shape, settings.scene.voxel_size, settings.scene.origin)
     image = _without_bad(image, arguments.missing_nan, notes)
     check_image(image, grid)
-    optics = GaussianPSF(settings.scene.sigma)
     mesh, kind = load_seeds(settings.seeds, image, grid)
-    if kind != "rough" and settings.fit.levels is None:
-        fit = settings.fit.model_copy(update={"levels": NEAR_LEVELS})
-        settings = settings.model_copy(update={"fit": fit})
-    counted = counted_voxels(image, grid, mesh, optics) if kind == "image" else None
-    return FitInput(settings, image, grid, mesh, optics, counted)
+    return assemble(settings, image, grid, mesh, kind)
 
 
 def load_seeds(path: str, image: NDArray[Any], grid: Grid) -> tuple[Mesh, SeedKind]:
@@ -92,7 +61,7 @@ def load_seeds(path: str, image: NDArray[Any], grid: Grid) -> tuple[Mesh, SeedKi
         return _naming(path, mesh_from_labels, labels, grid.voxel_size, grid.origin), "labels"
     if kind == ".csv":
         points, radii = read_points_csv(path)
-        whole = _filled(image)
+        whole = filled(image)
         mesh = _naming(path, seeds_from_points, whole, grid.voxel_size, points, radii, grid.origin)
         spheres = radii is not None and bool((np.nan_to_num(radii) > 0).any())
         return mesh, "rough" if spheres else "image"
@@ -168,15 +137,6 @@ def _without_bad(image: NDArray[Any], missing_nan: bool, notes: Notes) -> NDArra
         raise InputError(f"the image holds {counts} {voxels}; --missing-nan leaves them out")
     notes.add(f"{counts} of {image.size} voxels are treated as missing")
     return np.where(np.isfinite(image), image, np.nan)
-
-
-def _filled(image: NDArray[Any]) -> NDArray[Any]:
-    """Missing voxels take the value of the nearest known one: flooding needs them all."""
-    missing = ~np.isfinite(image)
-    if not missing.any():
-        return image
-    nearest = ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
-    return image[tuple(nearest)]
 
 
 def _shown(values: Any) -> str:

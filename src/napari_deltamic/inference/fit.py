@@ -29,7 +29,7 @@ _WINDOW = 12  # iterations over which a level must gain
 # A coarse level ends when its window gains less than this share of the loss, or moves the vertices
 # by less than this share of its width: it only has to bring the next one within reach.
 _COARSE_GAIN, _COARSE_STILL = 0.05, 0.04
-_STILL = 0.015  # the same at the last level
+_STILL = 0.02  # the same at the last level
 _SETTLE = 2  # times the last level halves its step before it counts as converged
 _PSF_EVERY = 5
 _PSF_BELOW = 2.5  # blur, in widths of the PSF, from which on the PSF is fitted

@@ -17,8 +17,9 @@ from ..settings import FitSettings
 from .likelihood import ImageNoise, solve_scale
 
 _REFRESH_EVERY = 10  # iterations between two looks at which voxels count
+_PLAN_EVERY = 20  # iterations: edges grow as the mesh moves
 _FEWEST_VOXELS = 64
-_COARSE_ACCURACY = 3e-3  # of all levels but the last: they only have to point the right way
+_COARSE_ACCURACY = 1e-2  # of all levels but the last: they only have to point the right way
 
 
 @dataclass(frozen=True)
@@ -112,6 +113,7 @@ class Level:
         width = np.asarray(optics.sigma_um)
         stale = (
             self._renderer is None
+            or self._age % _PLAN_EVERY == 0
             or not self._renderer.holds_for(mesh.vertices_numpy())
             or self._planned_width is None
             or bool((np.abs(np.log(width / self._planned_width)) > 0.1).any())
@@ -119,7 +121,7 @@ class Level:
         if stale:
             # With a PSF that is being fitted the band reaches further: cut at today's width, it
             # would hide what a sharper PSF explains.
-            sharper = optics if not self.settings.fit_psf else _scaled(optics, 0.8)
+            sharper = optics if not self.settings.fit_psf else _scaled(optics, 0.9)
             self._renderer = Renderer(
                 mesh,
                 self.grid,

@@ -31,7 +31,8 @@ class Renderer:
     pixel_integration
         Whether a voxel integrates over its size rather than samples at its centre.
     margin
-        um: how far vertices may move before the plan no longer holds.
+        um: how far vertices may move before the plan no longer holds; 0 for a mesh that stays.
+        Edges may then grow by a tenth, which a fit sees to by planning anew now and then.
     method
         Forces ``"closed form"`` or ``"non-uniform"``.
 
@@ -65,7 +66,6 @@ class Renderer:
         width = np.hypot(optics.width(), blur)
         reach = _reach(accuracy) * np.hypot(optics.sigma_um, blur) + margin
         fft_shape = _padded_shape(self._start, grid, reach)
-        stretch = 1 + 2 * margin / max(_mean_edge(self._start, mesh.faces), 1e-12)
         self.plan: Plan = make_plan(
             self._start - np.asarray(grid.origin),
             mesh.faces,
@@ -74,7 +74,7 @@ class Renderer:
             tuple(float(w) for w in width),  # type: ignore[arg-type]
             accuracy,
             method,
-            margin=min(stretch, 1.5),
+            margin=_STRETCH if margin > 0 else 1.0,
             aligned=optics.diagonal,
         )
         self._axes = self.plan.band.axes(torch.float32 if self.plan.single else torch.float64)
@@ -161,6 +161,7 @@ def render(
     return renderer.image(renderer.transform(vertices, weight), renderer.otf(optics))
 
 
+_STRETCH = 1.1  # of edges, within the life of a plan for a mesh that moves
 _LARGEST_PERIOD = 8  # times the grid: a mesh further away is in other units
 
 
@@ -188,8 +189,3 @@ def _padded_shape(vertices: np.ndarray, grid: Grid, reach: np.ndarray) -> tuple[
         )
     z, y, x = (int(next_fast_len(int(k), real=True)) for k in n)
     return z, y, x
-
-
-def _mean_edge(vertices: np.ndarray, faces: np.ndarray) -> float:
-    corners = vertices[faces]
-    return float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean())

@@ -1,0 +1,135 @@
+"""Figures on a real image: vesicles, fitted from rough centres through the command line."""
+
+from __future__ import annotations
+
+import csv
+import json
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from napari_deltamic import Mesh, load_mesh
+from napari_deltamic.cli import main
+from napari_deltamic.geometry import labels_from_points, read_points_csv
+from napari_deltamic.images import read_image
+from napari_deltamic.measure import ridge_distance, surface_distance
+
+from .figure import Figure, MissingData, Options, Row, at_least, at_most
+
+CENTRES = Path(__file__).parent / "data_points" / "vesicles_GUV.csv"
+VOXEL_SIZE = (0.34, 0.133, 0.133)
+WORDS = ["--density", "smooth", "--fit-psf", "--overwrite"]
+
+
+def run(image: Path, centres: Path, folder: Path) -> tuple[Mesh, float, dict]:
+    """Mesh, seconds of the whole command, and its report."""
+    size = [str(d) for d in VOXEL_SIZE]
+    started = time.perf_counter()
+    code = main(
+        [
+            "fit",
+            str(image),
+            "--voxel-size",
+            *size,
+            "--seeds",
+            str(centres),
+            *WORDS,
+            "-o",
+            str(folder),
+        ]
+    )
+    seconds = time.perf_counter() - started
+    if code != 0:
+        raise RuntimeError(f"the fit ended with code {code}")
+    return load_mesh(folder / "mesh.rec"), seconds, json.loads((folder / "report.json").read_text())
+
+
+def shifted(image: np.ndarray, points: np.ndarray) -> tuple[list[np.ndarray], int, int]:
+    """The centres moved by a quarter of the extent of their vesicle along each axis, both ways.
+
+    A set of centres for each direction; a centre that would leave its vesicle stays. Also how many
+    of the moves stay inside, and how many there are.
+    """
+    labels = labels_from_points(image, VOXEL_SIZE, points)
+    sets, inside, tried = [], 0, 0
+    for axis in range(3):
+        for sign in (-1, 1):
+            moved = points.copy()
+            for k in range(len(points)):
+                where = np.nonzero(labels == k + 1)[axis]
+                quarter = (np.ptp(where) + 1) * VOXEL_SIZE[axis] / 4
+                candidate = points[k].copy()
+                candidate[axis] += sign * quarter
+                voxel = tuple(np.rint(candidate / VOXEL_SIZE).astype(int))
+                tried += 1
+                if labels[voxel] == k + 1:
+                    moved[k] = candidate
+                    inside += 1
+            sets.append(moved)
+    return sets, inside, tried
+
+
+def write(path: Path, points: np.ndarray) -> Path:
+    """Points as the command line takes them."""
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow("zyx")
+        writer.writerows(points.tolist())
+    return path
+
+
+def vesicles(options: Options) -> list[Row]:
+    """Distance to the membrane ridge, leaks, time, and the same from shifted centres."""
+    path = options.data / "images" / "vesicles_GUV.tif"
+    if not path.is_file():
+        raise MissingData(f"no {path.name} at {path.parent}")
+    image = read_image(path)[0].astype(np.float32)
+    points, _ = read_points_csv(CENTRES)
+    with tempfile.TemporaryDirectory() as folder:
+        mesh, seconds, report = run(path, CENTRES, Path(folder) / "centres")
+        rows = [at_most("vesicles, whole command", 60, seconds, "s")]
+        rows += _ridge_rows(mesh, image)
+        alarms = [w for w in report["warnings"] if "leaked" in w]
+        rows.append(at_most("vesicles, leaks reported", 0, len(alarms), ""))
+        sets, inside, tried = shifted(image, points)
+        worst, note = 0.0, f"{inside} of {tried} moves stay inside their vesicle"
+        for k, moved in enumerate(sets[:1] if options.quick else sets):
+            centres = write(Path(folder) / f"moved{k}.csv", moved)
+            other, _, _ = run(path, centres, Path(folder) / "moved")
+            for region in mesh.region_ids():
+                one, two = mesh.region_surface(region), other.region_surface(region)
+                worst = max(worst, surface_distance(one, two, samples=4000).mean / VOXEL_SIZE[1])
+        rows.append(
+            at_most(
+                "vesicles, centres moved by a quarter, mean distance", 0.2, worst, "voxel", note
+            )
+        )
+    return rows
+
+
+def _ridge_rows(mesh: Mesh, image: np.ndarray) -> list[Row]:
+    rows = []
+    regions = [r for r in mesh.region_ids() if r != 0]
+    closed = sum(mesh.is_closed(r) for r in regions)
+    rows.append(at_least("vesicles, closed surfaces", 3, closed, ""))
+    for region in regions:
+        found = ridge_distance(mesh.region_surface(region), image, VOXEL_SIZE).summary()
+        note = (
+            f"axial {found['axial_um'] * 1000:.0f} nm, "
+            f"no ridge on {found['fraction_without_ridge']:.1%}"
+        )
+        rows.append(
+            at_most(
+                f"vesicle {region}, median lateral distance to the ridge",
+                0.4,
+                found["lateral_voxels"],
+                "voxel",
+                note,
+            )
+        )
+    return rows
+
+
+FIGURES: dict[str, Figure] = {"vesicles": vesicles}

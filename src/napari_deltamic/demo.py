@@ -1,0 +1,112 @@
+"""A demonstration: fits a dividing cell whose true surface is known.
+
+With a display it opens napari and shows the fit as it runs; without one, or with ``--headless``, it
+writes the results and says how far they are from the truth.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from ._sample_data import Sample, dividing_cell_sample
+from .geometry import Mesh, save_mesh, sphere
+from .geometry.files import write_atomically
+from .images import write_image
+from .inference import FitState, fit
+from .measure import surface_distance
+from .optics import GaussianPSF
+from .report import History, make_folder, write_results
+from .settings import FitSettings, RunSettings, SceneSettings
+
+OUTPUT = "demo-output"
+START_RADIUS = 2.6  # um
+SIGMA_ERROR = 1.3  # the fit starts with a PSF that is this many times too wide, and mends it
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the demonstration; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m napari_deltamic.demo", description=__doc__)
+    parser.add_argument("--headless", action="store_true", help="open no window, write files")
+    parser.add_argument("-o", "--output", default=OUTPUT, metavar="DIR", help="where to write them")
+    arguments = parser.parse_args(argv)
+    sample = dividing_cell_sample()
+    if arguments.headless or not has_display():
+        run_headless(sample, Path(arguments.output))
+        return 0
+    from .gui.live_demo import show  # needs Qt and napari, which the rest does without
+
+    show(sample, start_mesh(sample), demo_settings(sample))
+    return 0
+
+
+def has_display() -> bool:
+    """Whether a window can be opened here."""
+    if sys.platform in ("win32", "darwin"):
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def start_mesh(sample: Sample) -> Mesh:
+    """Where the demonstration starts: a sphere for each cell, with edges of four voxels."""
+    edge = 4 * min(sample.grid.voxel_size)
+    return Mesh.merge([sphere(center, START_RADIUS, edge_length=edge) for center in sample.centers])
+
+
+def demo_settings(sample: Sample, folder: Path = Path(OUTPUT)) -> RunSettings:
+    """The run that the demonstration shows, with the files that it would read."""
+    z, y, x = (SIGMA_ERROR * s for s in sample.optics.sigma_um)
+    return RunSettings(
+        image=str(folder.absolute() / "image.tif"),
+        seeds=str(folder.absolute() / "seeds.ply"),
+        scene=SceneSettings(voxel_size=sample.grid.voxel_size, sigma=(z, y, x)),
+        fit=FitSettings(fit_psf=True),
+    )
+
+
+def run_headless(sample: Sample, folder: Path) -> None:
+    """Fit, write the results, print where they are and how good."""
+    settings, mesh = demo_settings(sample, folder), start_mesh(sample)
+    assert settings.scene.sigma is not None
+    make_folder(folder)
+    write_image(settings.image, sample.image, sample.grid.voxel_size)
+    save_mesh(mesh, settings.seeds)
+    save_mesh(sample.truth, folder / "truth.ply")
+    write_atomically(folder / "run.toml", settings.to_toml().encode())
+    shape = " x ".join(map(str, sample.grid.shape))
+    print(f"fitting a {sample.name} in a noisy image of {shape} voxels ...", flush=True)
+    history, state = History(), None
+    started = time.monotonic()
+    psf = GaussianPSF(settings.scene.sigma)
+    for state in fit(sample.image, sample.grid, mesh, psf, settings=settings.fit):
+        history.add(state)
+    seconds = time.monotonic() - started
+    assert state is not None, "a fit yields at least one state"
+    paths = write_results(folder, state, sample.image, sample.grid, settings, history, seconds)
+    for line in summary(sample, state, seconds):
+        print(line)
+    print(f"written to {folder.absolute()}:")
+    for path in paths:
+        print(f"  {path.name}")
+
+
+def summary(sample: Sample, state: FitState, seconds: float) -> list[str]:
+    """What the fit reached, against the truth."""
+    distance = surface_distance(state.mesh, sample.truth, samples=5000)
+    voxel = min(sample.grid.voxel_size)
+    verdict = state.message or ("converged" if state.converged else "ended")
+    psf = [" ".join(f"{s:.3f}" for s in o.sigma_um) for o in (state.optics, sample.optics)]
+    return [
+        f"{verdict}: {state.iteration} iterations, {seconds:.1f} s",
+        f"surface error: {distance.mean / voxel:.3f} voxels on average, "
+        f"{distance.p95 / voxel:.3f} at 95 % ({voxel:g} um voxels)",
+        f"PSF widths: {psf[0]} um (Z Y X); the truth is {psf[1]}",
+    ]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,81 @@
+"""A fit that is ready to run: what the command line and the widget both put together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from .geometry import Mesh
+from .inference import FitState, counted_voxels, fit
+from .optics import GaussianPSF
+from .scene import Grid
+from .settings import NEAR_LEVELS, RunSettings
+
+# How near to the membranes starting surfaces lie: "rough" for meshes and spheres, "labels", or
+# "image" where all follow from points in the image alone (neighbours without a point would then
+# attract them).
+SeedKind = Literal["rough", "labels", "image"]
+SIGMA_IN_VOXELS = 1.2  # where the user gives none
+
+
+@dataclass(frozen=True)
+class FitInput:
+    """What a fit takes.
+
+    image : (Z, Y, X); NaN where missing.
+    counted : (Z, Y, X) bool: voxels that may count; None for all.
+    """
+
+    settings: RunSettings
+    image: NDArray[Any]
+    grid: Grid
+    mesh: Mesh
+    optics: GaussianPSF
+    counted: NDArray[np.bool_] | None
+
+    @property
+    def has_missing(self) -> bool:
+        """Whether some voxels are missing."""
+        return bool(np.isnan(self.image).any())
+
+
+def assemble(
+    settings: RunSettings, image: NDArray[Any], grid: Grid, mesh: Mesh, kind: SeedKind
+) -> FitInput:
+    """Everything that a fit needs; what the settings leave open follows from the seeds."""
+    if kind != "rough" and settings.fit.levels is None:
+        fit_settings = settings.fit.model_copy(update={"levels": NEAR_LEVELS})
+        settings = settings.model_copy(update={"fit": fit_settings})
+    sigma = settings.scene.sigma
+    optics = GaussianPSF(sigma or [SIGMA_IN_VOXELS * d for d in grid.voxel_size])
+    counted = counted_voxels(image, grid, mesh, optics) if kind == "image" else None
+    return FitInput(settings, image, grid, mesh, optics, counted)
+
+
+def start(job: FitInput, resume: str | Path | None = None) -> Iterator[FitState]:
+    """Start the fit; see :func:`napari_deltamic.fit`."""
+    return fit(
+        job.image,
+        job.grid,
+        job.mesh,
+        job.optics,
+        settings=job.settings.fit,
+        counted=job.counted,
+        effects=job.settings.scene.effects,
+        resume=resume,
+    )
+
+
+def filled(image: NDArray[Any]) -> NDArray[Any]:
+    """Missing voxels take the value of the nearest known one: flooding needs them all."""
+    missing = ~np.isfinite(image)
+    if not missing.any():
+        return image
+    nearest = ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
+    return image[tuple(nearest)]
