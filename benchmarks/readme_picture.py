@@ -1,7 +1,7 @@
 """The picture at the top of the README: ``python -m benchmarks.readme_picture RESULT PICTURE``.
 
-RESULT is the folder of a fit. The picture shows what the fit found: meshes, and rendered slices with
-their contours. It holds no voxel of the measured stack, whose licence may not allow it.
+RESULT is the folder of a fit. The picture shows what the fit found: meshes, and rendered slices
+with their contours. It holds no voxel of the measured stack, whose licence may not allow it.
 """
 
 from __future__ import annotations
