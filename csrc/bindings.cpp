@@ -9,6 +9,7 @@
 #include <condition_variable>
 #include <cstdint>
 #include <mutex>
+#include <new>
 #include <stdexcept>
 #include <string>
 #include <thread>
@@ -168,7 +169,7 @@ template <class F>
 void run(int threads, F work) {
     const std::size_t n = threads < 1 ? 1 : static_cast<std::size_t>(threads);
     std::atomic<std::size_t> next{0}, running{n};
-    std::atomic<bool> stop{false};
+    std::atomic<bool> stop{false}, out_of_memory{false};
     std::mutex mutex;
     std::condition_variable done;
     bool interrupted = false;
@@ -177,7 +178,7 @@ void run(int threads, F work) {
         std::vector<std::thread> pool;
         for (std::size_t w = 0; w < n; ++w) {
             pool.emplace_back([&, w] {
-                work(Share{w, n, &next, &stop});
+                work(Share{w, n, &next, &stop, &out_of_memory});
                 std::lock_guard<std::mutex> lock(mutex);
                 if (--running == 0) done.notify_all();
             });
@@ -197,6 +198,7 @@ void run(int threads, F work) {
         for (std::thread& t : pool) t.join();
     }
     if (interrupted) throw nb::python_error();
+    if (out_of_memory) throw std::bad_alloc();
 }
 
 Band band_of(const Array<const std::int32_t>& rows, const Array<const std::int64_t>& offset,

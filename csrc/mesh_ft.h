@@ -36,6 +36,7 @@ struct Share {
     std::size_t worker, workers;
     std::atomic<std::size_t>* next;  // for loops whose pieces are handed out one by one
     const std::atomic<bool>* stop;   // set when the user interrupts
+    std::atomic<bool>* out_of_memory;  // set by a worker that gets no working space
 };
 
 template <class T>
