@@ -34,6 +34,8 @@ class _Model(BaseModel):
 class FitSettings(_Model):
     """How a mesh is fitted to an image."""
 
+    model_config = ConfigDict(allow_inf_nan=False)
+
     accuracy: Annotated[float, Field(ge=0, lt=1)] = Field(
         default=1e-3,
         description="requested relative L2 error of the rendered image; 0 is the closed form",
@@ -63,7 +65,8 @@ class FitSettings(_Model):
     )
     tolerance: Annotated[float, Field(gt=0)] = Field(
         default=1e-2,
-        description="a level ends when its loss falls by less than this over its window",
+        description="the last level ends when its loss falls by less than this over a dozen "
+        "iterations (or its vertices lie still)",
     )
     max_iterations: Annotated[int, Field(ge=1)] = Field(
         default=3000, description="the fit gives up after this many iterations"
@@ -74,11 +77,7 @@ class FitSettings(_Model):
     def _ends_at_one(cls, levels: tuple[float, ...] | None) -> tuple[float, ...] | None:
         if levels is None:
             return None
-        if (
-            not levels
-            or levels[-1] != 1
-            or any(a < b for a, b in pairwise(levels))
-        ):
+        if not levels or levels[-1] != 1 or any(a <= b for a, b in pairwise(levels)):
             raise ValueError("levels must decrease and end at 1")
         return levels
 
@@ -101,6 +100,13 @@ class SceneSettings(_Model):
     def _positive_voxels(cls, v: Triple) -> Triple:
         if not all(isfinite(d) and d > 0 for d in v):
             raise ValueError(f"voxel size must be three positive numbers (um), not {v}")
+        return v
+
+    @field_validator("origin")
+    @classmethod
+    def _finite_origin(cls, v: Triple) -> Triple:
+        if not all(isfinite(o) for o in v):
+            raise ValueError(f"origin must be three finite numbers (um), not {v}")
         return v
 
     @field_validator("sigma")
@@ -168,5 +174,8 @@ def _toml(value: Any) -> str:
     if isinstance(value, (int, float)):
         return repr(value)
     if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)  # TOML's basic strings escape as JSON's do
+        if not value.isprintable() and any("\ud800" <= c <= "\udfff" for c in value):
+            raise InputError(f"{value!r} is not a name that a text file can hold: rename it")
+        # TOML's basic strings escape as JSON's do, and also the delete character.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     return "[" + ", ".join(_toml(v) for v in value) + "]"

@@ -186,9 +186,7 @@ def test_interrupt_saves_and_says_how_to_go_on(data, tmp_path, run, monkeypatch)
     command = err.split("to go on: napari-deltamic ")[1].split()
     code, out, err = run(*command)
     assert code == 0, err
-    report = json.loads((folder / "report.json").read_text())
-    assert report["iterations"] >= 4
-    assert report["first_iteration"] >= 2
+    assert json.loads((folder / "report.json").read_text())["iterations"] >= 4
 
 
 def test_interrupt_before_the_first_iteration(data, tmp_path, run, monkeypatch):

@@ -44,6 +44,8 @@ def check_image(image: np.ndarray | Tensor, grid: Grid) -> tuple[np.ndarray, np.
 
 def check_mesh(mesh: Mesh, grid: Grid) -> None:
     """InputError where a mesh lies wholly outside the image."""
+    if not mesh.areas().sum() > 0:
+        raise InputError("the mesh has no area")
     low, high = mesh.bounds()
     first, last = grid.extent
     if (np.asarray(high) < first).any() or (np.asarray(low) > last).any():

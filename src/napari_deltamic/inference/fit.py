@@ -11,14 +11,15 @@ import torch
 from torch import Tensor
 
 from ..errors import InputError
+from ..fourier.plan import check_accuracy
 from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..scene import Grid, render
-from ..settings import WIDE_LEVELS, FitSettings
+from ..settings import EFFECTS, WIDE_LEVELS, FitSettings
 from .checks import check_image, check_mesh
 from .density import DensityField
 from .health import GrowthAlarm
-from .level import Level
+from .level import FEWEST_VOXELS, Level
 from .likelihood import Match, match, noise_ratio, smoothing_for
 from .optimiser import AdamUniform
 from .preconditioner import Preconditioner, components
@@ -32,6 +33,7 @@ _COARSE_GAIN, _COARSE_STILL = 0.05, 0.04
 _STILL = 0.02  # the same at the last level
 _SETTLE = 2  # times the last level halves its step before it counts as converged
 _PSF_EVERY = 5
+_EXPLAINS_NOTHING = 0.97  # loss at the end from which on nothing was found
 _PSF_BELOW = 2.5  # blur, in widths of the PSF, from which on the PSF is fitted
 
 
@@ -79,11 +81,17 @@ def fit(
     settings = settings or FitSettings()
     if accuracy is not None:
         settings = settings.model_copy(update={"accuracy": float(accuracy)})
+    check_accuracy(settings.accuracy)
+    for name in effects:
+        if name not in EFFECTS:
+            raise InputError(f"unknown effect '{name}': choose from {', '.join(EFFECTS)}")
     pixels, known = check_image(image, grid)
     if counted is not None:
         if counted.shape != grid.shape:
             raise InputError(f"counted has shape {counted.shape}, the image {grid.shape}")
-        known = known & counted
+        known = known & (np.asarray(counted) != 0)
+    if known.sum() < FEWEST_VOXELS:
+        raise InputError(f"only {known.sum()} voxels count; a fit needs {FEWEST_VOXELS}")
     check_mesh(mesh, grid)
     settings = _completed(settings, pixels, known)
     run = _Run(pixels, known, grid, mesh, optics, settings, effects)
@@ -128,6 +136,9 @@ class _Run:
         self.halvings = 0
         self.losses: list[float] = []  # since the level or the present step began
         self.window_start = self.mesh.vertices_numpy()
+        self.level_optics = self.optics  # of the blur: a fit of the PSF leaves it alone
+        self.bounded = False  # whether the amplitude wanted to be negative
+        self.kept: dict[str, np.ndarray] = {}
 
     # --------------------------------------------------------------------------- iterations
 
@@ -135,11 +146,13 @@ class _Run:
         levels = self.levels
         first = self.level_number
         for number in range(first, len(levels)):
+            if number > first or self.iteration == 0:
+                self._enter(number)
             level = Level(
                 self.image,
                 self.counted,
                 self.grid,
-                self.optics,
+                self.level_optics,
                 self.settings,
                 self.effects,
                 levels[number],
@@ -148,24 +161,36 @@ class _Run:
             if not (level.usable or last):
                 continue
             smoother = Preconditioner(self.mesh, level.smoothing)
-            if number > first or self.iteration == 0:
-                self._enter(number)
             while True:
                 state = self._iterate(level, smoother)
                 finished = self._settled(level, last)
-                if finished and last:
-                    yield replace(state, converged=True, message="converged")
+                warning = "" if self.iteration % _WINDOW else self.growth.check(self.mesh)
+                over = self.iteration >= self.settings.max_iterations
+                if (finished and last) or over:
+                    yield self._verdict(state, finished and last, warning)
                     return
-                if self.iteration >= self.settings.max_iterations:
-                    message = f"stopped after {self.iteration} iterations, before it converged"
-                    yield replace(state, message=message)
-                    return
-                yield replace(state, message=self.growth.check(self.mesh) if finished else "")
+                yield replace(state, message=warning)
                 if finished:
                     break
 
+    def _verdict(self, state: FitState, finished: bool, warning: str) -> FitState:
+        """The last state, with what came of the fit in plain words."""
+        stuck = self.bounded or state.loss > _EXPLAINS_NOTHING
+        if finished and stuck:
+            message = (
+                f"stuck: {1 - min(state.loss, 1):.0%} of the measured image is explained; "
+                "do the seeds lie near bright membranes?"
+            )
+        elif finished:
+            message = "converged"
+        else:
+            message = f"stopped after {self.iteration} iterations, before it converged"
+        message += f"; {warning}" if warning else ""
+        return replace(state, converged=finished and not stuck, message=message)
+
     def _enter(self, number: int) -> None:
         self.level_number = number
+        self.level_optics = self.optics
         self.step_factor = 1.0
         self.halvings = 0
         self.losses = []
@@ -174,8 +199,10 @@ class _Run:
         self.density.restart()
 
     def _iterate(self, level: Level, smoother: Preconditioner) -> FitState:
-        kept = self._kept()
-        vertices = torch.from_numpy(self.mesh.vertices_numpy()).requires_grad_()
+        if level.renews:
+            self.kept = self._kept()
+        kept = self.kept
+        vertices = torch.tensor(self.mesh.vertices_numpy(), requires_grad=True)
         with_density = level.factor < self.levels[0] or len(self.levels) == 1
         density = self.density.faces(active=with_density)
         renderer = level.renderer(self.mesh, self.optics)
@@ -192,6 +219,8 @@ class _Run:
         moved = self.mesh.vertices_numpy() - size * step
         if with_density:
             self.density.step(smoother, self.step_factor)
+        moved.setflags(write=False)  # states share it
+        self.bounded = result.bounded
         loss = float(result.loss.detach())
         if not np.isfinite(loss) or not np.isfinite(moved).all():
             raise FloatingPointError("the fit met a number that is not finite")
@@ -266,6 +295,9 @@ class _Run:
             "vertices": self.mesh.vertices_numpy(),
             "faces": self.mesh.faces,
             "optics": self.optics.parameters().numpy(),
+            "level_optics": self.level_optics.parameters().numpy(),
+            "window_start": self.window_start,
+            "levels": np.array(self.levels),
             "iteration": np.array(self.iteration),
             "level": np.array(self.level_number),
             "step_factor": np.array(self.step_factor),
@@ -281,8 +313,17 @@ class _Run:
             kept["faces"], self.mesh.faces
         ):
             raise InputError("the checkpoint belongs to another mesh")
+        own = self._kept()
+        if (
+            set(kept) != set(own)
+            or any(kept[name].shape != own[name].shape for name in own if name != "losses")
+            or not np.array_equal(kept["levels"], own["levels"])
+        ):
+            raise InputError("the checkpoint belongs to a fit with other settings")
         self.mesh = self.mesh.with_vertices(kept["vertices"])
         self.optics = self.optics.with_parameters(torch.from_numpy(kept["optics"]))
+        self.level_optics = self.optics.with_parameters(torch.from_numpy(kept["level_optics"]))
+        self.window_start = kept["window_start"]
         self.iteration = int(kept["iteration"])
         self.level_number = int(kept["level"])
         self.step_factor = float(kept["step_factor"])

@@ -10,6 +10,7 @@ import torch
 from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
+from ..errors import InputError
 from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..scene import Grid, Renderer
@@ -18,7 +19,7 @@ from .likelihood import ImageNoise, solve_scale
 
 _REFRESH_EVERY = 10  # iterations between two looks at which voxels count
 _PLAN_EVERY = 20  # iterations: edges grow as the mesh moves
-_FEWEST_VOXELS = 64
+FEWEST_VOXELS = 64
 _COARSE_ACCURACY = 1e-2  # of all levels but the last: they only have to point the right way
 
 
@@ -82,7 +83,7 @@ class Level:
         self.volume_ratio = float(1 / np.prod(step))
         self.target, self._counted = self._blurred(image, counted, grid)
         # Where the blur is wider than the field of view, hardly a voxel is left to go by.
-        self.usable = int(self._counted.sum()) >= _FEWEST_VOXELS
+        self.usable = int(self._counted.sum()) >= FEWEST_VOXELS
         if self.usable:
             self.noise = ImageNoise(self.target[self._counted], settings.likelihood)
         self._renderer: Renderer | None = None
@@ -105,6 +106,11 @@ class Level:
             torch.from_numpy(np.ascontiguousarray(y[self._sample], dtype=np.float32)),
             torch.from_numpy(np.ascontiguousarray(inside[self._sample])),
         )
+
+    @property
+    def renews(self) -> bool:
+        """Whether plan and voxels are about to be made anew, so that a fit can be resumed here."""
+        return self._age % _PLAN_EVERY == 0
 
     # ------------------------------------------------------------------------------- rendering
 
@@ -141,17 +147,15 @@ class Level:
 
     # ---------------------------------------------------------------------------------- voxels
 
-    def voxels(self, rendered: Tensor, uniform: Tensor | None = None) -> Voxels:
+    def voxels(self, rendered: Tensor) -> Voxels:
         """The voxels that count: near the surface, known, weighted by the likelihood.
 
-        ``uniform`` is the image at uniform density where ``rendered`` is not; it says where the
-        surface is. Looked at anew every few iterations, as the surface moves.
+        Looked at anew every few iterations, as the surface moves.
         """
         self._age += 1
         if self._voxels is not None and self._age % _REFRESH_EVERY != 1:
             return self._voxels
-        where = rendered if uniform is None else uniform
-        inside = (where > self._image_at_reach()) & self._counted
+        inside = (rendered > self._image_at_reach()) & self._counted
         index = torch.nonzero((inside if bool(inside.any()) else self._counted).reshape(-1))[:, 0]
         measured, model = self.target.reshape(-1)[index], rendered.reshape(-1)[index]
         if self.noise.kind == "poisson":
@@ -159,6 +163,8 @@ class Level:
             weights = self.noise.weights(measured, a * model + b)
         else:
             weights = self.noise.weights(measured, None)
+        if not bool(measured.min() < measured.max()):
+            raise InputError("the image is flat wherever the mesh reaches: start nearer to it")
         self._voxels = Voxels(index, measured, weights)
         return self._voxels
 

@@ -83,6 +83,8 @@ def solve_scale(rendered: Tensor, measured: Tensor, weights: Tensor) -> tuple[fl
     it stays above a small positive bound.
     """
     w, m, y = (t.to(torch.float64) for t in (weights, rendered, measured))
+    if not bool(torch.dot(w, (m - m.mean()) ** 2) > 0):
+        return 0.0, float(torch.dot(w, y) / w.sum().clamp(min=1e-300)), True
     total = w.sum().clamp(min=1e-300)
     m, y = m - torch.dot(w, m) / total, y - torch.dot(w, y) / total
     wm = w * m
@@ -102,7 +104,10 @@ def match(rendered: Tensor, measured: Tensor, weights: Tensor) -> Match:
     held constant in the gradient.
     """
     a, b, bounded = solve_scale(rendered.detach(), measured, weights)
+    measured, weights = measured.to(rendered.dtype), weights.to(rendered.dtype)
     residual = a * rendered + (b - measured)
-    centred = measured - torch.dot(weights, measured) / weights.sum()
-    scale = torch.dot(weights, centred**2).clamp(min=1e-300)
+    total = weights.sum().clamp(min=1e-30)
+    centred = measured - torch.dot(weights, measured) / total
+    # Above the smallest number of single precision.
+    scale = torch.dot(weights, centred**2).clamp(min=1e-30)
     return Match(torch.dot(weights, residual**2) / scale, a, b, bounded)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import zipfile
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -74,10 +76,11 @@ def load_checkpoint(path: str | Path) -> dict[str, np.ndarray]:
         If the file is missing or no checkpoint.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            kept = {name: file[name] for name in file.files}
-    except (OSError, ValueError) as error:
+        # From memory: NumPy leaves a file that it cannot read open.
+        file = np.load(io.BytesIO(Path(path).read_bytes()), allow_pickle=False)
+        kept = {name: file[name] for name in file.files} if hasattr(file, "files") else {}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise InputError(f"cannot read checkpoint {path}: {error}") from None
-    if "vertices" not in kept or "level" not in kept:
+    if not {"vertices", "faces", "optics", "level"} <= set(kept):
         raise InputError(f"{path} is not a checkpoint of a fit")
     return kept

@@ -38,11 +38,13 @@ def counted_voxels(image: np.ndarray, grid: Grid, mesh: Mesh, optics: Optics) ->
     (Z, Y, X) bool.
     """
     known = np.isfinite(image)
+    if not known.any():
+        return known
     pixels = np.where(known, image, np.nanmedian(image)).astype(np.float32)
     pixels = gaussian_filter(pixels, 0.5)
     spacing = np.asarray(grid.voxel_size) / np.asarray(optics.sigma_um)
     surface = surface_voxels(mesh, grid)
-    if not surface.any():
+    if not (surface & known).any():
         return known
     own = distance_transform_edt(~surface, sampling=spacing)
     dark = np.percentile(pixels[known], 20)
@@ -60,7 +62,7 @@ def surface_voxels(mesh: Mesh, grid: Grid) -> np.ndarray:
     corners = mesh.vertices_numpy()[mesh.faces]
     size = np.asarray(grid.voxel_size)
     longest = np.abs((corners - np.roll(corners, 1, axis=1)) / size).max() if len(corners) else 0
-    n = int(np.clip(np.ceil(2 * longest), 1, 64))
+    n = max(1, int(np.ceil(1.5 * min(longest, 2 * max(grid.shape)))))
     i, j = (k.ravel() for k in np.mgrid[0 : n + 1, 0 : n + 1])
     inside = i + j <= n
     weights = np.stack([i, j, n - i - j], 1)[inside] / n

@@ -151,9 +151,7 @@ def render(
         If the accuracy is not in [0, 1), the density not one number per face, or the mesh so far
         from the grid that its units must be wrong.
     """
-    vertices = (
-        mesh.vertices if is_tensor(mesh.vertices) else torch.from_numpy(mesh.vertices_numpy())
-    )
+    vertices = mesh.vertices if is_tensor(mesh.vertices) else torch.tensor(mesh.vertices_numpy())
     renderer = Renderer(
         mesh, grid, optics, accuracy, pixel_integration=pixel_integration, method=method
     )

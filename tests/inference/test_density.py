@@ -1,0 +1,96 @@
+import numpy as np
+import pytest
+import torch
+from numpy.testing import assert_allclose
+from synthetic import CENTER, GRID, RADIUS, TRUTH, apart, fitted, measured, start
+
+from napari_deltamic import Grid, Mesh
+from napari_deltamic.geometry import sphere
+from napari_deltamic.inference.density import DensityField
+from napari_deltamic.inference.preconditioner import Preconditioner
+from napari_deltamic.settings import FitSettings
+
+
+def one_sided(mesh):
+    """(F,) a density that is three times as high on one side."""
+    middle = mesh.vertices_numpy()[mesh.faces].mean(1)
+    return 1 + 0.5 * (middle[:, 2] - CENTER[2]) / RADIUS
+
+
+def test_smooth_density_of_a_sphere_brighter_on_one_side():
+    image = measured(density=one_sided(TRUTH))
+    last = fitted(image, settings=FitSettings(density="smooth"))
+    assert last.converged
+    truth = one_sided(last.mesh)
+    assert np.corrcoef(last.density, truth)[0, 1] > 0.95
+    assert_allclose(np.average(last.density, weights=last.mesh.areas()), 1, rtol=0.02)
+    assert np.abs(last.density - truth / truth.mean()).mean() < 0.05
+    assert apart(last.mesh) < 0.05
+
+
+def test_density_of_each_interface():
+    grid = Grid((20, 24, 44), GRID.voxel_size)
+    centers = [(0.95, 1.15, 1.1), (0.95, 1.15, 3.2)]
+    truth = Mesh.merge([sphere(c, 0.6, subdivisions=4) for c in centers])
+    bright = (truth.regions == 2).any(1)
+    image = measured(grid, truth, density=np.where(bright, 3.0, 1.0))
+    mesh = Mesh.merge([sphere(c, 0.5, subdivisions=2) for c in centers])
+    last = fitted(image, mesh, grid, settings=FitSettings(density="interface"))
+    of_two = (mesh.regions == 2).any(1)
+    assert np.ptp(last.density[of_two]) == 0
+    assert_allclose(last.density[of_two][0] / last.density[~of_two][0], 3, rtol=0.05)
+
+
+def field(model, subdivisions=1):
+    mesh = start(subdivisions)
+    return mesh, DensityField(mesh, np.zeros(len(mesh.vertices), int), model)
+
+
+def test_a_uniform_density_costs_nothing():
+    mesh, density = field("uniform")
+    assert density.faces(active=True) is None
+    density.step(Preconditioner(mesh, 1), 1.0)
+    assert_allclose(density.faces_numpy(), np.ones(len(mesh.faces)))
+
+
+@pytest.mark.parametrize("model", ["smooth", "interface"])
+def test_nothing_is_rendered_before_the_density_is_active(model):
+    _, density = field(model)
+    assert density.faces(active=False) is None
+    faces = density.faces(active=True)
+    assert faces.requires_grad
+    assert_allclose(faces.detach(), 1)
+
+
+def descend(density, mesh, gradient, n=1):
+    for _ in range(n):
+        (density.faces(active=True) * gradient).sum().backward()
+        density.step(Preconditioner(mesh, 1), 1.0)
+
+
+def test_a_step_keeps_the_mean_and_stays_bounded():
+    mesh, density = field("smooth")
+    gradient = torch.from_numpy(one_sided(mesh) - 1)
+    descend(density, mesh, gradient)
+    assert_allclose(np.average(density.faces_numpy(), weights=mesh.areas()), 1, rtol=1e-6)
+    assert np.corrcoef(density.faces_numpy(), one_sided(mesh))[0, 1] < -0.9
+    descend(density, mesh, gradient, 100)
+    assert np.abs(density.log).max() <= 2
+
+
+def test_state_round_trip():
+    mesh, one = field("smooth")
+    _, other = field("smooth")
+    gradient = torch.from_numpy(one_sided(mesh) - 1)
+    descend(one, mesh, gradient, 3)
+    other.load(one.state())
+    descend(one, mesh, gradient)
+    descend(other, mesh, gradient)
+    assert_allclose(one.log, other.log, rtol=1e-12)
+
+
+@pytest.mark.parametrize("levels", [(1.0,), (1.2, 1.0)])
+def test_short_schedules_fit_the_density(levels):
+    settings = FitSettings(density="smooth", levels=levels, max_iterations=80)
+    last = fitted(measured(density=one_sided(TRUTH)), start(1), settings=settings)
+    assert np.ptp(last.density) > 0.3
