@@ -144,7 +144,8 @@ def test_render(data, tmp_path, run, fails):
         nd.GaussianPSF((0.36, 0.24, 0.24)),
         pixel_integration=True,
     )
-    assert np.array_equal(image, wanted.numpy())
+    # Not bit by bit: the non-uniform FFT adds in an order that depends on its threads.
+    assert np.allclose(image, wanted.numpy(), rtol=0, atol=1e-5 * float(wanted.max()))
     assert "--overwrite" in fails(*arguments)
     assert run(*arguments, "--overwrite")[0] == 0
 

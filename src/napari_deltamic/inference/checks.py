@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.ndimage import maximum_filter
 from torch import Tensor
 
 from ..errors import InputError
 from ..geometry.mesh import Mesh
 from ..scene import Grid
+from .likelihood import voxel_noise
 
 
 def check_image(image: np.ndarray | Tensor, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
@@ -52,3 +54,19 @@ def check_mesh(mesh: Mesh, grid: Grid) -> None:
         ranges = " ".join(f"{a:.3g}..{b:.3g}" for a, b in zip(low, high, strict=True))
         image = " ".join(f"{a:.3g}..{b:.3g}" for a, b in zip(first, last, strict=True))
         raise InputError(f"the mesh ({ranges} um, Z Y X) lies outside the image ({image} um)")
+
+
+def hot_voxels(pixels: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """(Z, Y, X) bool: voxels so far above all their neighbours that no PSF can have made them.
+
+    A PSF of 0.8 voxel or wider gives the neighbours of its brightest voxel almost half of what it
+    holds; a camera's hot pixel or a cosmic ray gives them nothing. One such voxel can pull a mesh.
+    """
+    if not known.any():
+        return np.zeros(pixels.shape, bool)
+    around = np.ones((3, 3, 3), bool)
+    around[1, 1, 1] = False
+    neighbours = maximum_filter(pixels, footprint=around, mode="nearest")
+    dark = float(np.median(pixels[known]))
+    noise = voxel_noise(pixels, known)
+    return known & (pixels - dark > 4 * np.maximum(neighbours - dark, 3 * noise))

@@ -16,7 +16,7 @@ from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..scene import Grid, render
 from ..settings import EFFECTS, WIDE_LEVELS, FitSettings
-from .checks import check_image, check_mesh
+from .checks import check_image, check_mesh, hot_voxels
 from .density import DensityField
 from .health import GrowthAlarm
 from .level import FEWEST_VOXELS, Level
@@ -90,6 +90,8 @@ def fit(
         if counted.shape != grid.shape:
             raise InputError(f"counted has shape {counted.shape}, the image {grid.shape}")
         known = known & (np.asarray(counted) != 0)
+    hot = hot_voxels(pixels, known)
+    known = known & ~hot
     if known.sum() < FEWEST_VOXELS:
         raise InputError(f"only {known.sum()} voxels count; a fit needs {FEWEST_VOXELS}")
     check_mesh(mesh, grid)
@@ -97,6 +99,8 @@ def fit(
     run = _Run(pixels, known, grid, mesh, optics, settings, effects)
     if resume is not None:
         run.load(load_checkpoint(resume))
+    if hot.any():
+        run.remark = f"{hot.sum()} hot voxels, brighter than any PSF can make one, are left out"
     return run.states()
 
 
@@ -138,6 +142,7 @@ class _Run:
         self.window_start = self.mesh.vertices_numpy()
         self.level_optics = self.optics  # of the blur: a fit of the PSF leaves it alone
         self.bounded = False  # whether the amplitude wanted to be negative
+        self.remark = ""  # for the first state
         self.kept: dict[str, np.ndarray] = {}
 
     # --------------------------------------------------------------------------- iterations
@@ -169,7 +174,8 @@ class _Run:
                 if (finished and last) or over:
                     yield self._verdict(state, finished and last, warning)
                     return
-                yield replace(state, message=warning)
+                yield replace(state, message="; ".join(filter(None, (self.remark, warning))))
+                self.remark = ""
                 if finished:
                     break
 

@@ -52,19 +52,23 @@ class ImageNoise:
         return self.floor / ((reference - self.dark).clamp(min=0) + self.floor)
 
 
-def noise_ratio(image: np.ndarray, known: np.ndarray) -> float:
-    """Standard deviation of the voxel noise relative to the range of the image.
+def voxel_noise(image: np.ndarray, known: np.ndarray) -> float:
+    """Standard deviation of the noise of single voxels.
 
     From what is left of neighbours along the last axis when their mean is taken away, by the median
     absolute deviation, so that structures do not count.
     """
     left = image[..., 1:-1] - (image[..., :-2] + image[..., 2:]) / 2
     left = left[known[..., 1:-1] & known[..., :-2] & known[..., 2:]]
-    if left.size == 0:
+    return 1.4826 * float(np.median(np.abs(left))) / sqrt(1.5) if left.size else 0.0
+
+
+def noise_ratio(image: np.ndarray, known: np.ndarray) -> float:
+    """Noise of single voxels relative to the range of the image; 0 where nothing is known."""
+    if not known.any():
         return 0.0
-    deviation = 1.4826 * float(np.median(np.abs(left))) / sqrt(1.5)
     low, high = np.percentile(image[known][:: max(1, image.size // 500_000)], (1, 99.9))
-    return deviation / float(high - low) if high > low else 0.0
+    return voxel_noise(image, known) / float(high - low) if high > low else 0.0
 
 
 def smoothing_for(noise: float) -> float:

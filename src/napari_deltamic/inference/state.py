@@ -79,8 +79,10 @@ def load_checkpoint(path: str | Path) -> dict[str, np.ndarray]:
         # From memory: NumPy leaves a file that it cannot read open.
         file = np.load(io.BytesIO(Path(path).read_bytes()), allow_pickle=False)
         kept = {name: file[name] for name in file.files} if hasattr(file, "files") else {}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except OSError as error:
         raise InputError(f"cannot read checkpoint {path}: {error}") from None
+    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error):
+        raise InputError(f"{path} is not a checkpoint, or a damaged one") from None
     if not {"vertices", "faces", "optics", "level"} <= set(kept):
         raise InputError(f"{path} is not a checkpoint of a fit")
     return kept

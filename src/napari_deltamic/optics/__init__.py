@@ -28,7 +28,7 @@ class Optics(Protocol):
         """Optical transfer function at wavevector components that broadcast over a box (rad/um)."""
 
     def parameters(self) -> Tensor:
-        """Free numbers, unbounded."""
+        """Free numbers, unbounded; the first three are log widths along Z, Y, X."""
 
     def with_parameters(self, parameters: Tensor) -> "Optics":
         """The same model with other values of :meth:`parameters`."""

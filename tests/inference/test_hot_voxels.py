@@ -1,0 +1,24 @@
+import pytest
+from synthetic import GRID, OPTICS, VOXEL, measured, start
+
+from napari_deltamic import fit
+from napari_deltamic.measure import surface_distance
+
+
+@pytest.fixture(scope="module")
+def image():
+    return measured()
+
+
+@pytest.mark.parametrize("value", [200.0, 65535.0])
+def test_a_hot_voxel_is_left_out_and_told(image, value):
+    spoilt = image.copy()
+    spoilt[2, 3, 4] = spoilt[12, 15, 20] = value * image.max()
+    states = list(fit(spoilt, GRID, start(1), OPTICS))
+    assert "2 hot voxels" in states[0].message
+    clean = list(fit(image, GRID, start(1), OPTICS))[-1]
+    assert surface_distance(states[-1].mesh, clean.mesh).mean < 0.02 * VOXEL
+
+
+def test_noise_and_membranes_are_not_hot(image):
+    assert "hot" not in next(fit(image, GRID, start(1), OPTICS)).message
