@@ -52,8 +52,8 @@ def has_display() -> bool:
 
 
 def start_mesh(sample: Sample) -> Mesh:
-    """Where the demonstration starts: a sphere for each cell, with edges of four voxels."""
-    edge = 4 * min(sample.grid.voxel_size)
+    """Where the demonstration starts: a sphere for each cell, with edges of 2.5 voxels."""
+    edge = 2.5 * min(sample.grid.voxel_size)
     return Mesh.merge([sphere(center, START_RADIUS, edge_length=edge) for center in sample.centers])
 
 

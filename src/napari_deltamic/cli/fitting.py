@@ -17,9 +17,10 @@ from tqdm import tqdm
 from ..errors import InputError
 from ..geometry.files import write_atomically
 from ..inference import FitState, fit
+from ..job import FitInput
 from ..report import History, make_folder, write_results
 from ..settings import EFFECTS, DensityModel, FitSettings, Likelihood
-from .inputs import FitInput, gather
+from .inputs import gather
 from .messages import PROGRAM, Notes, failure
 
 CHECKPOINT = "checkpoint.npz"

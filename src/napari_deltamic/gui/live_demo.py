@@ -1,0 +1,48 @@
+"""The demonstration in a window: the widget fits a sample, through the same worker and link."""
+
+from __future__ import annotations
+
+import napari
+
+from .._sample_data import Sample
+from .._widget import FitWidget
+from ..geometry import Mesh
+from ..settings import RunSettings
+from .colours import LIMITS, region_colormap, vertex_values
+
+
+def show(sample: Sample, start: Mesh, settings: RunSettings) -> None:
+    """Open napari, start the fit, and return when the window is closed."""
+    viewer = napari.Viewer(title="napari-deltamic")
+    open_demo(viewer, sample, start, settings)
+    napari.run()
+
+
+def open_demo(
+    viewer: napari.Viewer, sample: Sample, start: Mesh, settings: RunSettings
+) -> FitWidget:
+    """Put the sample and the widget in a viewer, and start."""
+    units = ("um",) * 3
+    image = viewer.add_image(
+        sample.image, name=sample.name, scale=sample.grid.voxel_size, units=units
+    )
+    image.contrast_limits = (float(sample.image.min()), float(sample.image.max()))
+    widget = FitWidget(viewer)
+    viewer.window.add_dock_widget(widget, name="deltaMic")
+    seeds = viewer.add_surface(
+        (start.vertices_numpy(), start.faces, vertex_values(start)),
+        name="start",
+        colormap=region_colormap(),
+        contrast_limits=LIMITS,
+        units=units,
+        visible=False,
+    )
+    widget.seeds.chooser.choose(seeds)
+    assert settings.scene.sigma is not None
+    widget.settings.show_sigma(settings.scene.sigma)
+    widget.settings.show_settings(settings.fit)
+    viewer.dims.ndisplay = 3
+    viewer.reset_view()
+    getattr(viewer, "scene", viewer).camera.angles = (15, 25, 65)
+    widget.start()
+    return widget

@@ -1,0 +1,9 @@
+"""What the bindings' type stubs do not agree on."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from qtpy import QtCore
+
+Signal: Any = QtCore.Signal  # type: ignore[attr-defined]

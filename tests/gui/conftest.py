@@ -1,0 +1,154 @@
+"""A viewer without a display, and a small image to fit."""
+
+import gc
+import importlib
+import os
+import time
+import warnings
+
+import numpy as np
+import pytest
+
+# Set before Qt is loaded; the tests of real windows ask for a display of their own.
+if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+    os.environ["QT_QPA_PLATFORM"] = "offscreen"
+
+with warnings.catch_warnings():
+    # What napari's own dependencies deprecate is not for us to mend.
+    warnings.simplefilter("ignore")
+    pytest.importorskip("napari")
+    pytest.importorskip("qtpy")
+    import napari
+    import napari.components
+    import napari.layers
+    import napari.qt
+    import napari.utils.notifications
+    import napari.viewer
+    from qtpy.QtWidgets import QApplication
+
+    from napari_deltamic import _widget
+
+import napari_deltamic as nd
+from napari_deltamic.geometry import sphere
+
+SIZE = (0.3, 0.2, 0.2)
+SHAPE = (20, 24, 24)
+CENTER = (2.9, 2.3, 2.3)
+
+
+@pytest.fixture(scope="session")
+def app():
+    """The Qt application."""
+    return QApplication.instance() or QApplication([])
+
+
+@pytest.fixture(scope="session")
+def pixels():
+    """A noisy image of one cell."""
+    grid = nd.Grid(SHAPE, SIZE)
+    truth = sphere(CENTER, (1.2, 1.1, 1.1), edge_length=0.3)
+    image = nd.render(truth, grid, nd.GaussianPSF((0.36, 0.24, 0.24))).numpy()
+    return np.random.default_rng(0).poisson(100 + 400 * image / image.max()).astype(np.float32)
+
+
+@pytest.fixture
+def viewer(app):
+    """A viewer's model: no window, no canvas."""
+    return napari.components.ViewerModel()
+
+
+@pytest.fixture
+def with_image(viewer, pixels):
+    """The viewer with the image, at a place of its own."""
+    viewer.add_image(pixels, scale=SIZE, translate=(1, 2, 3), units=("um",) * 3, name="cell")
+    return viewer
+
+
+@pytest.fixture
+def spin(app):
+    """Let events happen until something is true."""
+
+    def spin(until=lambda: False, seconds=20.0, *, must=True):
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            app.processEvents()
+            if until():
+                return
+            time.sleep(0.002)
+        assert not must, "it did not happen in time"
+
+    return spin
+
+
+@pytest.fixture
+def make_widget(app, with_image, spin):
+    """Widgets for the viewer with the image; whatever they run ends with the test."""
+    made = []
+
+    def make():
+        widget = _widget.FitWidget(with_image)
+        made.append(widget)
+        return widget
+
+    yield make
+    for widget in made:
+        widget.close_links()
+    made.clear()
+    spin(seconds=0.05, must=False)
+    gc.collect()
+
+
+@pytest.fixture
+def seeded(make_widget, with_image):
+    """A widget with a seed placed in the cell as a small sphere."""
+    widget = make_widget()
+    widget.seeds.place.click()
+    with_image.layers["seeds"].add(CENTER)
+    widget.seeds.shape.setCurrentText("sphere around each point")
+    widget.seeds.radius.setValue(0.9)
+    return widget
+
+
+@pytest.fixture
+def told(monkeypatch):
+    """What the widget tells the user in notifications."""
+    texts = []
+    for name in ("show_info", "show_warning"):
+        monkeypatch.setattr(_widget, name, texts.append)
+    return texts
+
+
+@pytest.fixture
+def window(app, monkeypatch):
+    """A real viewer, shown, where there is a display; without one only its canvas is missing."""
+    if os.environ.get("QT_QPA_PLATFORM") == "offscreen":
+        _without_gl(monkeypatch)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        viewer = napari.Viewer(show=os.environ.get("QT_QPA_PLATFORM") != "offscreen")
+    yield viewer
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        _close(viewer)
+    app.processEvents()
+
+
+def _close(viewer):
+    try:
+        viewer.close()
+    except RuntimeError:  # closed by the test
+        return
+
+
+def _without_gl(monkeypatch):
+    """Image layers ask GL for its limits, which crashes without a display. Private names."""
+    for module, name, value in (
+        ("napari._vispy.layers.image", "get_gl_extensions", ""),
+        ("napari._vispy.canvas", "get_max_texture_sizes", (2048, 2048)),
+        ("napari._vispy.layers.base", "get_max_texture_sizes", (2048, 2048)),
+        ("napari._vispy.layers.image", "get_max_texture_sizes", (2048, 2048)),
+        ("napari._vispy.layers.labels", "get_max_texture_sizes", (2048, 2048)),
+    ):
+        found = importlib.import_module(module)
+        if hasattr(found, name):
+            monkeypatch.setattr(found, name, lambda value=value: value)

@@ -1,0 +1,287 @@
+"""A fit in the widget: from the clicks to the result, and everything that may go wrong."""
+
+import gc
+import shlex
+import weakref
+
+import numpy as np
+import pytest
+
+from napari_deltamic import load_mesh
+from napari_deltamic.cli import build_parser
+from napari_deltamic.cli.inputs import gather
+from napari_deltamic.cli.messages import Notes
+from napari_deltamic.errors import InputError
+from napari_deltamic.gui import worker
+from napari_deltamic.gui.command import command, with_files
+from napari_deltamic.inference import fit
+from napari_deltamic.measure import measure_cells
+
+from .conftest import CENTER, SIZE
+
+VOLUME = 4 / 3 * np.pi * 1.2 * 1.1 * 1.1
+
+
+def running(widget):
+    return widget.run is not None and widget.run.running
+
+
+def some_iterations(widget, n=5):
+    return lambda: len(widget.run.history.loss) >= n
+
+
+@pytest.fixture
+def endless(monkeypatch):
+    """Fits that go on until they are stopped."""
+
+    def states(job, resume=None):
+        while True:
+            yield from fit(job.image, job.grid, job.mesh, job.optics, settings=job.settings.fit)
+
+    monkeypatch.setattr(worker, "start", states)
+
+
+def test_three_clicks_give_a_mesh(make_widget, with_image, spin):
+    widget = make_widget()
+    assert widget.image.layer is with_image.layers["cell"]  # the only one
+    widget.seeds.place.click()
+    seeds = with_image.layers["seeds"]
+    assert str(seeds.mode) == "add"
+    seeds.add(CENTER)
+    widget.running.run_button.click()
+    spin(lambda: not running(widget))
+    assert widget.running.verdict.text().startswith("converged")
+    surface = with_image.layers["cell cells"]
+    assert tuple(surface.translate) == (1, 2, 3)
+    row = measure_cells(widget.link.mesh)[0]
+    assert row["volume_um3"] == pytest.approx(VOLUME, rel=0.1)
+    shown = np.asarray(surface.data[0]) * surface.scale + surface.translate
+    assert shown.mean(axis=0) == pytest.approx(np.add(CENTER, (1, 2, 3)), abs=0.1)
+    assert widget.results.table.rowCount() == 1
+    assert widget.results.isEnabled()
+    assert str(seeds.mode) == "pan_zoom"
+
+
+def test_the_result_is_saved(seeded, spin, tmp_path):
+    seeded.start()
+    spin(lambda: not running(seeded))
+    results = seeded.results
+    for name in ("mesh.ply", "mesh.obj", "mesh.rec", "mesh.stl"):
+        results.save_meshes(str(tmp_path / name))
+        assert load_mesh(tmp_path / name).vertices_numpy().mean(axis=0) == pytest.approx(
+            CENTER, abs=0.1
+        )
+    results.save_table(str(tmp_path / "table.csv"))
+    assert (tmp_path / "table.csv").read_text().startswith("region,volume_um3")
+    results.save_image(str(tmp_path / "rendered.ome.tif"))
+    results.save_all(str(tmp_path / "all"))
+    assert (tmp_path / "all" / "report.json").exists()
+
+
+def test_a_disk_that_cannot_be_written_is_told_in_words(seeded, spin, tmp_path, told):
+    seeded.start()
+    spin(lambda: not running(seeded))
+    path = tmp_path / "no folder" / "mesh.ply"
+    seeded.guarded(lambda: seeded.results.save_meshes(str(path)))
+    assert "cannot be written" in told[-1]
+    assert seeded.results.isEnabled()
+
+
+def test_pause_holds_the_fit_and_stop_keeps_what_it_reached(seeded, spin, endless):
+    seeded.start()
+    spin(some_iterations(seeded))
+    seeded.running.pause_button.click()
+    spin(seconds=0.3, must=False)
+    n = len(seeded.run.history.loss)
+    spin(seconds=0.2, must=False)
+    assert len(seeded.run.history.loss) == n
+    seeded.running.pause_button.click()
+    spin(some_iterations(seeded, n + 2))
+    seeded.running.stop_button.click()
+    spin(lambda: not running(seeded))
+    assert seeded.running.verdict.text().startswith("stopped")
+    assert seeded.results.table.rowCount() == 1
+    assert seeded.running.run_button.isEnabled()
+
+
+def test_a_paused_fit_can_be_stopped(seeded, spin, endless):
+    seeded.start()
+    spin(some_iterations(seeded))
+    seeded.running.pause_button.click()
+    spin(seconds=0.1, must=False)
+    seeded.running.stop_button.click()
+    spin(lambda: not running(seeded))
+    assert not seeded.running.pause_button.isChecked()
+
+
+def test_a_second_start_is_refused_while_a_fit_runs(seeded, spin, endless, told):
+    seeded.start()
+    first = seeded.run
+    seeded.start()
+    assert seeded.run is first
+    assert "running already" in told[-1]
+    assert not seeded.running.run_button.isEnabled()
+
+
+def test_a_second_run_uses_the_same_layers(seeded, with_image, spin):
+    for _ in range(2):
+        seeded.start()
+        spin(lambda: not running(seeded))
+    assert [layer.name for layer in with_image.layers] == [
+        "cell",
+        "seeds",
+        "cell cells",
+        "cell contours",
+    ]
+
+
+@pytest.mark.parametrize("name", ["cell", "cell cells"])
+def test_removing_a_layer_that_the_fit_needs_ends_it(seeded, with_image, spin, endless, told, name):
+    seeded.start()
+    spin(lambda: "cell cells" in with_image.layers)
+    del with_image.layers[name]
+    spin(lambda: not running(seeded))
+    assert "removed" in told[-1]
+    assert seeded.results.isEnabled()
+
+
+@pytest.mark.parametrize("name", ["cell contours", "seeds", "cell rendered", "cell residual"])
+def test_other_layers_can_be_removed_while_it_runs(seeded, with_image, spin, endless, name):
+    seeded.running.rendered.setChecked(True)
+    seeded.running.residual.setChecked(True)
+    seeded.start()
+    spin(lambda: name in with_image.layers)
+    del with_image.layers[name]
+    n = len(seeded.run.history.loss)
+    spin(some_iterations(seeded, n + 30))
+    assert running(seeded)
+    assert name not in with_image.layers
+    with_image.dims.set_point(0, 4.0)
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (FloatingPointError("the fit met a number that is not finite"), "not finite"),
+        (RuntimeError("something of torch"), "something of torch"),
+        (MemoryError(), "not enough memory"),
+        (InputError("the mesh lies outside"), "the mesh lies outside"),
+    ],
+)
+def test_an_error_of_the_engine_is_told_in_words(seeded, spin, monkeypatch, told, error, words):
+    def states(job, resume=None):
+        for n, state in enumerate(
+            fit(job.image, job.grid, job.mesh, job.optics, settings=job.settings.fit)
+        ):
+            if n == 4:
+                raise error
+            yield state
+
+    monkeypatch.setattr(worker, "start", states)
+    seeded.start()
+    spin(lambda: not running(seeded))
+    assert words in told[-1]
+    assert "Traceback" not in told[-1]
+    assert seeded.results.isEnabled(), "the last good state is kept"
+    assert seeded.running.run_button.isEnabled()
+
+
+def test_an_error_before_the_first_iteration(seeded, with_image, spin, told):
+    with_image.layers["seeds"].data = [[50, 50, 50]]
+    seeded.seeds.shape.setCurrentIndex(0)
+    seeded.start()
+    spin(lambda: not running(seeded))
+    assert "outside the image" in told[-1]
+    assert not seeded.results.isEnabled()
+
+
+def test_what_is_missing_is_said(make_widget, with_image, told):
+    widget = make_widget()
+    widget.start()
+    assert "seeds" in told[-1]
+    del with_image.layers["cell"]
+    widget.start()
+    assert "image" in told[-1]
+    assert widget.run is None
+
+
+def test_closing_the_widget_ends_the_fit(seeded, with_image, spin, endless):
+    seeded.start()
+    spin(some_iterations(seeded))
+    run = seeded.run
+    seeded.close_links()
+    spin(seconds=0.3, must=False)
+    n = len(run.history.loss)
+    spin(seconds=0.2, must=False)
+    assert len(run.history.loss) == n
+    assert not run.running
+    with_image.dims.set_point(0, 4.0)  # nothing listens any more
+    del with_image.layers["cell cells"]
+
+
+def test_closing_releases_widget_run_and_link(seeded, make_widget, spin, endless):
+    seeded.start()
+    spin(lambda: seeded.link.mesh is not None)
+    refs = [weakref.ref(seeded.run), weakref.ref(seeded.link)]
+    seeded.close_links()
+    spin(seconds=0.3, must=False)
+    gc.collect()
+    assert [ref() for ref in refs] == [None, None]
+
+
+def test_updates_do_not_queue_up(seeded, spin, endless):
+    """A slow viewer gets fewer states, and none while it still draws the one before."""
+    counts, busy = [], []
+    show = seeded._show
+
+    def slow(snapshot):
+        assert not busy
+        busy.append(True)
+        spin(seconds=0.05, must=False)
+        counts.append(snapshot.state.iteration)
+        show(snapshot)
+        busy.clear()
+
+    seeded._show = slow
+    seeded.start()
+    spin(lambda: len(counts) > 5)
+    assert len(counts) < len(seeded.run.history.loss) / 2
+
+
+def test_the_command_repeats_the_run(seeded, with_image, tmp_path):
+    """The widget and the command line make the same settings of the same run."""
+    frame = seeded.image.frame()
+    seeds = seeded.seeds.seeds(frame)
+    seeded.settings.accuracy.setCurrentText("3e-3")
+    seeded.settings.density.setCurrentText("smooth")
+    seeded.settings.fit_psf.setChecked(True)
+    seeded.settings.sigma.set_value((0.4, 0.25, 0.25))
+    pixels = seeded.image.stack()
+    grid = frame.grid(pixels.shape)
+    settings = with_files(seeded.run_settings(seeds), pixels, grid, seeds, tmp_path)
+    words = shlex.split(command(settings, str(tmp_path / "result")))
+    assert words[:2] == ["napari-deltamic", "fit"]
+    job = gather(build_parser().parse_args(words[1:]), Notes())
+    assert job.settings == settings
+    assert job.grid == grid
+    np.testing.assert_array_equal(job.image, pixels)
+    start = seeds.mesh(pixels, grid)
+    np.testing.assert_allclose(job.mesh.vertices_numpy(), start.vertices_numpy(), atol=1e-5)
+
+
+def test_the_voxel_size_is_the_scale_of_the_layer(make_widget, with_image):
+    widget = make_widget()
+    assert widget.image.voxel_size.value() == SIZE
+    with_image.layers["cell"].scale = (0.5, 0.2, 0.2)
+    assert widget.image.voxel_size.value() == (0.5, 0.2, 0.2)
+    widget.image.voxel_size._boxes[0].setValue(0.4)
+    assert tuple(with_image.layers["cell"].scale) == (0.4, 0.2, 0.2)
+    assert widget.run_settings(_no_seeds()).scene.voxel_size == (0.4, 0.2, 0.2)
+    assert widget.settings.sigma.value() == pytest.approx((0.48, 0.24, 0.24))
+
+
+def _no_seeds():
+    class Nothing:
+        path = ""
+
+    return Nothing()

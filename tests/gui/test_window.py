@@ -1,0 +1,142 @@
+"""The widget in a viewer: docked, closed, and handled at random."""
+
+import gc
+import os
+import random
+import warnings
+import weakref
+
+import numpy as np
+import pytest
+from qtpy.QtWidgets import QPushButton
+
+from napari_deltamic import _widget
+from napari_deltamic.gui import worker
+from napari_deltamic.inference import fit
+
+from .conftest import CENTER, SIZE
+
+DISPLAY = os.environ.get("QT_QPA_PLATFORM") != "offscreen"
+
+
+@pytest.fixture
+def endless(monkeypatch):
+    def states(job, resume=None):
+        while True:
+            yield from fit(job.image, job.grid, job.mesh, job.optics, settings=job.settings.fit)
+
+    monkeypatch.setattr(worker, "start", states)
+
+
+def dock(viewer, pixels):
+    """A widget in a dock, with an image and a seed."""
+    viewer.add_image(pixels, scale=SIZE, name="cell")
+    widget = _widget.FitWidget(viewer)
+    viewer.window.add_dock_widget(widget, name="deltaMic")
+    widget.seeds.place.click()
+    viewer.layers["seeds"].add(CENTER)
+    return widget
+
+
+@pytest.fixture
+def docked(window, pixels):
+    """The same, for tests that need not see it go."""
+    return dock(window, pixels)
+
+
+def test_closing_the_dock_ends_and_releases_everything(window, pixels, spin, endless):
+    widget = dock(window, pixels)
+    widget.start()
+    run = widget.run
+    spin(lambda history=run.history: len(history.loss) > 5)
+    refs = [weakref.ref(x) for x in (widget, run, widget.link, widget.image, widget.seeds)]
+    window.window.remove_dock_widget(widget)
+    assert not run.running
+    del widget, run
+    spin(seconds=0.4, must=False)
+    gc.collect()
+    assert [ref() for ref in refs] == [None] * 5
+
+
+def test_closing_the_viewer_ends_the_fit(window, docked, spin, endless):
+    docked.start()
+    spin(lambda: len(docked.run.history.loss) > 5)
+    run = docked.run
+    window.close()
+    spin(lambda: not run.running)
+    n = len(run.history.loss)
+    spin(seconds=0.3, must=False)
+    assert len(run.history.loss) <= n + 1
+
+
+def test_napari_opens_the_widget_of_the_manifest(window):
+    import npe2
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        npe2.PluginManager.instance().discover()
+        _, widget = window.window.add_plugin_dock_widget("napari-deltamic")
+    assert isinstance(widget, _widget.FitWidget)
+
+
+def test_random_handling_raises_nothing(window, docked, spin, told, monkeypatch):
+    """A few hundred actions in any order."""
+    monkeypatch.setattr(_widget.QFileDialog, "getExistingDirectory", lambda *a, **k: "")
+    rng = random.Random(0)
+    run, seeds, image = docked.running, docked.seeds, docked.image
+
+    def drop():
+        # With a real canvas, napari 0.9.2 itself crashes (in GL) when Image or Surface layers are
+        # removed between changes of the view, also without this plugin.
+        safe = ("Points", "Vectors") if DISPLAY else ("Points", "Vectors", "Image", "Surface")
+        names = [
+            layer.name
+            for layer in window.layers
+            if layer.name != "cell" and type(layer).__name__ in safe
+        ]
+        if names:
+            del window.layers[rng.choice(names)]
+
+    actions = [
+        docked.start,
+        docked.stop,
+        run.pause_button.click,
+        run.command_button.click,
+        lambda: run.rendered.setChecked(rng.random() < 0.5),
+        lambda: run.residual.setChecked(rng.random() < 0.5),
+        lambda: seeds.shape.setCurrentIndex(rng.randrange(2)),
+        lambda: seeds.radius.setValue(rng.uniform(0.5, 2)),
+        seeds.place.click,
+        lambda: seeds.chooser.setCurrentIndex(rng.randrange(-1, 3)),
+        lambda: [layer.add(CENTER) for layer in window.layers if layer.name == "seeds"],
+        lambda: image.voxel_size._boxes[0].setValue(rng.uniform(0.2, 0.4)),
+        lambda: docked.settings.accuracy.setCurrentText(rng.choice(["1e-2", "x", "0"])),
+        lambda: window.dims.set_point(0, rng.uniform(0, 5)),
+        lambda: setattr(window.dims, "ndisplay", rng.choice([2, 3])),
+        lambda: setattr(window.dims, "order", rng.sample(range(3), 3)),
+        lambda: docked.results.table.selectRow(0),
+        lambda: spin(seconds=0.1, must=False),
+        drop,
+    ]
+    for _ in range(300):
+        rng.choice(actions)()
+        spin(seconds=0.005, must=False)
+    docked.stop()
+    spin(lambda: docked.run is None or not docked.run.running)
+
+
+@pytest.mark.skipif(not DISPLAY, reason="needs a display (DISPLAY is not set)")
+def test_a_real_window_shows_contours_and_surfaces(window, docked, spin, tmp_path):
+    docked.start()
+    spin(lambda: not docked.run.running)
+    window.dims.set_point(0, CENTER[0])
+    spin(seconds=0.3, must=False)
+    flat = window.screenshot(canvas_only=True, flash=False)
+    window.dims.ndisplay = 3
+    spin(seconds=0.3, must=False)
+    solid = window.screenshot(canvas_only=True, flash=False)
+    for picture in (flat, solid):  # orange is only on the mesh
+        orange = (picture[..., 0] > 120) & (picture[..., 2] < 0.3 * picture[..., 0])
+        assert orange.sum() > 100
+    assert docked.findChild(QPushButton).isVisible()
+    assert np.ptp(solid) > 0

@@ -1,0 +1,62 @@
+"""The manifest is valid, and everything that it names does what it says."""
+
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import pytest
+
+import napari_deltamic
+
+MANIFEST = Path(napari_deltamic.__file__).with_name("napari.yaml")
+npe2 = pytest.importorskip("npe2")
+
+
+@pytest.fixture(scope="module")
+def manifest():
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return npe2.PluginManifest.from_file(MANIFEST)
+
+
+def test_npe2_validates_the_manifest():
+    command = "import sys; from npe2.cli import main; sys.exit(main())"
+    done = subprocess.run(
+        [sys.executable, "-c", command, "validate", str(MANIFEST)], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "valid" in done.stdout
+
+
+def test_the_installed_package_brings_the_manifest():
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = npe2.PluginManifest.from_distribution("napari-deltamic")
+    assert found.contributions.widgets
+
+
+def test_every_command_can_be_imported(manifest):
+    pytest.importorskip("napari")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for command in manifest.contributions.commands:
+            assert callable(npe2.manifest.utils.import_python_name(command.python_name))
+
+
+def test_every_contribution_has_its_command(manifest):
+    contributions = manifest.contributions
+    known = {command.id for command in contributions.commands}
+    used = {
+        item.command
+        for kind in ("readers", "writers", "sample_data", "widgets")
+        for item in getattr(contributions, kind)
+    }
+    assert used == known
+
+
+def test_the_root_of_the_repository_shows_the_same_manifest():
+    link = Path(__file__).parents[1] / "napari.yaml"
+    if not link.exists():
+        pytest.skip("not in a source tree")
+    assert link.read_text() == MANIFEST.read_text()
