@@ -7,7 +7,7 @@ image is real, so half of them suffice.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from math import exp, floor, log, pi, sqrt
 
 import numpy as np
@@ -173,6 +173,7 @@ def band_error(threshold: float, area: float, thin: bool) -> float:
     return sqrt(integral(reach) / integral(0.0))
 
 
+@cache
 def threshold_for(error: float, area: float, thin: bool) -> float:
     """The threshold whose :func:`band_error` is ``error``."""
     from scipy.optimize import brentq
