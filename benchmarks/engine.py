@@ -98,7 +98,7 @@ def _compared(figure: str, a: Tensor, b: Tensor, asked: bool) -> list[Row]:
     if asked:
         return [
             at_most(f"{figure}, relative", 1e-5, relative, "relative"),
-            at_least(f"{figure}, cosine", 0.9999, cosine, ""),
+            at_least(f"{figure}, cosine", 0.999995, cosine, ""),
         ]
     return [
         Row(f"{figure}, relative", "", relative, "relative", None),
