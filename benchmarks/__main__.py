@@ -89,8 +89,9 @@ def as_table(rows: list[Row]) -> str:
 
 INTRODUCTION = """# Benchmarks
 
-Written by `make benchmark` (`python -m benchmarks --markdown docs/benchmarks.md`). Times are
-medians on a machine that others use too; ratios are measured in one run. Two remarks on reading the table:
+Written by `make benchmark`, that is `python -m benchmarks --markdown docs/benchmarks.md`. Times
+are medians on a machine that others use too; ratios are measured in one run. Two remarks on
+reading the table:
 
 - *Closed form over paper's scheme.* The comparator is a vectorised torch version of the paper's
   equations at its best chunk size. It is several times faster than what was measured when the bar
