@@ -3,6 +3,7 @@
 import gc
 import shlex
 import weakref
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -184,6 +185,17 @@ def test_an_error_of_the_engine_is_told_in_words(seeded, spin, monkeypatch, told
     assert "Traceback" not in told[-1]
     assert seeded.results.isEnabled(), "the last good state is kept"
     assert seeded.running.run_button.isEnabled()
+
+
+def test_a_remark_on_the_way_is_part_of_the_verdict(seeded, spin, monkeypatch):
+    def states(job, resume=None):
+        for state in fit(job.image, job.grid, job.mesh, job.optics, settings=job.settings.fit):
+            yield replace(state, message="it leaks") if state.iteration == 3 else state
+
+    monkeypatch.setattr(worker, "start", states)
+    seeded.running.run_button.click()
+    spin(lambda: not running(seeded))
+    assert "converged; it leaks" in seeded.running.verdict.text() + seeded.running.message.text()
 
 
 def test_an_error_before_the_first_iteration(seeded, with_image, spin, told):

@@ -70,6 +70,7 @@ class _Course:
     history: History = field(default_factory=History)
     seconds: float = 0.0
     stage: str = "starting"
+    messages: list[str] = field(default_factory=list)
 
     def drawn(self, began: float) -> None:
         """The viewer has drawn the last snapshot, which it was given at a time."""
@@ -219,7 +220,9 @@ def _steps(prepare: Callable[[], FitInput], course: _Course) -> Any:
     if state is None:
         return Outcome("failed", "the fit ended before its first iteration")
     verdict: Verdict = "converged" if state.converged else "ended"
-    return Outcome(verdict, state.message or verdict, state, course.job, course.seconds)
+    # The last message is the verdict in words; those before it are remarks made on the way.
+    words = [*course.messages[-1:], *course.messages[:-1]] if state.message else [verdict]
+    return Outcome(verdict, "; ".join(words), state, course.job, course.seconds)
 
 
 def _fit_steps(job: FitInput, course: _Course) -> Iterator[Snapshot | None]:
@@ -227,6 +230,7 @@ def _fit_steps(job: FitInput, course: _Course) -> Iterator[Snapshot | None]:
     waited = 0.0
     for state in start(job):
         course.state = state
+        course.messages += [state.message] if state.message else []
         course.history.add(state)
         course.seconds = time.monotonic() - started - waited
         yield clock.snapshot(job, state, course)
