@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 from . import _threads, fourier  # noqa: F401  (_threads before anything that loads torch)
 from .errors import InputError
 from .geometry import Mesh, load_mesh, save_mesh
-from .inference import FitState, fit
+from .inference import Change, FitState, fit
 from .optics import GaussianPSF
 from .scene import Grid, render
 
@@ -18,6 +18,7 @@ except PackageNotFoundError:  # running from a source tree that was never instal
     __version__ = "0+unknown"
 
 __all__ = [
+    "Change",
     "FitState",
     "GaussianPSF",
     "Grid",

@@ -125,3 +125,19 @@ def test_restart_forgets(gradient):
     adam.step(100 * gradient)
     adam.restart()
     assert_array_equal(adam.step(gradient), first)
+
+
+def test_held_vertices_do_not_move_and_their_neighbours_hardly(mesh, gradient, library):
+    held = np.arange(len(mesh.vertices)) == 7
+    step = Preconditioner(mesh, 20, held=held).solve(np.ones_like(gradient))
+    assert_array_equal(step[7], 0)
+    near = adjacency(mesh)[7].indices
+    far = np.linalg.norm(mesh.vertices - mesh.vertices[7], axis=1) > 1.5
+    assert 0 < step[near].max() < 0.8 * step[far].min()
+
+
+def test_held_vertices_without_smoothing(mesh, gradient):
+    held = np.arange(len(mesh.vertices)) < 3
+    step = Preconditioner(mesh, 0, held=held).solve(gradient)
+    assert_array_equal(step[:3], 0)
+    assert_array_equal(step[3:], gradient[3:])

@@ -1,7 +1,8 @@
 """From an image back to the mesh and the PSF."""
 
+from .change import Change
 from .fit import fit
 from .state import FitState
 from .territory import counted_voxels
 
-__all__ = ["FitState", "counted_voxels", "fit"]
+__all__ = ["Change", "FitState", "counted_voxels", "fit"]

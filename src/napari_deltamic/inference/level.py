@@ -112,6 +112,10 @@ class Level:
         """Whether plan and voxels are about to be made anew, so that a fit can be resumed here."""
         return self._age % _PLAN_EVERY == 0
 
+    def renew(self) -> None:
+        """Make plan and voxels anew at the next iteration: the mesh was moved by hand."""
+        self._age = 0
+
     # ------------------------------------------------------------------------------- rendering
 
     def renderer(self, mesh: Mesh, optics: Optics) -> Renderer:

@@ -37,18 +37,29 @@ class Preconditioner:
         Its connectivity; positions do not matter.
     smoothing
         lambda; 0 leaves the gradient as it is.
+    held
+        (V,) bool: vertices where x is zero; around them it falls to zero smoothly.
     """
 
-    def __init__(self, mesh: Mesh, smoothing: float) -> None:
+    def __init__(self, mesh: Mesh, smoothing: float, held: np.ndarray | None = None) -> None:
         self.smoothing = smoothing
+        self._held = held
         n = len(mesh.vertices)
         a = adjacency(mesh)
         degree = np.asarray(a.sum(1)).ravel()
         matrix = (sp.eye(n) + smoothing * (sp.diags(degree) - a)).tocoo()
+        if held is not None:
+            # Their rows and columns become those of the identity: still symmetric.
+            free = ~(held[matrix.row] | held[matrix.col]) | (matrix.row == matrix.col)
+            matrix = sp.coo_matrix(
+                (matrix.data[free], (matrix.row[free], matrix.col[free])), shape=(n, n)
+            )
         self._solve = _cholesky(matrix) or splu(matrix.tocsc(), permc_spec="COLAMD").solve
 
     def solve(self, b: np.ndarray) -> np.ndarray:
         """(V, C) -> (V, C), float64."""
+        if self._held is not None:
+            b = np.where(self._held[:, None], 0.0, b)
         if self.smoothing == 0:
             return b
         return self._solve(np.ascontiguousarray(b, dtype=np.float64))

@@ -1,0 +1,319 @@
+"""The state of a fit between iterations, and one iteration of it."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from ..errors import InputError
+from ..geometry.mesh import Mesh
+from ..optics import Optics
+from ..scene import Grid, render
+from ..settings import WIDE_LEVELS, FitSettings
+from .change import Change
+from .density import DensityField
+from .health import GrowthAlarm
+from .level import Level
+from .likelihood import Match, match
+from .optimiser import AdamUniform
+from .preconditioner import Preconditioner, components
+from .psf_step import psf_step
+from .state import FitState
+
+_WINDOW = 12  # iterations over which a level must gain
+# A coarse level ends when its window gains less than this share of the loss, or moves the vertices
+# by less than this share of its width: it only has to bring the next one within reach.
+_COARSE_GAIN, _COARSE_STILL = 0.05, 0.04
+_STILL = 0.02  # the same at the last level
+_SETTLE = 2  # times the last level halves its step before it counts as converged
+_PSF_EVERY = 5
+_EXPLAINS_NOTHING = 0.97  # loss at the end from which on nothing was found
+_LEFT_OPEN = ("smoothing", "levels")  # settings that the software may fill in
+_PSF_BELOW = 2.5  # blur, in widths of the PSF, from which on the PSF is fitted
+
+
+class Run:
+    """The state of a fit between iterations."""
+
+    def __init__(
+        self,
+        image: np.ndarray,
+        counted: np.ndarray,
+        grid: Grid,
+        mesh: Mesh,
+        optics: Optics,
+        settings: FitSettings,
+        effects: tuple[str, ...],
+    ) -> None:
+        self.image, self.counted, self.grid = image, counted, grid
+        self.settings, self.effects = settings, effects
+        self.levels = settings.levels or WIDE_LEVELS
+        self.growth = GrowthAlarm(mesh)
+        self.mesh = mesh.with_vertices(mesh.vertices_numpy().copy())
+        self.optics = optics.detach()
+        self.pieces = components(mesh)
+        self.adam = AdamUniform(self.pieces, 3)
+        self.density = DensityField(mesh, self.pieces, settings.density)
+        self.iteration = 0
+        self.changed_at = 0  # the iteration of the last change: the patience starts anew
+        self.level_number = 0
+        self.step_factor = 1.0
+        self.halvings = 0
+        self.losses: list[float] = []  # since the level or the present step began
+        self.window_start = self.mesh.vertices_numpy()
+        self.level_optics = self.optics  # of the blur: a fit of the PSF leaves it alone
+        self.bounded = False  # whether the amplitude wanted to be negative
+        self.remark = ""  # for the first state
+        self.pinned = np.zeros(len(mesh.vertices), bool)
+        self.kept: dict[str, np.ndarray] = {}
+
+    # --------------------------------------------------------------------------- iterations
+
+    def states(self) -> Generator[FitState, Change | None, None]:
+        """One state after every iteration; a change may be sent in return for each."""
+        levels = self.levels
+        first = self.level_number
+        for number in range(first, len(levels)):
+            if number > first or self.iteration == 0:
+                self._enter(number)
+            self.level = self._new_level()
+            last = number == len(levels) - 1
+            if not (self.level.usable or last):
+                continue
+            self._hold()
+            while True:
+                state = self._iterate()
+                finished = self._settled(last)
+                warning = "" if self.iteration % _WINDOW else self.growth.check(self.mesh)
+                over = self.iteration - self.changed_at >= self.settings.max_iterations
+                ends = (finished and last) or over
+                if ends:
+                    state = self._verdict(state, finished and last, warning)
+                else:
+                    remarks = "; ".join(filter(None, (self.remark, warning)))
+                    state = replace(state, message=remarks)
+                self.remark = ""
+                change = yield state
+                if change is not None:
+                    self._take(change)
+                elif ends:
+                    return
+                elif finished:
+                    break
+
+    def _new_level(self) -> Level:
+        return Level(
+            self.image,
+            self.counted,
+            self.grid,
+            self.level_optics,
+            self.settings,
+            self.effects,
+            self.levels[self.level_number],
+        )
+
+    def _hold(self) -> None:
+        """Smoothers of this level: of steps, which end at pinned vertices, and of the density."""
+        smoothing = self.level.smoothing
+        self.smoother = Preconditioner(self.mesh, smoothing)
+        self.mover = self.smoother
+        if self.pinned.any():
+            self.mover = Preconditioner(self.mesh, smoothing, held=self.pinned)
+
+    def _take(self, change: Change) -> None:
+        """Go on from a changed state: the past says nothing about it."""
+        change.check(self.mesh, self.optics, self.settings)
+        self.changed_at = self.iteration
+        if change.vertices is not None:
+            vertices = np.array(change.vertices, np.float64)
+            vertices.setflags(write=False)
+            self.mesh = self.mesh.with_vertices(vertices)
+            self.growth = GrowthAlarm(self.mesh)
+        if change.pinned is not None:
+            self.pinned = np.array(change.pinned, bool)
+        if change.optics is not None:
+            self.optics = change.optics.detach()
+        if change.settings is not None:
+            self._take_settings(change.settings)
+        self._enter(self.level_number)
+        if change.optics is not None or change.settings is not None:
+            self.level = self._new_level()
+        else:
+            self.level.renew()
+        self._hold()
+
+    def _take_settings(self, settings: FitSettings) -> None:
+        old = self.settings
+        open_ones = {k: getattr(old, k) for k in _LEFT_OPEN if getattr(settings, k) is None}
+        self.settings = settings.model_copy(update={**open_ones, "levels": self.levels})
+        if self.settings.density != old.density:
+            self.density = DensityField(self.mesh, self.pieces, self.settings.density)
+
+    def _verdict(self, state: FitState, finished: bool, warning: str) -> FitState:
+        """The last state, with what came of the fit in plain words."""
+        stuck = self.bounded or state.loss > _EXPLAINS_NOTHING
+        if finished and stuck:
+            message = (
+                f"stuck: {1 - min(state.loss, 1):.0%} of the measured image is explained; "
+                "do the seeds lie near bright membranes?"
+            )
+        elif finished:
+            message = "converged"
+        else:
+            message = f"stopped after {self.iteration} iterations, before it converged"
+        message += f"; {warning}" if warning else ""
+        return replace(state, converged=finished and not stuck, message=message)
+
+    def _enter(self, number: int) -> None:
+        self.level_number = number
+        self.level_optics = self.optics
+        self.step_factor = 1.0
+        self.halvings = 0
+        self.losses = []
+        self.window_start = self.mesh.vertices_numpy()
+        self.adam.restart()
+        self.density.restart()
+
+    def _iterate(self) -> FitState:
+        level = self.level
+        if level.renews:
+            self.kept = self._kept()
+        kept = self.kept
+        vertices = torch.tensor(self.mesh.vertices_numpy(), requires_grad=True)
+        with_density = level.factor < self.levels[0] or len(self.levels) == 1
+        density = self.density.faces(active=with_density)
+        renderer = level.renderer(self.mesh, self.optics)
+        otf = renderer.otf(self.optics)
+        transform = renderer.transform(vertices, density)
+        rendered = level.rendered(renderer, transform, otf)
+        voxels = level.voxels(rendered.detach())
+        result = match(voxels.of(rendered), voxels.measured, voxels.weights)
+        result.loss.backward()
+        assert vertices.grad is not None
+        gradient = self.mover.solve(vertices.grad.numpy())
+        step = self.mover.solve(self.adam.step(gradient))
+        size = self.settings.step * level.width * self.step_factor
+        moved = self.mesh.vertices_numpy() - size * step
+        if with_density:
+            self.density.step(self.smoother, self.step_factor)
+        moved.setflags(write=False)  # states share it
+        self.bounded = result.bounded
+        loss = float(result.loss.detach())
+        if not np.isfinite(loss) or not np.isfinite(moved).all():
+            raise FloatingPointError("the fit met a number that is not finite")
+        state = self._state(level, result, kept)
+        fits_psf = self.settings.fit_psf and level.factor <= _PSF_BELOW
+        if fits_psf and len(self.losses) % _PSF_EVERY == _PSF_EVERY - 1:
+            self.optics = psf_step(level, renderer, self.optics, transform.detach(), voxels)
+        self.mesh = self.mesh.with_vertices(moved)
+        self.iteration += 1
+        self.losses.append(loss)
+        return state
+
+    def _settled(self, last: bool) -> bool:
+        """Whether the level is done; at the last one the step is halved a few times before."""
+        if len(self.losses) % _WINDOW:
+            return False
+        vertices = self.mesh.vertices_numpy()
+        shift = np.sqrt(((vertices - self.window_start) ** 2).sum(1).mean())
+        self.window_start = vertices
+        if len(self.losses) < 2 * _WINDOW:
+            return False
+        now, before = np.mean(self.losses[-_WINDOW:]), np.mean(self.losses[-2 * _WINDOW : -_WINDOW])
+        gain = 1 - now / before
+        tolerance = self.settings.tolerance if last else _COARSE_GAIN
+        still = _STILL if last else _COARSE_STILL
+        if gain > tolerance and shift > still * self.level.width * self.step_factor:
+            return False
+        if not last:
+            return True
+        self.halvings += 1
+        self.step_factor /= 2
+        self.losses = []
+        return self.halvings > _SETTLE
+
+    # ---------------------------------------------------------------------------- reporting
+
+    def _state(self, level: Level, result: Match, kept: dict[str, np.ndarray]) -> FitState:
+        amplitude, background = result.amplitude, result.background
+        mesh, optics = self.mesh, self.optics
+        density = self.density.faces_numpy()
+        grid, accuracy, effects = self.grid, self.settings.accuracy, self.effects
+
+        def rendered() -> np.ndarray:
+            with torch.no_grad():
+                image = render(
+                    mesh,
+                    grid,
+                    optics,
+                    accuracy,
+                    density=density,
+                    pixel_integration="pixel_integration" in effects,
+                )
+            return (amplitude * image + background).to(torch.float32).numpy()
+
+        return FitState(
+            iteration=self.iteration + 1,
+            level=self.level_number + 1,
+            levels=len(self.levels),
+            mesh=mesh,
+            optics=optics,
+            density=density,
+            loss=float(result.loss.detach()),
+            amplitude=amplitude,
+            background=background,
+            blur=level.factor,
+            _render=rendered,
+            _checkpoint=lambda: kept,
+        )
+
+    def _kept(self) -> dict[str, np.ndarray]:
+        return {
+            "vertices": self.mesh.vertices_numpy(),
+            "faces": self.mesh.faces,
+            "optics": self.optics.parameters().numpy(),
+            "level_optics": self.level_optics.parameters().numpy(),
+            "window_start": self.window_start,
+            "pinned": self.pinned,
+            "levels": np.array(self.levels),
+            "iteration": np.array(self.iteration),
+            "level": np.array(self.level_number),
+            "step_factor": np.array(self.step_factor),
+            "halvings": np.array(self.halvings),
+            "losses": np.array(self.losses),
+            **{f"adam_{k}": np.copy(v) for k, v in self.adam.state().items()},
+            **{f"density_{k}": np.copy(v) for k, v in self.density.state().items()},
+        }
+
+    def load(self, kept: dict[str, np.ndarray]) -> None:
+        """Take over a checkpoint; raises InputError if it belongs to another mesh."""
+        if kept["vertices"].shape != self.mesh.vertices.shape or not np.array_equal(
+            kept["faces"], self.mesh.faces
+        ):
+            raise InputError("the checkpoint belongs to another mesh")
+        own = self._kept()
+        if (
+            set(kept) != set(own)
+            or any(kept[name].shape != own[name].shape for name in own if name != "losses")
+            or not np.array_equal(kept["levels"], own["levels"])
+        ):
+            raise InputError("the checkpoint belongs to a fit with other settings")
+        self.mesh = self.mesh.with_vertices(kept["vertices"])
+        self.optics = self.optics.with_parameters(torch.from_numpy(kept["optics"]))
+        self.level_optics = self.optics.with_parameters(torch.from_numpy(kept["level_optics"]))
+        self.window_start = kept["window_start"]
+        self.pinned = kept["pinned"]
+        self.iteration = int(kept["iteration"])
+        self.level_number = int(kept["level"])
+        self.step_factor = float(kept["step_factor"])
+        self.halvings = int(kept["halvings"])
+        self.losses = list(kept["losses"])
+        self.adam.load(
+            {k.removeprefix("adam_"): v for k, v in kept.items() if k.startswith("adam_")}
+        )
+        self.density.load(
+            {k.removeprefix("density_"): v for k, v in kept.items() if k.startswith("density_")}
+        )
