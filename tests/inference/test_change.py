@@ -25,9 +25,7 @@ def begun(image, iterations=15, settings=QUICK, mesh=None):
 
 
 def finished(states, state):
-    for state in states:  # noqa: B020
-        pass
-    return state
+    return [state, *states][-1]
 
 
 def test_an_empty_change_does_no_harm(image):
@@ -39,7 +37,7 @@ def test_an_empty_change_does_no_harm(image):
 
 def test_goes_on_from_moved_vertices(image):
     states, state = begun(image)
-    moved = state.mesh.vertices_numpy() + (0.0, 0.3, 0.0)
+    moved = state.mesh.vertices_numpy() + np.array([0.0, 0.3, 0.0])
     after = states.send(Change(vertices=moved))
     np.testing.assert_array_equal(after.mesh.vertices_numpy(), moved)
     assert after.iteration == state.iteration + 1
