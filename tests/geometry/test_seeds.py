@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from napari_deltamic.errors import InputError
+from napari_deltamic.geometry.label_meshes import mesh_from_labels
 from napari_deltamic.geometry.mesh import Mesh
 from napari_deltamic.geometry.seeds import (
     labels_from_points,
-    mesh_from_labels,
     read_points_csv,
     seeds_from_points,
 )
@@ -243,12 +243,12 @@ def test_holes_and_crumbs_go_and_the_border_is_closed() -> None:
     assert surface.bounds[1][0] < 4
 
 
-def test_touching_labels_give_separate_surfaces() -> None:
+def test_touching_labels_may_have_surfaces_of_their_own() -> None:
     labels = np.zeros(SHAPE, int)
     inside = ball(CENTER, 2.5) < 0
     right = coordinates()[..., 2] > 4.8
     labels[inside & ~right], labels[inside & right] = 2, 7
-    mesh = mesh_from_labels(labels, SIZE)
+    mesh = mesh_from_labels(labels, SIZE, shared_walls=False)
     assert mesh.region_ids().tolist() == [2, 7]
     assert (mesh.regions[:, 1] == 0).all()
     for region in (2, 7):

@@ -1,12 +1,14 @@
 """Meshes of cells: the Mesh itself, simple shapes, starting surfaces, repair, and files."""
 
 from napari_deltamic.geometry.files import load_mesh, save_mesh
+from napari_deltamic.geometry.find_cells import find_cells, suggest_size
+from napari_deltamic.geometry.label_meshes import mesh_from_labels
 from napari_deltamic.geometry.mesh import OUTSIDE, Mesh
 from napari_deltamic.geometry.primitives import box, sphere, torus
+from napari_deltamic.geometry.remeshing import Remeshed, remesh
 from napari_deltamic.geometry.repair import repair
 from napari_deltamic.geometry.seeds import (
     labels_from_points,
-    mesh_from_labels,
     read_points_csv,
     seeds_from_points,
 )
@@ -15,15 +17,19 @@ from napari_deltamic.geometry.windings import fix_windings
 __all__ = [
     "OUTSIDE",
     "Mesh",
+    "Remeshed",
     "box",
+    "find_cells",
     "fix_windings",
     "labels_from_points",
     "load_mesh",
     "mesh_from_labels",
     "read_points_csv",
+    "remesh",
     "repair",
     "save_mesh",
     "seeds_from_points",
     "sphere",
+    "suggest_size",
     "torus",
 ]

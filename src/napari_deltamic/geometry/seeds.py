@@ -8,16 +8,14 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.basins import label_basins
+from napari_deltamic.geometry.label_meshes import EDGE_IN_VOXELS, mesh_from_labels
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
 from napari_deltamic.geometry.primitives import sphere
-from napari_deltamic.geometry.surface_nets import closed_surface
 
 Triple = Sequence[float]
-EDGE_IN_VOXELS = 3.0
 
 
 def labels_from_points(
@@ -55,51 +53,6 @@ def labels_from_points(
     size, start = _triple(voxel_size, "voxel size"), _triple(origin, "origin", positive=False)
     voxels = _point_voxels(centres, size, start, data.shape)
     return label_basins(data, size, voxels, list(range(1, len(voxels) + 1)), smoothing)
-
-
-def mesh_from_labels(
-    labels: ArrayLike,
-    voxel_size: Triple,
-    origin: Triple = (0.0, 0.0, 0.0),
-    edge_length: float | None = None,
-) -> Mesh:
-    """One closed smooth surface for each label of an image, with regions (label, 0).
-
-    Of each label the largest connected part is kept and its holes are filled. Labels that touch
-    give separate surfaces that lie on each other.
-
-    Parameters
-    ----------
-    labels : (Z, Y, X) integers, 0 = outside.
-    voxel_size, origin : um, Z, Y, X; origin is the centre of the first voxel.
-    edge_length : um, mean length of the edges. Default: 3 times the smallest voxel side.
-
-    Raises
-    ------
-    InputError
-        No label, not integers, not 3D, or a label too small for the edge length.
-    """
-    array = np.asarray(labels)
-    if array.ndim != 3 or not np.issubdtype(array.dtype, np.integer):
-        raise InputError(f"labels must be a 3D array of integers, not {array.ndim}D {array.dtype}")
-    size, start = _triple(voxel_size, "voxel size"), _triple(origin, "origin", positive=False)
-    edge = EDGE_IN_VOXELS * float(size.min()) if edge_length is None else float(edge_length)
-    if not edge > 0:
-        raise InputError(f"edge length must be positive, not {edge:g}")
-    names = [int(k) for k in np.unique(array) if k > 0]
-    if not names:
-        raise InputError("the label image has no labels above 0")
-    boxes = ndimage.find_objects(np.searchsorted(names, array) + (array > 0))
-    parts: list[Mesh] = []
-    for name, box in zip(names, boxes, strict=True):
-        corner = start + size * [s.start for s in box]
-        surface = closed_surface(array[box] == name, size, corner, edge)
-        if surface is None:
-            raise InputError(f"label {name} is too small for edges of {edge:g} um")
-        vertices, faces = surface
-        regions = np.tile(np.array([[name, 0]], np.int64), (len(faces), 1))
-        parts.append(Mesh(vertices, faces, regions))
-    return Mesh.merge(parts)
 
 
 def seeds_from_points(

@@ -1,0 +1,282 @@
+"""Cells found in an image of membranes, with no other help than how large a cell is.
+
+The image is smoothed by a small part of the size of a cell and its contrast is compressed, so that
+dim walls count next to bright ones. Every minimum of a somewhat smoother copy starts a region, and
+a watershed grows them up to the crests: there are then several regions in each cell and many in
+the outside. Regions that no wall divides are joined (`region_merging`). What is then enclosed by
+walls and about as large as a cell is one. The outside needs no marker, so none can flood a cell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+from skimage.morphology import local_minima
+from skimage.segmentation import watershed
+
+from napari_deltamic.errors import InputError
+from napari_deltamic.geometry.basins import BORDER_LIMIT, _border_area, _noise_after
+from napari_deltamic.geometry.mesh import FloatArray
+from napari_deltamic.geometry.region_merging import Image, Labels, Regions, join_regions
+
+Mask = NDArray[np.bool_]
+
+# In parts of the diameter of a cell:
+SMOOTHING = 0.03  # of the image in which walls are sought
+SEED_SMOOTHING = 0.065  # of the copy whose minima start the regions
+FINEST = 1 / 40  # voxels smaller than this are put together, for speed
+LEAK = 0.12  # parts of a region that are thinner than twice this have leaked out of it
+
+# A wall's height is the logarithm of its brightness over that of the inside.
+JOIN_BELOW = 0.7
+WALL = 0.4
+# Added before the logarithm: this part of the contrast, and not less than so many standard
+# deviations of the noise, or noise in dark places would look like walls.
+FLOOR, FLOOR_NOISE = 0.06, 3.0
+ENCLOSED = 0.55  # the least share of a cell's surface that is on a wall
+LEAST_HEIGHT = 0.77  # and the least mean height over all of it: the edges of noise have up to 0.7
+SMALLEST, LARGEST = 0.4, 2.0  # diameters of cells that are kept, in parts of the size
+# A size is sought on about so many voxels, down to cells of so many across.
+FEW_VOXELS, SMALLEST_TRIED = 150_000, 7
+LEAST_VOXELS = 4  # a cell's diameter, in voxels
+
+
+def find_cells(
+    image: ArrayLike,
+    voxel_size: Sequence[float],
+    size: float,
+    *,
+    join_below: float = JOIN_BELOW,
+    enclosed: float = ENCLOSED,
+) -> NDArray[np.int32]:
+    """Label the cells of an image of bright membranes.
+
+    Parameters
+    ----------
+    image : (Z, Y, X) array; NaN where missing.
+    voxel_size : um, Z, Y, X.
+    size : um; the diameter of a usual cell. Cells of 0.4 to 2 times this are found.
+    join_below : regions are one cell where the logarithm of the brightness of the wall between
+        them over that of their inside is lower. Higher: fewer, larger cells.
+    enclosed : the least share of a cell's surface that is on a membrane.
+
+    Returns
+    -------
+    (Z, Y, X) int32: 1 to n, up to the crest of the membranes; 0 is background.
+
+    Raises
+    ------
+    InputError
+        Not 3D, not numbers, the same everywhere, a size that is not positive, is larger than the
+        image or too small for its voxels, or no cell found.
+    """
+    data, missing, voxel = _checked(image, voxel_size)
+    diameter = _checked_size(size, data.shape, voxel)
+    labels, _ = _find(data, missing, voxel, diameter, FINEST, join_below, enclosed)
+    if not labels.any():
+        raise InputError(f"no cells of about {diameter:g} um were found: try another size")
+    return labels
+
+
+def suggest_size(image: ArrayLike, voxel_size: Sequence[float]) -> float:
+    """The diameter (um) of the cells of an image, roughly: a start for `find_cells`.
+
+    Several sizes are tried on a coarse copy. The one is taken with which most is found that has
+    this size indeed; where nothing is found, a quarter of the image.
+
+    Raises
+    ------
+    InputError
+        As `find_cells`.
+    """
+    data, missing, voxel = _checked(image, voxel_size)
+    extent = np.array(data.shape) * voxel
+    step = np.floor(np.cbrt(np.prod(extent) / FEW_VOXELS) / voxel).astype(int)
+    step = np.clip(step, 1, data.shape)
+    data, voxel = _coarsened(data, step), voxel * step
+    if missing is not None:
+        missing = _coarsened(missing.astype(np.float32), step) > 0.5
+    size, best, suggested = 0.8 * float(extent.max()), 0.0, float(extent.max()) / 4
+    while size >= SMALLEST_TRIED * _mean_side(voxel):
+        found = _find(data, missing, voxel, size, 0.0, JOIN_BELOW, ENCLOSED)[1]
+        if len(found):
+            typical = float(np.median(found))
+            score = float((found**3).sum()) * np.exp(-2 * np.log(typical / size) ** 2)
+            if score > best:
+                best, suggested = score, typical
+        size /= 1.3
+    return suggested
+
+
+def _find(
+    data: Image,
+    missing: Mask | None,
+    voxel: FloatArray,
+    size: float,
+    finest: float,
+    join_below: float,
+    enclosed: float,
+) -> tuple[Labels, FloatArray]:
+    """Labels of the cells, and their diameters (um)."""
+    step = np.maximum(np.floor(finest * size / voxel), 1).astype(int)
+    step = np.minimum(step, data.shape)
+    coarse, side = _coarsened(data, step), voxel * step
+    walls = _walls(coarse, side, size)
+    seeds, _ = ndimage.label(
+        local_minima(ndimage.gaussian_filter(walls, SEED_SMOOTHING * size / side, mode="nearest"))
+    )
+    ball = np.pi / 6 * size**3
+    pieces = watershed(walls, seeds).astype(np.int32)
+    regions = join_regions(pieces, walls, side, ball, join_below, WALL)
+    gone = None if missing is None else _coarsened(missing.astype(np.float32), step)
+    names = _cells(regions, side, size, enclosed, gone)
+    labels = _trimmed(regions.labels, names, side, size)
+    diameters = np.cbrt(6 / np.pi * regions.volume[names])
+    return _refined(labels, step, data, voxel, size), diameters
+
+
+def _walls(data: Image, side: FloatArray, size: float) -> Image:
+    """The smoothed image with its contrast compressed: dim walls count next to bright ones."""
+    sigma = np.maximum(SMOOTHING * size, float(side.min()) * 0.7) / side
+    smooth = ndimage.gaussian_filter(data, sigma, mode="nearest")
+    low, high = np.percentile(smooth, [0.5, 99.9])
+    floor = max(FLOOR * float(high - low), FLOOR_NOISE * _noise_after(data, sigma))
+    if not floor > 0:  # nearly all voxels are alike
+        floor = max(FLOOR * float(np.ptp(smooth)), float(np.finfo(np.float32).tiny))
+    walls: Image = np.log(np.maximum(smooth - low, 0) / floor + 1).astype(np.float32)
+    return walls
+
+
+def _cells(
+    regions: Regions, side: FloatArray, size: float, enclosed: float, missing: Image | None
+) -> NDArray[np.int64]:
+    """The regions that are cells: enclosed, of about the size, and not mostly on the border."""
+    n = len(regions.volume)
+    flat = regions.labels.ravel()
+    border = np.bincount(flat, _border_area(regions.labels.shape, side).ravel(), n)
+    diameter = np.cbrt(6 / np.pi * regions.volume)
+    good = (diameter >= SMALLEST * size) & (diameter <= LARGEST * size)
+    good &= border <= BORDER_LIMIT * np.pi * diameter**2
+    good &= (regions.enclosed >= enclosed) & (regions.height >= LEAST_HEIGHT)
+    if missing is not None:
+        known = 1 - np.bincount(flat, missing.ravel(), n) / np.maximum(np.bincount(flat, None, n), 1)
+        good &= known > 0.5
+    return np.flatnonzero(good)
+
+
+def _trimmed(labels: Labels, names: NDArray[np.int64], side: FloatArray, size: float) -> Labels:
+    """Only the cells, from 1, each in one part without holes and without what has leaked out."""
+    result = np.zeros_like(labels)
+    radius = LEAK * size
+    boxes = ndimage.find_objects(labels)
+    number = 0
+    for name in names:
+        box = boxes[name - 1]
+        solid = np.pad(ndimage.binary_fill_holes(labels[box] == name), 1, mode="edge")
+        solid = solid & True
+        depth = ndimage.distance_transform_edt(solid, side) if not solid.all() else None
+        core = solid if depth is None else depth > radius
+        parts, count = ndimage.label(core)
+        if not count:
+            continue
+        core = parts == 1 + np.bincount(parts.ravel())[1:].argmax()
+        # The corners of a cell come back, its tongues do not.
+        kept = solid & (ndimage.distance_transform_edt(~core, side) <= 1.7 * radius)
+        number += 1
+        inner = kept[1:-1, 1:-1, 1:-1]
+        result[box][inner & (result[box] == 0)] = number
+    return result
+
+
+def _refined(
+    labels: Labels, step: NDArray[np.int_], data: Image, voxel: FloatArray, size: float
+) -> Labels:
+    """Labels on the voxels of the image, their borders moved onto the crests."""
+    if (step == 1).all():
+        return labels
+    for axis, times in enumerate(step):
+        labels = np.repeat(labels, times, axis=axis)
+    pad = [(0, max(n - m, 0)) for n, m in zip(data.shape, labels.shape, strict=True)]
+    labels = np.pad(labels, pad, mode="edge")[tuple(slice(n) for n in data.shape)]
+    width = tuple(int(2 * s + 1) if s > 1 else 1 for s in step)
+    low = ndimage.minimum_filter(labels, width, mode="nearest")
+    sure = low == ndimage.maximum_filter(labels, width, mode="nearest")
+    if not labels.any():
+        return labels
+    # The background is a marker, too: it is known where it lies, up to the width of a step.
+    markers = np.where(sure, np.where(labels == 0, labels.max() + 1, labels), 0)
+    walls = _walls(data, voxel, size)
+    fine = watershed(walls, markers).astype(np.int32)
+    fine[fine == labels.max() + 1] = 0
+    return fine
+
+
+def _coarsened(data: Image, step: NDArray[np.int_]) -> Image:
+    """Means of blocks of voxels; the last block of an axis takes in what is left over."""
+    for axis, times in enumerate(step):
+        if times > 1:
+            starts = np.arange(0, max(data.shape[axis] // times, 1) * times, times)
+            count = np.diff(np.append(starts, data.shape[axis]))
+            shape = [-1 if a == axis else 1 for a in range(3)]
+            data = np.add.reduceat(data, starts, axis=axis) / count.reshape(shape)
+    return data.astype(np.float32, copy=False)
+
+
+def _mean_side(voxel: FloatArray) -> float:
+    return float(np.cbrt(np.prod(voxel)))
+
+
+# Checks ---------------------------------------------------------------------------------------
+
+
+def _checked(
+    image: ArrayLike, voxel_size: Sequence[float]
+) -> tuple[Image, Mask | None, FloatArray]:
+    """The image without gaps, where its gaps are, and the voxel size."""
+    array = np.asarray(image)
+    if array.ndim != 3 or not array.size:
+        raise InputError(f"a 3D image is needed to find cells, not one of shape {array.shape}")
+    if array.dtype == np.bool_ or not np.issubdtype(array.dtype, np.number) or np.iscomplexobj(array):
+        raise InputError(f"an image of real numbers is needed to find cells, not {array.dtype}")
+    voxel = np.asarray(voxel_size, np.float64)
+    if voxel.shape != (3,) or not np.isfinite(voxel).all() or (voxel <= 0).any():
+        raise InputError("voxel size must be 3 positive numbers (um, Z, Y, X)")
+    missing = ~np.isfinite(array)
+    if missing.all():
+        raise InputError("the image has no value anywhere")
+    if missing.any():
+        # Flooding needs every voxel: a missing one takes the value of the nearest.
+        nearest = ndimage.distance_transform_edt(
+            missing, voxel, return_distances=False, return_indices=True
+        )
+        array = array[tuple(nearest)]
+    low, high = float(array.min()), float(array.max())
+    if low == high:
+        raise InputError("the image has the same value everywhere")
+    # Single precision would lose a faint image on a high pedestal.
+    data = ((array - array.dtype.type(low)) / (high - low)).astype(np.float32)
+    return data, missing if missing.any() else None, voxel
+
+
+def _checked_size(size: float, shape: tuple[int, ...], voxel: FloatArray) -> float:
+    try:
+        diameter = float(size)
+    except (TypeError, ValueError):
+        raise InputError(f"the size of a cell must be a number (um), not {size!r}") from None
+    if not (np.isfinite(diameter) and diameter > 0):
+        raise InputError(f"the size of a cell must be positive (um), not {diameter:g}")
+    longest = float((np.array(shape) * voxel).max())
+    if diameter > longest:
+        raise InputError(
+            f"a cell of {diameter:g} um is larger than the image, whose longest side is"
+            f" {longest:g} um"
+        )
+    least = LEAST_VOXELS * _mean_side(voxel)
+    if diameter < least:
+        raise InputError(
+            f"a cell of {diameter:g} um is too small for these voxels: at least {least:.3g} um"
+        )
+    return diameter

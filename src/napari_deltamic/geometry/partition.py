@@ -1,0 +1,242 @@
+"""One mesh of touching regions, which share their walls, from a label image (surface nets)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from napari_deltamic.errors import InputError
+from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
+
+MAX_NODES = 30_000_000  # a typing error in edge_length should not fill the memory
+_ROUNDS = 30  # of repairs; each changes a few nodes at most
+_SQUARE = np.array([(0, 0, 0), (0, 0, 1), (0, 1, 1), (0, 1, 0)])  # around, across the first axis
+_QUAD_TO_TRIANGLES = [0, 1, 2, 0, 2, 3]
+
+
+def partition_mesh(labels: IntArray, size: FloatArray, origin: FloatArray, edge: float) -> Mesh:
+    """Mesh of all labels (> 0) of an image; faces between two labels exist once.
+
+    The distance field of every label is smoothed and sampled at the nodes of a grid of the wanted
+    spacing; a node belongs to the label whose field is highest there. Faces lie between nodes of
+    different labels, so that each region is closed. Never more than three walls meet in an edge.
+
+    Parameters
+    ----------
+    labels : (Z, Y, X) integers, 0 = outside.
+    size, origin : (3,) um; the origin is the centre of the first voxel.
+    edge : um, edge length wanted; the triangles are those of a grid, so remesh them.
+
+    Raises
+    ------
+    InputError
+        If no label is large enough for the edge length, or the grid would not fit into memory.
+    """
+    nodes = _compete(labels, size, edge)
+    _mend(nodes)
+    vertices, quads, regions = _nets(nodes)
+    vertices, quads = _unpinched(vertices * edge + nodes.corner + origin, quads)
+    faces = quads[:, _QUAD_TO_TRIANGLES].reshape(-1, 3)
+    return Mesh(vertices, faces, np.repeat(regions, 2, axis=0))
+
+
+def with_volumes(mesh: Mesh, volumes: dict[int, float], rounds: int = 8) -> Mesh:
+    """The mesh blown up or shrunk until regions have given volumes, um^3.
+
+    Each region gets a pressure; walls move by the difference of their two, along their normals.
+    What a coarse mesh cuts off at convex places comes back.
+    """
+    names = mesh.region_ids()
+    number = np.zeros(int(names.max()) + 1, np.int64)
+    number[names] = np.arange(1, len(names) + 1)
+    sides = number[mesh.regions]
+    wanted = np.array([volumes[int(k)] for k in names])
+    for _ in range(rounds):
+        lacking = wanted - [mesh.region_volume(int(k)) for k in names]
+        areas, normals = mesh.areas(), mesh.normals()
+        stiffness = np.zeros((len(names) + 1,) * 2)
+        for one, other in ((0, 1), (1, 0)):
+            np.add.at(stiffness, (sides[:, one], sides[:, one]), areas)
+            np.add.at(stiffness, (sides[:, one], sides[:, other]), -areas)
+        pressure = np.append(0.0, np.linalg.lstsq(stiffness[1:, 1:], lacking, rcond=None)[0])
+        speed = (pressure[sides[:, 0]] - pressure[sides[:, 1]]) * areas
+        weight = np.bincount(mesh.faces.ravel(), np.repeat(areas, 3), len(mesh.vertices))
+        moved = np.zeros((len(mesh.vertices), 3))
+        np.add.at(moved, mesh.faces.ravel(), np.repeat(speed[:, None] * normals, 3, axis=0))
+        moved /= np.maximum(weight, 1e-300)[:, None]
+        mesh = mesh.with_vertices(mesh.vertices_numpy() + moved)
+    return mesh
+
+
+class _Nodes:
+    """A grid of nodes, each with the label that is highest there and the one after it.
+
+    corner : (3,) um, first node, from the centre of the first voxel.
+    best, second : labels; first, next : their fields, um.
+    """
+
+    def __init__(self, corner: FloatArray, shape: IntArray) -> None:
+        self.corner = corner
+        self.best = np.zeros(shape, np.int64)
+        self.second = np.zeros(shape, np.int64)
+        self.first = np.full(shape, -np.inf)
+        self.next = np.full(shape, -np.inf)
+
+    def enter(self, name: int, where: tuple[slice, ...], values: FloatArray) -> None:
+        """Let the field of a label compete at some nodes."""
+        best, second, first, after = (
+            a[where] for a in (self.best, self.second, self.first, self.next)
+        )
+        wins = values > first
+        follows = ~wins & (values > after)
+        second[...] = np.where(wins, best, np.where(follows, name, second))
+        after[...] = np.where(wins, first, np.where(follows, values, after))
+        best[...] = np.where(wins, name, best)
+        first[...] = np.where(wins, values, first)
+
+
+def _compete(labels: IntArray, size: FloatArray, edge: float) -> _Nodes:
+    sigma = max(0.7 * float(size.max()), 0.4 * edge)
+    room = 3 * sigma + 2 * edge
+    shape = np.ceil((np.array(labels.shape) * size + 2 * room) / edge) + 1
+    if np.prod(shape) > MAX_NODES:
+        raise InputError(
+            f"edges of {edge:g} um are too short: they ask for {np.prod(shape):.0f} grid nodes"
+        )
+    nodes = _Nodes(np.full(3, -room), shape.astype(int))
+    names = np.unique(labels[labels > 0])
+    numbers = np.where(labels > 0, np.searchsorted(names, labels) + 1, 0)
+    around = np.ceil((3 * sigma + 3 * edge) / size).astype(int) + 1
+    whole = tuple(slice(0, n) for n in labels.shape)
+    boxes = [whole, *ndimage.find_objects(numbers)]
+    for number, box in enumerate(boxes):
+        start = np.array([s.start for s in box]) - around
+        mask = _cut(numbers == number, start, [s.stop for s in box] + around, filled=number == 0)
+        field = ndimage.distance_transform_edt(mask, size)
+        field -= ndimage.distance_transform_edt(~mask, size)
+        field = ndimage.gaussian_filter(field, sigma / size, mode="nearest")
+        where, places = _nodes_within(nodes, start, np.array(field.shape), size, edge)
+        values = ndimage.map_coordinates(field, places, order=1, mode="nearest")
+        nodes.enter(int(names[number - 1]) if number else 0, where, values)
+    return nodes
+
+
+def _cut(
+    mask: NDArray[np.bool_], start: IntArray, stop: IntArray, *, filled: bool
+) -> NDArray[np.bool_]:
+    """A box of a mask; what lies beyond the mask is filled or empty."""
+    low, high = np.clip(start, 0, None), np.minimum(stop, mask.shape)
+    box = mask[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
+    pads = np.stack([low - start, stop - high], axis=1)
+    return np.pad(box, pads, constant_values=filled)
+
+
+def _nodes_within(
+    nodes: _Nodes, start: IntArray, shape: IntArray, size: FloatArray, edge: float
+) -> tuple[tuple[slice, ...], tuple[FloatArray, ...]]:
+    """The nodes within a box of voxels, and their places in it."""
+    low = np.ceil((start * size - nodes.corner) / edge).astype(int).clip(0)
+    high = np.floor(((start + shape - 1) * size - nodes.corner) / edge).astype(int) + 1
+    high = np.minimum(high, nodes.best.shape)
+    axes = [
+        (np.arange(a, b) * edge + c) / d - s
+        for a, b, c, d, s in zip(low, high, nodes.corner, size, start, strict=True)
+    ]
+    where = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+    return where, np.meshgrid(*axes, indexing="ij")
+
+
+def _mend(nodes: _Nodes) -> None:
+    """Give up nodes until no more than three walls meet in an edge.
+
+    In a square of nodes of which every two neighbours differ, four regions meet in an edge, or one
+    touches itself there.
+    """
+    given = np.zeros(nodes.best.shape, np.int64)
+    arrays: tuple[NDArray[Any], ...] = (nodes.best, nodes.second, nodes.first, nodes.next, given)
+    for _ in range(_ROUNDS):
+        axes = range(3)
+        if not sum(_mend_squares(*(np.moveaxis(a, axis, 0) for a in arrays)) for axis in axes):
+            return
+
+
+def _mend_squares(
+    best: NDArray[Any],
+    second: NDArray[Any],
+    first: NDArray[Any],
+    after: NDArray[Any],
+    given: NDArray[Any],
+) -> int:
+    p, q = best[:, :-1, :-1], best[:, :-1, 1:]
+    r, s = best[:, 1:, 1:], best[:, 1:, :-1]
+    bad = np.argwhere((p != q) & (q != r) & (r != s) & (s != p))
+    for square in bad:
+        corners = [tuple(square + step) for step in _SQUARE]
+        names = [int(best[c]) for c in corners]
+        if any(names[k] == names[k - 1] for k in range(4)):
+            continue  # mended together with a neighbour
+        # The smallest lead is given up, but no node twice: repairs could undo each other for ever.
+        k = min(range(4), key=lambda k: (given[corners[k]], first[corners[k]] - after[corners[k]]))
+        node, neighbours = corners[k], (names[k - 1], names[(k + 1) % 4])
+        to = int(second[node]) if second[node] in neighbours else max(neighbours)
+        best[node], second[node] = to, best[node]
+        after[node] = first[node]  # no lead: the wall passes close to this node
+        given[node] += 1
+    return len(bad)
+
+
+def _nets(nodes: _Nodes) -> tuple[FloatArray, IntArray, IntArray]:
+    """Vertices in units of the grid, quads, and the regions of each quad, larger number first.
+
+    A vertex for each cell of eight nodes that has several labels: the mean of the crossings on its
+    edges. A quad for each edge whose ends differ.
+    """
+    best, lead = nodes.best, np.maximum(nodes.first - nodes.next, 1e-9)
+    shape = np.array(best.shape)
+    stride = np.array([shape[1] * shape[2], shape[2], 1])
+    rings, crossings, pairs = [], [], []
+    for axis in range(3):
+        moved = np.moveaxis(best, axis, 0)
+        node = np.argwhere(np.moveaxis(moved[:-1] != moved[1:], 0, axis))
+        other = node + np.eye(3, dtype=int)[axis]
+        a, b = best[tuple(node.T)], best[tuple(other.T)]
+        low, high = lead[tuple(node.T)], lead[tuple(other.T)]
+        place = node.astype(np.float64)
+        place[:, axis] += low / (low + high)
+        u, w = stride[(axis + 1) % 3], stride[(axis + 2) % 3]
+        ring = (node @ stride)[:, None] + np.array([0, -u, -u - w, -w])
+        # Z, Y, X is left-handed, so this order is counter-clockwise from below.
+        ring[a > b] = ring[a > b][:, ::-1]
+        rings.append(ring)
+        crossings.append(place)
+        pairs.append(np.stack([np.maximum(a, b), np.minimum(a, b)], axis=1))
+    cells, index = np.unique(np.concatenate(rings), return_inverse=True)
+    if not len(cells):
+        raise InputError("no label is large enough for the edge length")
+    quads = index.reshape(-1, 4).astype(np.int64)
+    repeated = np.repeat(np.concatenate(crossings), 4, axis=0)
+    total = [np.bincount(quads.ravel(), repeated[:, i], len(cells)) for i in range(3)]
+    vertices = np.stack(total, axis=1) / np.bincount(quads.ravel())[:, None]
+    return vertices, quads, np.concatenate(pairs)
+
+
+def _unpinched(vertices: FloatArray, quads: IntArray) -> tuple[FloatArray, IntArray]:
+    """Surfaces that touch in a single vertex get one each."""
+    corners = quads.ravel()
+    number, n = np.arange(len(corners)), len(vertices)
+    ends = [np.roll(quads, shift, axis=1).ravel() for shift in (-1, 1)]
+    # Two corners at a vertex belong together if their quads share an edge there.
+    keys = np.concatenate([corners * n + end for end in ends])
+    owners = np.concatenate([number, number])
+    order = np.argsort(keys, kind="stable")
+    same = keys[order][1:] == keys[order][:-1]
+    left, right = owners[order][:-1][same], owners[order][1:][same]
+    links = coo_array((np.ones(len(left)), (left, right)), shape=(len(corners),) * 2)
+    fan = connected_components(links, directed=False)[1]
+    fans, place = np.unique(fan, return_index=True)
+    return vertices[corners[place]], np.searchsorted(fans, fan).reshape(-1, 4)

@@ -1,0 +1,163 @@
+"""Joining the regions of a watershed that no wall divides.
+
+A watershed of a noisy image cuts cells into pieces. Two neighbours are joined where the wall
+between them is low, unless that would open the whole: a piece of the outside that leaks into a
+cell through a dim membrane has low walls on all its sides, so the cell with the piece is less
+enclosed than the cell alone, while two halves of one cell are together more enclosed than either.
+"""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from napari_deltamic.geometry.mesh import FloatArray
+
+Labels = NDArray[np.int32]
+Image = NDArray[np.float32]
+
+# So much of how enclosed the better of two regions is may be lost by joining them.
+_OPENING = 0.02
+# Regions smaller or larger than a cell are joined more, or less, readily, between these factors.
+_READY, _RELUCTANT = 0.6, 1.6
+
+
+@dataclass(frozen=True)
+class Regions:
+    """Regions of an image; arrays are indexed by label, and 0 where a label is not used.
+
+    labels : (Z, Y, X) int32 from 1.
+    volume : um^3.
+    enclosed : the share of a region's surface that is on a wall; the image border is not counted.
+    height : the mean over that surface of how far the image is above the region's level.
+    """
+
+    labels: Labels
+    volume: FloatArray
+    enclosed: FloatArray
+    height: FloatArray
+
+
+class _Graph:
+    """Regions, and for each pair that touches: [area, area x height, area of wall seen by each]."""
+
+    def __init__(self, labels: Labels, image: Image, size: FloatArray, wall: float) -> None:
+        self.n = int(labels.max()) + 1
+        pairs, heights, areas = _contacts(labels, image, size)
+        # The level of a region: the mean of the darker half of its voxels, as walls are bright.
+        middle = np.zeros(self.n)
+        middle[1:] = ndimage.median(image, labels, np.arange(1, self.n))
+        dark = np.where(image <= middle[labels], labels, 0).ravel()
+        count = np.bincount(dark, minlength=self.n)
+        total = np.bincount(dark, image.ravel(), self.n)
+        level = total / np.maximum(count, 1)
+        key, index = np.unique(pairs[0] * self.n + pairs[1], return_inverse=True)
+        columns = [areas, areas * heights]
+        columns += [areas * (heights > level[side] + wall) for side in pairs]
+        sums = np.stack([np.bincount(index, column) for column in columns], axis=1)
+        self.count, self.total = count.tolist(), total.tolist()
+        self.volume = (np.bincount(labels.ravel(), minlength=self.n) * np.prod(size)).tolist()
+        self.near: list[dict[int, list[float]]] = [{} for _ in range(self.n)]
+        for pair, (area, height, one, other) in zip(key.tolist(), sums.tolist(), strict=True):
+            i, j = divmod(pair, self.n)
+            self.near[i][j] = [area, height, one]
+            self.near[j][i] = [area, height, other]
+        self.area = [sum(c[0] for c in near.values()) for near in self.near]
+        self.wall = [sum(c[2] for c in near.values()) for near in self.near]
+
+    def cost(self, i: int, j: int, ball: float) -> float:
+        """How high the wall between two regions is; inf where they must not be joined."""
+        area, height, seen = self.near[i][j]
+        around = self.area[i] + self.area[j] - 2 * area
+        wall = self.wall[i] + self.wall[j] - seen - self.near[j][i][2]
+        joined = wall / around if around > 1e-6 * area else 1.0
+        if joined < max(self.enclosed(i), self.enclosed(j)) - _OPENING:
+            return float("inf")
+        level = max(self.total[i] / self.count[i], self.total[j] / self.count[j])
+        relative = ((self.volume[i] + self.volume[j]) / ball) ** (1 / 3)
+        return (height / area - level) * min(max(relative, _READY), _RELUCTANT)
+
+    def enclosed(self, i: int) -> float:
+        return self.wall[i] / self.area[i] if self.area[i] > 0 else 0.0
+
+    def height(self, i: int) -> float:
+        if self.area[i] <= 0:
+            return 0.0
+        mean = sum(contact[1] for contact in self.near[i].values()) / self.area[i]
+        return mean - self.total[i] / self.count[i]
+
+    def join(self, i: int, j: int) -> None:
+        """Make j part of i."""
+        for column in (self.count, self.total, self.volume, self.area, self.wall):
+            column[i] += column[j]
+        self.area[i] -= 2 * self.near[i][j][0]
+        self.wall[i] -= self.near[i].pop(j)[2] + self.near[j].pop(i)[2]
+        for k, seen in self.near[j].items():
+            back = self.near[k].pop(j)
+            for here, there, more in ((i, k, seen), (k, i, back)):
+                old = self.near[here].get(there, [0.0, 0.0, 0.0])
+                self.near[here][there] = [a + b for a, b in zip(old, more, strict=True)]
+        self.near[j] = {}
+        self.volume[j] = 0.0
+
+
+def join_regions(
+    labels: Labels, image: Image, size: FloatArray, ball: float, threshold: float, wall: float
+) -> Regions:
+    """Join the neighbours that no wall divides, the lowest wall first.
+
+    Parameters
+    ----------
+    labels : (Z, Y, X) int32 from 1: every voxel in a region.
+    image : (Z, Y, X), bright walls.
+    size : um, of a voxel.
+    ball : um^3, the volume of a usual cell.
+    threshold : walls lower than this (over the inside, in the units of the image) go.
+    wall : a place on a surface counts as wall where it is so much above the inside.
+    """
+    graph = _Graph(labels, image, size, wall)
+    owner, version = list(range(graph.n)), [0] * graph.n
+    heap = [
+        (cost, i, j, 0, 0)
+        for i, near in enumerate(graph.near)
+        for j in near
+        if i < j and (cost := graph.cost(i, j, ball)) <= threshold
+    ]
+    heapq.heapify(heap)
+    while heap:
+        _, i, j, one, other = heapq.heappop(heap)
+        if version[i] != one or version[j] != other:
+            continue  # one of them has changed since
+        graph.join(i, j)
+        owner[j] = i
+        version[i] += 1
+        version[j] = -1
+        for k in graph.near[i]:
+            cost = graph.cost(i, k, ball)
+            if cost <= threshold:
+                heapq.heappush(heap, (cost, i, k, version[i], version[k]))
+    root = np.array(owner)
+    while (root[root] != root).any():
+        root = root[root]
+    enclosed = np.array([graph.enclosed(i) for i in range(graph.n)])
+    height = np.array([graph.height(i) for i in range(graph.n)])
+    return Regions(root[labels].astype(np.int32), np.array(graph.volume), enclosed, height)
+
+
+def _contacts(
+    labels: Labels, image: Image, size: FloatArray
+) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
+    """Faces between voxels of two regions: (2, n) labels in order, height, area (um^2)."""
+    pairs, heights, areas = [], [], []
+    for axis in range(3):
+        a, b = (np.moveaxis(labels, axis, 0)[s] for s in (slice(None, -1), slice(1, None)))
+        p, q = (np.moveaxis(image, axis, 0)[s] for s in (slice(None, -1), slice(1, None)))
+        differ = a != b
+        pairs.append(np.sort(np.stack([a[differ], b[differ]]).astype(np.int64), axis=0))
+        heights.append(np.maximum(p[differ], q[differ]).astype(np.float64))
+        areas.append(np.full(heights[-1].shape, np.prod(size) / size[axis]))
+    return np.concatenate(pairs, axis=1), np.concatenate(heights), np.concatenate(areas)

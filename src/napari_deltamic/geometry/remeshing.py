@@ -1,0 +1,141 @@
+"""Remeshing: edges of a wanted length and good triangles, on surfaces with junctions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil, log2
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from napari_deltamic.errors import InputError
+from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
+
+_PASSES = 3  # bring any mesh of about the right edge length into shape
+
+
+@dataclass(frozen=True, eq=False)
+class Remeshed:
+    """A remeshed mesh and what its vertices carried along.
+
+    Attributes
+    ----------
+    mesh
+        Of the same regions and interfaces; each face's larger region number first.
+    carried
+        (V, C): the numbers given for each vertex; means of those that were merged or split.
+    fixed
+        (V,) bool: the vertices that were to stay.
+    splits, collapses, flips
+        How many edges were split, collapsed and flipped.
+    """
+
+    mesh: Mesh
+    carried: FloatArray
+    fixed: np.ndarray
+    splits: int
+    collapses: int
+    flips: int
+
+
+def can_remesh() -> bool:
+    """Whether the compiled extension is there."""
+    return _native() is not None
+
+
+def remesh(
+    mesh: Mesh,
+    edge_length: float | ArrayLike,
+    passes: int | None = None,
+    *,
+    carried: ArrayLike | None = None,
+    fixed: ArrayLike | None = None,
+    smooth: bool = True,
+) -> Remeshed:
+    """Bring edges near a length and triangles near equilateral; regions and junctions stay.
+
+    Long edges are split, short ones collapsed, diagonals flipped, vertices moved within the
+    surface, so that volumes hardly change. Junctions are resampled along themselves; the points
+    where they meet do not move. The operations are those of M. Botsch and L. Kobbelt, "A remeshing
+    approach to multiresolution modeling", SGP 2004, with the link condition of T. K. Dey et al.,
+    "Topology preserving edge contraction", 1999.
+
+    Parameters
+    ----------
+    mesh
+        Closed surfaces, with or without shared walls; open ones keep their borders.
+    edge_length
+        um; one number, or (V,) for each vertex.
+    passes
+        1 keeps a good mesh good; None: as many as the longest edge asks for.
+    carried
+        (V, C) or (V,) numbers that vertices take along.
+    fixed
+        (V,) bool: vertices that neither move nor vanish.
+    smooth
+        Whether vertices may move at all.
+
+    Raises
+    ------
+    InputError
+        If the length is not positive, arrays do not fit the mesh, or the compiled extension is
+        missing.
+    """
+    native = _native()
+    if native is None:
+        raise InputError("remeshing needs the compiled extension: reinstall with a C++ compiler")
+    n = len(mesh.vertices)
+    length = np.broadcast_to(np.asarray(edge_length, np.float64), (n,))
+    if not (np.isfinite(length).all() and (length > 0).all()):
+        raise InputError("the edge length must be a positive number (um)")
+    loads = np.zeros((n, 0)) if carried is None else np.asarray(carried, np.float64)
+    if loads.ndim not in (1, 2) or len(loads) != n:
+        raise InputError(f"carried must have a row for each of the {n} vertices")
+    held = np.zeros(n, bool) if fixed is None else np.asarray(fixed, bool)
+    if held.shape != (n,):
+        raise InputError(f"fixed must have one value for each of the {n} vertices")
+    if passes is None:
+        longest = float(
+            np.linalg.norm(np.diff(mesh.vertices_numpy()[mesh.edges()], axis=1), axis=2).max()
+        )
+        passes = _PASSES + max(0, ceil(log2(longest / float(length.min()))))
+    vertices, faces, regions, held_now, loads_now, counts = native.remesh(
+        np.ascontiguousarray(mesh.vertices_numpy(), np.float64),
+        np.ascontiguousarray(mesh.faces, np.int64),
+        np.ascontiguousarray(mesh.regions, np.int64),
+        np.ascontiguousarray(length),
+        np.ascontiguousarray(held, np.uint8),
+        np.ascontiguousarray(loads.reshape(n, -1)),
+        int(passes),
+        bool(smooth),
+    )
+    shape = (len(vertices), *loads.shape[1:])
+    return Remeshed(
+        Mesh(vertices, faces, regions), loads_now.reshape(shape), held_now[:, 0] > 0, *counts
+    )
+
+
+def smallest_angles(mesh: Mesh) -> FloatArray:
+    """(F,) the smallest angle of each face, degrees; 0 where it has no area."""
+    corners = mesh.vertices_numpy()[mesh.faces]
+    to_next = np.roll(corners, -1, axis=1) - corners
+    to_last = np.roll(corners, 1, axis=1) - corners
+    sine = np.linalg.norm(np.cross(to_next, to_last), axis=2)
+    angles: FloatArray = np.degrees(np.arctan2(sine, (to_next * to_last).sum(2))).min(axis=1)
+    return angles
+
+
+def edge_valences(mesh: Mesh) -> IntArray:
+    """(E,) number of faces at each edge: 2 within a surface, 3 or more at junctions."""
+    ends = np.sort(mesh.faces[:, [1, 2, 2, 0, 0, 1]].reshape(-1, 2), axis=1)
+    counts: IntArray = np.unique(ends, axis=0, return_counts=True)[1]
+    return counts
+
+
+def _native() -> ModuleType | None:
+    try:
+        from napari_deltamic.geometry import _remesh  # type: ignore[attr-defined]
+    except ImportError:
+        return None
+    return _remesh

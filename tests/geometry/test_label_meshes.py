@@ -1,0 +1,71 @@
+"""Meshes of label images whose labels touch."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from napari_deltamic.geometry import label_meshes, mesh_from_labels
+from napari_deltamic.geometry.remeshing import can_remesh, edge_valences, smallest_angles
+
+pytestmark = pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
+SIZE = (0.4, 0.2, 0.2)
+
+
+def halves(line=0):
+    """A ball cut in two, with a line of some voxels of ground between the halves."""
+    z, y, x = np.indices((26, 52, 52)) * np.reshape(SIZE, (3, 1, 1, 1)) - 5.1
+    labels = np.where(x < 0, 4, 9) * (z**2 + y**2 + x**2 < 16)
+    if line:
+        labels[:, :, 26 - line // 2 : 26 + (line + 1) // 2] = 0
+    return labels
+
+
+def test_touching_labels_share_their_wall():
+    labels = halves()
+    mesh = mesh_from_labels(labels, SIZE)
+    assert mesh.is_closed()
+    assert {tuple(p) for p in mesh.interfaces()[0]} == {(4, 0), (9, 0), (9, 4)}
+    assert set(np.unique(edge_valences(mesh))) == {2, 3}
+    for k in (4, 9):
+        assert_allclose(mesh.region_volume(k), (labels == k).sum() * 0.016, rtol=3e-3)
+    assert np.percentile(smallest_angles(mesh), 1) > 25
+    wall = (mesh.regions > 0).all(1)
+    assert_allclose(mesh.areas()[wall].sum(), np.pi * 16, rtol=0.1)
+    assert np.abs(mesh.vertices_numpy()[mesh.faces[wall]][:, :, 2] - 5.0).max() < 0.2
+
+
+def test_a_line_of_one_voxel_is_no_gap():
+    pairs = mesh_from_labels(halves(1), SIZE).interfaces()[0]
+    assert (9, 4) in {tuple(p) for p in pairs}
+
+
+def test_wider_gaps_stay_unless_they_are_closed():
+    apart = mesh_from_labels(halves(4), SIZE)
+    assert {tuple(p) for p in apart.interfaces()[0]} == {(4, 0), (9, 0)}
+    joined = mesh_from_labels(halves(4), SIZE, gap=1.0)
+    assert (9, 4) in {tuple(p) for p in joined.interfaces()[0]}
+    total = sum(joined.volumes().values())
+    assert_allclose(total, (halves() > 0).sum() * 0.016, rtol=0.05)
+
+
+def test_labels_apart_are_not_joined_with_the_others():
+    labels = np.pad(halves(), ((0, 0), (0, 0), (0, 30)))
+    labels[8:18, 20:36, 60:76] = 2
+    mesh = mesh_from_labels(labels, SIZE)
+    assert set(mesh.region_ids()) == {2, 4, 9}
+    assert not {(4, 2), (9, 2)} & {tuple(p) for p in mesh.interfaces()[0]}
+
+
+def test_crumbs_and_holes_of_a_cluster():
+    labels = halves()
+    labels[1:3, 1:3, 1:3] = 4
+    labels[12:14, 24:27, 12:15] = 0
+    mesh = mesh_from_labels(labels, SIZE)
+    assert mesh.bounds()[0].min() > 0.5
+    assert_allclose(mesh.region_volume(4), (halves() == 4).sum() * 0.016, rtol=5e-3)
+
+
+def test_without_the_extension_each_label_has_its_own_surface(monkeypatch):
+    monkeypatch.setattr(label_meshes, "can_remesh", lambda: False)
+    mesh = mesh_from_labels(halves(), SIZE)
+    assert (mesh.regions[:, 1] == 0).all()
