@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.basins import label_basins
+from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.label_meshes import EDGE_IN_VOXELS, mesh_from_labels
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
-from napari_deltamic.geometry.primitives import sphere
 
 Triple = Sequence[float]
 
@@ -65,8 +65,9 @@ def seeds_from_points(
 ) -> Mesh:
     """Starting surfaces for the objects that points name; region k is the k-th point (from 1).
 
-    Where `radii` (um, one a point; nan or 0 = not known) gives a radius the surface is a sphere,
-    elsewhere it follows the membrane around the point, see `labels_from_points`.
+    Where `radii` (um, one a point; nan or 0 = not known) gives a radius the surface is a sphere;
+    spheres that overlap become cells that share walls, see `foam`. Elsewhere it follows the
+    membrane around the point, see `labels_from_points`.
 
     Raises
     ------
@@ -83,9 +84,11 @@ def seeds_from_points(
     if len(free):
         labels = label_basins(data, size, voxels[free], (free + 1).tolist(), None)
         parts.append(mesh_from_labels(labels, voxel_size, origin, edge))
-    for k in np.flatnonzero(radius > 0):
-        ball = sphere(centres[k], float(radius[k]), edge)
-        parts.append(Mesh(ball.vertices, ball.faces, np.where(ball.regions > 0, k + 1, 0)))
+    round_ = np.flatnonzero(radius > 0)
+    if len(round_):
+        balls = foam(centres[round_], radius[round_], edge)
+        numbers = np.concatenate([[0], round_ + 1])
+        parts.append(Mesh(balls.vertices, balls.faces, numbers[balls.regions]))
     return Mesh.merge(parts)
 
 
