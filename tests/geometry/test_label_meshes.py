@@ -69,3 +69,12 @@ def test_without_the_extension_each_label_has_its_own_surface(monkeypatch):
     monkeypatch.setattr(label_meshes, "can_remesh", lambda: False)
     mesh = mesh_from_labels(halves(), SIZE)
     assert (mesh.regions[:, 1] == 0).all()
+
+
+@pytest.mark.parametrize("across", [6, 9, 14])
+def test_small_labels_keep_their_volume(across):
+    z, y, x = np.indices((24, 24, 24)) - 11.5
+    labels = (z**2 + y**2 + x**2 < (across / 2) ** 2).astype(int)
+    mesh = mesh_from_labels(labels, (0.1, 0.1, 0.1))
+    assert_allclose(mesh.region_volume(1), labels.sum() * 1e-3, rtol=0.01)
+    assert smallest_angles(mesh).min() > 15

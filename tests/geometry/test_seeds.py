@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from napari_deltamic.errors import InputError
+from napari_deltamic.geometry import basins
 from napari_deltamic.geometry.label_meshes import mesh_from_labels
 from napari_deltamic.geometry.mesh import Mesh
 from napari_deltamic.geometry.seeds import (
@@ -223,10 +224,11 @@ def test_ball_surface(edge: float) -> None:
     surface = check_surface(mesh)
     assert mesh.region_ids().tolist() == [3]
     off = np.linalg.norm(mesh.vertices - CENTER, axis=1) - 2.5
-    assert np.abs(off).mean() < 0.03
+    # A coarse mesh of the right volume has its vertices a little outside.
+    assert np.abs(off).mean() < max(0.03, 0.05 * edge)
     assert surface.edges_unique_length.mean() == pytest.approx(edge, rel=0.1)
     assert (smallest_angles(mesh) > 25).mean() > 0.99
-    assert mesh.region_volume(3) == pytest.approx(4 / 3 * np.pi * 2.5**3, rel=0.08)
+    assert mesh.region_volume(3) == pytest.approx(4 / 3 * np.pi * 2.5**3, rel=0.03)
 
 
 def test_origin_moves_the_surface() -> None:
@@ -384,3 +386,17 @@ def test_real_vesicles(shared_data: Path) -> None:
     again = seeds_from_points(image, size, shifted)
     assert np.array_equal(again.faces, mesh.faces)
     assert np.array_equal(again.vertices, mesh.vertices)
+
+
+def test_the_next_point_in_the_same_image_is_quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[int] = []
+    make = basins._new_tree
+    monkeypatch.setattr(basins, "_new_tree", lambda *a: made.append(1) or make(*a))
+    one, two = (5.0, 4.7, 2.7), (5.0, 4.7, 6.7)
+    image = noisy(membrane(ball(one, 1.7)) + membrane(ball(two, 1.7)))
+    first = labels_from_points(image, SIZE, [one])
+    both = labels_from_points(image, SIZE, [one, two])
+    assert len(made) == 1
+    assert np.array_equal(both == 1, first == 1)
+    labels_from_points(image + 50 * (image > 900), SIZE, [one])
+    assert len(made) == 2

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from hashlib import sha1
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,7 +104,21 @@ def _border_area(shape: tuple[int, ...], size: FloatArray) -> FloatArray:
     return area
 
 
+# The tree of the image that was looked at last: it takes nearly all of the time, and every click
+# of a user asks for it again.
+_kept: list[tuple[bytes, _Tree]] = []
+
+
 def _component_tree(ranked: Ranks, size: FloatArray) -> _Tree:
+    content = sha1(np.ascontiguousarray(ranked), usedforsecurity=False)
+    content.update(repr((ranked.shape, size.tolist())).encode())
+    key = content.digest()
+    if not (_kept and _kept[0][0] == key):
+        _kept[:] = [(key, _new_tree(ranked, size))]
+    return _kept[0][1]
+
+
+def _new_tree(ranked: Ranks, size: FloatArray) -> _Tree:
     parents, order = max_tree(65535 - ranked, connectivity=1)
     level = ranked.ravel().astype(np.int64)
     parent = parents.ravel().astype(np.int64)

@@ -36,11 +36,14 @@ WALL = 0.4
 # Added before the logarithm: this part of the contrast, and not less than so many standard
 # deviations of the noise, or noise in dark places would look like walls.
 FLOOR, FLOOR_NOISE = 0.06, 3.0
-ENCLOSED = 0.55  # the least share of a cell's surface that is on a wall
+ENCLOSED = 0.6  # the least share of a cell's surface that is on a wall
+# The more of a region lies on the border of the image, the better the rest must be enclosed, up to
+# this: corners of the outside have walls on one side, cut cells all around.
+ENCLOSED_AT_BORDER = 0.9
 LEAST_HEIGHT = 0.77  # and the least mean height over all of it: the edges of noise have up to 0.7
 SMALLEST, LARGEST = 0.4, 2.0  # diameters of cells that are kept, in parts of the size
 # A size is sought on about so many voxels, down to cells of so many across.
-FEW_VOXELS, SMALLEST_TRIED = 150_000, 7
+FEW_VOXELS, SMALLEST_TRIED = 60_000, 8
 LEAST_VOXELS = 4  # a cell's diameter, in voxels
 
 
@@ -75,7 +78,7 @@ def find_cells(
     """
     data, missing, voxel = _checked(image, voxel_size)
     diameter = _checked_size(size, data.shape, voxel)
-    labels, _ = _find(data, missing, voxel, diameter, FINEST, join_below, enclosed)
+    labels, _, _ = _find(data, missing, voxel, diameter, FINEST, join_below, enclosed)
     if not labels.any():
         raise InputError(f"no cells of about {diameter:g} um were found: try another size")
     return labels
@@ -101,10 +104,11 @@ def suggest_size(image: ArrayLike, voxel_size: Sequence[float]) -> float:
         missing = _coarsened(missing.astype(np.float32), step) > 0.5
     size, best, suggested = 0.8 * float(extent.max()), 0.0, float(extent.max()) / 4
     while size >= SMALLEST_TRIED * _mean_side(voxel):
-        found = _find(data, missing, voxel, size, 0.0, JOIN_BELOW, ENCLOSED)[1]
+        _, found, quality = _find(data, missing, voxel, size, 0.0, JOIN_BELOW, ENCLOSED)
         if len(found):
             typical = float(np.median(found))
-            score = float((found**3).sum()) * np.exp(-2 * np.log(typical / size) ** 2)
+            # Pieces of cells and of the outside are less enclosed than cells.
+            score = float((quality**4 * found**3).sum()) * np.exp(-2 * np.log(typical / size) ** 2)
             if score > best:
                 best, suggested = score, typical
         size /= 1.3
@@ -119,8 +123,8 @@ def _find(
     finest: float,
     join_below: float,
     enclosed: float,
-) -> tuple[Labels, FloatArray]:
-    """Labels of the cells, and their diameters (um)."""
+) -> tuple[Labels, FloatArray, FloatArray]:
+    """Labels of the cells; of each region that is one its diameter (um), how enclosed it is."""
     step = np.maximum(np.floor(finest * size / voxel), 1).astype(int)
     step = np.minimum(step, data.shape)
     coarse, side = _coarsened(data, step), voxel * step
@@ -135,15 +139,17 @@ def _find(
     names = _cells(regions, side, size, enclosed, gone)
     labels = _trimmed(regions.labels, names, side, size)
     diameters = np.cbrt(6 / np.pi * regions.volume[names])
-    return _refined(labels, step, data, voxel, size), diameters
+    return _refined(labels, step, data, voxel, size), diameters, regions.enclosed[names]
 
 
 def _walls(data: Image, side: FloatArray, size: float) -> Image:
     """The smoothed image with its contrast compressed: dim walls count next to bright ones."""
-    sigma = np.maximum(SMOOTHING * size, float(side.min()) * 0.7) / side
+    sigma = max(SMOOTHING * size, 0.7 * float(side.min())) / side
     smooth = ndimage.gaussian_filter(data, sigma, mode="nearest")
     low, high = np.percentile(smooth, [0.5, 99.9])
-    floor = max(FLOOR * float(high - low), FLOOR_NOISE * _noise_after(data, sigma))
+    floor = max(
+        FLOOR * float(high - low), FLOOR_NOISE * _noise_after(data.astype(np.float64), sigma)
+    )
     if not floor > 0:  # nearly all voxels are alike
         floor = max(FLOOR * float(np.ptp(smooth)), float(np.finfo(np.float32).tiny))
     walls: Image = np.log(np.maximum(smooth - low, 0) / floor + 1).astype(np.float32)
@@ -159,10 +165,14 @@ def _cells(
     border = np.bincount(flat, _border_area(regions.labels.shape, side).ravel(), n)
     diameter = np.cbrt(6 / np.pi * regions.volume)
     good = (diameter >= SMALLEST * size) & (diameter <= LARGEST * size)
-    good &= border <= BORDER_LIMIT * np.pi * diameter**2
-    good &= (regions.enclosed >= enclosed) & (regions.height >= LEAST_HEIGHT)
+    share = border / np.maximum(np.pi * diameter**2, np.finfo(float).tiny)
+    least = np.maximum(enclosed, np.minimum(enclosed + share, ENCLOSED_AT_BORDER))
+    good &= share <= BORDER_LIMIT
+    good &= (regions.enclosed >= least) & (regions.height >= LEAST_HEIGHT)
     if missing is not None:
-        known = 1 - np.bincount(flat, missing.ravel(), n) / np.maximum(np.bincount(flat, None, n), 1)
+        known = 1 - np.bincount(flat, missing.ravel(), n) / np.maximum(
+            np.bincount(flat, None, n), 1
+        )
         good &= known > 0.5
     return np.flatnonzero(good)
 
@@ -175,10 +185,8 @@ def _trimmed(labels: Labels, names: NDArray[np.int64], side: FloatArray, size: f
     number = 0
     for name in names:
         box = boxes[name - 1]
-        solid = np.pad(ndimage.binary_fill_holes(labels[box] == name), 1, mode="edge")
-        solid = solid & True
-        depth = ndimage.distance_transform_edt(solid, side) if not solid.all() else None
-        core = solid if depth is None else depth > radius
+        solid = np.pad(ndimage.binary_fill_holes(labels[box] == name), 1)
+        core = ndimage.distance_transform_edt(solid, side) > radius
         parts, count = ndimage.label(core)
         if not count:
             continue
@@ -221,8 +229,9 @@ def _coarsened(data: Image, step: NDArray[np.int_]) -> Image:
             starts = np.arange(0, max(data.shape[axis] // times, 1) * times, times)
             count = np.diff(np.append(starts, data.shape[axis]))
             shape = [-1 if a == axis else 1 for a in range(3)]
-            data = np.add.reduceat(data, starts, axis=axis) / count.reshape(shape)
-    return data.astype(np.float32, copy=False)
+            sums = np.add.reduceat(data, starts, axis=axis)
+            data = (sums / count.reshape(shape)).astype(np.float32)
+    return data
 
 
 def _mean_side(voxel: FloatArray) -> float:
@@ -239,7 +248,11 @@ def _checked(
     array = np.asarray(image)
     if array.ndim != 3 or not array.size:
         raise InputError(f"a 3D image is needed to find cells, not one of shape {array.shape}")
-    if array.dtype == np.bool_ or not np.issubdtype(array.dtype, np.number) or np.iscomplexobj(array):
+    if (
+        array.dtype == np.bool_
+        or not np.issubdtype(array.dtype, np.number)
+        or np.iscomplexobj(array)
+    ):
         raise InputError(f"an image of real numbers is needed to find cells, not {array.dtype}")
     voxel = np.asarray(voxel_size, np.float64)
     if voxel.shape != (3,) or not np.isfinite(voxel).all() or (voxel <= 0).any():

@@ -93,11 +93,13 @@ def _single(numbers: IntArray, cluster: IntArray, at: _Place) -> Mesh:
     number = int(cluster[0])
     box, name = at.boxes[number - 1], int(at.names[number - 1])
     corner = at.origin + at.size * [s.start for s in box]
-    surface = closed_surface(numbers[box] == number, at.size, corner, at.edge)
+    cut = _whole(np.where(numbers[box] == number, numbers[box], 0), cluster)
+    surface = closed_surface(cut == number, at.size, corner, at.edge)
     if surface is None:
         raise InputError(f"label {name} is too small for edges of {at.edge:g} um")
     vertices, faces = surface
-    return Mesh(vertices, faces, np.tile(np.array([[name, 0]], np.int64), (len(faces), 1)))
+    mesh = Mesh(vertices, faces, np.tile(np.array([[name, 0]], np.int64), (len(faces), 1)))
+    return with_volumes(mesh, {name: float((cut == number).sum() * np.prod(at.size))})
 
 
 def _cluster(numbers: IntArray, cluster: IntArray, at: _Place) -> Mesh:

@@ -24,6 +24,7 @@ Image = NDArray[np.float32]
 _OPENING = 0.02
 # Regions smaller or larger than a cell are joined more, or less, readily, between these factors.
 _READY, _RELUCTANT = 0.6, 1.6
+BOUND = 1.15  # heights above the inside are counted up to this, in the units of the image
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,11 @@ class Regions:
 
 
 class _Graph:
-    """Regions, and for each pair that touches: [area, area x height, area of wall seen by each]."""
+    """Regions, and for each pair that touches sums over the contact.
+
+    Of area, of area x height (bounded, so that where a contact ends in the bright walls around
+    does not pass for a wall), of area that the one sees as wall, of area x height.
+    """
 
     def __init__(self, labels: Labels, image: Image, size: FloatArray, wall: float) -> None:
         self.n = int(labels.max()) + 1
@@ -56,22 +61,23 @@ class _Graph:
         total = np.bincount(dark, image.ravel(), self.n)
         level = total / np.maximum(count, 1)
         key, index = np.unique(pairs[0] * self.n + pairs[1], return_inverse=True)
-        columns = [areas, areas * heights]
+        bounded = np.minimum(heights, level[pairs].max(axis=0) + BOUND)
+        columns = [areas, areas * bounded, areas * heights]
         columns += [areas * (heights > level[side] + wall) for side in pairs]
         sums = np.stack([np.bincount(index, column) for column in columns], axis=1)
         self.count, self.total = count.tolist(), total.tolist()
         self.volume = (np.bincount(labels.ravel(), minlength=self.n) * np.prod(size)).tolist()
         self.near: list[dict[int, list[float]]] = [{} for _ in range(self.n)]
-        for pair, (area, height, one, other) in zip(key.tolist(), sums.tolist(), strict=True):
+        for pair, (area, low, full, one, other) in zip(key.tolist(), sums.tolist(), strict=True):
             i, j = divmod(pair, self.n)
-            self.near[i][j] = [area, height, one]
-            self.near[j][i] = [area, height, other]
+            self.near[i][j] = [area, low, one, full]
+            self.near[j][i] = [area, low, other, full]
         self.area = [sum(c[0] for c in near.values()) for near in self.near]
         self.wall = [sum(c[2] for c in near.values()) for near in self.near]
 
     def cost(self, i: int, j: int, ball: float) -> float:
         """How high the wall between two regions is; inf where they must not be joined."""
-        area, height, seen = self.near[i][j]
+        area, height, seen, _ = self.near[i][j]
         around = self.area[i] + self.area[j] - 2 * area
         wall = self.wall[i] + self.wall[j] - seen - self.near[j][i][2]
         joined = wall / around if around > 1e-6 * area else 1.0
@@ -87,7 +93,7 @@ class _Graph:
     def height(self, i: int) -> float:
         if self.area[i] <= 0:
             return 0.0
-        mean = sum(contact[1] for contact in self.near[i].values()) / self.area[i]
+        mean = sum(contact[3] for contact in self.near[i].values()) / self.area[i]
         return mean - self.total[i] / self.count[i]
 
     def join(self, i: int, j: int) -> None:
@@ -99,7 +105,7 @@ class _Graph:
         for k, seen in self.near[j].items():
             back = self.near[k].pop(j)
             for here, there, more in ((i, k, seen), (k, i, back)):
-                old = self.near[here].get(there, [0.0, 0.0, 0.0])
+                old = self.near[here].get(there, [0.0] * 4)
                 self.near[here][there] = [a + b for a, b in zip(old, more, strict=True)]
         self.near[j] = {}
         self.volume[j] = 0.0

@@ -1,0 +1,159 @@
+"""Changing a mesh by hand: where it is touched, and how far each vertex goes with the touch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
+
+from ..errors import InputError
+from .mesh import OUTSIDE, FloatArray, IntArray, Mesh
+
+
+@dataclass(frozen=True, eq=False)
+class Touch:
+    """A point of a surface.
+
+    point : (3,) um, Z, Y, X.
+    face : that it lies in.
+    """
+
+    point: FloatArray
+    face: int
+
+
+def touched_by_ray(mesh: Mesh, start: FloatArray, direction: FloatArray) -> Touch | None:
+    """The first point at which a line meets a mesh.
+
+    Parameters
+    ----------
+    mesh : any mesh, um.
+    start : (3,) um, any point of the line; what lies before it counts as well.
+    direction : (3,) in which the line is looked along; any length but 0.
+
+    Returns
+    -------
+    The touch, or None where the line misses the mesh.
+
+    Notes
+    -----
+    T. Moeller, B. Trumbore, "Fast, minimum storage ray/triangle intersection", J. Graphics Tools 2,
+    1997, for all faces at once.
+    """
+    start, direction = np.asarray(start, np.float64), np.asarray(direction, np.float64)
+    length = float(np.linalg.norm(direction))
+    if not length > 0:
+        raise InputError("a line needs a direction")
+    direction = direction / length
+    corners = mesh.vertices_numpy()[mesh.faces]
+    a = corners[:, 0]
+    ab, ac = corners[:, 1] - a, corners[:, 2] - a
+    across = np.cross(direction, ac)
+    size = np.einsum("fi,fi->f", ab, across)
+    seen = np.flatnonzero(np.abs(size) > 0)  # not edge-on
+    if not len(seen):
+        return None
+    a, ab, ac, across, size = a[seen], ab[seen], ac[seen], across[seen], size[seen]
+    away = start - a
+    u = np.einsum("fi,fi->f", away, across) / size
+    turned = np.cross(away, ab)
+    v = turned @ direction / size
+    distance = np.einsum("fi,fi->f", turned, ac) / size
+    inside = np.flatnonzero((u >= 0) & (v >= 0) & (u + v <= 1))
+    if not len(inside):
+        return None
+    nearest = inside[distance[inside].argmin()]
+    return Touch(start + distance[nearest] * direction, int(seen[nearest]))
+
+
+def touched_on_section(
+    segments: FloatArray, faces: IntArray, axis: int, point: FloatArray, reach: float
+) -> Touch | None:
+    """The point of a contour nearest to a point of its plane.
+
+    Parameters
+    ----------
+    segments, faces : (S, 2, 2) um and (S,): a section, see ``measure.section``.
+    axis : across which the plane lies.
+    point : (3,) um, in the plane.
+    reach : um; what is farther away is not touched.
+
+    Returns
+    -------
+    The touch, or None where the contour is farther away than that.
+    """
+    if not len(segments):
+        return None
+    others = [k for k in range(3) if k != axis]
+    a, along = segments[:, 0], segments[:, 1] - segments[:, 0]
+    share = np.einsum("si,si->s", point[others] - a, along) / np.einsum("si,si->s", along, along)
+    places = a + np.clip(share, 0, 1)[:, None] * along
+    distance = np.linalg.norm(places - point[others], axis=1)
+    nearest = int(distance.argmin())
+    if distance[nearest] > reach:
+        return None
+    on_contour = np.array(point, np.float64)
+    on_contour[others] = places[nearest]
+    return Touch(on_contour, int(faces[nearest]))
+
+
+def falloff(mesh: Mesh, touch: Touch, radius: float) -> FloatArray:
+    """How much of a displacement each vertex takes part in.
+
+    ``(1 - (d / r)^2)^2`` with the distance d from the touch: 1 there, and flat at both ends. Only
+    what hangs together with the touched face within the radius r moves, so the far side of a thin
+    cell stays. Where no vertex is near, the brush is as large as the touched face needs.
+
+    Parameters
+    ----------
+    mesh : um.
+    touch : where.
+    radius : um, positive.
+
+    Returns
+    -------
+    (V,) between 0 and 1.
+    """
+    if not radius > 0:
+        raise InputError("a brush needs a positive radius")
+    vertices, corners = mesh.vertices_numpy(), mesh.faces[touch.face]
+    distance = np.linalg.norm(vertices - touch.point, axis=1)
+    radius = max(radius, 2 * float(distance[corners].min()))
+    within = distance < radius
+    weights = np.where(within, (1 - (distance / radius) ** 2) ** 2, 0.0)
+    weights[~_together(mesh, within, corners)] = 0
+    return weights
+
+
+def _together(mesh: Mesh, within: np.ndarray, corners: IntArray) -> np.ndarray:
+    """(V,) bool: what of a set of vertices hangs together with some corners."""
+    within = within.copy()
+    within[corners] = True
+    edges = mesh.edges()
+    edges = edges[within[edges].all(axis=1)]
+    n = len(within)
+    graph = sp.coo_matrix((np.ones(len(edges), np.int8), (edges[:, 0], edges[:, 1])), shape=(n, n))
+    piece = connected_components(graph, directed=False)[1]
+    return within & (piece == piece[corners[0]])
+
+
+def outward(mesh: Mesh, face: int) -> FloatArray:
+    """Unit normals at the vertices, out of the region that a face bounds.
+
+    Weighted by area. A face between two cells bounds the one that its normal points out of.
+
+    Returns
+    -------
+    (V, 3) Z, Y, X; 0 at vertices that the region does not have.
+    """
+    inner, outer = (int(r) for r in mesh.regions[face])
+    region = outer if inner == OUTSIDE else inner
+    sign = (mesh.regions[:, 0] == region).astype(float) - (mesh.regions[:, 1] == region)
+    per_face = mesh.normals() * (mesh.areas() * sign)[:, None]
+    total = np.zeros((len(mesh.vertices), 3))
+    for k in range(3):
+        total[:, k] = np.bincount(mesh.faces.ravel(), np.repeat(per_face[:, k], 3), len(total))
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    return np.divide(total, length, out=np.zeros_like(total), where=length > 0)
