@@ -113,9 +113,12 @@ def _component_tree(ranked: Ranks, size: FloatArray) -> _Tree:
     content = sha1(np.ascontiguousarray(ranked), usedforsecurity=False)
     content.update(repr((ranked.shape, size.tolist())).encode())
     key = content.digest()
-    if not (_kept and _kept[0][0] == key):
-        _kept[:] = [(key, _new_tree(ranked, size))]
-    return _kept[0][1]
+    for known, tree in tuple(_kept):  # threads may share it
+        if known == key:
+            return tree
+    tree = _new_tree(ranked, size)
+    _kept[:] = [(key, tree)]
+    return tree
 
 
 def _new_tree(ranked: Ranks, size: FloatArray) -> _Tree:
