@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-slow benchmark lint clean
+.PHONY: demo test test-slow stability benchmark lint clean
 demo: $(STAMP)
 	$(BIN)/python -m napari_deltamic.demo
 
@@ -16,8 +16,13 @@ test: $(STAMP)
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow
 
+stability: $(STAMP)
+	$(BIN)/python -m pytest tests/stability -m ""
+	$(BIN)/python -m benchmarks.stability
+
 benchmark: $(STAMP)
 	$(BIN)/python -m benchmarks --markdown docs/benchmarks.md
+	$(BIN)/python -m benchmarks.accuracy
 
 lint: $(STAMP)
 	$(BIN)/ruff check src tests benchmarks

@@ -20,7 +20,7 @@ from typing import Any
 from .figure import Figure, MissingData, Options, Row, default_data_folder
 
 # Each exposes FIGURES: dict[str, Callable[[Options], list[Row]]].
-MODULES = ("engine", "rendering", "fits", "vesicles")
+MODULES = ("engine", "rendering", "fits", "vesicles", "event_loop")
 LIBRARIES = ("napari-deltamic", "torch", "finufft", "numpy", "scipy")
 HEADINGS = ("figure", "asked", "measured", "unit", "", "note")
 

@@ -38,8 +38,9 @@ from .figure import (
 def adversarial_triangles(options: Options) -> list[Row]:
     """Worst errors of mesh_ft on triangles that break formulas: those that the tests measure."""
     folder = Path(__file__).resolve().parents[1] / "tests"
-    path = folder / "fourier" / "test_adversarial_triangles.py"
-    sys.path[:0] = [str(folder)]  # for the reference that the test file imports
+    path = folder / "stability" / "triangle_errors.py"
+    beside = [str(folder), str(path.parent)]  # for the modules that it imports
+    sys.path[:0] = beside
     try:
         spec = importlib.util.spec_from_file_location(path.stem, path)
         assert spec is not None
@@ -49,7 +50,8 @@ def adversarial_triangles(options: Options) -> list[Row]:
     except (ImportError, OSError) as missing:
         return [Row("adversarial triangles", "", float("nan"), "", None, str(missing))]
     finally:
-        sys.path.remove(str(folder))
+        for each in beside:
+            sys.path.remove(each)
     table = module.worst_errors()
     rows = []
     for kind, bar in module.BAR.items():

@@ -1,9 +1,14 @@
 """What several tests need."""
 
 import os
+import tempfile
 from pathlib import Path
 
 import pytest
+
+# Costs that a user's machine has kept are no business of the tests, nor theirs of the user's.
+_CACHE = tempfile.TemporaryDirectory()
+os.environ["DELTAMIC_CACHE"] = _CACHE.name
 
 
 def shared_data_folder() -> Path:

@@ -5,7 +5,13 @@ import pytest
 import tifffile
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.images import read_image, write_image
+from napari_deltamic.images import (
+    holds_image,
+    read_image,
+    read_voxel_size,
+    stored_shape,
+    write_image,
+)
 
 SIZE = (0.3, 0.1, 0.12)
 STACK = np.arange(4 * 5 * 6, dtype=np.float32).reshape(4, 5, 6)
@@ -184,3 +190,72 @@ def test_not_written(tmp_path, name, image, size):
     with pytest.raises(InputError):
         write_image(tmp_path / name, image, size)
     assert list(tmp_path.iterdir()) == []
+
+
+# ---- whether a file still is what is shown -------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["a.tif", "a.ome.tif", "a.npy"])
+def test_a_file_holds_what_was_written_and_nothing_else(tmp_path, name):
+    image = np.random.default_rng(0).random((4, 5, 6)).astype(np.float32)
+    image[1, 2, 3] = np.nan
+    path = tmp_path / name
+    write_image(path, image, (1, 1, 1))
+    assert stored_shape(path) == (4, 5, 6)
+    assert holds_image(path, image)
+    assert holds_image(path, np.where(np.isnan(image), np.inf, image))
+    edited = image.copy()
+    edited[3, 4, 5] += 1
+    assert not holds_image(path, edited)
+    assert not holds_image(path, np.nan_to_num(image))
+    assert not holds_image(path, image[:, :, :5])
+    path.unlink()
+    assert not holds_image(path, image)
+    assert stored_shape(path) is None
+
+
+def test_channels_and_time_points_are_not_the_file(tmp_path):
+    series = np.arange(2 * 4 * 5 * 6, dtype=np.uint16).reshape(2, 4, 5, 6)
+    tifffile.imwrite(tmp_path / "t.tif", series, imagej=True, metadata={"axes": "TZYX"})
+    assert not holds_image(tmp_path / "t.tif", series[0])
+    assert stored_shape(tmp_path / "t.tif") == (2, 4, 5, 6)
+    one = tmp_path / "one.tif"
+    tifffile.imwrite(one, series[:1], imagej=True, metadata={"axes": "TZYX"})
+    assert holds_image(one, series[0])
+
+
+# ---- the voxel size alone ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["u1", "u2", "i4", ">f4", "f8"])
+@pytest.mark.parametrize("name", ["a.tif", "a.ome.tif", "a.npy"])
+def test_the_voxel_size_is_that_of_the_image(tmp_path, name, kind):
+    path = tmp_path / name
+    write_image(path, STACK.astype(kind), SIZE)
+    assert read_voxel_size(path) == read_image(path)[1]
+    assert (read_voxel_size(path) is None) == (name == "a.npy")
+
+
+def test_the_voxel_size_of_files_that_do_not_say(tmp_path):
+    assert read_voxel_size(save(tmp_path / "plain.tif")) is None
+    assert read_voxel_size(imagej(tmp_path / "pixel.tif", "pixel")) is None
+
+
+def test_the_voxel_size_needs_no_pixels(tmp_path, monkeypatch):
+    path = tmp_path / "a.tif"
+    write_image(path, STACK, SIZE)
+
+    def fail(*args, **options):
+        raise AssertionError("the pixels were read")
+
+    monkeypatch.setattr(tifffile.TiffPageSeries, "asarray", fail)
+    assert read_voxel_size(path) == pytest.approx(SIZE)
+
+
+@pytest.mark.parametrize("name", [name for name in BAD if name != "damaged"])
+def test_no_voxel_size_of_what_is_no_stack(tmp_path, name, capfd):
+    make, message = BAD[name]
+    path = make(tmp_path / "a.tif")
+    with pytest.raises(InputError, match=message):
+        read_voxel_size(path)
+    assert capfd.readouterr() == ("", "")

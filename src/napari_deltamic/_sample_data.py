@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .geometry import Mesh, sphere
+from .geometry import Mesh, mesh_from_labels, sphere
 from .optics import GaussianPSF
 from .scene import Grid, render
 
@@ -62,6 +62,22 @@ def dividing_cell_sample() -> Sample:
     return _sample("dividing cell", truth, grid, (0.36, 0.2, 0.2), [center])
 
 
+def foam_sample() -> Sample:
+    """Eight cells that share walls, like a young embryo."""
+    grid = Grid((52, 76, 84), (0.3, 0.2, 0.2))
+    center = 0.5 * (np.asarray(grid.shape) - 1) * grid.voxel_size
+    points = _spread(8, (4.3, 4.3, 5.1)) + center
+    step = (0.2, 0.2, 0.2)
+    axes = [np.arange(0, 2 * c, d) for c, d in zip(center, step, strict=True)]
+    z, y, x = np.meshgrid(*axes, indexing="ij", sparse=True)
+    # The nearest point owns a place, unless it is too far: walls are flat, the outside is round.
+    squared = np.array([(z - p[0]) ** 2 + (y - p[1]) ** 2 + (x - p[2]) ** 2 for p in points])
+    labels = np.where(squared.min(axis=0) < 3.6**2, squared.argmin(axis=0) + 1, 0)
+    truth = mesh_from_labels(labels, step, edge_length=0.45, shared_walls=False)
+    centers = [truth.region_surface(k).vertices_numpy().mean(axis=0) for k in range(1, 9)]
+    return _sample("foam of 8 cells", truth, grid, (0.42, 0.24, 0.24), centers)
+
+
 def vesicle() -> list[LayerData]:
     """The vesicle as layers for napari."""
     return _layers(vesicle_sample())
@@ -75,6 +91,11 @@ def two_cells() -> list[LayerData]:
 def dividing_cell() -> list[LayerData]:
     """The dividing cell as layers for napari."""
     return _layers(dividing_cell_sample())
+
+
+def foam() -> list[LayerData]:
+    """The foam as layers for napari."""
+    return _layers(foam_sample())
 
 
 def _layers(sample: Sample) -> list[LayerData]:
@@ -101,6 +122,18 @@ def _sample(
     expected = background + photons * clean / np.percentile(clean, 99.5)
     image = np.random.default_rng(1).poisson(expected).astype(np.float32)
     return Sample(name, image, grid, optics, truth, np.array(centers))
+
+
+def _spread(n: int, radii: Sequence[float]) -> NDArray[np.float64]:
+    """Points spread evenly in an ellipsoid: each is the middle of what is nearest to it."""
+    rng = np.random.default_rng(4)
+    cloud = rng.uniform(-1, 1, (8000, 3))
+    cloud = cloud[(cloud**2).sum(axis=1) < 1] * radii
+    points = cloud[:n]
+    for _ in range(30):
+        nearest = ((cloud[:, None] - points) ** 2).sum(axis=2).argmin(axis=1)
+        points = np.array([cloud[nearest == k].mean(axis=0) for k in range(n)])
+    return points
 
 
 def _furrowed(

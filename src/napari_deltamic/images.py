@@ -6,7 +6,7 @@ import io
 import logging
 import os
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from math import isfinite
 from pathlib import Path
@@ -21,6 +21,9 @@ from .errors import InputError
 from .geometry.files import write_atomically
 
 VoxelSize = tuple[float, float, float]
+# What is in a file: the array, the names of its axes, the voxel size.
+_Stored = tuple[NDArray[Any], str, VoxelSize | None]
+_Reader = Callable[[Path], _Stored]
 
 TIFF = (".tif", ".tiff")
 EXTENSIONS = (*TIFF, ".npy")
@@ -71,16 +74,41 @@ def read_image(path: str | os.PathLike[str]) -> tuple[NDArray[Any], VoxelSize | 
         Naming the file and the reason: missing, unknown extension, empty, damaged, not 3D, several
         channels or time points, complex or other values that are no intensities.
     """
+    array, axes, voxel_size = _read(path, _read_tiff, _read_npy)
+    with _naming(path):
+        return _checked(array, axes), voxel_size
+
+
+def read_voxel_size(path: str | os.PathLike[str]) -> VoxelSize | None:
+    """The voxel size that :func:`read_image` would give, without reading the pixels.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_image`, but damage among the pixels is not seen.
+    """
+    array, axes, voxel_size = _read(path, _tiff_header, _npy_header)
+    with _naming(path):
+        _checked(array, axes)
+    return voxel_size
+
+
+def _read(path: str | os.PathLike[str], tiff: _Reader, npy: _Reader) -> _Stored:
     path = Path(path)
     if path.suffix.lower() not in EXTENSIONS:
         known = ", ".join(EXTENSIONS)
         raise InputError(f"{path}: unknown image extension '{path.suffix}'; known are {known}")
-    try:
+    with _naming(path):
         if path.stat().st_size == 0:
             raise InputError("the file is empty")
-        read = _read_tiff if path.suffix.lower() in TIFF else _read_npy
-        image, axes, voxel_size = read(path)
-        return _checked(image, axes), voxel_size
+        return (tiff if path.suffix.lower() in TIFF else npy)(path)
+
+
+@contextmanager
+def _naming(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Whatever goes wrong becomes an InputError that names the file."""
+    try:
+        yield
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file") from None
     except InputError as error:
@@ -140,21 +168,83 @@ def write_image(
     write_atomically(path, buffer.getvalue())
 
 
+def stored_shape(path: str | os.PathLike[str]) -> tuple[int, ...] | None:
+    """(Z, Y, X) of the stack that :func:`read_image` would give, without reading it all.
+
+    None where there is no file that it could read.
+    """
+    path = Path(path)
+    try:
+        if path.suffix.lower() in TIFF:
+            with _quiet(), tifffile.TiffFile(path) as tif:
+                shape = tif.series[0].shape
+        else:
+            shape = np.load(path, mmap_mode="r", allow_pickle=False).shape
+    except Exception:  # whatever a parser may raise on damaged data
+        return None
+    while len(shape) > 3 and 1 in shape[: len(shape) - 3]:
+        shape = tuple(np.delete(shape, shape.index(1)))
+    return tuple(int(n) for n in shape)
+
+
+def holds_image(path: str | os.PathLike[str], image: ArrayLike) -> bool:
+    """Whether a file holds just these values; missing ones are equal. Reads the whole file."""
+    array = np.asarray(image)
+    if stored_shape(path) != array.shape:
+        return False
+    try:
+        stored = read_image(path)[0]
+    except InputError:
+        return False
+    # Plane by plane: no third copy of a large stack.
+    return all(
+        np.array_equal(_finite(a), _finite(b), equal_nan=a.dtype.kind == b.dtype.kind == "f")
+        for a, b in zip(stored, array, strict=True)
+    )
+
+
+def _finite(plane: NDArray[Any]) -> NDArray[Any]:
+    """A plane with NaN for whatever is no number."""
+    if plane.dtype.kind != "f":
+        return plane
+    return np.where(np.isfinite(plane), plane, np.nan)
+
+
 def _named_ome(path: Path) -> bool:
     return path.name.lower().endswith((".ome.tif", ".ome.tiff"))
 
 
-def _read_npy(path: Path) -> tuple[NDArray[Any], str, None]:
+def _read_npy(path: Path) -> _Stored:
     array = np.load(path, allow_pickle=False)
     return array, "", None
 
 
-def _read_tiff(path: Path) -> tuple[NDArray[Any], str, VoxelSize | None]:
+def _read_tiff(path: Path) -> _Stored:
     with _quiet(), tifffile.TiffFile(path) as tif:
         if not tif.series:
             raise InputError("the file holds no image")
         series = tif.series[0]
         return series.asarray(), series.axes, _voxel_size(tif)
+
+
+def _npy_header(path: Path) -> _Stored:
+    array = np.load(path, mmap_mode="r", allow_pickle=False)
+    return _without_pixels(array.shape, array.dtype), "", None
+
+
+def _tiff_header(path: Path) -> _Stored:
+    with _quiet(), tifffile.TiffFile(path) as tif:
+        if not tif.series:
+            raise InputError("the file holds no image")
+        series = tif.series[0]
+        empty = _without_pixels(series.shape, np.dtype(series.dtype))
+        return empty, series.axes, _voxel_size(tif)
+
+
+def _without_pixels(shape: Sequence[int], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Zeros of a shape that take no memory, and need no conversion in `_checked`."""
+    native = np.dtype(np.uint8) if dtype == np.bool_ else dtype.newbyteorder("=")
+    return np.broadcast_to(np.zeros((), native), tuple(shape))
 
 
 @contextmanager

@@ -13,6 +13,7 @@ from scipy import ndimage
 
 from .geometry import Mesh
 from .inference import FitState, counted_voxels, fit
+from .inference.default_accuracy import accuracy_for_image
 from .optics import GaussianPSF
 from .scene import Grid
 from .settings import NEAR_LEVELS, RunSettings
@@ -48,10 +49,13 @@ class FitInput:
 def assemble(
     settings: RunSettings, image: NDArray[Any], grid: Grid, mesh: Mesh, kind: SeedKind
 ) -> FitInput:
-    """Everything that a fit needs; what the settings leave open follows from the seeds."""
+    """Everything that a fit needs; what the settings leave open follows from seeds and noise."""
+    found: dict[str, Any] = {}
     if kind != "rough" and settings.fit.levels is None:
-        fit_settings = settings.fit.model_copy(update={"levels": NEAR_LEVELS})
-        settings = settings.model_copy(update={"fit": fit_settings})
+        found["levels"] = NEAR_LEVELS
+    if settings.fit.accuracy is None:
+        found["accuracy"] = accuracy_for_image(image)
+    settings = settings.model_copy(update={"fit": settings.fit.model_copy(update=found)})
     sigma = settings.scene.sigma
     optics = GaussianPSF(sigma or [SIGMA_IN_VOXELS * d for d in grid.voxel_size])
     counted = counted_voxels(image, grid, mesh, optics) if kind == "image" else None

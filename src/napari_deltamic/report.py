@@ -136,8 +136,8 @@ def describe(
     fit = settings.fit
     facts = {
         "version": _version("napari-deltamic"),
-        "engine": engine_used(state, grid, fit.accuracy),
-        "accuracy": fit.accuracy,
+        "engine": engine_used(state, grid, fit.image_accuracy),
+        "accuracy": fit.image_accuracy,
         "iterations": state.iteration,
         "seconds": round(seconds, 3),
         "converged": state.converged,

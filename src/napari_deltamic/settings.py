@@ -36,9 +36,10 @@ class FitSettings(_Model):
 
     model_config = ConfigDict(allow_inf_nan=False)
 
-    accuracy: Annotated[float, Field(ge=0, lt=1)] = Field(
-        default=1e-3,
-        description="requested relative L2 error of the rendered image; 0 is the closed form",
+    accuracy: Annotated[float, Field(ge=0, lt=1)] | None = Field(
+        default=None,
+        description="requested relative L2 error of the rendered image; 0 is the closed form; "
+        "where not given, it follows from the noise of the image",
     )
     fit_psf: bool = Field(default=False, description="also fit the widths of the PSF")
     density: DensityModel = Field(
@@ -68,9 +69,23 @@ class FitSettings(_Model):
         description="the last level ends when its loss falls by less than this over a dozen "
         "iterations (or its vertices lie still)",
     )
+    remesh: bool = Field(
+        default=True,
+        description="remesh where triangles become slivers, at the edge length of the start",
+    )
     max_iterations: Annotated[int, Field(ge=1)] = Field(
         default=3000, description="the fit gives up after this many iterations"
     )
+
+    @property
+    def image_accuracy(self) -> float:
+        """``accuracy``, or that of a rendering without an image where it is left to the noise."""
+        return 1e-3 if self.accuracy is None else self.accuracy
+
+    @field_validator("accuracy", mode="before")
+    @classmethod
+    def _auto(cls, accuracy: Any) -> Any:
+        return None if accuracy == "auto" else accuracy
 
     @field_validator("levels")
     @classmethod

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from synthetic import CENTER, GRID, OPTICS, RADIUS, VOXEL, apart, measured, start
 
-from napari_deltamic import Change, GaussianPSF, InputError, fit
-from napari_deltamic.geometry import sphere
+from napari_deltamic import Change, GaussianPSF, InputError, Mesh, fit
+from napari_deltamic.geometry import remesh, sphere
+from napari_deltamic.inference.upkeep import median_edge
 from napari_deltamic.settings import FitSettings
 
 QUICK = FitSettings(levels=(2.0, 1.0))
@@ -37,22 +38,27 @@ def test_an_empty_change_does_no_harm(image):
 
 def test_goes_on_from_moved_vertices(image):
     states, state = begun(image)
-    moved = state.mesh.vertices_numpy() + np.array([0.0, 0.3, 0.0])
-    after = states.send(Change(vertices=moved))
-    np.testing.assert_array_equal(after.mesh.vertices_numpy(), moved)
+    moved = state.mesh.translated((0.0, 0.3, 0.0))
+    after = states.send(Change(mesh=moved))
+    np.testing.assert_array_equal(after.mesh.vertices_numpy(), moved.vertices)
     assert after.iteration == state.iteration + 1
     last = finished(states, after)
     assert last.converged
     assert apart(last.mesh) < 0.05
 
 
-def test_does_not_keep_the_array_it_was_given(image):
-    states, state = begun(image)
-    moved = state.mesh.vertices_numpy().copy()
-    after = states.send(Change(vertices=moved))
-    moved[:] = np.nan
-    assert np.isfinite(after.mesh.vertices_numpy()).all()
-    assert np.isfinite(next(states).loss)
+def test_goes_on_with_other_triangles(image):
+    settings = QUICK.model_copy(update={"density": "smooth"})
+    states, state = begun(image, 40, settings)
+    finer = remesh(state.mesh, 0.6 * median_edge(state.mesh)).mesh
+    pinned = np.arange(len(finer.vertices)) == 0
+    after = states.send(Change(mesh=finer, pinned=pinned))
+    np.testing.assert_array_equal(after.mesh.vertices_numpy(), finer.vertices)
+    assert after.density.shape == (len(finer.faces),)
+    last = finished(states, after)
+    np.testing.assert_array_equal(last.mesh.vertices_numpy()[0], finer.vertices[0])
+    assert last.converged
+    assert apart(last.mesh) < 0.05
 
 
 def test_pinned_vertices_stay_until_they_are_freed(image):
@@ -64,13 +70,13 @@ def test_pinned_vertices_stay_until_they_are_freed(image):
     last = finished(states, state)
     np.testing.assert_array_equal(last.mesh.vertices_numpy()[pinned], there)
     radius = np.linalg.norm(last.mesh.vertices_numpy() - CENTER, axis=1)
-    assert abs(radius[~pinned].max() - RADIUS) < 0.3 * VOXEL
+    assert abs(radius[~pinned].max() - RADIUS) < 0.5 * VOXEL
     # The surface between the two is not torn: no edge is much longer than those elsewhere.
     a, b = last.mesh.vertices_numpy()[last.mesh.edges()].transpose(1, 0, 2)
     lengths = np.linalg.norm(a - b, axis=1)
     assert lengths.max() < 3 * np.median(lengths)
     freed = finished(states_after(last, states_for(image, last)), last)
-    assert apart(freed.mesh) < 0.05
+    assert apart(freed.mesh) < 0.1
 
 
 def states_for(image, last):
@@ -116,7 +122,7 @@ def test_a_fit_that_has_ended_goes_on(image):
     short = QUICK.model_copy(update={"max_iterations": 10})
     states, state = begun(image, 10, short)
     assert "before it converged" in state.message
-    state = states.send(Change(vertices=state.mesh.vertices_numpy()))
+    state = states.send(Change(mesh=state.mesh))
     assert not state.message
     # Its patience starts anew.
     assert finished(states, state).iteration == 20
@@ -126,7 +132,7 @@ def test_a_change_is_part_of_the_checkpoint(image, tmp_path):
     states, state = begun(image, 30)
     moved = state.mesh.vertices_numpy() * 1.01
     pinned = np.arange(len(moved)) < 5
-    state = states.send(Change(vertices=moved, pinned=pinned))
+    state = states.send(Change(mesh=state.mesh.with_vertices(moved), pinned=pinned))
     state.save(tmp_path / "kept.npz")
     again = fit(image, GRID, start(2), OPTICS, settings=QUICK, resume=tmp_path / "kept.npz")
     np.testing.assert_array_equal(next(again).mesh.vertices_numpy(), moved)
@@ -136,8 +142,8 @@ def test_a_change_is_part_of_the_checkpoint(image, tmp_path):
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (Change(vertices=np.zeros((3, 3))), "162 vertices"),
-        (Change(vertices=np.full((162, 3), np.nan)), "finite"),
+        (Change(mesh=Mesh.merge([start(1), start(1)])), "regions"),
+        (Change(mesh=start(1), pinned=np.zeros(162, bool)), "42 vertices"),
         (Change(pinned=np.zeros(3, bool)), "pinned"),
         (Change(settings=FitSettings(levels=(1.0,))), "levels"),
         (Change(optics=GaussianPSF(covariance=0.01 * np.eye(3))), "parameters"),

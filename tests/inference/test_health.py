@@ -3,7 +3,7 @@ import pytest
 
 from napari_deltamic import Mesh
 from napari_deltamic.geometry import sphere
-from napari_deltamic.inference.health import GrowthAlarm
+from napari_deltamic.inference.health import GrowthAlarm, shrunken
 
 
 @pytest.fixture
@@ -49,3 +49,9 @@ def test_a_region_that_starts_without_area_is_no_crash():
     flat = Mesh([[0, 0, 0], [0, 0, 1], [0, 0, 2], [0, 1, 0]], [[0, 1, 2]])
     alarm = GrowthAlarm(flat)
     alarm.check(flat.with_vertices([[0, 0, 0], [0, 0, 1], [0, 1, 2], [0, 1, 0]]))
+
+
+def test_regions_that_are_only_points_are_told():
+    mesh = Mesh.merge([sphere((0, 0, 0), 1.0, subdivisions=2), sphere((5, 0, 0), 0.02)])
+    assert shrunken(mesh, 0.2) == [2]
+    assert shrunken(mesh, 0.01) == []

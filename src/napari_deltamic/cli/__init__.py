@@ -15,10 +15,10 @@ from typing import NoReturn
 
 from .. import __version__
 from ..errors import InputError
-from . import doctor, fitting, rendering
+from . import accuracy, doctor, fitting, rendering
 from .messages import PROGRAM, Failure, Notes, failure, one_line
 
-COMMANDS = (rendering, fitting, doctor)
+COMMANDS = (rendering, fitting, accuracy, doctor)
 
 
 class _Parser(argparse.ArgumentParser):

@@ -55,6 +55,7 @@ def add_parser(commands: Any) -> None:
     add("--effects", metavar="E", help=f"auto, none, or some of {names}, with commas between")
     add("--density", choices=get_args(DensityModel), help=_help("density"))
     add("--likelihood", choices=get_args(Likelihood), help=_help("likelihood"))
+    add("--levels", nargs="+", type=float, metavar="B", help=_help("levels"))
     add("--max-iterations", type=int, metavar="N", help=_help("max_iterations"))
     add("--settings", metavar="run.toml", help="settings of a former run; other options prevail")
     add("--resume", metavar="CHECKPOINT", help="go on from a checkpoint of the same fit")
@@ -66,7 +67,8 @@ def add_parser(commands: Any) -> None:
 
 def _help(name: str) -> str:
     field = FitSettings.model_fields[name]
-    return f"{field.description} (default: {field.default})".replace("%", "%%")
+    default = "" if field.default is None else f" (default: {field.default})"
+    return f"{field.description}{default}".replace("%", "%%")
 
 
 def run(arguments: argparse.Namespace, notes: Notes) -> int:

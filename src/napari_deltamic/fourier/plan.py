@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import floor, log, log2, prod, sqrt
+from math import floor, log, log2, pi, sqrt
 from typing import Literal
 
 import numpy as np
@@ -13,11 +13,13 @@ from torch import Tensor
 from ..errors import InputError
 from .band import Band, band_error, threshold_for
 from .closed_form import band_ft
+from .cost import BUILT_IN, Work, costs, count_work
 from .nonuniform import points_ft
 from .quadrature import Rule, choose_rules
 from .triangle import cross
 
 Method = Literal["closed form", "non-uniform"]
+METHODS: tuple[Method, ...] = ("closed form", "non-uniform")
 
 # Shares of the accuracy: the errors of band, quadrature and transform are independent and add in
 # squares, so that together they use 95 % of it at most.
@@ -26,11 +28,6 @@ _BAND_SHARE, _RULE_SHARE, _TRANSFORM_SHARE = 0.7, 0.6, 0.2
 _SINGLE_ABOVE = 3e-5
 # Below this one rounding in double precision shows, and only the closed form everywhere is left.
 _EXACT_BELOW = 1e-13
-# Cost of a forward and a backward pass per unit of work, in seconds on one core of 2024; relative
-# sizes choose the method, absolute ones are a first guess of the time.
-_SECONDS_PER_PAIR = {True: 4e-9, False: 1e-8}
-_SECONDS_PER_POINT = {True: 4e-7, False: 8e-7}
-_SECONDS_PER_MODE = {True: 1.1e-9, False: 3e-9}
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +40,10 @@ class Plan:
         ``"closed form"`` or ``"non-uniform"``.
     accuracy
         Requested relative L2 error of the rendered image; 0 is the closed form at every wavevector.
-    expected_error, expected_seconds
-        What the plan expects of one rendering with its gradient.
+    expected_error
+        What the plan expects of one rendering.
+    work
+        What one rendering computes.
     """
 
     method: Method
@@ -55,7 +54,12 @@ class Plan:
     tolerance: float
     rules: list[tuple[Rule, np.ndarray]] = field(repr=False)
     expected_error: float
-    expected_seconds: float
+    work: Work
+
+    @property
+    def expected_seconds(self) -> float:
+        """Of one rendering with its gradient, at the costs of this machine where they are known."""
+        return costs().seconds(self.work, self.single)
 
     @property
     def points(self) -> int:
@@ -139,31 +143,32 @@ def make_plan(
         raise InputError(f"method must be 'closed form' or 'non-uniform', not {method!r}")
     if accuracy < _EXACT_BELOW:
         band = Band.full(fft_shape, voxel_size)
-        time = prod(band.box_shape) * len(faces) * _SECONDS_PER_PAIR[False]
-        return Plan("closed form", band, accuracy, 0.0, False, 0.0, [], 0.0, time)
+        phases = _edge_phases(vertices, faces, tuple(pi / d for d in voxel_size), aligned=False)
+        work = count_work("closed form", band, len(faces), phases, [], 0.0)
+        return Plan("closed form", band, accuracy, 0.0, False, 0.0, [], 0.0, work)
     area, thin = _size(vertices / np.asarray(width), faces)
     threshold = threshold_for(_BAND_SHARE * accuracy, area, thin)
     radius = tuple(sqrt(2 * log(1 / threshold)) / w for w in width)
     band = Band.within(fft_shape, voxel_size, radius, aligned)  # type: ignore[arg-type]
     single = accuracy >= _SINGLE_ABOVE
     tolerance = max(_TRANSFORM_SHARE * accuracy, 1e-6 if single else 1e-14)
-    rules = choose_rules(
-        margin * _edge_phases(vertices, faces, radius, aligned), threshold, _RULE_SHARE * accuracy
-    )
-    points = sum(len(r.weights) * len(f) for r, f in rules)
-    modes = prod(band.box_shape)
-    seconds: dict[Method, float] = {
-        "closed form": 0.75 * modes * len(faces) * _SECONDS_PER_PAIR[single],
-        "non-uniform": points * _SECONDS_PER_POINT[single]
-        + 8 * modes * log2(modes + 2) * _SECONDS_PER_MODE[single],
+    held, at_edge = _held(radius, voxel_size, threshold)
+    # What is cut off at the grid's own edge has corners.
+    phases = _edge_phases(vertices, faces, held, aligned and held == radius)
+    rules = choose_rules(margin * phases, at_edge, _RULE_SHARE * accuracy)
+    works: dict[Method, Work] = {
+        m: count_work(m, band, len(faces), phases, rules, tolerance) for m in METHODS
     }
-    chosen = method if method is not None else min(seconds, key=lambda m: seconds[m])
+    # Not with the costs of this machine: settings give one image, wherever they are used.
+    cheapest = min(METHODS, key=lambda m: BUILT_IN.seconds(works[m], single))
+    chosen = method if method is not None else cheapest
     # The law of the band is that of a smooth surface; corners and edges were seen to add a sixth.
     error = min(accuracy, 1.2 * band_error(threshold, area, thin))
+    work = works[chosen]
     if chosen == "closed form":
-        return Plan(chosen, band, accuracy, threshold, single, 0.0, [], error, seconds[chosen])
+        return Plan(chosen, band, accuracy, threshold, single, 0.0, [], error, work)
     error = min(accuracy, float(np.hypot(np.hypot(error, _RULE_SHARE * accuracy), tolerance)))
-    return Plan(chosen, band, accuracy, threshold, single, tolerance, rules, error, seconds[chosen])
+    return Plan(chosen, band, accuracy, threshold, single, tolerance, rules, error, work)
 
 
 def check_accuracy(accuracy: float) -> None:
@@ -182,6 +187,25 @@ def _size(vertices: np.ndarray, faces: np.ndarray) -> tuple[float, bool]:
     # Rounded down, to the safe side, so that the tables of one mesh serve its neighbours.
     steps = floor(2 * log2(max(area, 1e-6)))
     return 2.0 ** (steps / 2), 2 * volume < 1.5 * area
+
+
+def _held(
+    radius: tuple[float, ...], voxel_size: tuple[float, ...], threshold: float
+) -> tuple[tuple[float, ...], float]:
+    """Half axes of what the grid holds of a band, and |OTF| at its edge.
+
+    A PSF much narrower than a voxel reaches far beyond the grid; points for wavevectors that are
+    not there would fill any memory. The least share along an axis stands for all: a flatter OTF
+    asks for finer rules.
+    """
+    nyquist = tuple(pi / d for d in voxel_size)
+    share = min(n / r for n, r in zip(nyquist, radius, strict=True))
+    if share > 0.5:
+        return radius, threshold
+    # Rounded down, so that the tables of one PSF serve its neighbours.
+    share = 2.0 ** (floor(2 * log2(share)) / 2)
+    held = tuple(min(n, r) for n, r in zip(nyquist, radius, strict=True))
+    return held, threshold ** (share**2)
 
 
 def _edge_phases(

@@ -171,7 +171,9 @@ def choose_rules(
     best = cost.argmin(1)
     n = divisions[np.arange(len(reach)), best].astype(np.int64)
     groups = []
-    for key in np.unique(np.stack([best, n], 1), axis=0) if len(reach) else []:
-        where = np.flatnonzero((best == key[0]) & (n == key[1]))
-        groups.append((rule(DEGREES[usable[key[0]]], int(key[1])), where))
+    key = n * len(usable) + best
+    for one in np.unique(key).tolist():
+        divisions_each, which = divmod(one, len(usable))
+        found = rule(DEGREES[usable[which]], divisions_each)
+        groups.append((found, np.flatnonzero(key == one)))
     return groups

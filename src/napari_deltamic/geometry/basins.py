@@ -110,7 +110,7 @@ _kept: list[tuple[bytes, _Tree]] = []
 
 
 def _component_tree(ranked: Ranks, size: FloatArray) -> _Tree:
-    content = sha1(np.ascontiguousarray(ranked), usedforsecurity=False)
+    content = sha1(ranked.tobytes(), usedforsecurity=False)
     content.update(repr((ranked.shape, size.tolist())).encode())
     key = content.digest()
     for known, tree in tuple(_kept):  # threads may share it

@@ -20,8 +20,8 @@ class Change:
 
     Attributes
     ----------
-    vertices
-        (V, 3) um: new places of all vertices.
+    mesh
+        The surface from now on: vertices elsewhere, or another triangulation of the same regions.
     pinned
         (V,) bool: vertices that stay where they are from now on; all False frees them.
     optics
@@ -30,22 +30,16 @@ class Change:
         Everything else; its levels must be those of the fit, or None.
     """
 
-    vertices: np.ndarray | None = None
+    mesh: Mesh | None = None
     pinned: np.ndarray | None = None
     optics: Optics | None = None
     settings: FitSettings | None = None
 
     def check(self, mesh: Mesh, optics: Optics, settings: FitSettings) -> None:
         """InputError if a fit of this mesh with these optics and settings cannot take it."""
-        n = len(mesh.vertices)
-        if self.vertices is not None:
-            if np.shape(self.vertices) != (n, 3):
-                raise InputError(
-                    f"the mesh of the fit has {n} vertices; changed ones have shape "
-                    f"{np.shape(self.vertices)}"
-                )
-            if not np.isfinite(self.vertices).all():
-                raise InputError("changed vertices must be finite")
+        if self.mesh is not None and not np.array_equal(self.mesh.region_ids(), mesh.region_ids()):
+            raise InputError("the changed mesh has other regions than that of the fit")
+        n = len((mesh if self.mesh is None else self.mesh).vertices)
         if self.pinned is not None and np.shape(self.pinned) != (n,):
             raise InputError(
                 f"pinned must have one value for each of the {n} vertices, not shape "

@@ -42,6 +42,11 @@ class DensityField:
             return torch.exp(log[self._faces].mean(1))
         return torch.exp(log[self._interface])
 
+    @property
+    def per_vertex(self) -> np.ndarray | None:
+        """(V,) log density where it is smooth, else None."""
+        return self.log if self.model == "smooth" else None
+
     def faces(self, active: bool) -> Tensor | None:
         """(F,) density to render with, tracking gradients; None where it is uniform."""
         self._leaf = None

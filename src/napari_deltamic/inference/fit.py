@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from torch import Tensor
@@ -16,6 +17,7 @@ from ..scene import Grid
 from ..settings import EFFECTS, WIDE_LEVELS, FitSettings
 from .change import Change
 from .checks import check_image, check_mesh, hot_voxels
+from .default_accuracy import accuracy_for_image
 from .level import FEWEST_VOXELS
 from .likelihood import noise_ratio, smoothing_for
 from .run import Run
@@ -69,7 +71,7 @@ def fit(
     settings = settings or FitSettings()
     if accuracy is not None:
         settings = settings.model_copy(update={"accuracy": float(accuracy)})
-    check_accuracy(settings.accuracy)
+    check_accuracy(settings.image_accuracy)
     for name in effects:
         if name not in EFFECTS:
             raise InputError(f"unknown effect '{name}': choose from {', '.join(EFFECTS)}")
@@ -94,7 +96,9 @@ def fit(
 
 def _completed(settings: FitSettings, pixels: np.ndarray, known: np.ndarray) -> FitSettings:
     """The settings with what was left to the software filled in."""
-    smoothing, levels = settings.smoothing, settings.levels
-    if smoothing is None:
-        smoothing = smoothing_for(noise_ratio(pixels, known))
-    return settings.model_copy(update={"smoothing": smoothing, "levels": levels or WIDE_LEVELS})
+    found: dict[str, Any] = {"levels": settings.levels or WIDE_LEVELS}
+    if settings.smoothing is None:
+        found["smoothing"] = smoothing_for(noise_ratio(pixels, known))
+    if settings.accuracy is None:
+        found["accuracy"] = accuracy_for_image(pixels, known)
+    return settings.model_copy(update=found)

@@ -19,20 +19,21 @@ class GrowthAlarm:
 
     def __init__(self, mesh: Mesh) -> None:
         self._start = mesh.areas()
+        self._before: dict[int, tuple[float, float]] = {}  # growth until the last remeshing
         self._told: set[int] = set()
+
+    def remeshed(self, before: Mesh, after: Mesh) -> None:
+        """Go on with other faces."""
+        self._before = self._growth(before)
+        self._start = after.areas()
 
     def check(self, mesh: Mesh) -> str:
         """A sentence for the user, or nothing."""
-        areas = mesh.areas()
-        grown = {}
-        for region in (int(r) for r in np.unique(mesh.regions) if r):
-            own = (mesh.regions == region).any(1) & (self._start > 0)
-            if region in self._told or not own.any():
-                continue
-            growth = areas[own].sum() / self._start[own].sum()
-            typical = float(np.median(areas[own] / self._start[own]))
-            if growth > _GROWTH * max(typical, 1.0):
-                grown[region] = growth
+        grown = {
+            region: total
+            for region, (total, typical) in self._growth(mesh).items()
+            if region not in self._told and total > _GROWTH * max(typical, 1.0)
+        }
         self._told |= set(grown)
         if not grown:
             return ""
@@ -41,3 +42,23 @@ class GrowthAlarm:
             f"the surface of region {listed} has grown as if it leaked into a neighbour: "
             "give the neighbour a seed, or start with less blur"
         )
+
+    def _growth(self, mesh: Mesh) -> dict[int, tuple[float, float]]:
+        """Of each region: growth of its area, and of its typical face."""
+        areas, found = mesh.areas(), {}
+        for region in (int(r) for r in np.unique(mesh.regions) if r):
+            own = (mesh.regions == region).any(1) & (self._start > 0)
+            if not own.any():
+                continue
+            total, typical = self._before.get(region, (1.0, 1.0))
+            total *= float(areas[own].sum() / self._start[own].sum())
+            found[region] = total, typical * float(np.median(areas[own] / self._start[own]))
+        return found
+
+
+def shrunken(mesh: Mesh, width: float) -> list[int]:
+    """Regions whose whole surface is smaller than a square as wide as the PSF, um: no more than
+    points, which say nothing about a shape."""
+    areas = mesh.areas()
+    regions = (int(r) for r in np.unique(mesh.regions) if r)
+    return [r for r in regions if areas[(mesh.regions == r).any(1)].sum() < width**2]

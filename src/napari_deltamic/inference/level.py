@@ -36,6 +36,47 @@ class Voxels:
         return image.reshape(-1)[self.index]
 
 
+@dataclass(frozen=True)
+class LevelShape:
+    """What a level computes on, known before it is made.
+
+    Attributes
+    ----------
+    blur
+        um, Z Y X: of both images on top of the PSF.
+    step, grid
+        Every how many voxels of the image, and the grid that they make.
+    accuracy
+        Of its images.
+    width
+        um: of the blurred PSF, along its narrowest axis.
+    """
+
+    blur: tuple[float, float, float]
+    step: tuple[int, int, int]
+    grid: Grid
+    accuracy: float
+    width: float
+
+
+def level_shape(grid: Grid, optics: Optics, settings: FitSettings, factor: float) -> LevelShape:
+    """The shape of the level whose blurred PSF is ``factor`` times as wide as the PSF."""
+    sigma = np.asarray(optics.sigma_um)
+    extra = sqrt(factor**2 - 1) * sigma
+    # A band-limited image loses nothing on a grid of spacing sigma: its OTF ends there.
+    steps = np.maximum(1, np.floor(factor * sigma / np.asarray(grid.voxel_size) + 1e-9)).astype(int)
+    step = (int(steps[0]), int(steps[1]), int(steps[2])) if factor > 1 else (1, 1, 1)
+    accuracy = settings.image_accuracy
+    last = factor == 1 or accuracy == 0
+    return LevelShape(
+        blur=(float(extra[0]), float(extra[1]), float(extra[2])),
+        step=step,
+        grid=grid.strided(step),
+        accuracy=accuracy if last else max(accuracy, _COARSE_ACCURACY),
+        width=float(factor * sigma.min()),
+    )
+
+
 class Level:
     """Target image, grid, renderer and weights at one blur.
 
@@ -64,23 +105,12 @@ class Level:
         self.factor = factor
         self.settings = settings
         self._effects = effects
-        sigma = np.asarray(optics.sigma_um)
-        extra = sqrt(factor**2 - 1) * sigma
-        self.blur = (float(extra[0]), float(extra[1]), float(extra[2]))
-        self.accuracy = (
-            settings.accuracy
-            if factor == 1 or settings.accuracy == 0
-            else max(settings.accuracy, _COARSE_ACCURACY)
-        )
+        shape = level_shape(grid, optics, settings, factor)
+        self.blur, self.accuracy, self.width = shape.blur, shape.accuracy, shape.width
         self.smoothing = (settings.smoothing or 0.0) * factor
-        self.width = float(factor * sigma.min())
-        # A band-limited image loses nothing on a grid of spacing sigma: its OTF ends there.
-        step = np.maximum(1, np.floor(factor * sigma / np.asarray(grid.voxel_size))).astype(int)
-        if factor == 1:
-            step[:] = 1
-        self._sample = tuple(slice(None, None, int(s)) for s in step)
-        self.grid = grid.strided((int(step[0]), int(step[1]), int(step[2])))
-        self.volume_ratio = float(1 / np.prod(step))
+        self._sample = tuple(slice(None, None, s) for s in shape.step)
+        self.grid = shape.grid
+        self.volume_ratio = float(1 / np.prod(shape.step))
         self.target, self._counted = self._blurred(image, counted, grid)
         # Where the blur is wider than the field of view, hardly a voxel is left to go by.
         self.usable = int(self._counted.sum()) >= FEWEST_VOXELS

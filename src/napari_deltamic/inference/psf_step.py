@@ -7,6 +7,8 @@ gets there in a few steps without a step size to tune.
 
 from __future__ import annotations
 
+from math import log
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -18,12 +20,22 @@ from .likelihood import solve_scale
 
 _DIFFERENCE = 1e-3
 _LARGEST = 0.15  # of one step, in log widths
+_RANGE = log(4)  # of log widths, around those at the start
 
 
 def psf_step(
-    level: Level, renderer: Renderer, optics: Optics, transform: Tensor, voxels: Voxels
+    level: Level,
+    renderer: Renderer,
+    optics: Optics,
+    transform: Tensor,
+    voxels: Voxels,
+    start: Optics,
 ) -> Optics:
-    """The optics after one damped Gauss-Newton step on the weighted least squares."""
+    """The optics after one damped Gauss-Newton step on the weighted least squares.
+
+    Widths stay within a factor of 4 of those at the start: an image that tells nothing about the
+    PSF, noise for example, would let them run to nothing or beyond the image.
+    """
     with torch.no_grad():
         p = optics.parameters()
         image = voxels.of(level.rendered(renderer, transform, renderer.otf(optics)))
@@ -46,4 +58,7 @@ def psf_step(
         largest = float(delta.abs().max())
         if not np.isfinite(largest):
             return optics
-        return optics.with_parameters(p + delta * min(1.0, _LARGEST / max(largest, 1e-12)))
+        p = p + delta * min(1.0, _LARGEST / max(largest, 1e-12))
+        widths = start.parameters()[:3]
+        p[:3] = torch.clamp(p[:3], widths - _RANGE, widths + _RANGE)
+        return optics.with_parameters(p)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Generator
 from dataclasses import replace
 
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
 
 from ..errors import InputError
 from ..geometry.mesh import Mesh
@@ -15,13 +17,14 @@ from ..scene import Grid, render
 from ..settings import WIDE_LEVELS, FitSettings
 from .change import Change
 from .density import DensityField
-from .health import GrowthAlarm
+from .health import GrowthAlarm, shrunken
 from .level import Level
 from .likelihood import Match, match
 from .optimiser import AdamUniform
 from .preconditioner import Preconditioner, components
 from .psf_step import psf_step
 from .state import FitState
+from .upkeep import Upkeep
 
 _WINDOW = 12  # iterations over which a level must gain
 # A coarse level ends when its window gains less than this share of the loss, or moves the vertices
@@ -31,7 +34,7 @@ _STILL = 0.02  # the same at the last level
 _SETTLE = 2  # times the last level halves its step before it counts as converged
 _PSF_EVERY = 5
 _EXPLAINS_NOTHING = 0.97  # loss at the end from which on nothing was found
-_LEFT_OPEN = ("smoothing", "levels")  # settings that the software may fill in
+_LEFT_OPEN = ("accuracy", "smoothing", "levels")  # settings that the software may fill in
 _PSF_BELOW = 2.5  # blur, in widths of the PSF, from which on the PSF is fitted
 
 
@@ -52,8 +55,10 @@ class Run:
         self.settings, self.effects = settings, effects
         self.levels = settings.levels or WIDE_LEVELS
         self.growth = GrowthAlarm(mesh)
+        self.upkeep = Upkeep(mesh)
+        self.seed = _seed(mesh)
         self.mesh = mesh.with_vertices(mesh.vertices_numpy().copy())
-        self.optics = optics.detach()
+        self.optics = self.first_optics = optics.detach()
         self.pieces = components(mesh)
         self.adam = AdamUniform(self.pieces, 3)
         self.density = DensityField(mesh, self.pieces, settings.density)
@@ -127,15 +132,18 @@ class Run:
         """Go on from a changed state: the past says nothing about it."""
         change.check(self.mesh, self.optics, self.settings)
         self.changed_at = self.iteration
-        if change.vertices is not None:
-            vertices = np.array(change.vertices, np.float64)
-            vertices.setflags(write=False)
-            self.mesh = self.mesh.with_vertices(vertices)
+        if change.mesh is not None:
+            self._replace(change.mesh)
             self.growth = GrowthAlarm(self.mesh)
         if change.pinned is not None:
             self.pinned = np.array(change.pinned, bool)
+            if change.mesh is None:
+                # They stay where they were seen, which is one step back.
+                vertices = self.mesh.vertices_numpy().copy()
+                vertices[self.pinned] = self.seen[self.pinned]
+                self.mesh = self.mesh.with_vertices(vertices)
         if change.optics is not None:
-            self.optics = change.optics.detach()
+            self.optics = self.first_optics = change.optics.detach()
         if change.settings is not None:
             self._take_settings(change.settings)
         self._enter(self.level_number)
@@ -144,6 +152,44 @@ class Run:
         else:
             self.level.renew()
         self._hold()
+
+    def _remesh(self) -> None:
+        """Good triangles again."""
+        before, log = self.mesh, self.density.per_vertex
+        carried = before.vertices_numpy()[:, :0] if log is None else log
+        done = self.upkeep.renewed(before, carried, self.pinned)
+        self._retriangulate(done.mesh, done.carried if log is not None else None)
+        self.pinned = done.fixed
+        self.growth.remeshed(before, self.mesh)
+        self.losses = []
+        self.window_start = self.mesh.vertices_numpy()
+        self._hold()
+
+    def _replace(self, mesh: Mesh) -> None:
+        """Take a mesh from outside, as it is."""
+        vertices = mesh.vertices_numpy().copy()
+        vertices.setflags(write=False)  # states share it
+        old = self.mesh
+        if np.array_equal(mesh.faces, old.faces) and np.array_equal(mesh.regions, old.regions):
+            self.mesh = old.with_vertices(vertices)
+            return
+        log = self.density.per_vertex
+        if log is not None:
+            log = log[cKDTree(old.vertices_numpy()).query(vertices)[1]]
+        self._retriangulate(mesh.with_vertices(vertices), log)
+        self.pinned = np.zeros(len(vertices), bool)
+
+    def _retriangulate(self, mesh: Mesh, log_density: np.ndarray | None) -> None:
+        """The same regions with other triangles; the density goes along."""
+        kept = self.density.log
+        self.mesh = mesh
+        self.pieces = components(mesh)
+        self.adam = AdamUniform(self.pieces, 3)
+        self.density = DensityField(mesh, self.pieces, self.settings.density)
+        if log_density is not None:
+            self.density.log = log_density
+        elif len(kept) == len(self.density.log):
+            self.density.log = kept
 
     def _take_settings(self, settings: FitSettings) -> None:
         old = self.settings
@@ -154,8 +200,12 @@ class Run:
 
     def _verdict(self, state: FitState, finished: bool, warning: str) -> FitState:
         """The last state, with what came of the fit in plain words."""
-        stuck = self.bounded or state.loss > _EXPLAINS_NOTHING
-        if finished and stuck:
+        points = shrunken(state.mesh, min(self.optics.sigma_um))
+        stuck = self.bounded or bool(points) or state.loss > _EXPLAINS_NOTHING
+        if finished and points:
+            listed = ", ".join(map(str, points))
+            message = f"stuck: the surface of region {listed} has shrunk to a point; place it anew"
+        elif finished and stuck:
             message = (
                 f"stuck: {1 - min(state.loss, 1):.0%} of the measured image is explained; "
                 "do the seeds lie near bright membranes?"
@@ -180,6 +230,8 @@ class Run:
     def _iterate(self) -> FitState:
         level = self.level
         if level.renews:
+            if self.settings.remesh and not self.halvings and self.upkeep.wanted(self.mesh):
+                self._remesh()
             self.kept = self._kept()
         kept = self.kept
         vertices = torch.tensor(self.mesh.vertices_numpy(), requires_grad=True)
@@ -207,7 +259,10 @@ class Run:
         state = self._state(level, result, kept)
         fits_psf = self.settings.fit_psf and level.factor <= _PSF_BELOW
         if fits_psf and len(self.losses) % _PSF_EVERY == _PSF_EVERY - 1:
-            self.optics = psf_step(level, renderer, self.optics, transform.detach(), voxels)
+            self.optics = psf_step(
+                level, renderer, self.optics, transform.detach(), voxels, self.first_optics
+            )
+        self.seen = self.mesh.vertices_numpy()
         self.mesh = self.mesh.with_vertices(moved)
         self.iteration += 1
         self.losses.append(loss)
@@ -241,7 +296,7 @@ class Run:
         amplitude, background = result.amplitude, result.background
         mesh, optics = self.mesh, self.optics
         density = self.density.faces_numpy()
-        grid, accuracy, effects = self.grid, self.settings.accuracy, self.effects
+        grid, accuracy, effects = self.grid, self.settings.image_accuracy, self.effects
 
         def rendered() -> np.ndarray:
             with torch.no_grad():
@@ -266,6 +321,7 @@ class Run:
             amplitude=amplitude,
             background=background,
             blur=level.factor,
+            pinned=self.pinned if self.pinned.any() else None,
             _render=rendered,
             _checkpoint=lambda: kept,
         )
@@ -274,6 +330,9 @@ class Run:
         return {
             "vertices": self.mesh.vertices_numpy(),
             "faces": self.mesh.faces,
+            "regions": self.mesh.regions,
+            "seed": self.seed,
+            "slivers": np.array(self.upkeep.left),
             "optics": self.optics.parameters().numpy(),
             "level_optics": self.level_optics.parameters().numpy(),
             "window_start": self.window_start,
@@ -290,22 +349,23 @@ class Run:
 
     def load(self, kept: dict[str, np.ndarray]) -> None:
         """Take over a checkpoint; raises InputError if it belongs to another mesh."""
-        if kept["vertices"].shape != self.mesh.vertices.shape or not np.array_equal(
-            kept["faces"], self.mesh.faces
-        ):
-            raise InputError("the checkpoint belongs to another mesh")
         own = self._kept()
-        if (
-            set(kept) != set(own)
-            or any(kept[name].shape != own[name].shape for name in own if name != "losses")
-            or not np.array_equal(kept["levels"], own["levels"])
-        ):
+        if not np.array_equal(kept.get("seed", 0), self.seed):
+            raise InputError("the checkpoint belongs to another mesh")
+        if set(kept) != set(own) or not np.array_equal(kept["levels"], own["levels"]):
             raise InputError("the checkpoint belongs to a fit with other settings")
-        self.mesh = self.mesh.with_vertices(kept["vertices"])
+        self.mesh = Mesh(kept["vertices"], kept["faces"], kept["regions"])
+        self.pieces = components(self.mesh)
+        self.adam = AdamUniform(self.pieces, 3)
+        self.density = DensityField(self.mesh, self.pieces, self.settings.density)
+        self.window_start, self.pinned = kept["window_start"], kept["pinned"]
+        self.upkeep.left = float(kept["slivers"])
+        self.growth = GrowthAlarm(self.mesh)
+        own = self._kept()
+        if any(kept[name].shape != own[name].shape for name in own if name != "losses"):
+            raise InputError("the checkpoint belongs to a fit with other settings")
         self.optics = self.optics.with_parameters(torch.from_numpy(kept["optics"]))
         self.level_optics = self.optics.with_parameters(torch.from_numpy(kept["level_optics"]))
-        self.window_start = kept["window_start"]
-        self.pinned = kept["pinned"]
         self.iteration = int(kept["iteration"])
         self.level_number = int(kept["level"])
         self.step_factor = float(kept["step_factor"])
@@ -317,3 +377,9 @@ class Run:
         self.density.load(
             {k.removeprefix("density_"): v for k, v in kept.items() if k.startswith("density_")}
         )
+
+
+def _seed(mesh: Mesh) -> np.ndarray:
+    """What tells the starting mesh from others, whatever became of it."""
+    counts = [len(mesh.vertices), len(mesh.faces)]
+    return np.array([*counts, zlib.crc32(np.ascontiguousarray(mesh.faces).tobytes())])

@@ -39,6 +39,8 @@ class FitState:
         Whether this is the last state and the criterion was met.
     message
         A verdict or a warning in plain words; mostly empty.
+    pinned
+        (V,) bool: vertices that were told to stay; None where none were.
     """
 
     iteration: int
@@ -53,6 +55,7 @@ class FitState:
     blur: float
     converged: bool = False
     message: str = ""
+    pinned: np.ndarray | None = None
     _render: Callable[[], np.ndarray] = field(repr=False, default=lambda: np.zeros(0))
     _checkpoint: Callable[[], dict[str, np.ndarray]] = field(repr=False, default=dict)
 

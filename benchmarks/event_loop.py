@@ -1,0 +1,273 @@
+"""How long the widget keeps the event loop from its work while a fit runs, and how often it shows.
+
+Each scene runs in a process of its own, once without a display (Qt's offscreen platform, the
+viewer's model) and once in a window under Xvfb, where the pictures are drawn in software. While the
+fit goes on, a user moves through the slices, looks back and nudges the surface.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+import subprocess
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .figure import Figure, MissingData, Options, Row, at_least, at_most
+
+BLOCK = 50.0  # ms: the longest that code of ours may take at a time
+UPDATES = 10.0  # a second, where the fit is that fast
+BEAT = 5  # ms between two beats of the timer that is watched
+SCENES = ("two cells", "10,000 vertices")
+PLATFORMS = ("offscreen", "xvfb")
+
+
+def event_loop(options: Options) -> list[Row]:
+    """Longest block of our slots and updates a second, of each scene on each platform."""
+    seconds = 4 if options.quick else 12
+    rows: list[Row] = []
+    for platform in PLATFORMS:
+        for scene in SCENES:
+            rows += _rows(scene, platform, seconds)
+    return rows
+
+
+FIGURES: dict[str, Figure] = {"event-loop": event_loop}
+
+
+def _rows(scene: str, platform: str, seconds: float) -> list[Row]:
+    name = f"event loop, {scene}, {platform}"
+    try:
+        found = _in_process(scene, platform, seconds)
+    except MissingData as missing:
+        return [Row(name, "", math.nan, "", None, str(missing))]
+    slots = ", ".join(f"{n} {ms:.0f}" for n, ms in found["slots_ms"])
+    rate = found["iterations_per_second"]
+    # A fit that is slower than that cannot be shown more often.
+    bar = min(UPDATES, 0.8 * rate)
+    wanted = f"{rate:.0f} iterations a second"
+    return [
+        at_most(f"{name}: longest block of our code", BLOCK, found["block_ms"], "ms", slots),
+        at_least(f"{name}: updates", round(bar, 2), found["updates_per_second"], "1/s", wanted),
+        Row(
+            f"{name}: longest gap of a {BEAT} ms timer",
+            "",
+            found["gap_ms"],
+            "ms",
+            None,
+            f"99 % of gaps below {found['gap_99_ms']:.0f} ms; drawing and napari included",
+        ),
+        Row(
+            f"{name}: first update",
+            "",
+            found["first_ms"],
+            "ms",
+            None,
+            "once: napari adds the layers",
+        ),
+    ]
+
+
+def _in_process(scene: str, platform: str, seconds: float) -> dict[str, Any]:
+    words = [sys.executable, "-m", f"{__package__}.event_loop", scene, str(seconds)]
+    environment = dict(os.environ)
+    if platform == "offscreen":
+        environment["QT_QPA_PLATFORM"] = "offscreen"
+        environment.pop("DISPLAY", None)
+    else:
+        if shutil.which("xvfb-run") is None:
+            raise MissingData("no xvfb-run")
+        environment["QT_QPA_PLATFORM"] = "xcb"
+        words = ["xvfb-run", "-a", "-s", "-screen 0 1400x1000x24", *words]
+    done = subprocess.run(
+        words,
+        env=environment,
+        cwd=Path(__file__).resolve().parents[1],
+        capture_output=True,
+        text=True,
+        timeout=20 * seconds + 300,
+        check=False,
+    )
+    if done.returncode:
+        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        raise MissingData(f"ended with {done.returncode}: {last}")
+    found: dict[str, Any] = json.loads(done.stdout.strip().splitlines()[-1])
+    return found
+
+
+# ------------------------------------------------------------------------------- in the process
+
+
+class Watch:
+    """Times what Qt and napari call of the widget's code, and the gaps between two beats."""
+
+    def __init__(self) -> None:
+        self.longest: dict[str, float] = {}
+        self.updates = 0
+        self.gaps: list[float] = []
+        self._depth = 0
+        self._last = 0.0
+
+    def over(self, owner: type, *names: str) -> None:
+        """Time methods of a class; one that another one calls counts as part of that."""
+        for name in names:
+            setattr(owner, name, self._timed(getattr(owner, name), f"{owner.__name__}.{name}"))
+
+    def beat(self) -> None:
+        """The timer's slot."""
+        now = time.perf_counter()
+        if self._last:
+            self.gaps.append(now - self._last)
+        self._last = now
+
+    def _timed(self, method: Callable[..., Any], name: str) -> Callable[..., Any]:
+        @wraps(method)
+        def timed(*args: Any, **options: Any) -> Any:
+            start = time.perf_counter()
+            self._depth += 1
+            try:
+                return method(*args, **options)
+            finally:
+                self._depth -= 1
+                if not self._depth:
+                    taken = time.perf_counter() - start
+                    self.longest[name] = max(self.longest.get(name, 0), taken)
+
+        return timed
+
+
+def watched() -> Watch:
+    """A watch over everything that is called on the main thread while a fit runs."""
+    from napari_deltamic.gui.edits import Edits
+    from napari_deltamic.gui.history import History
+    from napari_deltamic.gui.overlays import Overlays
+    from napari_deltamic.gui.run_control import RunControl
+    from napari_deltamic.gui.viewer_link import ViewerLink
+    from napari_deltamic.gui.worker import FitRun
+
+    watch = Watch()
+    watch.over(FitRun, "_show", "_finish")
+    watch.over(RunControl, "start", "stop")
+    watch.over(Overlays, "_toggled", "_add")
+    watch.over(ViewerLink, "_slice_changed", "_view_changed")
+    watch.over(History, "_look_at")
+    watch.over(Edits, "shift")
+    return watch
+
+
+def measure(scene: str, seconds: float) -> dict[str, Any]:
+    """Run the widget on a scene, and watch."""
+    from qtpy.QtCore import Qt, QTimer
+    from qtpy.QtWidgets import QApplication
+
+    app = QApplication.instance() or QApplication([])
+    watch = watched()
+    viewer, widget = _opened(scene)
+    snapshots: list[float] = []
+    widget.control.shown.connect(lambda snapshot: snapshots.append(time.perf_counter()))
+    timer = QTimer()
+    timer.setTimerType(Qt.TimerType.PreciseTimer)
+    timer.timeout.connect(watch.beat)
+    widget.start()
+    while widget.run.running and not snapshots:
+        app.processEvents()
+    # The first one adds layers, which is napari's work and done once.
+    first, watch.longest = watch.longest, {}
+    timer.start(BEAT)
+    n, start = len(widget.run.history.loss), time.perf_counter()
+    user, next_step = _user(viewer, widget), start
+    while widget.run.running and time.perf_counter() - start < seconds:
+        app.processEvents()
+        time.sleep(0.0005)  # an idle event loop sleeps
+        if time.perf_counter() > next_step:
+            next(user)
+            next_step += 0.15
+    taken = time.perf_counter() - start
+    iterations, shown = len(widget.run.history.loss) - n, sum(t > start for t in snapshots)
+    widget.stop()
+    while widget.run.running:
+        app.processEvents()
+    timer.stop()
+    result = {
+        "first_ms": 1e3 * max(first.values()),
+        "block_ms": 1e3 * max(watch.longest.values()),
+        "slots_ms": sorted(((n, 1e3 * s) for n, s in watch.longest.items()), key=lambda x: -x[1])[
+            :4
+        ],
+        "updates_per_second": shown / taken,
+        "iterations_per_second": iterations / taken,
+        "gap_ms": 1e3 * max(watch.gaps),
+        "gap_99_ms": 1e3 * float(np.quantile(watch.gaps, 0.99)),
+        "vertices": len(widget.link.mesh.vertices),
+    }
+    widget.close_links()
+    return result
+
+
+def _opened(scene: str) -> tuple[Any, Any]:
+    """A viewer with the scene, and the widget, ready to start."""
+    import napari
+    from napari.components import ViewerModel
+
+    from napari_deltamic import _sample_data as samples
+    from napari_deltamic._widget import FitWidget
+    from napari_deltamic.geometry import sphere
+
+    shown = os.environ.get("QT_QPA_PLATFORM") != "offscreen"
+    viewer = napari.Viewer(show=True) if shown else ViewerModel()
+    sample = samples.two_cell_sample() if scene == SCENES[0] else samples.vesicle_sample()
+    units = ("um",) * 3
+    viewer.add_image(sample.image, scale=sample.grid.voxel_size, units=units, name="image")
+    widget = FitWidget(viewer)
+    if shown:
+        viewer.window.add_dock_widget(widget, name="deltaMic")
+    if scene == SCENES[0]:
+        widget.seeds.place.click()
+        viewer.layers["seeds"].add(sample.centers)
+    else:
+        start = sphere(sample.centers[0], 2.6, edge_length=0.088)
+        mesh = (start.vertices_numpy(), start.faces)
+        widget.seeds.chooser.choose(viewer.add_surface(mesh, units=units, name="start"))
+    # A fit that does not end while it is watched.
+    widget.settings.max_iterations.setValue(100_000)
+    viewer.dims.set_point(0, float(sample.centers[0][0]))
+    return viewer, widget
+
+
+def _user(viewer: Any, widget: Any) -> Any:
+    """What someone does meanwhile, a step at a time."""
+    history, random = widget.running.history, np.random.default_rng(0)
+    middle = viewer.dims.point[0]
+    while True:
+        for step in range(8):
+            viewer.dims.set_point(0, middle + 0.3 * (step - 4))
+            yield
+        for share in (0.1, 0.5, 0.8, 1.0):
+            history.slider.setValue(int(share * history.slider.maximum()))
+            yield
+        if widget.control.present() is not None:
+            shift = np.zeros((len(widget.link.mesh.vertices), 3))
+            shift[: len(shift) // 10] = random.normal(scale=0.1, size=3)
+            widget.interaction.edits.shift(shift, "nudge")
+        yield
+        viewer.dims.ndisplay = 3
+        for _ in range(8):
+            yield
+        viewer.dims.ndisplay = 2
+        widget.running.rendered.setChecked(not widget.running.rendered.isChecked())
+        yield
+
+
+if __name__ == "__main__":
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        print(json.dumps(measure(sys.argv[1], float(sys.argv[2]))))

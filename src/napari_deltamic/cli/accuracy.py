@@ -1,0 +1,335 @@
+"""``napari-deltamic accuracy``: what accuracy costs in time, on a user's own scene and machine."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from .. import __version__
+from ..accuracy_chart import (
+    shape_answer,
+    shape_chart,
+    shape_facts,
+    shape_table,
+    short,
+    way_facts,
+    ways_chart,
+    ways_table,
+)
+from ..errors import InputError
+from ..fourier.cost import costs
+from ..fourier.native import simd_level, threads
+from ..geometry import Mesh, load_mesh
+from ..geometry.files import write_atomically
+from ..images import EXTENSIONS
+from ..inference import fit
+from ..inference.checks import check_mesh
+from ..inference.default_accuracy import accuracy_for, image_noise
+from ..inference.forecast import Forecast, forecast
+from ..job import FitInput
+from ..measure.shape_error import DRAWS, ShapeError, photons_for, shape_errors
+from ..optics import GaussianPSF
+from ..report import make_folder
+from ..scene import Grid
+from ..scene.tradeoff import Way, duration, measure_ways, with_front
+from .inputs import MESHES, gather
+from .messages import Notes, failure
+
+TRIPLE = ("Z", "Y", "X")
+_RENDERED = 1e-3  # accuracy of a scene without an image, as that of `render`
+_FILES = ("accuracy.json", "accuracy.png", "shape.png")
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command to the parser of all."""
+    parser = commands.add_parser(
+        "accuracy",
+        help="what accuracy costs in time, on your scene and machine",
+        description="Time every way to render a scene and compare it with the exact one. The scene "
+        "is a mesh with --shape, --voxel-size and --sigma, or an image with --seeds.",
+    )
+    add = parser.add_argument
+    add("scene", metavar="MESH or IMAGE", help=f"{', '.join(MESHES)}; or .tif, .npy")
+    add("--shape", nargs=3, type=int, metavar=TRIPLE, help="voxels (with a mesh)")
+    add("--seeds", metavar="FILE", help="mesh, label image, or CSV of points (with an image)")
+    add("--voxel-size", nargs=3, type=float, metavar=TRIPLE, help="um")
+    add("--sigma", nargs=3, type=float, metavar=TRIPLE, help="um; standard deviations of the PSF")
+    add(
+        "--accuracy",
+        type=float,
+        metavar="A",
+        help="the one in use (default: 1e-3 for a mesh, from the noise for an image)",
+    )
+    add(
+        "--budget",
+        type=float,
+        default=10.0,
+        metavar="S",
+        help="ways that would take longer are listed but not measured (default: %(default)g s)",
+    )
+    add(
+        "--shape-error",
+        action="store_true",
+        help="also fit simulated images at several accuracies: the error of the surface",
+    )
+    add(
+        "--photons",
+        type=float,
+        metavar="P",
+        help="at the peak of the simulated images (with a mesh)",
+    )
+    add("--draws", type=int, default=DRAWS, metavar="N", help="of the noise (default: %(default)d)")
+    add("--missing-nan", action="store_true", help="leave out voxels that are NaN or infinite")
+    add("--overwrite", action="store_true", help="replace the results in DIR")
+    add("-o", "--output", metavar="DIR", help="folder for accuracy.json and the pictures")
+    parser.set_defaults(run=run)
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """What is measured."""
+
+    name: str
+    mesh: Mesh
+    grid: Grid
+    optics: GaussianPSF
+    accuracy: float
+    noise: float | None = None
+    job: FitInput | None = None
+
+    @property
+    def title(self) -> str:
+        shape = " x ".join(map(str, self.grid.shape))
+        cores = "1 thread" if threads() == 1 else f"{threads()} threads"
+        return f"{self.name}: {shape} voxels, {len(self.mesh.faces)} faces, {cores}"
+
+
+def run(arguments: argparse.Namespace, notes: Notes) -> int:
+    """Measure, print the table, and write what was asked for."""
+    folder = Path(arguments.output) if arguments.output else None
+    if folder is not None:
+        _check_folder(folder, arguments.overwrite)
+    if not arguments.budget > 0:
+        raise InputError(f"budget must be a positive number of seconds, not {arguments.budget:g}")
+    if arguments.draws < 1:
+        raise InputError("--draws must be 1 or more")
+    scene = _read(arguments, notes)
+    if folder is not None:
+        make_folder(folder)
+    notes.release()
+    try:
+        known = costs(again=True)
+        ways = _ways(scene, arguments.budget)
+        expected = None
+        if scene.job is not None:
+            job = scene.job
+            expected = forecast(
+                job.image, job.grid, job.mesh, job.optics, job.settings.fit, job.counted,
+                job.settings.scene.effects, known,
+            )  # fmt: skip
+        _say(scene, ways, expected)
+        shapes = _shapes(scene, arguments) if arguments.shape_error else []
+    except (MemoryError, RuntimeError) as error:
+        raise failure(error, scene.grid.shape) from error
+    voxel = min(scene.grid.voxel_size)
+    if shapes:
+        print(f"\n{shape_table(shapes, voxel)}\n\n{shape_answer(shapes)}")
+    if folder is not None:
+        for path in _write(folder, scene, ways, expected, shapes, voxel):
+            print(path)
+    return 0
+
+
+# -------------------------------------------------------------------------------------- input
+
+
+def _read(arguments: argparse.Namespace, notes: Notes) -> _Scene:
+    kind = Path(arguments.scene).suffix.lower()
+    if kind in MESHES:
+        return _from_mesh(arguments)
+    if kind in EXTENSIONS:
+        return _from_image(arguments, notes)
+    known = ", ".join((*MESHES, *EXTENSIONS))
+    raise InputError(f"{arguments.scene}: unknown extension '{kind}'; known are {known}")
+
+
+def _from_mesh(arguments: argparse.Namespace) -> _Scene:
+    for name in ("shape", "voxel_size", "sigma"):
+        if getattr(arguments, name) is None:
+            raise InputError(f"a mesh needs --{name.replace('_', '-')} Z Y X")
+    if arguments.seeds is not None:
+        raise InputError("--seeds goes with an image, not with a mesh")
+    if arguments.shape_error and not (arguments.photons and arguments.photons > 0):
+        raise InputError("--shape-error with a mesh needs --photons P, at the peak of the images")
+    grid = Grid(tuple(arguments.shape), tuple(arguments.voxel_size))
+    optics = GaussianPSF(arguments.sigma)
+    mesh = load_mesh(arguments.scene)
+    check_mesh(mesh, grid)
+    accuracy = _RENDERED if arguments.accuracy is None else _checked(arguments.accuracy)
+    return _Scene(Path(arguments.scene).name, mesh, grid, optics, accuracy)
+
+
+class _Blank(argparse.Namespace):
+    """Arguments of `fit`, of which most are not given."""
+
+    def __getattr__(self, name: str) -> None:
+        return None
+
+
+def _from_image(arguments: argparse.Namespace, notes: Notes) -> _Scene:
+    if arguments.shape is not None:
+        raise InputError("--shape goes with a mesh; an image has its own")
+    if arguments.photons is not None:
+        raise InputError("--photons goes with a mesh; an image has its own noise")
+    if arguments.seeds is None:
+        raise InputError("an image needs --seeds FILE")
+    given = ("seeds", "voxel_size", "sigma", "missing_nan")
+    asked = {name: getattr(arguments, name) for name in given}
+    job = gather(_Blank(image=arguments.scene, **asked), notes)
+    noise = image_noise(job.image)
+    accuracy = accuracy_for(noise) if arguments.accuracy is None else _checked(arguments.accuracy)
+    fit_settings = job.settings.fit.model_copy(update={"accuracy": accuracy})
+    settings = job.settings.model_copy(update={"fit": fit_settings})
+    job = FitInput(**{**vars(job), "settings": settings})
+    name = Path(arguments.scene).name
+    return _Scene(name, job.mesh, job.grid, job.optics, accuracy, noise, job)
+
+
+def _checked(accuracy: float) -> float:
+    if not 0 <= accuracy < 1:
+        raise InputError(f"accuracy must be at least 0 and below 1, not {accuracy:g}")
+    return accuracy
+
+
+def _check_folder(folder: Path, overwrite: bool) -> None:
+    """Refuse, before any work, a folder that cannot take the results or holds others."""
+    above = folder.absolute()
+    while not above.exists() and above != above.parent:
+        above = above.parent
+    if not above.is_dir():
+        raise InputError(f"{above} is a file, not a folder")
+    if not os.access(above, os.W_OK | os.X_OK):
+        raise InputError(f"{folder}: cannot be written: no permission for {above}")
+    for name in _FILES:
+        if (folder / name).exists() and not overwrite:
+            raise InputError(f"{folder} holds {name}; --overwrite replaces what is there")
+
+
+# ---------------------------------------------------------------------------------- measuring
+
+
+@contextmanager
+def _bar(what: str) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar on stderr, without the thread that watches over progress bars."""
+    tqdm.monitor_interval = 0
+    with tqdm(desc=what, file=sys.stderr, leave=False, disable=None) as bar:
+
+        def show(done: int, of: int) -> None:
+            bar.total = of
+            bar.update(done - bar.n)
+
+        yield show
+
+
+def _ways(scene: _Scene, budget: float) -> list[Way]:
+    with _bar("ways to render") as progress:
+        found = measure_ways(
+            scene.mesh, scene.grid, scene.optics, scene.accuracy, budget=budget, progress=progress
+        )
+        return with_front(found)
+
+
+def _shapes(scene: _Scene, arguments: argparse.Namespace) -> list[ShapeError]:
+    """Surface errors: of the mesh at so many photons, or of the fitted one at the image's noise."""
+    truth, optics, settings = scene.mesh, scene.optics, None
+    photons = arguments.photons
+    if scene.job is not None:
+        job = scene.job
+        print("fitting the image, to simulate it ...", file=sys.stderr)
+        last = None
+        for last in fit(  # noqa: B007
+            job.image, job.grid, job.mesh, job.optics,
+            settings=job.settings.fit, counted=job.counted, effects=job.settings.scene.effects,
+        ):  # fmt: skip
+            pass
+        assert last is not None
+        truth = last.mesh
+        photons = photons_for(float(scene.noise or 0), truth, scene.grid, optics)
+    with _bar("fits of simulated images") as progress:
+        found = shape_errors(
+            truth,
+            scene.grid,
+            optics,
+            photons,
+            settings=settings,
+            draws=arguments.draws,
+            progress=progress,
+        )
+        return list(found)
+
+
+# -------------------------------------------------------------------------------------- output
+
+
+def _say(scene: _Scene, ways: list[Way], expected: Forecast | None) -> None:
+    print(scene.title)
+    if scene.noise is not None:
+        print(f"noise of a voxel: {scene.noise:.2g} of the range of the image")
+    print(f"accuracy in use: {short(scene.accuracy)}")
+    if expected is not None:
+        print(
+            f"a fit from these seeds: about {duration(expected.seconds)}, at the last level "
+            f"{duration(expected.seconds_per_iteration)} an iteration"
+        )
+    print(f"\n{ways_table(ways)}")
+    if all(way.memory is None for way in ways):
+        print("\nmemory: this system does not say how much a piece of work takes at its peak")
+    if not np.any([way.device == "cuda" for way in ways]):
+        print("\nmeasured on the CPU; this version does not use a GPU")
+
+
+def _write(
+    folder: Path,
+    scene: _Scene,
+    ways: list[Way],
+    expected: Forecast | None,
+    shapes: list[ShapeError],
+    voxel: float,
+) -> list[Path]:
+    facts: dict[str, Any] = {
+        "version": __version__,
+        "machine": {"threads": threads(), "cores": os.cpu_count(), "instructions": simd_level()},
+        "scene": {
+            "name": scene.name,
+            "shape": list(scene.grid.shape),
+            "voxel_size_um": list(scene.grid.voxel_size),
+            "sigma_um": list(scene.optics.sigma_um),
+            "faces": len(scene.mesh.faces),
+            "vertices": len(scene.mesh.vertices),
+        },
+        "noise": scene.noise,
+        "accuracy_in_use": scene.accuracy,
+        "ways": [way_facts(way) for way in ways],
+        "forecast": None if expected is None else asdict(expected),
+        "shape": shape_facts(shapes, voxel) if shapes else None,
+    }
+    pictures = {"accuracy.png": ways_chart(ways, scene.title)}
+    if shapes:
+        pictures["shape.png"] = shape_chart(shapes, f"{scene.name}: error of the fitted surface")
+    paths = []
+    for name, chart in pictures.items():
+        write_atomically(folder / name, chart.png())
+        paths.append(folder / name)
+    path = folder / "accuracy.json"
+    write_atomically(path, (json.dumps(facts, indent=2, allow_nan=False) + "\n").encode())
+    return [path, *paths]

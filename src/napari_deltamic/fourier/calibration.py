@@ -1,0 +1,221 @@
+"""Measures the costs of this machine: a few small renderings, in less than a second."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import astuple, dataclass, fields
+from statistics import median
+
+import numpy as np
+import scipy.sparse as sp
+import torch
+from scipy.ndimage import gaussian_filter
+from scipy.optimize import nnls
+from scipy.sparse.linalg import splu
+from torch import Tensor
+
+from ..geometry.mesh import Mesh
+from ..geometry.primitives import sphere
+from .band import Band
+from .closed_form import band_ft
+from .cost import BUILT_IN, Costs, Rates, Work, count_work
+from .nonuniform import points_ft
+from .plan import _edge_phases, make_plan, quadrature_points
+from .quadrature import rule
+
+_BUDGET = 0.8  # s, after which no further round is begun
+_ROUNDS = 5
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """Something to time, forward and with its gradient, and the work that it is."""
+
+    work: Work
+    forward: Callable[[], Tensor]
+    leaf: Tensor
+
+    def times(self) -> tuple[float, float]:
+        """Seconds forward, and of both."""
+        start = time.perf_counter()
+        out = self.forward()
+        middle = time.perf_counter()
+        torch.autograd.grad(out, self.leaf, torch.ones_like(out))
+        return middle - start, time.perf_counter() - start
+
+
+def calibrate() -> Costs:
+    """Time what a rendering and a fit are made of; medians of several short runs.
+
+    Takes about a second. The result is that of this moment: on a busy machine it is larger.
+    """
+    start = time.perf_counter()
+    trials = {single: _trials(single) for single in (True, False)}
+    others = _others()
+    found: dict[tuple[bool, int], list[tuple[float, float]]] = {}
+    other: dict[str, list[float]] = {name: [] for name in others}
+    for round_ in range(_ROUNDS + 1):
+        for single, some in trials.items():
+            for i, trial in enumerate(some):
+                times = trial.times()
+                if round_ > 0:  # the first one warms up
+                    found.setdefault((single, i), []).append(times)
+        for name, (function, units) in others.items():
+            begun = time.perf_counter()
+            function()
+            other[name].append((time.perf_counter() - begun) / units)
+        if round_ > 0 and time.perf_counter() - start > _BUDGET:
+            break
+    rates = {}
+    for single, some in trials.items():
+        for which in (0, 1):
+            seconds = [median(t[which] for t in found[single, i]) for i in range(len(some))]
+            rates[single, which] = _solved([t.work for t in some], seconds, single, which == 1)
+    return Costs(
+        rates[True, 0],
+        rates[True, 1],
+        rates[False, 0],
+        rates[False, 1],
+        **{name: median(times) for name, times in other.items()},
+        measured=True,
+    )
+
+
+def _solved(works: list[Work], seconds: list[float], single: bool, gradient: bool) -> Rates:
+    """Rates that explain the times, each relative to its size; none is negative."""
+    # A trial is one half of a rendering: the transform, or the way from there to the image.
+    matrix = np.array([[0.5, *astuple(w)] for w in works])
+    times = np.array(seconds)
+    guess = np.array(astuple(BUILT_IN.rates(single, gradient)))
+    scaled = matrix * guess / times[:, None]  # of the order of 1
+    # A pull towards the usual proportions, too weak to be seen where something was measured.
+    level = float(np.median(1 / scaled.sum(1)))
+    weak = 0.05 * np.eye(len(guess))
+    factors, _ = nnls(
+        np.vstack([scaled, weak]),
+        np.concatenate([np.ones(len(times)), weak @ np.full(len(guess), level)]),
+    )
+    return Rates(
+        **dict(zip((f.name for f in fields(Rates)), (guess * factors).tolist(), strict=True))
+    )
+
+
+# ------------------------------------------------------------------------------------- trials
+
+
+def _trials(single: bool) -> list[_Trial]:
+    kind = torch.complex64 if single else torch.complex128
+    return [
+        _closed(2, 0.05, 9, single),
+        _closed(1, 0.01, 61, single),
+        _closed(1, 0.3, 31, single),
+        _nonuniform(0, 13, 2e-3, single),
+        _nonuniform(3, 15, 2e-2, single),
+        _nonuniform(3, 15, 2e-5, single),
+        _nonuniform(1, 51, 2e-3, single),
+        _image(15, 32, kind),
+        _image(31, 60, kind),
+    ]
+
+
+def _ball(subdivisions: int, radius: float = 0.3) -> Mesh:
+    return sphere((0.5, 0.5, 0.5), radius, subdivisions=subdivisions)
+
+
+def _cube(side: int, fft: int | None = None) -> Band:
+    """A band of ``side`` wavevectors across, in a cube of 1 um."""
+    fft = fft or 2 * side
+    spacing, half = 2 * np.pi, side // 2
+    return Band.within((fft,) * 3, (1 / fft,) * 3, ((half + 0.5) * spacing,) * 3)
+
+
+def _closed(subdivisions: int, radius: float, side: int, single: bool) -> _Trial:
+    mesh, band = _ball(subdivisions, radius), _cube(side)
+    v = torch.tensor(mesh.vertices_numpy(), requires_grad=True)
+    f, ones = torch.as_tensor(mesh.faces), torch.ones(len(mesh.faces), dtype=torch.float64)
+    assert band.radius is not None
+    phases = _edge_phases(mesh.vertices_numpy(), mesh.faces, band.radius, True)
+    work = count_work("closed form", band, len(f), phases, [], 0.0)
+
+    def forward() -> Tensor:
+        return band_ft(v, f, ones, band.rows, band.spacing, single)
+
+    return _Trial(_without_pixels(work), forward, v)
+
+
+def _nonuniform(subdivisions: int, side: int, tolerance: float, single: bool) -> _Trial:
+    mesh, band = _ball(subdivisions), _cube(side)
+    v = torch.tensor(mesh.vertices_numpy(), requires_grad=True)
+    f, ones = torch.as_tensor(mesh.faces), torch.ones(len(mesh.faces), dtype=torch.float64)
+    rules = [(rule(4), np.arange(len(f)))]
+    work = count_work("non-uniform", band, len(f), np.zeros(0), rules, tolerance)
+
+    def forward() -> Tensor:
+        points, weights = quadrature_points(v, f, ones, rules)
+        return points_ft(points, weights, band.half, band.spacing, tolerance, single)
+
+    return _Trial(_without_pixels(work), forward, v)
+
+
+def _image(side: int, fft: int, kind: torch.dtype) -> _Trial:
+    band = _cube(side, fft)
+    u = torch.ones(band.box_shape, dtype=kind, requires_grad=True)
+    work = count_work("non-uniform", band, 0, np.zeros(0), [], 1e-3)
+    return _Trial(work, lambda: band.to_image(u * 0.5, band.fft_shape), u)
+
+
+def _without_pixels(work: Work) -> Work:
+    return Work(*astuple(work)[:-1])
+
+
+def _others() -> dict[str, tuple[Callable[[], object], float]]:
+    """What a fit does besides: functions to time, and how many units each works on."""
+    mesh = _ball(4)
+    solve = _smoother(mesh)
+    columns = np.ones((len(mesh.vertices), 3))
+    voxels = 50_000
+    image = torch.rand(voxels * 2)
+    index = torch.arange(0, 2 * voxels, 2)
+    target = torch.rand(voxels)
+
+    def loss() -> None:
+        leaf = image.clone().requires_grad_()
+        residual = 0.5 * leaf[index] - target
+        torch.dot(target, residual**2).backward()
+        for _ in range(3):  # amplitude and background are solved for in double precision
+            (target.to(torch.float64) * residual.detach()).sum()
+
+    def plan() -> None:
+        make_plan(mesh.vertices_numpy(), mesh.faces, (40,) * 3, (0.05,) * 3, (0.07,) * 3, 1e-3)
+
+    block = np.zeros((30, 30, 30), np.float32)
+    return {
+        "vertex": (lambda: solve(columns), len(columns)),
+        "voxel": (loss, voxels),
+        "face": (plan, len(mesh.faces)),
+        "tap": (lambda: gaussian_filter(block, 3.0, truncate=3.5), block.size * 3 * 21),
+    }
+
+
+def _smoother(mesh: Mesh) -> Callable[[np.ndarray], object]:
+    """A sparse factor as the preconditioner of a fit has it."""
+    edges = mesh.edges()
+    n = len(mesh.vertices)
+    half = sp.coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(n, n))
+    a = half + half.T
+    matrix = (sp.eye(n) + 10 * (sp.diags(np.asarray(a.sum(1)).ravel()) - a)).tocoo()
+    try:
+        from cholespy import CholeskySolverD, MatrixType
+    except ImportError:
+        solve: Callable[[np.ndarray], object] = splu(matrix.tocsc()).solve
+        return solve
+    solver = CholeskySolverD(
+        n,
+        matrix.row.astype(np.int32),
+        matrix.col.astype(np.int32),
+        matrix.data.astype(np.float64),
+        MatrixType.COO,
+    )
+    x = np.zeros((n, 3))
+    return lambda b: solver.solve(b, x)
