@@ -11,7 +11,7 @@ import napari_deltamic
 
 PACKAGE = Path(napari_deltamic.__file__).parent
 ORDER = ("geometry", "fourier", "optics", "scene", "inference", "measure")
-GUI = ("gui", "_widget", "_reader", "_writer", "_sample_data")
+GUI = ("gui", "_menu", "_widget", "_reader", "_writer", "_sample_data")
 
 
 def modules():

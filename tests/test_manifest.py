@@ -52,7 +52,20 @@ def test_every_contribution_has_its_command(manifest):
         for kind in ("readers", "writers", "sample_data", "widgets")
         for item in getattr(contributions, kind)
     }
-    assert used == known
+    in_menus = {item.command for items in contributions.menus.values() for item in items}
+    assert in_menus <= known
+    assert used | in_menus == known
+
+
+def test_menus_are_some_that_plugins_may_add_to(manifest):
+    menus = pytest.importorskip("napari._app_model.constants._menus")
+    open_to_plugins = {str(menu) for menu in menus.MenuId.contributables()}
+    assert set(manifest.contributions.menus) <= open_to_plugins
+
+
+def test_a_session_can_be_dropped_into_napari(manifest):
+    patterns = {p for reader in manifest.contributions.readers for p in reader.filename_patterns}
+    assert {"*.deltamic", "*.ply", "*.stl", "*.rec"} <= patterns
 
 
 def test_the_root_of_the_repository_shows_the_same_manifest():

@@ -1,58 +1,72 @@
-"""Mesh files as Surface layers."""
+"""Mesh files as Surface layers, and session files as the layers that they hold."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from napari.utils.notifications import show_warning
+from napari.utils.notifications import show_info, show_warning
 
-from .errors import RepairWarning
-from .geometry import load_mesh
-from .gui.colours import LIMITS, region_colormap, vertex_values
-from .gui.frame import OWN
+from .gui.frame import ORIGIN, OWN, Frame
+from .gui.mesh_layer import SUFFIXES, load_meshes, surface_layer
+from .gui.session_layers import image_layer, mesh_layer, seed_layer
+from .session_file import EXTENSION, load_session
 
-EXTENSIONS = (".ply", ".stl", ".rec", ".off", ".obj")
 LayerData = tuple[Any, dict[str, Any], str]
+_WORLD = Frame((1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0), ("um",) * 3)
 
 
 def get_reader(path: str | Sequence[str]) -> Callable[..., list[LayerData]] | None:
-    """The reader of a mesh file, or of several; None for other files."""
-    paths = [path] if isinstance(path, str) else list(path)
-    if paths and all(Path(p).suffix.lower() in EXTENSIONS for p in paths):
-        return read_meshes
-    return None
+    """The reader of a mesh file or a session, or of several; None for other files."""
+    kinds = {Path(p).suffix.lower() for p in _paths(path)}
+    if kinds == {EXTENSION}:
+        return read_sessions
+    return read_meshes if kinds and kinds <= set(SUFFIXES) else None
 
 
 def read_meshes(path: str | Sequence[str]) -> list[LayerData]:
     """One Surface layer for each file, um, with a colour for each region.
+
+    A mesh file counts from the centre of the first voxel, which here is put at the viewer's
+    origin. Where the image lies elsewhere, the widget moves the layer there.
 
     Raises
     ------
     InputError
         Naming the file and what is wrong with it.
     """
-    paths = [path] if isinstance(path, str) else list(path)
-    return [_read(p) for p in paths]
+    found = []
+    for loaded in load_meshes(_paths(path)):
+        for remark in loaded.remarks:
+            show_warning(remark)
+        layer = surface_layer(loaded, _WORLD)
+        layer.opacity = 1.0
+        layer.metadata[OWN][ORIGIN] = None
+        found.append(layer.as_layer_data_tuple())
+    return found
 
 
-def _read(path: str) -> LayerData:
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        mesh = load_mesh(path)
-    for warning in caught:
-        if issubclass(warning.category, RepairWarning):
-            show_warning(str(warning.message))
-    vertices = mesh.vertices_numpy().astype(np.float32)
-    options = {
-        "name": Path(path).stem,
-        "colormap": region_colormap(),
-        "contrast_limits": LIMITS,
-        "shading": "smooth",
-        "units": ("um",) * 3,
-        "metadata": {OWN: {"regions": mesh.regions}},
-    }
-    return (vertices, mesh.faces, vertex_values(mesh)), options, "surface"
+def read_sessions(path: str | Sequence[str]) -> list[LayerData]:
+    """Image, seeds and meshes of a session.
+
+    Raises
+    ------
+    InputError
+        Naming the file and what is wrong with it.
+    """
+    found = []
+    for one in _paths(path):
+        session = load_session(one)
+        image = image_layer(session.image)
+        layers = [image, *(seed_layer(seed) for seed in session.seeds)]
+        if session.result is not None:
+            name = f"{image.name} cells"
+            layers.append(mesh_layer(session.result.state.mesh, name, Frame.of(image)))
+        found += [layer.as_layer_data_tuple() for layer in layers]
+    show_info("'Open session...' in the deltaMic widget also restores settings, table and history")
+    return found
+
+
+def _paths(path: str | Sequence[str]) -> list[str]:
+    return [path] if isinstance(path, str) else list(path)

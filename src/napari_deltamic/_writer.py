@@ -11,14 +11,14 @@ from napari.utils.notifications import show_warning
 
 from .errors import InputError
 from .geometry import Mesh, save_mesh
-from .gui.frame import OWN
+from .gui.frame import ORIGIN, OWN
 
 
 def write_surface(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
     """Write a Surface layer as a .ply, .obj, .stl, .rec or .off file, um.
 
-    The layer's scale counts, and its translation, except for the layers of a fit: their files have
-    the centre of the image's first voxel at 0.
+    The layer's scale counts, and its translation. Files of the layers of a fit, and of those that
+    were read from a mesh file, have the centre of the image's first voxel at 0.
 
     Raises
     ------
@@ -33,6 +33,7 @@ def write_surface(path: str, data: Any, attributes: dict[str, Any]) -> list[str]
     world = vertices[:, -3:] * np.asarray(attributes.get("scale", (1, 1, 1)), float)[-3:]
     if not own.get("fit"):
         world = world + np.asarray(attributes.get("translate", (0, 0, 0)), float)[-3:]
+        world = world - np.asarray(own.get(ORIGIN) or (0, 0, 0), float)
     regions = own.get("regions")
     if regions is not None and len(regions) != len(faces):
         regions = None

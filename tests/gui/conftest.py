@@ -3,6 +3,7 @@
 import gc
 import importlib
 import os
+import threading
 import time
 import warnings
 
@@ -27,6 +28,7 @@ with warnings.catch_warnings():
     from qtpy.QtWidgets import QApplication
 
     from napari_deltamic import _widget
+    from napari_deltamic.gui import image_panel, preview, seeds_panel
 
 import napari_deltamic as nd
 from napari_deltamic.geometry import sphere
@@ -152,3 +154,36 @@ def _without_gl(monkeypatch):
         found = importlib.import_module(module)
         if hasattr(found, name):
             monkeypatch.setattr(found, name, lambda value=value: value)
+
+
+@pytest.fixture
+def panel(app, with_image):
+    """The panel of seeds and that of the image, without the rest of the widget."""
+    image = image_panel.ImagePanel(with_image)
+    panel = seeds_panel.SeedsPanel(with_image, image)
+    yield panel
+    for part in (panel, image):
+        part.close_links()
+
+
+@pytest.fixture
+def ball_labels():
+    """A ball in a corner of the image, as label 3."""
+    place = np.stack(np.indices(SHAPE), axis=-1) * SIZE
+    return np.where(np.linalg.norm(place - (1.5, 1.2, 1.2), axis=-1) < 0.8, 3, 0)
+
+
+@pytest.fixture
+def held(monkeypatch):
+    """Previews that do not end before they are let go."""
+    gate, calls = threading.Event(), []
+    find = preview.find
+
+    def slow(*arguments):
+        calls.append(len(arguments[0]))
+        assert gate.wait(20)
+        return find(*arguments)
+
+    monkeypatch.setattr(preview, "find", slow)
+    yield gate, calls
+    gate.set()

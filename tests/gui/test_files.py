@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
-from napari.layers import Image, Surface
+from napari.layers import Image, Layer, Surface
 
 import napari_deltamic as nd
 from napari_deltamic import _reader, _sample_data, _writer
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import sphere
+from napari_deltamic.gui.image_panel import ImagePanel
+from napari_deltamic.gui.seeds import mesh_of_surface
 
 
 @pytest.fixture
@@ -36,9 +38,9 @@ def test_a_mesh_file_goes_through_napari_and_back(cells, tmp_path, extension):
 
 def test_each_region_has_its_colour(cells, tmp_path):
     nd.save_mesh(cells, tmp_path / "a.ply")
-    (_, _, values), options, _ = _reader.read_meshes(str(tmp_path / "a.ply"))[0]
-    low, high = options["contrast_limits"]
-    colours = options["colormap"].map((np.unique(values) - low) / (high - low))
+    layer = Layer.create(*read(tmp_path / "a.ply"))
+    low, high = layer.contrast_limits
+    colours = layer.colormap.map((np.unique(layer.data[2]) - low) / (high - low))
     assert len(np.unique(colours, axis=0)) == 2
 
 
@@ -76,7 +78,7 @@ def test_layers_of_a_fit_are_written_from_the_first_voxel(tmp_path):
     )
 
 
-@pytest.mark.parametrize("name", ["vesicle", "two_cells", "dividing_cell"])
+@pytest.mark.parametrize("name", ["vesicle", "two_cells", "dividing_cell", "foam"])
 def test_samples_are_images_with_a_voxel_size(name):
     data, options, kind = getattr(_sample_data, name)()[0]
     assert kind == "image"
@@ -86,7 +88,9 @@ def test_samples_are_images_with_a_voxel_size(name):
     assert str(layer.units[0]) == "micrometer"
 
 
-@pytest.mark.parametrize("make", ["vesicle_sample", "two_cell_sample", "dividing_cell_sample"])
+@pytest.mark.parametrize(
+    "make", ["vesicle_sample", "two_cell_sample", "dividing_cell_sample", "foam_sample"]
+)
 def test_samples_lie_within_their_image(make):
     sample = getattr(_sample_data, make)()
     low, high = sample.truth.bounds()
@@ -95,3 +99,54 @@ def test_samples_lie_within_their_image(make):
     assert (low > first + room).all()
     assert (high < last - room).all()
     assert len(sample.centers) == len(sample.truth.region_ids())
+
+
+def test_cells_of_the_foam_touch_but_each_has_its_own_surface():
+    sample = _sample_data.foam_sample()
+    assert sample.truth.is_closed()
+    assert len(sample.centers) == 8
+    volumes = np.array(list(sample.truth.volumes().values()))
+    assert volumes.max() < 1.3 * volumes.min()
+    nearest = np.sort(np.linalg.norm(sample.centers[:, None] - sample.centers, axis=2), axis=1)
+    assert (nearest[:, 3] < 1.2 * np.cbrt(6 / np.pi * volumes)).all()  # three neighbours at least
+
+
+def test_a_mesh_file_lands_on_an_image_that_lies_elsewhere(cells, viewer, tmp_path):
+    """Files count from the first voxel; so do those that are saved again, wherever it lies."""
+    nd.save_mesh(cells, tmp_path / "a.ply")
+    image = Image(
+        np.zeros((4, 5, 6)), scale=(500, 200, 200), translate=(1000, 0, -500), units=("nm",) * 3
+    )
+    before, after = (Layer.create(*read(tmp_path / "a.ply")) for _ in range(2))
+    viewer.add_layer(before)
+    viewer.add_layer(image)
+    panel = ImagePanel(viewer)
+    viewer.add_layer(after)
+    frame = panel.frame()
+    for layer in (before, after):
+        mesh = mesh_of_surface(layer, frame)
+        np.testing.assert_allclose(mesh.vertices_numpy(), cells.vertices_numpy(), atol=1e-9)
+        data, attributes, _ = layer.as_layer_data_tuple()
+        _writer.write_surface(str(tmp_path / "b.ply"), data, attributes)
+        again = nd.load_mesh(tmp_path / "b.ply")
+        np.testing.assert_allclose(again.vertices_numpy(), cells.vertices_numpy(), atol=1e-9)
+    panel.close_links()
+
+
+def test_a_mesh_file_stays_where_the_user_or_another_image_has_it(cells, viewer, tmp_path):
+    nd.save_mesh(cells, tmp_path / "a.ply")
+    viewer.add_image(np.zeros((4, 5, 6)), name="at zero")
+    panel = ImagePanel(viewer)
+    placed, moved = (Layer.create(*read(tmp_path / "a.ply")) for _ in range(2))
+    viewer.add_layer(placed)
+    moved.translate = (0, 0, 7)
+    viewer.add_image(np.zeros((4, 5, 6)), translate=(3, 3, 3), name="elsewhere")
+    panel.chooser.choose(viewer.layers["elsewhere"])
+    viewer.add_layer(moved)
+    assert tuple(placed.translate) == (0, 0, 0)
+    assert tuple(moved.translate) == (0, 0, 7)
+    panel.close_links()
+
+
+def read(path):
+    return _reader.read_meshes(str(path))[0]

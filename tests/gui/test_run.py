@@ -244,7 +244,7 @@ def test_closing_releases_widget_run_and_link(seeded, make_widget, spin, endless
 def test_updates_do_not_queue_up(seeded, spin, endless):
     """A slow viewer gets fewer states, and none while it still draws the one before."""
     counts, busy = [], []
-    show = seeded._show
+    show = seeded.control._show
 
     def slow(snapshot):
         assert not busy
@@ -254,7 +254,7 @@ def test_updates_do_not_queue_up(seeded, spin, endless):
         show(snapshot)
         busy.clear()
 
-    seeded._show = slow
+    seeded.control._show = slow
     seeded.start()
     spin(lambda: len(counts) > 5)
     assert len(counts) < len(seeded.run.history.loss) / 2

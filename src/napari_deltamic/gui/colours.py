@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -11,24 +12,48 @@ from numpy.typing import NDArray
 from ..geometry import Mesh
 from ..picture import COLOURS
 
-_TABLE = np.column_stack([np.array(COLOURS) / 255, np.ones(len(COLOURS))])
-LIMITS = (0.0, float(len(COLOURS)))
+_DIM, _GREY = 0.75, 0.42  # a cell that is not chosen: so much of this grey in its colour
+_OPAQUE = np.ones((len(COLOURS), 1))
+_TABLE = np.hstack([np.array(COLOURS) / 255, _OPAQUE])
+_DIMMED = np.hstack([(1 - _DIM) * _TABLE[:, :3] + _DIM * _GREY, _OPAQUE])
+_BOTH = np.concatenate([_TABLE, _DIMMED])
+LIMITS = (0.0, float(len(_BOTH)))
 
 
-def region_colours(regions: Any) -> NDArray[np.float64]:
-    """(n, 4) RGBA for region numbers from 1, or (4,) for one."""
-    colours: NDArray[np.float64] = _TABLE[(np.asarray(regions) - 1) % len(_TABLE)]
+def region_colours(regions: Any, chosen: Collection[int] = ()) -> NDArray[np.float64]:
+    """(n, 4) RGBA for region numbers from 1, or (4,) for one.
+
+    Where some are chosen, the others are dimmed.
+    """
+    numbers = np.asarray(regions)
+    index = (numbers - 1) % len(_TABLE)
+    if chosen:
+        index = index + len(_TABLE) * ~np.isin(numbers, list(chosen))
+    colours: NDArray[np.float64] = _BOTH[index]
     return colours
 
 
 def region_colormap() -> Colormap:
     """A colormap that, over ``LIMITS``, gives ``vertex_values`` the colours of their regions."""
-    controls = np.linspace(0, 1, len(_TABLE) + 1)
-    return Colormap(_TABLE, name="deltamic regions", controls=controls, interpolation="zero")
+    controls = np.linspace(0, 1, len(_BOTH) + 1)
+    return Colormap(_BOTH, name="deltamic regions", controls=controls, interpolation="zero")
 
 
-def vertex_values(mesh: Mesh) -> NDArray[np.float32]:
-    """(V,) a value for each vertex; where several regions meet, that of the largest number."""
-    largest = np.ones(len(mesh.vertices), np.int64)
-    np.maximum.at(largest, mesh.faces.ravel(), np.repeat(mesh.regions.max(axis=1), 3))
-    return ((largest - 1) % len(_TABLE) + 0.5).astype(np.float32)
+def vertex_values(mesh: Mesh, chosen: Collection[int] = ()) -> NDArray[np.float32]:
+    """(V,) a value for each vertex; where several regions meet, that of the largest number.
+
+    Where some regions are chosen, all of their vertices have their colours, and the rest is dimmed.
+    """
+    largest = _largest(mesh, mesh.regions)
+    values = (np.maximum(largest, 1) - 1) % len(_TABLE) + 0.5
+    if chosen:
+        own = _largest(mesh, np.where(np.isin(mesh.regions, list(chosen)), mesh.regions, 0))
+        values = np.where(own > 0, (own - 1) % len(_TABLE) + 0.5, values + len(_TABLE))
+    return values.astype(np.float32)
+
+
+def _largest(mesh: Mesh, regions: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(V,) the largest region at each vertex; 0 where there is none."""
+    largest = np.zeros(len(mesh.vertices), np.int64)
+    np.maximum.at(largest, mesh.faces.ravel(), np.repeat(regions.max(axis=1), 3))
+    return largest

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from ..cli.messages import PROGRAM
 from ..images import write_image
 from ..scene import Grid
-from ..settings import FitSettings, RunSettings
+from ..settings import NEAR_LEVELS, FitSettings, RunSettings
+from .mesh_layer import SUFFIXES
 from .seeds import Seeds
 
 _FLAGS = ("accuracy", "density", "likelihood", "max_iterations")
@@ -30,6 +31,7 @@ def command(settings: RunSettings, output: str, *, missing: bool = False) -> str
         value: Any = getattr(fit, name)
         if value != getattr(default, name):
             words += [f"--{name.replace('_', '-')}", str(value)]
+    words += ["--levels", *_numbers(fit.levels)] if fit.levels else []
     words += ["--missing-nan"] if missing else []
     words += ["--effects", ",".join(settings.scene.effects)] if settings.scene.effects else []
     return shlex.join([*words, "-o", output])
@@ -46,12 +48,26 @@ def with_files(
     """The settings with files for what has none; InputError if they cannot be written."""
     files = {"image": settings.image, "seeds": settings.seeds}
     if not files["image"]:
-        path = folder / "image.tif"
+        path = _unused(folder / "image.tif")
         write_image(path, image, grid.voxel_size)
         files["image"] = str(path.absolute())
     if not files["seeds"]:
-        files["seeds"] = str(seeds.save(folder, grid).absolute())
+        path = seeds.save(folder, image, grid)
+        files["seeds"] = str(path.absolute())
+        if path.suffix in SUFFIXES and seeds.kind != "rough" and settings.fit.levels is None:
+            # A mesh file does not tell that its surfaces already lie on the membranes.
+            fit = settings.fit.model_copy(update={"levels": NEAR_LEVELS})
+            settings = settings.model_copy(update={"fit": fit})
     return settings.model_copy(update=files)
+
+
+def _unused(path: Path) -> Path:
+    """A path at which nothing is yet: the folder may be that of the user's own images."""
+    found, k = path, 0
+    while found.exists():
+        k += 1
+        found = path.with_stem(f"{path.stem}-{k}")
+    return found
 
 
 def _numbers(values: Sequence[float]) -> list[str]:

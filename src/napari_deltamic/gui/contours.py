@@ -32,6 +32,10 @@ class Contours:
             metadata={OWN: {"fit": True}},
             **frame.layer_options(),
         )
+        # The thumbnail would take most of the time of an update. A private name: where napari has
+        # no such method, nothing happens.
+        self.layer._update_thumbnail = _no_thumbnail
+        self.chosen: frozenset[int] = frozenset()  # cells that are not dimmed; none: no cell is
         self._empty = True
 
     def update(self, mesh: Mesh | None, dims: Any) -> None:
@@ -42,18 +46,29 @@ class Contours:
                 self.layer.data = np.zeros((0, 2, 3), np.float32)
                 self._empty = True
             return
-        world = dims.point[axis - 3]
-        position = (world - self.frame.translate[axis]) * self.frame.um[axis]
-        # The slice that napari shows of the image is that of the nearest voxel.
-        size = self.frame.voxel_size[axis]
-        position = round(position / size) * size
+        position = self.position(dims, axis)
         segments, faces = section(mesh, axis, position)
         vectors = np.zeros((len(segments), 2, 3), np.float32)
         others = [k for k in range(3) if k != axis]
         vectors[:, 0, axis] = position
         vectors[:, 0, others] = segments[:, 0]
         vectors[:, 1, others] = segments[:, 1] - segments[:, 0]
-        self._set(vectors, mesh.regions[faces].max(axis=1))
+        self._set(vectors, self._shown(mesh.regions[faces]))
+
+    def position(self, dims: Any, axis: int) -> float:
+        """um: where the slice across an axis lies that the viewer's dims are at."""
+        world = dims.point[axis - 3]
+        position = (world - self.frame.translate[axis]) * self.frame.um[axis]
+        # The slice that napari shows of the image is that of the nearest voxel.
+        size = self.frame.voxel_size[axis]
+        return float(round(position / size) * size)
+
+    def _shown(self, sides: NDArray[Any]) -> NDArray[Any]:
+        """(S,) the region whose colour a segment has: a chosen one, where there is one."""
+        if self.chosen:
+            own = np.where(np.isin(sides, list(self.chosen)), sides, 0).max(axis=1)
+            return np.where(own > 0, own, sides.max(axis=1))
+        return sides.max(axis=1)
 
     def _set(self, vectors: NDArray[np.float32], regions: NDArray[Any]) -> None:
         layer = self.layer
@@ -61,8 +76,13 @@ class Contours:
         if len(vectors):
             # The name of one colour is much cheaper to set than an array of them.
             first = regions[0]
-            layer.edge_color = region_colours(regions if (regions != first).any() else first)
+            several = bool((regions != first).any())
+            layer.edge_color = region_colours(regions if several else first, self.chosen)
         self._empty = not len(vectors)
+
+
+def _no_thumbnail() -> None:
+    """Leaves the thumbnail black."""
 
 
 def sliced_axis(dims: Any) -> int | None:

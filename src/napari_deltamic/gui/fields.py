@@ -43,7 +43,8 @@ class TripleField(QWidget):
             box.setToolTip(tooltip)
             box.setButtonSymbols(QDoubleSpinBox.ButtonSymbols.NoButtons)
             box.setKeyboardTracking(False)
-            box.setMinimumWidth(58)
+            # napari's style asks for 90 pixels, with which the dock could not be narrow.
+            box.setStyleSheet("QDoubleSpinBox { min-width: 50px; padding: 1px 2px; }")
             box.valueChanged.connect(self._emit)
             layout.addWidget(box)
             self._boxes.append(box)

@@ -13,6 +13,9 @@ from ..errors import InputError
 from ..scene import Grid
 
 OWN = "deltamic"  # key in the metadata of layers: what this plugin knows of them
+# Under it: of a layer of a mesh file, where in the world the file's coordinates count from; None
+# for one that has not been put into the frame of an image yet.
+ORIGIN = "origin"
 FloatArray = NDArray[np.float64]
 Triple = tuple[float, float, float]
 

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from qtpy.QtWidgets import QFormLayout, QGroupBox, QWidget
 
 from ..errors import InputError
-from ..images import TIFF, read_image
+from ..images import EXTENSIONS, TIFF, read_voxel_size, stored_shape
+from .connections import Connections
 from .fields import LayerChooser, TripleField, note_label
-from .frame import Frame, is_stack, stack_of, um_per_unit
+from .frame import ORIGIN, OWN, Frame, is_stack, stack_of, um_per_unit
 from .qt import Signal
 
 _READ_AGAIN = 200e6  # bytes; larger files are not opened a second time for their voxel size
@@ -36,6 +37,8 @@ class ImagePanel(QGroupBox):
         layout.addRow(self.note)
         self._asked: set[str] = set()  # files that were asked for their voxel size
         self._scaled: Any = None
+        self._connections = Connections()
+        self._connections.connect(viewer.layers.events.inserted, self._place_meshes)
         self.chooser.chosen.connect(self._show)
         self.voxel_size.edited.connect(self._rescale)
         self._show()
@@ -61,16 +64,22 @@ class ImagePanel(QGroupBox):
         return data
 
     def path(self) -> str:
-        """The file that the layer shows, if the command line would read the same; else ''."""
+        """The file that the layer was opened from, if an image of this shape is in it; else ''.
+
+        The pixels may have been edited since: see :func:`napari_deltamic.images.holds_image`.
+        """
         layer = self.layer
         path = layer.source.path if layer is not None else None
-        if not path or layer.ndim != 3 or Path(path).suffix.lower() not in (*TIFF, ".npy"):
+        if not path or layer.ndim != 3 or Path(path).suffix.lower() not in EXTENSIONS:
             return ""
+        if stored_shape(path) != stack_of(layer, ()).shape:
+            return ""  # a crop, a channel, a time point
         return str(Path(path).absolute())
 
     def close_links(self) -> None:
         """Listen to the viewer no more."""
         self.chooser.close_links()
+        self._connections.undo()
         self._listen_to(None)
 
     def _show(self) -> None:
@@ -82,7 +91,24 @@ class ImagePanel(QGroupBox):
         else:
             self._take_size_of_file(layer)
             self._show_size()
+            self._place_meshes()
         self.changed.emit()
+
+    def _place_meshes(self, event: Any = None) -> None:
+        """Put layers of mesh files, which count from the first voxel, into the image's frame."""
+        try:
+            frame = self.frame()
+        except InputError:
+            return  # there is no image yet, or one that cannot be used
+        for layer in self._viewer.layers:
+            own = layer.metadata.get(OWN, {})
+            if ORIGIN not in own or own[ORIGIN] is not None or layer.ndim != 3:
+                continue
+            own[ORIGIN] = frame.translate
+            moved = np.any(layer.translate != 0) or np.any(layer.scale != 1)
+            if not moved:  # by the user, who knows better
+                for name, value in frame.layer_options().items():
+                    setattr(layer, name, value)
 
     def _show_size(self, event: Any = None) -> None:
         try:
@@ -120,7 +146,7 @@ class ImagePanel(QGroupBox):
         if file.stat().st_size > _READ_AGAIN:
             return
         try:
-            size = read_image(file)[1]
+            size = read_voxel_size(file)
         except InputError:
             return  # napari could read it, so it is an image all the same; its size stays unknown
         if size is not None and layer.ndim == 3:

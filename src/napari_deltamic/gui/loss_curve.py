@@ -1,67 +1,64 @@
-"""The loss against the iterations, drawn as it comes."""
+"""The loss and the widths of the PSF against the iterations."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import log10
+from itertools import pairwise
+from math import log10, nan
 
-from qtpy.QtCore import QPointF, QRectF
-from qtpy.QtGui import QColor, QPainter, QPaintEvent, QPalette, QPen, QPolygonF
-from qtpy.QtWidgets import QSizePolicy, QWidget
+from qtpy.QtWidgets import QWidget
 
-_MOST = 400  # points drawn
-_TEXT = 18  # px above the plot
+from ..timeline import Moment
+from .plots import Line, Plot, spread
+
+_LOSS = "#ffb000"
+_AXES = (("Z", "#4f8fe0"), ("Y", "#3fae6b"), ("X", "#e0564f"))
 
 
-class LossCurve(QWidget):
+class LossCurve(Plot):
     """A small logarithmic plot; a vertical line where a new level begins."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self._loss: list[float] = []
-        self._level: list[int] = []
-        self.setMinimumHeight(84)
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
-        self.setToolTip(
-            "<qt>Loss (logarithmic): the weighted residual, as a share of the variance of the "
-            "voxels that count. Lines show where the blur is reduced; there the loss starts anew."
-            "</qt>"
+        super().__init__(
+            "loss",
+            "Loss (logarithmic): the weighted residual, as a share of the variance of the voxels "
+            "that count. Lines show where the blur is reduced; there the loss starts anew.",
+            parent,
         )
 
-    def show_losses(self, loss: Sequence[float], level: Sequence[int]) -> None:
-        """Show the course of a fit."""
+    def show_losses(self, loss: Sequence[float], level: Sequence[int], first: int = 1) -> None:
+        """Show the course of a fit, from its iteration ``first`` on."""
         n = min(len(loss), len(level))
-        every = max(1, n // _MOST)
-        self._loss, self._level = list(loss[:n:every]), list(level[:n:every])
-        self.update()
+        kept = spread(n)
+        values = [log10(loss[k]) if loss[k] > 0 else nan for k in kept]
+        marks = [first + b for a, b in pairwise(kept) if level[a] != level[b]]
+        text = f"{loss[n - 1]:.3g}" if n else ""
+        self.show_lines([Line(_LOSS, text, [first + k for k in kept], values)], marks)
 
-    def paintEvent(self, event: QPaintEvent | None) -> None:
-        """Draw (called by Qt)."""
-        painter = QPainter(self)
-        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        text = self.palette().color(QPalette.ColorRole.WindowText)
-        faint = QColor(text)
-        faint.setAlpha(70)
-        area = QRectF(self.rect()).adjusted(4, _TEXT, -4, -4)
-        painter.setPen(QPen(faint, 1))
-        painter.drawRect(area)
-        values = [log10(max(v, 1e-12)) for v in self._loss]
-        if len(values) < 2:
-            painter.drawText(QPointF(area.left(), area.top() - 5), "loss")
-            painter.end()
-            return
-        low, high = min(values), max(values)
-        across, up = area.width() / (len(values) - 1), area.height() / (high - low or 1.0)
-        points = [
-            QPointF(area.left() + k * across, area.bottom() - (v - low) * up)
-            for k, v in enumerate(values)
-        ]
-        for k in range(1, len(values)):
-            if self._level[k] != self._level[k - 1]:
-                x = points[k].x()
-                painter.drawLine(QPointF(x, area.top()), QPointF(x, area.bottom()))
-        painter.setPen(QPen(QColor(255, 176, 0), 1.6))
-        painter.drawPolyline(QPolygonF(points))
-        painter.setPen(text)
-        painter.drawText(QPointF(area.left(), area.top() - 5), f"loss {self._loss[-1]:.3g}")
-        painter.end()
+
+class SigmaCurve(Plot):
+    """The widths of the PSF along Z, Y and X."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(
+            "PSF", "Widths of the PSF (sigma, um) along Z, Y and X over the iterations.", parent
+        )
+        self._known: dict[Moment, tuple[float, float, float]] = {}
+
+    @property
+    def varies(self) -> bool:
+        """Whether the widths shown are not all the same."""
+        return len(set(self._known.values())) > 1
+
+    def show_moments(self, moments: Sequence[Moment]) -> None:
+        """Show the course of a fit."""
+        known = self._known
+        self._known = {m: known.get(m) or m.optics.sigma_um for m in moments}
+        sigmas = list(self._known.values())
+        x = [float(moment.iteration) for moment in moments]
+        self.show_lines(
+            [
+                Line(colour, name, x, [sigma[k] for sigma in sigmas])
+                for k, (name, colour) in enumerate(_AXES)
+            ]
+        )

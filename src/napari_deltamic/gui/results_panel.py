@@ -2,66 +2,43 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-from qtpy.QtCore import Qt
-from qtpy.QtGui import QColor
-from qtpy.QtWidgets import (
-    QAbstractItemView,
-    QFileDialog,
-    QGroupBox,
-    QHBoxLayout,
-    QHeaderView,
-    QPushButton,
-    QTableWidget,
-    QTableWidgetItem,
-    QVBoxLayout,
-    QWidget,
-)
+from qtpy.QtWidgets import QFileDialog, QGroupBox, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
 from ..geometry import Mesh, save_mesh
 from ..images import write_image
 from ..inference import FitState
 from ..job import FitInput
 from ..measure import measure_cells, write_csv
-from ..measure.cells import CellRow
-from ..picture import COLOURS
 from ..report import History, write_results
+from .cell_table import CellTable
 from .qt import Signal
 
-_COLUMNS = (
-    ("cell", "region", "{:.0f}"),
-    ("volume, um³", "volume_um3", "{:.2f}"),
-    ("area, um²", "area_um2", "{:.2f}"),
-    ("sphericity", "sphericity", "{:.3f}"),
-)
+IMAGE_FILES = "OME-TIFF (*.ome.tif *.ome.tiff);;ImageJ TIFF (*.tif *.tiff)"
 MESH_FILES = "PLY (*.ply);;OBJ (*.obj);;STL (*.stl);;multimaterial (*.rec)"
 
 
 class ResultsPanel(QGroupBox):
-    """Shows the cells of a mesh; ``cell_chosen`` gives the centre (um) of the row selected."""
+    """Shows the cells of a mesh, and saves what was found.
+
+    ``cell_chosen`` gives the centre (um) of the row selected last, ``cells_chosen`` the regions of
+    all rows selected, also where they were selected through :meth:`choose`.
+    """
 
     cell_chosen = Signal(tuple)
+    cells_chosen = Signal(frozenset)
     saved = Signal(str)
+    remarked = Signal(str)  # what a file cannot hold, for example
 
     def __init__(self, guard: Callable[[Callable[[], None]], None], parent: QWidget | None = None):
         super().__init__("Results", parent)
         self._guard = guard  # runs what may fail, and shows in plain words why it did
-        self._rows: list[CellRow] = []
         self.last: tuple[FitState, FitInput, History, float] | None = None
-        self.table = QTableWidget(0, len(_COLUMNS), self)
-        self.table.setHorizontalHeaderLabels([title for title, _, _ in _COLUMNS])
-        rows: Any = self.table.verticalHeader()
-        rows.setVisible(False)
-        self.table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
-        self.table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
-        columns: Any = self.table.horizontalHeader()
-        columns.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
-        self.table.setMinimumHeight(90)
-        self.table.setToolTip("Choose a row to go to the cell.")
-        self.table.itemSelectionChanged.connect(self._chosen)
+        self.table = CellTable(self)
+        self.table.chosen.connect(self._chosen)
         layout = QVBoxLayout(self)
         layout.addWidget(self.table)
         buttons = QHBoxLayout()
@@ -74,7 +51,7 @@ class ResultsPanel(QGroupBox):
         tips = (
             "Save the meshes: .ply, .obj, .stl or .rec, um.",
             "Save the measurements as .csv, um.",
-            "Save the rendered image as .tif, with its voxel size.",
+            "Save the rendered image with its voxel size: .ome.tif, or .tif for ImageJ.",
             "Save everything in a folder: meshes, image, measurements, settings, report, picture.",
         )
         for (title, slot), tip in zip(self.buttons.items(), tips, strict=True):
@@ -91,12 +68,21 @@ class ResultsPanel(QGroupBox):
         self._show_cells(state.mesh)
         self.setEnabled(True)
 
+    def choose(self, region: int, add: bool = False) -> None:
+        """Select the row of a region, as the only one or with (or without) the others; 0: none."""
+        before = set(self.table.chosen_regions()) if add else set()
+        self.table.choose(before ^ {region} if region else before)
+
     # ---- files: each raises InputError if it cannot be written --------------------------------
 
     def save_meshes(self, path: str) -> None:
         """Write the meshes, in the format of the path's extension."""
-        save_mesh(self._result()[0].mesh, path)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            save_mesh(self._result()[0].mesh, path)
         self.saved.emit(path)
+        for warning in caught:
+            self.remarked.emit(str(warning.message))
 
     def save_table(self, path: str) -> None:
         """Write the measurements."""
@@ -122,22 +108,12 @@ class ResultsPanel(QGroupBox):
         return self.last
 
     def _show_cells(self, mesh: Mesh) -> None:
-        self._rows = measure_cells(mesh)
-        self.table.setRowCount(len(self._rows))
-        for r, row in enumerate(self._rows):
-            for c, (_, key, form) in enumerate(_COLUMNS):
-                item = QTableWidgetItem(form.format(row[key]))
-                item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-                if c == 0:
-                    item.setForeground(QColor(*COLOURS[(int(row["region"]) - 1) % len(COLOURS)]))
-                self.table.setItem(r, c, item)
+        self.table.show_rows(measure_cells(mesh))
 
-    def _chosen(self) -> None:
-        model: Any = self.table.selectionModel()
-        chosen = model.selectedRows()
-        if chosen:
-            row = self._rows[chosen[0].row()]
-            self.cell_chosen.emit(tuple(row[f"centroid_{axis}_um"] for axis in "zyx"))
+    def _chosen(self, regions: tuple[int, ...], by_hand: bool) -> None:
+        self.cells_chosen.emit(frozenset(regions))
+        if by_hand and regions:
+            self.cell_chosen.emit(self.table.center(regions[-1]))
 
     def _ask_meshes(self) -> None:
         path, kind = QFileDialog.getSaveFileName(self, "Save meshes", "mesh.ply", MESH_FILES)
@@ -151,8 +127,10 @@ class ResultsPanel(QGroupBox):
 
     def _ask_image(self) -> None:
         path, _ = QFileDialog.getSaveFileName(
-            self, "Save rendered image", "rendered.ome.tif", "TIFF (*.tif *.tiff)"
+            self, "Save rendered image", "rendered.ome.tif", IMAGE_FILES
         )
+        if path and not Path(path).suffix:
+            path += ".ome.tif"
         self._save(self.save_image, path)
 
     def _ask_all(self) -> None:

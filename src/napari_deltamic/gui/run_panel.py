@@ -17,8 +17,11 @@ from qtpy.QtWidgets import (
 )
 
 from ..report import History
+from ..timeline import Moment
+from .edit_bar import EditBar
 from .fields import note_label
-from .loss_curve import LossCurve
+from .history_bar import HistoryBar
+from .loss_curve import LossCurve, SigmaCurve
 from .qt import Signal
 
 _COLOURS = {"converged": "#3fae6b", "ended": "#d99a1c", "stopped": "#d99a1c", "failed": "#e0564f"}
@@ -46,7 +49,11 @@ class RunPanel(QGroupBox):
         self.message = note_label()
         self.verdict = QLabel(self)
         self.verdict.setWordWrap(True)
+        self.note = note_label()
+        self.edit = EditBar(self)
+        self.history = HistoryBar(self)
         self.curve = LossCurve(self)
+        self.sigmas = SigmaCurve(self)
         self.psf = PsfTable(self)
         self.rendered = QCheckBox("rendered image", self)
         self.rendered.setToolTip("Show what the microscope would see of the present meshes.")
@@ -62,7 +69,11 @@ class RunPanel(QGroupBox):
         self.rendered.toggled.connect(self.rendered_toggled)
         self.residual.toggled.connect(self.residual_toggled)
         self.set_running(False)
+        self.sigmas.hide()
+        for row in (self.edit, self.history):
+            row.hide()  # until there is something to edit, and to go back to
         self.say("")
+        self.tell("")
         self.show_verdict("", "")
 
     def set_running(self, running: bool) -> None:
@@ -74,6 +85,7 @@ class RunPanel(QGroupBox):
         if running:
             self.progress.setRange(0, 0)
             self.show_verdict("", "")
+            self.tell("")
             self.curve.show_losses([], [])
         else:
             self.pause_button.setChecked(False)
@@ -83,19 +95,37 @@ class RunPanel(QGroupBox):
         self.message.setText(text)
         self.message.setVisible(bool(text))
 
-    def show_progress(self, history: History, level: int, levels: int, rate: float) -> None:
-        """Where the fit is. How many iterations are left is not known, but the levels are."""
+    def tell(self, text: str) -> None:
+        """What came of something that the user did, in a line."""
+        self.note.setText(text)
+        self.note.setVisible(bool(text))
+
+    def show_progress(
+        self,
+        history: History,
+        level: int,
+        levels: int,
+        rate: float,
+        remaining: float | None = None,
+    ) -> None:
+        """Where the fit is: iterations a second and, where it is known, s that remain."""
         self.progress.setRange(0, levels)
         self.progress.setValue(level - 1)
         self.progress.setFormat(f"level {level} of {levels}")
-        self.say(f"{len(history.loss)} iterations, {rate:.0f} a second")
-        self.curve.show_losses(history.loss, history.level)
+        self.say(progress_text(len(history.loss), rate, remaining))
+        self.curve.show_losses(history.loss, history.level, history.first)
 
     def show_verdict(self, verdict: str, text: str) -> None:
         """How it ended."""
+        self.last_verdict = (verdict, text)
         self.verdict.setStyleSheet(f"color: {_COLOURS.get(verdict, '')}; font-weight: bold;")
         self.verdict.setText(text)
         self.verdict.setVisible(bool(text))
+
+    def show_sigmas(self, moments: Sequence[Moment]) -> None:
+        """The widths of the PSF over the fit; nothing where they never changed."""
+        self.sigmas.show_moments(moments)
+        self.sigmas.setVisible(self.sigmas.varies)
 
     def _pause(self, paused: bool) -> None:
         self.pause_button.setText("Go on" if paused else "Pause")
@@ -109,12 +139,35 @@ class RunPanel(QGroupBox):
         for box in (QLabel("show", self), self.rendered, self.residual):
             shown.addWidget(box)
         shown.addStretch()
+        plots = QHBoxLayout()
+        for plot in (self.curve, self.sigmas):
+            plots.addWidget(plot)
         layout = QVBoxLayout(self)
         layout.addLayout(buttons)
-        for widget in (self.progress, self.message, self.verdict, self.curve, self.psf):
+        parts: tuple[QWidget, ...] = (self.progress, self.message, self.verdict, self.note)
+        for widget in parts:
+            layout.addWidget(widget)
+        layout.addLayout(plots)
+        for widget in (self.history, self.edit, self.psf):
             layout.addWidget(widget)
         layout.addLayout(shown)
         layout.addWidget(self.command_button)
+
+
+def progress_text(iterations: int, rate: float, remaining: float | None) -> str:
+    """Iterations done, how many a second, and the time that remains, in words."""
+    text = f"{iterations} iterations, {rate:.{0 if rate >= 2 else 1}f} a second"
+    return text if remaining is None else f"{text}, {duration(remaining)} left"
+
+
+def duration(seconds: float) -> str:
+    """About how long, in words; never more exact than a forecast can be."""
+    if seconds < 1.5:
+        return "a second"
+    for size, name in ((1, "s"), (60, "min"), (3600, "h")):
+        if seconds < 90 * size or name == "h":
+            return f"about {seconds / size:.0f} {name}"
+    return ""
 
 
 class PsfTable(QWidget):

@@ -4,16 +4,28 @@ from __future__ import annotations
 
 from typing import Any, get_args
 
-from qtpy.QtWidgets import QCheckBox, QComboBox, QFormLayout, QGroupBox, QSpinBox, QWidget
+from qtpy.QtWidgets import (
+    QCheckBox,
+    QComboBox,
+    QFormLayout,
+    QGroupBox,
+    QHBoxLayout,
+    QLabel,
+    QSpinBox,
+    QWidget,
+)
 from superqt import QCollapsible
 
+from ..inference.default_accuracy import image_noise
 from ..job import SIGMA_IN_VOXELS
 from ..settings import DensityModel, FitSettings, Likelihood, SceneSettings, validated
+from .accuracy_dial import AccuracyDial
+from .accuracy_view import TradeoffView
 from .fields import TripleField
+from .note import Note
 from .qt import Signal
 
 _RARE = ("likelihood", "max_iterations")
-ACCURACIES = ("1e-2", "3e-3", "1e-3", "3e-4", "1e-4", "1e-5", "0")
 
 
 class SettingsPanel(QGroupBox):
@@ -27,9 +39,10 @@ class SettingsPanel(QGroupBox):
         self._sigma_given = False
         self.sigma = TripleField(_tip(SceneSettings, "sigma"), self)
         self.fit_psf = QCheckBox("fit the PSF too", self)
-        self.accuracy = QComboBox(self)
-        self.accuracy.setEditable(True)
-        self.accuracy.addItems(ACCURACIES)
+        self.accuracy = AccuracyDial(lambda: image_noise(image_panel.stack()), self)
+        self.accuracy_number = QLabel(self)  # what the dial stands for
+        self.outlook, self.pace = Note(self), Note(self)  # predicted, and measured, times
+        self.tradeoff = TradeoffView(self)
         self.density = QComboBox(self)
         self.density.addItems(get_args(DensityModel))
         self.likelihood = QComboBox(self)
@@ -42,24 +55,44 @@ class SettingsPanel(QGroupBox):
         more = QWidget()
         inner = QFormLayout(more)
         inner.setContentsMargins(0, 0, 0, 0)
-        for form, names in ((layout, ("accuracy", "density")), (inner, _RARE)):
+        dial = QHBoxLayout()
+        dial.addWidget(self.accuracy, 1)
+        dial.addWidget(self.accuracy_number)
+        layout.addRow("accuracy", dial)
+        for row in (self.outlook, self.pace, self.tradeoff):
+            layout.addRow(row)
+        for form, names in ((layout, ("density",)), (inner, _RARE)):
             for name in names:
                 form.addRow(name.replace("_", " "), getattr(self, name))
         folded = QCollapsible("more", self)
         folded.setContent(more)
         folded.collapse(animate=False)
         layout.addRow(folded)
-        for name in ("fit_psf", "accuracy", "density", "likelihood", "max_iterations"):
+        for name in ("fit_psf", "density", "likelihood", "max_iterations"):
             getattr(self, name).setToolTip(_tip(FitSettings, name))
         self.show_settings(FitSettings())
+        typed: Any = self.accuracy.lineEdit()
+        for signal in (
+            self.fit_psf.toggled,
+            self.accuracy.activated,
+            typed.editingFinished,
+            self.density.currentTextChanged,
+            self.likelihood.currentTextChanged,
+            self.max_iterations.valueChanged,
+        ):
+            signal.connect(self._edited)
+        self.max_iterations.setKeyboardTracking(False)
         image_panel.changed.connect(self._guess_sigma)
         self.sigma.edited.connect(self._sigma_edited)
         self._guess_sigma()
 
     def fit_settings(self) -> FitSettings:
         """The settings shown. InputError names the field that is wrong."""
+        return self.other_settings().model_copy(update={"accuracy": self.accuracy.setting()})
+
+    def other_settings(self) -> FitSettings:
+        """The settings shown, without the accuracy."""
         values = {
-            "accuracy": self.accuracy.currentText(),
             "fit_psf": self.fit_psf.isChecked(),
             "density": self.density.currentText(),
             "likelihood": self.likelihood.currentText(),
@@ -77,7 +110,7 @@ class SettingsPanel(QGroupBox):
     def show_settings(self, settings: FitSettings) -> None:
         """Show settings."""
         self.fit_psf.setChecked(settings.fit_psf)
-        self.accuracy.setCurrentText(_short(settings.accuracy))
+        self.accuracy.show_accuracy(settings.accuracy)
         self.density.setCurrentText(settings.density)
         self.likelihood.setCurrentText(settings.likelihood)
         self.max_iterations.setValue(settings.max_iterations)
@@ -91,6 +124,9 @@ class SettingsPanel(QGroupBox):
         if self._image.layer is not None and not self._sigma_given:
             self.sigma.set_value([SIGMA_IN_VOXELS * d for d in self._image.voxel_size.value()])
 
+    def _edited(self, value: Any = None) -> None:
+        self.changed.emit()
+
     def _sigma_edited(self) -> None:
         self._sigma_given = True
         self.changed.emit()
@@ -99,7 +135,3 @@ class SettingsPanel(QGroupBox):
 def _tip(model: Any, name: str) -> str:
     text = str(model.model_fields[name].description)
     return f"<qt>{text[0].upper()}{text[1:]}.</qt>"  # rich text is wrapped
-
-
-def _short(accuracy: float) -> str:
-    return next((text for text in ACCURACIES if float(text) == accuracy), f"{accuracy:g}")

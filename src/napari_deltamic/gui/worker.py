@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import replace
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,68 +16,14 @@ from superqt.utils import create_worker
 from ..cli.messages import failure
 from ..errors import InputError, RepairWarning
 from ..fourier import SlowPathWarning
-from ..inference import FitState
+from ..inference import Change, FitState
+from ..inference.forecast import Forecast, forecast
 from ..job import FitInput, start
 from ..report import History
-
-INTERVAL = 0.033  # s between two updates of the viewer
-LONGEST_REST = 0.5  # s that a slow viewer is left alone, at most
-RENDER_EVERY = 0.3  # s, at least, between two rendered images
-RENDER_SHARE = 0.1  # of the time of a fit may go into rendered images
-
-Verdict = Literal["converged", "ended", "stopped", "failed"]
-
-
-@dataclass(frozen=True)
-class Snapshot:
-    """What the viewer shows of a state; nothing in it is touched by the fit any more.
-
-    state : the last state.
-    job : what is fitted.
-    rendered : (Z, Y, X) float32, or None where it was not computed this time.
-    iterations_per_second : over the whole run, without pauses.
-    """
-
-    state: FitState
-    job: FitInput
-    rendered: NDArray[np.float32] | None
-    iterations_per_second: float
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """How a run ended: the verdict, in plain words too, and the last good state if any."""
-
-    verdict: Verdict
-    message: str
-    state: FitState | None = None
-    job: FitInput | None = None
-    seconds: float = 0.0
-
-
-@dataclass
-class _Course:
-    """What the thread and its watcher share; each field is written by one of them."""
-
-    # by the watcher
-    paused: bool = False
-    shown: bool = True  # whether the last snapshot has been drawn
-    rest_until: float = 0.0  # no snapshot before
-    render: bool = True
-    # by the thread
-    job: FitInput | None = None
-    state: FitState | None = None
-    history: History = field(default_factory=History)
-    seconds: float = 0.0
-    stage: str = "starting"
-    messages: list[str] = field(default_factory=list)
-
-    def drawn(self, began: float) -> None:
-        """The viewer has drawn the last snapshot, which it was given at a time."""
-        now = time.monotonic()
-        # Drawing without a GPU takes the cores that the fit needs: it gets about a third of them.
-        self.rest_until = now + min(2 * (now - began), LONGEST_REST)
-        self.shown = True
+from ..settings import FitSettings
+from .course import Clock, Course, Forecaster, Outcome, Snapshot, Verdict
+from .renewed_forecast import RenewedForecast
+from .waiting import usable
 
 
 class FitRun:
@@ -90,6 +36,9 @@ class FitRun:
         was drawn.
     on_end : called once with the outcome, unless the run was closed.
     on_note : called with warnings that are meant for users.
+    on_refusal : called with the reason why a change was not taken over.
+    forecaster : makes what forecasts how long a fit will take, in the thread; None for none.
+    first : what the fit is told after its first iteration: pinned vertices, for example.
     """
 
     def __init__(
@@ -98,14 +47,20 @@ class FitRun:
         on_snapshot: Callable[[Snapshot], None],
         on_end: Callable[[Outcome], None],
         on_note: Callable[[str], None],
+        on_refusal: Callable[[str], None],
+        forecaster: Callable[[FitInput], Forecaster | None] | None = None,
+        first: Change | None = None,
     ) -> None:
-        self._course = _Course()
-        self._on_snapshot, self._on_end, self._on_note = on_snapshot, on_end, on_note
+        self._course = Course()
+        if first is not None:
+            self._course.waiting.add(first)
+        self._on_snapshot, self._on_end = on_snapshot, on_end
+        self._on_note, self._on_refusal = on_note, on_refusal
         self._outcome: Outcome | None = None
         self._open = True
         # Errors are caught in the thread: this library drops any RuntimeError without a word.
         self._worker: Any = create_worker(
-            _steps, prepare, self._course, _start_thread=False, _ignore_errors=True
+            _steps, prepare, forecaster, self._course, _start_thread=False, _ignore_errors=True
         )
         self._slots: tuple[tuple[Any, Callable[..., None]], ...] = (
             (self._worker.yielded, self._show),
@@ -149,6 +104,48 @@ class FitRun:
         self._course.render = wanted
 
     @property
+    def state(self) -> FitState | None:
+        """The newest state; it may not have been shown yet."""
+        return self._course.state
+
+    @property
+    def seconds(self) -> float:
+        """s; how long the fit has taken, without pauses."""
+        return self._course.seconds
+
+    @property
+    def forecast(self) -> Forecaster | None:
+        """What forecasts how long it takes; None for nothing, or while it is prepared."""
+        return self._course.forecast
+
+    @property
+    def job(self) -> FitInput | None:
+        """What is fitted, with the settings as they are now; None while it is prepared."""
+        return self._course.job
+
+    @property
+    def left(self) -> Change | None:
+        """After the end: a change that came too late for the fit."""
+        state, taken = self._course.state, self._course.waiting.take()
+        return None if taken is None or state is None else taken.on(state.mesh)
+
+    def change(self, change: Change) -> int:
+        """Let the fit go on from something else, from its next iteration on.
+
+        Snapshots tell by the number returned whether they include it. What cannot be used is
+        refused with a note, and the fit goes on without it.
+        """
+        return self._course.waiting.add(change)
+
+    def shift(self, shift: NDArray[np.float64]) -> int:
+        """Move the vertices from where they then are, (V, 3) um; else like ``change``."""
+        return self._course.waiting.shift(shift)
+
+    def update_every(self, seconds: float) -> None:
+        """How often snapshots come, at most; s."""
+        self._course.interval = seconds
+
+    @property
     def stopping(self) -> bool:
         """Whether it was asked to end."""
         return bool(self._worker.abort_requested)
@@ -164,8 +161,11 @@ class FitRun:
             self._worker.quit()
             self._disconnect()
 
-    def _show(self, snapshot: Snapshot | None) -> None:
+    def _show(self, snapshot: Snapshot | str | None) -> None:
         if snapshot is None or not self._open:
+            return
+        if isinstance(snapshot, str):
+            self._on_refusal(snapshot)
             return
         began = time.monotonic()
         try:
@@ -203,7 +203,28 @@ class FitRun:
         self._slots = ()
 
 
-def _steps(prepare: Callable[[], FitInput], course: _Course) -> Any:
+def expected(job: FitInput) -> Forecaster | None:
+    """What forecasts how long a fit will take; None where the fit will say what is wrong."""
+    settings = job.settings
+    try:
+        return forecast(
+            job.image,
+            job.grid,
+            job.mesh,
+            job.optics,
+            settings.fit,
+            job.counted,
+            settings.scene.effects,
+        )
+    except InputError:
+        return None
+
+
+def _steps(
+    prepare: Callable[[], FitInput],
+    forecaster: Callable[[FitInput], Forecaster | None] | None,
+    course: Course,
+) -> Any:
     """The generator that the thread runs; yields a snapshot where one is due, else None.
 
     It yields after every iteration, as the thread can only be stopped there.
@@ -212,8 +233,9 @@ def _steps(prepare: Callable[[], FitInput], course: _Course) -> Any:
         course.stage = "preparing the seeds"
         job = course.job = prepare()
         yield None
+        course.forecast = forecaster(job) if forecaster is not None else None
         course.stage = "fitting"
-        yield from _fit_steps(job, course)
+        yield from _fit_steps(job, course, forecaster)
     except Exception as error:
         return _failed(error, course)
     state = course.state
@@ -225,50 +247,75 @@ def _steps(prepare: Callable[[], FitInput], course: _Course) -> Any:
     return Outcome(verdict, "; ".join(words), state, course.job, course.seconds)
 
 
-def _fit_steps(job: FitInput, course: _Course) -> Iterator[Snapshot | None]:
-    clock, started = _Clock(), time.monotonic()
-    waited = 0.0
-    for state in start(job):
+def _fit_steps(
+    job: FitInput,
+    course: Course,
+    forecaster: Callable[[FitInput], Forecaster | None] | None,
+) -> Iterator[Snapshot | str | None]:
+    clock, began, waited = Clock(), time.monotonic(), 0.0
+    states: Any = start(job)
+    state, change = next(states, None), None
+    while state is not None:
         course.state = state
         course.messages += [state.message] if state.message else []
         course.history.add(state)
-        course.seconds = time.monotonic() - started - waited
-        yield clock.snapshot(job, state, course)
+        course.seconds = time.monotonic() - began - waited
+        # What a change led to is always shown, and kept in the history.
+        snapshot = clock.snapshot(state, course, must=change is not None)
+        yield snapshot
         pause = time.monotonic()
-        while course.paused:
+        while course.paused and not course.waiting.any:
+            if snapshot is None:
+                snapshot = clock.snapshot(state, course, must=True)
+                yield snapshot
             time.sleep(0.02)
             yield None
         waited += time.monotonic() - pause
+        change, refused = _taken(state, course)
+        yield refused
+        if change is not None and change.settings is not None and forecaster is not None:
+            _forecast_anew(course, forecaster)
+        try:
+            state = states.send(change)
+        except StopIteration:
+            state = None
     if course.state is not None:
-        yield clock.snapshot(job, course.state, course, last=True)
+        yield clock.snapshot(course.state, course, must=True)
 
 
-class _Clock:
-    """Decides when a snapshot, and when a rendered image, is due."""
-
-    def __init__(self) -> None:
-        self._next = self._next_render = 0.0
-
-    def snapshot(
-        self, job: FitInput, state: FitState, course: _Course, *, last: bool = False
-    ) -> Snapshot | None:
-        now = time.monotonic()
-        # A viewer that draws slowly gets fewer snapshots, not a queue of them.
-        early = now < max(self._next, course.rest_until)
-        if not last and (early or not course.shown):
-            return None
-        rendered = None
-        if course.render and (last or now >= self._next_render):
-            rendered = state.rendered()
-            cost = time.monotonic() - now
-            self._next_render = time.monotonic() + max(RENDER_EVERY, cost / RENDER_SHARE)
-        self._next = time.monotonic() + INTERVAL
-        course.shown = False
-        rate = len(course.history.loss) / max(course.seconds, 1e-3)
-        return Snapshot(state, job, rendered, rate)
+def _taken(state: FitState, course: Course) -> tuple[Change | None, str | None]:
+    """The change that waits, if any; else why it was refused, if it was."""
+    taken, job = course.waiting.take(), course.job
+    if taken is None or job is None:
+        return None, None
+    course.changes = taken.number
+    try:
+        change = taken.on(state.mesh)
+        usable(change, state.mesh, state.optics, job)
+    except InputError as error:
+        return None, f"not changed: {error}"
+    if change.settings is not None:
+        course.job = _with_settings(job, change.settings)
+    return change, None
 
 
-def _failed(error: Exception, course: _Course) -> Outcome:
+def _forecast_anew(
+    course: Course, forecaster: Callable[[FitInput], Forecaster | None]
+) -> None:
+    """The settings were changed: forecast what is left of the fit with the new ones."""
+    found = forecaster(course.job) if course.job is not None else None
+    if isinstance(found, Forecast):
+        course.forecast = RenewedForecast(found, len(course.history.level), course.seconds)
+
+
+def _with_settings(job: FitInput, settings: FitSettings) -> FitInput:
+    """The job as the fit now does it, for whoever saves or repeats it."""
+    run = job.settings
+    settings = settings.model_copy(update={"levels": run.fit.levels})
+    return replace(job, settings=run.model_copy(update={"fit": settings}))
+
+
+def _failed(error: Exception, course: Course) -> Outcome:
     shape = course.job.grid.shape if course.job else None
     reason = str(error if isinstance(error, InputError) else failure(error, shape))
     return Outcome("failed", reason, course.state, course.job, course.seconds)

@@ -1,0 +1,99 @@
+"""Work in a background thread of which only the latest counts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from superqt.utils import create_worker
+
+from ..cli.messages import failure
+from ..errors import InputError
+
+
+class Background:
+    """Runs one function at a time in a thread; of several asked for, the last one counts.
+
+    A function that runs cannot be interrupted: its result is dropped, and the latest one asked
+    for starts when it has ended. Made and used on the main thread, where both callbacks are
+    called. After ``close`` neither is, and nothing is held but what still runs.
+
+    Parameters
+    ----------
+    on_result : called with what the function returned.
+    on_error : called with a sentence in plain words.
+    """
+
+    def __init__(self, on_result: Callable[[Any], None], on_error: Callable[[str], None]) -> None:
+        self._on_result: Callable[[Any], None] | None = on_result
+        self._on_error: Callable[[str], None] | None = on_error
+        self._worker: Any = None
+        self._slots: tuple[tuple[Any, Callable[..., None]], ...] = ()
+        self._next: Callable[[], Any] | None = None
+        self._awaited = False  # the result of what runs
+
+    @property
+    def busy(self) -> bool:
+        """Whether a result is still to come."""
+        return self._awaited or self._next is not None
+
+    def ask(self, work: Callable[[], Any]) -> None:
+        """Run a function without arguments; it must not know of any widget."""
+        if self._on_result is None:
+            return
+        self._next = work
+        if self._worker is None:
+            self._start()
+        else:
+            self._awaited = False
+
+    def drop(self) -> None:
+        """No result is wanted any more."""
+        self._next, self._awaited = None, False
+
+    def close(self) -> None:
+        """Call nobody any more."""
+        self.drop()
+        self._disconnect()
+        self._on_result = self._on_error = None
+
+    def _start(self) -> None:
+        work, self._next = self._next, None
+        # Errors are caught in the thread: this library drops any RuntimeError without a word.
+        worker: Any = create_worker(_caught, work, _start_thread=False, _ignore_errors=True)
+        self._worker, self._awaited = worker, True
+        self._slots = ((worker.returned, self._tell), (worker.finished, self._finish))
+        for signal, slot in self._slots:
+            signal.connect(slot)
+        worker.start()
+
+    def _tell(self, outcome: tuple[Any, str]) -> None:
+        if not self._awaited:
+            return
+        self._awaited = False
+        result, error = outcome
+        if error and self._on_error is not None:
+            self._on_error(error)
+        elif not error and self._on_result is not None:
+            self._on_result(result)
+
+    def _finish(self) -> None:
+        self._disconnect()
+        if self._next is not None:
+            self._start()
+
+    def _disconnect(self) -> None:
+        for signal, slot in self._slots:
+            signal.disconnect(slot)
+        self._slots = ()
+        self._worker = None
+
+
+def _caught(work: Callable[[], Any]) -> tuple[Any, str]:
+    """What the function returns and '', or None and what went wrong."""
+    try:
+        return work(), ""
+    except InputError as error:
+        return None, str(error)
+    except Exception as error:  # a bug, but no reason to frighten a user
+        return None, str(failure(error))

@@ -1,0 +1,252 @@
+"""Results: files that other programs read, writing that fails, rows that lead to cells."""
+
+import os
+import shlex
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import tifffile
+from napari.layers._source import layer_source
+
+import napari_deltamic as nd
+from napari_deltamic import _widget
+from napari_deltamic.cli import build_parser
+from napari_deltamic.cli.inputs import gather
+from napari_deltamic.cli.messages import Notes
+from napari_deltamic.geometry import files, sphere
+from napari_deltamic.images import read_image, write_image
+from napari_deltamic.job import FitInput
+from napari_deltamic.report import History
+from napari_deltamic.settings import FitSettings, RunSettings, SceneSettings
+
+from .conftest import CENTER, SIZE
+
+CENTERS = {3: (2.9, 2.3, 1.4), 7: (2.9, 2.3, 3.3)}
+
+
+@pytest.fixture
+def widget(make_widget, with_image):
+    """With a result of two cells, as if it had been fitted."""
+    widget = make_widget()
+    parts = []
+    for region, center in CENTERS.items():
+        ball = sphere(center, 0.6, edge_length=0.3)
+        regions = np.tile([region, 0], (len(ball.faces), 1))
+        parts.append(nd.Mesh(ball.vertices, ball.faces, regions))
+    mesh = nd.Mesh.merge(parts)
+    image = with_image.layers["cell"].data
+    settings = RunSettings(
+        image="", seeds="", scene=SceneSettings(voxel_size=SIZE), fit=FitSettings()
+    )
+    grid, optics = nd.Grid(image.shape, SIZE), nd.GaussianPSF((0.36, 0.24, 0.24))
+    state = nd.FitState(
+        iteration=3,
+        level=1,
+        levels=1,
+        mesh=mesh,
+        optics=optics,
+        density=np.ones(len(mesh.faces)),
+        loss=0.5,
+        amplitude=1.0,
+        background=0.0,
+        blur=1.0,
+        _render=lambda: image * 0.5,
+    )
+    job = FitInput(settings, image, grid, mesh, optics, None)
+    widget.control.reopen(state, job, History([1.0, 0.7, 0.5], [1] * 3, [1.0] * 3), 1.0, ())
+    return widget
+
+
+def test_the_rendered_image_is_ome_with_its_voxel_size_in_um(widget, tmp_path):
+    path = tmp_path / "rendered.ome.tif"
+    widget.results.save_image(str(path))
+    with tifffile.TiffFile(path) as tif:
+        assert tif.is_ome
+        assert not tif.is_imagej, "two descriptions of the scale could contradict each other"
+        assert tif.series[0].axes == "ZYX"
+        pixels = tifffile.xml2dict(tif.ome_metadata)["OME"]["Image"]["Pixels"]
+        assert tuple(pixels[f"PhysicalSize{a}"] for a in "ZYX") == pytest.approx(SIZE)
+        assert {pixels[f"PhysicalSize{a}Unit"] for a in "ZYX"} == {"µm"}
+        np.testing.assert_array_equal(tif.asarray(), widget.results.last[0].rendered())
+    assert read_image(path)[1] == pytest.approx(SIZE)
+
+
+def test_a_plain_name_gives_what_imagej_reads(widget, tmp_path):
+    path = tmp_path / "rendered.tif"
+    widget.results.save_image(str(path))
+    with tifffile.TiffFile(path) as tif:
+        assert tif.is_imagej
+        assert not tif.is_ome
+    assert read_image(path)[1] == pytest.approx(SIZE, rel=1e-4)
+
+
+def test_what_a_file_cannot_hold_is_told(widget, tmp_path, told):
+    widget.results.save_meshes(str(tmp_path / "a.stl"))
+    assert (tmp_path / "a.stl").exists()
+    assert "cannot hold regions" in told[-1]
+    widget.results.save_meshes(str(tmp_path / "a.ply"))
+    assert told[-1] == f"saved {tmp_path / 'a.ply'}"
+    assert nd.load_mesh(tmp_path / "a.ply").region_ids().tolist() == [3, 7]
+
+
+def test_the_table_of_the_file_has_units_and_more_columns(widget, tmp_path):
+    widget.results.save_table(str(tmp_path / "a.csv"))
+    header, first, *_ = (tmp_path / "a.csv").read_text().splitlines()
+    row = dict(zip(header.split(","), first.split(","), strict=True))
+    assert {"region", "volume_um3", "area_um2", "sphericity"} <= set(row)
+    for axis, value in zip("zyx", CENTERS[3], strict=True):
+        assert float(row[f"centroid_{axis}_um"]) == pytest.approx(value, abs=0.01)
+
+
+@pytest.mark.parametrize(  # no space, no permission, read-only
+    ("what", "code"),
+    [("meshes", 13), ("meshes", 30), ("meshes", 28), ("table", 28), ("image", 28), ("all", 28)],
+)
+def test_writing_that_fails_is_told_and_works_elsewhere(
+    widget, tmp_path, told, monkeypatch, code, what
+):
+    save = getattr(widget.results, f"save_{what}")
+    name = {"meshes": "a.ply", "table": "a.csv", "image": "a.tif", "all": "a"}[what]
+
+    def fail(descriptor):
+        raise OSError(code, os.strerror(code))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(files.os, "fsync", fail)
+        widget.results._save(save, str(tmp_path / name))
+    assert os.strerror(code) in told[-1]
+    assert "\n" not in told[-1]
+    assert widget.results.isEnabled()
+    widget.results._save(save, str(tmp_path / f"b{name}"))
+    assert told[-1].startswith("saved")
+    assert (tmp_path / f"b{name}").exists()
+
+
+def test_a_folder_that_is_gone_is_told(widget, tmp_path, told):
+    widget.results._save(widget.results.save_meshes, str(tmp_path / "gone" / "a.ply"))
+    assert "cannot be written" in told[-1]
+
+
+def test_dialogs_add_what_a_name_lacks(widget, tmp_path, monkeypatch):
+    chosen = {}
+    monkeypatch.setattr(
+        "napari_deltamic.gui.results_panel.QFileDialog.getSaveFileName",
+        lambda parent, title, *a: (str(tmp_path / chosen["name"]), chosen.get("kind", "")),
+    )
+    for name, kind, ask, found in (
+        ("m", "STL (*.stl)", widget.results._ask_meshes, "m.stl"),
+        ("i", "", widget.results._ask_image, "i.ome.tif"),
+        ("j.tif", "", widget.results._ask_image, "j.tif"),
+    ):
+        chosen.update(name=name, kind=kind)
+        ask()
+        assert (tmp_path / found).exists(), found
+
+
+# ---- rows and the viewer -------------------------------------------------------------------------
+
+
+def test_a_row_dims_the_other_cells_and_goes_there(widget, with_image):
+    surface = with_image.layers["cell cells"]
+    plain = np.array(surface.data[2])
+    with_image.dims.ndisplay = 2
+    widget.results.table.selectRow(1)
+    assert widget.link.chosen == {7}
+    assert (np.asarray(surface.data[2]) != plain).any()
+    world = np.add(CENTERS[7], (1, 2, 3))  # the image lies there
+    assert with_image.dims.point == pytest.approx(world, abs=0.2)
+    scene = getattr(with_image, "scene", with_image)
+    assert scene.camera.center[-2:] == pytest.approx(world[-2:], abs=0.05)
+    widget.results.table.clearSelection()
+    np.testing.assert_array_equal(surface.data[2], plain)
+
+
+def test_a_click_chooses_the_row_and_leaves_the_view(widget, with_image):
+    with_image.dims.set_point(0, 1 + CENTER[0])
+    scene = getattr(with_image, "scene", with_image)
+    scene.camera.zoom, scene.camera.center = 100, (0, 4, 5)
+    click(widget, with_image, CENTERS[7])
+    assert widget.results.table.chosen_regions() == (7,)
+    assert widget.link.chosen == {7}
+    assert tuple(scene.camera.center[-2:]) == (4, 5)
+    click(widget, with_image, CENTERS[3], "Control")
+    assert widget.link.chosen == {3, 7}
+    click(widget, with_image, CENTERS[3], "Control")
+    assert widget.link.chosen == {7}
+    click(widget, with_image, (2.9, 0, 0))
+    assert widget.link.chosen == frozenset()
+
+
+def click(widget, viewer, um, *modifiers):
+    event = SimpleNamespace(
+        position=tuple(widget.link.frame.to_world(um)),
+        pos=np.zeros(2),
+        type="mouse_press",
+        button=1,
+        handled=False,
+        modifiers=modifiers,
+        dims_displayed=[1, 2],
+    )
+    steps = [callback(viewer, event) for callback in list(viewer.mouse_drag_callbacks)[-1:]]
+    for step in steps:
+        next(step, None)
+        event.type = "mouse_release"
+        next(step, None)
+
+
+# ---- the command, when the file is no longer what is shown ---------------------------------------
+
+
+@pytest.fixture
+def from_file(make_widget, with_image, pixels, tmp_path, monkeypatch):
+    """A widget whose image was opened from a file, with a seed; a click copies the command."""
+    write_image(tmp_path / "image.tif", pixels, SIZE)
+    del with_image.layers["cell"]
+    with layer_source(path=str(tmp_path / "image.tif")):
+        layer = with_image.add_image(pixels, scale=SIZE)
+    widget = make_widget()
+    with_image.add_points([CENTER], name="seeds", ndim=3)
+    monkeypatch.setattr(_widget.QFileDialog, "getExistingDirectory", lambda *a: str(tmp_path))
+
+    def copied():
+        widget.running.command_button.click()
+        words = shlex.split(_widget.QApplication.clipboard().text())
+        job = gather(build_parser().parse_args(words[1:]), Notes())
+        return words[2], job.image
+
+    return layer, copied, tmp_path
+
+
+def test_the_file_is_used_where_it_holds_what_is_shown(from_file, pixels):
+    _, copied, folder = from_file
+    path, image = copied()
+    assert path == str(folder / "image.tif")
+    np.testing.assert_array_equal(image, pixels)
+
+
+def test_edited_pixels_are_saved_beside_the_file(from_file, pixels):
+    layer, copied, folder = from_file
+    edited = pixels.copy()
+    edited[3, 4, 5] = 1000
+    layer.data = edited
+    path, image = copied()
+    assert path == str(folder / "image-1.tif"), "the user's file is not touched"
+    np.testing.assert_array_equal(image, edited)
+    np.testing.assert_array_equal(read_image(folder / "image.tif")[0], pixels)
+
+
+def test_a_crop_is_saved_too(from_file, pixels):
+    layer, copied, folder = from_file
+    layer.data = pixels[:, :20]
+    path, image = copied()
+    assert path != str(folder / "image.tif")
+    np.testing.assert_array_equal(image, pixels[:, :20])
+
+
+def test_a_file_that_is_gone(from_file, pixels):
+    _, copied, folder = from_file
+    (folder / "image.tif").unlink()
+    path, image = copied()
+    assert path == str(folder / "image.tif")
+    np.testing.assert_array_equal(image, pixels)

@@ -1,0 +1,281 @@
+"""Seeds in the widget: any layers, mixed; the preview; spheres drawn; cells found; warnings."""
+
+import shlex
+import sys
+import threading
+import types
+
+import numpy as np
+import pytest
+from napari.layers import Labels, Surface
+
+from napari_deltamic import load_mesh, save_mesh
+from napari_deltamic.cli import build_parser
+from napari_deltamic.cli.inputs import gather
+from napari_deltamic.cli.messages import Notes
+from napari_deltamic.errors import InputError
+from napari_deltamic.geometry import sphere
+from napari_deltamic.gui import find_cells_panel, mesh_files
+from napari_deltamic.gui.command import command, with_files
+from napari_deltamic.job import assemble
+from napari_deltamic.settings import NEAR_LEVELS
+
+from .conftest import CENTER, SHAPE, SIZE
+from .seeding import FRAME, MEMBRANE, PLACE, SPHERE, add_points, grid_of, taken, texts
+
+NAME = "napari_deltamic.geometry.find_cells"
+
+
+@pytest.fixture
+def mesh_file(tmp_path):
+    path = tmp_path / "start.ply"
+    save_mesh(sphere((4.0, 3.4, 3.4), 0.7, edge_length=0.4), path)
+    return path
+
+
+@pytest.fixture
+def finder(monkeypatch):
+    """In the place of the search for cells, which has tests of its own."""
+    asked = []
+
+    def find(image, voxel_size, size):
+        asked.append(size)
+        if size > 3:
+            raise InputError("no cell is as large as that")
+        labels = np.zeros(image.shape, np.int32)
+        labels[5:12, 5:12, 5:12] = len(asked)
+        return labels
+
+    fake = types.SimpleNamespace(find_cells=find, suggest_size=lambda image, voxel_size: 2.5)
+    monkeypatch.setitem(sys.modules, NAME, fake)
+    return asked
+
+
+# Sources --------------------------------------------------------------------------------------
+
+
+def test_new_layers_are_ticked_but_not_those_of_a_fit(panel, with_image):
+    ball = sphere(CENTER, 1.0)
+    with_image.add_surface((ball.vertices, ball.faces), name="mine", **FRAME)
+    made = with_image.add_surface(
+        (ball.vertices, ball.faces), name="theirs", metadata={"deltamic": {"fit": True}}, **FRAME
+    )
+    with_image.add_points(np.zeros((1, 2)), name="flat")
+    rows = [panel.chooser.item(k).text() for k in range(panel.chooser.count())]
+    assert rows == ["mine (surface)", "theirs (surface)"]
+    assert [layer.name for layer in panel.chooser.ticked()] == ["mine"]
+    panel.chooser.choose(made)
+    panel.chooser.choose(with_image.layers["mine"], False)
+    with_image.add_points(ndim=3, name="new")  # the ticks of the others stay
+    assert [layer.name for layer in panel.chooser.ticked()] == ["theirs", "new"]
+    del with_image.layers["new"]
+    assert [layer.name for layer in panel.chooser.ticked()] == ["theirs"]
+
+
+def test_each_source_alone(panel, with_image, ball_labels):
+    points = add_points(panel, with_image, CENTER)
+    assert taken(panel).kind == "image"
+    panel.shape.setCurrentIndex(SPHERE)
+    assert taken(panel).kind == "rough"
+    panel.chooser.choose(points, False)
+    labels = with_image.add_labels(ball_labels, **PLACE)
+    mesh = taken(panel).mesh(panel._image.stack(), grid_of(panel))
+    assert mesh.region_ids().tolist() == [3]
+    panel.chooser.choose(labels, False)
+    with pytest.raises(InputError, match="no seeds yet"):
+        taken(panel)
+
+
+def test_all_sources_mixed_give_regions_of_their_own(
+    panel, with_image, ball_labels, mesh_file, spin
+):
+    add_points(panel, with_image, CENTER)
+    with_image.add_labels(ball_labels, **PLACE)
+    panel.use_file(str(mesh_file))
+    spin(lambda: "start" in with_image.layers)
+    seeds = taken(panel)
+    mesh = seeds.mesh(panel._image.stack(), grid_of(panel))
+    assert len(mesh.region_ids()) == 3
+    of_region = [mesh.faces[(mesh.regions == k).any(axis=1)] for k in mesh.region_ids()]
+    middles = sorted(mesh.vertices_numpy()[np.unique(faces), 1].mean() for faces in of_region)
+    assert middles == pytest.approx([1.2, 2.3, 3.4], abs=0.3)
+    assert seeds.kind == "rough"
+    panel.chooser.choose(with_image.layers["start"], False)
+    assert taken(panel).kind == "labels"
+
+
+def test_layers_that_are_empty_yet_do_not_disturb(panel, with_image, ball_labels):
+    add_points(panel, with_image)
+    with pytest.raises(InputError, match="'seeds' has no points yet"):
+        taken(panel)
+    with_image.add_labels(ball_labels, **PLACE)
+    with_image.add_labels(np.zeros(SHAPE, int), **PLACE)
+    assert taken(panel).kind == "labels"
+
+
+def test_points_of_several_layers_are_one_set(panel, with_image, tmp_path):
+    """So that two in one cell are seen, and one table holds them."""
+    add_points(panel, with_image, CENTER)
+    with_image.add_points([np.add(CENTER, (0, 0.2, 0.2))], name="more", **FRAME)
+    seeds = taken(panel)
+    with pytest.raises(InputError, match="points 1 and 2 lie in the same region"):
+        seeds.mesh(panel._image.stack(), grid_of(panel))
+    path = seeds.save(tmp_path, panel._image.stack(), grid_of(panel))
+    assert path.name == "seeds.csv"
+    assert len(path.read_text().splitlines()) == 3
+
+
+@pytest.mark.parametrize(
+    ("names", "spheres"),
+    [(["seeds", "labels"], MEMBRANE), (["labels", "start"], SPHERE), (["start"], MEMBRANE)],
+)
+def test_the_command_repeats_a_mixed_run(
+    make_widget, with_image, ball_labels, mesh_file, spin, tmp_path, names, spheres
+):
+    widget = make_widget()
+    panel = widget.seeds
+    add_points(panel, with_image, CENTER)
+    with_image.add_labels(ball_labels, name="labels", **PLACE)
+    panel.use_file(str(mesh_file))
+    spin(lambda: "start" in with_image.layers)
+    panel.shape.setCurrentIndex(spheres)
+    for layer in panel.chooser.ticked():
+        panel.chooser.choose(layer, layer.name in names)
+    seeds, pixels, grid = taken(panel), panel._image.stack(), grid_of(panel)
+    settings = with_files(widget.run_settings(seeds), pixels, grid, seeds, tmp_path)
+    words = shlex.split(command(settings, str(tmp_path / "result")))
+    repeated = gather(build_parser().parse_args(words[1:]), Notes())
+    run = assemble(widget.run_settings(seeds), pixels, grid, seeds.mesh(pixels, grid), seeds.kind)
+    assert repeated.settings.fit == run.settings.fit
+    np.testing.assert_array_equal(repeated.mesh.faces, run.mesh.faces)
+    np.testing.assert_array_equal(repeated.mesh.regions, run.mesh.regions)
+    np.testing.assert_allclose(repeated.mesh.vertices_numpy(), run.mesh.vertices_numpy(), atol=1e-5)
+    near = names == ["seeds", "labels"]
+    assert run.settings.fit.levels == (NEAR_LEVELS if near else None)
+
+
+# Mesh files -----------------------------------------------------------------------------------
+
+
+def test_mesh_files_become_layers_in_the_frame_of_the_image(panel, with_image, mesh_file, spin):
+    other = mesh_file.with_name("other.stl")
+    save_mesh(sphere(CENTER, 0.5), other)
+    panel.use_file(str(mesh_file), str(other))
+    spin(lambda: "other" in with_image.layers)
+    layers = panel.chooser.ticked()
+    assert [layer.name for layer in layers] == ["start", "other"]
+    world = np.asarray(layers[0].data[0]) * layers[0].scale + layers[0].translate
+    assert world.mean(axis=0) == pytest.approx(np.add((4.0, 3.4, 3.4), (1, 2, 3)), abs=0.05)
+    panel.chooser.choose(layers[1], False)
+    assert taken(panel).path == str(mesh_file)
+    mesh = taken(panel).mesh(None, None)
+    np.testing.assert_array_equal(mesh.vertices_numpy(), load_mesh(mesh_file).vertices_numpy())
+
+
+def test_a_file_that_is_no_mesh_is_told_in_words(panel, tmp_path, spin, monkeypatch):
+    said = []
+    monkeypatch.setattr(mesh_files, "show_warning", said.append)
+    bad = tmp_path / "bad.ply"
+    bad.write_text("no mesh")
+    panel.use_file(str(bad))
+    assert "Reading" in panel.note.text()
+    spin(lambda: said)
+    assert "bad.ply" in said[0]
+    assert "Reading" not in panel.note.text()
+
+
+# Find cells -----------------------------------------------------------------------------------
+
+
+def test_cells_found_are_seeds_that_can_be_corrected(panel, with_image, finder, spin):
+    panel.find_cells.click()
+    assert "Looking for cells" in panel.note.text()
+    spin(lambda: "found cells" in with_image.layers)
+    layer = with_image.layers["found cells"]
+    assert isinstance(layer, Labels)
+    assert panel.chooser.ticked() == [layer]
+    assert tuple(layer.translate) == (1, 2, 3)
+    assert finder == [2.5]
+    assert panel.find_cells.cell_size.value() == pytest.approx(2.5, abs=0.01)
+    assert "Found 1 cell of about 2.5 um" in panel.note.text()
+    assert taken(panel).mesh(None, grid_of(panel)).region_ids().tolist() == [1]
+    panel.find_cells.cell_size.setValue(1.25)
+    panel.chooser.choose(layer, False)
+    panel.find_cells.click()
+    spin(lambda: layer.data.max() == 2)  # the same layer
+    assert finder[1] == pytest.approx(1.25, abs=0.01)
+    assert [one.name for one in with_image.layers].count("found cells") == 1
+    assert panel.chooser.ticked() == [layer]
+
+
+def test_no_cells_found_is_told_in_words(panel, with_image, finder, spin):
+    panel.find_cells.cell_size.setValue(4)
+    panel.find_cells.click()
+    spin(lambda: "no cell is as large" in panel.note.text())
+    assert "found cells" not in with_image.layers
+
+
+def test_a_second_press_starts_anew(panel, with_image, spin, monkeypatch):
+    gate, sizes = threading.Event(), []
+
+    def look(image, voxel_size, size):
+        sizes.append(size)
+        assert gate.wait(20)
+        return 1.0, np.full(image.shape, len(sizes), np.int32)
+
+    monkeypatch.setattr(find_cells_panel, "look", look)
+    for _ in range(3):
+        panel.find_cells.click()
+        spin(lambda: sizes)
+    gate.set()
+    spin(lambda: "found cells" in with_image.layers)
+    assert len(sizes) == 2, "the press in between was given up before it began"
+    assert with_image.layers["found cells"].data.max() == 2
+
+
+def test_a_search_for_cells_is_given_up_with_its_image(panel, with_image, spin, monkeypatch):
+    gate = threading.Event()
+
+    def look(image, voxel_size, size):
+        assert gate.wait(20)
+        return 1.0, np.ones(image.shape, np.int32)
+
+    monkeypatch.setattr(find_cells_panel, "look", look)
+    panel.find_cells.click()
+    del with_image.layers["cell"]
+    gate.set()
+    spin(seconds=0.3, must=False)
+    assert "found cells" not in with_image.layers
+    assert "Looking" not in panel.note.text()
+
+
+# Series and other places ----------------------------------------------------------------------
+
+
+def test_of_a_series_the_time_shown_counts(panel, viewer, pixels, spin):
+    del viewer.layers["cell"]
+    viewer.add_image(np.stack([pixels, pixels]), scale=(60, *SIZE), name="series")
+    assert panel._image.layer is viewer.layers["series"]
+    own = viewer.add_points([(0, *CENTER), (1, 50, 1, 1)], scale=(60, 1, 1, 1), name="tracks")
+    ball = sphere(CENTER, 0.5)
+    timed = [np.column_stack([np.full(len(ball.vertices), t), ball.vertices]) for t in (0, 1)]
+    faces = np.concatenate([ball.faces, ball.faces + len(ball.vertices)])
+    surface = viewer.add_surface((np.concatenate(timed), faces), scale=(60, 1, 1, 1), name="both")
+    viewer.dims.set_current_step(0, 0)
+    seeds = taken(panel)
+    assert len(seeds.parts[0].points) == 1
+    assert len(seeds.parts[1].surface.faces) == len(ball.faces)
+    spin(lambda: panel.preview.mesh is not None)
+    assert texts(panel) == []
+    viewer.dims.set_current_step(0, 1)
+    spin(lambda: texts(panel) == ["Point 2 lies outside the image: move or delete it"])
+    spin(lambda: panel.preview.mesh is None, 3)
+    assert own in panel.chooser.ticked()
+    assert surface in panel.chooser.ticked()
+
+
+def test_surfaces_are_listed_whoever_added_them(panel, with_image):
+    ball = sphere(CENTER, 0.5)
+    with_image.add_layer(Surface((ball.vertices, ball.faces), name="opened", **FRAME))
+    assert taken(panel).kind == "rough"
+    assert taken(panel).path == ""

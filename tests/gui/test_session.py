@@ -1,0 +1,364 @@
+"""A session that is saved and opened in an empty viewer is the same, and goes on."""
+
+import os
+import warnings
+import weakref
+
+import napari.components
+import numpy as np
+import pytest
+from napari.layers import Labels, Surface
+
+from napari_deltamic import _reader, _widget
+from napari_deltamic.geometry import files, sphere
+from napari_deltamic.gui import worker
+from napari_deltamic.gui.session import capture, restore
+from napari_deltamic.inference import fit
+from napari_deltamic.session_file import load_session
+
+from .conftest import CENTER
+
+
+def done(widget):
+    return lambda: widget.run is None or not widget.run.running
+
+
+def fitted(widget, spin):
+    """With other settings than by default, and a result."""
+    widget.settings.accuracy.setCurrentText("3e-3")
+    widget.settings.fit_psf.setChecked(True)
+    widget.settings.density.setCurrentText("smooth")
+    widget.settings.sigma.set_value((0.4, 0.25, 0.23))
+    widget.settings.max_iterations.setValue(12)
+    widget.start()
+    spin(done(widget))
+    return widget
+
+
+@pytest.fixture
+def reopened(app, spin):
+    """Opens a session in a widget of its own, in an empty viewer."""
+    made = []
+
+    def reopen(path):
+        viewer = napari.components.ViewerModel()
+        widget = _widget.FitWidget(viewer)
+        made.append(widget)
+        widget.sessions.open(str(path))
+        spin(lambda: not widget.sessions.busy and len(viewer.layers) > 0)
+        return viewer, widget
+
+    yield reopen
+    for widget in made:
+        widget.close_links()
+    made.clear()
+
+
+def save(widget, path, spin):
+    widget.sessions.save(str(path))
+    spin(lambda: path.exists() and not widget.sessions.busy)
+
+
+def cells(widget):
+    table = widget.results.table
+    return [
+        [table.item(r, c).text() for c in range(table.columnCount())]
+        for r in range(table.rowCount())
+    ]
+
+
+def shown(widget):
+    """What the panels say."""
+    running, seeds = widget.running, widget.seeds
+    return {
+        "fit": widget.settings.fit_settings(),
+        "scene": widget.settings.scene_settings(),
+        "start as": seeds.shape.currentText(),
+        "radius": seeds.radius.value(),
+        "cells": cells(widget),
+        "verdict": (running.verdict.text(), running.verdict.styleSheet()),
+        "psf": [running.psf.shown(row) for row in ("start", "now")],
+        "loss": [(line.x, line.y) for line in running.curve._lines],
+        "history": [
+            (m.iteration, m.loss, m.note, m.optics.sigma_um)
+            for m in widget.control.timeline.moments
+        ],
+        "slider": (running.history.slider.maximum(), running.history.slider.isEnabled()),
+        "boxes": (running.rendered.isChecked(), running.residual.isChecked()),
+        "can be saved": widget.results.isEnabled(),
+    }
+
+
+def test_a_reopened_session_is_the_same(seeded, with_image, spin, tmp_path, told, reopened):
+    with_image.layers["cell"].contrast_limits = (120, 333)
+    with_image.layers["cell"].colormap = "viridis"
+    before = fitted(seeded, spin)
+    before.running.rendered.setChecked(True)
+    with_image.dims.set_point(0, 4.0)
+    save(before, tmp_path / "a.deltamic", spin)
+    assert told[-1] == f"saved {tmp_path / 'a.deltamic'}"
+    viewer, after = reopened(tmp_path / "a.deltamic")
+    assert shown(after) == shown(before)
+    names = {layer.name for layer in viewer.layers}
+    assert names == {layer.name for layer in with_image.layers}
+    for name in names:
+        one, other = viewer.layers[name], with_image.layers[name]
+        assert type(one) is type(other)
+        assert tuple(one.scale) == tuple(other.scale)
+        assert tuple(one.translate) == tuple(other.translate)
+        assert one.units == other.units
+        assert one.visible == other.visible
+    image, old = viewer.layers["cell"], with_image.layers["cell"]
+    assert image.data.tobytes() == old.data.tobytes()
+    assert image.data.dtype == old.data.dtype
+    assert tuple(image.contrast_limits) == (120, 333)
+    assert image.colormap.name == "viridis"
+    seeds = viewer.layers["seeds"]
+    np.testing.assert_array_equal(seeds.data, with_image.layers["seeds"].data)
+    np.testing.assert_array_equal(seeds.size, with_image.layers["seeds"].size)
+    for k in range(2):
+        np.testing.assert_array_equal(
+            viewer.layers["cell cells"].data[k], with_image.layers["cell cells"].data[k]
+        )
+    assert viewer.dims.point[-3:] == pytest.approx(with_image.dims.point[-3:])
+    np.testing.assert_allclose(
+        viewer.layers["cell contours"].data, with_image.layers["cell contours"].data
+    )
+    np.testing.assert_allclose(
+        viewer.layers["cell rendered"].data, with_image.layers["cell rendered"].data, rtol=1e-4
+    )
+
+
+def test_saving_again_gives_the_same_session(seeded, spin, tmp_path, reopened):
+    save(fitted(seeded, spin), tmp_path / "a.deltamic", spin)
+    _, widget = reopened(tmp_path / "a.deltamic")
+    save(widget, tmp_path / "b.deltamic", spin)
+    a, b = (load_session(tmp_path / name) for name in ("a.deltamic", "b.deltamic"))
+    assert a.settings == b.settings
+    assert a.panels == b.panels
+    assert a.image.display == b.image.display
+    assert [s.name for s in a.seeds] == [s.name for s in b.seeds]
+    for one, other in zip(a.seeds, b.seeds, strict=True):
+        for key in one.arrays:
+            np.testing.assert_array_equal(one.arrays[key], other.arrays[key])
+    assert a.result.history == b.result.history
+    assert (a.result.verdict, a.result.message) == (b.result.verdict, b.result.message)
+    assert a.result.seconds == b.result.seconds
+    for part in ("state", "start"):
+        one, other = (getattr(r, part) for r in (a.result, b.result))
+        one, other = (getattr(r, "mesh", r) for r in (one, other))
+        np.testing.assert_array_equal(one.vertices, other.vertices)
+    assert len(a.result.moments) == len(b.result.moments) > 1
+
+
+def test_a_reopened_session_goes_on(seeded, spin, tmp_path, reopened):
+    """A new run, one from an earlier moment, files, and clicks on the table."""
+    save(fitted(seeded, spin), tmp_path / "a.deltamic", spin)
+    viewer, widget = reopened(tmp_path / "a.deltamic")
+    layers = len(viewer.layers)
+    widget.results.save_all(str(tmp_path / "all"))
+    assert (tmp_path / "all" / "report.json").exists()
+    widget.running.history.slider.setValue(0)
+    first = widget.control.timeline.moments[0]
+    np.testing.assert_allclose(
+        viewer.layers["cell cells"].data[0], first.mesh.vertices_numpy(), atol=1e-5
+    )
+    before = len(widget.control.timeline.moments)
+    widget.running.history.go_on.emit()
+    spin(lambda: widget.run is not None and not widget.run.running)
+    assert len(widget.control.timeline.moments) > before
+    assert widget.running.verdict.text().startswith("stopped after 12")
+    widget.settings.max_iterations.setValue(9)
+    widget.start()
+    spin(done(widget))
+    assert widget.running.verdict.text().startswith("stopped after 9")
+    assert len(viewer.layers) == layers
+
+
+def test_while_a_fit_runs_its_newest_state_is_saved(seeded, spin, tmp_path, monkeypatch, reopened):
+    def states(job, resume=None):
+        while True:
+            yield from fit(job.image, job.grid, job.mesh, job.optics, settings=job.settings.fit)
+
+    monkeypatch.setattr(worker, "start", states)
+    seeded.start()
+    spin(lambda: len(seeded.run.history.loss) > 5)
+    save(seeded, tmp_path / "a.deltamic", spin)
+    assert seeded.run.running
+    session = load_session(tmp_path / "a.deltamic")
+    assert session.result.verdict == "stopped"
+    assert len(session.result.history.loss) >= 5
+    seeded.stop()
+    spin(done(seeded))
+
+
+def test_sessions_are_not_opened_over_a_running_fit(
+    seeded, with_image, spin, tmp_path, monkeypatch, told
+):
+    save(fitted(seeded, spin), tmp_path / "a.deltamic", spin)
+    monkeypatch.setattr(worker.FitRun, "running", property(lambda run: True))
+    n = len(with_image.layers)
+    seeded.sessions.open(str(tmp_path / "a.deltamic"))
+    spin(lambda: not seeded.sessions.busy)
+    assert "stop it" in told[-1]
+    assert len(with_image.layers) == n
+
+
+def test_seeds_of_all_kinds_come_back(make_widget, with_image, spin, tmp_path, reopened):
+    widget, image = make_widget(), with_image.layers["cell"]
+    labels = np.zeros(image.data.shape, np.uint16)
+    labels[5:9, 5:9, 5:9] = 3
+    place = {"scale": image.scale, "translate": image.translate, "units": image.units}
+    with_image.add_layer(Labels(labels, name="painted", **place))
+    ball = sphere(CENTER, 0.5)
+    regions = np.tile([4, 0], (len(ball.faces), 1))
+    with_image.add_layer(
+        Surface(
+            (ball.vertices, ball.faces),
+            name="ball",
+            metadata={"deltamic": {"regions": regions}},
+            **widget.image.frame().layer_options(),
+        )
+    )
+    with_image.add_points([[0, 0, 0]], name="not ticked")
+    widget.seeds.chooser.choose(with_image.layers["not ticked"], False)
+    save(widget, tmp_path / "a.deltamic", spin)
+    viewer, after = reopened(tmp_path / "a.deltamic")
+    assert [layer.name for layer in after.seeds.chooser.ticked()] == ["painted", "ball"]
+    np.testing.assert_array_equal(viewer.layers["painted"].data, labels)
+    assert viewer.layers["painted"].data.dtype == np.uint16
+    frame = after.image.frame()
+    pixels, grid = after.image.stack(), frame.grid(image.data.shape)
+    one, other = (w.seeds.seeds(w.image.frame()).mesh(pixels, grid) for w in (widget, after))
+    np.testing.assert_array_equal(one.vertices, other.vertices)
+    np.testing.assert_array_equal(one.regions, other.regions)
+    assert not after.results.isEnabled()
+
+
+def test_of_a_series_the_time_that_is_shown_is_saved(app, pixels, spin, tmp_path, reopened):
+    viewer = napari.components.ViewerModel()
+    viewer.add_image(np.stack([0 * pixels, pixels]), scale=(1, 0.3, 0.2, 0.2), name="film")
+    viewer.add_points([[0, 1, 1, 1], [1, 2, 2, 2]], name="seeds", size=1.5)
+    viewer.dims.set_current_step(0, 1)
+    widget = _widget.FitWidget(viewer)
+    save(widget, tmp_path / "a.deltamic", spin)
+    widget.close_links()
+    after, _ = reopened(tmp_path / "a.deltamic")
+    np.testing.assert_array_equal(after.layers["film"].data, pixels)
+    np.testing.assert_array_equal(after.layers["seeds"].data, [[2, 2, 2]])
+    assert tuple(after.layers["film"].scale) == (0.3, 0.2, 0.2)
+
+
+def test_a_result_of_another_image_is_left_out_and_told(seeded, with_image, spin, tmp_path, told):
+    fitted(seeded, spin)
+    with_image.add_image(np.random.default_rng(0).random((5, 6, 7)), name="other")
+    seeded.image.chooser.choose(with_image.layers["other"])
+    save(seeded, tmp_path / "a.deltamic", spin)
+    assert any("not in this session" in text for text in told)
+    assert load_session(tmp_path / "a.deltamic").result is None
+
+
+def test_no_image_and_bad_settings_are_told(app, seeded, with_image, tmp_path, told, monkeypatch):
+    name = str(tmp_path / "a")
+    monkeypatch.setattr("qtpy.QtWidgets.QFileDialog.getSaveFileName", lambda *a, **k: (name, ""))
+    seeded.settings.accuracy.setCurrentText("much")
+    seeded.sessions.save_button.click()
+    assert "accuracy" in told[-1]
+    del with_image.layers["cell"]
+    seeded.sessions.save_button.click()
+    assert "open a 3D image" in told[-1]
+    (tmp_path / "a.deltamic").touch()
+    seeded.sessions.save_button.click()
+    assert "is there already" in told[-1]
+    assert seeded.sessions.save_button.isEnabled()
+
+
+def test_a_full_disk_is_told_and_the_session_can_be_saved_elsewhere(
+    seeded, spin, tmp_path, told, monkeypatch
+):
+    fitted(seeded, spin)
+    verdict = seeded.running.verdict.text()
+
+    def fail(descriptor):
+        raise OSError(28, os.strerror(28))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(files.os, "fsync", fail)
+        seeded.sessions.save(str(tmp_path / "a.deltamic"))
+        spin(lambda: not seeded.sessions.busy)
+        assert "No space left" in told[-1]
+        results = seeded.results
+        for write, name in (
+            (results.save_meshes, "a.ply"),
+            (results.save_table, "a.csv"),
+            (results.save_image, "a.ome.tif"),
+            (results.save_all, "all"),
+        ):
+            results._save(write, str(tmp_path / name))
+            assert "No space left" in told[-1], name
+            assert "Traceback" not in told[-1]
+    assert seeded.running.verdict.text() == verdict, "the fit did not fail"
+    save(seeded, tmp_path / "b.deltamic", spin)
+    assert load_session(tmp_path / "b.deltamic").result is not None
+    assert not (tmp_path / "a.deltamic").exists()
+
+
+def test_a_damaged_file_is_told_and_changes_nothing(seeded, with_image, spin, tmp_path, told):
+    (tmp_path / "a.deltamic").write_bytes(b"no session")
+    n = len(with_image.layers)
+    seeded.sessions.open(str(tmp_path / "a.deltamic"))
+    spin(lambda: not seeded.sessions.busy)
+    assert "not a deltaMic session" in told[-1]
+    assert len(with_image.layers) == n
+    assert seeded.sessions.open_button.isEnabled()
+
+
+def test_the_reader_opens_the_layers(seeded, with_image, spin, tmp_path):
+    save(fitted(seeded, spin), tmp_path / "a.deltamic", spin)
+    path = str(tmp_path / "a.deltamic")
+    viewer = napari.components.ViewerModel()
+    for data, options, kind in _reader.get_reader(path)(path):
+        getattr(viewer, f"add_{kind}")(data, **options)
+    assert [layer.name for layer in viewer.layers] == ["cell", "seeds", "cell cells"]
+    np.testing.assert_array_equal(viewer.layers["cell"].data, with_image.layers["cell"].data)
+    assert viewer.layers["cell cells"].units == with_image.layers["cell cells"].units
+    assert tuple(viewer.layers["cell cells"].translate) == (1, 2, 3)
+
+
+def test_closing_the_widget_while_a_session_is_saved(seeded, spin, tmp_path):
+    fitted(seeded, spin)
+    bar = weakref.ref(seeded.sessions)
+    seeded.sessions.save(str(tmp_path / "a.deltamic"))
+    seeded.close_links()
+    spin(lambda: (tmp_path / "a.deltamic").exists())
+    assert bar() is not None
+    assert load_session(tmp_path / "a.deltamic").result is not None
+
+
+def test_capture_shares_the_pixels(seeded, with_image, spin):
+    """A large image is not copied."""
+    fitted(seeded, spin)
+    session, remark = capture(seeded.parts)
+    assert remark == ""
+    assert np.shares_memory(session.image.pixels, with_image.layers["cell"].data)
+    viewer = napari.components.ViewerModel()
+    widget = _widget.FitWidget(viewer)
+    restore(widget.parts, session)
+    assert np.shares_memory(viewer.layers["cell"].data, session.image.pixels)
+    widget.close_links()
+
+
+def test_the_entry_of_the_menu_asks_in_the_widget(window, monkeypatch):
+    import npe2
+
+    from napari_deltamic._menu import open_session
+
+    asked = []
+    monkeypatch.setattr(
+        "qtpy.QtWidgets.QFileDialog.getOpenFileName", lambda *a: asked.append(a[0]) or ("", "")
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        npe2.PluginManager.instance().discover()
+        open_session(window)
+    assert [type(parent).__name__ for parent in asked] == ["SessionBar"]

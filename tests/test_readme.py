@@ -1,0 +1,46 @@
+"""The README is also the page of the package: what it shows must be found from there."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+README = ROOT / "README.md"
+
+
+@pytest.fixture(scope="module")
+def raw():
+    """Where the repository's files are served from, after the one address in pyproject.toml."""
+    if not README.exists():
+        pytest.skip("not in a source tree")
+    home = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["urls"]["Homepage"]
+    return home.replace("https://github.com/", "https://raw.githubusercontent.com/") + "/main/"
+
+
+def images(text):
+    return re.findall(r"!\[[^\]]*\]\(([^)\s]+)", text) + re.findall(
+        r"<img[^>]*src=[\"']([^\"']+)", text
+    )
+
+
+def test_every_image_is_absolute_and_in_the_repository(raw):
+    found = images(README.read_text())
+    assert found
+    for link in found:
+        assert link.startswith(raw), f"{link} is not below {raw}"
+        assert (ROOT / link.removeprefix(raw)).is_file(), f"{link} is not in the repository"
+
+
+def test_images_are_found_however_they_are_written():
+    text = "![a\nb](x.png) ![](y.png \"title\") <img alt='z' src='z.png'>"
+    assert images(text) == ["x.png", "y.png", "z.png"]
+
+
+def test_links_to_files_lead_somewhere():
+    if not README.exists():
+        pytest.skip("not in a source tree")
+    for link in re.findall(r"(?<!!)\[[^\]]*\]\(([^)\s]+)\)", README.read_text()):
+        if "://" not in link and not link.startswith("#"):
+            assert (ROOT / link.partition("#")[0]).exists(), link
