@@ -29,7 +29,7 @@ from .page import put_between
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "stability.md"
 PICTURE = "images/robustness.png"
-TARGETS = ("cow", "fish", "duck")
+TARGETS = ("cow", "fish")
 GRID, SIGMA, LENGTH = Grid((48, 48, 48), (1.0, 1.0, 1.0)), 1.2, 30.0
 CENTER = np.full(3, 23.5)
 SCALES = (0.4, 0.6, 0.8, 1.0, 1.25, 1.6, 2.0)
@@ -40,10 +40,12 @@ PEAKS = (20.0, 10.0, 5.0, 2.0, 1.0)
 # alone moves a surface by more, so that the experiment with noise has its own.
 SUCCESS, SUCCESS_IN_NOISE = 0.25, 1.0
 METHODS = {
-    "coarse to fine": FitSettings(),
+    "coarse to fine": FitSettings(collisions=False),
     # The paper's loss counts every voxel and weights it by the image; lambda is the paper's.
     "one scale": FitSettings(
         levels=(1.0,),
+        collisions=False,
+        remesh=False,
         smoothing=50,
         likelihood="paper",
         reach=8,

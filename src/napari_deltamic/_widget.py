@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any
 
-import numpy as np
 from napari.utils.notifications import show_info, show_warning
-from qtpy.QtCore import QEvent, Qt
-from qtpy.QtGui import QResizeEvent
+from qtpy.QtCore import QEvent, QObject, Qt
 from qtpy.QtWidgets import QApplication, QFileDialog, QScrollArea, QVBoxLayout, QWidget
 
 from .gui.accuracy_forecast import AccuracyForecast
 from .gui.accuracy_measure import MeasureControl
 from .gui.attempt import attempt
-from .gui.command import command, needs_folder, with_files
+from .gui.command_copy import CommandCopy, Wanted
 from .gui.composition import Live, Panels
 from .gui.image_panel import ImagePanel
 from .gui.interaction import Interaction
@@ -32,19 +29,23 @@ from .gui.session_bar import SessionBar
 from .gui.settings_panel import SettingsPanel
 from .gui.viewer_link import ViewerLink
 from .gui.worker import FitRun
-from .images import holds_image
 from .settings import RunSettings
 
 
 class _Column(QScrollArea):
     """Scrolls up and down only, so it is never narrower than what it shows."""
 
-    def resizeEvent(self, event: QResizeEvent | None) -> None:
-        """Qt's; by now the theme, which decides how wide things are, has been applied."""
+    def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
+        """Qt's, of what it shows; the theme, which decides how wide things are, may come late."""
+        kinds = (QEvent.Type.LayoutRequest, QEvent.Type.Resize)
+        if event is not None and event.type() in kinds:
+            self._fit_width()
+        return bool(super().eventFilter(watched, event))
+
+    def _fit_width(self) -> None:
         shown, bar = self.widget(), self.verticalScrollBar()
         if shown is not None and bar is not None:
             self.setMinimumWidth(shown.minimumSizeHint().width() + bar.sizeHint().width() + 2)
-        super().resizeEvent(event)
 
 
 class FitWidget(QWidget):
@@ -69,7 +70,8 @@ class FitWidget(QWidget):
         live.panels += [self.forecast, self.measuring]
         self.parts = parts = Parts(viewer, panels, self.control, live)
         self.sessions = SessionBar(partial(capture, parts), partial(restore, parts), _warn, self)
-        live.panels.append(self.sessions)
+        self.commands = CommandCopy(self._folder, self._copied, self._not_copied)
+        live.panels += [self.sessions, self.commands]
         # With its window the widget is deleted without a word to Python.
         self.destroyed.connect(self._live.close)
         self.running.copy_command.connect(self._copy_command)
@@ -130,28 +132,29 @@ class FitWidget(QWidget):
             self._live.link.highlight(regions)
 
     def _copy_command(self) -> None:
-        self.guarded(self._copy)
+        self.control.tried(self._copy)
 
     def _copy(self) -> None:
-        frame = self.image.frame()
+        frame, pixels = self.image.frame(), self.image.stack()
         seeds = self.seeds.seeds(frame)
-        settings, pixels = self.run_settings(seeds), self.image.stack()
-        grid = frame.grid(pixels.shape)
-        if settings.image and not holds_image(settings.image, pixels):
-            settings = settings.model_copy(update={"image": ""})  # edited since it was opened
-        if needs_folder(settings):
-            folder = QFileDialog.getExistingDirectory(
-                self, "Folder for the image and the seeds, which are not in files yet"
-            )
-            if not folder:
-                return
-            settings = with_files(settings, pixels, grid, seeds, Path(folder))
-        output = str(Path(settings.seeds).with_name("result"))
-        missing = bool(np.isnan(pixels).any()) if pixels.dtype.kind == "f" else False
-        text = command(settings, output, missing=missing)
+        settings = self.run_settings(seeds)
+        self.running.tell("putting the command together ...")
+        self.commands.copy(Wanted(settings, pixels, frame.grid(pixels.shape), seeds))
+
+    def _folder(self) -> str:
+        self.running.tell("")
+        title = "Folder for the image and the seeds, which are not in files yet"
+        return str(QFileDialog.getExistingDirectory(self, title))
+
+    def _copied(self, text: str) -> None:
+        self.running.tell("")
         clipboard: Any = QApplication.clipboard()
         clipboard.setText(text)
         _tell(f"copied: {text}")
+
+    def _not_copied(self, reason: str) -> None:
+        self.running.tell(reason)
+        _warn(reason)
 
     def event(self, event: QEvent | None) -> bool:
         """Qt's events; napari closes a dock by taking its widget out, without deleting it."""
@@ -165,12 +168,13 @@ class FitWidget(QWidget):
         inner = QWidget(self)
         column = QVBoxLayout(inner)
         column.setContentsMargins(2, 2, 2, 2)
-        column.addWidget(self.sessions)
         for panel in (self.image, self.seeds, self.settings, self.running, self.results):
             column.addWidget(panel)
+        column.addWidget(self.sessions)
         column.addStretch()
         scroll = _Column(self)
         scroll.setWidget(inner)
+        inner.installEventFilter(scroll)
         scroll.setWidgetResizable(True)
         scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         layout = QVBoxLayout(self)

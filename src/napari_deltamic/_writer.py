@@ -12,6 +12,7 @@ from napari.utils.notifications import show_warning
 from .errors import InputError
 from .geometry import Mesh, save_mesh
 from .gui.frame import ORIGIN, OWN
+from .gui.walls import joined
 
 
 def write_surface(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
@@ -28,6 +29,7 @@ def write_surface(path: str, data: Any, attributes: dict[str, Any]) -> list[str]
     vertices, faces = np.asarray(data[0], float), np.asarray(data[1])
     if vertices.ndim != 2 or vertices.shape[1] < 3 or not len(faces):
         raise InputError("the layer holds no 3D surface")
+    vertices, faces = joined(vertices, faces, attributes.get("metadata", {}))
     um = np.array([_um(unit) for unit in attributes.get("units", ("um",) * 3)[-3:]])
     own = attributes.get("metadata", {}).get(OWN, {})
     world = vertices[:, -3:] * np.asarray(attributes.get("scale", (1, 1, 1)), float)[-3:]

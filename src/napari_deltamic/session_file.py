@@ -211,6 +211,8 @@ def _result_facts(
     state, history = result.state, result.history
     archive.add_text("result.toml", result.settings.to_toml())
     archive.add_array("state/density", state.density)
+    if state.pinned is not None:
+        archive.add_array("state/pinned", np.asarray(state.pinned, bool))
     if result.counted is not None:
         archive.add_array("counted", result.counted)
     for name in ("loss", "blur"):
@@ -227,6 +229,7 @@ def _result_facts(
             **scalars,
             "mesh": meshes.add("state/vertices", state.mesh),
             "optics": _optics_facts(state.optics),
+            "pinned": state.pinned is not None,
         },
         "first": history.first,
         "seconds": result.seconds,
@@ -306,10 +309,14 @@ def _result(archive: ArchiveReader, facts: Mapping[str, Any], grid: Grid) -> Sav
         mesh=meshes.mesh(shown["mesh"]),
         optics=_optics(shown["optics"]),
         density=archive.array("state/density"),
+        # Earlier versions did not save pins.
+        pinned=archive.array("state/pinned") if shown.get("pinned") else None,
         **scalars,
     )
     if len(state.density) != len(state.mesh.faces):
         raise InputError("its densities belong to another mesh")
+    if state.pinned is not None and state.pinned.shape != (len(state.mesh.vertices),):
+        raise InputError("its pins belong to another mesh")
     return SavedResult(
         settings=settings,
         state=_with_images(state, grid, settings),

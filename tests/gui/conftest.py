@@ -6,6 +6,7 @@ import os
 import threading
 import time
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -31,11 +32,21 @@ with warnings.catch_warnings():
     from napari_deltamic.gui import image_panel, preview, seeds_panel
 
 import napari_deltamic as nd
+from napari_deltamic.fourier import calibration
+from napari_deltamic.fourier.cost import BUILT_IN
 from napari_deltamic.geometry import sphere
 
 SIZE = (0.3, 0.2, 0.2)
 SHAPE = (20, 24, 24)
 CENTER = (2.9, 2.3, 2.3)
+
+
+@pytest.fixture(autouse=True)
+def costs(monkeypatch):
+    """No test waits until the machine has been measured."""
+    found = replace(BUILT_IN, measured=True)
+    monkeypatch.setattr(calibration, "calibrate", lambda: found)
+    return found
 
 
 @pytest.fixture(scope="session")

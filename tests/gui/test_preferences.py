@@ -8,8 +8,8 @@ import pytest
 
 import napari_deltamic
 from napari_deltamic.gui import preferences
+from napari_deltamic.gui.accuracy_dial import CHOICES
 from napari_deltamic.gui.preferences import PLUGIN, Preferences, read_preferences, usable
-from napari_deltamic.gui.settings_panel import ACCURACIES
 from napari_deltamic.settings import FitSettings
 
 MANIFEST = Path(napari_deltamic.__file__).with_name("napari.yaml")
@@ -35,8 +35,8 @@ def test_the_page_has_the_defaults_of_the_program(pages):
     assert remark == ""
     assert found == Preferences()
     assert found.fit == FitSettings()
-    assert set(defaults) == {"accuracy", "fit_psf", "density", *Preferences.model_fields} - {"fit"}
-    assert pages["fit"].properties["accuracy"].enum == list(ACCURACIES)
+    assert set(defaults) == {"fit_psf", "density", *Preferences.model_fields} - {"fit"}
+    assert pages["fit"].properties["accuracy"].enum == list(CHOICES)
 
 
 def test_what_is_preferred_is_used():
@@ -44,7 +44,8 @@ def test_what_is_preferred_is_used():
         {"accuracy": "1e-4", "fit_psf": True, "density": "smooth", "updates_per_second": 5}
     )
     assert remark == ""
-    assert found.fit == FitSettings(accuracy=1e-4, fit_psf=True, density="smooth")
+    assert found.fit == FitSettings(fit_psf=True, density="smooth")
+    assert found.accuracy == "1e-4"
     assert found.updates_per_second == 5
 
 
@@ -59,7 +60,8 @@ def test_what_is_invalid_is_ignored_and_named_in_one_line():
 
 def test_a_new_widget_is_set_as_preferred(make_widget, monkeypatch, told):
     chosen = {
-        "fit": FitSettings(accuracy=3e-4, fit_psf=True, density="interface"),
+        "fit": FitSettings(fit_psf=True, density="interface"),
+        "accuracy": "3e-4",
         "preview_seeds": False,
         "show_rendered": True,
         "updates_per_second": 4,
@@ -68,7 +70,8 @@ def test_a_new_widget_is_set_as_preferred(make_widget, monkeypatch, told):
         "napari_deltamic._widget.read_preferences", lambda: (Preferences(**chosen), "a remark")
     )
     widget = make_widget()
-    assert widget.settings.fit_settings() == chosen["fit"]
+    assert widget.settings.fit_settings() == chosen["fit"].model_copy(update={"accuracy": 3e-4})
+    assert widget.settings.accuracy.choice == "3e-4"
     assert widget.running.rendered.isChecked()
     assert not widget.seeds.preview.isChecked()
     assert widget.control.interval == 0.25
@@ -92,7 +95,7 @@ def test_the_page_of_napari_is_read(monkeypatch, tmp_path):
         warnings.simplefilter("ignore")
         page = napari_settings.get_plugin_settings(PLUGIN, path_dir=tmp_path)
     found, remark = read_preferences()
-    assert found.fit == FitSettings(accuracy=1e-5), "what is invalid is napari's default"
+    assert found == Preferences(accuracy="1e-5"), "what is invalid is napari's default"
     assert remark == ""
     page.viewing.updates_per_second = 7
     assert read_preferences()[0].updates_per_second == 7

@@ -199,7 +199,7 @@ def click(widget, viewer, um, *modifiers):
 
 
 @pytest.fixture
-def from_file(make_widget, with_image, pixels, tmp_path, monkeypatch):
+def from_file(make_widget, with_image, pixels, tmp_path, monkeypatch, spin):
     """A widget whose image was opened from a file, with a seed; a click copies the command."""
     write_image(tmp_path / "image.tif", pixels, SIZE)
     del with_image.layers["cell"]
@@ -211,6 +211,7 @@ def from_file(make_widget, with_image, pixels, tmp_path, monkeypatch):
 
     def copied():
         widget.running.command_button.click()
+        spin(lambda: not widget.commands.busy)
         words = shlex.split(_widget.QApplication.clipboard().text())
         job = gather(build_parser().parse_args(words[1:]), Notes())
         return words[2], job.image

@@ -130,7 +130,9 @@ def test_cells_that_are_not_chosen_are_dimmed_through_live_updates(link):
     for region in CENTERS:
         chosen = region in (2, 9)
         expected = region_colours(region) if chosen else region_colours(region, {2, 9})
-        assert np.abs(shown[of_region(mesh, region)] - expected).max() < 1e-6
+        found = shown[of_region(mesh, region)]
+        assert np.abs(found - expected)[:, :3].max() < 1e-6
+        assert (found[:, 3] == 1).all() == chosen  # one looks through the others
     assert np.ptp(region_colours(5, {2})[:3]) < 0.4 * np.ptp(region_colours(5)[:3])
     link.show_mesh(cells())  # other faces
     assert np.ptp(colours(link.surface)[of_region(mesh, 5)][0, :3]) < 0.3
@@ -149,7 +151,7 @@ def test_contours_are_dimmed_too(viewer, link):
 def test_nothing_chosen_costs_nothing(link, monkeypatch):
     """Values are neither computed nor changed by updates of the same mesh."""
     values = link.surface.data[2]
-    monkeypatch.setattr("napari_deltamic.gui.viewer_link.vertex_values", None)
+    monkeypatch.setattr("napari_deltamic.gui.viewer_link.side_values", None)
     link.show_mesh(link.mesh.with_vertices(link.mesh.vertices_numpy() + 0.01))
     link.highlight(frozenset())
     np.testing.assert_array_equal(link.surface.data[2], values)

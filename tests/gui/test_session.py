@@ -99,6 +99,7 @@ def test_a_reopened_session_is_the_same(seeded, with_image, spin, tmp_path, told
     assert told[-1] == f"saved {tmp_path / 'a.deltamic'}"
     viewer, after = reopened(tmp_path / "a.deltamic")
     assert shown(after) == shown(before)
+    spin(lambda: "cell rendered" in viewer.layers)  # rendered in the background
     names = {layer.name for layer in viewer.layers}
     assert names == {layer.name for layer in with_image.layers}
     for name in names:

@@ -58,7 +58,7 @@ def test_closing_the_dock_ends_and_releases_everything(window, pixels, spin, end
     run = widget.run
     spin(lambda history=run.history: len(history.loss) > 5)
     widget.running.edit.use("push")
-    spin(lambda moments=widget.control.timeline: len(moments.moments) > 3)
+    spin(lambda control=widget.control: len(control.timeline.moments) > 3)
     widget.running.history.slider.setValue(1)
     hands = widget.interaction
     parts = (widget.image, widget.seeds, widget.control, hands, hands.edits, hands.sculptor)

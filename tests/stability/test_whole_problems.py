@@ -114,7 +114,8 @@ def test_a_hard_mesh_is_fitted(shared_data):
 def test_one_and_two_threads_end_alike(name):
     apart, one, two = apart_by_threads(THREADED[name])
     assert one == two
-    assert apart < 1e-6
+    # The order in which two threads add is chance. In single precision 1.4e-6 was seen once.
+    assert apart < (1e-6 if "double" in name else 1e-5)
 
 
 @pytest.mark.parametrize("unit", [1e3, 1e-6])

@@ -54,6 +54,8 @@ def add_parser(commands: Any) -> None:
     names = ", ".join(EFFECTS)
     add("--effects", metavar="E", help=f"auto, none, or some of {names}, with commas between")
     add("--density", choices=get_args(DensityModel), help=_help("density"))
+    for name in ("remesh", "collisions"):
+        add(f"--{name}", action=argparse.BooleanOptionalAction, default=None, help=_help(name))
     add("--likelihood", choices=get_args(Likelihood), help=_help("likelihood"))
     add("--levels", nargs="+", type=float, metavar="B", help=_help("levels"))
     add("--max-iterations", type=int, metavar="N", help=_help("max_iterations"))

@@ -19,7 +19,16 @@ from ..settings import RunSettings, validated
 from .messages import Notes
 
 MESHES = (".ply", ".obj", ".off", ".stl", ".rec")
-_FIT = ("accuracy", "fit_psf", "density", "likelihood", "levels", "max_iterations")
+_FIT = (
+    "accuracy",
+    "fit_psf",
+    "density",
+    "likelihood",
+    "levels",
+    "remesh",
+    "collisions",
+    "max_iterations",
+)
 
 
 def gather(arguments: argparse.Namespace, notes: Notes) -> FitInput:

@@ -52,6 +52,7 @@ class AccuracyDial(QComboBox):
         self.setToolTip(f"<qt>{_TIP}{rows}</qt>")
         self.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self.setMinimumContentsLength(8)
+        self.setMinimumWidth(104)  # napari's style asks for more, and the dock could not be narrow
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         self.show_choice(STANDARD)
 

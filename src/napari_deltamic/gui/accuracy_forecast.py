@@ -10,14 +10,16 @@ from qtpy.QtCore import QObject, QTimer
 from ..accuracy_chart import short
 from ..errors import InputError
 from ..fourier.cost import costs
+from ..inference.default_accuracy import PRESETS
 from ..inference.forecast import Forecast
 from ..scene.tradeoff import duration
-from .accuracy_dial import STANDARD, accuracy_of, relative
+from .accuracy_dial import accuracy_of, relative
 from .accuracy_scene import NoiseOf, Outlook, outlook, scene_now
 from .background import Background
 from .composition import Live, Panels
 from .course import Snapshot
 from .qt import Signal
+from .renewed_forecast import RenewedForecast
 from .run_control import RunControl
 
 WAIT = 300  # ms without a change before the forecast is computed
@@ -52,6 +54,7 @@ class AccuracyForecast(QObject):
         # Level, settings; iterations and s when it began with these.
         self._since: tuple[int, Any, int, float] | None = None
         self._last = ""  # how fast the run is, or was
+        self._told: Forecast | None = None  # that of the run, as it is shown
         self.noise = panels.settings.accuracy.noise = NoiseOf(viewer, panels.image)
         self._background = Background(self._show, self._fail)
         self._timer = QTimer(self)
@@ -91,9 +94,8 @@ class AccuracyForecast(QObject):
 
     def _ask(self) -> None:
         run = self._live.run
-        measured = costs().measured
-        if not self._open or (run is not None and run.running and not measured):
-            return  # a measurement would be wrong, and in the way of the fit
+        if not self._open or (run is not None and run.running):
+            return  # the fit has a forecast of its own
         settings = self._panels.settings
         try:
             accuracy_of(settings.accuracy.choice, 0.0)
@@ -108,14 +110,14 @@ class AccuracyForecast(QObject):
             settings.outlook.say("")  # what is missing is said by its panel
             return
         self._asked_of = self.noise.key()
-        if not measured:
+        if not costs().measured:
             settings.outlook.say("measuring this computer for the forecast (once, a second) ...")
         self._background.ask(partial(outlook, scene))
 
     def _show(self, found: Outlook) -> None:
         self.noise.learn(self._asked_of, found.noise)
         self._show_number()
-        self._panels.settings.outlook.say(predicted(found))
+        self._panels.settings.outlook.say(predicted(found.forecast, found.guessed))
 
     def _fail(self, message: str) -> None:
         self._panels.settings.outlook.say(f"no forecast: {message}")
@@ -131,15 +133,8 @@ class AccuracyForecast(QObject):
             return None
 
     def _show_number(self) -> None:
-        choice, noise = self._panels.settings.accuracy.choice, self.noise.known
-        number = self._number()
-        text = ""
-        if relative(choice) and number is not None:
-            text = f"= {short(number)}"
-        elif choice == "exact":
-            text = "= 0"
-        elif number is not None and noise is not None:
-            text = f"({STANDARD}: {short(accuracy_of(STANDARD, noise))})"
+        number, named = self._number(), self._panels.settings.accuracy.choice in PRESETS
+        text = f"= {short(number) if number else 0}" if named and number is not None else ""
         self._panels.settings.accuracy_number.setText(text)
         self.number_changed.emit(number)
 
@@ -149,7 +144,8 @@ class AccuracyForecast(QObject):
         self._timer.stop()
         self._background.drop()
         self.noise.held = self.noise.known is not None
-        self._since, self._last = None, ""
+        self._since, self._last, self._told = None, "", None
+        self._panels.settings.outlook.say("")
         self._panels.settings.pace.say("")
 
     def _running(self, snapshot: Snapshot) -> None:
@@ -158,6 +154,7 @@ class AccuracyForecast(QObject):
             return
         level, done, seconds = snapshot.state.level, len(run.history.loss), run.seconds
         settings = snapshot.job.settings.fit
+        self._tell(run.forecast)
         if self._since is None or self._since[:2] != (level, settings):
             self._since = (level, settings, done, seconds)
             return
@@ -165,6 +162,13 @@ class AccuracyForecast(QObject):
         if count >= _FEWEST and took > 0:
             self._last = pace(took / count, run.forecast, level)
             self._panels.settings.pace.say(self._last)
+
+    def _tell(self, forecast: Any) -> None:
+        """What the run itself forecasts; it knows its surfaces, and what was changed since."""
+        whole = forecast.forecast if isinstance(forecast, RenewedForecast) else forecast
+        if whole is not self._told and isinstance(whole, Forecast):
+            self._told = whole
+            self._panels.settings.outlook.say(predicted(whole))
 
     def _ended(self) -> None:
         self.noise.held = False
@@ -178,10 +182,10 @@ class AccuracyForecast(QObject):
         self.later()
 
 
-def predicted(found: Outlook) -> str:
-    """A forecast in words."""
-    about = "about " if found.guessed else ""
-    each, whole = found.forecast.seconds_per_iteration, found.forecast.seconds
+def predicted(forecast: Forecast, guessed: bool = False) -> str:
+    """A forecast in words; less certain where the size of the surfaces is a guess."""
+    about = "about " if guessed else ""
+    each, whole = forecast.seconds_per_iteration, forecast.seconds
     return (
         f"predicted: {about}{duration(each)} an iteration, "
         f"{about}{duration(whole)} until it has converged"

@@ -20,6 +20,7 @@ from .accuracy_scene import SceneNow, scene_now
 from .composition import Live, Panels
 from .run_control import RunControl
 
+_STALE = "the chart is of another image or PSF: measure again"
 BUDGET = 2.0  # s: ways that take longer are left out; one under way cannot be interrupted
 
 
@@ -102,11 +103,14 @@ class MeasureControl(QObject):
         self._measuring: Measuring | None = None
         self._ways: list[Way] = []
         self._open = True
+        self._of: tuple[Any, ...] = ()  # what was measured
         self._view = view = panels.settings.tradeoff
         view.start.connect(self.start)
         view.stop.connect(self.stop)
         view.chosen.connect(self._chosen)
         forecast.number_changed.connect(view.show_accuracy)
+        for signal in (panels.image.changed, panels.settings.changed):
+            signal.connect(self._look)
         control.started.connect(self._run_started)
         control.ended.connect(self._run_ended)
 
@@ -126,7 +130,7 @@ class MeasureControl(QObject):
         except InputError as error:
             self._view.progress.say(str(error))
             return
-        self._ways = []
+        self._ways, self._of = [], self._key()
         self._view.clear()
         self._view.set_measuring(True)
         self._view.progress.say("preparing ...")
@@ -158,6 +162,18 @@ class MeasureControl(QObject):
         slow = sum(not way.measured for way in self._ways)
         left_out = f"{slow} of {len(self._ways)} ways take longer than {BUDGET:g} s: left out"
         self._view.progress.say(f"not measured: {reason}" if reason else left_out if slow else "")
+
+    def _look(self) -> None:
+        """Something was edited: is the chart still of what is shown?"""
+        if self._open and self._view.ways and not self.busy:
+            stale = self._of != self._key()
+            if stale or self._view.progress.text() == _STALE:
+                self._view.progress.say(_STALE if stale else "")
+
+    def _key(self) -> tuple[Any, ...]:
+        layer, settings = self._panels.image.layer, self._panels.settings
+        size = self._panels.image.voxel_size.value()
+        return id(layer), size, settings.sigma.value()
 
     def _chosen(self, accuracy: float) -> None:
         settings = self._panels.settings

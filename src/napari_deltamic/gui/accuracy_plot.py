@@ -213,7 +213,7 @@ class TradeoffPlot(QWidget):
     def _box(self) -> QRectF:
         metrics: QFontMetrics = self.fontMetrics()
         left = metrics.horizontalAdvance("1e-10") + 6.0
-        top, bottom = metrics.height() + 3.0, _PLOT - 2 * metrics.height() - 8.0
+        top, bottom = metrics.height() + 6.0, _PLOT - 2 * metrics.height() - 8.0
         return QRectF(left, top, max(self.width() - left - 6.0, 20.0), bottom - top)
 
     def _axes(self) -> tuple[LogAxis, LogAxis] | None:

@@ -213,7 +213,7 @@ def _given(mesh: Mesh, grid: Grid) -> Mesh:
 
 
 def _as_it_is(vertices: Any, faces: Any, scale: FloatArray, shift: FloatArray, grid: Grid) -> Mesh:
-    """Of a Surface layer; of a series, the surfaces of one time are about as large as all / n."""
+    """Of a Surface layer; of a series, those of its first time, as others are much alike."""
     vertices, faces = np.asarray(vertices, float), np.asarray(faces)
     if vertices.shape[1] > 3:
         first = vertices[faces[:, 0], :-3]

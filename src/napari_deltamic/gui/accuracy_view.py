@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import replace
 
 from qtpy.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
 from ..accuracy_chart import short, ways_chart
+from ..chart import Chart
 from ..scene.tradeoff import Way, duration, with_front
 from .accuracy_plot import TradeoffPlot
 from .note import Note
@@ -19,7 +20,7 @@ _TIP = (
     "about a minute in the background, and as much of the processor as a fit. The chart shows time "
     "against error; the points as planned can be clicked, which sets the dial.</qt>"
 )
-_NOT_NOW = "not while a fit runs: both would need the same processor"
+_NOT_NOW = "no measuring while a fit runs: both would need the same processor"
 
 
 class TradeoffView(QWidget):
@@ -37,7 +38,7 @@ class TradeoffView(QWidget):
         self.button = QPushButton(_START, self)
         self.hide_button = QPushButton("Hide", self)
         self.hide_button.setToolTip("Hide the chart.")
-        self.progress = Note(self)
+        self.reason, self.progress = Note(self), Note(self)
         self.plot = TradeoffPlot(self._description, self)
         self.summary = Note(self)
         buttons = QHBoxLayout()
@@ -47,7 +48,7 @@ class TradeoffView(QWidget):
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.addLayout(buttons)
-        for widget in (self.progress, self.plot, self.summary):
+        for widget in (self.reason, self.progress, self.plot, self.summary):
             layout.addWidget(widget)
         self.button.clicked.connect(self._pressed)
         self.hide_button.clicked.connect(self.clear)
@@ -59,10 +60,7 @@ class TradeoffView(QWidget):
         """Whether measuring can be started; says why not."""
         self.button.setEnabled(allowed)
         self.button.setToolTip(_TIP if allowed else f"<qt>{_NOT_NOW.capitalize()}.</qt>")
-        if not allowed and not self._measuring:
-            self.progress.say(_NOT_NOW if not self.ways else "")
-        elif self.progress.text() == _NOT_NOW:
-            self.progress.say("")
+        self.reason.say("" if allowed else _NOT_NOW)
 
     def set_measuring(self, measuring: bool) -> None:
         """Whether the button starts or stops."""
@@ -72,11 +70,8 @@ class TradeoffView(QWidget):
     def show_ways(self, ways: Sequence[Way]) -> None:
         """Draw what was measured so far."""
         self.ways = with_front(ways)
-        chart = ways_chart(self.ways, "")
-        shown = any(series.marker is not None for series in chart.series)
-        if shown:
-            self.plot.show_chart(chart)
-            self._show_accuracy()
+        shown = any(way.measured and way.error for way in self.ways)
+        self._show_accuracy()
         for widget in (self.plot, self.hide_button):
             widget.setVisible(shown)
 
@@ -97,12 +92,10 @@ class TradeoffView(QWidget):
         self.plot.show_level(accuracy or None, f"asked: {short(accuracy)}" if accuracy else "")
         if not self.ways:
             return
-        marked = [w if not w.in_use else _changed(w, False) for w in self.ways]
-        marked = [_changed(w, True) if _is(w, accuracy) else w for w in marked]
-        if any(w.in_use for w in marked) and any(w.measured and w.error for w in marked):
-            self.plot.show_chart(ways_chart(marked, ""))
-        used = next((w for w in marked if w.in_use), None)
-        self.ways = marked
+        self.ways = [replace(way, in_use=_is(way, accuracy)) for way in self.ways]
+        if any(way.measured and way.error for way in self.ways):
+            self.plot.show_chart(_chart(self.ways))
+        used = next((way for way in self.ways if way.in_use), None)
         self.summary.say(_summary(used, accuracy))
 
     def _pressed(self) -> None:
@@ -122,7 +115,7 @@ class TradeoffView(QWidget):
         way = self._way(x, y)
         if way is None:
             return ""
-        text = f"{way.name}: {duration(x)}, error {y:.1e}"
+        text = f"{way.name}: {duration(x)}, error {_two_digits(y)}"
         return f"{text}. Click to ask for {short(way.accuracy)}." if way.accuracy else text
 
 
@@ -138,10 +131,13 @@ def _summary(used: Way | None, accuracy: float | None) -> str:
         return "" if accuracy is None else f"accuracy {short(accuracy)} was not measured"
     if used.gradient is None:
         return f"in use: {short(accuracy or 0)}, {used.note}"
-    error = "" if used.reference or used.error is None else f", error {used.error:.1e}"
-    return f"ringed: in use, {duration(used.gradient)} an image with its gradient{error}"
+    error = "" if used.reference or used.error is None else f", error {_two_digits(used.error)}"
+    return f"ringed: in use; {duration(used.gradient)} an image{error}"
 
 
-def _changed(way: Way, in_use: bool) -> Way:
-    facts: dict[str, Any] = {**vars(way), "in_use": in_use}
-    return Way(**facts)
+def _two_digits(error: float) -> str:
+    return short(float(f"{error:.1e}"))
+
+
+def _chart(ways: Sequence[Way]) -> Chart:
+    return replace(ways_chart(ways, ""), y_text=short)

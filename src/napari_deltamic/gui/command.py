@@ -31,6 +31,9 @@ def command(settings: RunSettings, output: str, *, missing: bool = False) -> str
         value: Any = getattr(fit, name)
         if value != getattr(default, name):
             words += [f"--{name.replace('_', '-')}", str(value)]
+    for name in ("remesh", "collisions"):
+        if getattr(fit, name) != getattr(default, name):
+            words.append(f"--{name}" if getattr(fit, name) else f"--no-{name}")
     words += ["--levels", *_numbers(fit.levels)] if fit.levels else []
     words += ["--missing-nan"] if missing else []
     words += ["--effects", ",".join(settings.scene.effects)] if settings.scene.effects else []

@@ -9,6 +9,7 @@ from napari.layers import Vectors
 from numpy.typing import NDArray
 
 from ..geometry import Mesh
+from ..geometry.mesh import OUTSIDE
 from ..measure import section
 from .colours import region_colours
 from .frame import OWN, Frame
@@ -53,7 +54,7 @@ class Contours:
         vectors[:, 0, axis] = position
         vectors[:, 0, others] = segments[:, 0]
         vectors[:, 1, others] = segments[:, 1] - segments[:, 0]
-        self._set(vectors, self._shown(mesh.regions[faces]))
+        self._set(*self._two_coloured(vectors, mesh, faces, others))
 
     def position(self, dims: Any, axis: int) -> float:
         """um: where the slice across an axis lies that the viewer's dims are at."""
@@ -63,12 +64,30 @@ class Contours:
         size = self.frame.voxel_size[axis]
         return float(round(position / size) * size)
 
-    def _shown(self, sides: NDArray[Any]) -> NDArray[Any]:
-        """(S,) the region whose colour a segment has: a chosen one, where there is one."""
-        if self.chosen:
-            own = np.where(np.isin(sides, list(self.chosen)), sides, 0).max(axis=1)
-            return np.where(own > 0, own, sides.max(axis=1))
-        return sides.max(axis=1)
+    def _two_coloured(
+        self, vectors: NDArray[np.float32], mesh: Mesh, faces: NDArray[Any], others: list[int]
+    ) -> tuple[NDArray[np.float32], NDArray[Any]]:
+        """The segments and the region of each; a wall is drawn once on each of its sides.
+
+        So the contour of each cell is closed, in its own colour.
+        """
+        sides = mesh.regions[faces]
+        walls = np.flatnonzero((sides != OUTSIDE).all(axis=1))
+        if not len(walls):
+            return vectors, sides.max(axis=1)
+        a, b, c = mesh.vertices_numpy()[mesh.faces[faces[walls]]].transpose(1, 0, 2)
+        # From the first side to the second, as in Mesh.normals: in Z, Y, X a cross product turns.
+        normal = np.cross(c - a, b - a)[:, others]
+        length = np.linalg.norm(normal, axis=1, keepdims=True)
+        half = 0.5 * float(self.layer.edge_width)
+        shift = np.zeros((len(walls), 3), np.float32)
+        shift[:, others] = half * normal / np.maximum(length, 1e-300)
+        second = vectors[walls]
+        second[:, 0] += shift
+        vectors[walls, 0] -= shift
+        regions = sides.max(axis=1)
+        regions[walls] = sides[walls, 0]
+        return np.concatenate([vectors, second]), np.concatenate([regions, sides[walls, 1]])
 
     def _set(self, vectors: NDArray[np.float32], regions: NDArray[Any]) -> None:
         layer = self.layer

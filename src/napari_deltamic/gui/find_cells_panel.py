@@ -14,6 +14,7 @@ from superqt import QLabeledDoubleSlider
 
 from ..errors import InputError
 from .background import Background
+from .colours import label_colormap
 from .frame import Frame
 from .qt import Signal
 
@@ -52,6 +53,11 @@ class FindCells(QPushButton):
         self.cell_size.valueChanged.connect(self._note_move)
 
     @property
+    def tried(self) -> bool:
+        """Whether its slider is of use yet."""
+        return self._moved or bool(self.message)
+
+    @property
     def busy(self) -> bool:
         """Whether cells are being looked for."""
         return self._background.busy
@@ -81,6 +87,11 @@ class FindCells(QPushButton):
         if self._background.busy:
             self._background.drop()
             self._tell("")
+
+    def hide_found(self) -> None:
+        """Make the layer invisible: labels cover what lies in and under them."""
+        if self._layer is not None and self._layer in self._viewer.layers:
+            self._layer.visible = False
 
     def close_links(self) -> None:
         """End what is under way and let the viewer go."""
@@ -113,8 +124,9 @@ class FindCells(QPushButton):
             and np.allclose(old.translate, options["translate"])
         ):
             old.data = labels
+            old.visible = True
             return old
-        self._layer = Labels(labels, name=NAME, opacity=0.5, **options)
+        self._layer = Labels(labels, name=NAME, opacity=0.4, colormap=label_colormap(), **options)
         self._viewer.add_layer(self._layer)
         return self._layer
 

@@ -47,7 +47,7 @@ class History(QObject):
         moments = self._control.timeline.moments
         self._offset = 0 if fresh or not moments else moments[-1].iteration
         self._bar.to_live()
-        self._bar.show()
+        self._panels.running.show_fit()
 
     def _shown(self, snapshot: Any) -> None:
         now = time.monotonic()

@@ -20,13 +20,13 @@ class Pins:
 
     def __init__(self, viewer: Any, frame: Frame, name: str) -> None:
         self._viewer, self._frame, self._name = viewer, frame, name
-        self._pinned: NDArray[np.int64] = np.zeros(0, np.int64)
+        self._pinned: NDArray[np.bool_] = np.zeros(0, bool)
         self._removed = False  # by the user, who does not want to see them
         self.layer: Points | None = None
 
     def choose(self, pinned: NDArray[np.bool_] | None) -> None:
         """Which vertices are pinned, (V,); None for none."""
-        self._pinned = np.flatnonzero(pinned) if pinned is not None else self._pinned[:0]
+        self._pinned = self._pinned[:0] if pinned is None else np.asarray(pinned, bool)
         self._removed = False
 
     def show(self, mesh: Mesh | None) -> None:
@@ -35,9 +35,9 @@ class Pins:
             self.layer, self._removed = None, True
         if mesh is None or self._removed:
             return
-        if len(self._pinned) and self._pinned[-1] >= len(mesh.vertices):
-            return  # pins of another mesh
-        places = mesh.vertices_numpy()[self._pinned]
+        # Of another triangulation, an earlier moment for example, it is not known which are pinned.
+        known = len(self._pinned) == len(mesh.vertices)
+        places = mesh.vertices_numpy()[self._pinned] if known else np.zeros((0, 3))
         if self.layer is not None:
             if not np.array_equal(self.layer.data, places):
                 self.layer.data = places

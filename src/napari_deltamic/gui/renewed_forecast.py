@@ -9,7 +9,7 @@ from ..inference.forecast import Forecast, LevelForecast
 from ..report import History
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Since:
     """The course of a fit since its settings were changed."""
 

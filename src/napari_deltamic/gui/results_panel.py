@@ -61,12 +61,14 @@ class ResultsPanel(QGroupBox):
             buttons.addWidget(button)
         layout.addLayout(buttons)
         self.setEnabled(False)
+        self.hide()
 
     def show_result(self, state: FitState, job: FitInput, history: History, seconds: float) -> None:
         """Show the cells of a state, and offer to save it."""
         self.last = (state, job, history, seconds)
         self._show_cells(state.mesh)
         self.setEnabled(True)
+        self.show()
 
     def choose(self, region: int, add: bool = False) -> None:
         """Select the row of a region, as the only one or with (or without) the others; 0: none."""

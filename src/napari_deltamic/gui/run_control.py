@@ -125,15 +125,20 @@ class RunControl(QObject):
             return None
         return Present(last[0], last[1], False)
 
-    def ask(self, change: Change, note: str) -> None:
-        """Let the fit go on from something else; the note is told when it does."""
-        if self._live.run is not None:
-            self._asked.append((self._live.run.change(change), note))
+    def ask(self, change: Change, note: str, of: Mesh) -> int:
+        """Let the fit go on from something else, made of a mesh; the note is told when it does.
 
-    def ask_shift(self, shift: NDArray[np.float64], note: str) -> None:
+        Snapshots include it from the number returned on.
+        """
+        assert self._live.run is not None, "there is a fit to change"
+        number = self._live.run.change(change, of)
+        self._asked.append((number, note))
+        return number
+
+    def ask_shift(self, shift: NDArray[np.float64], note: str, of: Mesh) -> None:
         """Let the fit go on with its vertices moved, (V, 3) um."""
         if self._live.run is not None:
-            self._asked.append((self._live.run.shift(shift), note))
+            self._asked.append((self._live.run.shift(shift, of), note))
 
     def replace_result(self, state: FitState, note: str) -> None:
         """Take a state for the result: it was changed by hand."""
@@ -148,6 +153,12 @@ class RunControl(QObject):
         self._panels.running.tell(f"{note}: the result was changed by hand")
         self._overlays.show_result()
         self.mesh_changed.emit()
+
+    def pin_result(self, pinned: NDArray[np.bool_]) -> None:
+        """Note which vertices of the result are pinned, (V,) bool, for a fit that goes on."""
+        results = self._panels.results
+        if results.last is not None:
+            results.last = (replace(results.last[0], pinned=pinned), *results.last[1:])
 
     def reopen(
         self,
@@ -216,7 +227,7 @@ class RunControl(QObject):
             return assemble(settings, pixels, grid, seeds.mesh(pixels, grid), seeds.kind)
 
         self._link_to(frame)
-        self._panels.seeds.finish_placing()
+        self._panels.seeds.finish_placing(keep_preview=True)
         self._launch(prepare, settings.scene.sigma or (0, 0, 0), fresh=True)
 
     def _launch(
@@ -254,6 +265,7 @@ class RunControl(QObject):
         if old is not None:
             same = old.image_layer is image and old.frame == frame
             if same and old.surface in self._viewer.layers:
+                old.take_time()
                 return
             old.close()
         self._live.link = ViewerLink(self._viewer, image, frame, self._lost)
@@ -264,6 +276,7 @@ class RunControl(QObject):
         if fresh is None:
             return
         if fresh:
+            self._panels.seeds.make_room()
             self.timeline = Timeline()
         else:
             self.timeline.go_on()
@@ -333,6 +346,8 @@ class RunControl(QObject):
         if late is not None and (late.mesh is not None or late.optics is not None):
             usable(late, state.mesh, state.optics, outcome.job)
             self.replace_result(changed_by_hand(state, outcome.job, late), notes)
+        elif late is not None and late.pinned is not None:
+            self.pin_result(late.pinned)
         if self._lets_go:
             self.let_go()
 

@@ -70,8 +70,10 @@ class RunPanel(QGroupBox):
         self.residual.toggled.connect(self.residual_toggled)
         self.set_running(False)
         self.sigmas.hide()
-        for row in (self.edit, self.history):
-            row.hide()  # until there is something to edit, and to go back to
+        # Until there is something to see, to edit, and to go back to.
+        self._of_a_fit = (self.curve, self.psf, self._shown, self.edit, self.history)
+        for row in self._of_a_fit:
+            row.hide()
         self.say("")
         self.tell("")
         self.show_verdict("", "")
@@ -89,6 +91,11 @@ class RunPanel(QGroupBox):
             self.curve.show_losses([], [])
         else:
             self.pause_button.setChecked(False)
+
+    def show_fit(self) -> None:
+        """There is a fit: show all that belongs to one."""
+        for row in self._of_a_fit:
+            row.show()
 
     def say(self, text: str) -> None:
         """What is going on, in a line."""
@@ -135,7 +142,9 @@ class RunPanel(QGroupBox):
         buttons = QHBoxLayout()
         for button in (self.run_button, self.pause_button, self.stop_button):
             buttons.addWidget(button)
-        shown = QHBoxLayout()
+        self._shown = QWidget(self)
+        shown = QHBoxLayout(self._shown)
+        shown.setContentsMargins(0, 0, 0, 0)
         for box in (QLabel("show", self), self.rendered, self.residual):
             shown.addWidget(box)
         shown.addStretch()
@@ -150,7 +159,7 @@ class RunPanel(QGroupBox):
         layout.addLayout(plots)
         for widget in (self.history, self.edit, self.psf):
             layout.addWidget(widget)
-        layout.addLayout(shown)
+        layout.addWidget(self._shown)
         layout.addWidget(self.command_button)
 
 

@@ -12,6 +12,7 @@ from qtpy.QtCore import QObject
 from ..geometry import Mesh
 from ..geometry.sculpt import Touch, falloff, outward, touched_by_ray, touched_on_section
 from ..measure import section
+from .carry import carried
 from .composition import Live, Panels
 from .connections import Connections
 from .contours import sliced_axis
@@ -21,6 +22,8 @@ from .frame import FloatArray
 from .run_control import RunControl
 from .viewer_link import ViewerLink
 
+_HIDDEN = "The surface is hidden: make its layer visible first."
+_OTHER_TIME = "The surface is that of another time point: go there first."
 _PUSH = 0.12  # of the brush's radius: how far a dab pushes
 _SPACING = 0.3  # of the radius: how far the mouse goes from one dab to the next
 _PINNED = 0.25  # weight from which on a vertex is pinned
@@ -78,18 +81,19 @@ class Sculptor(QObject):
 
     def _began(self, fresh: bool) -> None:
         present, link = self._control.present(), self._live.link
-        self._bar.show()
         if fresh and present is not None:
             low, high = present.state.mesh.bounds()
             self._bar.set_scale(float((high - low).max()))
         if not fresh and link is not None:
-            link.show_pins(self._edits.pinned)
+            self._show_pins()
 
     def _show_pins(self) -> None:
         pinned, link = self._edits.pinned, self._live.link
         self._bar.show_pins(0 if pinned is None else int(pinned.sum()))
         if link is not None:
-            link.show_pins(pinned)
+            # The fit may be ahead of what is shown, with other triangles.
+            mesh = link.mesh
+            link.show_pins(None if mesh is None else self._edits.pinned_on(mesh))
 
     def _free_all(self) -> None:
         self._control.tried(self._edits.free_all)
@@ -110,7 +114,7 @@ class Sculptor(QObject):
             self._bar.say("There is no surface yet: run a fit first.")
             return
         if not _to_be_seen(link):
-            self._bar.say("The surface is hidden: make its layer visible first.")
+            self._bar.say(_HIDDEN if link.at_time else _OTHER_TIME)
             return
         touch = touch_at(link, link.shown, event, self._bar.radius.value())
         if touch is None:
@@ -129,21 +133,27 @@ class Sculptor(QObject):
 
     def _show(self, link: ViewerLink, stroke: _Stroke) -> None:
         if stroke.tool == "pin":
-            pinned = self._edits.pinned
-            before = np.zeros(len(stroke.which), bool) if pinned is None else pinned
-            if len(before) == len(stroke.which):
-                link.show_pins(before & ~stroke.which if stroke.turned else before | stroke.which)
+            before, shown = self._edits.pinned_on(stroke.start), link.shown
+            if before is not None and shown is not None:
+                after = before & ~stroke.which if stroke.turned else before | stroke.which
+                link.show_pins(carried(after, stroke.start, shown))
         else:
             self._control.hold(stroke.mesh)
 
     def _finish(self, stroke: _Stroke) -> None:
         if stroke.tool == "pin":
-            self._control.tried(lambda: self._edits.pin(stroke.which, not stroke.turned))
+            self._control.tried(lambda: self._pin(stroke))
             self._show_pins()
         else:
             if stroke.shift.any():
-                self._control.tried(lambda: self._edits.shift(stroke.shift, stroke.note))
+                self._control.tried(lambda: self._shift(stroke))
             self._control.let_go()
+
+    def _pin(self, stroke: _Stroke) -> None:
+        self._edits.pin(stroke.which, not stroke.turned, stroke.start)
+
+    def _shift(self, stroke: _Stroke) -> None:
+        self._edits.shift(stroke.shift, stroke.note, stroke.start)
 
 
 class _Stroke:
@@ -152,7 +162,7 @@ class _Stroke:
     def __init__(
         self, tool: Tool, link: ViewerLink, mesh: Mesh, touch: Touch, event: Any, radius: float
     ) -> None:
-        self.tool, self._link, self._start, self._radius = tool, link, mesh, radius
+        self.tool, self._link, self.start, self._radius = tool, link, mesh, radius
         self._ndisplay = link.viewer.dims.ndisplay
         self.turned = "Shift" in event.modifiers
         self.shift: NDArray[np.float64] = np.zeros((len(mesh.vertices), 3))
@@ -171,7 +181,7 @@ class _Stroke:
     @property
     def mesh(self) -> Mesh:
         """The mesh as it would be now."""
-        return self._start.with_vertices(self._start.vertices_numpy() + self.shift)
+        return self.start.with_vertices(self.start.vertices_numpy() + self.shift)
 
     def move(self, event: Any) -> bool:
         """Follow the mouse; whether that changed something."""
@@ -233,4 +243,5 @@ def _in_plane(link: ViewerLink, event: Any, point: FloatArray) -> FloatArray:
 
 def _to_be_seen(link: ViewerLink) -> bool:
     layer = link.surface if link.viewer.dims.ndisplay == 3 else link.contours.layer
-    return layer is not None and layer in link.viewer.layers and bool(layer.visible)
+    there = layer is not None and layer in link.viewer.layers and bool(layer.visible)
+    return there and link.at_time

@@ -20,6 +20,7 @@ from ..job import SeedKind, filled
 from ..scene import Grid
 from .frame import OWN, FloatArray, Frame, stack_of
 from .mesh_layer import unchanged_file
+from .walls import joined
 
 SEED_LAYERS = ("Points", "Labels", "Surface")
 
@@ -218,6 +219,7 @@ def mesh_of_surface(layer: Any, frame: Frame, point: tuple[float, ...] = ()) -> 
     vertices, faces = np.asarray(layer.data[0], float), np.asarray(layer.data[1])
     if vertices.ndim != 2 or vertices.shape[1] < 3 or not len(faces):
         raise InputError(f"layer '{layer.name}' holds no surface")
+    vertices, faces = joined(vertices, faces, layer.metadata)
     scale, shift = frame.data_to_um(layer)
     regions = layer.metadata.get(OWN, {}).get("regions")
     if regions is not None and len(regions) != len(faces):

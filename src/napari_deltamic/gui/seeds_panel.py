@@ -85,14 +85,20 @@ class SeedsPanel(QGroupBox):
         self._viewer.layers.selection = {layer}
         layer.mode = "add"
 
-    def finish_placing(self) -> None:
-        """A run starts: clicks move the view again, and the preview makes room for the meshes."""
+    def finish_placing(self, *, keep_preview: bool = False) -> None:
+        """Clicks move the view again; the preview goes, or stays until there is room to be made."""
         for layer in self._viewer.layers:
             if isinstance(layer, Points) and str(layer.mode) == "add":
                 layer.mode = "pan_zoom"
         self._later.stop()
-        self.preview.clear()
+        if not keep_preview:
+            self.preview.clear()
         self._show()
+
+    def make_room(self) -> None:
+        """The meshes of a fit are there: hide what would cover them."""
+        self.preview.clear()
+        self.find_cells.hide_found()
 
     def use_file(self, *paths: str) -> None:
         """Add mesh files as Surface layers, which are seeds like others."""
@@ -287,6 +293,7 @@ class SeedsPanel(QGroupBox):
     def _show(self) -> None:
         layers, points = self.chooser.ticked(), self._sources.points_layers()
         shown = bool(points) or not layers
+        show_row(self._form, self.find_cells.cell_size, self.find_cells.tried)
         show_row(self._form, self.shape, shown)
         show_row(self._form, self.radius, shown and self.spheres)
         show_row(self._form, self.preview, shown and not self.spheres)

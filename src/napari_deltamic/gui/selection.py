@@ -67,7 +67,7 @@ class ClickSelection:
 def region_at(link: ViewerLink, event: Any) -> int:
     """The region at an event of the mouse in the viewer that a link shows a mesh in; 0 if none."""
     mesh, dims = link.shown, link.viewer.dims
-    if mesh is None:
+    if mesh is None or not link.at_time:
         return OUTSIDE
     if dims.ndisplay == 3:
         if link.surface is None or not link.surface.visible:
@@ -78,11 +78,12 @@ def region_at(link: ViewerLink, event: Any) -> int:
             dims_displayed=list(event.dims_displayed),
             world=True,
         ) or (None, None)
+        face = None if face is None else link.face_of(int(face))
         if face is None or face >= len(mesh.faces):
             return OUTSIDE
         # The frame has axes along those of the world, if of another length.
         direction = np.asarray(event.view_direction, float)[-3:] * link.frame.um
-        return _behind(mesh, int(face), direction)
+        return _behind(mesh, face, direction)
     axis = sliced_axis(dims)
     if axis is None:
         return OUTSIDE

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..geometry import Mesh
 from ..session_file import SavedImage, SavedLayer
-from .colours import LIMITS, region_colormap, vertex_values
+from .colours import LIMITS, region_colormap, side_values
 from .frame import OWN, Frame, stack_of
 from .seeds import at_time
+from .walls import COPIES, Apart, joined
 
 _SHOWN = ("opacity", "blending", "visible")
 _IMAGE = (*_SHOWN, "gamma", "rendering", "interpolation2d", "interpolation3d")
@@ -26,7 +27,8 @@ _OTHERS = {
     "surface": (*_SHOWN, "shading", "gamma"),
 }
 _OF_POINTS = ("size", "face_color", "border_color")
-_DROPPED = ("regions", "fit")  # of what the plugin notes: an array; and seeds are no fit any more
+# Of what the plugin notes: arrays; and seeds are no fit any more.
+_DROPPED = ("regions", COPIES, "fit")
 
 
 def save_image(layer: Any, pixels: NDArray[Any], frame: Frame) -> SavedImage:
@@ -89,13 +91,14 @@ def seed_layer(saved: SavedLayer) -> Layer:
 
 def mesh_layer(mesh: Mesh, name: str, frame: Frame) -> Surface:
     """The surface of a result, in a frame."""
+    apart = Apart.of(mesh)
     return Surface(
-        (mesh.vertices_numpy().astype(np.float32), mesh.faces, vertex_values(mesh)),
+        (apart.vertices(mesh), apart.faces, side_values(apart.sides)),
         name=name,
         colormap=region_colormap(),
         contrast_limits=LIMITS,
         shading="smooth",
-        metadata={OWN: {"regions": mesh.regions, "fit": True}},
+        metadata={OWN: {"regions": mesh.regions, COPIES: apart.copies, "fit": True}},
         **frame.layer_options(),
     )
 
@@ -115,6 +118,8 @@ def _surface(
     layer: Any, step: tuple[int, ...], point: tuple[float, ...]
 ) -> dict[str, NDArray[Any]]:
     vertices, faces, values = (np.asarray(part) for part in layer.data[:3])
+    vertices, faces = joined(vertices, faces, layer.metadata)
+    values = values[: len(vertices)]
     regions = layer.metadata.get(OWN, {}).get("regions")
     kept = at_time(layer, vertices, point)[faces].all(axis=1)
     if not kept.all():

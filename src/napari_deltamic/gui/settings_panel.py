@@ -14,7 +14,6 @@ from qtpy.QtWidgets import (
     QSpinBox,
     QWidget,
 )
-from superqt import QCollapsible
 
 from ..inference.default_accuracy import image_noise
 from ..job import SIGMA_IN_VOXELS
@@ -22,10 +21,11 @@ from ..settings import DensityModel, FitSettings, Likelihood, SceneSettings, val
 from .accuracy_dial import AccuracyDial
 from .accuracy_view import TradeoffView
 from .fields import TripleField
+from .fold import Fold
 from .note import Note
 from .qt import Signal
 
-_RARE = ("likelihood", "max_iterations")
+_RARE = ("density", "likelihood", "max_iterations")
 
 
 class SettingsPanel(QGroupBox):
@@ -50,8 +50,6 @@ class SettingsPanel(QGroupBox):
         self.max_iterations = QSpinBox(self)
         self.max_iterations.setRange(1, 1_000_000)
         layout = QFormLayout(self)
-        layout.addRow("PSF sigma, um", self.sigma)
-        layout.addRow("", self.fit_psf)
         more = QWidget()
         inner = QFormLayout(more)
         inner.setContentsMargins(0, 0, 0, 0)
@@ -59,15 +57,17 @@ class SettingsPanel(QGroupBox):
         dial.addWidget(self.accuracy, 1)
         dial.addWidget(self.accuracy_number)
         layout.addRow("accuracy", dial)
-        for row in (self.outlook, self.pace, self.tradeoff):
+        for row in (self.outlook, self.pace):
             layout.addRow(row)
-        for form, names in ((layout, ("density",)), (inner, _RARE)):
-            for name in names:
-                form.addRow(name.replace("_", " "), getattr(self, name))
-        folded = QCollapsible("more", self)
-        folded.setContent(more)
-        folded.collapse(animate=False)
-        layout.addRow(folded)
+        inner.addRow(self.tradeoff)
+        # In a row of its own: the dock may be narrow.
+        inner.addRow(QLabel("PSF sigma, um", self))
+        inner.addRow(self.sigma)
+        inner.addRow("", self.fit_psf)
+        for name in _RARE:
+            inner.addRow(name.replace("_", " "), getattr(self, name))
+        self.more = Fold("PSF, density and more", more, self)
+        layout.addRow(self.more)
         for name in ("fit_psf", "density", "likelihood", "max_iterations"):
             getattr(self, name).setToolTip(_tip(FitSettings, name))
         self.show_settings(FitSettings())

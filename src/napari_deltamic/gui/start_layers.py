@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 from napari.layers import Surface
 
 from ..geometry import Mesh
-from .colours import LIMITS, region_colormap, vertex_values
+from .colours import LIMITS, region_colormap, side_values
 from .connections import Connections
 from .contours import Contours
 from .frame import OWN, Frame
+from .walls import Apart
 
 _OWN = {OWN: {"fit": True, "preview": True}}
 
@@ -128,4 +128,5 @@ class StartLayers:
 
 
 def _data(mesh: Mesh) -> tuple[Any, Any, Any]:
-    return mesh.vertices_numpy().astype(np.float32), mesh.faces, vertex_values(mesh)
+    apart = Apart.of(mesh)
+    return apart.vertices(mesh), apart.faces, side_values(apart.sides)

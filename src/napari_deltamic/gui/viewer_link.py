@@ -10,11 +10,12 @@ from napari.layers import Image, Surface
 from numpy.typing import NDArray
 
 from ..geometry import Mesh
-from .colours import LIMITS, region_colormap, vertex_values
+from .colours import LIMITS, region_colormap, side_values
 from .connections import Connections
 from .contours import Contours
 from .frame import OWN, Frame
 from .pins import Pins
+from .walls import COPIES, Apart
 
 
 class ViewerLink:
@@ -43,12 +44,22 @@ class ViewerLink:
         self._on_lost: Callable[[str], None] | None = on_lost
         self._seen_in_3d = True
         self._late = False  # whether the hidden surface is another than what is to be seen
+        self._time: tuple[int, ...] = ()  # of the image, that is fitted; () where it has none
+        self.take_time()
+        self._apart: Apart | None = None  # how the surface is drawn
+        self._apart_of: Mesh | None = None
+        self._values: NDArray[np.float32] | None = None
         self._connections = Connections()
         dims = viewer.dims.events
         for emitter in (dims.current_step, dims.order):
             self._connections.connect(emitter, self._slice_changed)
         self._connections.connect(dims.ndisplay, self._view_changed)
         self._connections.connect(viewer.layers.events.removed, self._layer_removed)
+
+    def take_time(self) -> None:
+        """From now on the meshes are those of the time point that is shown, of a 4D image."""
+        steps = tuple(self.viewer.dims.current_step)
+        self._time = steps[:-3] if self.image_layer.ndim > 3 else ()
 
     def show_mesh(self, mesh: Mesh, *, passing: bool = False) -> None:
         """Show a mesh, um in the frame: the surface in 3D, its contours in 2D.
@@ -90,9 +101,9 @@ class ViewerLink:
         if self.shown is None:
             return
         if self.surface is not None and self.surface in self.viewer.layers:
-            vertices, faces = self.surface.data[:2]
-            # Kept with every further mesh that has the same faces.
-            self.surface.data = (vertices, faces, vertex_values(self.shown, regions))
+            self._apart, self._late = None, False
+            # With its vertices: those of a layer that is late may be of other triangles.
+            self._set_surface(self.surface, self.shown)
         self._slice_changed()
 
     def show_rendered(self, rendered: NDArray[Any], measured: NDArray[Any] | None) -> None:
@@ -118,6 +129,11 @@ class ViewerLink:
             if layer is not None:
                 layer.visible = visible
 
+    def face_of(self, drawn: int) -> int | None:
+        """The face of the mesh shown that one of the surface layer is; None where there is none."""
+        order = self._apart.order if self._apart is not None else ()
+        return int(order[drawn]) if drawn < len(order) else None
+
     def go_to(self, center: Sequence[float]) -> None:
         """Move slices and camera to a place, um in the frame."""
         if not np.isfinite(center).all():
@@ -136,35 +152,48 @@ class ViewerLink:
     # ---------------------------------------------------------------------------------- layers
 
     def _draw(self, mesh: Mesh, *, passing: bool = False) -> None:
-        vertices = mesh.vertices_numpy().astype(np.float32)
         if self.surface is None:
-            self._add_surface(mesh, vertices)
+            self._add_surface(mesh)
         elif self.surface in self.viewer.layers:
             self._late = passing and not self.surface.visible
             if not self._late:
-                self._set_surface(self.surface, mesh, vertices)
+                self._set_surface(self.surface, mesh)
         self._pins.show(mesh)
         self._slice_changed()
 
-    def _set_surface(self, layer: Surface, mesh: Mesh, vertices: NDArray[np.float32]) -> None:
-        known = layer.metadata[OWN]
-        values = layer.data[2]
-        if len(layer.data[0]) != len(vertices) or known["regions"] is not mesh.regions:
-            values = vertex_values(mesh, self.chosen)
-            known["regions"] = mesh.regions
-        layer.data = (vertices, mesh.faces, values)
+    def _drawn(self, mesh: Mesh) -> tuple[Any, Any, Any]:
+        """Vertices, faces and values of the layer."""
+        apart, of = self._apart, self._apart_of
+        if apart is None or of is None or not _same(of, mesh):
+            apart = self._apart = Apart.of(mesh)
+            self._apart_of, self._values = mesh, None
+        if self._values is None:
+            self._values = side_values(apart.sides, self.chosen)
+            apart = self._apart = apart.first(mesh, self.chosen)
+        return apart.vertices(mesh), apart.faces, self._values
 
-    def _add_surface(self, mesh: Mesh, vertices: NDArray[np.float32]) -> None:
+    def _set_surface(self, layer: Surface, mesh: Mesh) -> None:
+        layer.data = self._drawn(mesh)
+        self._note(layer, mesh)
+
+    def _note(self, layer: Surface, mesh: Mesh) -> None:
+        """What is needed to make a mesh of the layer again."""
+        assert self._apart is not None
+        regions = mesh.regions[self._apart.order]
+        layer.metadata[OWN].update({"regions": regions, COPIES: self._apart.copies})
+
+    def _add_surface(self, mesh: Mesh) -> None:
         self.surface = Surface(
-            (vertices, mesh.faces, vertex_values(mesh, self.chosen)),
+            self._drawn(mesh),
             name=f"{self.image_layer.name} cells",
             colormap=region_colormap(),
             contrast_limits=LIMITS,
             shading="smooth",
             visible=self.viewer.dims.ndisplay == 3,
-            metadata={OWN: {"regions": mesh.regions, "fit": True}},
+            metadata={OWN: {"fit": True}},
             **self.frame.layer_options(),
         )
+        self._note(self.surface, mesh)
         self._connections.connect(self.surface.events.visible, self._surface_shown)
         # Last: the layer that is added last is selected, and its controls are shown.
         selected = set(self.viewer.layers.selection)
@@ -210,7 +239,12 @@ class ViewerLink:
 
     def _slice_changed(self, event: Any = None) -> None:
         if self.contours.layer in self.viewer.layers:
-            self.contours.update(self.shown, self.viewer.dims)
+            self.contours.update(self.shown if self.at_time else None, self.viewer.dims)
+
+    @property
+    def at_time(self) -> bool:
+        """Whether the image shown is that of the meshes."""
+        return not self._time or tuple(self.viewer.dims.current_step[:-3]) == self._time
 
     def _view_changed(self, event: Any = None) -> None:
         # In 2D napari draws a few faces of a surface, which look like dirt on its contours.
@@ -228,3 +262,8 @@ class ViewerLink:
             self._on_lost("the image layer was removed")
         elif event.value is self.surface:
             self._on_lost("the layer of the meshes was removed")
+
+
+def _same(a: Mesh, b: Mesh) -> bool:
+    """Whether two meshes have the same triangles between the same regions; the arrays tell."""
+    return a.faces is b.faces and a.regions is b.regions

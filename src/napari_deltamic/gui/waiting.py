@@ -14,6 +14,7 @@ from ..inference import Change
 from ..inference.checks import check_mesh
 from ..job import FitInput
 from ..optics import Optics
+from .carry import carried
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,19 +24,26 @@ class Taken:
     change: Change
     shift: NDArray[np.float64] | None
     number: int
+    shifted: Mesh | None = None  # whose vertices the shift moves
+    pins_of: Mesh | None = None  # whose vertices are to be pinned
 
     def on(self, mesh: Mesh) -> Change:
         """The change for a mesh that meanwhile moved on: the newest that was yielded.
 
-        InputError if it cannot be made of that mesh any more.
+        It may have other triangles by now. InputError if the change cannot be made of it any more.
         """
-        changed = self.change.mesh
+        changed, pinned = self.change.mesh, self.change.pinned
+        start = mesh if changed is None else changed
+        if pinned is not None and self.pins_of is not None:
+            pinned = carried(pinned, self.pins_of, start)
         if self.shift is not None:
-            start = mesh if changed is None else changed
-            if len(self.shift) != len(start.vertices):
+            shift = self.shift
+            if self.shifted is not None:
+                shift = carried(shift, self.shifted, start)
+            if len(shift) != len(start.vertices):
                 raise InputError("the surface was remeshed meanwhile: try again")
-            changed = start.with_vertices(start.vertices_numpy() + self.shift)
-        return replace(self.change, mesh=changed)
+            changed = start.with_vertices(start.vertices_numpy() + shift)
+        return replace(self.change, mesh=changed, pinned=pinned)
 
 
 class Waiting:
@@ -49,6 +57,8 @@ class Waiting:
         self._lock = Lock()
         self._change = Change()
         self._shift: NDArray[np.float64] | None = None
+        self._shifted: Mesh | None = None
+        self._pins_of: Mesh | None = None
         self._number = 0
         self._taken = 0
 
@@ -57,21 +67,27 @@ class Waiting:
         """Whether something waits."""
         return self._number > self._taken
 
-    def add(self, change: Change) -> int:
-        """Let a change wait; its number."""
+    def add(self, change: Change, of: Mesh | None = None) -> int:
+        """Let a change wait, made of a mesh (where it brings none of its own); its number."""
         given = {f.name: getattr(change, f.name) for f in fields(change)}
         given = {name: value for name, value in given.items() if value is not None}
         with self._lock:
             if change.mesh is not None:
-                self._shift = None
+                self._shift = self._shifted = None
+            if change.pinned is not None:
+                self._pins_of = of if change.mesh is None else change.mesh
             self._change = replace(self._change, **given)
             self._number += 1
             return self._number
 
-    def shift(self, shift: NDArray[np.float64]) -> int:
-        """Let a shift of the vertices wait, (V, 3) um; its number."""
+    def shift(self, shift: NDArray[np.float64], of: Mesh | None = None) -> int:
+        """Let a shift of the vertices of a mesh wait, (V, 3) um; its number."""
         with self._lock:
-            self._shift = shift if self._shift is None else self._shift + shift
+            before = self._shift
+            if before is not None and of is not None and self._shifted is not None:
+                before = carried(before, self._shifted, of)
+            self._shift = shift if before is None else before + shift
+            self._shifted = of
             self._number += 1
             return self._number
 
@@ -80,8 +96,9 @@ class Waiting:
         with self._lock:
             if self._number == self._taken:
                 return None
-            taken = Taken(self._change, self._shift, self._number)
+            taken = Taken(self._change, self._shift, self._number, self._shifted, self._pins_of)
             self._change, self._shift, self._taken = Change(), None, self._number
+            self._shifted = self._pins_of = None
             return taken
 
 

@@ -16,6 +16,7 @@ from superqt.utils import create_worker
 from ..cli.messages import failure
 from ..errors import InputError, RepairWarning
 from ..fourier import SlowPathWarning
+from ..geometry import Mesh
 from ..inference import Change, FitState
 from ..inference.forecast import Forecast, forecast
 from ..job import FitInput, start
@@ -129,17 +130,18 @@ class FitRun:
         state, taken = self._course.state, self._course.waiting.take()
         return None if taken is None or state is None else taken.on(state.mesh)
 
-    def change(self, change: Change) -> int:
+    def change(self, change: Change, of: Mesh | None = None) -> int:
         """Let the fit go on from something else, from its next iteration on.
 
         Snapshots tell by the number returned whether they include it. What cannot be used is
-        refused with a note, and the fit goes on without it.
+        refused with a note, and the fit goes on without it. Pins are of a mesh, which the fit may
+        have remeshed by then.
         """
-        return self._course.waiting.add(change)
+        return self._course.waiting.add(change, of)
 
-    def shift(self, shift: NDArray[np.float64]) -> int:
+    def shift(self, shift: NDArray[np.float64], of: Mesh | None = None) -> int:
         """Move the vertices from where they then are, (V, 3) um; else like ``change``."""
-        return self._course.waiting.shift(shift)
+        return self._course.waiting.shift(shift, of)
 
     def update_every(self, seconds: float) -> None:
         """How often snapshots come, at most; s."""
@@ -299,9 +301,7 @@ def _taken(state: FitState, course: Course) -> tuple[Change | None, str | None]:
     return change, None
 
 
-def _forecast_anew(
-    course: Course, forecaster: Callable[[FitInput], Forecaster | None]
-) -> None:
+def _forecast_anew(course: Course, forecaster: Callable[[FitInput], Forecaster | None]) -> None:
     """The settings were changed: forecast what is left of the fit with the new ones."""
     found = forecaster(course.job) if course.job is not None else None
     if isinstance(found, Forecast):

@@ -47,6 +47,16 @@ class AdamUniform:
         self.first[:] = 0
         self.second[:] = 0
 
+    def carried(self) -> np.ndarray:
+        """(V, C + 1) what vertices have to take along where their number changes."""
+        return np.column_stack([self.first, self.second[self._pieces]])
+
+    def carry_on(self, pieces: np.ndarray, carried: np.ndarray) -> None:
+        """Go on with other vertices, and what they took along."""
+        self._pieces = pieces
+        self.first = carried[:, :-1].copy()
+        self.second = np.bincount(pieces, carried[:, -1]) / np.bincount(pieces)
+
     def state(self) -> dict[str, np.ndarray]:
         """What a checkpoint keeps."""
         return {"count": np.array(self.count), "first": self.first, "second": self.second}

@@ -16,6 +16,7 @@ from ..optics import Optics
 from ..scene import Grid, render
 from ..settings import WIDE_LEVELS, FitSettings
 from .change import Change
+from .collisions import CollisionGuard
 from .density import DensityField
 from .health import GrowthAlarm, shrunken
 from .level import Level
@@ -56,6 +57,7 @@ class Run:
         self.levels = settings.levels or WIDE_LEVELS
         self.growth = GrowthAlarm(mesh)
         self.upkeep = Upkeep(mesh)
+        self.guard = CollisionGuard(settings.collisions)
         self.seed = _seed(mesh)
         self.mesh = mesh.with_vertices(mesh.vertices_numpy().copy())
         self.optics = self.first_optics = optics.detach()
@@ -98,7 +100,7 @@ class Run:
                 if ends:
                     state = self._verdict(state, finished and last, warning)
                 else:
-                    remarks = "; ".join(filter(None, (self.remark, warning)))
+                    remarks = "; ".join(filter(None, (self.remark, self.guard.remark(), warning)))
                     state = replace(state, message=remarks)
                 self.remark = ""
                 change = yield state
@@ -127,6 +129,7 @@ class Run:
         self.mover = self.smoother
         if self.pinned.any():
             self.mover = Preconditioner(self.mesh, smoothing, held=self.pinned)
+        self.guard.watch(self.mesh)
 
     def _take(self, change: Change) -> None:
         """Go on from a changed state: the past says nothing about it."""
@@ -141,7 +144,7 @@ class Run:
                 # They stay where they were seen, which is one step back.
                 vertices = self.mesh.vertices_numpy().copy()
                 vertices[self.pinned] = self.seen[self.pinned]
-                self.mesh = self.mesh.with_vertices(vertices)
+                self.mesh = self.mesh.with_vertices(self.guard.limited(self.seen, vertices))
         if change.optics is not None:
             self.optics = self.first_optics = change.optics.detach()
         if change.settings is not None:
@@ -155,14 +158,20 @@ class Run:
 
     def _remesh(self) -> None:
         """Good triangles again."""
-        before, log = self.mesh, self.density.per_vertex
-        carried = before.vertices_numpy()[:, :0] if log is None else log
+        before, log, past = self.mesh, self.density.per_vertex, self.adam.carried()
+        width, count = past.shape[1], self.adam.count
+        carried = past if log is None else np.column_stack([past, log])
         done = self.upkeep.renewed(before, carried, self.pinned)
-        self._retriangulate(done.mesh, done.carried if log is not None else None)
+        if not self.guard.allows(done.mesh):
+            self.upkeep.refused(before)
+            return
+        self._retriangulate(done.mesh, None if log is None else done.carried[:, width])
+        # Its past included, or the first steps after it would be as rough as those of a level.
+        self.adam.count = count
+        self.adam.carry_on(self.pieces, done.carried[:, :width])
         self.pinned = done.fixed
         self.growth.remeshed(before, self.mesh)
-        self.losses = []
-        self.window_start = self.mesh.vertices_numpy()
+        self.window_start = np.zeros((0, 3))
         self._hold()
 
     def _replace(self, mesh: Mesh) -> None:
@@ -197,6 +206,8 @@ class Run:
         self.settings = settings.model_copy(update={**open_ones, "levels": self.levels})
         if self.settings.density != old.density:
             self.density = DensityField(self.mesh, self.pieces, self.settings.density)
+        if self.settings.collisions != old.collisions:
+            self.guard = CollisionGuard(self.settings.collisions)
 
     def _verdict(self, state: FitState, finished: bool, warning: str) -> FitState:
         """The last state, with what came of the fit in plain words."""
@@ -248,7 +259,8 @@ class Run:
         gradient = self.mover.solve(vertices.grad.numpy())
         step = self.mover.solve(self.adam.step(gradient))
         size = self.settings.step * level.width * self.step_factor
-        moved = self.mesh.vertices_numpy() - size * step
+        self.seen = self.mesh.vertices_numpy()
+        moved = self.guard.limited(self.seen, self.seen - size * step)
         if with_density:
             self.density.step(self.smoother, self.step_factor)
         moved.setflags(write=False)  # states share it
@@ -262,7 +274,6 @@ class Run:
             self.optics = psf_step(
                 level, renderer, self.optics, transform.detach(), voxels, self.first_optics
             )
-        self.seen = self.mesh.vertices_numpy()
         self.mesh = self.mesh.with_vertices(moved)
         self.iteration += 1
         self.losses.append(loss)
@@ -273,7 +284,9 @@ class Run:
         if len(self.losses) % _WINDOW:
             return False
         vertices = self.mesh.vertices_numpy()
-        shift = np.sqrt(((vertices - self.window_start) ** 2).sum(1).mean())
+        # Unknown across a remeshing.
+        same = len(self.window_start) == len(vertices)
+        shift = np.sqrt(((vertices - self.window_start) ** 2).sum(1).mean()) if same else np.inf
         self.window_start = vertices
         if len(self.losses) < 2 * _WINDOW:
             return False

@@ -36,6 +36,10 @@ class Upkeep:
         self.left = _slivers(done.mesh)
         return done
 
+    def refused(self, mesh: Mesh) -> None:
+        """The mesh was kept as it was: it is tried again when more slivers have come."""
+        self.left = _slivers(mesh)
+
 
 def _slivers(mesh: Mesh) -> float:
     return float((smallest_angles(mesh) < _BAD_ANGLE).mean())

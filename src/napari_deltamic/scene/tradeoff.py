@@ -197,7 +197,7 @@ def with_front(ways: Iterable[Way]) -> list[Way]:
 
 def duration(seconds: float) -> str:
     """A time in words that fit a table."""
-    for limit, unit, size in ((1e-1, "ms", 1e-3), (90, "s", 1), (5400, "min", 60)):
+    for limit, unit, size in ((9.95e-2, "ms", 1e-3), (90, "s", 1), (5400, "min", 60)):
         if seconds < limit:
             return f"{seconds / size:.2g} {unit}"
     hours = seconds / 3600

@@ -1,0 +1,10 @@
+"""What the tests of the accuracy dial share."""
+
+
+def settled(widget):
+    seeds = widget.seeds
+    return lambda: not (seeds._later.isActive() or seeds.preview.busy or widget.forecast.busy)
+
+
+def running(widget):
+    return widget.run is not None and widget.run.running

@@ -1,0 +1,386 @@
+"""The accuracy dial: what it stands for, what it costs before and during a run, and measuring."""
+
+import threading
+from dataclasses import replace
+from itertools import pairwise
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import napari_deltamic as nd
+from napari_deltamic.errors import InputError
+from napari_deltamic.fourier import calibration, cost
+from napari_deltamic.geometry import sphere
+from napari_deltamic.gui import (
+    accuracy_forecast,
+    course,
+    preview,
+    seeds_panel,
+    worker,
+)
+from napari_deltamic.gui.accuracy_dial import accuracy_of, usable_choice, written
+from napari_deltamic.gui.command import command
+from napari_deltamic.gui.renewed_forecast import RenewedForecast
+from napari_deltamic.gui.session import capture, restore
+from napari_deltamic.inference import fit
+from napari_deltamic.inference.default_accuracy import PRESETS, image_noise, preset_accuracy
+from napari_deltamic.inference.forecast import Forecast, LevelForecast, forecast
+from napari_deltamic.scene.tradeoff import duration
+from napari_deltamic.settings import NEAR_LEVELS, FitSettings
+
+from .conftest import CENTER, SHAPE, SIZE
+from .dialing import running, settled
+
+GRID = nd.Grid(SHAPE, SIZE)
+EDGE = 3 * min(SIZE)
+
+
+@pytest.fixture(autouse=True)
+def soon(monkeypatch):
+    """Nothing waits for changes that may follow."""
+    monkeypatch.setattr(accuracy_forecast, "WAIT", 10)
+    monkeypatch.setattr(seeds_panel, "_WAIT", 5)
+    monkeypatch.setattr(preview, "WAIT", 5)
+
+
+@pytest.fixture
+def endless(monkeypatch):
+    def states(job, resume=None):
+        while True:
+            yield from fit(job.image, job.grid, job.mesh, job.optics, settings=job.settings.fit)
+
+    monkeypatch.setattr(worker, "start", states)
+
+
+def expected(widget, pixels, mesh, costs, **settings):
+    """The forecast of what is shown, made without the widget."""
+    sigma = widget.settings.sigma.value()
+    return forecast(pixels, GRID, mesh, nd.GaussianPSF(sigma), FitSettings(**settings), costs=costs)
+
+
+def in_words(found, about=""):
+    return (
+        f"predicted: {about}{duration(found.seconds_per_iteration)} an iteration, "
+        f"{about}{duration(found.seconds)} until it has converged"
+    )
+
+
+# ---------------------------------------------------------------------------------- the dial
+
+
+def test_a_name_stands_for_a_number_on_this_image(seeded, pixels, spin):
+    dial = seeded.settings.accuracy
+    for name in PRESETS:
+        number = preset_accuracy(name, image_noise(pixels))
+        dial.setCurrentText(name)
+        assert dial.number() == number
+        assert seeded.settings.fit_settings().accuracy == (None if name == "standard" else number)
+        spin(settled(seeded))
+        shown = seeded.settings.accuracy_number.text()
+        assert accuracy_of(shown.removeprefix("= "), 0) == number
+
+
+def test_a_number_is_taken_as_it_is(seeded, spin):
+    seeded.settings.accuracy.setCurrentText("2,5e-3")
+    assert seeded.settings.fit_settings().accuracy == 2.5e-3
+    spin(settled(seeded))
+    assert seeded.settings.accuracy_number.text() == ""
+
+
+def test_what_is_no_accuracy_is_said(seeded, spin):
+    for text in ("much", "", "1", "-1e-3", "nan", "inf"):
+        seeded.settings.accuracy.setCurrentText(text)
+        with pytest.raises(InputError, match="accuracy"):
+            seeded.settings.fit_settings()
+        spin(settled(seeded))
+        assert seeded.settings.outlook.text().startswith("accuracy must be draft, standard")
+        with pytest.raises(ValueError, match="accuracy"):
+            usable_choice(text)
+
+
+def test_numbers_are_written_short_but_whole():
+    assert [written(a) for a in (0.0, 3e-3, 0.1, 1.23456e-3)] == [
+        "exact",
+        "3e-3",
+        "1e-1",
+        "1.23456e-3",
+    ]
+    assert all(float(written(a)) == a for a in (3e-3, 1 / 3, 0.045))
+
+
+def test_times_are_never_written_with_powers():
+    assert [duration(s) for s in (0.0994, 0.0996, 0.1, 99)] == [
+        "99 ms",
+        "0.1 s",
+        "0.1 s",
+        "1.6 min",
+    ]
+
+
+def test_typing_adds_nothing_to_the_list(seeded):
+    dial = seeded.settings.accuracy
+    dial.lineEdit().setText("4e-3")
+    dial.lineEdit().returnPressed.emit()
+    assert dial.count() == 4
+    assert dial.choice == "4e-3"
+
+
+# ------------------------------------------------------------------------- before a run
+
+
+def test_the_forecast_is_that_of_the_engine(seeded, pixels, spin, costs):
+    ball = sphere(CENTER, 0.9, edge_length=EDGE)
+    for name in ("standard", "exact"):
+        seeded.settings.accuracy.setCurrentText(name)
+        spin(settled(seeded))
+        number = preset_accuracy(name, image_noise(pixels))
+        found = expected(seeded, pixels, ball, costs, accuracy=number)
+        assert seeded.settings.outlook.text() == in_words(found)
+
+
+def test_the_surfaces_of_the_preview_are_used(seeded, pixels, spin, costs):
+    seeded.seeds.shape.setCurrentIndex(0)
+    spin(lambda: seeded.seeds.preview.mesh is not None)
+    spin(settled(seeded))
+    found = expected(seeded, pixels, seeded.seeds.preview.mesh, costs, levels=NEAR_LEVELS)
+    assert seeded.settings.outlook.text() == in_words(found)
+
+
+def test_without_a_preview_sizes_are_guessed_and_it_says_about(seeded, pixels, spin, costs):
+    seeded.seeds.preview.setChecked(False)
+    seeded.seeds.shape.setCurrentIndex(0)
+    spin(settled(seeded))
+    ball = sphere(CENTER, min(np.multiply(SHAPE, SIZE)) / 3, edge_length=EDGE)
+    found = expected(seeded, pixels, ball, costs, levels=NEAR_LEVELS)
+    assert seeded.settings.outlook.text() == in_words(found, "about ")
+
+
+def test_labels_and_surfaces_are_seeds_too(
+    make_widget, with_image, pixels, spin, ball_labels, costs
+):
+    widget = make_widget()
+    spin(settled(widget))
+    assert widget.settings.outlook.text() == "", "there are no seeds yet"
+    place = {"scale": SIZE, "translate": (1, 2, 3), "units": ("um",) * 3}
+    labels = with_image.add_labels(ball_labels, **place)
+    spin(settled(widget))
+    radius = np.cbrt(3 / (4 * np.pi) * (ball_labels > 0).sum() * np.prod(SIZE))
+    middle = (np.asarray(SHAPE) - 1) / 2 * SIZE
+    ball = sphere(middle, radius, edge_length=EDGE)
+    found = expected(widget, pixels, ball, costs, levels=NEAR_LEVELS)
+    assert widget.settings.outlook.text() == in_words(found, "about ")
+    surface = sphere(CENTER, 1.0, edge_length=0.4)
+    data = (surface.vertices_numpy(), surface.faces)
+    with_image.add_surface(data, translate=(1, 2, 3), units=("um",) * 3)
+    widget.seeds.chooser.choose(labels, False)
+    spin(settled(widget))
+    found = expected(widget, pixels, surface, costs)
+    assert widget.settings.outlook.text() == in_words(found)
+
+
+def test_it_follows_what_is_edited(seeded, spin):
+    texts = []
+    for edit in (
+        lambda: None,
+        lambda: seeded.settings.density.setCurrentText("smooth"),
+        lambda: [box.setValue(0.6) for box in seeded.settings.sigma._boxes],
+        lambda: seeded.seeds.radius.setValue(1.8),
+        lambda: seeded.image.voxel_size._boxes[2].setValue(0.6),
+    ):
+        edit()
+        spin(settled(seeded))
+        texts.append(seeded.settings.outlook.text())
+    assert all(a != b for a, b in pairwise(texts)), texts
+
+
+def test_the_first_time_the_machine_is_measured_in_the_background(
+    seeded, spin, costs, monkeypatch, tmp_path
+):
+    spin(settled(seeded))
+    gate, calls = threading.Event(), []
+
+    def slow():
+        calls.append(threading.current_thread())
+        assert gate.wait(20)
+        return costs
+
+    monkeypatch.setenv(cost.CACHE_VARIABLE, str(tmp_path))
+    monkeypatch.setattr(calibration, "calibrate", slow)
+    for text in ("1e-3", "2e-3"):
+        seeded.settings.accuracy.setCurrentText(text)
+        if text == "1e-3":
+            spin(lambda: calls)
+            assert "measuring this computer" in seeded.settings.outlook.text()
+            gate.set()
+        spin(settled(seeded))
+        assert seeded.settings.outlook.text().startswith("predicted")
+    assert len(calls) == 1, "it is kept"
+    assert calls[0] is not threading.main_thread()
+
+
+def test_closing_the_widget_while_the_forecast_is_made(seeded, make_widget, spin, held_costs):
+    gate, _ = held_costs
+    widget = make_widget()
+    spin(lambda: "measuring" in widget.settings.outlook.text())
+    widget.close_links()
+    assert not widget.forecast.busy
+    gate.set()
+    spin(seconds=0.2, must=False)
+    assert "measuring" in widget.settings.outlook.text(), "nobody was told"
+
+
+@pytest.fixture
+def held_costs(monkeypatch, tmp_path, costs):
+    """A machine whose measurement does not end before it is let go."""
+    gate, calls = threading.Event(), []
+
+    def slow():
+        calls.append(None)
+        assert gate.wait(20)
+        return costs
+
+    monkeypatch.setenv(cost.CACHE_VARIABLE, str(tmp_path))
+    monkeypatch.setattr(calibration, "calibrate", slow)
+    yield gate, calls
+    gate.set()
+
+
+# ------------------------------------------------------------------------- during a run
+
+LEVELS = tuple(
+    LevelForecast(n, 1.0, SHAPE, "non-uniform", 1e-2, 0.01 * n, 40, 0.0) for n in range(1, 6)
+)
+
+
+def test_a_run_shows_its_own_forecast(seeded, spin, endless):
+    seeded.start()
+    assert seeded.settings.outlook.text() == ""
+    spin(lambda: "predicted" in seeded.settings.outlook.text())
+    assert seeded.settings.outlook.text() == in_words(seeded.run.forecast)
+
+
+def test_measured_beside_predicted(seeded, spin, endless):
+    seeded.control._forecaster = lambda job: Forecast(LEVELS, True)
+    seeded.start()
+    pace = seeded.settings.pace
+    spin(lambda: "predicted" in pace.text())
+    level = seeded.run.state.level
+    spin(lambda: pace.text().endswith(f"{duration(0.01 * seeded.run.state.level)} predicted"))
+    assert seeded.run.state.level >= level
+    assert " an iteration, " in pace.text()
+    seeded.stop()
+    spin(lambda: not running(seeded))
+    assert pace.text().startswith("last run: ")
+    assert pace.text().endswith(f"{duration(Forecast(LEVELS, True).seconds)} predicted")
+
+
+def test_the_time_that_is_measured_is_that_of_the_fit(seeded, spin, monkeypatch):
+    """With a clock of our own: 40 ms an iteration, whatever the machine does."""
+    seeded.forecast._live.run = SimpleNamespace(
+        history=SimpleNamespace(loss=[0.0] * 10), seconds=1.0, forecast=Forecast(LEVELS, True)
+    )
+    run = seeded.forecast._live.run
+    job = SimpleNamespace(settings=SimpleNamespace(fit=FitSettings()))
+    snapshot = SimpleNamespace(state=SimpleNamespace(level=2), job=job)
+    seeded.forecast._running(snapshot)
+    assert seeded.settings.pace.text() == ""
+    run.history.loss, run.seconds = [0.0] * 20, 1.4
+    seeded.forecast._running(snapshot)
+    assert seeded.settings.pace.text() == "40 ms an iteration, 20 ms predicted"
+    snapshot.state.level = 3  # which is slower, and measured by itself
+    seeded.forecast._running(snapshot)
+    run.history.loss, run.seconds = [0.0] * 25, 2.0
+    seeded.forecast._running(snapshot)
+    assert seeded.settings.pace.text() == "0.12 s an iteration, 30 ms predicted"
+    seeded.forecast._live.run = None
+
+
+def test_time_that_a_fit_was_paused_does_not_count(seeded, spin, endless, monkeypatch):
+    monkeypatch.setattr(course, "FORECAST_EVERY", 0.01)
+    elapsed = []
+
+    def remaining(history, state, seconds=None):
+        elapsed.append(seconds)
+        return 1.0
+
+    seeded.control._forecaster = lambda job: SimpleNamespace(remaining_seconds=remaining, levels=())
+    seeded.start()
+    spin(lambda: elapsed and elapsed[-1] > 0)
+    seeded.running.pause_button.click()
+    spin(seconds=0.1, must=False)
+    before, asked = seeded.run.seconds, len(elapsed)
+    spin(seconds=1.0, must=False)
+    seeded.running.pause_button.click()
+    spin(lambda: len(elapsed) > asked)
+    assert 0 < elapsed[asked] < before + 0.5
+
+
+def test_a_change_of_the_dial_is_forecast_anew(seeded, spin, endless):
+    jobs = []
+    seeded.control._forecaster = lambda job: jobs.append(job) or Forecast(LEVELS, True)
+    seeded.start()
+    spin(lambda: running(seeded) and len(seeded.run.history.loss) > 3)
+    dial = seeded.settings.accuracy
+    dial.setCurrentText("fine")
+    seeded.settings.changed.emit()
+    spin(lambda: len(jobs) == 2)
+    assert jobs[1].settings.fit.accuracy == dial.number()
+    spin(lambda: isinstance(seeded.run.forecast, RenewedForecast))
+    assert seeded.run.forecast.iterations >= 3
+    dial.setCurrentText("standard")
+    seeded.settings.changed.emit()
+    spin(lambda: len(jobs) == 3)
+    assert jobs[2].settings.fit.accuracy == dial.number(), "not what it had before"
+
+
+def test_a_renewed_forecast_goes_by_the_time_since():
+    old = 30  # iterations that took ten times as long
+    history = SimpleNamespace(level=[1] * (old + 10), first=1)
+    found = RenewedForecast(Forecast(LEVELS[:1], True), old, old * 0.1)
+    state = SimpleNamespace(level=1, converged=False)
+    left = 12 * 0.01  # a window: it has had as many as were expected
+    assert found.remaining_seconds(history, state) == pytest.approx(left)
+    usual = old * 0.1 + 10 * 0.01
+    assert found.remaining_seconds(history, state, usual) == pytest.approx(left)
+    twice = found.remaining_seconds(history, state, usual + 10 * 0.01)
+    assert 1.3 * left < twice < 2 * left
+
+
+# -------------------------------------------------------------- sessions, commands
+
+
+def test_a_session_keeps_the_name(seeded, make_widget, spin):
+    seeded.settings.accuracy.setCurrentText("draft")
+    session, _ = capture(seeded.parts)
+    number = seeded.settings.accuracy.number()
+    assert session.settings.fit.accuracy == number
+    other = make_widget()
+    restore(other.parts, session)
+    assert other.settings.accuracy.choice == "draft"
+    assert other.settings.fit_settings() == session.settings.fit
+    old = replace(session, panels={})
+    restore(other.parts, old)
+    assert other.settings.accuracy.choice == written(number)
+
+
+def test_the_command_names_a_number(seeded, pixels):
+    for name in PRESETS:
+        seeded.settings.accuracy.setCurrentText(name)
+        words = command(seeded.run_settings(), "result").split()
+        if name == "standard":
+            assert "--accuracy" not in words
+        else:
+            given = float(words[words.index("--accuracy") + 1])
+            assert given == preset_accuracy(name, image_noise(pixels))
+
+
+def test_another_image_has_another_noise(seeded, with_image, pixels, spin):
+    spin(settled(seeded))
+    dial = seeded.settings.accuracy
+    dial.setCurrentText("draft")
+    smooth = np.full(SHAPE, 100, np.float32) + np.arange(SHAPE[2], dtype=np.float32)
+    before = dial.number()
+    layer = with_image.add_image(smooth, scale=SIZE, name="smooth")
+    seeded.image.chooser.choose(layer)
+    assert dial.number() == preset_accuracy("draft", image_noise(smooth)) != before

@@ -1,0 +1,87 @@
+"""What a first user sees: a narrow column with what is needed now, and nothing over the meshes."""
+
+import numpy as np
+import pytest
+
+from napari_deltamic import _widget
+from napari_deltamic.gui.colours import label_colormap, region_colours
+
+from .conftest import CENTER, SIZE
+from .seeding import PLACE
+
+NARROW = 320
+
+
+@pytest.fixture
+def docked(window, pixels):
+    window.add_image(pixels, scale=SIZE, name="a long name of a series exported from somewhere")
+    widget = _widget.FitWidget(window)
+    dock = window.window.add_dock_widget(widget, name="deltaMic")
+    return widget, dock
+
+
+def test_the_dock_may_be_narrow_whatever_it_shows(window, docked, spin):
+    widget, dock = docked
+    widget.seeds.place.click()
+    window.layers["seeds"].add(CENTER)
+    widget.start()
+    spin(lambda: not widget.run.running)
+    widget.settings.more.unfold()
+    widget.running.edit.use("pin")
+    for row in (widget.running.pause_button, widget.running.history.live_button):
+        row.show()
+    spin(seconds=0.2, must=False)
+    assert dock.minimumSizeHint().width() <= NARROW
+    # Nothing in the column is cut off.
+    column = widget.findChild(_widget._Column)
+    assert column.widget().minimumSizeHint().width() <= column.viewport().width()
+
+
+def test_what_belongs_to_a_fit_is_hidden_until_there_is_one(seeded, spin):
+    running = seeded.running
+    parts = (running.curve, running.psf, running.edit, running.history, seeded.results)
+    assert all(part.isHidden() for part in parts)
+    seeded.start()
+    spin(lambda: not seeded.run.running)
+    assert not any(part.isHidden() for part in parts)
+
+
+def test_settings_unfold(seeded):
+    more = seeded.settings.more
+    assert more.content.isHidden()
+    more.button.click()
+    assert not more.content.isHidden()
+    more.button.click()
+    assert more.content.isHidden()
+
+
+def test_the_preview_stays_until_the_meshes_are_there(make_widget, with_image, spin):
+    widget = make_widget()
+    widget.seeds.place.click()
+    with_image.layers["seeds"].add(CENTER)
+    spin(lambda: widget.seeds.preview.mesh is not None)
+    widget.start()
+    assert "cell start contours" in with_image.layers
+    spin(lambda: widget.link.mesh is not None)
+    assert "cell start contours" not in with_image.layers
+
+
+def test_found_cells_make_room_and_have_the_colours_of_the_result(
+    make_widget, with_image, ball_labels, spin
+):
+    widget = make_widget()
+    finder = widget.seeds.find_cells
+    assert finder.cell_size.isHidden()
+    finder._asked = (with_image.layers["cell"], widget.image.frame())
+    finder._show((1.0, ball_labels.astype(np.int32)))
+    assert not finder.cell_size.isHidden()
+    layer = with_image.layers["found cells"]
+    np.testing.assert_allclose(layer.get_color(3), region_colours(3), atol=1e-6)
+    np.testing.assert_allclose(label_colormap().map(np.array([1, 2])), region_colours([1, 2]))
+    other = with_image.add_labels(ball_labels, **PLACE)
+    widget.seeds.chooser.choose(other, False)
+    widget.start()
+    assert layer.visible
+    spin(lambda: widget.link is not None and widget.link.mesh is not None)
+    assert not layer.visible
+    assert other.visible  # the user's own

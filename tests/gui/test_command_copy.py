@@ -1,0 +1,66 @@
+"""Copy as command: nothing that takes long happens on the thread of the window."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from napari_deltamic import _widget
+from napari_deltamic.gui import seeds
+
+from .conftest import CENTER
+from .seeding import PLACE
+
+
+@pytest.fixture
+def mixture(make_widget, with_image, ball_labels, monkeypatch, tmp_path):
+    """A widget whose seeds are a point in a membrane and a label: they must be computed to save."""
+    widget = make_widget()
+    with_image.add_labels(ball_labels, **PLACE)
+    widget.seeds.place.click()
+    with_image.layers["seeds"].add(CENTER)
+    monkeypatch.setattr(
+        _widget.QFileDialog, "getExistingDirectory", staticmethod(lambda *a: str(tmp_path))
+    )
+    return widget
+
+
+def test_membranes_are_found_in_the_background(mixture, told, spin, monkeypatch, tmp_path):
+    threads, find = [], seeds.seeds_from_points
+
+    def watched(*arguments, **options):
+        threads.append(threading.current_thread())
+        return find(*arguments, **options)
+
+    monkeypatch.setattr(seeds, "seeds_from_points", watched)
+    mixture.running.command_button.click()
+    assert mixture.commands.busy
+    assert "command" in mixture.running.note.text()
+    spin(lambda: not mixture.commands.busy)
+    assert threads
+    assert threading.main_thread() not in threads
+    text = _widget.QApplication.clipboard().text()
+    assert text.startswith("napari-deltamic fit ")
+    assert str(tmp_path) in text
+    assert told[-1] == f"copied: {text}"
+    assert not mixture.running.note.text()
+
+
+def test_what_fails_is_told(mixture, with_image, told, spin):
+    with_image.layers["seeds"].data = np.array([[50.0, 50.0, 50.0]])
+    mixture.running.command_button.click()
+    spin(lambda: not mixture.commands.busy)
+    assert told
+    assert told[-1] == mixture.running.note.text() != ""
+
+
+def test_closing_asks_nobody_any_more(mixture, told, spin, monkeypatch):
+    asked = []
+    monkeypatch.setattr(
+        _widget.QFileDialog, "getExistingDirectory", staticmethod(lambda *a: asked.append(a) or "")
+    )
+    mixture.running.command_button.click()
+    mixture.close_links()
+    spin(seconds=0.2, must=False)
+    assert not asked
+    assert not told
