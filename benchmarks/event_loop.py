@@ -147,12 +147,12 @@ class Watch:
 
 def watched() -> Watch:
     """A watch over everything that is called on the main thread while a fit runs."""
-    from napari_deltamic.gui.edits import Edits
-    from napari_deltamic.gui.history import History
-    from napari_deltamic.gui.overlays import Overlays
-    from napari_deltamic.gui.run_control import RunControl
-    from napari_deltamic.gui.viewer_link import ViewerLink
-    from napari_deltamic.gui.worker import FitRun
+    from napari_deltamic.gui.editing.edits import Edits
+    from napari_deltamic.gui.editing.history import History
+    from napari_deltamic.gui.running.overlays import Overlays
+    from napari_deltamic.gui.running.run_control import RunControl
+    from napari_deltamic.gui.running.worker import FitRun
+    from napari_deltamic.gui.viewing.viewer_link import ViewerLink
 
     watch = Watch()
     watch.over(FitRun, "_show", "_finish")

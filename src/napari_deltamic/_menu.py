@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from napari.viewer import Viewer
 
-from .gui.preferences import PLUGIN
+from .gui.panels.preferences import PLUGIN
 
 
 def open_session(viewer: Viewer) -> None:

@@ -8,9 +8,9 @@ from typing import Any
 
 from napari.utils.notifications import show_info, show_warning
 
-from .gui.frame import ORIGIN, OWN, Frame
-from .gui.mesh_layer import SUFFIXES, load_meshes, surface_layer
-from .gui.session_layers import image_layer, mesh_layer, seed_layer
+from .gui.results.session_layers import image_layer, mesh_layer, seed_layer
+from .gui.viewing.frame import ORIGIN, OWN, Frame
+from .gui.viewing.mesh_layer import SUFFIXES, load_meshes, surface_layer
 from .session_file import EXTENSION, load_session
 
 LayerData = tuple[Any, dict[str, Any], str]

@@ -10,25 +10,25 @@ from napari.utils.notifications import show_info, show_warning
 from qtpy.QtCore import QEvent, QObject, Qt
 from qtpy.QtWidgets import QApplication, QFileDialog, QScrollArea, QVBoxLayout, QWidget
 
-from .gui.accuracy_forecast import AccuracyForecast
-from .gui.accuracy_measure import MeasureControl
+from .gui.accuracy.accuracy_forecast import AccuracyForecast
+from .gui.accuracy.accuracy_measure import MeasureControl
 from .gui.attempt import attempt
-from .gui.command_copy import CommandCopy, Wanted
-from .gui.composition import Live, Panels
-from .gui.image_panel import ImagePanel
-from .gui.interaction import Interaction
-from .gui.preferences import read_preferences
-from .gui.results_panel import ResultsPanel
-from .gui.run_control import RunControl
-from .gui.run_panel import RunPanel
-from .gui.seeds import Seeds
-from .gui.seeds_panel import SeedsPanel
-from .gui.selection import ClickSelection
-from .gui.session import Parts, capture, restore
-from .gui.session_bar import SessionBar
-from .gui.settings_panel import SettingsPanel
-from .gui.viewer_link import ViewerLink
-from .gui.worker import FitRun
+from .gui.editing.interaction import Interaction
+from .gui.panels.image_panel import ImagePanel
+from .gui.panels.preferences import read_preferences
+from .gui.panels.settings_panel import SettingsPanel
+from .gui.results.command_copy import CommandCopy, Wanted
+from .gui.results.results_panel import ResultsPanel
+from .gui.results.selection import ClickSelection
+from .gui.results.session import Parts, capture, restore
+from .gui.results.session_bar import SessionBar
+from .gui.running.composition import Live, Panels
+from .gui.running.run_control import RunControl
+from .gui.running.run_panel import RunPanel
+from .gui.running.worker import FitRun
+from .gui.seeding.seeds import Seeds
+from .gui.seeding.seeds_panel import SeedsPanel
+from .gui.viewing.viewer_link import ViewerLink
 from .settings import RunSettings
 
 

@@ -11,8 +11,8 @@ from napari.utils.notifications import show_warning
 
 from .errors import InputError
 from .geometry import Mesh, save_mesh
-from .gui.frame import ORIGIN, OWN
-from .gui.walls import joined
+from .gui.viewing.frame import ORIGIN, OWN
+from .gui.viewing.walls import joined
 
 
 def write_surface(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:

@@ -29,7 +29,8 @@ with warnings.catch_warnings():
     from qtpy.QtWidgets import QApplication
 
     from napari_deltamic import _widget
-    from napari_deltamic.gui import image_panel, preview, seeds_panel
+    from napari_deltamic.gui.panels import image_panel
+    from napari_deltamic.gui.seeding import preview, seeds_panel
 
 import napari_deltamic as nd
 from napari_deltamic.fourier import calibration

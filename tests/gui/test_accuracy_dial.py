@@ -12,17 +12,13 @@ import napari_deltamic as nd
 from napari_deltamic.errors import InputError
 from napari_deltamic.fourier import calibration, cost
 from napari_deltamic.geometry import sphere
-from napari_deltamic.gui import (
-    accuracy_forecast,
-    course,
-    preview,
-    seeds_panel,
-    worker,
-)
-from napari_deltamic.gui.accuracy_dial import accuracy_of, usable_choice, written
-from napari_deltamic.gui.command import command
-from napari_deltamic.gui.renewed_forecast import RenewedForecast
-from napari_deltamic.gui.session import capture, restore
+from napari_deltamic.gui.accuracy import accuracy_forecast
+from napari_deltamic.gui.accuracy.accuracy_dial import accuracy_of, usable_choice, written
+from napari_deltamic.gui.accuracy.renewed_forecast import RenewedForecast
+from napari_deltamic.gui.results.command import command
+from napari_deltamic.gui.results.session import capture, restore
+from napari_deltamic.gui.running import course, worker
+from napari_deltamic.gui.seeding import preview, seeds_panel
 from napari_deltamic.inference import fit
 from napari_deltamic.inference.default_accuracy import PRESETS, image_noise, preset_accuracy
 from napari_deltamic.inference.forecast import Forecast, LevelForecast, forecast

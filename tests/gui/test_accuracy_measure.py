@@ -11,8 +11,10 @@ from qtpy.QtGui import QMouseEvent
 
 from napari_deltamic import _widget
 from napari_deltamic.errors import InputError
-from napari_deltamic.gui import accuracy_forecast, accuracy_measure, preview, seeds_panel, worker
-from napari_deltamic.gui.accuracy_view import TradeoffView
+from napari_deltamic.gui.accuracy import accuracy_forecast, accuracy_measure
+from napari_deltamic.gui.accuracy.accuracy_view import TradeoffView
+from napari_deltamic.gui.running import worker
+from napari_deltamic.gui.seeding import preview, seeds_panel
 from napari_deltamic.inference import fit
 from napari_deltamic.inference.default_accuracy import image_noise, preset_accuracy
 from napari_deltamic.scene.tradeoff import Way

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from napari_deltamic import _widget
-from napari_deltamic.gui.colours import label_colormap, region_colours
+from napari_deltamic.gui.viewing.colours import label_colormap, region_colours
 
 from .conftest import CENTER, SIZE
 from .seeding import PLACE

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from napari_deltamic import _widget
-from napari_deltamic.gui import seeds
+from napari_deltamic.gui.seeding import seeds
 
 from .conftest import CENTER
 from .seeding import PLACE

@@ -8,8 +8,8 @@ import napari_deltamic as nd
 from napari_deltamic import _reader, _sample_data, _writer
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import sphere
-from napari_deltamic.gui.image_panel import ImagePanel
-from napari_deltamic.gui.seeds import mesh_of_surface
+from napari_deltamic.gui.panels.image_panel import ImagePanel
+from napari_deltamic.gui.seeding.seeds import mesh_of_surface
 
 
 @pytest.fixture

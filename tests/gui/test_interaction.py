@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.gui import worker
-from napari_deltamic.gui.run_panel import duration, progress_text
+from napari_deltamic.gui.running import worker
+from napari_deltamic.gui.running.run_panel import duration, progress_text
 from napari_deltamic.inference import Change, fit
 
 from .conftest import CENTER

@@ -7,9 +7,9 @@ import npe2
 import pytest
 
 import napari_deltamic
-from napari_deltamic.gui import preferences
-from napari_deltamic.gui.accuracy_dial import CHOICES
-from napari_deltamic.gui.preferences import PLUGIN, Preferences, read_preferences, usable
+from napari_deltamic.gui.accuracy.accuracy_dial import CHOICES
+from napari_deltamic.gui.panels import preferences
+from napari_deltamic.gui.panels.preferences import PLUGIN, Preferences, read_preferences, usable
 from napari_deltamic.settings import FitSettings
 
 MANIFEST = Path(napari_deltamic.__file__).with_name("napari.yaml")

@@ -131,7 +131,7 @@ def test_a_folder_that_is_gone_is_told(widget, tmp_path, told):
 def test_dialogs_add_what_a_name_lacks(widget, tmp_path, monkeypatch):
     chosen = {}
     monkeypatch.setattr(
-        "napari_deltamic.gui.results_panel.QFileDialog.getSaveFileName",
+        "napari_deltamic.gui.results.results_panel.QFileDialog.getSaveFileName",
         lambda parent, title, *a: (str(tmp_path / chosen["name"]), chosen.get("kind", "")),
     )
     for name, kind, ask, found in (

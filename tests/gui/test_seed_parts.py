@@ -12,11 +12,9 @@ from napari_deltamic import Grid, save_mesh
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import read_points_csv, sphere
 from napari_deltamic.gui.background import Background
-from napari_deltamic.gui.frame import Frame
-from napari_deltamic.gui.mesh_layer import load_meshes, surface_layer, unchanged_file
-from napari_deltamic.gui.preview import SMALL, coarsening, coarser, find, named
-from napari_deltamic.gui.seed_checks import PointSet, in_one_sphere, of_engine, outside
-from napari_deltamic.gui.seeds import (
+from napari_deltamic.gui.seeding.preview import SMALL, coarsening, coarser, find, named
+from napari_deltamic.gui.seeding.seed_checks import PointSet, in_one_sphere, of_engine, outside
+from napari_deltamic.gui.seeding.seeds import (
     LabelSeeds,
     MeshSeeds,
     MixedSeeds,
@@ -24,6 +22,8 @@ from napari_deltamic.gui.seeds import (
     mixed,
     seeds_from_layer,
 )
+from napari_deltamic.gui.viewing.frame import Frame
+from napari_deltamic.gui.viewing.mesh_layer import load_meshes, surface_layer, unchanged_file
 
 from .conftest import CENTER, SHAPE, SIZE
 
@@ -187,7 +187,7 @@ def test_previews_of_fine_and_coarse_images_agree(monkeypatch, pixels):
     grid = Grid(fine_pixels.shape, tuple(np.divide(SIZE, 2)))
     points = np.array([CENTER, (50, 0, 0)])
     fine = find(points, fine_pixels, grid)
-    monkeypatch.setattr("napari_deltamic.gui.preview.SMALL", fine_pixels.size - 1)
+    monkeypatch.setattr("napari_deltamic.gui.seeding.preview.SMALL", fine_pixels.size - 1)
     rough = find(points, fine_pixels, grid)
     assert rough.problems == fine.problems == ()
     volumes = [found.mesh.region_volume(1) for found in (rough, fine)]

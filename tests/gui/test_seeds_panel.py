@@ -15,8 +15,8 @@ from napari_deltamic.cli.inputs import gather
 from napari_deltamic.cli.messages import Notes
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import sphere
-from napari_deltamic.gui import find_cells_panel, mesh_files
-from napari_deltamic.gui.command import command, with_files
+from napari_deltamic.gui.results.command import command, with_files
+from napari_deltamic.gui.seeding import find_cells_panel, mesh_files
 from napari_deltamic.job import assemble
 from napari_deltamic.settings import NEAR_LEVELS
 

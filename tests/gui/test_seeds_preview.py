@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from napari_deltamic import _widget
-from napari_deltamic.gui import preview
+from napari_deltamic.gui.seeding import preview
 
 from .conftest import CENTER, SHAPE, SIZE
 from .seeding import FRAME, MEMBRANE, PLACE, SPHERE, add_points, texts

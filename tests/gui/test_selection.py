@@ -11,16 +11,16 @@ from qtpy.QtWidgets import QApplication
 
 import napari_deltamic as nd
 from napari_deltamic.geometry import sphere
-from napari_deltamic.gui.cell_table import CellTable
-from napari_deltamic.gui.colours import (
+from napari_deltamic.gui.results.cell_table import CellTable
+from napari_deltamic.gui.results.selection import ClickSelection, region_at, region_in_slice
+from napari_deltamic.gui.viewing.colours import (
     LIMITS,
     region_colormap,
     region_colours,
     vertex_values,
 )
-from napari_deltamic.gui.frame import Frame
-from napari_deltamic.gui.selection import ClickSelection, region_at, region_in_slice
-from napari_deltamic.gui.viewer_link import ViewerLink
+from napari_deltamic.gui.viewing.frame import Frame
+from napari_deltamic.gui.viewing.viewer_link import ViewerLink
 from napari_deltamic.measure import measure_cells
 
 CENTERS = {2: (2.0, 2.0, 2.0), 5: (2.0, 2.0, 5.0), 9: (2.0, 5.5, 2.0)}
@@ -100,7 +100,7 @@ def test_a_click_in_3d_finds_the_cell_in_front(viewer, link, direction):
 
 
 def test_of_a_wall_the_cell_behind_it_is_meant():
-    from napari_deltamic.gui.selection import _behind
+    from napari_deltamic.gui.results.selection import _behind
 
     ball = sphere((0, 0, 0), 1, edge_length=0.5)
     wall = nd.Mesh(ball.vertices, ball.faces, np.tile([3, 4], (len(ball.faces), 1)))
@@ -151,7 +151,7 @@ def test_contours_are_dimmed_too(viewer, link):
 def test_nothing_chosen_costs_nothing(link, monkeypatch):
     """Values are neither computed nor changed by updates of the same mesh."""
     values = link.surface.data[2]
-    monkeypatch.setattr("napari_deltamic.gui.viewer_link.side_values", None)
+    monkeypatch.setattr("napari_deltamic.gui.viewing.viewer_link.side_values", None)
     link.show_mesh(link.mesh.with_vertices(link.mesh.vertices_numpy() + 0.01))
     link.highlight(frozenset())
     np.testing.assert_array_equal(link.surface.data[2], values)

@@ -11,8 +11,8 @@ from napari.layers import Labels, Surface
 
 from napari_deltamic import _reader, _widget
 from napari_deltamic.geometry import files, sphere
-from napari_deltamic.gui import worker
-from napari_deltamic.gui.session import capture, restore
+from napari_deltamic.gui.results.session import capture, restore
+from napari_deltamic.gui.running import worker
 from napari_deltamic.inference import fit
 from napari_deltamic.session_file import load_session
 

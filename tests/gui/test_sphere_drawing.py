@@ -9,8 +9,8 @@ from napari.utils.interactions import (
     mouse_release_callbacks,
 )
 
-from napari_deltamic.gui.frame import Frame
-from napari_deltamic.gui.sphere_drawing import SphereDrawing
+from napari_deltamic.gui.seeding.sphere_drawing import SphereDrawing
+from napari_deltamic.gui.viewing.frame import Frame
 
 from .conftest import CENTER, SHAPE, SIZE
 

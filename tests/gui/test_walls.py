@@ -6,12 +6,12 @@ import pytest
 import napari_deltamic as nd
 from napari_deltamic import _writer
 from napari_deltamic.geometry import load_mesh, mesh_from_labels
-from napari_deltamic.gui.colours import LIMITS, region_colormap, region_colours, side_values
-from napari_deltamic.gui.frame import Frame
-from napari_deltamic.gui.seeds import mesh_of_surface
-from napari_deltamic.gui.session_layers import mesh_layer, save_layer
-from napari_deltamic.gui.viewer_link import ViewerLink
-from napari_deltamic.gui.walls import Apart, joined
+from napari_deltamic.gui.results.session_layers import mesh_layer, save_layer
+from napari_deltamic.gui.seeding.seeds import mesh_of_surface
+from napari_deltamic.gui.viewing.colours import LIMITS, region_colormap, region_colours, side_values
+from napari_deltamic.gui.viewing.frame import Frame
+from napari_deltamic.gui.viewing.viewer_link import ViewerLink
+from napari_deltamic.gui.viewing.walls import Apart, joined
 from napari_deltamic.measure import section
 
 SIZE = (1.0, 0.5, 0.5)

@@ -12,7 +12,7 @@ import pytest
 from qtpy.QtWidgets import QPushButton
 
 from napari_deltamic import _widget
-from napari_deltamic.gui import worker
+from napari_deltamic.gui.running import worker
 from napari_deltamic.inference import fit
 
 from .conftest import CENTER, SIZE

@@ -8,7 +8,7 @@ from .._sample_data import Sample
 from .._widget import FitWidget
 from ..geometry import Mesh
 from ..settings import RunSettings
-from .colours import LIMITS, region_colormap, vertex_values
+from .viewing.colours import LIMITS, region_colormap, vertex_values
 
 
 def show(sample: Sample, start: Mesh, settings: RunSettings) -> None:

@@ -1,0 +1,1 @@
+"""What accuracy costs: the dial, forecasts, and measurements on the scene."""

@@ -1,0 +1,125 @@
+"""The accuracy dial: a name that is relative to the noise of the image, or a number."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from qtpy.QtCore import Qt
+from qtpy.QtWidgets import QComboBox, QSizePolicy, QWidget
+
+from ...errors import InputError
+from ...inference.default_accuracy import PRESETS, Preset, preset_accuracy
+
+STANDARD = "standard"
+# What the page of preferences offers; the dial also takes any other number.
+CHOICES: tuple[str, ...] = (*PRESETS, "1e-2", "3e-3", "1e-3", "3e-4", "1e-4", "1e-5")
+_EARLIER = {"auto": STANDARD, "0": "exact"}  # names by which the choices are also known
+_TIPS: dict[Preset, str] = {
+    "draft": "Five times coarser than standard. The fastest, but the rendering may move the "
+    "surface more than the noise does: for a first look.",
+    "standard": "As accurate as the noise of this image can tell: finer renderings take longer and "
+    "do not improve the shape.",
+    "fine": "Ten times finer than standard. Often hardly slower; the shape stays the same within "
+    "the noise.",
+    "exact": "The closed form at every wavevector of the grid: no approximation at all, and often "
+    "hundreds of times slower. To check the others with.",
+}
+_TIP = (
+    "Relative error that the rendered image may have; it decides how long an iteration takes. "
+    "Choose a name, or type a number such as 3e-3."
+)
+
+
+class AccuracyDial(QComboBox):
+    """Draft, standard, fine, exact, or a number that is typed in.
+
+    Parameters
+    ----------
+    noise : the noise of the image chosen, see ``image_noise``. InputError where there is none.
+    parent : Qt's.
+    """
+
+    def __init__(self, noise: Callable[[], float], parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.noise = noise
+        self.setEditable(True)
+        self.setInsertPolicy(QComboBox.InsertPolicy.NoInsert)
+        for k, name in enumerate(PRESETS):
+            self.addItem(name)
+            self.setItemData(k, f"<qt>{_TIPS[name]}</qt>", Qt.ItemDataRole.ToolTipRole)
+        rows = "".join(f"<br><b>{name}</b>: {_TIPS[name]}" for name in PRESETS)
+        self.setToolTip(f"<qt>{_TIP}{rows}</qt>")
+        self.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+        self.setMinimumContentsLength(8)
+        self.setMinimumWidth(104)  # napari's style asks for more, and the dock could not be narrow
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+        self.show_choice(STANDARD)
+
+    @property
+    def choice(self) -> str:
+        """What is shown: a name, or what was typed."""
+        return chosen(self.currentText())
+
+    def setting(self) -> float | None:
+        """The accuracy for the settings; None leaves it to the noise. InputError if it is none."""
+        return None if self.choice == STANDARD else self.number()
+
+    def number(self) -> float:
+        """What the choice stands for on this image. InputError if nothing."""
+        choice = self.choice
+        return accuracy_of(choice, self.noise() if relative(choice) else 0.0)
+
+    def show_accuracy(self, accuracy: float | None) -> None:
+        """Show an accuracy of the settings."""
+        self.show_choice(STANDARD if accuracy is None else written(accuracy))
+
+    def show_choice(self, choice: str) -> None:
+        """Show a name or a number."""
+        self.setCurrentText(chosen(choice))
+
+
+def chosen(text: str) -> str:
+    """A choice as the dial shows it."""
+    plain = text.strip().lower()
+    return _EARLIER.get(plain, plain)
+
+
+def relative(choice: str) -> bool:
+    """Whether a choice depends on the noise."""
+    return choice in PRESETS and choice != "exact"
+
+
+def accuracy_of(choice: str, noise: float) -> float:
+    """The accuracy that a choice stands for on an image with this noise. InputError if none."""
+    choice = chosen(choice)
+    if choice in PRESETS:
+        return preset_accuracy(choice, noise)
+    try:
+        accuracy = float(choice.replace(",", "."))
+    except ValueError:
+        accuracy = -1.0
+    if not 0 <= accuracy < 1:
+        raise InputError(
+            f"accuracy must be {', '.join(PRESETS)}, or a number from 0 to below 1, not '{choice}'"
+        )
+    return accuracy
+
+
+def written(accuracy: float) -> str:
+    """A number as a user would type it: 3e-3, and 'exact' for 0."""
+    if accuracy == 0:
+        return "exact"
+    mantissa, _, exponent = f"{accuracy:e}".partition("e")
+    short = f"{float(mantissa):g}e{int(exponent)}"
+    # All digits where they matter: a saved analysis goes on with the very number.
+    return short if float(short) == accuracy else repr(float(accuracy))
+
+
+def usable_choice(choice: Any) -> str:
+    """A choice of the preferences; ValueError if it is none."""
+    try:
+        accuracy_of(str(choice), 0.0)
+    except InputError as error:
+        raise ValueError(str(error)) from None
+    return chosen(str(choice))

@@ -1,0 +1,249 @@
+"""What a fit would be of, as the panels show it: for its forecast and for measurements."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import InputError
+from ...fourier.cost import costs
+from ...geometry import Mesh, sphere
+from ...geometry.label_meshes import EDGE_IN_VOXELS
+from ...inference.default_accuracy import image_noise
+from ...inference.forecast import Forecast, forecast
+from ...job import SIGMA_IN_VOXELS, SeedKind
+from ...optics import GaussianPSF
+from ...scene import Grid
+from ...settings import NEAR_LEVELS, FitSettings
+from ..running.composition import Live, Panels
+from ..seeding.seeds import at_time, seeds_from_layer
+from ..viewing.frame import FloatArray, Frame
+from .accuracy_dial import accuracy_of
+
+Surfaces = Callable[[Grid], Mesh | None]
+
+
+@dataclass(frozen=True, eq=False)
+class SceneNow:
+    """A fit that could be started; nothing in it knows of a widget or a layer.
+
+    choice : of the accuracy dial.
+    image : (Z, Y, X), or what becomes such an array.
+    settings : of the fit; the accuracy is that of the choice.
+    kind : of the seeds, which decides the levels.
+    surfaces : make the starting surfaces, or cheap ones about as large; may take a while.
+    guessed : whether their size is a guess.
+    """
+
+    choice: str
+    image: Any
+    grid: Grid
+    optics: GaussianPSF
+    settings: FitSettings
+    effects: tuple[str, ...]
+    kind: SeedKind
+    surfaces: tuple[Surfaces, ...]
+    guessed: bool
+
+    def pixels(self) -> NDArray[Any]:
+        """(Z, Y, X)."""
+        return np.asarray(self.image)
+
+    def mesh(self) -> Mesh:
+        """The surfaces. InputError where there are none."""
+        found = [make(self.grid) for make in self.surfaces]
+        return Mesh.merge([mesh for mesh in found if mesh is not None])
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What a scene costs: noise of its image, accuracy that the choice stands for, forecast."""
+
+    noise: float
+    accuracy: float
+    forecast: Forecast
+    guessed: bool
+
+
+def outlook(scene: SceneNow) -> Outlook:
+    """The forecast of a scene; measures this machine where that was never done (a second)."""
+    known = costs(measure=True)
+    pixels = scene.pixels()
+    noise = image_noise(pixels)
+    accuracy = accuracy_of(scene.choice, noise)
+    found: dict[str, Any] = {"accuracy": accuracy}
+    if scene.kind != "rough" and scene.settings.levels is None:
+        found["levels"] = NEAR_LEVELS
+    settings = scene.settings.model_copy(update=found)
+    expected = forecast(
+        pixels, scene.grid, scene.mesh(), scene.optics, settings, None, scene.effects, known
+    )
+    return Outlook(noise, accuracy, expected, scene.guessed)
+
+
+class NoiseOf:
+    """The noise of the image chosen, measured once for each image and time."""
+
+    def __init__(self, viewer: Any, image_panel: Any) -> None:
+        self._viewer, self._image = viewer, image_panel
+        self._of: tuple[Any, ...] = ()
+        self._noise: float | None = None
+        self.held = False  # while a fit runs, that of its image counts
+
+    def __call__(self) -> float:
+        """The noise. InputError if there is no image."""
+        known = self.known
+        if known is None:
+            known = image_noise(self._image.stack())
+            self.learn(self.key(), known)
+        return known
+
+    @property
+    def known(self) -> float | None:
+        """The noise where it was measured, else None."""
+        return self._noise if self.held or self._of == self.key() else None
+
+    def key(self) -> tuple[Any, ...]:
+        """What it is the noise of."""
+        layer = self._image.layer
+        if layer is None:
+            return ()
+        return weakref.ref(layer), id(layer.data), tuple(self._viewer.dims.current_step[:-3])
+
+    def learn(self, key: tuple[Any, ...], noise: float) -> None:
+        """Take over what was measured elsewhere."""
+        if key and not self.held:
+            self._of, self._noise = key, noise
+
+
+def scene_now(viewer: Any, panels: Panels, live: Live) -> SceneNow:
+    """The scene as the panels show it; touches no voxel. InputError if something is missing."""
+    image, frame = panels.image.layer, panels.image.frame()
+    data = image.data[0] if image.multiscale else image.data
+    step = tuple(viewer.dims.current_step)
+    if image.ndim == 4:
+        data = data[min(step[-4], len(data) - 1)]
+    grid = frame.grid(data.shape)
+    scene = panels.settings.scene_settings()
+    kind, surfaces, guessed = _surfaces(viewer, panels, live, frame, grid)
+    return SceneNow(
+        choice=panels.settings.accuracy.choice,
+        image=data,
+        grid=grid,
+        optics=GaussianPSF(scene.sigma or [SIGMA_IN_VOXELS * d for d in grid.voxel_size]),
+        settings=panels.settings.other_settings(),
+        effects=scene.effects,
+        kind=kind,
+        surfaces=surfaces,
+        guessed=guessed,
+    )
+
+
+def _surfaces(
+    viewer: Any, panels: Panels, live: Live, frame: Frame, grid: Grid
+) -> tuple[SeedKind, tuple[Surfaces, ...], bool]:
+    """How near the seeds are to the membranes, what makes surfaces of them, and if it guesses."""
+    point = tuple(float(p) for p in viewer.dims.point)
+    step = tuple(viewer.dims.current_step)
+    points, radii = [], []
+    made: list[Any] = []  # Surfaces
+    rough, guessed = False, False
+    for layer in panels.seeds.chooser.ticked():
+        kind = type(layer).__name__
+        if kind == "Points":
+            if at_time(layer, layer.data, point).any():
+                own: Any = seeds_from_layer(
+                    layer, frame, step, spheres=panels.seeds.spheres, point=point
+                )
+                points.append(own.points)
+                radii.append(own.radii)
+        elif kind == "Labels":
+            labels = layer.data[0] if layer.multiscale else layer.data
+            if layer.ndim == 4:
+                labels = labels[min(step[-4], len(labels) - 1)]
+            made.append(partial(_balls_of_labels, labels))
+            guessed = True
+        elif kind == "Surface":
+            scale, shift = frame.data_to_um(layer)
+            made.append(partial(_as_it_is, layer.data[0], layer.data[1], scale, shift))
+            rough = True
+    if points:
+        centres = np.concatenate(points)
+        whole = None if panels.seeds.spheres else _known_surfaces(panels, live, len(centres))
+        if panels.seeds.spheres:
+            rough = True
+            made.append(partial(_balls, centres, np.concatenate(radii)))
+        elif whole is not None:
+            made.append(partial(_given, whole))
+        else:
+            guessed = True
+            made.append(partial(_balls, centres, None))
+    if not made:
+        raise InputError("no seeds yet: press 'Place seeds' and click inside each cell")
+    labelled = any(part.func is _balls_of_labels for part in made)
+    near: SeedKind = "rough" if rough else "labels" if labelled else "image"
+    return near, tuple(made), guessed
+
+
+def _known_surfaces(panels: Panels, live: Live, points: int) -> Mesh | None:
+    """What the preview shows, else what the fit of this image has or found."""
+    preview, run = panels.seeds.preview, live.run
+    if preview.isChecked() and preview.mesh is not None:
+        return preview.mesh
+    link, last = live.link, panels.results.last
+    if link is None or link.image_layer is not panels.image.layer:
+        return None
+    state = run.state if run is not None and run.running else None
+    if state is None and last is not None:
+        state = last[0]
+    if state is None:
+        return None
+    mesh: Mesh = state.mesh
+    return mesh if len(np.unique(mesh.regions[mesh.regions > 0])) == points else None
+
+
+def _given(mesh: Mesh, grid: Grid) -> Mesh:
+    return mesh
+
+
+def _as_it_is(vertices: Any, faces: Any, scale: FloatArray, shift: FloatArray, grid: Grid) -> Mesh:
+    """Of a Surface layer; of a series, those of its first time, as others are much alike."""
+    vertices, faces = np.asarray(vertices, float), np.asarray(faces)
+    if vertices.shape[1] > 3:
+        first = vertices[faces[:, 0], :-3]
+        faces = faces[(first == first[0]).all(axis=1)]
+    return Mesh(vertices[:, -3:] * scale + shift, faces)
+
+
+def _balls(centres: FloatArray, radii: FloatArray | None, grid: Grid) -> Mesh:
+    """Spheres around points, as large as their distances and the image let them be."""
+    edge = EDGE_IN_VOXELS * min(grid.voxel_size)
+    if radii is None or not np.all(np.nan_to_num(radii) > 0):
+        apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
+        np.fill_diagonal(apart, np.inf)
+        side = float(np.multiply(grid.shape, grid.voxel_size).min())
+        guess = np.clip(0.45 * apart.min(axis=1), 2 * edge, max(side / 3, 2 * edge))
+        radii = guess if radii is None else np.where(np.nan_to_num(radii) > 0, radii, guess)
+    return Mesh.merge(
+        [sphere(c, float(r), edge_length=edge) for c, r in zip(centres, radii, strict=True)]
+    )
+
+
+def _balls_of_labels(labels: Any, grid: Grid) -> Mesh | None:
+    """A sphere as large as each label."""
+    labels = np.asarray(labels)
+    if labels.ndim != 3 or labels.min(initial=0) < 0:
+        return None
+    numbers, volumes = np.unique(labels[labels > 0], return_counts=True)
+    if not len(numbers):
+        return None
+    radii = np.cbrt(3 / (4 * np.pi) * volumes * float(np.prod(grid.voxel_size)))
+    middle = (np.asarray(grid.shape) - 1) / 2 * grid.voxel_size
+    # Where they lie makes no difference to what they cost, as long as it is in the image.
+    return _balls(np.tile(middle, (len(numbers), 1)), radii, grid)

@@ -1,0 +1,289 @@
+"""What a user changes by hand, in the fit under way or in its result; undo and redo."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from qtpy.QtCore import QObject
+
+from ...errors import InputError
+from ...geometry import Mesh
+from ...inference import Change, FitState
+from ...job import FitInput
+from ...scene import render
+from ..qt import Signal
+from ..running.waiting import usable
+from .carry import carried
+
+_DEEPEST = 30  # steps that can be undone
+
+
+@dataclass(frozen=True, eq=False)
+class Present:
+    """What there is to change.
+
+    running : whether a fit goes on from it.
+    """
+
+    state: FitState
+    job: FitInput
+    running: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    note: str
+    back: Change  # what takes it back
+    of: Mesh  # that the pins in it belong to, where it brings no mesh
+
+
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """Pins that the fit has not taken over yet, of a mesh."""
+
+    pinned: NDArray[np.bool_]
+    mesh: Mesh
+    number: int  # snapshots include them from this change on
+
+
+class Edits(QObject):
+    """Hands changes to whatever there is, and remembers how to take them back.
+
+    Parameters
+    ----------
+    control : the run.
+    """
+
+    changed = Signal()  # what can be undone, or what is pinned
+    settings_undone = Signal(object)  # the Change that took settings or optics back
+
+    def __init__(self, control: Any, parent: QObject | None = None) -> None:
+        super().__init__(parent)
+        self._control = control
+        control.began.connect(self._began)
+        control.shown.connect(self._shown)
+        control.ended.connect(self._ended)
+        self._asked: _Asked | None = None
+        self._told: NDArray[np.bool_] | None = None  # pins of the last state shown
+        self._done: list[_Step] = []
+        self._undone: list[_Step] = []
+
+    @property
+    def undo_note(self) -> str:
+        """What undo would take back; '' for nothing."""
+        return self._done[-1].note if self._done else ""
+
+    @property
+    def redo_note(self) -> str:
+        """What redo would do again; '' for nothing."""
+        return self._undone[-1].note if self._undone else ""
+
+    @property
+    def pinned(self) -> NDArray[np.bool_] | None:
+        """(V,) which vertices of the newest mesh are pinned; None where there is no mesh."""
+        present: Present | None = self._control.present()
+        return None if present is None else self._pins(present)
+
+    def pinned_on(self, mesh: Mesh) -> NDArray[np.bool_] | None:
+        """The same for another mesh of this fit, which may have other triangles."""
+        present: Present | None = self._control.present()
+        if present is None:
+            return None
+        return carried(self._pins(present), present.state.mesh, mesh)
+
+    def shift(self, shift: NDArray[np.float64], note: str, of: Mesh | None = None) -> None:
+        """Move vertices, (V, 3) um, of a mesh of this fit; of the newest, where none is given.
+
+        InputError where there is nothing that they could belong to.
+        """
+        present = self._present()
+        mesh = present.state.mesh
+        shift = _suited(shift, of, mesh)
+        if present.running:
+            self._remember(note, self._back(Change(mesh=mesh), present), mesh)
+            self._control.ask_shift(shift, note, mesh)
+        else:
+            self.change(Change(mesh=mesh.with_vertices(mesh.vertices_numpy() + shift)), note)
+
+    def pin(self, which: NDArray[np.bool_], pinned: bool, of: Mesh | None = None) -> None:
+        """Pin vertices, or free them, (V,) bool, of a mesh of this fit; or of the newest."""
+        present = self._present()
+        which = _suited(which, of, present.state.mesh)
+        before = self._pins(present)
+        after = before | which if pinned else before & ~which
+        if not np.array_equal(before, after):
+            self.change(Change(pinned=after), "pin" if pinned else "unpin")
+
+    def free_all(self) -> None:
+        """Free all pinned vertices."""
+        pinned = self.pinned
+        if pinned is not None and pinned.any():
+            self.pin(pinned, False)
+
+    def change(self, change: Change, note: str) -> None:
+        """Change anything. InputError where it cannot be; then all is as before."""
+        present = self._present()
+        usable(change, present.state.mesh, present.state.optics, present.job)
+        back = self._back(change, present)
+        self._apply(change, present, note)
+        self._remember(note, back, present.state.mesh)
+
+    def go_on_from(self, mesh: Mesh, optics: Any, note: str) -> None:
+        """Let the fit go on from another state of it, or start one from there."""
+        present = self._present()
+        pinned = carried(self._pins(present), present.state.mesh, mesh)
+        change = Change(mesh=mesh, optics=optics, pinned=pinned)
+        if present.running:
+            self.change(change, note)
+            return
+        usable(change, present.state.mesh, present.state.optics, present.job)
+        back = self._back(change, present)
+        self._control.go_on_from(mesh, optics, pinned)
+        # The new run has them from its second state on.
+        self._asked = _Asked(pinned, mesh, 1) if pinned.any() else None
+        if mesh is not present.state.mesh or optics is not present.state.optics:
+            self._remember(note, back, present.state.mesh)
+
+    def undo(self) -> None:
+        """Take back the last change."""
+        self._take(self._done, self._undone, "undo")
+
+    def redo(self) -> None:
+        """Do again what was undone last."""
+        self._take(self._undone, self._done, "redo")
+
+    # ----------------------------------------------------------------------------------- inside
+
+    def _began(self, fresh: bool) -> None:
+        if fresh:  # another mesh
+            self._asked = self._told = None
+            self._done, self._undone = [], []
+            self.changed.emit()
+
+    def _shown(self, snapshot: Any) -> None:
+        """The fit has taken over what was asked, or has other vertices: tell what is pinned."""
+        taken = self._asked is not None and snapshot.changes >= self._asked.number
+        if taken:
+            self._asked = None
+        if taken or snapshot.state.pinned is not self._told:
+            self._told = snapshot.state.pinned
+            self.changed.emit()
+
+    def _ended(self) -> None:
+        self._asked = None  # what came too late is in the result
+        self.changed.emit()
+
+    def _take(self, source: list[_Step], other: list[_Step], word: str) -> None:
+        if not source:
+            return
+        present, step = self._present(), source[-1]
+        change, mesh = step.back, present.state.mesh
+        if change.mesh is None and change.pinned is not None:
+            change = replace(change, pinned=carried(change.pinned, step.of, mesh))
+        usable(change, mesh, present.state.optics, present.job)
+        back = self._back(change, present)
+        source.pop()
+        self._apply(change, present, f"{word} {step.note}")
+        other.append(_Step(step.note, back, mesh))
+        if change.settings is not None or change.optics is not None:
+            self.settings_undone.emit(change)
+        self.changed.emit()
+
+    def _present(self) -> Present:
+        present: Present | None = self._control.present()
+        if present is None:
+            raise InputError("there is nothing to change yet: run a fit first")
+        return present
+
+    def _pins(self, present: Present) -> NDArray[np.bool_]:
+        """(V,) what is pinned of the newest mesh, or will be once the fit has taken it over."""
+        state, asked = present.state, self._asked
+        if present.running and asked is not None:
+            pins: NDArray[np.bool_] = carried(asked.pinned, asked.mesh, state.mesh)
+            return pins
+        if state.pinned is None:
+            return np.zeros(len(state.mesh.vertices), bool)
+        return np.asarray(state.pinned, bool)
+
+    def _back(self, change: Change, present: Present) -> Change:
+        """What takes a change back: of what it changes, the present values."""
+        mesh = present.state.mesh
+        values: dict[str, Any] = {
+            "mesh": mesh,
+            "pinned": self._pins(present),
+            "optics": present.state.optics,
+            "settings": present.job.settings.fit,
+        }
+        changed = {f.name for f in fields(change) if getattr(change, f.name) is not None}
+        if "mesh" in changed:
+            changed.add("pinned")  # they are of its vertices
+        return Change(**{name: values[name] for name in changed})
+
+    def _apply(self, change: Change, present: Present, note: str) -> None:
+        mesh = present.state.mesh
+        if present.running:
+            number = self._control.ask(change, note, mesh)
+            if change.pinned is not None:
+                self._asked = _Asked(change.pinned, change.mesh or mesh, number)
+        elif change.mesh is not None or change.optics is not None:
+            self._control.replace_result(changed_by_hand(present.state, present.job, change), note)
+        elif change.pinned is not None:
+            self._control.pin_result(change.pinned)
+
+    def _remember(self, note: str, back: Change, of: Mesh) -> None:
+        self._done = [*self._done, _Step(note, back, of)][-_DEEPEST:]
+        self._undone = []
+        self.changed.emit()
+
+
+def _suited(values: Any, of: Mesh | None, mesh: Mesh) -> Any:
+    """Values for the vertices of a mesh, from those of another one. InputError if of neither."""
+    values = values if of is None else carried(values, of, mesh)
+    if len(values) != len(mesh.vertices):
+        raise InputError("there is another mesh now: try again")
+    return values
+
+
+def changed_by_hand(state: FitState, job: FitInput, change: Change) -> FitState:
+    """A state with other vertices or another PSF; its loss is not known."""
+    mesh, optics, density = state.mesh, state.optics, state.density
+    pinned = state.pinned
+    if change.mesh is not None:
+        if pinned is not None:
+            pinned = carried(pinned, mesh, change.mesh)
+        if len(change.mesh.faces) != len(density):
+            density = np.ones(len(change.mesh.faces))  # of other triangles: not known
+        mesh = change.mesh
+    if change.optics is not None:
+        optics = change.optics.detach()
+    if change.pinned is not None:
+        pinned = change.pinned
+    grid, settings = job.grid, job.settings
+    amplitude, background = state.amplitude, state.background
+
+    def rendered() -> NDArray[np.float32]:
+        image = render(
+            mesh,
+            grid,
+            optics,
+            settings.fit.image_accuracy,
+            density=density,
+            pixel_integration="pixel_integration" in settings.scene.effects,
+        )
+        return (amplitude * image.detach() + background).numpy().astype(np.float32)
+
+    return replace(
+        state,
+        mesh=mesh,
+        optics=optics,
+        density=density,
+        pinned=pinned,
+        loss=float("nan"),
+        converged=False,
+        message="changed by hand after the fit",
+        _render=rendered,
+        _checkpoint=dict,
+    )

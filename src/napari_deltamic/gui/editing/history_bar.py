@@ -1,0 +1,136 @@
+"""A slider over the moments of a fit, and what one can do from there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from qtpy.QtCore import QSignalBlocker, Qt
+from qtpy.QtWidgets import QHBoxLayout, QPushButton, QSlider, QVBoxLayout, QWidget
+
+from ...timeline import Moment
+from ..panels.fields import note_label
+from ..qt import Signal
+
+
+class HistoryBar(QWidget):
+    """Undo, redo and the slider; at its right end the newest state is shown, as it comes."""
+
+    undo = Signal()
+    redo = Signal()
+    moment_chosen = Signal(object)  # a Moment, or None for the newest
+    go_on = Signal()
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._moments: tuple[Moment, ...] = ()
+        self._chosen: Moment | None = None
+        self._running = False
+        self.undo_button = _button("↶", self)
+        self.redo_button = _button("↷", self)
+        self.slider = QSlider(Qt.Orientation.Horizontal, self)
+        self.slider.setToolTip("Look at earlier moments; a fit goes on meanwhile.")
+        self.slider.setMinimumWidth(60)
+        self.live_button = QPushButton("Live", self)
+        self.live_button.setToolTip("Show the newest state again.")
+        self.note = note_label()
+        self.go_on_button = QPushButton("Go on from here", self)
+        self._lay_out()
+        self.undo_button.clicked.connect(self.undo)
+        self.redo_button.clicked.connect(self.redo)
+        self.slider.valueChanged.connect(self._slid)
+        self.live_button.clicked.connect(self.to_live)
+        self.go_on_button.clicked.connect(self.go_on)
+        self.show_undo("", "")
+        self.show_moments((), running=False)
+
+    @property
+    def chosen(self) -> Moment | None:
+        """The moment that is looked at; None where it is the newest."""
+        return self._chosen
+
+    def show_moments(self, moments: Sequence[Moment], *, running: bool) -> None:
+        """Which there are; the one that is looked at stays, or the nearest to it."""
+        self._moments, self._running = tuple(moments), running
+        blocker = QSignalBlocker(self.slider)
+        last = max(len(self._moments) - 1, 0)
+        self.slider.setRange(0, last)
+        self.slider.setEnabled(last > 0)
+        self.slider.setValue(last if self._chosen is None else self._index(self._chosen))
+        blocker.unblock()
+        self._show()
+
+    def show_undo(self, undo: str, redo: str) -> None:
+        """What can be undone and done again; '' for nothing."""
+        for button, word, what in (
+            (self.undo_button, "Undo", undo),
+            (self.redo_button, "Redo", redo),
+        ):
+            button.setEnabled(bool(what))
+            button.setToolTip(f"{word}: {what}" if what else f"Nothing to {word.lower()}.")
+
+    def to_live(self) -> None:
+        """Look at the newest state, as it comes."""
+        blocker = QSignalBlocker(self.slider)
+        self.slider.setValue(self.slider.maximum())
+        blocker.unblock()
+        self._choose(None)
+
+    def _slid(self, index: int) -> None:
+        at_end = index >= len(self._moments) - 1
+        self._choose(None if at_end else self._moments[index])
+
+    def _choose(self, moment: Moment | None) -> None:
+        if moment is not self._chosen:
+            self._chosen = moment
+            self._show()
+            self.moment_chosen.emit(moment)
+
+    def _index(self, moment: Moment) -> int:
+        # By identity; a moment that was thinned out lies between two that stayed.
+        for k, other in enumerate(self._moments):
+            if other is moment:
+                return k
+        earlier = [k for k, m in enumerate(self._moments) if m.iteration <= moment.iteration]
+        return min(earlier[-1] if earlier else 0, max(len(self._moments) - 2, 0))
+
+    def _show(self) -> None:
+        looking = self._chosen is not None
+        self.live_button.setVisible(looking)
+        self.live_button.setText("Live" if self._running else "Newest")
+        self.go_on_button.setVisible(looking or (not self._running and bool(self._moments)))
+        self.go_on_button.setToolTip(
+            "The fit goes on from the state shown."
+            if self._running
+            else "Start a fit from the state shown, with little blur."
+        )
+        shown = self._chosen or (self._moments[-1] if self._moments else None)
+        if shown is None or (not looking and self._running):
+            self.note.setVisible(False)
+            return
+        text = f"iteration {shown.iteration}"
+        if shown.loss == shown.loss:
+            text += f", loss {shown.loss:.3g}"
+        self.note.setText(text + (f": {shown.note}" if shown.note else ""))
+        self.note.setVisible(looking)
+
+    def _lay_out(self) -> None:
+        row = QHBoxLayout()
+        row.setContentsMargins(0, 0, 0, 0)
+        row.setSpacing(4)
+        for widget in (self.undo_button, self.redo_button, self.slider):
+            row.addWidget(widget)
+        below = QHBoxLayout()
+        below.addWidget(self.live_button)
+        below.addWidget(self.go_on_button)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.addLayout(row)
+        layout.addWidget(self.note)
+        layout.addLayout(below)
+
+
+def _button(text: str, parent: QWidget) -> QPushButton:
+    button = QPushButton(text, parent)
+    button.setFixedWidth(30)
+    button.setStyleSheet("padding: 2px; font-size: 15px;")
+    return button

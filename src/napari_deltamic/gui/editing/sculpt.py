@@ -1,0 +1,247 @@
+"""Tools that change the surface with the mouse: nudge, push, pin."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from qtpy.QtCore import QObject
+
+from ...geometry import Mesh
+from ...geometry.sculpt import Touch, falloff, outward, touched_by_ray, touched_on_section
+from ...measure import section
+from ..connections import Connections
+from ..running.composition import Live, Panels
+from ..running.run_control import RunControl
+from ..viewing.contours import sliced_axis
+from ..viewing.frame import FloatArray
+from ..viewing.viewer_link import ViewerLink
+from .carry import carried
+from .edit_bar import Tool
+from .edits import Edits
+
+_HIDDEN = "The surface is hidden: make its layer visible first."
+_OTHER_TIME = "The surface is that of another time point: go there first."
+_PUSH = 0.12  # of the brush's radius: how far a dab pushes
+_SPACING = 0.3  # of the radius: how far the mouse goes from one dab to the next
+_PINNED = 0.25  # weight from which on a vertex is pinned
+
+
+class Sculptor(QObject):
+    """Listens to the mouse while a tool is in use; what misses the surface moves the view."""
+
+    def __init__(
+        self,
+        viewer: Any,
+        control: RunControl,
+        edits: Edits,
+        panels: Panels,
+        live: Live,
+        parent: QObject | None = None,
+    ) -> None:
+        super().__init__(parent)
+        self._viewer, self._control, self._edits = viewer, control, edits
+        self._panels, self._live = panels, live
+        self._bar = panels.running.edit
+        self._callback = self._pressed  # one object, so that it can be taken out again
+        self._connections = Connections()
+        self._connections.connect(viewer.dims.events.ndisplay, self._view_changed)
+        self._bar.tool_chosen.connect(self._tool_chosen)
+        self._bar.free_all.connect(self._free_all)
+        panels.seeds.place.clicked.connect(self._lay_down)
+        control.began.connect(self._began)
+        edits.changed.connect(self._show_pins)
+        self._view_changed()
+
+    def close_links(self) -> None:
+        """Listen to the viewer no more."""
+        self._connections.undo()
+        self._listen(False)
+
+    def _listen(self, on: bool) -> None:
+        callbacks = self._viewer.mouse_drag_callbacks
+        if self._callback in callbacks:
+            callbacks.remove(self._callback)
+        if on:
+            callbacks.insert(0, self._callback)  # before those that only look at a click
+
+    def _tool_chosen(self, tool: Tool | None) -> None:
+        self._listen(tool is not None)
+        if tool is not None:
+            # Points that are placed, or labels that are painted, would be in the way.
+            self._panels.seeds.finish_placing()
+            active = self._viewer.layers.selection.active
+            if active is not None and str(getattr(active, "mode", "pan_zoom")) != "pan_zoom":
+                active.mode = "pan_zoom"
+
+    def _lay_down(self, checked: bool = False) -> None:
+        self._bar.use(None)
+
+    def _began(self, fresh: bool) -> None:
+        present, link = self._control.present(), self._live.link
+        if fresh and present is not None:
+            low, high = present.state.mesh.bounds()
+            self._bar.set_scale(float((high - low).max()))
+        if not fresh and link is not None:
+            self._show_pins()
+
+    def _show_pins(self) -> None:
+        pinned, link = self._edits.pinned, self._live.link
+        self._bar.show_pins(0 if pinned is None else int(pinned.sum()))
+        if link is not None:
+            # The fit may be ahead of what is shown, with other triangles.
+            mesh = link.mesh
+            link.show_pins(None if mesh is None else self._edits.pinned_on(mesh))
+
+    def _free_all(self) -> None:
+        self._control.tried(self._edits.free_all)
+
+    def _view_changed(self, event: Any = None) -> None:
+        self._bar.show_dimensions(self._viewer.dims.ndisplay)
+
+    # ------------------------------------------------------------------------------------ mouse
+
+    def _pressed(self, viewer: Any, event: Any) -> Iterator[None]:
+        tool, link = self._bar.tool, self._live.link
+        if event.button != 1 or tool is None:
+            return
+        if self._panels.running.history.chosen is not None:
+            self._bar.say("This is an earlier moment: press Live first, or go on from here.")
+            return
+        if link is None or link.shown is None or self._control.present() is None:
+            self._bar.say("There is no surface yet: run a fit first.")
+            return
+        if not _to_be_seen(link):
+            self._bar.say(_HIDDEN if link.at_time else _OTHER_TIME)
+            return
+        touch = touch_at(link, link.shown, event, self._bar.radius.value())
+        if touch is None:
+            return  # the view is moved
+        event.handled = True  # the view stays where it is
+        stroke = _Stroke(tool, link, link.shown, touch, event, float(self._bar.radius.value()))
+        self._show(link, stroke)
+        yield
+        while event.type == "mouse_move":
+            event.handled = True
+            if stroke.move(event):
+                self._show(link, stroke)
+            yield
+        event.handled = True
+        self._finish(stroke)
+
+    def _show(self, link: ViewerLink, stroke: _Stroke) -> None:
+        if stroke.tool == "pin":
+            before, shown = self._edits.pinned_on(stroke.start), link.shown
+            if before is not None and shown is not None:
+                after = before & ~stroke.which if stroke.turned else before | stroke.which
+                link.show_pins(carried(after, stroke.start, shown))
+        else:
+            self._control.hold(stroke.mesh)
+
+    def _finish(self, stroke: _Stroke) -> None:
+        if stroke.tool == "pin":
+            self._control.tried(lambda: self._pin(stroke))
+            self._show_pins()
+        else:
+            if stroke.shift.any():
+                self._control.tried(lambda: self._shift(stroke))
+            self._control.let_go()
+
+    def _pin(self, stroke: _Stroke) -> None:
+        self._edits.pin(stroke.which, not stroke.turned, stroke.start)
+
+    def _shift(self, stroke: _Stroke) -> None:
+        self._edits.shift(stroke.shift, stroke.note, stroke.start)
+
+
+class _Stroke:
+    """From the press of the mouse to its release: what it does to a mesh."""
+
+    def __init__(
+        self, tool: Tool, link: ViewerLink, mesh: Mesh, touch: Touch, event: Any, radius: float
+    ) -> None:
+        self.tool, self._link, self.start, self._radius = tool, link, mesh, radius
+        self._ndisplay = link.viewer.dims.ndisplay
+        self.turned = "Shift" in event.modifiers
+        self.shift: NDArray[np.float64] = np.zeros((len(mesh.vertices), 3))
+        self.which: NDArray[np.bool_] = np.zeros(len(mesh.vertices), bool)
+        self._touch = touch
+        self._weights = falloff(mesh, touch, radius)
+        self._grip = _in_plane(link, event, touch.point)
+        if tool != "nudge":
+            self._dab(touch)
+
+    @property
+    def note(self) -> str:
+        """What it was, in a word."""
+        return "push" if self.tool == "push" else "nudge"
+
+    @property
+    def mesh(self) -> Mesh:
+        """The mesh as it would be now."""
+        return self.start.with_vertices(self.start.vertices_numpy() + self.shift)
+
+    def move(self, event: Any) -> bool:
+        """Follow the mouse; whether that changed something."""
+        if self._link.viewer.dims.ndisplay != self._ndisplay:
+            return False  # another view: the mouse is somewhere else now
+        if self.tool == "nudge":
+            there = _in_plane(self._link, event, self._touch.point)
+            self.shift = self._weights[:, None] * (there - self._grip)
+            return True
+        touch = touch_at(self._link, self.mesh, event, self._radius)
+        if touch is None:
+            return False
+        if np.linalg.norm(touch.point - self._touch.point) < _SPACING * self._radius:
+            return False
+        self._touch = touch
+        self._dab(touch)
+        return True
+
+    def _dab(self, touch: Touch) -> None:
+        mesh = self.mesh
+        weights = falloff(mesh, touch, self._radius)
+        if self.tool == "pin":
+            self.which |= weights > _PINNED
+            return
+        size = _PUSH * self._radius * (-1 if self.turned else 1)
+        self.shift = self.shift + size * weights[:, None] * outward(mesh, touch.face)
+
+
+def touch_at(link: ViewerLink, mesh: Mesh, event: Any, reach: float) -> Touch | None:
+    """Where an event of the mouse touches a mesh that a link shows; in 2D, within a reach, um."""
+    place = link.frame.to_um(np.asarray(event.position, float)[-3:])
+    dims = link.viewer.dims
+    if dims.ndisplay == 3:
+        return touched_by_ray(mesh, place, _direction(link, event))
+    axis = sliced_axis(dims)
+    if axis is None:
+        return None
+    place[axis] = link.contours.position(dims, axis)
+    segments, faces = section(mesh, axis, float(place[axis]))
+    return touched_on_section(segments, faces, axis, place, reach)
+
+
+def _direction(link: ViewerLink, event: Any) -> FloatArray:
+    return np.asarray(event.view_direction, float)[-3:] * link.frame.um
+
+
+def _in_plane(link: ViewerLink, event: Any, point: FloatArray) -> FloatArray:
+    """Where the mouse points to, in the plane of the view or the slice through a point, um."""
+    place = link.frame.to_um(np.asarray(event.position, float)[-3:])
+    if link.viewer.dims.ndisplay == 3:
+        along = _direction(link, event)
+        along = along / np.linalg.norm(along)
+        return place + along * float((point - place) @ along)
+    axis = sliced_axis(link.viewer.dims)
+    if axis is not None:
+        place[axis] = point[axis]
+    return place
+
+
+def _to_be_seen(link: ViewerLink) -> bool:
+    layer = link.surface if link.viewer.dims.ndisplay == 3 else link.contours.layer
+    there = layer is not None and layer in link.viewer.layers and bool(layer.visible)
+    return there and link.at_time

@@ -1,0 +1,144 @@
+"""Small inputs that several panels use."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from qtpy.QtCore import QSignalBlocker
+from qtpy.QtWidgets import (
+    QComboBox,
+    QDoubleSpinBox,
+    QFormLayout,
+    QHBoxLayout,
+    QLabel,
+    QSizePolicy,
+    QWidget,
+)
+
+from ..connections import Connections
+from ..qt import Signal
+from ..viewing.frame import made_by_fit
+
+Triple = tuple[float, float, float]
+
+
+class TripleField(QWidget):
+    """Three positive numbers (um), Z, Y, X; ``edited`` comes only from the user."""
+
+    edited = Signal()
+
+    def __init__(self, tooltip: str, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        layout = QHBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(3)
+        self._boxes: list[QDoubleSpinBox] = []
+        for name in "ZYX":
+            box = QDoubleSpinBox(self)
+            box.setDecimals(4)
+            box.setRange(0.0001, 10000)
+            box.setSingleStep(0.01)
+            box.setPrefix(f"{name} ")
+            box.setToolTip(tooltip)
+            box.setButtonSymbols(QDoubleSpinBox.ButtonSymbols.NoButtons)
+            box.setKeyboardTracking(False)
+            # napari's style asks for 90 pixels, with which the dock could not be narrow.
+            box.setStyleSheet("QDoubleSpinBox { min-width: 50px; padding: 1px 2px; }")
+            box.valueChanged.connect(self._emit)
+            layout.addWidget(box)
+            self._boxes.append(box)
+
+    def value(self) -> Triple:
+        """The numbers."""
+        z, y, x = (float(box.value()) for box in self._boxes)
+        return z, y, x
+
+    def set_value(self, values: Sequence[float]) -> None:
+        """Show numbers, without a signal."""
+        for box, value in zip(self._boxes, values, strict=True):
+            blocker = QSignalBlocker(box)
+            box.setValue(float(value))
+            blocker.unblock()
+
+    def _emit(self, value: float) -> None:
+        self.edited.emit()
+
+
+class LayerChooser(QComboBox):
+    """The layers of a viewer that can be used for something; ``chosen`` says that it is another."""
+
+    chosen = Signal()
+
+    def __init__(
+        self, viewer: Any, accepts: Callable[[Any], bool], parent: QWidget | None = None
+    ) -> None:
+        super().__init__(parent)
+        self._viewer, self._accepts = viewer, accepts
+        self._layers: list[Any] = []
+        self._last: Any = None
+        # Long layer names must not widen a narrow dock.
+        self.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+        self.setMinimumContentsLength(12)
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+        self.connections = Connections()
+        events = viewer.layers.events
+        for emitter in (events.inserted, events.removed, events.reordered):
+            self.connections.connect(emitter, self.refresh)
+        self.connections.connect(events.renamed, self.refresh)
+        self.currentIndexChanged.connect(self._told)
+        self.refresh()
+
+    def layer(self) -> Any:
+        """The layer chosen, or None."""
+        index = self.currentIndex()
+        return self._layers[index] if 0 <= index < len(self._layers) else None
+
+    def choose(self, layer: Any) -> None:
+        """Choose a layer."""
+        if layer in self._layers:
+            self.setCurrentIndex(self._layers.index(layer))
+
+    def refresh(self, event: Any = None) -> None:
+        """Look at the viewer's layers again; the choice stays where it can."""
+        before = self.layer()
+        blocker = QSignalBlocker(self)
+        self._layers = [layer for layer in self._viewer.layers if self._accepts(layer)]
+        self.clear()
+        self.addItems([layer.name for layer in self._layers])
+        if before in self._layers:
+            self.setCurrentIndex(self._layers.index(before))
+        else:
+            # The layers that a fit adds are only used where someone chooses them.
+            others = [k for k, layer in enumerate(self._layers) if not made_by_fit(layer)]
+            self.setCurrentIndex(others[-1] if others else -1)
+        blocker.unblock()
+        self._told()
+
+    def close_links(self) -> None:
+        """Listen to the viewer no more, and let its layers go."""
+        self.connections.undo()
+        self._layers = []
+        self._last = None
+
+    def _told(self, index: int = 0) -> None:
+        if self.layer() is not self._last:
+            self._last = self.layer()
+            self.chosen.emit()
+
+
+def note_label(text: str = "") -> QLabel:
+    """A line of explanation under a field."""
+    label = QLabel(text)
+    label.setWordWrap(True)
+    label.setStyleSheet("font-size: 11px;")
+    label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Minimum)
+    return label
+
+
+def show_row(form: QFormLayout, field: QWidget, shown: bool) -> None:
+    """Show a row of a form, or hide it with its title."""
+    title = form.labelForField(field)
+    for part in (field, title):
+        if part is not None:
+            part.setVisible(shown)

@@ -1,0 +1,94 @@
+"""What the widget starts with: the user's choices on the plugin's page of napari's preferences.
+
+The page and its defaults are the ``configurations`` of the manifest (napari 0.9, npe2 0.9).
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from npe2 import PluginManager
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+
+from ...settings import FitSettings
+from ..accuracy.accuracy_dial import STANDARD, usable_choice
+from ..running.composition import Panels
+from ..running.run_control import RunControl
+
+PLUGIN = "napari-deltamic"
+_FIT = ("fit_psf", "density")
+
+
+class Preferences(BaseModel):
+    """How a new widget is set.
+
+    fit : density and whether the PSF is fitted; the rest as always.
+    accuracy : what the dial shows, a name or a number.
+    preview_seeds : whether the surfaces that a fit would start from are shown.
+    show_rendered : whether the rendered image is shown.
+    updates_per_second : of the viewer while a fit runs, at most.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    fit: FitSettings = FitSettings()
+    accuracy: Annotated[str, AfterValidator(usable_choice)] = STANDARD
+    preview_seeds: bool = True
+    show_rendered: bool = False
+    updates_per_second: Annotated[int, Field(ge=1, le=30)] = 30
+
+    def show(self, panels: Panels, control: RunControl) -> None:
+        """Set a new widget."""
+        panels.settings.show_settings(self.fit)
+        panels.settings.accuracy.show_choice(self.accuracy)
+        panels.seeds.preview.prefer(self.preview_seeds)
+        panels.running.rendered.setChecked(self.show_rendered)
+        control.interval = 1 / self.updates_per_second
+
+
+def read_preferences() -> tuple[Preferences, str]:
+    """The preferences, and one line about what in them could not be used ('' if nothing).
+
+    Without the page (an older napari, or one that has not looked for plugins) these are the
+    defaults.
+    """
+    try:
+        from napari.settings import get_plugin_settings
+    except ImportError:  # before napari 0.9
+        return Preferences(), ""
+    if PLUGIN not in PluginManager.instance():
+        return Preferences(), ""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # remarks about other plugins are not for our user
+        try:
+            page: Any = get_plugin_settings(PLUGIN)
+            chosen = {**page.fit.model_dump(), **page.viewing.model_dump()}
+        except Exception as error:  # unreadable preferences must not cost the widget
+            reason = " ".join(str(error).split())[:200]
+            return Preferences(), f"the preferences of deltaMic cannot be read: {reason}"
+    return usable(chosen)
+
+
+def usable(chosen: Mapping[str, Any]) -> tuple[Preferences, str]:
+    """Preferences from plain values by name; those that are invalid are left out, and named."""
+    fit, unfit = _checked(FitSettings, {k: v for k, v in chosen.items() if k in _FIT})
+    rest, unusable = _checked(Preferences, {k: v for k, v in chosen.items() if k not in _FIT})
+    wrong = ", ".join(f"{name} = {chosen[name]}" for name in (*unfit, *unusable))
+    remark = f"these preferences cannot be used and are ignored: {wrong}" if wrong else ""
+    return rest.model_copy(update={"fit": fit}), remark
+
+
+def _checked(model: type[Any], values: dict[str, Any]) -> tuple[Any, list[str]]:
+    """A model from the values that it accepts, and the names of the others."""
+    wrong = [name for name, value in values.items() if not _accepts(model, name, value)]
+    return model(**{k: v for k, v in values.items() if k not in wrong}), wrong
+
+
+def _accepts(model: type[Any], name: str, value: Any) -> bool:
+    try:
+        model(**{name: value})
+    except ValidationError:
+        return False
+    return True

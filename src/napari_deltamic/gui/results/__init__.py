@@ -1,0 +1,1 @@
+"""What was found: the table, selection, files, sessions, the command that repeats it."""

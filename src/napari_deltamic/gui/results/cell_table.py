@@ -1,0 +1,186 @@
+"""A table of the cells that can be sorted, copied, and chosen from."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any
+
+from qtpy.QtCore import QEvent, QSignalBlocker, Qt
+from qtpy.QtGui import QColor, QKeyEvent, QKeySequence
+from qtpy.QtWidgets import (
+    QAbstractItemView,
+    QApplication,
+    QHeaderView,
+    QTableWidget,
+    QTableWidgetItem,
+    QWidget,
+)
+
+from ...measure.cells import CellRow
+from ...picture import COLOURS
+from ..qt import Signal
+
+_COLUMNS = (
+    ("cell", "region", "{:.0f}", "Number of the cell; its colour is that of its surface."),
+    ("volume, µm³", "volume_um3", "{:.2f}", "Volume, um^3."),
+    ("area, µm²", "area_um2", "{:.2f}", "Area of the whole surface, walls included, um^2."),
+    ("sphericity", "sphericity", "{:.3f}", "1 for a sphere, less for any other shape."),
+)
+_REGION = Qt.ItemDataRole.UserRole
+
+
+class CellTable(QTableWidget):
+    """One row a cell.
+
+    ``chosen`` gives the regions of the rows that are selected, the newest last, and whether the
+    user selected them here (rather than through :meth:`choose`).
+    """
+
+    chosen = Signal(tuple, bool)
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(0, len(_COLUMNS), parent)
+        self._rows: dict[int, CellRow] = {}
+        self._told: tuple[int, ...] = ()
+        for column, (title, _, _, tip) in enumerate(_COLUMNS):
+            item = QTableWidgetItem(title.replace(", ", "\n"))
+            item.setToolTip(f"{tip} Click to sort.")
+            self.setHorizontalHeaderItem(column, item)
+        rows: Any = self.verticalHeader()
+        rows.setVisible(False)
+        columns: Any = self.horizontalHeader()
+        columns.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
+        columns.setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
+        columns.setHighlightSections(False)
+        columns.setMinimumSectionSize(30)
+        self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+        self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+        self.setMinimumHeight(90)
+        self.setSortingEnabled(True)
+        self.sortByColumn(0, Qt.SortOrder.AscendingOrder)
+        self.setToolTip(
+            "<qt>Choose a row to go to the cell, several with Ctrl or Shift; or click on cells in "
+            "the viewer. Ctrl+C copies the rows chosen, or all.</qt>"
+        )
+        self.itemSelectionChanged.connect(self._selection_changed)
+
+    def show_rows(self, rows: Collection[CellRow]) -> None:
+        """Show measurements, as from ``measure_cells``; cells that are still there stay chosen."""
+        before = self.chosen_regions()
+        blocker = QSignalBlocker(self)
+        self._rows = {int(row["region"]): row for row in rows}
+        self.setSortingEnabled(False)  # or rows would move while they are filled
+        self.setRowCount(len(rows))
+        for r, row in enumerate(rows):
+            for c, (_, key, form, _) in enumerate(_COLUMNS):
+                self.setItem(r, c, _cell(row, key, form))
+        self.setSortingEnabled(True)
+        self._select(before)
+        blocker.unblock()
+        self._tell(by_hand=False)
+
+    def chosen_regions(self) -> tuple[int, ...]:
+        """The regions of the rows selected, in the order in which they were."""
+        model: Any = self.selectionModel()
+        now = [self._region(row) for row in sorted(i.row() for i in model.selectedRows())]
+        before = [region for region in self._told if region in now]
+        return (*before, *(region for region in now if region not in before))
+
+    def choose(self, regions: Collection[int]) -> None:
+        """Select the rows of some regions, and no others."""
+        blocker = QSignalBlocker(self)
+        self._select(regions)
+        blocker.unblock()
+        self._tell(by_hand=False)
+
+    def center(self, region: int) -> tuple[float, float, float]:
+        """Centre of a cell, um; NaN if it has none."""
+        row = self._rows[region]
+        z, y, x = (float(row[f"centroid_{axis}_um"]) for axis in "zyx")
+        return z, y, x
+
+    def as_text(self) -> str:
+        """The rows selected, or all, as they are sorted: tab-separated, with a header."""
+        model: Any = self.selectionModel()
+        rows = sorted(i.row() for i in model.selectedRows()) or range(self.rowCount())
+        lines = [[title for title, _, _, _ in _COLUMNS]]
+        for r in rows:
+            row = self._rows[self._region(r)]
+            lines.append([f"{row[key]:.10g}" for _, key, _, _ in _COLUMNS])
+        return "\n".join("\t".join(line) for line in lines) + "\n"
+
+    def copy(self) -> None:
+        """Copy the rows selected, or all, for a spreadsheet."""
+        clipboard: Any = QApplication.clipboard()
+        clipboard.setText(self.as_text())
+
+    def event(self, event: QEvent | None) -> bool:
+        """Qt's: Ctrl+C is ours before it is a shortcut of the window."""
+        if (
+            isinstance(event, QKeyEvent)
+            and event.type() == QEvent.Type.ShortcutOverride
+            and event.matches(QKeySequence.StandardKey.Copy)
+        ):
+            event.accept()
+            return True
+        return bool(super().event(event))
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:
+        """Qt's."""
+        if event is not None and event.matches(QKeySequence.StandardKey.Copy):
+            self.copy()
+        elif event is not None and event.key() == Qt.Key.Key_Escape:
+            self.clearSelection()
+        else:
+            super().keyPressEvent(event)
+
+    # ----------------------------------------------------------------------------------- inside
+
+    def _region(self, row: int) -> int:
+        item: Any = self.item(row, 0)
+        return int(item.data(_REGION))
+
+    def _select(self, regions: Collection[int]) -> None:
+        self.clearSelection()
+        mode = self.selectionMode()
+        self.setSelectionMode(QAbstractItemView.SelectionMode.MultiSelection)
+        for row in range(self.rowCount()):
+            if self._region(row) in regions:
+                self.selectRow(row)
+        self.setSelectionMode(mode)
+        model: Any = self.selectionModel()
+        if model.selectedRows():
+            self.scrollTo(model.selectedRows()[-1])
+
+    def _selection_changed(self) -> None:
+        self._tell(by_hand=True)
+
+    def _tell(self, *, by_hand: bool) -> None:
+        regions = self.chosen_regions()
+        if regions != self._told:
+            self._told = regions
+            self.chosen.emit(regions, by_hand)
+
+
+class _Item(QTableWidgetItem):
+    """Sorts by its number; what has none comes last."""
+
+    def __init__(self, text: str, value: float) -> None:
+        super().__init__(text)
+        self.value = value if value == value else float("inf")
+
+    def __lt__(self, other: QTableWidgetItem) -> bool:
+        return isinstance(other, _Item) and self.value < other.value
+
+
+def _cell(row: CellRow, key: str, form: str) -> QTableWidgetItem:
+    value = float(row[key])
+    item = _Item(form.format(value) if value == value else "-", value)
+    item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+    region = int(row["region"])
+    if key == "region":
+        item.setForeground(QColor(*COLOURS[(region - 1) % len(COLOURS)]))
+        item.setData(_REGION, region)
+    if value != value:
+        item.setToolTip("The surface of this cell is not closed, or inside out.")
+    return item

@@ -1,0 +1,212 @@
+"""The widget as a session, and a session in the widget."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from ...errors import InputError
+from ...geometry.mesh import OUTSIDE
+from ...job import SIGMA_IN_VOXELS, FitInput
+from ...optics import GaussianPSF
+from ...report import History
+from ...session_file import SavedImage, SavedResult, Session
+from ...settings import RunSettings
+from ..accuracy.accuracy_dial import usable_choice
+from ..running.composition import Live, Panels
+from ..running.run_control import RunControl
+from ..viewing.frame import Frame
+from .session_layers import image_layer, save_image, save_layer, seed_layer
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What of a widget a session is made of."""
+
+    viewer: Any
+    panels: Panels
+    control: RunControl
+    live: Live
+
+
+def capture(parts: Parts) -> tuple[Session, str]:
+    """The session that is shown, and what of it is left out, in words ('' for nothing).
+
+    It shares the arrays of the layers, so that a large image is not copied.
+
+    Raises
+    ------
+    InputError
+        If there is no image, or a setting that is not valid.
+    """
+    panels, dims = parts.panels, parts.viewer.dims
+    frame = panels.image.frame()
+    result, left_out = _result(parts, frame)
+    pixels = result[1].image if result else panels.image.stack()
+    settings = RunSettings(
+        image=panels.image.path(),
+        seeds="",
+        scene=panels.settings.scene_settings(),
+        fit=panels.settings.fit_settings(),
+    )
+    step = tuple(dims.current_step)
+    point = tuple(float(p) for p in dims.point)
+    session = Session(
+        settings=settings,
+        image=save_image(panels.image.layer, pixels, frame),
+        seeds=tuple(save_layer(seed, step, point) for seed in panels.seeds.chooser.ticked()),
+        result=result[0] if result else None,
+        panels={
+            "seeds": _seeds_shown(panels),
+            "shown": _images_shown(panels),
+            "view": _view(dims),
+            "accuracy": panels.settings.accuracy.choice,
+        },
+    )
+    return session, left_out
+
+
+def restore(parts: Parts, session: Session) -> None:
+    """Show a session: its layers are added, the panels show what they did.
+
+    Raises
+    ------
+    InputError
+        If a fit is running.
+    """
+    panels, viewer, live = parts.panels, parts.viewer, parts.live
+    if live.run is not None and live.run.running:
+        raise InputError("a fit is running: stop it before you open a session")
+    empty = not viewer.layers
+    image = image_layer(session.image)
+    seeds = [seed_layer(seed) for seed in session.seeds]  # before anything is changed
+    for seed in panels.seeds.chooser.ticked():
+        panels.seeds.chooser.choose(seed, False)
+    viewer.add_layer(image)
+    panels.image.chooser.choose(image)
+    panels.settings.show_settings(session.settings.fit)
+    _show_accuracy(panels, session.panels.get("accuracy"))
+    if session.settings.scene.sigma is not None:
+        panels.settings.show_sigma(session.settings.scene.sigma)
+    # Before the layers: sizes of points follow these fields.
+    _show_seeds(panels, session.panels.get("seeds", {}))
+    for seed in seeds:
+        viewer.add_layer(seed)
+        panels.seeds.chooser.choose(seed)
+    if session.result is not None:
+        panels.seeds.finish_placing()  # no preview of the start over its result
+        _show_result(parts, session.result, session.image)
+    shown = session.panels.get("shown", {})
+    for name in ("rendered", "residual"):
+        getattr(panels.running, name).setChecked(bool(shown.get(name)))
+    viewer.layers.selection = {image}
+    _show_view(viewer, session.panels.get("view", {}), fit_camera=empty)
+
+
+# ---- results -------------------------------------------------------------------------------------
+
+
+def _result(parts: Parts, frame: Frame) -> tuple[tuple[SavedResult, FitInput] | None, str]:
+    """The newest state of the fit of the image chosen, with its job; else why there is none."""
+    link, last, run = parts.live.link, parts.panels.results.last, parts.live.run
+    present = parts.control.present()
+    if present is None or link is None:
+        return None, ""
+    if link.image_layer is not parts.panels.image.layer or link.frame != frame:
+        return None, (
+            f"the result is of another image ('{link.image_layer.name}'), or its voxel size was "
+            "changed: it is not in this session"
+        )
+    history, seconds = last[2:] if last is not None else (History(), 0.0)
+    verdict, message = parts.panels.running.last_verdict
+    if present.running and run is not None:
+        history, seconds = run.history, run.seconds
+        verdict, message = "stopped", "saved while the fit was running"
+    job, known = present.job, min(len(history.loss), len(history.level), len(history.blur))
+    saved = SavedResult(
+        settings=job.settings,
+        state=present.state,
+        # A copy: a fit that runs goes on adding to it.
+        history=History(
+            history.loss[:known], history.level[:known], history.blur[:known], history.first
+        ),
+        seconds=seconds,
+        verdict=verdict,
+        message=message,
+        start=job.mesh,
+        moments=parts.control.timeline.moments,
+        counted=job.counted,
+    )
+    return (saved, job), ""
+
+
+def _show_result(parts: Parts, result: SavedResult, image: SavedImage) -> None:
+    running, state, history = parts.panels.running, result.state, result.history
+    sigma = result.settings.scene.sigma or [SIGMA_IN_VOXELS * d for d in image.voxel_size]
+    job = FitInput(
+        settings=result.settings,
+        image=image.pixels,
+        grid=image.grid,
+        mesh=result.start or state.mesh,
+        optics=GaussianPSF(sigma),
+        counted=result.counted,
+    )
+    parts.panels.results.choose(OUTSIDE)
+    parts.control.reopen(state, job, history, result.seconds, result.moments)
+    running.psf.show_sigma("start", job.optics.sigma_um)
+    running.show_verdict(result.verdict, result.message)
+
+
+# ---- panels --------------------------------------------------------------------------------------
+
+
+def _seeds_shown(panels: Panels) -> dict[str, Any]:
+    seeds = panels.seeds
+    return {
+        "start_as": seeds.shape.currentText(),
+        "radius": float(seeds.radius.value()),
+        "cell_size": float(seeds.find_cells.cell_size.value()),
+        "preview": seeds.preview.isChecked(),
+    }
+
+
+def _show_seeds(panels: Panels, shown: dict[str, Any]) -> None:
+    seeds = panels.seeds
+    if "start_as" in shown:
+        seeds.shape.setCurrentText(str(shown["start_as"]))
+    if "radius" in shown:
+        seeds.radius.setValue(float(shown["radius"]))
+    if "cell_size" in shown:
+        seeds.find_cells.cell_size.setValue(float(shown["cell_size"]))
+    if "preview" in shown:
+        seeds.preview.prefer(bool(shown["preview"]))
+
+
+def _show_accuracy(panels: Panels, choice: Any) -> None:
+    """Of an accuracy, the name by which it was chosen."""
+    try:
+        panels.settings.accuracy.show_choice(usable_choice(choice))
+    except ValueError:
+        return  # an earlier session, which has none: the number is shown
+
+
+def _images_shown(panels: Panels) -> dict[str, Any]:
+    running = panels.running
+    return {
+        "rendered": running.rendered.isChecked(),
+        "residual": running.residual.isChecked(),
+    }
+
+
+def _view(dims: Any) -> dict[str, Any]:
+    return {"ndisplay": int(dims.ndisplay), "point": [float(p) for p in dims.point[-3:]]}
+
+
+def _show_view(viewer: Any, shown: dict[str, Any], *, fit_camera: bool) -> None:
+    if "ndisplay" in shown:
+        viewer.dims.ndisplay = int(shown["ndisplay"])
+    if "point" in shown:
+        n = viewer.dims.ndim
+        viewer.dims.set_point(range(n - 3, n), [float(p) for p in shown["point"]])
+    if fit_camera:
+        viewer.reset_view()

@@ -1,0 +1,131 @@
+"""The buttons that save and open sessions; files are written and read in the background."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+from qtpy.QtWidgets import QFileDialog, QHBoxLayout, QPushButton, QWidget
+
+from ...errors import InputError
+from ...session_file import EXTENSION, Session, load_session, save_session
+from ..attempt import attempt
+from ..background import Background
+from ..qt import Signal
+
+_KIND = f"deltaMic session (*{EXTENSION})"
+
+
+class SessionBar(QWidget):
+    """*Open session...* and *Save session...*.
+
+    Parameters
+    ----------
+    capture : gives the session that is shown, and a remark about it ('' for none).
+    restore : shows a session.
+    warn : tells the user what went wrong, in a sentence.
+    parent : Qt's.
+    """
+
+    saved = Signal(str)  # the path
+
+    def __init__(
+        self,
+        capture: Callable[[], tuple[Session, str]],
+        restore: Callable[[Session], None],
+        warn: Callable[[str], None],
+        parent: QWidget | None = None,
+    ) -> None:
+        super().__init__(parent)
+        self._capture, self._restore, self._warn = capture, restore, warn
+        self.open_button = QPushButton(self)
+        self.open_button.setToolTip(
+            "<qt>Open a .deltamic file: image, seeds, settings, meshes, table and history come "
+            "back as they were.</qt>"
+        )
+        self.save_button = QPushButton(self)
+        self.save_button.setToolTip(
+            "<qt>Save image, seeds, settings, meshes and history in one file. Of a 4D image, the "
+            "time that is fitted. A large image takes seconds; you can go on meanwhile.</qt>"
+        )
+        self._saving = Background(self._saved, self._not_saved)
+        self._opening = Background(self._opened, self._not_opened)
+        layout = QHBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        for button in (self.open_button, self.save_button):
+            layout.addWidget(button)
+        self.open_button.clicked.connect(self._ask_open)
+        self.save_button.clicked.connect(self._ask_save)
+        self._show(saving=False, opening=False)
+
+    @property
+    def busy(self) -> bool:
+        """Whether a file is being written or read."""
+        return self._saving.busy or self._opening.busy
+
+    def save(self, path: str) -> None:
+        """Save what is shown now. InputError if there is nothing that could be saved."""
+        session, remark = self._capture()
+        if remark:
+            self._warn(remark)
+        self._saving.ask(partial(_save, path, session))
+        self._show(saving=True)
+
+    def open(self, path: str) -> None:
+        """Open a session; it is shown when it has been read."""
+        self._opening.ask(partial(load_session, path))
+        self._show(opening=True)
+
+    def close_links(self) -> None:
+        """Call nobody any more; a file that is being written is written to its end."""
+        self._saving.close()
+        self._opening.close()
+
+    def _saved(self, path: str) -> None:
+        self._show(saving=False)
+        self.saved.emit(path)
+
+    def _not_saved(self, reason: str) -> None:
+        self._show(saving=False)
+        self._warn(reason)
+
+    def _opened(self, session: Session) -> None:
+        self._show(opening=False)
+        attempt(partial(self._restore, session), self._warn)
+
+    def _not_opened(self, reason: str) -> None:
+        self._show(opening=False)
+        self._warn(reason)
+
+    def _ask_open(self) -> None:
+        path, _ = QFileDialog.getOpenFileName(self, "Open session", "", _KIND)
+        if path:
+            attempt(partial(self.open, path), self._warn)
+
+    def _ask_save(self) -> None:
+        path, _ = QFileDialog.getSaveFileName(self, "Save session", f"session{EXTENSION}", _KIND)
+        if path:
+            attempt(partial(self._save_as, path), self._warn)
+
+    def _save_as(self, path: str) -> None:
+        if Path(path).suffix.lower() != EXTENSION:
+            path += EXTENSION
+            if Path(path).exists():  # of which the dialog did not warn
+                raise InputError(f"{path} is there already: choose it, or another name")
+        self.save(path)
+
+    def _show(self, saving: bool | None = None, opening: bool | None = None) -> None:
+        """What is under way; None leaves it as it is."""
+        for button, busy, words in (
+            (self.open_button, opening, ("Open session...", "Opening ...")),
+            (self.save_button, saving, ("Save session...", "Saving ...")),
+        ):
+            if busy is not None:
+                button.setEnabled(not busy)
+                button.setText(words[busy])
+
+
+def _save(path: str, session: Session) -> str:
+    save_session(path, session)
+    return path

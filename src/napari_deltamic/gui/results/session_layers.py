@@ -1,0 +1,193 @@
+"""Layers of a viewer as a session file holds them, and back."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+from napari.layers import Image, Labels, Layer, Points, Surface
+from napari.utils import Colormap
+from napari.utils.colormaps import AVAILABLE_COLORMAPS
+from numpy.typing import NDArray
+
+from ...errors import InputError
+from ...geometry import Mesh
+from ...session_file import SavedImage, SavedLayer
+from ..seeding.seeds import at_time
+from ..viewing.colours import LIMITS, region_colormap, side_values
+from ..viewing.frame import OWN, Frame, stack_of
+from ..viewing.walls import COPIES, Apart, joined
+
+_SHOWN = ("opacity", "blending", "visible")
+_IMAGE = (*_SHOWN, "gamma", "rendering", "interpolation2d", "interpolation3d")
+_OTHERS = {
+    "points": (*_SHOWN, "projection_mode", "shading"),
+    "labels": _SHOWN,
+    "surface": (*_SHOWN, "shading", "gamma"),
+}
+_OF_POINTS = ("size", "face_color", "border_color")
+# Of what the plugin notes: arrays; and seeds are no fit any more.
+_DROPPED = ("regions", COPIES, "fit")
+
+
+def save_image(layer: Any, pixels: NDArray[Any], frame: Frame) -> SavedImage:
+    """An image layer; the pixels are those of the 3D image that is fitted."""
+    display = {name: _plain(getattr(layer, name)) for name in _IMAGE}
+    display["contrast_limits"] = [float(limit) for limit in layer.contrast_limits]
+    display["colormap"] = _save_colormap(layer.colormap)
+    return SavedImage(
+        name=layer.name,
+        pixels=pixels,
+        voxel_size=frame.voxel_size,
+        display=display,
+        **_place(layer),
+    )
+
+
+def image_layer(saved: SavedImage) -> Image:
+    """The layer again; it shares the pixels."""
+    return Image(saved.pixels, metadata={OWN: {}}, **_options(saved, saved.display))
+
+
+def save_layer(layer: Any, step: tuple[int, ...], point: tuple[float, ...]) -> SavedLayer:
+    """A Points, Labels or Surface layer; of a series, what lies at the viewer's dims."""
+    kind = type(layer).__name__.lower()
+    arrays = {"points": _points, "labels": _labels, "surface": _surface}
+    if kind not in arrays:
+        raise InputError(f"layer '{layer.name}' is of a kind that cannot be saved: {kind}")
+    found = arrays[kind](layer, step, point)
+    options = {name: _plain(getattr(layer, name)) for name in _OTHERS[kind]}
+    if kind == "surface":
+        options["contrast_limits"] = [float(limit) for limit in layer.contrast_limits]
+        options["colormap"] = _save_colormap(layer.colormap)
+    own = {k: v for k, v in layer.metadata.get(OWN, {}).items() if k not in _DROPPED}
+    return SavedLayer(
+        kind=kind,
+        name=layer.name,
+        arrays={name: np.array(array) for name, array in found.items()},
+        options={**options, "known": _jsonable(own)},
+        **_place(layer),
+    )
+
+
+def seed_layer(saved: SavedLayer) -> Layer:
+    """The layer again. InputError if it is of no kind that is known."""
+    options, arrays = dict(saved.options), saved.arrays
+    own = dict(options.pop("known", {}))
+    options = _options(saved, options)
+    if saved.kind == "points":
+        more = {name: arrays[name] for name in _OF_POINTS}
+        return Points(arrays["data"], metadata={OWN: own}, **more, **options)
+    if saved.kind == "labels":
+        return Labels(arrays["data"], metadata={OWN: own}, **options)
+    if saved.kind != "surface":
+        raise InputError(f"a layer of an unknown kind: {saved.kind}")
+    if "regions" in arrays:
+        own["regions"] = arrays["regions"]
+    data = tuple(arrays[name] for name in ("vertices", "faces", "values"))
+    return Surface(data, metadata={OWN: own}, **options)
+
+
+def mesh_layer(mesh: Mesh, name: str, frame: Frame) -> Surface:
+    """The surface of a result, in a frame."""
+    apart = Apart.of(mesh)
+    return Surface(
+        (apart.vertices(mesh), apart.faces, side_values(apart.sides)),
+        name=name,
+        colormap=region_colormap(),
+        contrast_limits=LIMITS,
+        shading="smooth",
+        metadata={OWN: {"regions": mesh.regions, COPIES: apart.copies, "fit": True}},
+        **frame.layer_options(),
+    )
+
+
+def _points(layer: Any, step: tuple[int, ...], point: tuple[float, ...]) -> dict[str, NDArray[Any]]:
+    data = np.asarray(layer.data)
+    shown = at_time(layer, data, point)
+    arrays = {name: np.asarray(getattr(layer, name))[shown] for name in _OF_POINTS}
+    return {"data": data[shown, -3:], **arrays}
+
+
+def _labels(layer: Any, step: tuple[int, ...], point: tuple[float, ...]) -> dict[str, NDArray[Any]]:
+    return {"data": stack_of(layer, step)}
+
+
+def _surface(
+    layer: Any, step: tuple[int, ...], point: tuple[float, ...]
+) -> dict[str, NDArray[Any]]:
+    vertices, faces, values = (np.asarray(part) for part in layer.data[:3])
+    vertices, faces = joined(vertices, faces, layer.metadata)
+    values = values[: len(vertices)]
+    regions = layer.metadata.get(OWN, {}).get("regions")
+    kept = at_time(layer, vertices, point)[faces].all(axis=1)
+    if not kept.all():
+        used, inverse = np.unique(faces[kept], return_inverse=True)
+        vertices, values, faces = vertices[used], values[used], inverse.reshape(-1, 3)
+    arrays = {"vertices": vertices[:, -3:], "faces": faces, "values": values}
+    if regions is not None and len(regions) == len(kept):
+        arrays["regions"] = np.asarray(regions)[kept]
+    return arrays
+
+
+def _place(layer: Any) -> dict[str, Any]:
+    z, y, x = (str(unit) for unit in layer.units[-3:])
+    return {
+        "scale": tuple(float(s) for s in layer.scale[-3:]),
+        "translate": tuple(float(t) for t in layer.translate[-3:]),
+        "units": (z, y, x),
+    }
+
+
+def _options(saved: SavedImage | SavedLayer, shown: dict[str, Any]) -> dict[str, Any]:
+    options = {
+        **shown,
+        "name": saved.name,
+        "scale": saved.scale,
+        "translate": saved.translate,
+        "units": saved.units,
+    }
+    if "colormap" in options:
+        options["colormap"] = _colormap(options["colormap"])
+    return options
+
+
+def _save_colormap(colormap: Any) -> dict[str, Any]:
+    return {
+        "name": str(colormap.name),
+        "colors": np.asarray(colormap.colors, float).tolist(),
+        "controls": np.asarray(colormap.controls, float).tolist(),
+        "interpolation": str(getattr(colormap.interpolation, "value", colormap.interpolation)),
+    }
+
+
+def _colormap(saved: dict[str, Any]) -> Any:
+    """napari's own of that name, where it is the same; else one with these colours."""
+    known = AVAILABLE_COLORMAPS.get(saved["name"])
+    if known is not None and _save_colormap(known) == saved:
+        return saved["name"]
+    return Colormap(
+        colors=np.asarray(saved["colors"]),
+        controls=np.asarray(saved["controls"]),
+        name=saved["name"],
+        interpolation=saved["interpolation"],
+    )
+
+
+def _plain(value: Any) -> Any:
+    """A number, or the name of one of napari's choices."""
+    return value if isinstance(value, (bool, int, float)) else str(getattr(value, "value", value))
+
+
+def _jsonable(values: dict[str, Any]) -> dict[str, Any]:
+    """What of a dict JSON knows."""
+
+    def fits(value: Any) -> bool:
+        try:
+            json.dumps(value)
+        except (TypeError, ValueError):
+            return False
+        return True
+
+    return {str(key): value for key, value in values.items() if fits(value)}

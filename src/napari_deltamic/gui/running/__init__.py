@@ -1,0 +1,1 @@
+"""A fit in the background: the worker, what it streams, its panel."""

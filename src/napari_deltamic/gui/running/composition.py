@@ -1,0 +1,45 @@
+"""What the parts of the widget share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..panels.image_panel import ImagePanel
+from ..panels.settings_panel import SettingsPanel
+from ..results.results_panel import ResultsPanel
+from ..seeding.seeds_panel import SeedsPanel
+from ..viewing.viewer_link import ViewerLink
+from .run_panel import RunPanel
+from .worker import FitRun
+
+
+@dataclass
+class Live:
+    """What must end with the widget; it knows nothing of the widget, and so outlives it."""
+
+    run: FitRun | None = None
+    link: ViewerLink | None = None
+    panels: list[Any] = field(default_factory=list)
+
+    def close(self, gone: Any = None) -> None:
+        """End everything; once is enough."""
+        if self.run is not None:
+            self.run.close()
+        if self.link is not None:
+            self.link.close()
+        for panel in self.panels:
+            panel.close_links()
+        self.run = self.link = None
+        self.panels = []
+
+
+@dataclass(frozen=True)
+class Panels:
+    """The panels that say what to run and show how it goes."""
+
+    image: ImagePanel
+    seeds: SeedsPanel
+    settings: SettingsPanel
+    running: RunPanel
+    results: ResultsPanel

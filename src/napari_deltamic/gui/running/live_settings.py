@@ -1,0 +1,138 @@
+"""Settings that are edited while a fit runs: what it takes over at once, and what it cannot."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from qtpy.QtCore import QObject, QSignalBlocker
+
+from ...errors import InputError
+from ...inference import Change
+from ...optics import GaussianPSF
+from ...settings import FitSettings
+from ..editing.edits import Edits
+from .composition import Live, Panels
+from .run_control import RunControl
+
+# Of a fit: its schedule is what it is on.
+_FIXED = ("levels",)
+_SCENE = {"voxel_size": "voxel size", "origin": "origin", "effects": "effects"}
+_YES_NO = {"fit_psf": ("the PSF is fitted too", "the PSF is held")}
+
+
+class LiveSettings(QObject):
+    """Hands what the user edits in the panels to the fit that is under way."""
+
+    def __init__(
+        self,
+        control: RunControl,
+        edits: Edits,
+        panels: Panels,
+        live: Live,
+        parent: QObject | None = None,
+    ) -> None:
+        super().__init__(parent)
+        self._control, self._edits, self._panels, self._live = control, edits, panels, live
+        self._fit: FitSettings | None = None  # of the fit, as it was last told
+        self._shown: FitSettings | None = None  # what the panel showed then
+        self._sigma: tuple[float, ...] = ()
+        self._scene: dict[str, Any] = {}
+        control.started.connect(self._started)
+        control.began.connect(self._began)
+        edits.settings_undone.connect(self._undone)
+        panels.settings.changed.connect(self._edited)
+        panels.image.changed.connect(self._image_changed)
+
+    def _started(self) -> None:
+        settings = self._panels.settings
+        self._fit, self._shown = None, settings.fit_settings()
+        self._sigma, self._scene = settings.sigma.value(), _scene(settings.scene_settings())
+
+    def _began(self, fresh: bool) -> None:
+        present = self._control.present()
+        if present is not None:
+            self._fit = present.job.settings.fit
+        self._edited()  # what was edited while the seeds were prepared
+
+    @property
+    def _running(self) -> bool:
+        run = self._live.run
+        return run is not None and run.running and self._fit is not None
+
+    def _edited(self) -> None:
+        if self._running:
+            try:
+                self._hand_over()
+                self._tell_fixed()
+            except InputError as error:
+                self._panels.running.tell(f"{error}; the fit goes on as it was")
+
+    def _image_changed(self) -> None:
+        if self._running:
+            # A PSF that is only guessed follows the voxel size, but not in a fit.
+            self._sigma = self._panels.settings.sigma.value()
+            link, chosen = self._live.link, self._panels.image.layer
+            try:
+                if link is None or chosen is link.image_layer:
+                    self._tell_fixed()
+                elif chosen is not None:
+                    text = f"the fit goes on with '{link.image_layer.name}'"
+                    self._panels.running.tell(f"{text}; the next run takes '{chosen.name}'")
+            except InputError as error:
+                self._panels.running.tell(f"{error}; the fit goes on with the image it has")
+
+    def _hand_over(self) -> None:
+        settings = self._panels.settings
+        fit, sigma = settings.fit_settings(), settings.sigma.value()
+        assert self._fit is not None
+        changed = {
+            name: getattr(fit, name)
+            for name in FitSettings.model_fields
+            if name not in _FIXED and getattr(fit, name) != getattr(self._shown, name)
+        }
+        if "accuracy" in changed:
+            changed["accuracy"] = settings.accuracy.number()  # also where the noise decides
+        words = [_words(name, value) for name, value in changed.items()]
+        optics = None
+        if sigma != self._sigma:
+            optics = GaussianPSF(sigma)
+            words.append("PSF sigma " + " ".join(f"{s:.3g}" for s in sigma))
+        if words:
+            after = self._fit.model_copy(update=changed)
+            change = Change(settings=after if changed else None, optics=optics)
+            self._edits.change(change, ", ".join(words))
+            self._fit, self._shown, self._sigma = after, fit, sigma
+
+    def _tell_fixed(self) -> None:
+        """What cannot change on the way is told once."""
+        now = _scene(self._panels.settings.scene_settings())
+        other = [title for name, title in _SCENE.items() if now[name] != self._scene.get(name)]
+        if other:
+            self._scene = now
+            self._panels.running.tell(f"{' and '.join(other)}: from the next run on")
+
+    def _undone(self, back: Change) -> None:
+        panel = self._panels.settings
+        blocker = QSignalBlocker(panel)
+        if back.settings is not None:
+            panel.show_settings(back.settings)
+            self._fit, self._shown = back.settings, panel.fit_settings()
+        if back.optics is not None:
+            panel.show_sigma(back.optics.sigma_um)
+            self._sigma = panel.sigma.value()
+        blocker.unblock()
+
+
+def _scene(settings: Any) -> dict[str, Any]:
+    return {name: getattr(settings, name) for name in _SCENE}
+
+
+def _words(name: str, value: Any) -> str:
+    if name in _YES_NO:
+        return _YES_NO[name][0 if value else 1]
+    if name == "max_iterations":
+        return f"at most {value} iterations"
+    if isinstance(value, float):
+        value = np.format_float_scientific(value, trim="-", exp_digits=1)
+    return f"{name.replace('_', ' ')} {'automatic' if value is None else value}"

@@ -1,0 +1,1 @@
+"""Seeds: where they come from, how they are checked, previewed and drawn."""

@@ -1,0 +1,159 @@
+"""Cells found without a click: a Labels layer that can be corrected, and is then the seeds."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+from napari.layers import Labels
+from numpy.typing import NDArray
+from qtpy.QtCore import QSignalBlocker, Qt
+from qtpy.QtWidgets import QPushButton, QWidget
+from superqt import QLabeledDoubleSlider
+
+from ...errors import InputError
+from ..background import Background
+from ..qt import Signal
+from ..viewing.colours import label_colormap
+from ..viewing.frame import Frame
+
+NAME = "found cells"
+
+
+class FindCells(QPushButton):
+    """The button, its slider, and what they find; ``found`` brings the layer.
+
+    ``told`` says that ``message`` is another.
+    """
+
+    found = Signal(object)
+    told = Signal()
+
+    def __init__(self, viewer: Any, image_panel: Any, parent: QWidget | None = None) -> None:
+        super().__init__("Find cells", parent)
+        self._viewer, self._image = viewer, image_panel
+        self.setToolTip(
+            "<qt>Finds the cells of a membrane image by itself and adds them as a Labels layer, "
+            "which can be corrected with napari's brush, eraser and bucket. Takes seconds to "
+            "minutes in the background, by the size of the image. Pressing again starts anew and "
+            "replaces what was found, corrections too.</qt>"
+        )
+        self.cell_size = QLabeledDoubleSlider(Qt.Orientation.Horizontal, parent)
+        self.cell_size.setToolTip(
+            "<qt>Diameter of a typical cell, um. Until you move it, it is estimated from the "
+            "image. Larger: fewer cells, smaller: more. Press 'Find cells' again after that.</qt>"
+        )
+        self.message = ""
+        self._moved = False
+        self._layer: Any = None
+        self._asked: tuple[Any, Frame] | None = None
+        self._background = Background(self._show, self._fail)
+        self.clicked.connect(self.start)
+        self.cell_size.valueChanged.connect(self._note_move)
+
+    @property
+    def tried(self) -> bool:
+        """Whether its slider is of use yet."""
+        return self._moved or bool(self.message)
+
+    @property
+    def busy(self) -> bool:
+        """Whether cells are being looked for."""
+        return self._background.busy
+
+    def start(self) -> None:
+        """Look for cells in the image chosen; what is under way is given up."""
+        try:
+            frame, image = self._image.frame(), self._image.stack()
+        except InputError as error:
+            self._tell(f"{str(error)[0].upper()}{str(error)[1:]}.")
+            return
+        self._asked = (self._image.layer, frame)
+        size = float(self.cell_size.value()) if self._moved else None
+        self._background.ask(partial(look, image, frame.voxel_size, size))
+        self._tell("Looking for cells ...")
+
+    def suit(self, shape: tuple[int, ...], voxel_size: tuple[float, ...]) -> None:
+        """Another image: what was asked of the last one is of no use."""
+        self.forget()
+        sides = np.multiply(shape, voxel_size)
+        least = 4 * float(np.cbrt(np.prod(voxel_size)))  # less is refused
+        self._set_size(float(sides.min()) / 3, least, float(sides.max()))
+        self._moved = False
+
+    def forget(self) -> None:
+        """Give up what is under way."""
+        if self._background.busy:
+            self._background.drop()
+            self._tell("")
+
+    def hide_found(self) -> None:
+        """Make the layer invisible: labels cover what lies in and under them."""
+        if self._layer is not None and self._layer in self._viewer.layers:
+            self._layer.visible = False
+
+    def close_links(self) -> None:
+        """End what is under way and let the viewer go."""
+        self._background.close()
+        self._layer = self._asked = None
+
+    def _show(self, result: tuple[float, NDArray[np.int32]]) -> None:
+        if self._asked is None:
+            return
+        size, labels = result
+        (image_layer, frame), self._asked = self._asked, None
+        if image_layer not in self._viewer.layers:
+            self._tell("")
+            return
+        if not self._moved:
+            self._set_size(size)
+        layer = self._layer_for(frame, labels)
+        n = len(np.unique(labels[labels > 0]))
+        self._tell(f"Found {n} {'cell' if n == 1 else 'cells'} of about {size:.3g} um.")
+        self.found.emit(layer)
+
+    def _layer_for(self, frame: Frame, labels: NDArray[np.int32]) -> Any:
+        """The layer of the last time if it still lies on the image, else a new one."""
+        old, options = self._layer, frame.image_options()
+        if (
+            old is not None
+            and old in self._viewer.layers
+            and old.data.shape == labels.shape
+            and np.allclose(old.scale, options["scale"])
+            and np.allclose(old.translate, options["translate"])
+        ):
+            old.data = labels
+            old.visible = True
+            return old
+        self._layer = Labels(labels, name=NAME, opacity=0.4, colormap=label_colormap(), **options)
+        self._viewer.add_layer(self._layer)
+        return self._layer
+
+    def _fail(self, message: str) -> None:
+        self._tell(f"No cells found: {message}")
+
+    def _tell(self, message: str) -> None:
+        self.message = message
+        self.told.emit()
+
+    def _note_move(self, value: float) -> None:
+        self._moved = True
+
+    def _set_size(self, size: float, *limits: float) -> None:
+        blocker = QSignalBlocker(self.cell_size)
+        if limits:
+            self.cell_size.setRange(*limits)
+        self.cell_size.setValue(size)
+        blocker.unblock()
+
+
+def look(
+    image: NDArray[Any], voxel_size: tuple[float, ...], size: float | None
+) -> tuple[float, NDArray[np.int32]]:
+    """The cell size used (um; None: estimated) and the labels (Z, Y, X)."""
+    # Imported when it is first needed, and in the thread, as that takes a while.
+    from ...geometry.find_cells import find_cells, suggest_size
+
+    used = float(suggest_size(image, voxel_size)) if size is None else size
+    return used, np.asarray(find_cells(image, voxel_size, used), np.int32)

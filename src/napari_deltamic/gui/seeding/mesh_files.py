@@ -1,0 +1,74 @@
+"""The button that adds mesh files as Surface layers."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+from napari.utils.notifications import show_warning
+from qtpy.QtWidgets import QFileDialog, QPushButton, QWidget
+
+from ...errors import InputError
+from ..background import Background
+from ..qt import Signal
+from ..viewing.mesh_layer import SUFFIXES, LoadedMesh, load_meshes, surface_layer
+
+
+class MeshFiles(QPushButton):
+    """Asks for mesh files, reads them in the background, adds them in the frame of the image.
+
+    ``told`` says that ``message`` is another.
+    """
+
+    told = Signal()
+
+    def __init__(self, viewer: Any, image_panel: Any, parent: QWidget | None = None) -> None:
+        super().__init__("Mesh file...", parent)
+        self._viewer, self._image = viewer, image_panel
+        self.message = ""
+        self.setToolTip(
+            "<qt>Adds surfaces from .ply, .obj, .off, .stl or .rec files as layers; their "
+            "coordinates are um from the centre of the first voxel.</qt>"
+        )
+        self._background = Background(self._add, self._fail)
+        self.clicked.connect(self._ask)
+
+    def read(self, *paths: str) -> None:
+        """Read files; the layers come when they have all been read."""
+        if self._image.layer is None:
+            self._tell("Open a 3D image first.")
+            return
+        self._background.ask(partial(load_meshes, list(paths)))
+        self._tell("Reading ...")
+
+    def close_links(self) -> None:
+        """End what is under way."""
+        self._background.close()
+
+    def _ask(self) -> None:
+        kinds = " ".join(f"*{suffix}" for suffix in SUFFIXES)
+        paths, _ = QFileDialog.getOpenFileNames(
+            self, "Surfaces to start from", "", f"Meshes ({kinds})"
+        )
+        if paths:
+            self.read(*paths)
+
+    def _add(self, meshes: list[LoadedMesh]) -> None:
+        self._tell("")
+        try:
+            frame = self._image.frame()
+        except InputError as error:
+            self._fail(str(error))
+            return
+        for loaded in meshes:
+            self._viewer.add_layer(surface_layer(loaded, frame))
+            for remark in loaded.remarks:
+                show_warning(remark)
+
+    def _fail(self, message: str) -> None:
+        self._tell("")
+        show_warning(message)
+
+    def _tell(self, message: str) -> None:
+        self.message = message
+        self.told.emit()

@@ -1,0 +1,96 @@
+"""What the ticked layers hold, at the time shown: seeds, points, and what may be wrong."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from napari.layers import Labels, Points
+
+from ...errors import InputError
+from ..viewing.frame import Frame, stack_of
+from .preview import Problem, Wanted
+from .seed_checks import PointSet, Remark, all_remarks
+from .seeds import PointSeeds, Seeds, at_time, is_empty, mixed, seeds_from_layer
+
+
+class SeedSources:
+    """Reads the layers that are ticked in a list, for the image chosen in a panel."""
+
+    def __init__(self, viewer: Any, image_panel: Any, chosen: Any) -> None:
+        self._viewer, self._image, self._chosen = viewer, image_panel, chosen
+
+    def seeds(self, frame: Frame, spheres: bool) -> Seeds:
+        """The seeds, copied. InputError where there are none, or they cannot be used."""
+        layers = self._chosen.ticked()
+        if not layers:
+            raise InputError("no seeds yet: press 'Place seeds' and click inside each cell")
+        point = self._point()
+        filled = [layer for layer in layers if not is_empty(layer, point)]
+        # Where all are empty, the first of them says so itself.
+        return mixed([self._of(layer, frame, spheres) for layer in filled or layers[:1]])
+
+    def points_layers(self) -> list[Any]:
+        """Those of points."""
+        return [layer for layer in self._chosen.ticked() if isinstance(layer, Points)]
+
+    def shape(self) -> tuple[int, ...] | None:
+        """Of the 3D image; None where there is none that can be used: its panel says why."""
+        if self._frame() is None:
+            return None
+        layer = self._image.layer
+        data = layer.data[0] if layer.multiscale else layer.data
+        return tuple(data.shape[-3:])
+
+    def preview(self) -> Wanted | None:
+        """What a preview of the points is made of; None where there is nothing to show."""
+        frame = self._frame()
+        sets = self._point_sets(frame, spheres=False) if frame is not None else []
+        if frame is None or not sets:
+            return None
+        points = np.concatenate([one.points for one in sets])
+        time = tuple(int(k) for k in self._viewer.dims.current_step[:-3])
+        return Wanted(points, self._image.stack, self._image.layer, frame, time)
+
+    def remarks(self, spheres: bool, problems: tuple[Problem, ...]) -> list[Remark]:
+        """What may be wrong with the seeds; ``problems`` are those of a preview."""
+        frame, shape = self._frame(), self.shape()
+        if frame is None or shape is None:
+            return []
+        step = tuple(self._viewer.dims.current_step)
+        labels = [
+            (layer, stack_of(layer, step))
+            for layer in self._chosen.ticked()
+            if isinstance(layer, Labels)
+        ]
+        sets = self._point_sets(frame, spheres)
+        return all_remarks(sets, labels, shape, frame.voxel_size, problems)
+
+    def _point_sets(self, frame: Frame, spheres: bool) -> list[PointSet]:
+        """The points of each layer; layers that cannot be used are told when a fit starts."""
+        point = self._point()
+        layers = [layer for layer in self.points_layers() if not is_empty(layer, point)]
+        sets = []
+        for layer in layers:
+            try:
+                seeds = self._of(layer, frame, spheres)
+            except InputError:
+                continue
+            assert isinstance(seeds, PointSeeds)
+            rows = np.flatnonzero(at_time(layer, layer.data, point))
+            sets.append(PointSet(layer, seeds.points, seeds.radii, rows, len(layers) > 1))
+        return sets
+
+    def _of(self, layer: Any, frame: Frame, spheres: bool) -> Seeds:
+        step = tuple(self._viewer.dims.current_step)
+        return seeds_from_layer(layer, frame, step, spheres=spheres, point=self._point())
+
+    def _point(self) -> tuple[float, ...]:
+        return tuple(float(p) for p in self._viewer.dims.point)
+
+    def _frame(self) -> Frame | None:
+        try:
+            frame: Frame = self._image.frame()
+        except InputError:
+            return None
+        return frame

@@ -1,0 +1,314 @@
+"""Where the fit starts: any layers of points, labels and surfaces, mesh files, cells found."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from napari.layers import Points
+from numpy.typing import NDArray
+from qtpy.QtCore import Qt, QTimer
+from qtpy.QtWidgets import (
+    QComboBox,
+    QFormLayout,
+    QGroupBox,
+    QHBoxLayout,
+    QPushButton,
+    QWidget,
+)
+from superqt import QLabeledDoubleSlider
+
+from ...errors import InputError
+from ..connections import Connections
+from ..panels.fields import note_label, show_row
+from ..qt import Signal
+from ..viewing.frame import Frame, made_by_fit
+from .find_cells_panel import FindCells
+from .mesh_files import MeshFiles
+from .preview import Preview, Wanted
+from .remarks import Remarks
+from .seed_list import SeedList
+from .seed_sources import SeedSources
+from .seeds import Seeds
+from .sphere_drawing import SphereDrawing
+
+_FOLLOW, _SPHERES = "membrane around each point", "sphere around each point"
+_WAIT = 100  # ms; changes that follow each other faster are looked at together
+
+
+class SeedsPanel(QGroupBox):
+    """Choice of the seeds; ``changed`` says that they may be others."""
+
+    changed = Signal()
+
+    def __init__(self, viewer: Any, image_panel: Any, parent: QWidget | None = None) -> None:
+        super().__init__("Seeds", parent)
+        self._viewer, self._image = viewer, image_panel
+        self._connections, self._of_layers = Connections(), Connections()
+        self._time: tuple[int, ...] = ()
+        self._open = True
+        self._make_fields()
+        self._lay_out()
+        self._drawing = SphereDrawing(
+            self._draws_spheres, self._image_layer, self._um_per_data, self._limits, self._drawn
+        )
+        self._later = QTimer(self)
+        self._later.setSingleShot(True)
+        self._later.setInterval(_WAIT)
+        self._connect()
+        self._image_changed()
+        self._layers_chosen()
+
+    @property
+    def spheres(self) -> bool:
+        """Whether points are to be spheres."""
+        return bool(self.shape.currentText() == _SPHERES)
+
+    def seeds(self, frame: Frame) -> Seeds:
+        """The seeds chosen, copied. InputError where there are none, or they cannot be used."""
+        return self._sources.seeds(frame, self.spheres)
+
+    def place_seeds(self) -> None:
+        """A Points layer that takes clicks: one that is ticked, or a new one."""
+        if self._image.layer is None:
+            self.note.setText("Open a 3D image first.")
+            return
+        layer = self._points_layer()
+        if layer is None:
+            try:
+                layer = self._new_points(self._image.frame())
+            except InputError as error:
+                self.note.setText(str(error))
+                return
+            self._viewer.add_layer(layer)
+        self._viewer.dims.ndisplay = 2
+        self._viewer.layers.selection = {layer}
+        layer.mode = "add"
+
+    def finish_placing(self, *, keep_preview: bool = False) -> None:
+        """Clicks move the view again; the preview goes, or stays until there is room to be made."""
+        for layer in self._viewer.layers:
+            if isinstance(layer, Points) and str(layer.mode) == "add":
+                layer.mode = "pan_zoom"
+        self._later.stop()
+        if not keep_preview:
+            self.preview.clear()
+        self._show()
+
+    def make_room(self) -> None:
+        """The meshes of a fit are there: hide what would cover them."""
+        self.preview.clear()
+        self.find_cells.hide_found()
+
+    def use_file(self, *paths: str) -> None:
+        """Add mesh files as Surface layers, which are seeds like others."""
+        self.open_file.read(*paths)
+
+    def clear_preview(self) -> None:
+        """Take the preview out of the viewer; not to be called when its window is gone."""
+        self.preview.clear()
+
+    def close_links(self) -> None:
+        """End what is under way, and listen to the viewer no more; it is not touched."""
+        self._open = False
+        self._drawing.attach([])
+        for part in (self.chooser, self.preview, self.find_cells, self.open_file):
+            part.close_links()
+        self._connections.undo()
+        self._of_layers.undo()
+        self.remarks.forget()
+
+    # ------------------------------------------------------------------------------------ fields
+
+    def _make_fields(self) -> None:
+        self.chooser = SeedList(self._viewer, self)
+        self._sources = SeedSources(self._viewer, self._image, self.chooser)
+        self.place = QPushButton("Place seeds", self)
+        self.place.setToolTip(
+            "<qt>Then click inside each cell, on any slice or in 3D (there, points lie at the "
+            "depth of the middle of the view). Spheres are drawn: press at the centre, drag to "
+            "the rim; hold the space bar to move the view instead.</qt>"
+        )
+        self.open_file = MeshFiles(self._viewer, self._image, self)
+        self.find_cells = FindCells(self._viewer, self._image, self)
+        self.shape = QComboBox(self)
+        self.shape.addItems([_FOLLOW, _SPHERES])
+        self.shape.setSizeAdjustPolicy(
+            QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon
+        )
+        self.shape.setMinimumContentsLength(8)
+        self.shape.setToolTip(
+            "<qt>'membrane' finds the dark region around each point, up to its bright membrane: "
+            "needs membranes that close, and takes seconds for a million voxels when the fit "
+            "starts. 'sphere' starts as large as drawn: at once, but farther from the membrane, so "
+            "the fit takes longer.</qt>"
+        )
+        self.radius = QLabeledDoubleSlider(Qt.Orientation.Horizontal, self)
+        self.radius.setToolTip(
+            "<qt>Radius of the spheres, um: of the selected points, or of all; and of the next "
+            "click. A sphere can also be drawn: press at its centre and drag to its rim.</qt>"
+        )
+        self.preview = Preview(self._viewer, self._preview_wanted, self)
+        self.note = note_label()
+        self.remarks = Remarks(self._viewer, self)
+
+    def _lay_out(self) -> None:
+        buttons = QHBoxLayout()
+        buttons.setSpacing(4)
+        for button in (self.place, self.open_file, self.find_cells):
+            buttons.addWidget(button)
+        layout = QFormLayout(self)
+        layout.addRow(buttons)
+        layout.addRow("cell size, um", self.find_cells.cell_size)
+        layout.addRow(self.chooser)
+        layout.addRow("start as", self.shape)
+        layout.addRow("radius, um", self.radius)
+        layout.addRow("", self.preview)
+        layout.addRow(self.note)
+        layout.addRow(self.remarks)
+        self._form = layout
+
+    def _connect(self) -> None:
+        self.place.clicked.connect(self.place_seeds)
+        for part in (self.open_file, self.find_cells):
+            part.told.connect(self._show)
+        self.find_cells.found.connect(self.chooser.choose)
+        self.chooser.chosen.connect(self._layers_chosen)
+        self.shape.currentTextChanged.connect(self._shape_chosen)
+        self.radius.valueChanged.connect(self._resize)
+        self.preview.changed.connect(self._show_remarks)
+        self._later.timeout.connect(self._look)
+        self._image.changed.connect(self._image_changed)
+        self._connections.connect(self._viewer.dims.events.current_step, self._step_changed)
+
+    def _new_points(self, frame: Frame) -> Points:
+        return Points(
+            np.zeros((0, 3)),
+            ndim=3,
+            name="seeds",
+            size=2 * self._drawn_radius(),
+            shading="spherical",
+            face_color="#ffb000",
+            border_color="white",
+            opacity=0.6,
+            projection_mode="rescale_spherical",  # a sphere is cut as a sphere by each slice
+            **frame.layer_options(),
+        )
+
+    # ------------------------------------------------------------------------------- what changes
+
+    def _image_changed(self) -> None:
+        shape = self._sources.shape()
+        if shape is None:
+            self.find_cells.forget()
+            self._show_soon()
+            return
+        size = self._image.frame().voxel_size
+        sides = np.asarray(size) * shape
+        self.radius.setRange(2 * min(size), float(sides.max()) / 2)
+        self.radius.setValue(float(sides.min()) / 6)
+        self.find_cells.suit(shape, size)
+        self.preview.suit(shape, size)
+        self._show_soon()
+
+    def _layers_chosen(self) -> None:
+        self._of_layers.undo()
+        layers = self.chooser.ticked()
+        for layer in layers:
+            for name in ("data", "size", "paint", "scale", "translate"):
+                if hasattr(layer.events, name):
+                    self._of_layers.connect(getattr(layer.events, name), self._show_soon)
+        self._drawing.attach([layer for layer in layers if isinstance(layer, Points)])
+        self._show()
+        self._show_soon()
+
+    def _step_changed(self, event: Any = None) -> None:
+        time = tuple(self._viewer.dims.current_step[:-3])
+        if time != self._time:  # other points, and another image
+            self._time = time
+            self._show_soon()
+
+    def _shape_chosen(self, text: str) -> None:
+        self._resize()
+        self._show()
+        self._show_soon()
+
+    def _show_soon(self, event: Any = None) -> None:
+        if self._open:
+            self._later.start()
+
+    def _look(self) -> None:
+        """Whatever follows from the seeds, once they lie still."""
+        if not self._open:
+            return
+        self.preview.later()
+        self._show()
+        self._show_remarks()
+        self.changed.emit()
+
+    def _resize(self, value: float = 0) -> None:
+        for layer in self._sources.points_layers():
+            try:
+                um = self._um_per_data(layer)
+            except InputError:
+                continue  # said when the fit starts
+            size = 2 * self._drawn_radius() / float(np.mean(um))
+            layer.current_size = size
+            sizes = np.array(layer.size, float)
+            sizes[sorted(layer.selected_data) or slice(None)] = size
+            layer.size = sizes
+        self._show_soon()  # napari does not tell
+
+    # ------------------------------------------------------------------------------------ spheres
+
+    def _drawn_radius(self) -> float:
+        """um; a point that is no sphere is drawn small, but over several slices."""
+        return float(self.radius.value()) * (1.0 if self.spheres else 0.25)
+
+    def _draws_spheres(self) -> bool:
+        return self._open and self.spheres
+
+    def _image_layer(self) -> Any:
+        return self._image.layer
+
+    def _um_per_data(self, layer: Any) -> NDArray[np.float64]:
+        um: NDArray[np.float64] = self._image.frame().data_to_um(layer)[0]
+        return um
+
+    def _limits(self) -> tuple[float, float]:
+        return float(self.radius.minimum()), float(self.radius.maximum())
+
+    def _drawn(self, layer: Any, radius: float) -> None:
+        # The sphere that was drawn is selected, so that the slider goes on with it alone.
+        self.radius.setValue(radius)
+
+    # ------------------------------------------------------------------------ notes and remarks
+
+    def _points_layer(self) -> Any:
+        """Which takes clicks: the one that is selected, else the highest."""
+        layers = [layer for layer in self._sources.points_layers() if not made_by_fit(layer)]
+        active = self._viewer.layers.selection.active
+        return active if active in layers else layers[-1] if layers else None
+
+    def _show(self) -> None:
+        layers, points = self.chooser.ticked(), self._sources.points_layers()
+        shown = bool(points) or not layers
+        show_row(self._form, self.find_cells.cell_size, self.find_cells.tried)
+        show_row(self._form, self.shape, shown)
+        show_row(self._form, self.radius, shown and self.spheres)
+        show_row(self._form, self.preview, shown and not self.spheres)
+        texts = [self.open_file.message, self.find_cells.message]
+        if points:
+            n = sum(len(layer.data) for layer in points)
+            texts.append(f"{n} {'point' if n == 1 else 'points'}.")
+        elif not layers:
+            texts.append("Press 'Place seeds' and click inside each cell.")
+        self.note.setText(" ".join(filter(None, texts)))
+
+    def _show_remarks(self) -> None:
+        remarks = self._sources.remarks(self.spheres, self.preview.problems) if self._open else []
+        busy = "Looking for the membranes ..." if self.preview.busy else ""
+        self.remarks.show_remarks(remarks, busy)
+
+    def _preview_wanted(self) -> Wanted | None:
+        return None if self.spheres else self._sources.preview()

@@ -1,0 +1,1 @@
+"""Layers that show meshes, and where they lie in the viewer."""

@@ -1,0 +1,84 @@
+"""One colour for each region, the same in the viewer, the table and the pictures of a report."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any
+
+import numpy as np
+from napari.utils import Colormap
+from napari.utils.colormaps import CyclicLabelColormap
+from numpy.typing import NDArray
+
+from ...geometry import Mesh
+from ...picture import COLOURS
+
+_DIM, _GREY = 0.75, 0.42  # a cell that is not chosen: so much of this grey in its colour
+_OPAQUE = np.ones((len(COLOURS), 1))
+_TABLE = np.hstack([np.array(COLOURS) / 255, _OPAQUE])
+_DIMMED = np.hstack([(1 - _DIM) * _TABLE[:, :3] + _DIM * _GREY, _OPAQUE])
+_BOTH = np.concatenate([_TABLE, _DIMMED])
+_GHOSTS = _BOTH.copy()
+_GHOSTS[len(_TABLE) :, 3] = 0.2  # in 3D one looks through them at what is chosen
+LIMITS = (0.0, float(len(_BOTH)))
+
+
+def region_colours(regions: Any, chosen: Collection[int] = ()) -> NDArray[np.float64]:
+    """(n, 4) RGBA for region numbers from 1, or (4,) for one.
+
+    Where some are chosen, the others are dimmed.
+    """
+    numbers = np.asarray(regions)
+    index = (numbers - 1) % len(_TABLE)
+    if chosen:
+        index = index + len(_TABLE) * ~np.isin(numbers, list(chosen))
+    colours: NDArray[np.float64] = _BOTH[index]
+    return colours
+
+
+def region_colormap() -> Colormap:
+    """A colormap that, over ``LIMITS``, gives ``vertex_values`` the colours of their regions."""
+    controls = np.linspace(0, 1, len(_BOTH) + 1)
+    return Colormap(_GHOSTS, name="deltamic regions", controls=controls, interpolation="zero")
+
+
+def label_colormap() -> CyclicLabelColormap:
+    """For Labels layers: each label has the colour of the region that it becomes."""
+    return CyclicLabelColormap(np.vstack([np.zeros(4), _TABLE]), name="deltamic labels")
+
+
+def vertex_values(mesh: Mesh, chosen: Collection[int] = ()) -> NDArray[np.float32]:
+    """(V,) a value for each vertex; where several regions meet, that of the largest number.
+
+    Where some regions are chosen, all of their vertices have their colours, and the rest is dimmed.
+    """
+    largest, own = _largest(mesh, mesh.regions), None
+    if chosen:
+        own = _largest(mesh, _only(mesh.regions, chosen))
+    return _values(largest, own)
+
+
+def side_values(sides: NDArray[np.int64], chosen: Collection[int] = ()) -> NDArray[np.float32]:
+    """(n,) the same for vertices that lie between two regions each, (n, 2); see ``walls``."""
+    own = _only(sides, chosen).max(axis=1) if chosen else None
+    return _values(sides.max(axis=1), own)
+
+
+def _values(largest: NDArray[np.int64], own: NDArray[np.int64] | None) -> NDArray[np.float32]:
+    """Of the largest region, dimmed where there is no chosen one of its own."""
+    values = (np.maximum(largest, 1) - 1) % len(_TABLE) + 0.5
+    if own is not None:
+        values = np.where(own > 0, (own - 1) % len(_TABLE) + 0.5, values + len(_TABLE))
+    return values.astype(np.float32)
+
+
+def _only(regions: NDArray[np.int64], chosen: Collection[int]) -> NDArray[np.int64]:
+    """The regions that are chosen; 0 for the others."""
+    return np.where(np.isin(regions, list(chosen)), regions, 0)
+
+
+def _largest(mesh: Mesh, regions: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(V,) the largest region at each vertex; 0 where there is none."""
+    largest = np.zeros(len(mesh.vertices), np.int64)
+    np.maximum.at(largest, mesh.faces.ravel(), np.repeat(regions.max(axis=1), 3))
+    return largest

@@ -1,0 +1,111 @@
+"""The contours of a mesh on the slice that the viewer shows, as a Vectors layer."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from napari.layers import Vectors
+from numpy.typing import NDArray
+
+from ...geometry import Mesh
+from ...geometry.mesh import OUTSIDE
+from ...measure import section
+from .colours import region_colours
+from .frame import OWN, Frame
+
+
+class Contours:
+    """A layer with the section of a mesh and the present slice; empty in 3D.
+
+    napari itself draws only the faces that lie wholly in a slice: for a fine mesh, none.
+    """
+
+    def __init__(self, frame: Frame, name: str) -> None:
+        self.frame = frame
+        self.layer = Vectors(
+            np.zeros((0, 2, 3), np.float32),
+            ndim=3,
+            name=name,
+            vector_style="line",
+            edge_width=0.4 * min(frame.voxel_size[1:]),
+            blending="translucent_no_depth",
+            metadata={OWN: {"fit": True}},
+            **frame.layer_options(),
+        )
+        # The thumbnail would take most of the time of an update. A private name: where napari has
+        # no such method, nothing happens.
+        self.layer._update_thumbnail = _no_thumbnail
+        self.chosen: frozenset[int] = frozenset()  # cells that are not dimmed; none: no cell is
+        self._empty = True
+
+    def update(self, mesh: Mesh | None, dims: Any) -> None:
+        """Show the section with the slice that the viewer's dims are at."""
+        axis = sliced_axis(dims)
+        if mesh is None or axis is None:
+            if not self._empty:
+                self.layer.data = np.zeros((0, 2, 3), np.float32)
+                self._empty = True
+            return
+        position = self.position(dims, axis)
+        segments, faces = section(mesh, axis, position)
+        vectors = np.zeros((len(segments), 2, 3), np.float32)
+        others = [k for k in range(3) if k != axis]
+        vectors[:, 0, axis] = position
+        vectors[:, 0, others] = segments[:, 0]
+        vectors[:, 1, others] = segments[:, 1] - segments[:, 0]
+        self._set(*self._two_coloured(vectors, mesh, faces, others))
+
+    def position(self, dims: Any, axis: int) -> float:
+        """um: where the slice across an axis lies that the viewer's dims are at."""
+        world = dims.point[axis - 3]
+        position = (world - self.frame.translate[axis]) * self.frame.um[axis]
+        # The slice that napari shows of the image is that of the nearest voxel.
+        size = self.frame.voxel_size[axis]
+        return float(round(position / size) * size)
+
+    def _two_coloured(
+        self, vectors: NDArray[np.float32], mesh: Mesh, faces: NDArray[Any], others: list[int]
+    ) -> tuple[NDArray[np.float32], NDArray[Any]]:
+        """The segments and the region of each; a wall is drawn once on each of its sides.
+
+        So the contour of each cell is closed, in its own colour.
+        """
+        sides = mesh.regions[faces]
+        walls = np.flatnonzero((sides != OUTSIDE).all(axis=1))
+        if not len(walls):
+            return vectors, sides.max(axis=1)
+        a, b, c = mesh.vertices_numpy()[mesh.faces[faces[walls]]].transpose(1, 0, 2)
+        # From the first side to the second, as in Mesh.normals: in Z, Y, X a cross product turns.
+        normal = np.cross(c - a, b - a)[:, others]
+        length = np.linalg.norm(normal, axis=1, keepdims=True)
+        half = 0.5 * float(self.layer.edge_width)
+        shift = np.zeros((len(walls), 3), np.float32)
+        shift[:, others] = half * normal / np.maximum(length, 1e-300)
+        second = vectors[walls]
+        second[:, 0] += shift
+        vectors[walls, 0] -= shift
+        regions = sides.max(axis=1)
+        regions[walls] = sides[walls, 0]
+        return np.concatenate([vectors, second]), np.concatenate([regions, sides[walls, 1]])
+
+    def _set(self, vectors: NDArray[np.float32], regions: NDArray[Any]) -> None:
+        layer = self.layer
+        layer.data = vectors
+        if len(vectors):
+            # The name of one colour is much cheaper to set than an array of them.
+            first = regions[0]
+            several = bool((regions != first).any())
+            layer.edge_color = region_colours(regions if several else first, self.chosen)
+        self._empty = not len(vectors)
+
+
+def _no_thumbnail() -> None:
+    """Leaves the thumbnail black."""
+
+
+def sliced_axis(dims: Any) -> int | None:
+    """The axis (0 to 2: Z, Y, X) across the slice that is shown; None in 3D."""
+    hidden = [axis - dims.ndim + 3 for axis in dims.not_displayed]
+    hidden = [axis for axis in hidden if axis >= 0]
+    return hidden[0] if dims.ndisplay == 2 and len(hidden) == 1 else None

@@ -1,0 +1,127 @@
+"""Where an image layer lies: between the viewer's world and the um of the engine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pint
+from numpy.typing import ArrayLike, NDArray
+
+from ...errors import InputError
+from ...scene import Grid
+
+OWN = "deltamic"  # key in the metadata of layers: what this plugin knows of them
+# Under it: of a layer of a mesh file, where in the world the file's coordinates count from; None
+# for one that has not been put into the frame of an image yet.
+ORIGIN = "origin"
+FloatArray = NDArray[np.float64]
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The engine's coordinates for an image layer: um from the centre of its first voxel.
+
+    voxel_size : um, Z, Y, X.
+    um : um in one unit of the viewer's world, along each axis.
+    translate : where the centre of the first voxel lies in the world.
+    units : of the layer, for the layers that a fit adds.
+    """
+
+    voxel_size: Triple
+    um: Triple
+    translate: Triple
+    units: tuple[str, ...]
+
+    @classmethod
+    def of(cls, layer: Any) -> Frame:
+        """The frame of an image layer, by its last three axes. InputError if it is turned."""
+        _check_straight(layer)
+        um = um_per_unit(layer) or (1.0, 1.0, 1.0)
+        size = np.abs(np.asarray(layer.scale, float)[-3:]) * um
+        return cls(
+            _triple(size),
+            um,
+            _triple(layer.translate[-3:]),
+            tuple(str(u) for u in layer.units[-3:]),
+        )
+
+    def grid(self, shape: tuple[int, ...]) -> Grid:
+        """The grid of an image of a shape."""
+        return Grid((shape[0], shape[1], shape[2]), self.voxel_size)
+
+    def to_um(self, world: ArrayLike) -> FloatArray:
+        """(n, 3) um from positions in the world."""
+        return (np.asarray(world, np.float64) - self.translate) * self.um
+
+    def to_world(self, um: ArrayLike) -> FloatArray:
+        """(n, 3) positions in the world from um."""
+        return np.asarray(um, np.float64) / self.um + np.asarray(self.translate)
+
+    def data_to_um(self, layer: Any) -> tuple[FloatArray, FloatArray]:
+        """Scale and shift that take the last three coordinates of a layer's data to um."""
+        _check_straight(layer)
+        # A layer without units is drawn in those of the others.
+        own = np.asarray(um_per_unit(layer) or self.um)
+        scale = np.asarray(layer.scale, float)[-3:] * own
+        shift = np.asarray(layer.translate, float)[-3:] * own - np.asarray(self.translate) * self.um
+        return scale, shift
+
+    def layer_options(self) -> dict[str, Any]:
+        """Options of a layer whose data are um in this frame."""
+        return {
+            "scale": tuple(1 / u for u in self.um),
+            "translate": self.translate,
+            "units": self.units,
+        }
+
+    def image_options(self) -> dict[str, Any]:
+        """Options of an image layer that covers the same voxels."""
+        size = tuple(d / u for d, u in zip(self.voxel_size, self.um, strict=True))
+        return {"scale": size, "translate": self.translate, "units": self.units}
+
+
+def um_per_unit(layer: Any) -> Triple | None:
+    """um in one unit of a layer's last three axes; None if they are no lengths (pixels)."""
+    try:
+        return _triple([float((1 * unit).to("micrometer").magnitude) for unit in layer.units[-3:]])
+    except (pint.DimensionalityError, pint.UndefinedUnitError):
+        return None
+
+
+def made_by_fit(layer: Any) -> bool:
+    """Whether a layer shows a fit."""
+    return bool(layer.metadata.get(OWN, {}).get("fit"))
+
+
+def is_stack(layer: Any) -> bool:
+    """Whether a layer is an image that can be fitted: 3D or a series of 3D, one channel."""
+    if type(layer).__name__ != "Image" or layer.rgb or made_by_fit(layer):
+        return False
+    return int(layer.ndim) in (3, 4)
+
+
+def stack_of(layer: Any, step: tuple[int, ...]) -> NDArray[Any]:
+    """The 3D image of a layer, at the viewer's step along any axis before Z, Y, X."""
+    data = layer.data[0] if getattr(layer, "multiscale", False) else layer.data
+    if layer.ndim == 4:
+        data = data[min(step[-4] if len(step) >= 4 else 0, len(data) - 1)]
+    return np.asarray(data)
+
+
+def _check_straight(layer: Any) -> None:
+    rotate = np.asarray(layer.rotate, float)
+    turned = not np.allclose(rotate, np.eye(len(rotate)), atol=1e-9)
+    moved = not np.allclose(layer.affine.affine_matrix, np.eye(layer.ndim + 1), atol=1e-9)
+    if turned or moved or np.any(np.asarray(layer.shear, float) != 0):
+        raise InputError(
+            f"layer '{layer.name}' is rotated, sheared or has an affine transform; "
+            "only scale and translation can be used"
+        )
+
+
+def _triple(values: Any) -> Triple:
+    z, y, x = (float(v) for v in values)
+    return z, y, x

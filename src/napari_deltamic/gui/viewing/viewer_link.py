@@ -1,0 +1,269 @@
+"""The bridge between a fit and the viewer: the layers that show it, and what it listens to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from napari.layers import Image, Surface
+from numpy.typing import NDArray
+
+from ...geometry import Mesh
+from ..connections import Connections
+from ..editing.pins import Pins
+from .colours import LIMITS, region_colormap, side_values
+from .contours import Contours
+from .frame import OWN, Frame
+from .walls import COPIES, Apart
+
+
+class ViewerLink:
+    """Shows a mesh and its images in a viewer until it is closed; then it leaves no connection.
+
+    Parameters
+    ----------
+    viewer : a napari viewer or its model.
+    image_layer : the image that is fitted.
+    frame : of the image layer.
+    on_lost : called with a sentence when a layer that the fit needs is removed.
+    """
+
+    def __init__(
+        self, viewer: Any, image_layer: Any, frame: Frame, on_lost: Callable[[str], None]
+    ) -> None:
+        self.viewer, self.image_layer, self.frame = viewer, image_layer, frame
+        self.mesh: Mesh | None = None  # the newest; ``shown`` may be another
+        self._held: Mesh | None = None
+        self.chosen: frozenset[int] = frozenset()
+        self.surface: Surface | None = None
+        self.rendered: Image | None = None
+        self.residual: Image | None = None
+        self._pins = Pins(viewer, frame, f"{image_layer.name} pinned")
+        self.contours = Contours(frame, f"{image_layer.name} contours")
+        self._on_lost: Callable[[str], None] | None = on_lost
+        self._seen_in_3d = True
+        self._late = False  # whether the hidden surface is another than what is to be seen
+        self._time: tuple[int, ...] = ()  # of the image, that is fitted; () where it has none
+        self.take_time()
+        self._apart: Apart | None = None  # how the surface is drawn
+        self._apart_of: Mesh | None = None
+        self._values: NDArray[np.float32] | None = None
+        self._connections = Connections()
+        dims = viewer.dims.events
+        for emitter in (dims.current_step, dims.order):
+            self._connections.connect(emitter, self._slice_changed)
+        self._connections.connect(dims.ndisplay, self._view_changed)
+        self._connections.connect(viewer.layers.events.removed, self._layer_removed)
+
+    def take_time(self) -> None:
+        """From now on the meshes are those of the time point that is shown, of a 4D image."""
+        steps = tuple(self.viewer.dims.current_step)
+        self._time = steps[:-3] if self.image_layer.ndim > 3 else ()
+
+    def show_mesh(self, mesh: Mesh, *, passing: bool = False) -> None:
+        """Show a mesh, um in the frame: the surface in 3D, its contours in 2D.
+
+        While another one is held, it is shown once that is let go. A surface that is hidden is not
+        told of a mesh that is only passing, as that takes as long as if it were to be seen.
+        """
+        self.mesh = mesh
+        if self._held is None:
+            self._draw(mesh, passing=passing)
+
+    @property
+    def shown(self) -> Mesh | None:
+        """The mesh that is to be seen."""
+        return self.mesh if self._held is None else self._held
+
+    def hold(self, mesh: Mesh) -> None:
+        """Show a mesh until ``let_go``, whatever the fit does meanwhile."""
+        self._held = mesh
+        self._draw(mesh)
+
+    def let_go(self) -> None:
+        """Show the newest mesh again."""
+        if self._held is not None:
+            self._held = None
+            if self.mesh is not None:
+                self._draw(self.mesh)
+
+    def show_pins(self, pinned: NDArray[np.bool_] | None) -> None:
+        """Mark vertices as pinned: points that are only there where some are."""
+        self._pins.choose(pinned)
+        self._pins.show(self.shown)
+
+    def highlight(self, regions: frozenset[int]) -> None:
+        """Dim all cells but some; none of them: show all alike."""
+        if regions == self.chosen:
+            return
+        self.chosen = self.contours.chosen = regions
+        if self.shown is None:
+            return
+        if self.surface is not None and self.surface in self.viewer.layers:
+            self._apart, self._late = None, False
+            # With its vertices: those of a layer that is late may be of other triangles.
+            self._set_surface(self.surface, self.shown)
+        self._slice_changed()
+
+    def show_rendered(self, rendered: NDArray[Any], measured: NDArray[Any] | None) -> None:
+        """Show a rendered image and, with the measured one, the signed residual."""
+        if self.rendered is None:
+            self.rendered = self._add_image(
+                rendered,
+                "rendered",
+                colormap="magenta",
+                blending="additive",
+                opacity=0.7,
+                visible=False,
+                contrast_limits=self.image_layer.contrast_limits,
+            )
+        elif self.rendered in self.viewer.layers:
+            self.rendered.data = rendered
+        if measured is not None:
+            self._show_residual(measured - rendered)
+
+    def show_layers(self, rendered: bool, residual: bool) -> None:
+        """Whether the images that a fit adds are visible."""
+        for layer, visible in ((self.rendered, rendered), (self.residual, residual)):
+            if layer is not None:
+                layer.visible = visible
+
+    def face_of(self, drawn: int) -> int | None:
+        """The face of the mesh shown that one of the surface layer is; None where there is none."""
+        order = self._apart.order if self._apart is not None else ()
+        return int(order[drawn]) if drawn < len(order) else None
+
+    def go_to(self, center: Sequence[float]) -> None:
+        """Move slices and camera to a place, um in the frame."""
+        if not np.isfinite(center).all():
+            return
+        world = [float(w) for w in self.frame.to_world(center)]
+        n = self.viewer.dims.ndim
+        self.viewer.dims.set_point(range(n - 3, n), world)
+        scene = getattr(self.viewer, "scene", self.viewer)  # before napari 0.9, the viewer itself
+        scene.camera.center = tuple(world)
+
+    def close(self) -> None:
+        """Undo every connection; the layers stay."""
+        self._connections.undo()
+        self._on_lost = None
+
+    # ---------------------------------------------------------------------------------- layers
+
+    def _draw(self, mesh: Mesh, *, passing: bool = False) -> None:
+        if self.surface is None:
+            self._add_surface(mesh)
+        elif self.surface in self.viewer.layers:
+            self._late = passing and not self.surface.visible
+            if not self._late:
+                self._set_surface(self.surface, mesh)
+        self._pins.show(mesh)
+        self._slice_changed()
+
+    def _drawn(self, mesh: Mesh) -> tuple[Any, Any, Any]:
+        """Vertices, faces and values of the layer."""
+        apart, of = self._apart, self._apart_of
+        if apart is None or of is None or not _same(of, mesh):
+            apart = self._apart = Apart.of(mesh)
+            self._apart_of, self._values = mesh, None
+        if self._values is None:
+            self._values = side_values(apart.sides, self.chosen)
+            apart = self._apart = apart.first(mesh, self.chosen)
+        return apart.vertices(mesh), apart.faces, self._values
+
+    def _set_surface(self, layer: Surface, mesh: Mesh) -> None:
+        layer.data = self._drawn(mesh)
+        self._note(layer, mesh)
+
+    def _note(self, layer: Surface, mesh: Mesh) -> None:
+        """What is needed to make a mesh of the layer again."""
+        assert self._apart is not None
+        regions = mesh.regions[self._apart.order]
+        layer.metadata[OWN].update({"regions": regions, COPIES: self._apart.copies})
+
+    def _add_surface(self, mesh: Mesh) -> None:
+        self.surface = Surface(
+            self._drawn(mesh),
+            name=f"{self.image_layer.name} cells",
+            colormap=region_colormap(),
+            contrast_limits=LIMITS,
+            shading="smooth",
+            visible=self.viewer.dims.ndisplay == 3,
+            metadata={OWN: {"fit": True}},
+            **self.frame.layer_options(),
+        )
+        self._note(self.surface, mesh)
+        self._connections.connect(self.surface.events.visible, self._surface_shown)
+        # Last: the layer that is added last is selected, and its controls are shown.
+        selected = set(self.viewer.layers.selection)
+        self.viewer.add_layer(self.surface)
+        self.viewer.add_layer(self.contours.layer)
+        self.viewer.layers.selection = selected or {self.surface}
+
+    def _add_image(self, data: NDArray[Any], what: str, **options: Any) -> Image:
+        layer = Image(
+            data,
+            name=f"{self.image_layer.name} {what}",
+            metadata={OWN: {"fit": True}},
+            **self.frame.image_options(),
+            **options,
+        )
+        selected = set(self.viewer.layers.selection)
+        self.viewer.add_layer(layer)
+        # Under the meshes, which it would hide.
+        index = self.viewer.layers.index(self.image_layer)
+        self.viewer.layers.move(len(self.viewer.layers) - 1, index + 1)
+        self.viewer.layers.selection = selected
+        return layer
+
+    def _show_residual(self, residual: NDArray[Any]) -> None:
+        if self.residual is None:
+            finite = np.abs(residual[np.isfinite(residual)])
+            limit = float(np.percentile(finite, 99.5)) if finite.size else 1.0
+            self.residual = self._add_image(
+                residual,
+                "residual",
+                colormap="PiYG",
+                contrast_limits=(-limit or -1.0, limit or 1.0),
+                visible=False,
+            )
+        elif self.residual in self.viewer.layers:
+            self.residual.data = residual
+
+    # -------------------------------------------------------------------------------- listening
+
+    def _surface_shown(self, event: Any = None) -> None:
+        if self._late and self.surface is not None and self.shown is not None:
+            self._draw(self.shown)
+
+    def _slice_changed(self, event: Any = None) -> None:
+        if self.contours.layer in self.viewer.layers:
+            self.contours.update(self.shown if self.at_time else None, self.viewer.dims)
+
+    @property
+    def at_time(self) -> bool:
+        """Whether the image shown is that of the meshes."""
+        return not self._time or tuple(self.viewer.dims.current_step[:-3]) == self._time
+
+    def _view_changed(self, event: Any = None) -> None:
+        # In 2D napari draws a few faces of a surface, which look like dirt on its contours.
+        if self.surface is not None and self.surface in self.viewer.layers:
+            in_3d = self.viewer.dims.ndisplay == 3
+            if not in_3d:
+                self._seen_in_3d = self.surface.visible
+            self.surface.visible = in_3d and self._seen_in_3d
+        self._slice_changed()
+
+    def _layer_removed(self, event: Any) -> None:
+        if self._on_lost is None:
+            return
+        if event.value is self.image_layer:
+            self._on_lost("the image layer was removed")
+        elif event.value is self.surface:
+            self._on_lost("the layer of the meshes was removed")
+
+
+def _same(a: Mesh, b: Mesh) -> bool:
+    """Whether two meshes have the same triangles between the same regions; the arrays tell."""
+    return a.faces is b.faces and a.regions is b.regions
