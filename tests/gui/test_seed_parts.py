@@ -286,3 +286,7 @@ def test_closing_lets_go_of_whoever_waits(app, spin):
     assert [ref() for ref in refs] == [None, None]
     gate.set()
     spin(lambda: done)
+
+
+def test_what_the_engine_said_of_points_that_are_gone_is_dropped():
+    assert of_engine([], "point 1 (1, 2, 3 um) lies on a membrane", [1]) is None

@@ -4,6 +4,7 @@ import gc
 import os
 import random
 import sys
+import traceback
 import warnings
 import weakref
 
@@ -210,8 +211,8 @@ def test_random_handling_raises_nothing(window, docked, spin, told, monkeypatch)
         spin(seconds=0.005, must=False)
     docked.stop()
     spin(lambda: docked.run is None or not docked.run.running)
-    assert not errors
-    assert min(counts.values()) > 5, counts
+    assert not errors, "".join(traceback.format_exception(*errors[0]))
+    assert min(counts.values()) >= 3, counts  # or nothing was tried
 
 
 @pytest.mark.skipif(not DISPLAY, reason="needs a display (DISPLAY is not set)")

@@ -64,7 +64,8 @@ def all_remarks(
     problems : what the engine said of points; it numbers them from 1 over all sets.
     """
     remarks = outside(sets, shape, size) + in_one_sphere(sets) + in_labels(sets, labels, size)
-    return remarks + [of_engine(sets, text, numbers) for text, numbers in problems]
+    told = (of_engine(sets, text, numbers) for text, numbers in problems)
+    return remarks + [remark for remark in told if remark is not None]
 
 
 def outside(sets: Sequence[PointSet], shape: Sequence[int], size: Sequence[float]) -> list[Remark]:
@@ -124,8 +125,11 @@ def in_labels(
     return remarks
 
 
-def of_engine(sets: Sequence[PointSet], message: str, numbers: Sequence[int]) -> Remark:
-    """What the engine says of points that it numbers from 1 over all sets."""
+def of_engine(sets: Sequence[PointSet], message: str, numbers: Sequence[int]) -> Remark | None:
+    """What the engine says of points that it numbers from 1 over all sets.
+
+    None where they were removed since.
+    """
     places = [(k, i) for k, one in enumerate(sets) for i in range(len(one.points))]
     found = [places[n - 1] for n in numbers if 0 < n <= len(places)]
     text = re.sub(r"points? \d+( and \d+)?( \([^)]*um\))?", "{}", message, count=1)
@@ -133,7 +137,7 @@ def of_engine(sets: Sequence[PointSet], message: str, numbers: Sequence[int]) ->
         text = "{} are in the same cell: delete one"
     elif "{}" not in text:
         return Remark(message)
-    return _remark(sets, found, text)
+    return _remark(sets, found, text) if found else None
 
 
 def _remark(sets: Sequence[PointSet], found: Sequence[Place], text: str) -> Remark:
