@@ -132,3 +132,26 @@ def test_contours_across_other_axes_and_in_time(viewer):
     viewer.dims.set_point(2, 0.8)
     contours.update(mesh, viewer.dims)
     np.testing.assert_allclose(contours.layer.data[:, 0, 1], 0.8, rtol=1e-5)
+
+
+def test_effects_and_switches_reach_the_settings(make_widget):
+    panel = make_widget().settings
+    assert panel.scene_settings().effects == ()
+    panel.effects["pixel_integration"].setChecked(True)
+    panel.switches["collisions"].setChecked(True)
+    panel.switches["remesh"].setChecked(False)
+    assert panel.scene_settings().effects == ("pixel_integration",)
+    assert (panel.fit_settings().collisions, panel.fit_settings().remesh) == (True, False)
+    panel.show_effects(())
+    assert panel.scene_settings().effects == ()
+
+
+@pytest.mark.parametrize(("radius", "width"), [(2.0, 0.08), (100.0, 0.5)])
+def test_contours_are_seen_on_meshes_of_any_size(viewer, radius, width):
+    viewer.add_image(np.zeros((4, 8, 8)), scale=(0.3, 0.2, 0.2), units=("um",) * 3)
+    contours = Contours(Frame.of(viewer.layers[0]), "contours")
+    contours.update(sphere((0, 0, 0), radius, subdivisions=2), viewer.dims)
+    assert contours.layer.edge_width == pytest.approx(width, rel=0.01)
+    contours.layer.edge_width = 0.3
+    contours.update(sphere((0, 0, 0), radius, subdivisions=2), viewer.dims)
+    assert contours.layer.edge_width == 0.3

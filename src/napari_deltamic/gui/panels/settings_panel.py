@@ -17,7 +17,14 @@ from qtpy.QtWidgets import (
 
 from ...inference.default_accuracy import image_noise
 from ...job import SIGMA_IN_VOXELS
-from ...settings import DensityModel, FitSettings, Likelihood, SceneSettings, validated
+from ...settings import (
+    EFFECT_HELP,
+    DensityModel,
+    FitSettings,
+    Likelihood,
+    SceneSettings,
+    validated,
+)
 from ..accuracy.accuracy_dial import AccuracyDial
 from ..accuracy.accuracy_view import TradeoffView
 from ..qt import Signal
@@ -26,6 +33,11 @@ from .fold import Fold
 from .note import Note
 
 _RARE = ("density", "likelihood", "max_iterations")
+_SWITCHES = {
+    "fit_psf": "fit the PSF too",
+    "remesh": "remesh slivers",
+    "collisions": "surfaces never cross",
+}
 
 
 class SettingsPanel(QGroupBox):
@@ -38,7 +50,9 @@ class SettingsPanel(QGroupBox):
         self._image = image_panel
         self._sigma_given = False
         self.sigma = TripleField(_tip(SceneSettings, "sigma"), self)
-        self.fit_psf = QCheckBox("fit the PSF too", self)
+        self.switches = {name: QCheckBox(text, self) for name, text in _SWITCHES.items()}
+        self.fit_psf = self.switches["fit_psf"]
+        self.effects = {name: QCheckBox(name.replace("_", " "), self) for name in EFFECT_HELP}
         self.accuracy = AccuracyDial(lambda: image_noise(image_panel.stack()), self)
         self.accuracy_number = QLabel(self)  # what the dial stands for
         self.outlook, self.pace = Note(self), Note(self)  # predicted, and measured, times
@@ -64,16 +78,23 @@ class SettingsPanel(QGroupBox):
         inner.addRow(QLabel("PSF sigma, um", self))
         inner.addRow(self.sigma)
         inner.addRow("", self.fit_psf)
+        for k, (name, box) in enumerate(self.effects.items()):
+            box.setToolTip(_rich(EFFECT_HELP[name]))
+            inner.addRow("" if k else "effects", box)
         for name in _RARE:
             inner.addRow(name.replace("_", " "), getattr(self, name))
+        for name in ("remesh", "collisions"):
+            inner.addRow("", self.switches[name])
         self.more = Fold("PSF, density and more", more, self)
         layout.addRow(self.more)
-        for name in ("fit_psf", "density", "likelihood", "max_iterations"):
+        for name in _RARE:
             getattr(self, name).setToolTip(_tip(FitSettings, name))
+        for name, box in self.switches.items():
+            box.setToolTip(_tip(FitSettings, name))
         self.show_settings(FitSettings())
         typed: Any = self.accuracy.lineEdit()
         for signal in (
-            self.fit_psf.toggled,
+            *(box.toggled for box in (*self.switches.values(), *self.effects.values())),
             self.accuracy.activated,
             typed.editingFinished,
             self.density.currentTextChanged,
@@ -93,7 +114,7 @@ class SettingsPanel(QGroupBox):
     def other_settings(self) -> FitSettings:
         """The settings shown, without the accuracy."""
         values = {
-            "fit_psf": self.fit_psf.isChecked(),
+            **{name: box.isChecked() for name, box in self.switches.items()},
             "density": self.density.currentText(),
             "likelihood": self.likelihood.currentText(),
             "max_iterations": self.max_iterations.value(),
@@ -102,14 +123,19 @@ class SettingsPanel(QGroupBox):
         return settings
 
     def scene_settings(self) -> SceneSettings:
-        """Voxel size of the image chosen, and PSF."""
-        values = {"voxel_size": self._image.frame().voxel_size, "sigma": self.sigma.value()}
+        """Voxel size of the image chosen, PSF and effects."""
+        values = {
+            "voxel_size": self._image.frame().voxel_size,
+            "sigma": self.sigma.value(),
+            "effects": tuple(name for name, box in self.effects.items() if box.isChecked()),
+        }
         settings: SceneSettings = validated(SceneSettings, values)
         return settings
 
     def show_settings(self, settings: FitSettings) -> None:
         """Show settings."""
-        self.fit_psf.setChecked(settings.fit_psf)
+        for name, box in self.switches.items():
+            box.setChecked(getattr(settings, name))
         self.accuracy.show_accuracy(settings.accuracy)
         self.density.setCurrentText(settings.density)
         self.likelihood.setCurrentText(settings.likelihood)
@@ -119,6 +145,11 @@ class SettingsPanel(QGroupBox):
         """Show PSF widths that are known, um."""
         self._sigma_given = True
         self.sigma.set_value(sigma)
+
+    def show_effects(self, effects: tuple[str, ...]) -> None:
+        """Tick effects."""
+        for name, box in self.effects.items():
+            box.setChecked(name in effects)
 
     def _guess_sigma(self) -> None:
         if self._image.layer is not None and not self._sigma_given:
@@ -133,5 +164,8 @@ class SettingsPanel(QGroupBox):
 
 
 def _tip(model: Any, name: str) -> str:
-    text = str(model.model_fields[name].description)
+    return _rich(str(model.model_fields[name].description))
+
+
+def _rich(text: str) -> str:
     return f"<qt>{text[0].upper()}{text[1:]}.</qt>"  # rich text is wrapped

@@ -85,6 +85,7 @@ def restore(parts: Parts, session: Session) -> None:
     viewer.add_layer(image)
     panels.image.chooser.choose(image)
     panels.settings.show_settings(session.settings.fit)
+    panels.settings.show_effects(session.settings.scene.effects)
     _show_accuracy(panels, session.panels.get("accuracy"))
     if session.settings.scene.sigma is not None:
         panels.settings.show_sigma(session.settings.scene.sigma)

@@ -18,7 +18,11 @@ from .run_control import RunControl
 # Of a fit: its schedule is what it is on.
 _FIXED = ("levels",)
 _SCENE = {"voxel_size": "voxel size", "origin": "origin", "effects": "effects"}
-_YES_NO = {"fit_psf": ("the PSF is fitted too", "the PSF is held")}
+_YES_NO = {
+    "fit_psf": ("the PSF is fitted too", "the PSF is held"),
+    "remesh": ("slivers are remeshed", "nothing is remeshed"),
+    "collisions": ("surfaces may not cross", "surfaces may cross"),
+}
 
 
 class LiveSettings(QObject):

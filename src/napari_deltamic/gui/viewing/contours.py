@@ -14,6 +14,8 @@ from ...measure import section
 from .colours import region_colours
 from .frame import OWN, Frame
 
+_LINES_ACROSS = 400  # a line is at least this part of the mesh wide
+
 
 class Contours:
     """A layer with the section of a mesh and the present slice; empty in 3D.
@@ -38,6 +40,7 @@ class Contours:
         self.layer._update_thumbnail = _no_thumbnail
         self.chosen: frozenset[int] = frozenset()  # cells that are not dimmed; none: no cell is
         self._empty = True
+        self._sized = False  # whether its lines suit a mesh; from then on their width is the user's
 
     def update(self, mesh: Mesh | None, dims: Any) -> None:
         """Show the section with the slice that the viewer's dims are at."""
@@ -47,6 +50,7 @@ class Contours:
                 self.layer.data = np.zeros((0, 2, 3), np.float32)
                 self._empty = True
             return
+        self._suit(mesh)
         position = self.position(dims, axis)
         segments, faces = section(mesh, axis, position)
         vectors = np.zeros((len(segments), 2, 3), np.float32)
@@ -55,6 +59,14 @@ class Contours:
         vectors[:, 0, others] = segments[:, 0]
         vectors[:, 1, others] = segments[:, 1] - segments[:, 0]
         self._set(*self._two_coloured(vectors, mesh, faces, others))
+
+    def _suit(self, mesh: Mesh) -> None:
+        """Lines that are still seen where the whole of a large mesh is."""
+        if not self._sized:
+            self._sized = True
+            low, high = mesh.bounds()
+            width = float((high - low)[1:].max()) / _LINES_ACROSS
+            self.layer.edge_width = max(float(self.layer.edge_width), width)
 
     def position(self, dims: Any, axis: int) -> float:
         """um: where the slice across an axis lies that the viewer's dims are at."""
