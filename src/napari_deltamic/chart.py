@@ -137,7 +137,7 @@ class LogAxis:
         """Values with a label, and others with a line only."""
         decades = range(floor(self.low), ceil(self.high) + 1)
         span = self.high - self.low
-        steps = (1, 2, 5) if span < 2.2 else (1,)
+        steps = range(1, 10) if span < 0.6 else (1, 2, 5) if span < 2.2 else (1,)
         every = max(1, round(span / 8))
         main = [
             s * 10.0**d

@@ -92,20 +92,21 @@ def test_a_wall_has_the_colour_of_the_cell_that_is_chosen(shown, pair):
 def test_a_wall_is_drawn_on_both_sides_in_both_colours(viewer, shown, pair):
     layer = shown.contours.layer
     viewer.dims.set_point(0, 2.0)
-    n = len(section(pair, 0, 2.0)[0])
+    segments, faces = section(pair, 0, 2.0)
+    walls = np.flatnonzero((pair.regions[faces] > 0).all(axis=1))
+    n = len(segments)
     starts, colours = np.asarray(layer.data)[:, 0], np.asarray(layer.edge_color)
-    twice = len(starts) - n
-    assert twice > 3
+    assert len(walls) > 3
+    assert len(starts) == n + len(walls)
     own = [np.abs(colours - region_colours(region)).max(axis=1) < 1e-6 for region in (1, 2)]
     assert (own[0] ^ own[1]).all()
     # The second copies of the wall are at the end; the first are beside them.
-    second = starts[n:]
+    first, second = starts[walls], starts[n:]
     region = 2 if own[1][-1] else 1
-    distance = np.linalg.norm(starts[:n, None] - second, axis=2)
-    first = starts[distance.argmin(axis=0)]
-    np.testing.assert_allclose(distance.min(axis=0), layer.edge_width, rtol=0.02)
+    distance = np.linalg.norm(first - second, axis=1)
+    np.testing.assert_allclose(distance, layer.edge_width, rtol=0.02)
     assert own[region - 1][n:].all()
-    assert not own[region - 1][distance.argmin(axis=0)].any()
+    assert not own[region - 1][walls].any()
     # Cell 2 lies at larger X.
     assert np.sign(np.median(second[:, 2] - first[:, 2])) == (1 if region == 2 else -1)
 
