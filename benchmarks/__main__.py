@@ -17,6 +17,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from napari_deltamic.fourier.cost import processor
+
 from .figure import Figure, MissingData, Options, Row, default_data_folder
 
 # Each exposes FIGURES: dict[str, Callable[[Options], list[Row]]].
@@ -48,7 +50,7 @@ def machine(only: list[str] | None, quick: bool) -> dict[str, str]:
     found: dict[str, str] = {
         "command": shlex.join(["python", "-m", "benchmarks", *arguments]),
         "date": time.strftime("%Y-%m-%d %H:%M"),
-        "processor": _processor(),
+        "processor": processor(),
         "cores": str(os.cpu_count()),
         "system": f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
         "waiting threads": f"OMP_WAIT_POLICY={os.environ.get('OMP_WAIT_POLICY', 'not set')}",
@@ -61,16 +63,6 @@ def machine(only: list[str] | None, quick: bool) -> dict[str, str]:
         except PackageNotFoundError:
             found[library] = "not installed"
     return found
-
-
-def _processor() -> str:
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    except OSError:
-        pass
-    return platform.processor() or "unknown"
 
 
 def as_table(rows: list[Row]) -> str:

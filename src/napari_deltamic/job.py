@@ -9,7 +9,6 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from .geometry import Mesh
 from .inference import FitState, counted_voxels, fit
@@ -74,12 +73,3 @@ def start(job: FitInput, resume: str | Path | None = None) -> Iterator[FitState]
         effects=job.settings.scene.effects,
         resume=resume,
     )
-
-
-def filled(image: NDArray[Any]) -> NDArray[Any]:
-    """Missing voxels take the value of the nearest known one: flooding needs them all."""
-    missing = ~np.isfinite(image)
-    if not missing.any():
-        return image
-    nearest = ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
-    return image[tuple(nearest)]

@@ -29,13 +29,16 @@ with warnings.catch_warnings():
     from qtpy.QtWidgets import QApplication
 
     from napari_deltamic import _widget
+    from napari_deltamic.gui.accuracy import accuracy_forecast
     from napari_deltamic.gui.panels import image_panel
+    from napari_deltamic.gui.running import worker
     from napari_deltamic.gui.seeding import preview, seeds_panel
 
 import napari_deltamic as nd
 from napari_deltamic.fourier import calibration
 from napari_deltamic.fourier.cost import BUILT_IN
 from napari_deltamic.geometry import sphere
+from napari_deltamic.inference import fit
 
 SIZE = (0.3, 0.2, 0.2)
 SHAPE = (20, 24, 24)
@@ -121,6 +124,30 @@ def seeded(make_widget, with_image):
     widget.seeds.shape.setCurrentText("sphere around each point")
     widget.seeds.radius.setValue(0.9)
     return widget
+
+
+@pytest.fixture
+def endless(monkeypatch):
+    """Fits that go on until they are stopped; a change may be sent into them."""
+
+    def states(job, resume=None):
+        states = fit(job.image, job.grid, job.mesh, job.optics, settings=job.settings.fit)
+        change = None
+        while True:
+            state = states.send(change)
+            change = yield state
+            if change is None and state.message:
+                change = nd.Change()  # nothing, but a fit that has ended goes on
+
+    monkeypatch.setattr(worker, "start", states)
+
+
+@pytest.fixture
+def soon(monkeypatch):
+    """Nothing waits for changes that may follow."""
+    monkeypatch.setattr(accuracy_forecast, "WAIT", 10)
+    monkeypatch.setattr(seeds_panel, "_WAIT", 5)
+    monkeypatch.setattr(preview, "WAIT", 5)
 
 
 @pytest.fixture

@@ -12,14 +12,11 @@ import napari_deltamic as nd
 from napari_deltamic.errors import InputError
 from napari_deltamic.fourier import calibration, cost
 from napari_deltamic.geometry import sphere
-from napari_deltamic.gui.accuracy import accuracy_forecast
 from napari_deltamic.gui.accuracy.accuracy_dial import accuracy_of, usable_choice, written
 from napari_deltamic.gui.accuracy.renewed_forecast import RenewedForecast
 from napari_deltamic.gui.results.command import command
 from napari_deltamic.gui.results.session import capture, restore
-from napari_deltamic.gui.running import course, worker
-from napari_deltamic.gui.seeding import preview, seeds_panel
-from napari_deltamic.inference import fit
+from napari_deltamic.gui.running import course
 from napari_deltamic.inference.default_accuracy import PRESETS, image_noise, preset_accuracy
 from napari_deltamic.inference.forecast import Forecast, LevelForecast, forecast
 from napari_deltamic.scene.tradeoff import duration
@@ -28,25 +25,10 @@ from napari_deltamic.settings import NEAR_LEVELS, FitSettings
 from .conftest import CENTER, SHAPE, SIZE
 from .dialing import running, settled
 
+pytestmark = pytest.mark.usefixtures("soon")
+
 GRID = nd.Grid(SHAPE, SIZE)
 EDGE = 3 * min(SIZE)
-
-
-@pytest.fixture(autouse=True)
-def soon(monkeypatch):
-    """Nothing waits for changes that may follow."""
-    monkeypatch.setattr(accuracy_forecast, "WAIT", 10)
-    monkeypatch.setattr(seeds_panel, "_WAIT", 5)
-    monkeypatch.setattr(preview, "WAIT", 5)
-
-
-@pytest.fixture
-def endless(monkeypatch):
-    def states(job, resume=None):
-        while True:
-            yield from fit(job.image, job.grid, job.mesh, job.optics, settings=job.settings.fit)
-
-    monkeypatch.setattr(worker, "start", states)
 
 
 def expected(widget, pixels, mesh, costs, **settings):

@@ -11,33 +11,15 @@ from qtpy.QtGui import QMouseEvent
 
 from napari_deltamic import _widget
 from napari_deltamic.errors import InputError
-from napari_deltamic.gui.accuracy import accuracy_forecast, accuracy_measure
+from napari_deltamic.gui.accuracy import accuracy_measure
 from napari_deltamic.gui.accuracy.accuracy_view import TradeoffView
-from napari_deltamic.gui.running import worker
-from napari_deltamic.gui.seeding import preview, seeds_panel
-from napari_deltamic.inference import fit
 from napari_deltamic.inference.default_accuracy import image_noise, preset_accuracy
 from napari_deltamic.scene.tradeoff import Way
 
 from .conftest import CENTER, SHAPE
 from .dialing import running, settled
 
-
-@pytest.fixture(autouse=True)
-def soon(monkeypatch):
-    """Nothing waits for changes that may follow."""
-    monkeypatch.setattr(accuracy_forecast, "WAIT", 10)
-    monkeypatch.setattr(seeds_panel, "_WAIT", 5)
-    monkeypatch.setattr(preview, "WAIT", 5)
-
-
-@pytest.fixture
-def endless(monkeypatch):
-    def states(job, resume=None):
-        while True:
-            yield from fit(job.image, job.grid, job.mesh, job.optics, settings=job.settings.fit)
-
-    monkeypatch.setattr(worker, "start", states)
+pytestmark = pytest.mark.usefixtures("soon")
 
 
 def way(accuracy, seconds, error):

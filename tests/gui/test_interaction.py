@@ -6,30 +6,13 @@ import numpy as np
 import pytest
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.gui.running import worker
 from napari_deltamic.gui.running.run_panel import duration, progress_text
-from napari_deltamic.inference import Change, fit
+from napari_deltamic.inference import Change
 
 from .conftest import CENTER
 from .mouse import Mouse
 
 ALONG_X = np.array([0.0, 0.0, 1.0])
-
-
-@pytest.fixture
-def endless(monkeypatch):
-    """Fits that go on until they are stopped; a change may be sent into them."""
-
-    def states(job, resume=None):
-        states = fit(job.image, job.grid, job.mesh, job.optics, settings=job.settings.fit)
-        change = None
-        while True:
-            state = states.send(change)
-            change = yield state
-            if change is None and state.converged:
-                change = Change()  # nothing, but the fit goes on
-
-    monkeypatch.setattr(worker, "start", states)
 
 
 @pytest.fixture

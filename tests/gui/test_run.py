@@ -31,17 +31,6 @@ def some_iterations(widget, n=5):
     return lambda: len(widget.run.history.loss) >= n
 
 
-@pytest.fixture
-def endless(monkeypatch):
-    """Fits that go on until they are stopped."""
-
-    def states(job, resume=None):
-        while True:
-            yield from fit(job.image, job.grid, job.mesh, job.optics, settings=job.settings.fit)
-
-    monkeypatch.setattr(worker, "start", states)
-
-
 def test_three_clicks_give_a_mesh(make_widget, with_image, spin):
     widget = make_widget()
     assert widget.image.layer is with_image.layers["cell"]  # the only one

@@ -13,22 +13,11 @@ import pytest
 from qtpy.QtWidgets import QPushButton
 
 from napari_deltamic import _widget
-from napari_deltamic.gui.running import worker
-from napari_deltamic.inference import fit
 
 from .conftest import CENTER, SIZE
 from .mouse import Mouse
 
 DISPLAY = os.environ.get("QT_QPA_PLATFORM") != "offscreen"
-
-
-@pytest.fixture
-def endless(monkeypatch):
-    def states(job, resume=None):
-        while True:
-            yield from fit(job.image, job.grid, job.mesh, job.optics, settings=job.settings.fit)
-
-    monkeypatch.setattr(worker, "start", states)
 
 
 def unit(rng):

@@ -9,7 +9,6 @@ import platform
 import sys
 import warnings
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -17,7 +16,7 @@ import torch
 from .. import __version__
 from ..errors import InputError
 from ..fourier import native, simd_level
-from ..fourier.cost import costs
+from ..fourier.cost import costs, processor
 from ..fourier.native import threads
 from ..fourier.plan import Method
 from ..geometry import sphere
@@ -85,7 +84,7 @@ def _versions() -> dict[str, str]:
 
 
 def _devices() -> dict[str, str]:
-    found = {"cpu": f"{_processor()}, {os.cpu_count()} cores"}
+    found = {"cpu": f"{processor()}, {os.cpu_count()} cores"}
     unused = "not used: this version computes on the CPU"
     if torch.cuda.is_available():
         for i in range(torch.cuda.device_count()):
@@ -96,17 +95,6 @@ def _devices() -> dict[str, str]:
     if torch.backends.mps.is_available():
         found["mps"] = f"there ({unused})"
     return found
-
-
-def _processor() -> str:
-    """Name of the processor, as well as the system tells it."""
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine() or "unknown"
 
 
 def _engines(problems: list[str]) -> dict[str, str]:

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..geometry import Mesh, load_mesh, mesh_from_labels, read_points_csv, seeds_from_points
+from ..geometry.missing import filled
 from ..images import EXTENSIONS, VoxelSize, read_image
 from ..inference.checks import check_image
-from ..job import SIGMA_IN_VOXELS, FitInput, SeedKind, assemble, filled
+from ..job import SIGMA_IN_VOXELS, FitInput, SeedKind, assemble
 from ..scene import Grid
 from ..settings import RunSettings, validated
 from .messages import Notes

@@ -236,7 +236,7 @@ def _whose() -> dict[str, Any]:
     return {
         "format": _FORMAT,
         "version": _version(),
-        "machine": f"{platform.system()} {platform.machine()}, {_processor()}",
+        "machine": f"{platform.system()} {platform.machine()}, {processor()}",
         "cores": os.cpu_count(),
         "threads": threads(),
         "instructions": level,
@@ -244,14 +244,15 @@ def _whose() -> dict[str, Any]:
 
 
 @cache
-def _processor() -> str:
+def processor() -> str:
+    """Name of the processor, as well as the system tells it."""
     try:
         for line in Path("/proc/cpuinfo").read_text().splitlines():
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
     except OSError:
         pass
-    return platform.processor() or "unknown processor"
+    return platform.processor() or platform.machine() or "unknown"
 
 
 def _read(path: Path) -> Costs | None:

@@ -20,6 +20,7 @@ from skimage.segmentation import watershed
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.basins import BORDER_LIMIT, _border_area, _noise_after
 from napari_deltamic.geometry.mesh import FloatArray
+from napari_deltamic.geometry.missing import filled
 from napari_deltamic.geometry.region_merging import Image, Labels, Regions, join_regions
 
 Mask = NDArray[np.bool_]
@@ -260,12 +261,7 @@ def _checked(
     missing = ~np.isfinite(array)
     if missing.all():
         raise InputError("the image has no value anywhere")
-    if missing.any():
-        # Flooding needs every voxel: a missing one takes the value of the nearest.
-        nearest = ndimage.distance_transform_edt(
-            missing, voxel, return_distances=False, return_indices=True
-        )
-        array = array[tuple(nearest)]
+    array = filled(array, tuple(voxel))  # flooding needs every voxel
     low, high = float(array.min()), float(array.max())
     if low == high:
         raise InputError("the image has the same value everywhere")

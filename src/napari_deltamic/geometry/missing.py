@@ -1,0 +1,25 @@
+"""Missing voxels, for methods that need a value everywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+
+def filled(image: NDArray[Any], voxel_size: Sequence[float] | None = None) -> NDArray[Any]:
+    """Missing voxels (not finite) take the value of the nearest known one; (Z, Y, X).
+
+    Nearest in um if the voxel size (um, Z, Y, X) is given, else in voxels. The image itself where
+    nothing is missing.
+    """
+    missing = ~np.isfinite(image)
+    if not missing.any():
+        return image
+    nearest = ndimage.distance_transform_edt(
+        missing, voxel_size, return_distances=False, return_indices=True
+    )
+    return image[tuple(nearest)]
