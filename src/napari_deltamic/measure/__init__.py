@@ -1,6 +1,7 @@
-"""Measurements on meshes: cells, sections, and the distance to a surface or to the image."""
+"""Measurements on meshes: cells, junctions, sections, distances to a surface or the image."""
 
 from napari_deltamic.measure.cells import measure_cells, write_csv
+from napari_deltamic.measure.junctions import Junction, junction_angles
 from napari_deltamic.measure.ridge import RidgeDistance, ridge_distance
 from napari_deltamic.measure.section import section
 from napari_deltamic.measure.surface_distance import (
@@ -10,9 +11,11 @@ from napari_deltamic.measure.surface_distance import (
 )
 
 __all__ = [
+    "Junction",
     "RidgeDistance",
     "SurfaceDistance",
     "distance_to_surface",
+    "junction_angles",
     "measure_cells",
     "ridge_distance",
     "section",

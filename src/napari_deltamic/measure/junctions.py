@@ -1,0 +1,168 @@
+"""Angles at which walls meet along junctions: what surface tensions are read from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from napari_deltamic.errors import InputError
+from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
+
+_REACH = 5.0  # median edges of the mesh: how far into a wall its shape is looked at
+_STRIP = 0.75  # median edges to either side along the junction
+_LINE = 2.0  # median edges: over which the direction of a junction is averaged
+_FEWEST = 6  # points to draw a parabola through
+
+
+@dataclass(frozen=True)
+class Junction:
+    """Where three walls meet, between three regions.
+
+    Attributes
+    ----------
+    regions : (3,) increasing; 0 is the outside.
+    angles : (3,) degrees: the opening of each region at the junction; the mean along it.
+    spread : (3,) degrees: standard deviation along the junction.
+    length : um, of the part whose angles could be measured.
+    """
+
+    regions: tuple[int, int, int]
+    angles: FloatArray
+    spread: FloatArray
+    length: float
+
+
+def junction_angles(mesh: Mesh, reach: float | None = None) -> list[Junction]:
+    """The angles between the walls along each junction of three regions.
+
+    Across every edge in which three walls meet, a parabola is drawn through each wall, out to
+    ``reach``, and its tangent taken at the edge. The triangles beside the edge alone would be off
+    by half the angle that they span on a curved wall, and by more where vertices are noisy: a tenth
+    of a voxel over three voxels is two degrees.
+
+    Parameters
+    ----------
+    mesh : closed regions that share walls, um.
+    reach : um; how far into a wall its shape is looked at. By default five edges of the mesh.
+
+    Returns
+    -------
+    One for every three regions that meet, ordered by regions; none for regions that do not touch.
+
+    Raises
+    ------
+    InputError
+        If the reach is not positive.
+    """
+    ends = mesh.vertices_numpy()[mesh.edges()]
+    edge = float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)))
+    reach = _REACH * edge if reach is None else reach
+    if not reach > 0:
+        raise InputError(f"the reach of junction angles must be positive (um), not {reach}")
+    edges, triples = _junction_edges(mesh)
+    if not len(edges):
+        return []
+    walls = _Walls(mesh, reach, _STRIP * edge)
+    found = []
+    for triple in np.unique(triples, axis=0):
+        line = ends[edges[(triples == triple).all(1)]]
+        along = _directions(line, _LINE * edge)
+        pairs = zip(line.mean(1), along, strict=True)
+        openings = np.array([_openings(walls, p, d, triple) for p, d in pairs])
+        known = np.isfinite(openings).all(1)
+        length = np.linalg.norm(line[known, 1] - line[known, 0], axis=1)
+        if not known.any():
+            continue
+        weight = length / length.sum()
+        mean = weight @ openings[known]
+        spread = np.sqrt(weight @ (openings[known] - mean) ** 2)
+        a, b, c = (int(r) for r in triple)
+        found.append(Junction((a, b, c), mean, spread, float(length.sum())))
+    return found
+
+
+def _directions(line: FloatArray, reach: float) -> FloatArray:
+    """(E, 3) the direction of a junction at each of its edges (E, 2, 3), from those around."""
+    middles = line.mean(1)
+    step = line[:, 1] - line[:, 0]
+    step = step / np.linalg.norm(step, axis=1)[:, None]
+    # Edges have no sense of direction; their outer products need none.
+    products = step[:, :, None] * step[:, None, :]
+    near = cKDTree(middles).query_ball_point(middles, reach)
+    return np.array([np.linalg.eigh(products[k].sum(0))[1][:, -1] for k in near])
+
+
+def _junction_edges(mesh: Mesh) -> tuple[IntArray, IntArray]:
+    """Edges in which three walls between three regions meet, and those regions, increasing."""
+    flat = mesh.face_edges().reshape(-1)
+    order = np.argsort(flat, kind="stable")
+    edges, first, count = np.unique(flat[order], return_index=True, return_counts=True)
+    edges, first = edges[count == 3], first[count == 3]
+    faces = order[first[:, None] + np.arange(3)] // 3
+    regions = np.sort(mesh.regions[faces].reshape(-1, 6), axis=1)
+    # Each of three regions is on two of the three walls.
+    proper = (regions[:, ::2] == regions[:, 1::2]).all(1) & (np.diff(regions[:, ::2]) > 0).all(1)
+    return edges[proper], regions[proper, ::2]
+
+
+class _Walls:
+    """Points on each wall, for looking up those near a point."""
+
+    def __init__(self, mesh: Mesh, reach: float, strip: float) -> None:
+        self.reach, self.strip = reach, strip
+        pairs, index = mesh.interfaces()
+        corners = mesh.vertices_numpy()[mesh.faces]
+        # Corners lie outside a convex wall and middles inside: together they lie on it.
+        points = np.concatenate(
+            [corners.mean(1), (corners + np.roll(corners, 1, axis=1)).reshape(-1, 3) / 2]
+        )
+        wall = np.concatenate([index, np.repeat(index, 3)])
+        self._points = {
+            (int(low), int(high)): points[wall == i] for i, (high, low) in enumerate(pairs)
+        }
+        self._trees = {pair: cKDTree(points) for pair, points in self._points.items()}
+
+    def near(self, pair: tuple[int, int], point: FloatArray) -> FloatArray:
+        """(N, 3) points of the wall between two regions within reach of a point."""
+        return self._points[pair][self._trees[pair].query_ball_point(point, self.reach)]
+
+
+def _openings(walls: _Walls, middle: FloatArray, along: FloatArray, triple: IntArray) -> FloatArray:
+    """(3,) degrees: the angle of each region at a point; NaN where a wall is too small."""
+    across = np.linalg.svd(along[None])[2][1:]  # two directions at right angles to the junction
+    angle = np.empty(3)  # of the wall opposite each region, in the plane across
+    for k in range(3):
+        low, high = (int(triple[j]) for j in range(3) if j != k)
+        p = walls.near((low, high), middle) - middle
+        p = p[np.abs(p @ along) < walls.strip] @ across.T
+        tangent = _tangent(p) if len(p) >= _FEWEST else None
+        if tangent is None:
+            return np.full(3, np.nan)
+        angle[k] = np.degrees(np.arctan2(tangent[1], tangent[0]))
+    # A region lies between the walls opposite the two others.
+    gap = np.abs(angle[[1, 2, 0]] - angle[[2, 0, 1]]) % 360
+    gap = np.minimum(gap, 360 - gap)
+    # Where one region opens by more than half a turn, the two others add up to its smaller side.
+    widest = int(np.argmax(gap))
+    if gap.sum() < 359.9:
+        gap[widest] = 360 - gap[widest]
+    return gap
+
+
+def _tangent(points: FloatArray) -> FloatArray | None:
+    """Direction in which a curve through points (N, 2) leaves the origin, to the side of them.
+
+    A parabola over the chord: linear in the points, so that their noise does not bend it.
+    """
+    mean = points.mean(0)
+    chord = np.linalg.svd(points - mean, full_matrices=False)[2]
+    chord = chord * np.where(chord[:1] @ mean > 0, 1.0, -1.0)
+    s, h = (points @ chord.T).T
+    powers = np.vander(s, 3)
+    (_, b, _), _, rank, _ = np.linalg.lstsq(powers, h, rcond=None)
+    if rank < 3:
+        return None
+    tangent: FloatArray = chord[0] + b * chord[1]
+    return tangent
