@@ -2,7 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <memory>
 #include <utility>
+
+#include "crossing.h"
 
 namespace deltamic_remesh {
 namespace {
@@ -14,15 +17,6 @@ constexpr double good_enough = 0.3;  // quality (1: equilateral) that no operati
 constexpr double pace = 0.5;         // share of the way that a vertex moves to its place in a pass
 
 enum Kind : char { inner, line, corner };  // within a surface; on a junction; where junctions meet
-
-Vec operator+(Vec a, Vec b) { return {a.z + b.z, a.y + b.y, a.x + b.x}; }
-Vec operator-(Vec a, Vec b) { return {a.z - b.z, a.y - b.y, a.x - b.x}; }
-Vec operator*(double s, Vec a) { return {s * a.z, s * a.y, s * a.x}; }
-double dot(Vec a, Vec b) { return a.z * b.z + a.y * b.y + a.x * b.x; }
-Vec cross(Vec a, Vec b) {
-    return {a.y * b.x - a.x * b.y, a.x * b.z - a.z * b.x, a.z * b.y - a.y * b.z};
-}
-double norm(Vec a) { return std::sqrt(dot(a, a)); }
 
 using Face = std::array<std::int32_t, 3>;
 struct Edge {
@@ -44,7 +38,8 @@ public:
         find_kinds();
     }
 
-    Counts run(int passes, bool smooth) {
+    Counts run(int passes, bool smooth, bool apart) {
+        if (apart) sort_in();
         for (int pass = 0; pass < passes; ++pass) {
             split_all();
             collapse_all();
@@ -67,6 +62,8 @@ private:
     std::int64_t time_ = 0;
     std::vector<std::int32_t> shared_;  // faces of the edge at hand
     Counts counts_;
+    std::unique_ptr<FaceGrid> grid_;     // where the faces lie; only if they are kept from crossing
+    std::vector<std::int64_t> aside_;    // the time at which a face was last left out of a check
 
     Vec at(std::int32_t v) const { return s_.position[v]; }
     bool has(std::int32_t f, std::int32_t v) const {
@@ -101,6 +98,58 @@ private:
         find_shared(a, b);
         return is_junction();
     }
+
+    // ------------------------------------------------------------------------------- apart
+
+    Placed placed(std::int32_t f) const {
+        const Face& c = s_.face[f];
+        return {c, {at(c[0]), at(c[1]), at(c[2])}};
+    }
+
+    void sort_in() {
+        if (s_.position.empty()) return;
+        Box all = Box::around(at(0));
+        for (const Vec& p : s_.position) all.take(Box::around(p));
+        double side = 0;
+        for (double l : s_.length) side += l / static_cast<double>(s_.length.size());
+        grid_ = std::make_unique<FaceGrid>(all, side, s_.face.size());
+        for (std::size_t f = 0; f < s_.face.size(); ++f) sort_in(static_cast<std::int32_t>(f));
+    }
+    void sort_in(std::int32_t f) {
+        if (grid_) grid_->put(f, placed(f).box());
+    }
+
+    // Whether the faces of a and b, if they become these, cross no others nor each other.
+    bool stays_apart(std::int32_t a, std::int32_t b, const std::vector<Placed>& planned) {
+        const std::int64_t now = ++time_;
+        aside_.resize(s_.face.size(), 0);
+        for (std::int32_t v : {a, b})
+            for (std::int32_t f : faces_of_[v]) aside_[f] = now;
+        for (std::size_t i = 0; i < planned.size(); ++i) {
+            const auto crossed = [&](std::int32_t f) { return aside_[f] != now && planned[i].crosses(placed(f)); };
+            if (grid_->any(planned[i].box(), crossed)) return false;
+            for (std::size_t k = 0; k < i; ++k)
+                if (planned[i].crosses(planned[k])) return false;
+        }
+        return true;
+    }
+    // The same if a and b both lie at p and the faces that have both are gone.
+    bool stays_apart(std::int32_t a, std::int32_t b, Vec p) {
+        if (!grid_) return true;
+        std::vector<Placed> planned;
+        for (std::int32_t v : {a, b}) {
+            for (std::int32_t f : faces_of_[v]) {
+                if (a != b && has(f, a) && has(f, b)) continue;
+                planned.push_back(placed(f));
+                for (int k = 0; k < 3; ++k)
+                    if (planned.back().vertex[k] == v) planned.back().vertex[k] = a, planned.back().corner[k] = p;
+            }
+            if (a == b) break;
+        }
+        return stays_apart(a, b, planned);
+    }
+
+    // --------------------------------------------------------------------------- neighbours
 
     template <class F>
     void for_neighbours(std::int32_t v, F&& f) {
@@ -170,6 +219,8 @@ private:
             faces_of_[m].push_back(g);
             std::replace(faces_of_[b].begin(), faces_of_[b].end(), f, g);
             faces_of_[c].push_back(g);
+            sort_in(f);
+            sort_in(g);
         }
         ++counts_.splits;
     }
@@ -195,7 +246,7 @@ private:
         if (!may_merge(a, b, gone)) return;
         Vec p = at(a);
         if (kind_[a] == kind_[b]) p = kind_[a] == inner ? keeping_volume(a, b) : 0.5 * (at(a) + at(b));
-        if (!fits(a, b, p, wanted_length(a, b))) return;
+        if (!fits(a, b, p, wanted_length(a, b)) || !stays_apart(a, b, p)) return;
         if (kind_[a] == kind_[b]) {
             s_.length[a] = wanted_length(a, b);
             for (std::size_t k = 0; k < s_.columns; ++k) {
@@ -211,6 +262,7 @@ private:
         }
         faces_of_[b].clear();
         alive_[b] = 0;
+        for (std::int32_t f : faces_of_[a]) sort_in(f);
         ++counts_.collapses;
     }
 
@@ -291,6 +343,7 @@ private:
             own.erase(std::find(own.begin(), own.end(), f));
         }
         s_.face[f] = {-1, -1, -1};
+        if (grid_) grid_->take_out(f);
     }
 
     // -------------------------------------------------------------------------------- flip
@@ -322,13 +375,24 @@ private:
         bool joined = false;
         for (std::int32_t h : faces_of_[c]) joined = joined || has(h, d);
         if (joined) return;
+        if (grid_ && !may_flip(f, g, {{a, d, c}, {pa, pd, pc}}, {{d, b, c}, {pd, pb, pc}})) return;
         s_.face[f] = {a, d, c};
         s_.face[g] = {d, b, c};
         drop(b, f);
         drop(a, g);
         faces_of_[d].push_back(f);
         faces_of_[c].push_back(g);
+        sort_in(f);
+        sort_in(g);
         ++counts_.flips;
+    }
+
+    // Whether two new faces cross none but those that they replace.
+    bool may_flip(std::int32_t f, std::int32_t g, const Placed& one, const Placed& other) const {
+        for (const Placed* planned : {&one, &other})
+            if (grid_->any(planned->box(), [&](std::int32_t h) { return h != f && h != g && planned->crosses(placed(h)); }))
+                return false;
+        return true;
     }
 
     bool runs(std::int32_t f, std::int32_t a, std::int32_t b) const {
@@ -348,8 +412,9 @@ private:
             if (!alive_[v] || kind_[v] == corner || faces_of_[v].empty()) continue;
             Vec step = kind_[v] == inner ? within_surface(v) : along_junction(v);
             for (int tries = 0; tries < 3; ++tries, step = 0.5 * step)
-                if (fits(v, v, at(v) + step)) {
+                if (fits(v, v, at(v) + step) && stays_apart(v, v, at(v) + step)) {
                     s_.position[v] = at(v) + step;
+                    for (std::int32_t f : faces_of_[v]) sort_in(f);
                     break;
                 }
         }
@@ -432,6 +497,8 @@ private:
 
 }  // namespace
 
-Counts remesh(Surface& surface, int passes, bool smooth) { return Remesher(surface).run(passes, smooth); }
+Counts remesh(Surface& surface, int passes, bool smooth, bool apart) {
+    return Remesher(surface).run(passes, smooth, apart);
+}
 
 }  // namespace deltamic_remesh

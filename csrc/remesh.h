@@ -13,11 +13,9 @@
 #include <cstdint>
 #include <vector>
 
-namespace deltamic_remesh {
+#include "vec.h"
 
-struct Vec {
-    double z, y, x;
-};
+namespace deltamic_remesh {
 
 struct Surface {
     std::vector<Vec> position;
@@ -35,6 +33,8 @@ struct Counts {
 
 // Each pass splits, collapses, flips and moves. Vertices and faces that are not used any more are
 // gone from the surface afterwards; regions are written larger number first.
-Counts remesh(Surface& surface, int passes, bool smooth);
+// apart: no operation is done that makes an edge run through a face; the surface must be free of
+// such places before.
+Counts remesh(Surface& surface, int passes, bool smooth, bool apart);
 
 }  // namespace deltamic_remesh

@@ -1,9 +1,10 @@
-// Python bindings of the remesher.
+// Python bindings of the remesher and of what keeps surfaces apart.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
 #include <cstdint>
 
+#include "proximity.h"
 #include "remesh.h"
 
 namespace nb = nanobind;
@@ -43,17 +44,33 @@ Surface surface_of(Array<double> vertices, Array<std::int64_t> faces, Array<std:
     return s;
 }
 
+std::vector<Vec> places_of(Array<double> vertices) {
+    const double* v = vertices.data();
+    std::vector<Vec> places(vertices.shape(0));
+    for (std::size_t i = 0; i < places.size(); ++i) places[i] = {v[3 * i], v[3 * i + 1], v[3 * i + 2]};
+    return places;
+}
+
+template <std::size_t n>
+std::vector<std::array<std::int32_t, n>> rows_of(Array<std::int64_t> numbers) {
+    std::vector<std::array<std::int32_t, n>> rows(numbers.shape(0));
+    for (std::size_t i = 0; i < rows.size(); ++i)
+        for (std::size_t k = 0; k < n; ++k) rows[i][k] = static_cast<std::int32_t>(numbers.data()[n * i + k]);
+    return rows;
+}
+
 }  // namespace
 
 NB_MODULE(_remesh, m) {
-    m.doc() = "The remesher; use napari_deltamic.geometry.remesh instead.";
+    m.doc() = "The remesher and the guard against crossings; use napari_deltamic.geometry instead.";
     m.def("remesh", [](Array<double> vertices, Array<std::int64_t> faces, Array<std::int64_t> regions,
-                       Array<double> length, Array<std::uint8_t> fixed, Array<double> carried, int passes, bool smooth) {
+                       Array<double> length, Array<std::uint8_t> fixed, Array<double> carried, int passes, bool smooth,
+                       bool apart) {
         Surface s = surface_of(vertices, faces, regions, length, fixed, carried);
         Counts c;
         {
             nb::gil_scoped_release others_may_run;
-            c = remesh(s, passes, smooth);
+            c = remesh(s, passes, smooth, apart);
         }
         const std::size_t n = s.position.size(), m = s.face.size();
         return nb::make_tuple(
@@ -61,5 +78,51 @@ NB_MODULE(_remesh, m) {
             copied<std::int64_t>(m ? s.face.data()->data() : nullptr, m, 3),
             copied<std::int64_t>(m ? s.region.data()->data() : nullptr, m, 2), copied<std::uint8_t>(s.fixed.data(), n, 1),
             copied<double>(s.carried.data(), n, s.columns), nb::make_tuple(c.splits, c.collapses, c.flips));
+    }, nb::arg("vertices"), nb::arg("faces"), nb::arg("regions"), nb::arg("length"), nb::arg("fixed"), nb::arg("carried"),
+          nb::arg("passes"), nb::arg("smooth"), nb::arg("apart") = false);
+    m.def("crossings", [](Array<double> vertices, Array<std::int64_t> edges, Array<std::int64_t> faces) {
+        const auto places = places_of(vertices);
+        const auto lines = rows_of<2>(edges);
+        const auto triangles = rows_of<3>(faces);
+        std::vector<Two> found;
+        {
+            nb::gil_scoped_release others_may_run;
+            found = crossings(places, lines, triangles);
+        }
+        return copied<std::int64_t>(found.empty() ? nullptr : found.data()->data(), found.size(), 2);
     });
+    m.def("near_faces", [](Array<double> query, Array<double> vertices, Array<std::int64_t> faces, double reach) {
+        const auto queries = places_of(query), places = places_of(vertices);
+        const auto triangles = rows_of<3>(faces);
+        std::vector<Near> found;
+        {
+            nb::gil_scoped_release others_may_run;
+            found = near_faces(queries, places, triangles, reach);
+        }
+        std::vector<Two> pairs;
+        std::vector<Vec> points;
+        for (const Near& n : found) pairs.push_back({n.point, n.face}), points.push_back(n.place);
+        return nb::make_tuple(copied<std::int64_t>(pairs.empty() ? nullptr : pairs.data()->data(), pairs.size(), 2),
+                              copied<double>(points.empty() ? nullptr : &points.data()->z, points.size(), 3));
+    });
+    nb::class_<Guard>(m, "Guard")
+        .def("__init__",
+             [](Guard* self, Array<std::int64_t> edges, Array<std::int64_t> faces, std::size_t vertices, double near,
+                double contact, double touch, Array<std::int64_t> wall, Array<std::uint8_t> unguarded) {
+                 new (self) Guard(rows_of<2>(edges), rows_of<3>(faces), vertices, near, contact, touch,
+                                  {wall.data(), wall.data() + wall.size()},
+                                  {unguarded.data(), unguarded.data() + unguarded.size()});
+             })
+        .def("limit",
+             [](Guard& self, Array<double> start, Array<double> end) {
+                 const auto from = places_of(start);
+                 auto to = places_of(end);
+                 std::int64_t held = 0;
+                 {
+                     nb::gil_scoped_release others_may_run;
+                     held = self.limit(from, to);
+                 }
+                 return nb::make_tuple(copied<double>(to.empty() ? nullptr : &to.data()->z, to.size(), 3), held);
+             })
+        .def_ro("renewed", &Guard::renewed);
 }

@@ -25,10 +25,13 @@
 
 #if defined(__CUDACC__) || defined(__CUDACC_RTC__)
 #define DELTAMIC_FN __host__ __device__ __forceinline__
+#define DELTAMIC_CONSTANT __host__ __device__ constexpr
 #elif defined(_MSC_VER)
 #define DELTAMIC_FN __forceinline
+#define DELTAMIC_CONSTANT constexpr
 #else
 #define DELTAMIC_FN inline __attribute__((always_inline))
+#define DELTAMIC_CONSTANT constexpr
 #endif
 
 namespace DELTAMIC_NAMESPACE {
@@ -85,8 +88,8 @@ DELTAMIC_FN T largest(T d1, T d2, T d3) {
 //   Re S = A0(q) - r^2 A2(q) + r^4 A4(q) ...,  Im S = r (A1(q) - r^2 A3(q) + ...).
 // ---------------------------------------------------------------------------------------------
 
-constexpr double factorial(int n) { return n < 2 ? 1.0 : n * factorial(n - 1); }
-constexpr double binomial(int n, int k) { return factorial(n) / (factorial(k) * factorial(n - k)); }
+DELTAMIC_CONSTANT double factorial(int n) { return n < 2 ? 1.0 : n * factorial(n - 1); }
+DELTAMIC_CONSTANT double binomial(int n, int k) { return factorial(n) / (factorial(k) * factorial(n - k)); }
 
 // A polynomial given by its coefficients, C::at(0) + C::at(1) z + ... up to degree N, and its slope.
 template <class T, class C, int N, int J = 0>
@@ -112,7 +115,7 @@ DELTAMIC_FN T horner_slope(T z) {
 
 template <int L>
 struct TaylorCoefficients {  // of q^j in A_L
-    static constexpr double at(int j) {
+    static DELTAMIC_CONSTANT double at(int j) {
         return (j % 2 ? -1.0 : 1.0) * binomial(j + L, L) / factorial(2 * j + 3 * L + 2);
     }
 };
@@ -199,15 +202,33 @@ DELTAMIC_FN Gradient<T> small_full(T alpha, T beta) {
             small_gradient(j, v.gamma, v.alpha * v.beta)};
 }
 
+// What a gradient takes of one triangle at one wavevector, contracted with t = exp(-iC) conj(G), G
+// being the incoming gradient: t S, and the slopes of Re(t S) along alpha and beta with gamma =
+// -alpha - beta, that is Re(t (alpha - gamma)(S_q - beta S_r)) and Re(t (beta - gamma)(S_q - alpha
+// S_r)). The phases follow by sums alone: 3 Re(t g_1) = Im(t S) + 2 by_alpha - by_beta,
+// 3 Re(t g_2) = Im(t S) + 2 by_beta - by_alpha.
+template <class T>
+struct Contracted {
+    T re, im, by_alpha, by_beta;
+};
+
+template <class T>
+DELTAMIC_FN Contracted<T> small_contracted(T alpha, T beta, Complex<T> t) {
+    const SmallJet<T> j = small_jet(alpha, beta);
+    const T q = t.re * j.sq.re - t.im * j.sq.im, r = t.re * j.sr.re - t.im * j.sr.im;
+    return {t.re * j.s.re - t.im * j.s.im, t.re * j.s.im + t.im * j.s.re,
+            (alpha - j.inv.gamma) * (q - beta * r), (beta - j.inv.gamma) * (q - alpha * r)};
+}
+
 // ---------------------------------------------------------------------------------------------
 // Large triangles
 // ---------------------------------------------------------------------------------------------
 
 struct CosCoefficients {  // of z^j in cos(sqrt z)
-    static constexpr double at(int j) { return (j % 2 ? -1.0 : 1.0) / factorial(2 * j); }
+    static DELTAMIC_CONSTANT double at(int j) { return (j % 2 ? -1.0 : 1.0) / factorial(2 * j); }
 };
 struct SincCoefficients {  // of z^j in sin(sqrt z) / sqrt z
-    static constexpr double at(int j) { return (j % 2 ? -1.0 : 1.0) / factorial(2 * j + 1); }
+    static DELTAMIC_CONSTANT double at(int j) { return (j % 2 ? -1.0 : 1.0) / factorial(2 * j + 1); }
 };
 
 // cos x + i sin x, by reduction to [-pi/2, pi/2] and Taylor polynomials; the absolute error is that
@@ -315,6 +336,14 @@ DELTAMIC_FN Gradient<T> large_full(T d1, T d2, T d3) {
                           select(o.is1, a.im, select(o.is2, b.im, c.im))};
     };
     return {s, three(gm, gy, gx), three(gx, gm, gy), three(gy, gx, gm)};
+}
+
+template <class T>
+DELTAMIC_FN Contracted<T> large_contracted(T d1, T d2, T d3, Complex<T> t) {
+    const Gradient<T> g = large_full(d1, d2, d3);
+    const T im = t.re * g.value.im + t.im * g.value.re;
+    const T r1 = t.re * g.g1.re - t.im * g.g1.im, r2 = t.re * g.g2.re - t.im * g.g2.im;
+    return {t.re * g.value.re - t.im * g.value.im, im, T(2) * r1 + r2 - im, r1 + T(2) * r2 - im};
 }
 
 // ---------------------------------------------------------------------------------------------

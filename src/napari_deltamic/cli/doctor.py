@@ -17,6 +17,10 @@ from .. import __version__
 from ..errors import InputError
 from ..fourier import native, simd_level
 from ..fourier.cost import costs, processor
+from ..fourier.cuda import compiler, missing
+from ..fourier.cuda.device import INSTALL_BINDINGS
+from ..fourier.cuda.points import cufinufft
+from ..fourier.devices import choose_device
 from ..fourier.native import threads
 from ..fourier.plan import Method
 from ..geometry import sphere
@@ -25,7 +29,7 @@ from ..report import PACKAGES
 from ..scene import Grid, Renderer
 from .messages import Notes
 
-EXTRAS = ("trimesh", "tifffile", "pydantic", "napari", "PyQt6")
+EXTRAS = ("trimesh", "tifffile", "pydantic", "napari", "PyQt6", "cuda-bindings", "cufinufft")
 VARIABLES = ("DELTAMIC_SIMD", "OMP_NUM_THREADS", "OMP_WAIT_POLICY", "MKL_NUM_THREADS")
 
 
@@ -59,7 +63,7 @@ def examine() -> dict[str, Any]:
     problems: list[str] = []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of drivers, and of the extension: both are told below
-        devices = _devices()
+        devices = _devices(problems)
         engines = _engines(problems)
         used = _used()
     return {
@@ -83,22 +87,33 @@ def _versions() -> dict[str, str]:
     return found
 
 
-def _devices() -> dict[str, str]:
+def _devices(problems: list[str]) -> dict[str, str]:
     found = {"cpu": f"{processor()}, {os.cpu_count()} cores"}
-    unused = "not used: this version computes on the CPU"
+    reason = missing()
     if torch.cuda.is_available():
         for i in range(torch.cuda.device_count()):
-            found[f"cuda:{i}"] = f"{torch.cuda.get_device_name(i)} ({unused})"
+            used = f"not used: {reason}" if reason else "used where nothing else is asked for"
+            used = used if i == 0 or reason else "not used: the first one is"
+            found[f"cuda:{i}"] = f"{torch.cuda.get_device_name(i)} ({used})"
+        if reason:
+            problems.append(f"there is a GPU, but it is not used: {reason}")
     else:
-        reason = "no device found" if torch.version.cuda else "this torch is built without CUDA"
         found["cuda"] = f"none ({reason})"
     if torch.backends.mps.is_available():
-        found["mps"] = f"there ({unused})"
+        found["mps"] = "there; forms images where asked for (--device mps)"
     return found
 
 
 def _engines(problems: list[str]) -> dict[str, str]:
     found = {"non-uniform": "FINUFFT, on the CPU"}
+    if not missing():
+        major, minor = compiler.version()
+        found["closed form on the GPU"] = (
+            f"compiled at first use by NVRTC {major}.{minor}, kept in {compiler.kept_folder()}"
+        )
+        found["non-uniform on the GPU"] = (
+            "cufinufft" if cufinufft() else f"none: {INSTALL_BINDINGS}; the closed form stands in"
+        )
     module = native()
     if module is None:
         found["closed form"] = "torch: the compiled extension is missing"
@@ -134,11 +149,14 @@ def _used() -> dict[str, str]:
     mesh = sphere((5, 5, 5), 3.0, subdivisions=4)
     optics = GaussianPSF(0.15)
     found = {"scene": f"100 x 100 x 100 voxels, sigma 1.5 voxels, {len(mesh.faces)} faces"}
+    device = choose_device()
+    found["device"] = str(device)
     where = "here, as was measured" if costs().measured else "on one core of 2024"
+    where = where if device.type == "cpu" else "on a data-centre GPU, as is estimated"
     for accuracy in (1e-2, 1e-3, 1e-5):
-        plan = Renderer(mesh, grid, optics, accuracy).plan
+        plan = Renderer(mesh, grid, optics, accuracy, device=device).plan
         other: Method = "closed form" if plan.method == "non-uniform" else "non-uniform"
-        rest = Renderer(mesh, grid, optics, accuracy, method=other).plan
+        rest = Renderer(mesh, grid, optics, accuracy, method=other, device=device).plan
         found[f"accuracy {accuracy:g}"] = (
             f"{plan.method}: about {_time(plan.expected_seconds)} an iteration {where}; "
             f"{rest.method}: {_time(rest.expected_seconds)}"

@@ -2,6 +2,8 @@
 
 from .band import Band
 from .closed_form import mesh_ft
+from .cuda import operators as _operators  # noqa: F401  (registers the kernels with torch)
+from .cuda import points as _points  # noqa: F401
 from .native import SlowPathWarning, native, simd_level
 from .plan import Plan, make_plan
 

@@ -116,7 +116,18 @@ class Band:
     def to_box(self, values: Tensor) -> Tensor:
         """Row entries (K,) -> box, zero outside the ellipsoid."""
         box = values.new_zeros(self.box_shape).reshape(-1)
-        return box.index_copy(0, self.row_index, values).reshape(self.box_shape)
+        index = self._row_index_on(values.device)
+        return box.index_copy(0, index, values).reshape(self.box_shape)
+
+    def _row_index_on(self, device: torch.device) -> Tensor:
+        if device not in self._row_indices:
+            self._row_indices[device] = self.row_index.to(device)
+        return self._row_indices[device]
+
+    @cached_property
+    def _row_indices(self) -> dict[torch.device, Tensor]:
+        """``row_index`` on each device that asked for it."""
+        return {self.row_index.device: self.row_index}
 
     def to_image(self, box: Tensor, shape: tuple[int, int, int]) -> Tensor:
         """Inverse transform of a box, cropped to ``shape`` voxels from the origin on.

@@ -191,7 +191,7 @@ def band_ft(
     out = torch.zeros(count, dtype=torch.complex64 if single else torch.complex128)
     module = native()
     if module is None:
-        return _mesh_ft(vertices, faces, density, _row_wavevectors(rows, spacing), single)
+        return _mesh_ft(vertices, faces, density, row_wavevectors(rows, spacing), single)
     function = module.band_forward_f32 if single else module.band_forward_f64
     function(
         *_arrays(vertices, faces, density),
@@ -229,7 +229,7 @@ def _band_ft_backward(
 ) -> tuple[Tensor, Tensor]:
     module = native()
     if module is None:
-        xi = _row_wavevectors(rows, spacing)
+        xi = row_wavevectors(rows, spacing)
         return _mesh_ft_backward(grad, vertices, faces, density, xi, single)
     gv = torch.zeros(len(vertices), 3, dtype=torch.float64)
     gd = torch.zeros(len(faces), dtype=torch.float64)
@@ -297,7 +297,7 @@ def _rows(rows: Tensor) -> tuple[np.ndarray, np.ndarray]:
     return r, offset
 
 
-def _row_wavevectors(rows: Tensor, spacing: Sequence[float]) -> Tensor:
+def row_wavevectors(rows: Tensor, spacing: Sequence[float]) -> Tensor:
     r = rows.to(torch.int64)
     start = torch.repeat_interleave(torch.cumsum(r[:, 2], 0) - r[:, 2], r[:, 2])
     kx = torch.arange(len(start)) - start

@@ -307,3 +307,20 @@ BUILT_IN = Costs(
     face=3.8e-7,
     tap=3.4e-10,
 )
+# A data-centre GPU: estimates from the instructions that the kernels take and from what is written
+# of cufinufft and cuFFT, not measured.
+_BUILT_IN_CUDA = Costs(
+    single_forward=Rates(1e-4, 0.0, 2e-12, 8e-12, 1e-9, 5e-11, 4e-13, 4e-13),
+    single_gradient=Rates(4e-4, 0.0, 6e-12, 2.4e-11, 3e-9, 3e-10, 2e-12, 8e-13),
+    double_forward=Rates(1e-4, 0.0, 1.2e-11, 3e-11, 1e-9, 1.5e-10, 1e-12, 1e-12),
+    double_gradient=Rates(4e-4, 0.0, 3.6e-11, 9e-11, 3e-9, 9e-10, 5e-12, 2e-12),
+    vertex=7.8e-8,
+    voxel=1e-10,
+    face=3.8e-7,
+    tap=3.4e-10,
+)
+
+
+def built_in(device: str) -> Costs:
+    """The costs that choices are made with, for a type of device."""
+    return _BUILT_IN_CUDA if device == "cuda" else BUILT_IN

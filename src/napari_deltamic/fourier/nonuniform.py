@@ -115,15 +115,54 @@ def points_ft(
     single
         complex64 rather than complex128.
     """
+    return torch.from_numpy(from_points(points, weights, half, spacing, eps, single))
+
+
+def from_points(
+    points: Tensor,
+    weights: Tensor,
+    half: Sequence[int],
+    spacing: Sequence[float],
+    eps: float,
+    single: bool,
+) -> np.ndarray:
+    """What :func:`points_ft` computes, without a gradient; (n, M) weights give n boxes."""
     modes = (2 * half[0] + 1, 2 * half[1] + 1, half[2] + 1)
     kind = np.complex64 if single else np.complex128
     if len(points) == 0:
-        return torch.zeros(modes, dtype=torch.complex64 if single else torch.complex128)
+        return np.zeros((*weights.shape[:-1], *modes), kind)
     theta = _angles(points, spacing, single)
     plan = _plan(1, modes, 1, eps, single, len(points))
     plan.setpts(*theta)
-    strengths = weights.detach().numpy().astype(kind) * _shift(theta[2], modes[2])
-    return torch.from_numpy(plan.execute(strengths))
+    shift = _shift(theta[2], modes[2])
+    each = weights.detach().numpy().astype(kind).reshape(-1, len(points))
+    boxes = [plan.execute(strengths * shift) for strengths in each]
+    return boxes[0] if weights.ndim == 1 else np.stack(boxes)
+
+
+def to_points(
+    points: Tensor,
+    box: np.ndarray,
+    half: Sequence[int],
+    spacing: Sequence[float],
+    eps: float,
+    single: bool,
+) -> Tensor:
+    """``Re sum over the box of conj(box) exp(-i xi.point)`` (M,): the adjoint of from_points.
+
+    Several boxes (n, Z, Y, X) give (n, M).
+    """
+    modes = (2 * half[0] + 1, 2 * half[1] + 1, half[2] + 1)
+    if len(points) == 0:
+        return torch.zeros((*box.shape[:-3], 0), dtype=torch.float64)
+    kind = np.complex64 if single else np.complex128
+    theta = _angles(points, spacing, single)
+    plan = _plan(2, modes, 1, eps, single, len(points))
+    plan.setpts(*theta)
+    back = _shift(theta[2], modes[2]).conj()
+    boxes = np.ascontiguousarray(box, dtype=kind).reshape(-1, *modes)
+    field = np.stack([(plan.execute(one) * back).real for one in boxes]).astype(np.float64)
+    return torch.from_numpy(field if box.ndim == 4 else field[0])
 
 
 @points_ft.register_fake

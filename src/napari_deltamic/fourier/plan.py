@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import floor, log, log2, pi, sqrt
 from typing import Literal
@@ -13,21 +14,26 @@ from torch import Tensor
 from ..errors import InputError
 from .band import Band, band_error, threshold_for
 from .closed_form import band_ft
-from .cost import BUILT_IN, Work, costs, count_work
+from .cost import Work, built_in, costs, count_work
+from .cuda.points import cufinufft
 from .nonuniform import points_ft
 from .quadrature import Rule, choose_rules
 from .triangle import cross
 
 Method = Literal["closed form", "non-uniform"]
+# Error, area and thinness (as of :func:`band_error`) -> half axes of the band (rad/um), and the
+# largest |OTF| beyond.
+Cutoff = Callable[[float, float, bool], tuple[tuple[float, float, float], float]]
 METHODS: tuple[Method, ...] = ("closed form", "non-uniform")
 
 # Shares of the accuracy: the errors of band, quadrature and transform are independent and add in
 # squares, so that together they use 95 % of it at most.
-_BAND_SHARE, _RULE_SHARE, _TRANSFORM_SHARE = 0.7, 0.6, 0.2
+_BAND_SHARE, RULE_SHARE, _TRANSFORM_SHARE = 0.7, 0.6, 0.2
+_FLAT = 0.1  # |OTF| at the edge of a band that no Gaussian describes: a flat one, to be safe
 # Below this accuracy rounding in single precision would show.
 _SINGLE_ABOVE = 3e-5
 # Below this one rounding in double precision shows, and only the closed form everywhere is left.
-_EXACT_BELOW = 1e-13
+EXACT_BELOW = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +50,8 @@ class Plan:
         What the plan expects of one rendering.
     work
         What one rendering computes.
+    device
+        Type of the device that it is made for.
     """
 
     method: Method
@@ -55,11 +63,13 @@ class Plan:
     rules: list[tuple[Rule, np.ndarray]] = field(repr=False)
     expected_error: float
     work: Work
+    device: str = "cpu"
 
     @property
     def expected_seconds(self) -> float:
         """Of one rendering with its gradient, at the costs of this machine where they are known."""
-        return costs().seconds(self.work, self.single)
+        known = costs() if self.device == "cpu" else built_in(self.device)
+        return known.seconds(self.work, self.single)
 
     @property
     def points(self) -> int:
@@ -91,11 +101,12 @@ def quadrature_points(
     points, weights = [], []
     for rule, where in rules:
         every = len(where) == len(faces)
-        own = corners if every else corners[torch.from_numpy(where)]
-        b = torch.from_numpy(rule.barycentric).to(corners.dtype)
-        w = torch.from_numpy(rule.weights).to(corners.dtype)
+        chosen = torch.from_numpy(where).to(corners.device)
+        own = corners if every else corners[chosen]
+        b = torch.from_numpy(rule.barycentric).to(corners)
+        w = torch.from_numpy(rule.weights).to(corners)
         points.append((b @ own).reshape(-1, 3))
-        m = mass if every else mass[torch.from_numpy(where)]
+        m = mass if every else mass[chosen]
         weights.append((m[:, None] * w).reshape(-1))
     if len(points) == 1:
         return points[0], weights[0]
@@ -112,6 +123,8 @@ def make_plan(
     method: Method | None = None,
     margin: float = 1.0,
     aligned: bool = True,
+    cutoff: Cutoff | None = None,
+    device: str = "cpu",
 ) -> Plan:
     """Choose band, method and rules for an accuracy.
 
@@ -132,6 +145,10 @@ def make_plan(
         Rules are chosen as if edges were longer by this factor (a mesh that is being fitted moves).
     aligned
         Whether the axes of the PSF are those of the grid; otherwise all of the box is computed.
+    cutoff
+        Where the OTF ends, for a PSF that is not Gaussian.
+    device
+        Type of the device that computes: which method is cheaper depends on it.
 
     Raises
     ------
@@ -141,34 +158,79 @@ def make_plan(
     check_accuracy(accuracy)
     if method not in (None, "closed form", "non-uniform"):
         raise InputError(f"method must be 'closed form' or 'non-uniform', not {method!r}")
-    if accuracy < _EXACT_BELOW:
+    if accuracy < EXACT_BELOW:
         band = Band.full(fft_shape, voxel_size)
         phases = _edge_phases(vertices, faces, tuple(pi / d for d in voxel_size), aligned=False)
         work = count_work("closed form", band, len(faces), phases, [], 0.0)
-        return Plan("closed form", band, accuracy, 0.0, False, 0.0, [], 0.0, work)
+        return Plan("closed form", band, accuracy, 0.0, False, 0.0, [], 0.0, work, device)
     area, thin = _size(vertices / np.asarray(width), faces)
-    threshold = threshold_for(_BAND_SHARE * accuracy, area, thin)
-    radius = tuple(sqrt(2 * log(1 / threshold)) / w for w in width)
-    band = Band.within(fft_shape, voxel_size, radius, aligned)  # type: ignore[arg-type]
-    single = accuracy >= _SINGLE_ABOVE
-    tolerance = max(_TRANSFORM_SHARE * accuracy, 1e-6 if single else 1e-14)
-    held, at_edge = _held(radius, voxel_size, threshold)
-    # What is cut off at the grid's own edge has corners.
-    phases = _edge_phases(vertices, faces, held, aligned and held == radius)
-    rules = choose_rules(margin * phases, at_edge, _RULE_SHARE * accuracy)
+    c = choose_band(area, thin, fft_shape, voxel_size, width, accuracy, aligned, cutoff)
+    band, threshold, single, tolerance = c.band, c.threshold, c.single, c.tolerance
+    held, at_edge = c.held, c.at_edge
+    phases = _edge_phases(vertices, faces, held, c.round)
+    rules = choose_rules(margin * phases, at_edge, RULE_SHARE * accuracy)
     works: dict[Method, Work] = {
         m: count_work(m, band, len(faces), phases, rules, tolerance) for m in METHODS
     }
     # Not with the costs of this machine: settings give one image, wherever they are used.
-    cheapest = min(METHODS, key=lambda m: BUILT_IN.seconds(works[m], single))
+    there = METHODS if device != "cuda" or cufinufft() is not None else ("closed form",)
+    cheapest: Method = min(there, key=lambda m: built_in(device).seconds(works[m], single))
     chosen = method if method is not None else cheapest
     # The law of the band is that of a smooth surface; corners and edges were seen to add a sixth.
-    error = min(accuracy, 1.2 * band_error(threshold, area, thin))
+    error = min(accuracy, 1.2 * c.error)
     work = works[chosen]
     if chosen == "closed form":
-        return Plan(chosen, band, accuracy, threshold, single, 0.0, [], error, work)
-    error = min(accuracy, float(np.hypot(np.hypot(error, _RULE_SHARE * accuracy), tolerance)))
-    return Plan(chosen, band, accuracy, threshold, single, tolerance, rules, error, work)
+        return Plan(chosen, band, accuracy, threshold, single, 0.0, [], error, work, device)
+    error = min(accuracy, float(np.hypot(np.hypot(error, RULE_SHARE * accuracy), tolerance)))
+    return Plan(chosen, band, accuracy, threshold, single, tolerance, rules, error, work, device)
+
+
+@dataclass(frozen=True)
+class BandChoice:
+    """Band and precision that an accuracy asks for, whatever is in the scene.
+
+    held, at_edge : half axes (rad/um) of what the grid holds of the band, and |OTF| at its edge.
+    round : whether that is an ellipsoid; otherwise it has corners.
+    error : expected of leaving out what is beyond it.
+    """
+
+    band: Band
+    threshold: float
+    single: bool
+    tolerance: float
+    held: tuple[float, ...]
+    at_edge: float
+    round: bool
+    error: float
+
+
+def choose_band(
+    area: float,
+    thin: bool,
+    fft_shape: tuple[int, int, int],
+    voxel_size: tuple[float, float, float],
+    width: tuple[float, float, float],
+    accuracy: float,
+    aligned: bool = True,
+    cutoff: Cutoff | None = None,
+) -> BandChoice:
+    """The band and precision for an accuracy; ``area``, ``thin`` as in :func:`band_error`."""
+    error = _BAND_SHARE * accuracy
+    if cutoff is not None:
+        radius, threshold = cutoff(error, area, thin)
+    else:
+        threshold = threshold_for(error, area, thin)
+        radius = tuple(sqrt(2 * log(1 / threshold)) / w for w in width)  # type: ignore[assignment]
+        error = band_error(threshold, area, thin)
+    band = Band.within(fft_shape, voxel_size, radius, aligned)
+    single = accuracy >= _SINGLE_ABOVE
+    tolerance = max(_TRANSFORM_SHARE * accuracy, 1e-6 if single else 1e-14)
+    held, at_edge = _held(radius, voxel_size, threshold)
+    if cutoff is not None:
+        at_edge = _FLAT
+    # What is cut off at the grid's own edge has corners.
+    is_round = aligned and held == radius
+    return BandChoice(band, threshold, single, tolerance, held, at_edge, is_round, error)
 
 
 def check_accuracy(accuracy: float) -> None:

@@ -45,7 +45,7 @@ def _small(d: Tensor, order: int) -> tuple[Tensor, Tensor]:
     return s, gradient
 
 
-def _sinc(h: Tensor) -> tuple[Tensor, Tensor]:
+def sinc(h: Tensor) -> tuple[Tensor, Tensor]:
     """sin h / h and its derivative, from the series where |h| < 1."""
     near = h.abs() < 1
     z = torch.where(near, h * h, 0.0)
@@ -73,7 +73,7 @@ def _large(d: Tensor) -> tuple[Tensor, Tensor]:
         torch.where(safe, y, TAU),
     )
     ea, eb = torch.exp(1j * (2 * x - y) / 6), torch.exp(1j * (2 * y - x) / 6)
-    (sx, dsx), (sy, dsy) = _sinc(x / 2), _sinc(y / 2)
+    (sx, dsx), (sy, dsy) = sinc(x / 2), sinc(y / 2)
     s = 1j * (ea * sy - eb * sx) / gap
     gx = (s - eb * torch.complex(sx, dsx) / 2) / gap
     gy = (ea * torch.complex(sy, dsy) / 2 - s) / gap

@@ -1,0 +1,295 @@
+#include "proximity.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "boxes.h"
+#include "crossing.h"
+
+namespace deltamic_remesh {
+namespace {
+
+constexpr double share_of_room = 0.49;  // of the distance of a pair that each of its sides may use
+constexpr double safe = 0.9;            // of the distance that a pair may come nearer without a look
+constexpr double as_good_as_still = 0.1;  // motion of a pair, of its distance, that is taken off without a look
+constexpr double gap = 0.1;             // of the distance that is left where a pair collides
+constexpr int looks = 200;              // of the continuous test; what takes more counts as colliding
+constexpr int rounds = 3;               // of shortening; what still collides then stays where it was
+constexpr int rounds_at_most = 60;      // then nothing that was looked at moves
+
+using Four = std::array<Vec, 4>;
+
+Vec nearest_in_triangle(Vec p, Vec a, Vec b, Vec c) {
+    // By the regions around a triangle: C. Ericson, "Real-Time Collision Detection", 2005, 5.1.5.
+    const Vec ab = b - a, ac = c - a, ap = p - a;
+    const double d1 = dot(ab, ap), d2 = dot(ac, ap);
+    if (d1 <= 0 && d2 <= 0) return a;
+    const Vec bp = p - b;
+    const double d3 = dot(ab, bp), d4 = dot(ac, bp);
+    if (d3 >= 0 && d4 <= d3) return b;
+    const double vc = d1 * d4 - d3 * d2;
+    if (vc <= 0 && d1 >= 0 && d3 <= 0 && d1 > d3) return a + (d1 / (d1 - d3)) * ab;
+    const Vec cp = p - c;
+    const double d5 = dot(ab, cp), d6 = dot(ac, cp);
+    if (d6 >= 0 && d5 <= d6) return c;
+    const double vb = d5 * d2 - d1 * d6;
+    if (vb <= 0 && d2 >= 0 && d6 <= 0 && d2 > d6) return a + (d2 / (d2 - d6)) * ac;
+    const double va = d3 * d6 - d5 * d4;
+    const double bc = (d4 - d3) + (d5 - d6);
+    if (va <= 0 && d4 >= d3 && d5 >= d6 && bc > 0) return b + ((d4 - d3) / bc) * (c - b);
+    const double total = va + vb + vc;
+    if (!(total > 0)) return a;
+    return a + (vb / total) * ab + (vc / total) * ac;
+}
+
+double squared_between_segments(Vec p, Vec q, Vec r, Vec s) {
+    // C. Ericson, "Real-Time Collision Detection", 2005, 5.1.9.
+    const Vec u = q - p, v = s - r, w = p - r;
+    const double a = dot(u, u), e = dot(v, v), f = dot(v, w), c = dot(u, w), b = dot(u, v);
+    double m = 0, n = 0;
+    if (a <= 0 && e <= 0) return dot(w, w);
+    if (a <= 0) {
+        n = std::clamp(f / e, 0.0, 1.0);
+    } else if (e <= 0) {
+        m = std::clamp(-c / a, 0.0, 1.0);
+    } else {
+        const double below = a * e - b * b;
+        m = below > 1e-14 * a * e ? std::clamp((b * f - c * e) / below, 0.0, 1.0) : 0.0;
+        n = (b * m + f) / e;
+        if (n < 0) {
+            n = 0;
+            m = std::clamp(-c / a, 0.0, 1.0);
+        } else if (n > 1) {
+            n = 1;
+            m = std::clamp((b - c) / a, 0.0, 1.0);
+        }
+    }
+    const Vec d = w + m * u - n * v;
+    return dot(d, d);
+}
+
+double distance(const Four& q, bool edges) {
+    if (edges) return std::sqrt(squared_between_segments(q[0], q[1], q[2], q[3]));
+    return norm(q[0] - nearest_in_triangle(q[0], q[1], q[2], q[3]));
+}
+
+// How far the two sides of a pair move at most, together; what all do alike does not count.
+double approach(const Four& step, bool edges) {
+    const Vec mean = 0.25 * (step[0] + step[1] + step[2] + step[3]);
+    std::array<double, 4> n{};
+    for (int k = 0; k < 4; ++k) n[k] = dot(step[k] - mean, step[k] - mean);
+    const double one = edges ? std::max(n[0], n[1]) : n[0];
+    const double other = edges ? std::max(n[2], n[3]) : std::max({n[1], n[2], n[3]});
+    return std::sqrt(one) + std::sqrt(other);
+}
+
+// The share of a step after which a pair has come as near as the gap; above 1 if it does not.
+double time_to_gap(Four place, const Four& step, double near, bool edges) {
+    const double most = approach(step, edges), aim = gap * near;
+    double time = 0;
+    for (int k = 0; k < looks; ++k) {
+        const double now = time == 0 ? near : distance(place, edges);
+        if (time > 0 && now < aim) return time;
+        const double on = safe * (now - (time == 0 ? 0.0 : 0.5 * aim)) / most;
+        if (time + on > 1) return 2;
+        time += on;
+        for (int i = 0; i < 4; ++i) place[i] = place[i] + on * step[i];
+    }
+    return time;
+}
+
+template <class Corners>
+std::vector<Box> joined(const std::vector<Box>& points, const std::vector<Corners>& elements) {
+    std::vector<Box> boxes(elements.size());
+    for (std::size_t i = 0; i < elements.size(); ++i) {
+        boxes[i] = points[elements[i][0]];
+        for (std::size_t k = 1; k < elements[i].size(); ++k) boxes[i].take(points[elements[i][k]]);
+    }
+    return boxes;
+}
+
+template <class Corners>
+std::vector<char> any_of(const std::vector<char>& active, const std::vector<Corners>& elements) {
+    std::vector<char> found(elements.size());
+    for (std::size_t i = 0; i < elements.size(); ++i)
+        for (std::int32_t v : elements[i]) found[i] = found[i] || active[v];
+    return found;
+}
+
+}  // namespace
+
+std::vector<Two> crossings(const std::vector<Vec>& place, const std::vector<Two>& edges,
+                           const std::vector<Triple>& faces) {
+    std::vector<Box> points(place.size());
+    for (std::size_t v = 0; v < place.size(); ++v) points[v] = Box::around(place[v]);
+    const std::vector<Box> along = joined(points, edges), over = joined(points, faces);
+    const std::vector<char> every_edge(edges.size(), 1), every_face(faces.size(), 1);
+    std::vector<Two> found;
+    BoxGrid(along, over, every_edge, every_face).overlaps([&](std::int32_t e, std::int32_t f) {
+        const auto& [a, b] = edges[e];
+        const auto& [p, q, r] = faces[f];
+        if (a == p || a == q || a == r || b == p || b == q || b == r) return;
+        if (runs_through(place[a], place[b], place[p], place[q], place[r])) found.push_back({e, f});
+    });
+    return found;
+}
+
+std::vector<Near> near_faces(const std::vector<Vec>& points, const std::vector<Vec>& place,
+                             const std::vector<Triple>& faces, double reach) {
+    std::vector<Box> corners(place.size()), around(points.size());
+    for (std::size_t v = 0; v < place.size(); ++v) corners[v] = Box::around(place[v]);
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        around[i] = Box::around(points[i]);
+        around[i].grow(reach);
+    }
+    const std::vector<Box> over = joined(corners, faces);
+    const std::vector<char> every_point(points.size(), 1), every_face(faces.size(), 1);
+    std::vector<Near> found;
+    BoxGrid(around, over, every_point, every_face).overlaps([&](std::int32_t i, std::int32_t f) {
+        const auto& [a, b, c] = faces[f];
+        const Vec p = nearest_in_triangle(points[i], place[a], place[b], place[c]);
+        if (norm(points[i] - p) <= reach) found.push_back({i, f, p});
+    });
+    return found;
+}
+
+Guard::Guard(std::vector<Two> edges, std::vector<Triple> faces, std::size_t vertices, double near, double contact,
+             double touch, std::vector<std::int32_t> wall, std::vector<std::uint8_t> unguarded)
+    : edges_(std::move(edges)), faces_(std::move(faces)), near_(near), contact_(contact), touch_(touch),
+      wall_(std::move(wall)), unguarded_(std::move(unguarded)), center_(vertices, Vec{0, 0, 0}), radius_(vertices, -1) {
+    walls_ = static_cast<std::size_t>(std::lround(std::sqrt(static_cast<double>(unguarded_.size()))));
+    if (!walls_) return;
+    walls_of_vertex_.resize(vertices);
+    for (std::size_t f = 0; f < faces_.size(); ++f)
+        for (std::int32_t v : faces_[f]) {
+            auto& own = walls_of_vertex_[v];
+            if (std::find(own.begin(), own.end(), wall_[f]) == own.end()) own.push_back(wall_[f]);
+        }
+    for (const Two& e : edges_) {
+        walls_of_edge_.emplace_back();
+        for (std::int32_t w : walls_of_vertex_[e[0]]) {
+            const auto& other = walls_of_vertex_[e[1]];
+            if (std::find(other.begin(), other.end(), w) != other.end()) walls_of_edge_.back().push_back(w);
+        }
+    }
+}
+
+bool Guard::left_alone(const std::vector<std::int32_t>& a, const std::vector<std::int32_t>& b) const {
+    for (std::int32_t p : a)
+        for (std::int32_t q : b)
+            if (unguarded_[p * walls_ + q]) return true;
+    return false;
+}
+
+std::vector<Guard::Pair> Guard::pairs(const std::vector<Vec>& start, const std::vector<Vec>& end,
+                                      const std::vector<char>& active) const {
+    std::vector<Box> points(start.size());
+    for (std::size_t v = 0; v < start.size(); ++v) {
+        points[v] = Box::around(active[v] ? start[v] : center_[v]);
+        if (active[v]) points[v].take(Box::around(end[v]));
+        points[v].grow(active[v] ? share_of_room * near_ : radius_[v]);  // its ball, now or soon
+    }
+    const std::vector<Box> along = joined(points, edges_), over = joined(points, faces_);
+    const std::vector<char> active_edges = any_of(active, edges_), active_faces = any_of(active, faces_);
+    std::vector<Pair> found;
+    BoxGrid(points, over, active, active_faces).overlaps([&](std::int32_t v, std::int32_t f) {
+        const auto& [a, b, c] = faces_[f];
+        if (v == a || v == b || v == c) return;
+        if (walls_ && left_alone(walls_of_vertex_[v], {wall_[f]})) return;
+        found.push_back({{v, a, b, c}, false});
+    });
+    BoxGrid(along, along, active_edges, active_edges).overlaps([&](std::int32_t e, std::int32_t g) {
+        const auto& [a, b] = edges_[e];
+        const auto& [c, d] = edges_[g];
+        if (a == c || a == d || b == c || b == d) return;
+        if (walls_ && left_alone(walls_of_edge_[e], walls_of_edge_[g])) return;
+        found.push_back({{a, b, c, d}, true});
+    });
+    return found;
+}
+
+void Guard::shorten(const std::vector<Pair>& near, const std::vector<double>& distances, const std::vector<Vec>& start,
+                    const std::vector<Vec>& end, std::vector<double>& share) const {
+    std::vector<char> changed(start.size(), 1), lower(start.size(), 0);
+    for (int turn = 0;; ++turn) {
+        std::vector<double> may = share;
+        bool any = false;
+        std::fill(lower.begin(), lower.end(), 0);
+        for (std::size_t i = 0; i < near.size(); ++i) {
+            const auto& v = near[i].v;
+            if (!(changed[v[0]] || changed[v[1]] || changed[v[2]] || changed[v[3]])) continue;
+            Four place{}, step{};
+            for (int k = 0; k < 4; ++k) {
+                place[k] = start[v[k]];
+                step[k] = share[v[k]] * (end[v[k]] - start[v[k]]);
+            }
+            const double most = approach(step, near[i].edges);
+            if (most < safe * distances[i]) continue;
+            if (distances[i] <= touch_) continue;
+            double time = time_to_gap(place, step, distances[i], near[i].edges);
+            if (time > 1) continue;
+            if (distances[i] < contact_ || turn >= rounds) time = 0;
+            any = true;
+            for (std::int32_t w : v) {
+                lower[w] = 1;
+                may[w] = std::min(may[w], turn >= rounds_at_most ? 0.0 : time * share[w]);
+            }
+        }
+        if (!any) return;
+        if (turn >= rounds_at_most) {
+            for (const Pair& p : near)
+                for (std::int32_t w : p.v) may[w] = 0, lower[w] = 1;
+        }
+        share.swap(may);
+        changed.swap(lower);
+        if (turn > rounds_at_most) return;
+    }
+}
+
+std::int64_t Guard::limit(const std::vector<Vec>& start, std::vector<Vec>& end) {
+    std::vector<char> active(start.size(), 0);
+    std::int64_t leaving = 0;
+    for (std::size_t v = 0; v < start.size(); ++v) {
+        active[v] = radius_[v] < 0 || norm(end[v] - center_[v]) > radius_[v] || norm(start[v] - center_[v]) > radius_[v];
+        leaving += active[v];
+    }
+    if (!leaving) return 0;
+    renewed += leaving;
+    const std::vector<Pair> near = pairs(start, end, active);
+    std::vector<double> apart(near.size());
+    for (std::size_t i = 0; i < near.size(); ++i) {
+        Four place{};
+        for (int k = 0; k < 4; ++k) place[k] = start[near[i].v[k]];
+        apart[i] = distance(place, near[i].edges);
+    }
+    std::vector<double> share(start.size(), 1.0);
+    shorten(near, apart, start, end, share);
+    std::int64_t held = 0;
+    for (std::size_t v = 0; v < start.size(); ++v)
+        if (share[v] < 1) {
+            end[v] = start[v] + share[v] * (end[v] - start[v]);
+            ++held;
+        }
+    for (std::size_t v = 0; v < start.size(); ++v) {
+        if (!active[v]) continue;
+        center_[v] = end[v];
+        radius_[v] = share_of_room * near_;
+    }
+    for (std::size_t i = 0; i < near.size(); ++i) {
+        const auto& v = near[i].v;
+        Four place{}, step{};
+        for (int k = 0; k < 4; ++k) place[k] = end[v[k]], step[k] = end[v[k]] - start[v[k]];
+        const double most = approach(step, near[i].edges);
+        const bool alike = most < as_good_as_still * apart[i];
+        const double room = share_of_room * (alike ? apart[i] - most : distance(place, near[i].edges));
+        for (std::int32_t w : v) {
+            const double off = norm(end[w] - center_[w]);
+            if (radius_[w] + off <= room) continue;
+            radius_[w] = std::min(room, std::max(0.0, radius_[w] - off));  // within the old one
+            center_[w] = end[w];
+        }
+    }
+    return held;
+}
+
+}  // namespace deltamic_remesh

@@ -1,0 +1,43 @@
+"""Which device computes: one choice, made once."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import torch
+
+from ..errors import InputError
+from .cuda import missing
+
+DeviceChoice = Literal["auto", "cpu", "cuda", "mps"]
+
+
+def choose_device(asked: DeviceChoice = "auto") -> torch.device:
+    """The device for a setting.
+
+    ``"auto"`` is the first NVIDIA GPU where nothing is missing to use it, else the CPU. ``"mps"``,
+    the GPU of a Mac, forms images and compares them; transforms of meshes stay on the CPU. It holds
+    single precision alone.
+
+    Raises
+    ------
+    InputError
+        If a GPU is asked for by name and cannot be used; says what is missing and what to do.
+    """
+    if asked == "cuda" and (reason := missing()):
+        raise InputError(f"the GPU cannot be used: {reason}")
+    if asked == "mps" and not torch.backends.mps.is_available():
+        raise InputError("the device mps cannot be used: it is the GPU of a Mac")
+    if asked == "cuda" or (asked == "auto" and not missing()):
+        return torch.device("cuda", torch.cuda.current_device())
+    return torch.device(asked if asked == "mps" else "cpu")
+
+
+def for_objects(device: torch.device) -> torch.device:
+    """Where meshes are transformed for images on a device."""
+    return torch.device("cpu") if device.type == "mps" else device
+
+
+def widest(device: torch.device) -> torch.dtype:
+    """The most precise real type that a device holds."""
+    return torch.float32 if device.type == "mps" else torch.float64

@@ -1,0 +1,49 @@
+"""What ``doctor`` says of GPUs, on a machine without one."""
+
+import pytest
+import torch
+
+from napari_deltamic.cli import doctor
+
+
+@pytest.fixture
+def one_gpu(monkeypatch):
+    """A GPU as far as torch tells; what is missing to use it follows."""
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
+    monkeypatch.setattr(torch.cuda, "get_device_name", lambda i: "NVIDIA H100")
+    monkeypatch.setattr(doctor, "choose_device", lambda: torch.device("cpu"))
+
+    def lacks(reason):
+        monkeypatch.setattr(doctor, "missing", lambda: reason)
+
+    return lacks
+
+
+def test_a_gpu_that_is_used_is_named_with_its_engines(one_gpu, monkeypatch):
+    one_gpu("")
+    monkeypatch.setattr(doctor.compiler, "version", lambda: (13, 0))
+    monkeypatch.setattr(doctor, "cufinufft", lambda: None)
+    facts = doctor.examine()
+    assert facts["devices"]["cuda:0"] == "NVIDIA H100 (used where nothing else is asked for)"
+    assert "NVRTC 13.0, kept in" in facts["engines"]["closed form on the GPU"]
+    assert "pip install 'napari-deltamic[gpu]'" in facts["engines"]["non-uniform on the GPU"]
+    assert facts["problems"] == ["none found"]
+
+
+def test_what_a_gpu_lacks_is_a_problem_with_its_remedy(one_gpu):
+    one_gpu("NVRTC is missing: pip install it")
+    facts = doctor.examine()
+    told = "not used: NVRTC is missing: pip install it"
+    assert told in facts["devices"]["cuda:0"]
+    assert any(told in problem for problem in facts["problems"])
+    assert "closed form on the GPU" not in facts["engines"]
+
+
+def test_without_a_gpu_there_is_no_problem(monkeypatch):
+    monkeypatch.setattr(doctor, "missing", lambda: "no NVIDIA GPU is found")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    facts = doctor.examine()
+    assert facts["devices"]["cuda"] == "none (no NVIDIA GPU is found)"
+    assert facts["problems"] == ["none found"]
+    assert facts["used"]["device"] == "cpu"

@@ -1,0 +1,217 @@
+"""The operators for GPUs, on tensors of the CPU: emulated kernels, and what happens without any."""
+
+import finufft
+import numpy as np
+import pytest
+import torch
+from cuda_emulation import Emulated
+
+from napari_deltamic.errors import InputError
+from napari_deltamic.fourier import closed_form, make_plan
+from napari_deltamic.fourier.cuda import device, operators, points, transform
+from napari_deltamic.fourier.cuda.device import NoGpuWarning
+from napari_deltamic.fourier.cuda.transform import OutOfMemoryWarning
+from napari_deltamic.fourier.devices import choose_device
+from napari_deltamic.fourier.nonuniform import _points_ft_backward, points_ft
+from napari_deltamic.geometry import sphere
+
+ROWS = torch.tensor([[-1, 0, 3], [0, 0, 9], [2, -1, 1]], dtype=torch.int32)
+SPACING = (0.9, 0.7, 0.5)
+
+
+def mesh():
+    ball = sphere((0.4, -0.2, 0.9), 1.5, subdivisions=1)
+    ones = torch.ones(len(ball.faces), dtype=torch.float64)
+    return torch.tensor(ball.vertices), torch.as_tensor(ball.faces), ones
+
+
+def wavevectors():
+    return torch.from_numpy(np.random.default_rng(0).normal(size=(13, 3)))
+
+
+def close(found, expected, bar=1e-5):
+    for a, b in zip(found, expected, strict=True):
+        assert a.dtype == b.dtype
+        assert (a - b).abs().max() <= bar * b.abs().max()
+
+
+@pytest.fixture(params=["emulated", "missing"])
+def without_gpu(request, monkeypatch):
+    """What stands in for a GPU: the kernels on the host, or nothing."""
+    if request.param == "emulated":
+        monkeypatch.setattr(operators, "kernels", lambda device, single: Emulated(single))
+        yield
+        return
+    monkeypatch.setattr(device, "missing", lambda: "a piece is missing: install it")
+    device._tell.cache_clear()
+    with pytest.warns(NoGpuWarning, match="a piece is missing") as told:
+        yield
+    assert len(told) == 1  # however many calls
+    device._tell.cache_clear()
+
+
+def test_operators_agree_with_those_of_the_cpu(without_gpu):
+    v, f, rho = mesh()
+    for single in (True, False):
+        band = v, f, rho, ROWS, SPACING, single
+        u = closed_form.band_ft(*band)
+        close([operators._band_ft_cuda(*band)], [u])
+        close(operators._band_ft_backward_cuda(u, *band), closed_form._band_ft_backward(u, *band))
+        listed = v, f, rho, wavevectors(), single
+        u = closed_form._mesh_ft(*listed)
+        close([operators._mesh_ft_cuda(*listed)], [u])
+        close(
+            operators._mesh_ft_backward_cuda(u, *listed), closed_form._mesh_ft_backward(u, *listed)
+        )
+
+
+def test_operators_are_registered_for_cuda():
+    for name in ("mesh_ft", "band_ft", "points_ft"):
+        for way in (name, f"{name}_backward"):
+            assert torch._C._dispatch_has_kernel_for_dispatch_key(f"deltamic::{way}", "CUDA")
+
+
+def test_short_memory_halves_the_parts_and_says_so(monkeypatch):
+    kernels = Emulated(True, multiprocessors=8)
+    v, f, rho = mesh()
+    arguments = v, f, rho, ROWS, SPACING
+    expected = transform.band_forward(kernels, *arguments)
+    refused, empty = [], torch.empty
+
+    def short(size, *args, **kwargs):
+        if size == refused_size and len(refused) < 2:
+            refused.append(size)
+            raise torch.OutOfMemoryError("no more")
+        return empty(size, *args, **kwargs)
+
+    parts = dict(kernels.launched)["band_forward"][1]
+    refused_size = parts * 2 * int(ROWS[:, 2].sum())
+    assert parts > 2
+    monkeypatch.setattr(torch, "empty", short)
+    with pytest.warns(OutOfMemoryWarning, match="fewer, larger pieces"):
+        found = transform.band_forward(kernels, *arguments)
+    assert refused
+    close([found], [expected])
+
+
+def test_layouts_are_kept_and_follow_changes():
+    kernels = Emulated(True)
+    v, f, rho = mesh()
+    rows = ROWS.clone()
+    first = transform.band_forward(kernels, v, f, rho, rows, SPACING)
+    rows[1, 0] = 1
+    second = transform.band_forward(kernels, v, f, rho, rows, SPACING)
+    assert not torch.equal(first, second)
+    for other in range(20):
+        changed = ROWS.clone()
+        changed[0, 0] = other
+        transform.band_forward(kernels, v, f, rho, changed, SPACING)
+    assert len(transform._layouts) <= 8
+
+
+# ----------------------------------------------------------------------------------- points
+
+
+class FakeCufinufft:
+    """cufinufft's plan, by FINUFFT: it takes torch tensors and writes into ``out``."""
+
+    class Plan:
+        def __init__(self, kind, modes, n_trans, eps, isign, dtype, gpu_device_id, gpu_stream):
+            self._plan = finufft.Plan(kind, modes, n_trans, eps, isign, dtype=dtype)
+
+        def setpts(self, *theta):
+            self._plan.setpts(*(t.numpy() for t in theta))
+
+        def execute(self, data, out):
+            assert data.is_contiguous()
+            assert data.dtype == out.dtype
+            out.copy_(torch.from_numpy(self._plan.execute(data.resolve_conj().numpy())))
+
+
+@pytest.mark.parametrize("single", [True, False])
+def test_points_agree_with_those_of_the_cpu(single, monkeypatch):
+    monkeypatch.setattr(points, "cufinufft", FakeCufinufft)
+    monkeypatch.setattr(points, "_plans", points.OrderedDict())
+    rng = np.random.default_rng(1)
+    x, w = torch.from_numpy(rng.normal(size=(50, 3))), torch.from_numpy(rng.uniform(1, 2, 50))
+    arguments = x, w, (3, 4, 5), SPACING, 1e-5 if single else 1e-12, single
+    u = points_ft(*arguments)
+    bar = 1e-4 if single else 1e-10
+    close([points._points_ft_cuda(*arguments)], [u], bar)
+    expected = _points_ft_backward(u, *arguments)
+    close(points._points_ft_backward_cuda(u, *arguments), expected, bar)
+    # Where memory is short for the four transforms of the gradient at once.
+    fields = points._fields
+
+    def short(*given):
+        if given[-1] == 4:
+            raise torch.OutOfMemoryError("no more")
+        return fields(*given)
+
+    monkeypatch.setattr(points, "_fields", short)
+    with pytest.warns(OutOfMemoryWarning, match="one by one"):
+        close(points._points_ft_backward_cuda(u, *arguments), expected, bar)
+
+
+def test_points_without_cufinufft_go_to_the_cpu(monkeypatch):
+    monkeypatch.setattr(points, "cufinufft", lambda: None)
+    x, w = torch.rand(5, 3, dtype=torch.float64), torch.rand(5, dtype=torch.float64)
+    arguments = x, w, (3, 4, 5), SPACING, 1e-5, True
+    u = points_ft(*arguments)
+    assert torch.equal(points._points_ft_cuda(*arguments), u)
+    found = points._points_ft_backward_cuda(u, *arguments)
+    assert all(map(torch.equal, found, _points_ft_backward(u, *arguments)))
+
+
+# ----------------------------------------------------------------------------------- choices
+
+
+def test_the_plan_for_a_gpu_takes_the_closed_form_where_cufinufft_is_missing(monkeypatch):
+    ball = sphere((5.0, 5.0, 5.0), 3.0, subdivisions=4)
+    arguments = ball.vertices_numpy(), ball.faces, (100,) * 3, (0.1,) * 3, (0.15,) * 3, 1e-3
+    module = "napari_deltamic.fourier.plan.cufinufft"
+    monkeypatch.setattr(module, lambda: None)
+    assert make_plan(*arguments, device="cuda").method == "closed form"
+    assert make_plan(*arguments).method == "non-uniform"
+    monkeypatch.setattr(module, lambda: FakeCufinufft)
+    plan = make_plan(*arguments, device="cuda")
+    assert plan.device == "cuda"
+    assert plan.expected_seconds < make_plan(*arguments).expected_seconds
+
+
+def test_what_is_asked_for_and_missing_is_an_error_with_the_remedy(monkeypatch):
+    module = "napari_deltamic.fourier.devices"
+    monkeypatch.setattr(f"{module}.missing", lambda: "NVRTC is missing: pip install it")
+    assert choose_device("auto") == choose_device("cpu") == torch.device("cpu")
+    with pytest.raises(InputError, match="cannot be used: NVRTC is missing: pip install it"):
+        choose_device("cuda")
+    monkeypatch.setattr(torch.backends.mps, "is_available", lambda: False)
+    with pytest.raises(InputError, match="GPU of a Mac"):
+        choose_device("mps")
+    monkeypatch.setattr(torch.backends.mps, "is_available", lambda: True)
+    assert choose_device("mps").type == "mps"
+
+
+def test_auto_is_the_gpu_where_nothing_is_missing(monkeypatch):
+    monkeypatch.setattr("napari_deltamic.fourier.devices.missing", lambda: "")
+    monkeypatch.setattr(torch.cuda, "current_device", lambda: 1)
+    assert choose_device("auto") == choose_device("cuda") == torch.device("cuda", 1)
+
+
+def test_missing_pieces_are_named_one_after_the_other(monkeypatch):
+    missing = device.missing.__wrapped__
+    monkeypatch.setattr(torch.version, "cuda", None)
+    assert "built without CUDA; for an NVIDIA GPU: pip install" in missing()
+    monkeypatch.setattr(torch.version, "cuda", "13.0")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert "no NVIDIA GPU" in missing()
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "get_device_capability", lambda: (9, 0))
+
+    def absent():
+        raise device.CompilerError("the Python package cuda-bindings is missing")
+
+    monkeypatch.setattr(device.compiler, "nvrtc", absent)
+    assert missing() == (
+        "the Python package cuda-bindings is missing: pip install 'napari-deltamic[gpu]'"
+    )
