@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import inf, log, sqrt
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from ..errors import InputError
+from .parameters import RANGE, Parameter
 
 
 class GaussianPSF:
@@ -71,6 +73,14 @@ class GaussianPSF:
         z, y, x = (float(1 / torch.sqrt(i)) for i in torch.diagonal(inverse))
         return z, y, x
 
+    def reach(self, accuracy: float) -> tuple[float, float, float]:
+        """um along Z, Y, X: what lies beyond adds less than the accuracy to an image."""
+        z, y, x = (gaussian_reach(accuracy) * s for s in self.sigma_um)
+        return z, y, x
+
+    def cutoff(self, blur: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
+        """None: the law of Gaussians holds, see :meth:`width`."""
+
     def otf(self, axes: tuple[Tensor, Tensor, Tensor]) -> Tensor:
         """Optical transfer function at wavevector components that broadcast over a box (rad/um)."""
         z, y, x = axes
@@ -99,6 +109,31 @@ class GaussianPSF:
         lower = self._cholesky[(1, 2, 2), (0, 0, 1)]
         return torch.cat([log_diagonal, lower])
 
+    def limits(self) -> tuple[Tensor, Tensor]:
+        """Range of :meth:`parameters` that a fit started here stays within: widths times 1/4 to 4.
+
+        An image that tells nothing about the PSF, noise for example, would let them run to nothing
+        or beyond the image.
+        """
+        p = self.parameters().detach()
+        reach = torch.full_like(p, inf)
+        reach[:3] = RANGE
+        return p - reach, p + reach
+
+    def sharpened(self, factor: float) -> GaussianPSF:
+        """The same PSF with widths times ``factor``."""
+        p = self.parameters().detach().clone()
+        p[:3] += float(np.log(factor))
+        return self.with_parameters(p)
+
+    def described(self) -> tuple[Parameter, ...]:
+        """Every parameter with its unit, value and bounds."""
+        return tuple(
+            Parameter(f"sigma_{axis}", "um", f"standard deviation along {axis.upper()}",
+                      value, 0.0, None, True, "")
+            for axis, value in zip("zyx", self.sigma_um, strict=True)
+        )  # fmt: skip
+
     def with_parameters(self, parameters: Tensor) -> GaussianPSF:
         """The PSF with other values of :meth:`parameters`; differentiable."""
         if self._diagonal:
@@ -122,6 +157,11 @@ class GaussianPSF:
     def __repr__(self) -> str:
         z, y, x = self.sigma_um
         return f"GaussianPSF(sigma=({z:.4g}, {y:.4g}, {x:.4g}) um)"
+
+
+def gaussian_reach(accuracy: float) -> float:
+    """How many sigma an image reaches beyond a surface before it falls below the accuracy."""
+    return sqrt(2 * log(1 / max(accuracy * 0.1, 1e-12)))
 
 
 def _tensor(values: object, name: str) -> Tensor:

@@ -1,0 +1,333 @@
+"""Radially symmetric PSFs of an objective: scalar, Gibson-Lanni, vectorial.
+
+The field is an integral over the radius of the pupil, by Gauss-Legendre nodes in the normalised
+radius, so that no edge of the pupil is ever cut by a pixel. With s = NA rho the sine of the angle
+times the index, and z the position of the focus (growing away from the objective), the phase of a
+ray is ``2 pi / wavelength * (path - z sqrt(index^2 - s^2))``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import pi, sqrt
+
+import torch
+from torch import Tensor
+
+from ..errors import InputError
+from .bessel import j0, j1, j2
+from .parameters import Spec, plain
+from .table import TAPER, Extent, RadialPSF, gauss_legendre, nodes_for
+
+_FOCAL_SHIFT = "its main effect is the scale of z, which no image can tell from the shape"
+_MICROSCOPE = "it is known from the objective; fit the depth or the coverslip instead"
+NA = Spec("na", "", "numerical aperture", 0.0, "index", (0.05, 1.7))
+WAVELENGTH = Spec("wavelength", "um", "of the emitted light, in vacuum", 0.0, None, (0.2, 2.0))
+INDEX = Spec("index", "", "refractive index of the immersion", None, None, (1.0, 2.0))
+APODISATION = Spec("apodisation", "", "amplitude across the pupil falls as exp(-apodisation rho^2)")
+LAYERS = (
+    Spec("sample_index", "", "index of the sample", None, None, (1.0, 2.0), _FOCAL_SHIFT),
+    Spec("depth", "um", "of the structure below the coverslip", 0.0, None, (0.0, 1000.0)),
+    Spec("coverslip", "um", "thickness of the coverslip", 0.0, None, (0.0, 2000.0)),
+    Spec("coverslip_index", "", "its refractive index", None, None, (1.0, 2.0), _MICROSCOPE),
+    Spec("design_index", "", "index of the immersion it is made for", None, None, (1.0, 2.0),
+         _MICROSCOPE),
+    Spec("design_coverslip", "um", "coverslip it is made for", None, None, (0.0, 2000.0),
+         _MICROSCOPE),
+    Spec("design_coverslip_index", "", "index of that coverslip", None, None, (1.0, 2.0),
+         _MICROSCOPE),
+    Spec("working_distance", "um", "thickness of the immersion", None, None, (0.0, 1e5),
+         _MICROSCOPE),
+)  # fmt: skip
+_BELOW_SAMPLE_INDEX = 0.999
+_AXIAL_UNITS, _LATERAL_UNITS = 2.5, 5.0  # of resolution: extents that hold most of a PSF
+
+
+def check_aperture(na: float, index: float) -> None:
+    """InputError unless the aperture is below the index of the immersion."""
+    if na >= index:
+        raise InputError(
+            f"NA {na:g} must be below the refractive index of the immersion, {index:g}"
+        )
+
+
+class ObjectivePSF(RadialPSF):
+    """What scalar and vectorial PSFs of an objective share: the pupil and its sampling."""
+
+    def __init__(
+        self,
+        specs: Sequence[Spec],
+        values: Mapping[str, object],
+        fitted: Sequence[str],
+        extent: Extent | None,
+    ) -> None:
+        self._spread: Extent = (0.0, 0.0)
+        super().__init__(specs, values, fitted, extent)
+
+    def with_extent(self, extent: Extent) -> ObjectivePSF:
+        """The same PSF, kept within another extent (um along Z and across)."""
+        return type(self)(**self._values, fitted=self._fitted, extent=extent)  # type: ignore[arg-type]
+
+    def with_wavelength(self, wavelength: Tensor) -> ObjectivePSF:
+        """The same objective at another wavelength, on the same nodes."""
+        return self._with_values({**self._values, "wavelength": wavelength})
+
+    # ------------------------------------------------------------------------------- the pupil
+
+    def _aperture(self) -> Tensor:
+        """s at the rim."""
+        return self._values["na"]
+
+    def _path(self, s: Tensor, weight: Tensor) -> Tensor | None:
+        """Path (um) of rays in excess of those in focus, which hangs on the weight of each."""
+        return None
+
+    def _fields(self, s: Tensor, amplitude: Tensor) -> list[tuple[float, Tensor, int]]:
+        """Weight of the intensity, amplitude along the pupil, and order of its Bessel function."""
+        return [(1.0, amplitude, 0)]
+
+    def _amplitude(self, s: Tensor) -> Tensor:
+        """Amplitude across the pupil."""
+        return torch.ones_like(s)
+
+    def _bandwidth(self) -> tuple[float, float, float]:
+        """rad/um along Z, Y, X: of the intensity."""
+        s, n = float(self._aperture().detach()), self._number("index")
+        k = 2 * pi / self._number("wavelength")
+        return k * (n - sqrt(n * n - s * s)), 2 * k * s, 2 * k * s
+
+    def _default_extent(self) -> Extent:
+        kz, _, kr = self._bandwidth()
+        s, n = float(self._aperture().detach()), self._number("index")
+        along, across = self._ray_spread()
+        z = _AXIAL_UNITS * 2 * pi / kz + along
+        return z, max(_LATERAL_UNITS * 2 * pi / kr, z * s / sqrt(n * n - s * s)) + across
+
+    def _ray_spread(self) -> Extent:
+        """How far aberrated rays land from the focus, along Z and across (um)."""
+        rho = torch.linspace(0, 1, 65, dtype=torch.float64)
+        s = rho * self._aperture()
+        path = self._path(s, rho)
+        if path is None:
+            return 0.0, 0.0
+        cosine = torch.sqrt(self._values["index"] ** 2 - s**2)
+        slope = (path[1:] - path[:-1])[:-1]
+        along = float((slope / (cosine[1:] - cosine[:-1])[:-1]).abs().max())
+        across = float((slope / (s[1:] - s[:-1])[:-1]).abs().max())
+        return along, across
+
+    def _place_nodes(self) -> None:
+        super()._place_nodes()
+        kz, kr = self._resolved
+        self._spread = self._ray_spread()
+        z, r = (1 + TAPER) * self._flat[0], (1 + TAPER) * self._flat[1]
+        # Rays of the aberrated pupil vary as fast as those of a defocus that spreads as far.
+        phase = kr / 2 * r + kz * (z + 2 * self._spread[0])
+        self._rho, self._rho_weight = gauss_legendre(0.0, 1.0, nodes_for(phase))
+
+    def intensity_at(self, z: Tensor, r: Tensor) -> Tensor:
+        """(Nz, Nr) intensity at focus positions ``z`` and distances ``r`` from the axis (um)."""
+        v = self._values
+        k = 2 * pi / v["wavelength"]
+        rim = self._aperture()
+        s = rim * self._rho
+        phase = -z[:, None] * torch.sqrt(v["index"] ** 2 - s**2)
+        path = self._path(s, self._rho * self._rho_weight)
+        if path is not None:
+            phase = phase + path
+        phase = k * phase
+        amplitude = self._amplitude(s) * s * self._rho_weight * rim
+        found: Tensor | None = None
+        argument = (k * s)[:, None] * r
+        for weight, along, order in self._fields(s, amplitude):
+            wave = torch.polar(torch.ones_like(phase), phase) * along
+            bessel = (j0, j1, j2)[order](argument)
+            field = torch.complex(wave.real @ bessel, wave.imag @ bessel)
+            part = weight * (field.real**2 + field.imag**2)
+            found = part if found is None else found + part
+        assert found is not None
+        return found
+
+
+class ScalarPSF(ObjectivePSF):
+    """Scalar PSF of an aplanatic objective without aberrations.
+
+    The amplitude across the pupil is ``cos(angle)^(-1/2) exp(-apodisation rho^2)``: the sine
+    condition for light that is emitted alike in all directions (B. M. Hanser et al., J. Microsc.
+    216, 2004). With aberrations: :class:`PupilPSF`, :class:`GibsonLanniPSF`.
+
+    Parameters
+    ----------
+    na, wavelength, index
+        Numerical aperture; um, of the emitted light in vacuum; refractive index of the immersion.
+        Numbers or tensors: the OTF is differentiable in all of them.
+    apodisation
+        0 for none.
+    fitted
+        Names of the parameters that a fit moves.
+    extent
+        um along Z and across: the PSF is kept this far and falls to zero over as far again; by
+        default 2.5 axial and 5 lateral units of resolution, and the whole cone of light.
+
+    Raises
+    ------
+    InputError
+        If the NA is not below the index, or a value is in another unit.
+    """
+
+    def __init__(
+        self,
+        na: float | Tensor,
+        wavelength: float | Tensor,
+        index: float | Tensor = 1.515,
+        apodisation: float | Tensor = 0.0,
+        *,
+        fitted: Sequence[str] = ("na",),
+        extent: Extent | None = None,
+    ) -> None:
+        check_aperture(plain(na), plain(index))
+        values = {"na": na, "wavelength": wavelength, "index": index, "apodisation": apodisation}
+        super().__init__((NA, WAVELENGTH, INDEX, APODISATION), values, fitted, extent)
+
+    def _amplitude(self, s: Tensor) -> Tensor:
+        v = self._values
+        cosine = torch.sqrt(1 - (s / v["index"]) ** 2)
+        return cosine**-0.5 * torch.exp(-v["apodisation"] * (s / self._aperture()) ** 2)
+
+
+class GibsonLanniPSF(ObjectivePSF):
+    """Scalar PSF with the aberration of coverslip, immersion and sample.
+
+    S. F. Gibson and F. Lanni, "Experimental test of an analytical model of aberration in an
+    oil-immersion objective lens used in three-dimensional light microscopy", J. Opt. Soc. Am. A 8,
+    1991. Light passes the sample to the depth of the structure, the coverslip and the immersion;
+    what differs from the design makes the aberration. The part of it that is a shift of the focus
+    is taken away, as it would move what is measured: :attr:`focal_shift` tells it.
+
+    Parameters
+    ----------
+    na, wavelength, index
+        Numerical aperture; um, of the emitted light in vacuum; refractive index of the immersion.
+        Numbers or tensors: the OTF is differentiable in all parameters.
+    sample_index
+        Refractive index of the sample; by default that of the immersion. Light beyond it, where
+        the NA is larger, stays at the coverslip and does not count.
+    depth
+        um: of the structure below the coverslip.
+    coverslip, coverslip_index
+        um, refractive index.
+    design_index, design_coverslip, design_coverslip_index, working_distance
+        What the objective is made for; um. By default the immersion and the coverslip that are
+        there.
+    fitted
+        Names of the parameters that a fit moves.
+    extent
+        um along Z and across: the PSF is kept this far and falls to zero over as far again.
+
+    Raises
+    ------
+    InputError
+        If the NA is not below the index, a value is in another unit, or what is to be fitted
+        cannot be.
+    """
+
+    def __init__(
+        self,
+        na: float | Tensor,
+        wavelength: float | Tensor,
+        index: float | Tensor = 1.515,
+        sample_index: float | Tensor | None = None,
+        depth: float | Tensor = 0.0,
+        coverslip: float | Tensor = 170.0,
+        coverslip_index: float | Tensor = 1.515,
+        design_index: float | Tensor | None = None,
+        design_coverslip: float | Tensor = 170.0,
+        design_coverslip_index: float | Tensor = 1.515,
+        working_distance: float | Tensor = 150.0,
+        *,
+        fitted: Sequence[str] = ("na",),
+        extent: Extent | None = None,
+    ) -> None:
+        check_aperture(plain(na), plain(index))
+        values: dict[str, object] = {
+            "na": na,
+            "wavelength": wavelength,
+            "index": index,
+            "sample_index": index if sample_index is None else sample_index,
+            "depth": depth,
+            "coverslip": coverslip,
+            "coverslip_index": coverslip_index,
+            "design_index": index if design_index is None else design_index,
+            "design_coverslip": design_coverslip,
+            "design_coverslip_index": design_coverslip_index,
+            "working_distance": working_distance,
+        }
+        super().__init__((NA, WAVELENGTH, INDEX, *LAYERS), values, fitted, extent)
+
+    def _aperture(self) -> Tensor:
+        v = self._values
+        highest = _BELOW_SAMPLE_INDEX * torch.minimum(
+            torch.minimum(v["sample_index"], v["coverslip_index"]),
+            torch.minimum(v["design_index"], v["design_coverslip_index"]),
+        )
+        return v["na"] if plain(v["na"]) < plain(highest) else highest
+
+    def _layers(self, s: Tensor) -> Tensor:
+        """Path of rays through all layers but the immersion as it is (um)."""
+        v = self._values
+
+        def through(thickness: str, index: str) -> Tensor:
+            return v[thickness] * torch.sqrt(v[index] ** 2 - s**2)
+
+        return (
+            through("depth", "sample_index")
+            + through("coverslip", "coverslip_index")
+            - through("design_coverslip", "design_coverslip_index")
+            - through("working_distance", "design_index")
+        )
+
+    def _split(self, s: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
+        """The path without its mean and its defocus, and that defocus (um of immersion)."""
+        path = self._layers(s)
+        cosine = torch.sqrt(self._values["index"] ** 2 - s**2)
+        weight = weight / weight.sum()
+        path, cosine = path - (weight * path).sum(), cosine - (weight * cosine).sum()
+        defocus = (weight * path * cosine).sum() / (weight * cosine**2).sum()
+        return path - defocus * cosine, defocus
+
+    def _path(self, s: Tensor, weight: Tensor) -> Tensor | None:
+        return self._split(s, weight)[0]
+
+    @property
+    def focal_shift(self) -> float:
+        """um: the focus has to be set this much deeper than the structure to see it sharp."""
+        with torch.no_grad():
+            _, defocus = self._split(self._rho * self._aperture(), self._rho * self._rho_weight)
+        return float(defocus) + self._number("working_distance") - self._number("depth")
+
+
+class VectorialPSF(GibsonLanniPSF):
+    """Vectorial PSF of freely rotating dipoles, through coverslip, immersion and sample.
+
+    Three integrals I0, I1, I2 (B. Richards and E. Wolf, Proc. R. Soc. A 253, 1959) with the
+    transmission of the interfaces and the path of :class:`GibsonLanniPSF` (F. Aguet, "Super-
+    resolution fluorescence microscopy based on physical models", EPFL 2009); the intensity is
+    ``|I0|^2 + 2 |I1|^2 + |I2|^2``. Parameters as there.
+    """
+
+    def _amplitude(self, s: Tensor) -> Tensor:
+        return (1 - (s / self._values["index"]) ** 2) ** -0.25
+
+    def _fields(self, s: Tensor, amplitude: Tensor) -> list[tuple[float, Tensor, int]]:
+        v = self._values
+        ni, ng, ns = v["index"], v["coverslip_index"], v["sample_index"]
+        ci, cg, cs = (torch.sqrt(1 - (s / n) ** 2) for n in (ni, ng, ns))
+        # Fresnel: immersion to coverslip to sample.
+        both = 4 * ni * ci * ng * cg
+        across = both / ((ni * ci + ng * cg) * (ng * cg + ns * cs))
+        within = both / ((ng * ci + ni * cg) * (ns * cg + ng * cs))
+        return [
+            (1.0, amplitude * (across + within * cs), 0),
+            (2.0, amplitude * within * (s / ns), 1),
+            (1.0, amplitude * (across - within * cs), 2),
+        ]

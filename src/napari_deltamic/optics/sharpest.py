@@ -1,0 +1,56 @@
+"""Two PSFs as one, where a rendering is planned for both."""
+
+from __future__ import annotations
+
+from math import log, sqrt
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..fourier.plan import Cutoff
+from .gaussian import GaussianPSF
+
+if TYPE_CHECKING:
+    from . import Optics
+
+Triple = tuple[float, float, float]
+
+
+class Sharpest:
+    """What a plan needs to know of optics: as fine as either of two, and as far as either.
+
+    Parameters
+    ----------
+    first, second
+        um; the second is Gaussian.
+    """
+
+    def __init__(self, first: Optics, second: GaussianPSF) -> None:
+        self._first, self._second = first, second
+        self.diagonal = first.diagonal and second.diagonal
+
+    def reach(self, accuracy: float) -> Triple:
+        """um along Z, Y, X: of the wider one along each axis."""
+        return _triple(np.maximum(self._first.reach(accuracy), self._second.reach(accuracy)))
+
+    def width(self) -> Triple:
+        """um: of the sharper one along each axis."""
+        return _triple(np.minimum(self._first.width(), self._second.width()))
+
+    def cutoff(self, blur: Triple = (0.0, 0.0, 0.0)) -> Cutoff | None:
+        """Where the OTF of both ends; None where both are Gaussian."""
+        first = self._first.cutoff(blur)
+        if first is None:
+            return None
+
+        def found(error: float, area: float, thin: bool) -> tuple[Triple, float]:
+            radius, at_edge = first(error, area, thin)
+            second = sqrt(2 * log(1 / at_edge)) / np.hypot(self._second.width(), blur)
+            return _triple(np.maximum(radius, second)), at_edge
+
+        return found
+
+
+def _triple(values: np.ndarray) -> Triple:
+    z, y, x = (float(v) for v in values)
+    return z, y, x

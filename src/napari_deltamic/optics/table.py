@@ -1,0 +1,262 @@
+"""PSFs computed in space, on planes around the focus, and transformed to an OTF.
+
+The intensity is band-limited, so that it needs few samples: planes evenly spaced along Z, and
+Gauss-Legendre nodes along the radius. It is kept within an extent of the focus and falls to zero
+smoothly beyond: the light of a widefield PSF is the same in every plane, and has no total
+otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from math import ceil, pi, sqrt
+from typing import Self
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..errors import InputError
+from .bessel import j0
+from .model import Axes, ParametricPSF
+from .parameters import Spec
+
+Extent = tuple[float, float]
+# Of the extent: beyond it, the PSF falls to zero. A shorter one has side lobes that pass the band.
+TAPER = 1.0
+_LEAK = 6.3  # rad: where the transform of a window of extent 1 has fallen to a thousandth
+_DENSER = 1.25  # than the Nyquist rate: planes and nodes
+_GROWTH = 1.25  # of the support that a fit may ask for
+
+
+def window(distance: Tensor, extent: float) -> Tensor:
+    """1 up to the extent, and from there smoothly to 0."""
+    u = ((distance / extent - 1) / TAPER).clamp(0, 1)
+    return torch.cos(u * (pi / 2)) ** 2
+
+
+def gauss_legendre(low: float, high: float, count: int) -> tuple[Tensor, Tensor]:
+    """Nodes and weights (count,) on an interval."""
+    nodes, weights = _legendre(count)
+    half = (high - low) / 2
+    return torch.from_numpy(nodes * half + (low + high) / 2), torch.from_numpy(weights * half)
+
+
+@lru_cache(64)
+def _legendre(count: int) -> tuple[np.ndarray, np.ndarray]:
+    return np.polynomial.legendre.leggauss(count)
+
+
+def nodes_for(phase: float) -> int:
+    """Gauss-Legendre nodes for an integrand whose phase runs over so many rad."""
+    return ceil(0.5 * phase) + 14
+
+
+class TablePSF(ParametricPSF):
+    """A PSF given by its intensity on planes.
+
+    Subclasses give the intensity (:meth:`_intensity`) and the transform across the axis
+    (:meth:`_lateral`).
+    """
+
+    def __init__(
+        self,
+        specs: Sequence[Spec],
+        values: Mapping[str, object],
+        fitted: Sequence[str],
+        extent: Extent | None,
+    ) -> None:
+        super().__init__(specs, values, fitted)
+        with torch.no_grad():
+            z, r = self._default_extent() if extent is None else extent
+            if not (z > 0 and r > 0):
+                raise InputError(f"the extent of a PSF must be positive (um), not {(z, r)}")
+            self._flat: Extent = (float(z), float(r))
+            kz, _, kr = self._needed()
+            self._resolved = (_GROWTH * kz, _GROWTH * kr)
+            self._place_planes()
+            self._place_nodes()
+
+    # ------------------------------------------------------------------------- for subclasses
+
+    def _default_extent(self) -> Extent:
+        raise NotImplementedError
+
+    def _place_nodes(self) -> None:
+        """Nodes across the axis."""
+        raise NotImplementedError
+
+    _kept_planes: Tensor | None
+    _outgrown = False  # whether a PSF that this one is made of has other nodes by now
+
+    def _intensity(self, z: Tensor) -> Tensor:
+        """(Nz, ...) intensity on the planes ``z``, at the nodes across."""
+        raise NotImplementedError
+
+    def _lateral(self, planes: Tensor, ky: Tensor, kx: Tensor) -> Tensor:
+        """(Nz, Ky, Kx): transform of (windowed) planes across the axis; exact where resolved."""
+        raise NotImplementedError
+
+    def _totals(self, planes: Tensor) -> Tensor:
+        """(Nz,) integral of each plane."""
+        raise NotImplementedError
+
+    def _sections(self, plane: Tensor) -> tuple[float, float]:
+        """L2 widths along Y and X through the middle of a plane."""
+        raise NotImplementedError
+
+    def _bandwidth(self) -> tuple[float, float, float]:
+        """rad/um along Z, Y, X: of the intensity, but for its window."""
+        raise NotImplementedError
+
+    # ------------------------------------------------------------------------------ in common
+
+    def _place_planes(self) -> None:
+        total = (1 + TAPER) * self._flat[0]
+        step = pi / (_DENSER * self._resolved[0])
+        half = ceil(total / step)
+        self._z = torch.arange(-half, half + 1, dtype=torch.float64) * (total / half)
+        self._z_weight = window(self._z.abs(), self._flat[0]) * (total / half)
+
+    def _with_values(self, values: Mapping[str, Tensor]) -> Self:
+        other = super()._with_values(values)
+        with torch.no_grad():
+            kz, _, kr = other._needed()
+            if kz > other._resolved[0] or kr > other._resolved[1] or other._outgrown:
+                other._resolved = (_GROWTH * kz, _GROWTH * kr)
+                other._place_planes()
+                other._place_nodes()
+        return other
+
+    def _needed(self) -> tuple[float, float, float]:
+        """rad/um along Z, Y, X: of the intensity within its window, but for weak side lobes."""
+        widths = (self._flat[0], self._flat[1], self._flat[1])
+        z, y, x = (k + _LEAK / w for k, w in zip(self._bandwidth(), widths, strict=True))
+        return z, y, x
+
+    def support(self) -> tuple[float, float, float]:
+        """rad/um along Z, Y, X: the OTF is zero beyond."""
+        z, r = self._resolved
+        return z, r, r
+
+    @property
+    def extent(self) -> tuple[float, float, float]:
+        """um along Z, Y, X: the PSF is zero beyond."""
+        z, r = ((1 + TAPER) * e for e in self._flat)
+        return z, r, r
+
+    def _planes(self) -> Tensor:
+        """The intensity on the planes; kept while no parameter asks for a gradient."""
+        if self._differentiable():
+            return self._intensity(self._z)
+        if self._kept_planes is None:
+            self._kept_planes = self._intensity(self._z)
+        return self._kept_planes
+
+    def _forget(self) -> None:
+        super()._forget()
+        self._kept_planes = None
+
+    def _otf(self, axes: Axes) -> Tensor:
+        kz, ky, kx = (a.reshape(-1).to(torch.float64) for a in axes)
+        planes = self._planes()
+        across = self._lateral(planes, ky, kx)
+        phase = kz[:, None] * self._z
+        # A real transform where the PSF is symmetric would be half the work, of very little.
+        along = torch.complex(torch.cos(phase), -torch.sin(phase)) * self._z_weight
+        along = torch.where(
+            (kz.abs() <= self._resolved[0])[:, None], along, torch.zeros_like(along)
+        )
+        total = (self._totals(planes) * self._z_weight).sum()
+        flat = along @ across.reshape(len(self._z), -1).to(along.dtype)
+        otf = (flat / total).reshape(len(kz), len(ky), len(kx))
+        single = axes[0].dtype == torch.float32
+        return otf.to(torch.complex64) if single else otf
+
+    def _widths(self) -> tuple[float, float, float]:
+        planes = self._planes()
+        brightest = planes.reshape(len(planes), -1).amax(1)
+        weight = self._z_weight
+        z = l2_width(brightest * window(self._z.abs(), self._flat[0]), weight.clamp(min=0))
+        return (z, *self._sections(planes[int(brightest.argmax())]))
+
+    def density(self, z: Tensor, y: Tensor, x: Tensor) -> Tensor:
+        """PSF (Nz, Ny, Nx), per um^3, at the points of a grid around the focus (um)."""
+        kz, ky, kx = self.support()
+        axes, weight = [], 1.0
+        for k, extent in zip((kz, ky, kx), self.extent, strict=True):
+            step = 2 * pi / (3 * extent)
+            n = ceil(1.1 * k / step)
+            axes.append(torch.arange(-n, n + 1, dtype=torch.float64) * step)
+            weight *= step / (2 * pi)
+        otf = self.otf((axes[0][:, None, None], axes[1][None, :, None], axes[2][None, None, :]))
+        waves = [torch.exp(1j * p[:, None] * k) for p, k in zip((z, y, x), axes, strict=True)]
+        found = torch.einsum("kyx,zk,by,cx->zbc", otf, *waves)
+        return found.real * weight
+
+
+def l2_width(profile: Tensor, weight: Tensor) -> float:
+    """Sigma of the Gaussian with the same ``(integral f)^2 / integral f^2``: tails hardly count."""
+    first, second = float((profile * weight).sum()), float((profile**2 * weight).sum())
+    return first**2 / max(second, 1e-300) / (2 * sqrt(pi))
+
+
+class RadialPSF(TablePSF):
+    """A PSF that is symmetric about the Z axis."""
+
+    def _place_nodes(self) -> None:
+        reach = (1 + TAPER) * self._flat[1]
+        # The intensity and the wave that it is transformed with are resolved together.
+        count = nodes_for(2 * self._resolved[1] * reach)
+        self._r, weight = gauss_legendre(0.0, reach, count)
+        self._line_weight = weight * window(self._r, self._flat[1])
+        self._r_weight = 2 * pi * self._r * self._line_weight
+
+    def intensity_at(self, z: Tensor, r: Tensor) -> Tensor:
+        """(Nz, Nr) intensity at focus positions ``z`` and distances ``r`` from the axis (um)."""
+        raise NotImplementedError
+
+    def _intensity(self, z: Tensor) -> Tensor:
+        return self.intensity_at(z, self._r)
+
+    def _totals(self, planes: Tensor) -> Tensor:
+        return planes @ self._r_weight
+
+    def _lateral(self, planes: Tensor, ky: Tensor, kx: Tensor) -> Tensor:
+        matrix, where = _hankel(tuple(ky.tolist()), tuple(kx.tolist()), self._r, self._resolved[1])
+        found = (planes * self._r_weight) @ matrix
+        return found[:, where].reshape(len(planes), len(ky), len(kx))
+
+    def _sections(self, plane: Tensor) -> tuple[float, float]:
+        # Both halves of the line.
+        width = l2_width(plane, 2 * self._line_weight)
+        return width, width
+
+
+_HANKEL: dict[tuple, tuple[Tensor, Tensor]] = {}
+_MOST_KEPT = 6
+
+
+def _hankel(
+    ky: tuple[float, ...], kx: tuple[float, ...], r: Tensor, resolved: float
+) -> tuple[Tensor, Tensor]:
+    """J0(k r) (Nr, N) at the distinct lengths k of a plane of wavevectors; where each is.
+
+    Kept: it hangs on the grid alone, so an iteration of a fit needs no Bessel function of it.
+    """
+    key = (ky, kx, len(r), float(r[0]), float(r[-1]), resolved)
+    if key in _HANKEL:
+        return _HANKEL[key]
+    y, x = torch.tensor(ky, dtype=torch.float64), torch.tensor(kx, dtype=torch.float64)
+    squared = (y**2)[:, None] + x**2
+    scale = float(squared.max()) or 1.0
+    # Lengths that differ by rounding are one.
+    rounded = torch.round(squared.reshape(-1) / scale * 1e12)
+    lengths, where = torch.unique(rounded, return_inverse=True)
+    k = torch.sqrt(lengths * (scale / 1e12))
+    matrix = j0(r[:, None] * k) * (k <= resolved)
+    while len(_HANKEL) >= _MOST_KEPT:
+        _HANKEL.pop(next(iter(_HANKEL)))
+    _HANKEL[key] = matrix, where
+    return matrix, where
