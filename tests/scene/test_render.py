@@ -17,6 +17,7 @@ GRID = nd.Grid((20, 27, 24), (0.2, 0.11, 0.13), origin=(-2.1, 3.0, 10.0))
 CENTRE = np.array([-0.2, 4.4, 11.5])
 BALL = sphere(CENTRE, (0.6, 0.5, 0.7), subdivisions=1)
 METHODS = ("closed form", "non-uniform")
+EFFECT = {True: ("pixel_integration",), False: ()}
 
 
 def spatial_image(mesh, grid, sigma, density=None, integrate=False):
@@ -99,7 +100,7 @@ def test_odd_and_even_shapes_see_the_same(shape):
 def test_coarse_voxels(integrate):
     """Where voxels are as large as the PSF, integrating over them differs from sampling."""
     grid = nd.Grid((14, 16, 15), (0.3, 0.25, 0.28), origin=(-2.1, 2.6, 9.6))
-    image = nd.render(BALL, grid, nd.GaussianPSF(SIGMA), accuracy=1e-3, pixel_integration=integrate)
+    image = nd.render(BALL, grid, nd.GaussianPSF(SIGMA), accuracy=1e-3, effects=EFFECT[integrate])
     exact, other = (
         spatial_image(BALL, grid, SIGMA, integrate=i) for i in (integrate, not integrate)
     )
@@ -118,7 +119,7 @@ def test_pixel_integration_is_the_mean_over_a_voxel():
     )
     optics = nd.GaussianPSF(0.4)
     image, sampled = (
-        nd.render(BALL, grid, optics, accuracy=1e-4, pixel_integration=i) for i in (True, False)
+        nd.render(BALL, grid, optics, accuracy=1e-4, effects=EFFECT[i]) for i in (True, False)
     )
     many = nd.render(BALL, fine, optics, accuracy=1e-4)
     z, y, x = grid.shape

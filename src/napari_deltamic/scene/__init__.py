@@ -1,6 +1,28 @@
 """The scene: a grid, what is in it, and how it becomes an image."""
 
 from .grid import Grid
-from .render import Renderer, render
+from .random_cells import random_cells
+from .render import Renderer, expected_image, render
+from .scene import Scene, SceneRenderer, render_scene
+from .scene_file import load_scene, save_scene
+from .simulate import Simulation, simulate
+from .structures import Filament, Points, Solid, Surface
 
-__all__ = ["Grid", "Renderer", "render"]
+__all__ = [
+    "Filament",
+    "Grid",
+    "Points",
+    "Renderer",
+    "Scene",
+    "SceneRenderer",
+    "Simulation",
+    "Solid",
+    "Surface",
+    "expected_image",
+    "load_scene",
+    "random_cells",
+    "render",
+    "render_scene",
+    "save_scene",
+    "simulate",
+]

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from math import log, sqrt
+from collections.abc import Sequence
+from copy import copy
 
 import numpy as np
 import torch
-from scipy.fft import next_fast_len
 from torch import Tensor
 
 from ..errors import InputError
 from ..fourier import Plan, make_plan
+from ..fourier.devices import for_objects
 from ..fourier.plan import Method, check_accuracy
 from ..geometry.mesh import Mesh, is_tensor
-from ..optics import Optics
+from ..optics import GaussianPSF, Optics
+from .effects import Effects, OffsetEffect, as_effects
+from .effects.object_side import Surfaces, acts_on_object, object_transform
+from .formation import Formation
 from .grid import Grid
 
 
@@ -28,13 +32,17 @@ class Renderer:
         Relative L2 error of the image; 0 for the closed form at every wavevector of the grid.
     blur
         um along Z, Y, X: a further Gaussian on top of the optics (coarse levels of a fit).
-    pixel_integration
-        Whether a voxel integrates over its size rather than samples at its centre.
+    effects
+        Optional parts of image formation, or their names; absent ones are not computed.
+    frame
+        Grid of the whole image, to which effects refer, where ``grid`` leaves voxels out.
     margin
         um: how far vertices may move before the plan no longer holds; 0 for a mesh that stays.
         Edges may then grow by a tenth, which a fit sees to by planning anew now and then.
     method
         Forces ``"closed form"`` or ``"non-uniform"``.
+    device
+        Where images are; see :func:`napari_deltamic.fourier.devices.choose_device`.
 
     Notes
     -----
@@ -50,22 +58,30 @@ class Renderer:
         accuracy: float = 1e-3,
         *,
         blur: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        pixel_integration: bool = False,
+        effects: Effects | Sequence[str] = (),
+        frame: Grid | None = None,
         margin: float = 0.0,
         method: Method | None = None,
+        device: torch.device | str = "cpu",
     ) -> None:
         check_accuracy(accuracy)
+        self.device = torch.device(device)
+        # Effects on the object are computed on the CPU.
+        self._object_device = for_objects(self.device)
+        self._last_otf: tuple[Optics | None, Tensor | None] = None, None
         self.grid = grid
-        self.pixel_integration = pixel_integration
+        self.frame = frame or grid
         self.blur = blur
         self.margin = margin
-        self._faces = torch.as_tensor(mesh.faces)
-        self._membranes = torch.as_tensor(mesh.membranes(), dtype=torch.float64)
-        self._origin = torch.tensor(grid.origin, dtype=torch.float64)
+        self._surfaces = Surfaces.of(mesh)
+        there = self._object_device
+        self._faces = self._surfaces.faces.to(there)
+        self._membranes = torch.as_tensor(mesh.membranes(), dtype=torch.float64, device=there)
+        self._origin = torch.tensor(grid.origin, dtype=torch.float64, device=there)
         self._start = mesh.vertices_numpy()
         width = np.hypot(optics.width(), blur)
-        reach = _reach(accuracy) * np.hypot(optics.sigma_um, blur) + margin
-        fft_shape = _padded_shape(self._start, grid, reach)
+        self._take(as_effects(effects))
+        fft_shape = self._formation.fft_shape(self._start, optics, accuracy, margin)
         self.plan: Plan = make_plan(
             self._start - np.asarray(grid.origin),
             mesh.faces,
@@ -76,15 +92,32 @@ class Renderer:
             method,
             margin=_STRETCH if margin > 0 else 1.0,
             aligned=optics.diagonal,
+            cutoff=optics.cutoff(blur),
+            device=there.type,
         )
         self._axes = self.plan.band.axes(torch.float32 if self.plan.single else torch.float64)
+
+    def _take(self, effects: Effects) -> None:
+        self.effects = effects
+        self._on_object = acts_on_object(effects)
+        self._formation = Formation(self.grid, self.frame, self.blur, effects)
+
+    def with_effects(self, effects: Effects) -> Renderer:
+        """The same plan with other numbers of the same effects."""
+        renderer = copy(self)
+        renderer._take(effects)
+        renderer._last_otf = None, None
+        return renderer
 
     def holds_for(self, vertices: np.ndarray) -> bool:
         """Whether the plan still holds for these vertices (V, 3)."""
         return bool(np.abs(vertices - self._start).max() <= self.margin)
 
     def transform(self, vertices: Tensor, density: Tensor | None = None) -> Tensor:
-        """u_hat on the box of the band; densities (F,) multiply the membranes of each face."""
+        """u_hat on the box of the band; densities (F,) multiply the membranes of each face.
+
+        Two such boxes where the PSF changes with depth.
+        """
         weight = self._membranes
         if density is not None:
             if density.shape != weight.shape:
@@ -92,22 +125,55 @@ class Renderer:
                     f"density must have shape ({len(weight)},), one number per face, "
                     f"not {tuple(density.shape)}"
                 )
-            weight = weight * density
-        return self.plan.transform(vertices - self._origin.to(vertices.dtype), self._faces, weight)
+            weight = weight * density.to(weight.device)
+        if self._on_object:
+            given = vertices.cpu(), self._surfaces, weight.cpu(), self.effects
+            return self._held(object_transform(self.plan, *given, self.grid, self.frame))
+        placed = vertices.to(self._object_device)
+        placed = placed - self._origin.to(placed.dtype)
+        return self._held(self.plan.transform(placed, self._faces, weight))
+
+    def _held(self, box: Tensor) -> Tensor:
+        """On the device of the image, in a type that it holds."""
+        if self.device.type == "mps":
+            box = box.to(torch.complex64 if box.is_complex() else torch.float32)
+        return box.to(self.device)
 
     def otf(self, optics: Optics) -> Tensor:
-        """The optics, the extra blur and the voxels' own size, on the box of the band."""
-        otf = optics.otf(self._axes)
-        for axis, k in enumerate(self._axes):
-            if self.blur[axis] > 0:
-                otf = otf * torch.exp(-0.5 * (self.blur[axis] * k) ** 2)
-            if self.pixel_integration:
-                otf = otf * torch.sinc(k * (self.grid.voxel_size[axis] / (2 * torch.pi)))
+        """The optics, the extra blur and what effects make of them, on the box of the band."""
+        if self.device.type == "cpu":
+            return self._formation.otf(optics, self._axes)
+        last, otf = self._last_otf
+        if otf is None or last is not optics:
+            otf = self._held(self._formation.otf(optics, self._axes_for(optics)))
+            # Kept as long as the optics stay the same.
+            self._last_otf = (None, None) if otf.requires_grad else (optics, otf)
         return otf
+
+    def _axes_for(self, optics: Optics) -> tuple[Tensor, Tensor, Tensor]:
+        """On the device where a formula is all that is computed; else on the CPU."""
+        z, y, x = self._axes
+        if not isinstance(optics, GaussianPSF) or self.effects.present():
+            return z, y, x
+        return self._held(z), self._held(y), self._held(x)
 
     def image(self, transform: Tensor, otf: Tensor) -> Tensor:
         """Image (Z, Y, X): fluorophores seen in each voxel; its sum over all space is the total."""
-        return self.plan.band.to_image(transform * otf, self.grid.shape)
+        return self._formation.image(transform, otf, self.plan.band)
+
+    def offset(self) -> Tensor | None:
+        """What effects add to the measured image, in its unit; None where nothing is added."""
+        return offset(self.effects, self.grid, self.frame)
+
+
+def offset(effects: Effects, grid: Grid, frame: Grid | None = None) -> Tensor | None:
+    """(Z, Y, X) what effects add to the measured image of a grid; None where nothing is added."""
+    found = None
+    for effect in effects.present():
+        if isinstance(effect, OffsetEffect):
+            added = effect.offset(grid, frame or grid).expand(grid.shape)
+            found = added if found is None else found + added
+    return found
 
 
 def render(
@@ -117,7 +183,7 @@ def render(
     accuracy: float = 1e-3,
     *,
     density: Tensor | np.ndarray | None = None,
-    pixel_integration: bool = False,
+    effects: Effects | Sequence[str] = (),
     method: Method | None = None,
 ) -> Tensor:
     """The image of a mesh under a PSF.
@@ -135,8 +201,9 @@ def render(
         Relative L2 error of the image; 0 computes the closed form at every wavevector of the grid.
     density
         (F,) fluorophores per um^2 of membrane; 1 where not given.
-    pixel_integration
-        Whether a voxel integrates over its size rather than samples at its centre.
+    effects
+        Optional parts of image formation, or their names. A background is in the unit of the
+        measured image and so added by :func:`expected_image` alone.
     method
         Forces ``"closed form"`` or ``"non-uniform"``; by default the cheaper one.
 
@@ -152,38 +219,33 @@ def render(
         from the grid that its units must be wrong.
     """
     vertices = mesh.vertices if is_tensor(mesh.vertices) else torch.tensor(mesh.vertices_numpy())
-    renderer = Renderer(
-        mesh, grid, optics, accuracy, pixel_integration=pixel_integration, method=method
-    )
+    device = vertices.device
+    renderer = Renderer(mesh, grid, optics, accuracy, effects=effects, method=method, device=device)
     weight = None if density is None else torch.as_tensor(density)
     return renderer.image(renderer.transform(vertices, weight), renderer.otf(optics))
 
 
+def expected_image(
+    mesh: Mesh,
+    grid: Grid,
+    optics: Optics,
+    accuracy: float,
+    amplitude: float,
+    background: float,
+    *,
+    density: Tensor | np.ndarray | None = None,
+    effects: Effects | Sequence[str] = (),
+) -> np.ndarray:
+    """(Z, Y, X) float32: what the microscope would measure, but for noise.
+
+    ``amplitude * rendered image + background``, and what effects add; see :func:`render`.
+    """
+    chosen = as_effects(effects)
+    with torch.no_grad():
+        image = render(mesh, grid, optics, accuracy, density=density, effects=chosen)
+        image = amplitude * image + background
+        added = offset(chosen, grid)
+        return (image if added is None else image + added).to(torch.float32).numpy()
+
+
 _STRETCH = 1.1  # of edges, within the life of a plan for a mesh that moves
-_LARGEST_PERIOD = 8  # times the grid: a mesh further away is in other units
-
-
-def _um(point: np.ndarray) -> str:
-    return "(" + ", ".join(f"{p:.4g}" for p in point) + ")"
-
-
-def _reach(accuracy: float) -> float:
-    """How many sigma an image reaches beyond a surface before it falls below the accuracy."""
-    return sqrt(2 * log(1 / max(accuracy * 0.1, 1e-12)))
-
-
-def _padded_shape(vertices: np.ndarray, grid: Grid, reach: np.ndarray) -> tuple[int, int, int]:
-    first, last = grid.extent
-    low, high = vertices.min(0) - reach, vertices.max(0) + reach
-    # A copy of the mesh one period away must stay clear of the grid, on either side.
-    period = np.maximum.reduce(
-        [last - low, high - first, last - first + np.asarray(grid.voxel_size)]
-    )
-    n = np.ceil(period / np.asarray(grid.voxel_size) - 1e-9)
-    if (n > _LARGEST_PERIOD * (np.asarray(grid.shape) + reach / np.asarray(grid.voxel_size))).any():
-        raise InputError(
-            f"the mesh reaches from {_um(vertices.min(0))} to {_um(vertices.max(0))} um, "
-            f"the image from {_um(first)} to {_um(last)} um: are the units the same?"
-        )
-    z, y, x = (int(next_fast_len(int(k), real=True)) for k in n)
-    return z, y, x

@@ -21,9 +21,9 @@ from ..fourier.plan import Method, _edge_phases, check_accuracy
 from ..fourier.quadrature import DEGREES, rule
 from ..geometry.mesh import Mesh
 from ..optics import Optics
+from .formation import padded_shape
 from .grid import Grid
 from .memory import Peak
-from .render import _padded_shape, _reach
 
 THRESHOLDS = (1e-1, 1e-2, 1e-3, 1e-4)  # of |OTF|, at the edge of a band
 PLANNED = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 1e-4, 1e-5, 1e-6)  # accuracies asked of the planner
@@ -221,8 +221,8 @@ class _Scene:
 
     def padded(self, accuracy: float) -> tuple[int, int, int]:
         """Shape of the periodic grid."""
-        reach = _reach(accuracy) * np.asarray(self.optics.sigma_um)
-        return _padded_shape(self.mesh.vertices_numpy(), self.grid, reach)
+        reach = np.asarray(self.optics.reach(accuracy))
+        return padded_shape(self.mesh.vertices_numpy(), self.grid, reach)
 
     def planned(self, accuracy: float, costs: Costs, method: Method | None = None) -> _Candidate:
         """What the planner makes of an accuracy."""
@@ -235,6 +235,7 @@ class _Scene:
             accuracy,
             method,
             aligned=self.optics.diagonal,
+            cutoff=self.optics.cutoff(),
         )
         degrees = sorted({r.degree for r, _ in plan.rules})
         named = f"degree {'/'.join(map(str, degrees))}" if degrees else ""

@@ -1,0 +1,232 @@
+"""Effects: optional parts of image formation, each a small class; absent ones are not computed."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from ...errors import InputError
+from .base import (
+    Cost,
+    Effect,
+    FaceEffect,
+    GainEffect,
+    OffsetEffect,
+    TransferEffect,
+    Value,
+    VoxelEffect,
+)
+from .bulk import Bulk
+from .depth import Attenuation, Bleaching, DepthPSF
+from .detection import Camera, Missing
+from .optical import Halo, PixelIntegration
+from .smooth import Background, Illumination
+from .views import SecondView
+
+KINDS: dict[str, type[Effect]] = {
+    kind.name: kind
+    for kind in (
+        PixelIntegration,
+        Background,
+        Bulk,
+        Attenuation,
+        Bleaching,
+        Illumination,
+        Halo,
+        DepthPSF,
+        Camera,
+        Missing,
+        SecondView,
+    )
+}
+# What the image cannot tell from shape, and where it belongs instead.
+REFUSED = {
+    "z_scale": "a factor on z is the same as another shape: correct the voxel size instead",
+    "drift": "a drift from slice to slice is the same as another shape: register the stack before",
+    "membrane_thickness": "a thick membrane is the same as a wider PSF: add it to sigma",
+}
+
+
+class Effects(BaseModel):
+    """The effects of a scene; None where one is absent.
+
+    ``Effects.of("halo", "bulk")`` makes those with their defaults. A list of names, or a mapping of
+    names to fields, is taken wherever a settings object holds effects.
+
+    Raises
+    ------
+    InputError
+        By :meth:`of` and :meth:`replace`, where a name is unknown, or where two are to be fitted
+        that no image can tell apart.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    pixel_integration: PixelIntegration | None = Field(default=None)
+    background: Background | None = Field(default=None)
+    bulk: Bulk | None = Field(default=None)
+    attenuation: Attenuation | None = Field(default=None)
+    bleaching: Bleaching | None = Field(default=None)
+    illumination: Illumination | None = Field(default=None)
+    halo: Halo | None = Field(default=None)
+    depth_psf: DepthPSF | None = Field(default=None)
+    camera: Camera | None = Field(default=None)
+    missing: Missing | None = Field(default=None)
+    second_view: SecondView | None = Field(default=None)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_names(cls, values: Any) -> Any:
+        if isinstance(values, (list, tuple)):
+            values = {name: {} for name in values}
+        if isinstance(values, Mapping):
+            for name in values:
+                check_name(str(name))
+        return values
+
+    @model_validator(mode="after")
+    def _can_be_told_apart(self) -> Self:
+        fitted = {effect.name for effect in self.present() if effect.fit}
+        for effect in self.present():
+            for other in effect.contradicts:
+                if effect.fit and other in fitted:
+                    raise ValueError(
+                        f"no image tells {effect.name} from {other}: choose one, or hold one by "
+                        "'fit = false'"
+                    )
+        return self
+
+    @classmethod
+    def of(cls, *chosen: str | Effect) -> Effects:
+        """These effects; names stand for their defaults."""
+        found: dict[str, Any] = {}
+        for effect in chosen:
+            if isinstance(effect, Effect):
+                found[effect.name] = effect
+            else:
+                found[effect] = {}
+        return _made(cls, found)
+
+    def present(self) -> tuple[Effect, ...]:
+        """Those that are there, in the order of the fields."""
+        held = (getattr(self, name) for name in KINDS)
+        return tuple(effect for effect in held if effect is not None)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of those that are there."""
+        return tuple(effect.name for effect in self.present())
+
+    def replace(self, **changed: Effect | None) -> Effects:
+        """The same with some changed, added, or (None) absent."""
+        return _made(type(self), {**dict(self), **changed})
+
+    def without(self, *names: str) -> Effects:
+        """The same without some."""
+        return self.replace(**dict.fromkeys(names))
+
+    def fitted(self) -> tuple[Effect, ...]:
+        """Those with numbers that are fitted."""
+        return tuple(e for e in self.present() if e.fit and e.bounds)
+
+    def to_text(self) -> str:
+        """What ``--effects`` takes: ``halo:fraction=0.05:width=2,bulk``."""
+        words = []
+        for effect in self.present():
+            fields = effect.model_dump(mode="json", exclude_defaults=True)
+            parts = [f"{k}={json.dumps(v, separators=(',', ':'))}" for k, v in fields.items()]
+            words.append(":".join([effect.name, *parts]))
+        return ",".join(words) or "none"
+
+    @classmethod
+    def from_text(cls, text: str) -> Effects:
+        """Read :meth:`to_text`; ``attenuation=0.01`` gives the first number of an effect."""
+        found: dict[str, dict[str, Any]] = {}
+        for word in _split(text, ","):
+            head, *parts = _split(word, ":")
+            name, equals, number = head.partition("=")
+            name = name.strip().replace("-", "_")
+            fields = dict(_field(part) for part in parts)
+            if equals and name in KINDS:
+                fields = {next(iter(KINDS[name].bounds), "fit"): _value(number), **fields}
+            found[name] = fields
+        found.pop("none", None)
+        return _made(cls, found)
+
+    def to_dict(self) -> dict[str, dict[str, Any]]:
+        """Plain values of those that are there, as JSON and TOML hold them."""
+        return {e.name: e.model_dump(mode="json", exclude_none=True) for e in self.present()}
+
+
+def _split(text: str, mark: str) -> list[str]:
+    """Parts between marks that are not within brackets or quotes."""
+    held = r"""\[[^]]*\]|\{[^}]*\}|"[^"]*" """.strip()
+    return re.findall(rf"(?:{held}|[^{mark}])+", text)
+
+
+def _field(part: str) -> tuple[str, Any]:
+    name, _, value = part.partition("=")
+    return name.strip(), _value(value)
+
+
+def _value(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text.strip()
+
+
+def as_effects(chosen: Effects | Sequence[str]) -> Effects:
+    """Effects from themselves, or from names, which stand for their defaults."""
+    return chosen if isinstance(chosen, Effects) else Effects.of(*chosen)
+
+
+def check_name(name: str) -> None:
+    """ValueError, with what to do, unless it is the name of an effect."""
+    if name in REFUSED:
+        raise ValueError(f"{name} is no effect: {REFUSED[name]}")
+    if name not in KINDS:
+        raise ValueError(f"unknown effect '{name}': choose from {', '.join(KINDS)}")
+
+
+def _made(cls: type[Effects], values: Mapping[str, Any]) -> Effects:
+    from pydantic import ValidationError
+
+    try:
+        return cls(**values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(p) for p in first["loc"])
+        reason = str(first["msg"]).removeprefix("Value error, ")
+        raise InputError(f"{where}: {reason}" if where else reason) from None
+
+
+__all__ = [
+    "KINDS",
+    "REFUSED",
+    "Attenuation",
+    "Background",
+    "Bleaching",
+    "Bulk",
+    "Camera",
+    "Cost",
+    "DepthPSF",
+    "Effect",
+    "Effects",
+    "FaceEffect",
+    "GainEffect",
+    "Halo",
+    "Illumination",
+    "Missing",
+    "OffsetEffect",
+    "PixelIntegration",
+    "SecondView",
+    "TransferEffect",
+    "Value",
+    "VoxelEffect",
+    "as_effects",
+]

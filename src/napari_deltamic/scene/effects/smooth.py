@@ -1,0 +1,115 @@
+"""Effects that vary smoothly over the field of view: background and illumination."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Annotated, Any, ClassVar, Self
+
+import torch
+from numpy.polynomial import legendre
+from pydantic import Field, model_validator
+from torch import Tensor
+
+from ..grid import Grid
+from .base import Bounds, Effect, GainEffect, OffsetEffect, relative
+
+
+def _orders(order: int, axes: int) -> list[tuple[int, ...]]:
+    """Exponents of total degree 1 to ``order``; the constant is left to amplitude or background."""
+    found = [k for k in product(range(order + 1), repeat=axes) if 1 <= sum(k) <= order]
+    return sorted(found, key=lambda k: (sum(k), tuple(-n for n in k)))
+
+
+def _polynomial(
+    coefficients: tuple[float, ...], orders: list[tuple[int, ...]], along: list[Tensor]
+) -> Tensor:
+    """Sum of products of Legendre polynomials, which stay apart from each other over the image."""
+    # Term by term along the first axis, so that only the sum is as large as the image.
+    total = torch.zeros([len(t.reshape(-1)) if t.numel() else 0 for t in along]).to(torch.float64)
+    for coefficient, order in zip(coefficients, orders, strict=True):
+        if coefficient:
+            term = torch.ones((), dtype=torch.float64)
+            for n, t in zip(order, along, strict=True):
+                values = legendre.legval(t.numpy(), [0.0] * n + [1.0])
+                term = term * torch.as_tensor(values)
+            total = total + coefficient * term
+    return total
+
+
+class _Polynomial(Effect):
+    """Numbers of a polynomial, filled up with zeros."""
+
+    axes: ClassVar[str] = "zyx"
+
+    order: Annotated[int, Field(ge=1, le=3)] = Field(default=1, description="largest degree")
+    coefficients: tuple[float, ...] = Field(
+        default=(), description="of the Legendre polynomials over the image; empty: zeros"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _filled(cls, values: Any) -> Any:
+        if isinstance(values, dict):
+            order = values.get("order", cls.model_fields["order"].default)
+            if isinstance(order, int) and 1 <= order <= 3 and not values.get("coefficients"):
+                n = len(_orders(order, len(cls.axes)))
+                return {**values, "coefficients": (0.0,) * n}
+        return values
+
+    @model_validator(mode="after")
+    def _one_number_a_term(self) -> Self:
+        n = len(self._orders())
+        if len(self.coefficients) != n:
+            raise ValueError(
+                f"a polynomial of order {self.order} along {', '.join(self.axes)} has {n} "
+                f"coefficients, not {len(self.coefficients)}"
+            )
+        return self
+
+    def _orders(self) -> list[tuple[int, ...]]:
+        return _orders(self.order, len(self.axes))
+
+    def names_of(self, field: str) -> tuple[str, ...]:
+        """The axes that a term varies along: ``z``, ``yy`` for the second degree, ``yx``."""
+        return tuple(
+            "".join(a * n for a, n in zip(self.axes, k, strict=True)) for k in self._orders()
+        )
+
+    def _values(self, grid: Grid, frame: Grid) -> Tensor:
+        along = [relative(grid, frame, "zyx".index(a)) for a in self.axes]
+        return _polynomial(self.coefficients, self._orders(), along)
+
+
+class Background(_Polynomial, OffsetEffect):
+    """A background that changes slowly over the image, on top of the constant one."""
+
+    name: ClassVar[str] = "background"
+    help: ClassVar[str] = (
+        "the background rises or falls slowly over the image; left out, it pulls the surface and "
+        "widens the PSF where it is fitted"
+    )
+    bounds: ClassVar[dict[str, Bounds]] = {
+        "coefficients": Bounds("intensity", float("-inf"), float("inf"), 1.0)
+    }
+
+    def offset(self, grid: Grid, frame: Grid) -> Tensor:
+        """The polynomial; -1 and 1 are its arguments at both ends of the image."""
+        return self._values(grid, frame)
+
+
+class Illumination(_Polynomial, GainEffect):
+    """Light falls unevenly on the field of view: a factor that varies along y and x."""
+
+    name: ClassVar[str] = "illumination"
+    axes: ClassVar[str] = "yx"
+    help: ClassVar[str] = (
+        "the field of view is lit unevenly; left out, at 10 %, surfaces shift by less than 1 nm, "
+        "but densities are wrong"
+    )
+    bounds: ClassVar[dict[str, Bounds]] = {"coefficients": Bounds("log", -2.0, 2.0, 0.1)}
+
+    order: Annotated[int, Field(ge=1, le=3)] = Field(default=2, description="largest degree")
+
+    def gain(self, grid: Grid, frame: Grid) -> Tensor:
+        """The exponential of the polynomial, which is positive whatever its numbers."""
+        return torch.exp(self._values(grid, frame))

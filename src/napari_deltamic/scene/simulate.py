@@ -1,0 +1,170 @@
+"""Simulation: a scene as a noisy image, with everything that is true of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..geometry.mesh import Mesh
+from ..geometry.voxel_labels import voxel_labels
+from .grid import Grid
+from .noise import Bits, detected, intensities
+from .render import offset
+from .scene import Scene, render_scene
+from .structures import Solid, Surface
+
+BACKGROUND_SHARE = 0.1  # of the photons at the peak, where no background is given
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """A simulated image and its truth.
+
+    Attributes
+    ----------
+    scene, grid
+        What was simulated.
+    image
+        (Z, Y, X) uint8, uint16 or float32: intensities, with noise.
+    noise_free
+        (Z, Y, X) float32: their means, before saturation.
+    mesh
+        All surfaces and solids; None where there are none.
+    labels
+        (Z, Y, X) int32: the region at the centre of each voxel, 0 outside; None without a mesh.
+    parameters
+        Plain values: seed, photons, amplitude, background, bits.
+    """
+
+    scene: Scene
+    grid: Grid
+    image: NDArray[Any]
+    noise_free: NDArray[np.float32]
+    mesh: Mesh | None
+    labels: NDArray[np.int32] | None
+    parameters: dict[str, Any]
+
+
+def simulate(
+    scene: Scene,
+    grid: Grid,
+    *,
+    photons: float | None = None,
+    photons_per_density: float | None = None,
+    background: float | None = None,
+    seed: int = 0,
+    bits: Bits = 16,
+    accuracy: float = 1e-6,
+) -> Simulation:
+    """Make an image of a scene, with the noise of photons and of its camera.
+
+    The same arguments give the same bytes, whatever the number of threads.
+
+    Parameters
+    ----------
+    scene
+        The camera effect, if it is there, turns photons into intensities and adds its noise;
+        voxels of the effect ``missing`` get its value (0 where it has none).
+    grid
+        Where the voxels lie.
+    photons
+        In the brightest voxel, on top of the background; by default 100.
+    photons_per_density
+        Instead: photons collected for each unit of the structures' densities (for each
+        fluorophore, thus per um^2 of a membrane of density 1).
+    background
+        Photons in every voxel; by default a tenth of those at the peak.
+    seed
+        Of the noise.
+    bits
+        8 (uint8), 12 or 16 (uint16), or 32 (float32).
+    accuracy
+        Of the image without noise.
+
+    Raises
+    ------
+    InputError
+        If a number is out of range, both kinds of photons are given, nothing of the scene is seen,
+        or the image does not fit into the bits.
+    """
+    if "second_view" in scene.effects.names:
+        raise InputError("a simulation shows one view: leave out the effect second_view")
+    if photons is not None and photons_per_density is not None:
+        raise InputError("give photons at the peak, or photons per density, not both")
+    for name, value in (("photons", photons), ("photons_per_density", photons_per_density)):
+        if value is not None and not (isfinite(value) and value > 0):
+            raise InputError(f"{name} must be positive, not {value}")
+    if background is not None and not (isfinite(background) and background >= 0):
+        raise InputError(f"background must be 0 or more photons, not {background}")
+    with one_thread(), torch.no_grad():
+        image = render_scene(scene, grid, accuracy).to(torch.float64).numpy()
+    peak = float(image.max())
+    if not peak > 0:
+        raise InputError("nothing of the scene is seen: does it lie inside the image?")
+    amplitude = photons_per_density or (photons or 100.0) / peak
+    ground = BACKGROUND_SHARE * amplitude * peak if background is None else background
+    camera = scene.effects.camera
+    light = amplitude * image + ground
+    added = offset(scene.effects, grid)
+    if added is not None:  # in the unit of the image
+        light = light + added.numpy() / (camera.gain if camera else 1.0)
+    noisy = detected(light, camera, _generator(seed), bits)
+    missing = scene.effects.missing
+    if missing is not None:
+        gone = missing.missing(noisy)
+        noisy[gone] = missing.value or 0
+    mesh = true_mesh(scene)
+    return Simulation(
+        scene,
+        grid,
+        noisy,
+        intensities(light, camera).astype(np.float32),
+        mesh,
+        None if mesh is None else voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin),
+        {
+            "seed": int(seed),
+            "photons": amplitude * peak,
+            "amplitude": amplitude,
+            "background": ground,
+            "bits": bits,
+            "accuracy": accuracy,
+        },
+    )
+
+
+def true_mesh(scene: Scene) -> Mesh | None:
+    """The meshes of surfaces and solids side by side; one that is both counts once."""
+    meshes: list[Mesh] = []
+    for structure in scene.structures:
+        if isinstance(structure, (Surface, Solid)) and all(
+            structure.mesh is not mesh for mesh in meshes
+        ):
+            meshes.append(structure.mesh)
+    if not meshes:
+        return None
+    return meshes[0] if len(meshes) == 1 else Mesh.merge(meshes)
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """With several threads the last digits depend on which is first."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def _generator(seed: int) -> np.random.Generator:
+    if not isinstance(seed, (int, np.integer)) or isinstance(seed, bool) or seed < 0:
+        raise InputError(f"a seed is a whole number from 0 on, not {seed!r}")
+    return np.random.Generator(np.random.PCG64(seed))
