@@ -11,7 +11,7 @@ from test_mesh import two_cubes
 from napari_deltamic.errors import InputError, RepairWarning
 from napari_deltamic.geometry import Mesh, load_mesh, save_mesh, sphere
 
-KINDS = ["obj", "off", "ply", "stl", "rec"]
+KINDS = ["obj", "off", "ply", "stl", "rec", "vtk"]
 HARD = [
     "cgal__degtri_sliding.off",
     "igl__truck.obj",
@@ -60,7 +60,7 @@ def test_round_trip(kind, tmp_path):
     assert os.listdir(tmp_path) == [f"cell.{kind}"]
 
 
-@pytest.mark.parametrize("kind", ["obj", "ply", "rec"])
+@pytest.mark.parametrize("kind", ["obj", "ply", "rec", "vtk"])
 def test_round_trip_of_regions(kind, tmp_path):
     mesh = two_cubes()
     save_mesh(mesh, tmp_path / f"cells.{kind}")
@@ -74,7 +74,8 @@ def test_formats_without_regions_say_so(kind, tmp_path):
     path = tmp_path / f"cells.{kind}"
     with pytest.warns(UserWarning, match="cannot hold regions"):
         save_mesh(two_cubes(), path)
-    assert len(load_mesh(path).faces) == 22
+    with pytest.warns(RepairWarning, match="open"):  # three walls of one region meet in an edge
+        assert len(load_mesh(path).faces) == 22
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -86,6 +87,11 @@ def test_files_hold_x_y_z(kind, tmp_path):
     save_mesh(mesh, path)
     if kind == "rec":
         xyz = np.array(path.read_text().split()[1 : 1 + 3 * len(mesh.vertices)], dtype=float)
+        assert_allclose(xyz.reshape(-1, 3).mean(axis=0), [3, 2, 1])
+        return
+    if kind == "vtk":
+        data = path.read_bytes()
+        xyz = np.frombuffer(data, ">f8", mesh.vertices.size, data.index(b"double\n") + 7)
         assert_allclose(xyz.reshape(-1, 3).mean(axis=0), [3, 2, 1])
         return
     other = trimesh.load(path, process=True)
@@ -123,7 +129,10 @@ def test_obj_dialect(tmp_path):
         "# comment\nmtllib a.mtl\nv 0 0 0 1 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0 # corner\nvn 0 0 1\n"
         "usemtl b\nf 1//1 2//1 \\\n3//1 -1//1\nf 1 2\n"
     )
-    with pytest.warns(RepairWarning, match="1 face with fewer than three corners"):
+    with (
+        pytest.warns(RepairWarning, match="region 1 is open"),
+        pytest.warns(RepairWarning, match="1 face with fewer than three corners"),
+    ):
         mesh = load_mesh(path)
     assert_array_equal(mesh.faces, [[0, 1, 2], [0, 2, 3]])
     assert_allclose(mesh.normals(), [[1, 0, 0]] * 2)  # counter-clockwise seen from +z
@@ -179,6 +188,93 @@ def test_bad_files_are_refused_in_one_line(name, data, message, tmp_path):
     assert "\n" not in str(caught.value)
 
 
+def test_round_trips_keep_every_digit_and_the_order_of_faces(tmp_path):
+    mesh = canonical(two_cubes())
+    mesh = mesh.with_vertices(mesh.vertices_numpy() / 3 + np.pi)
+    for kind in ("obj", "ply", "rec", "vtk"):
+        save_mesh(mesh, tmp_path / f"cells.{kind}")
+        result = load_mesh(tmp_path / f"cells.{kind}")
+        assert_array_equal(result.vertices, mesh.vertices)
+        assert_array_equal(result.faces, mesh.faces)
+        assert_array_equal(result.regions, mesh.regions)
+
+
+VTK_TEXT = """# vtk DataFile Version 5.1
+made elsewhere
+ASCII
+DATASET UNSTRUCTURED_GRID
+POINTS 5 float
+0 0 0 1 0 0 1 1 0
+0 1 0 0 0 1
+METADATA
+INFORMATION 0
+
+CELLS 4 9
+OFFSETS vtktypeint64
+0 4 7 9
+CONNECTIVITY vtktypeint64
+0 1 2 3 0 1 4 2 3
+CELL_TYPES 3
+9
+5
+3
+CELL_DATA 3
+FIELD FieldData 2
+region_a 1 3 int
+5 5 0
+
+region_b 1 3 int
+0 4 0
+POINT_DATA 5
+VECTORS speed float
+0 0 0 0 0 0 0 0 0 0 0 0 0 0 0
+"""
+
+
+def test_vtk_of_other_software(tmp_path):
+    path = tmp_path / "grid.vtk"
+    path.write_text(VTK_TEXT)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        mesh = load_mesh(path)
+    assert any("ignored 1 cell that is no polygon" in str(w.message) for w in caught)
+    assert_array_equal(mesh.vertices[4], [1, 0, 0])
+    assert len(mesh.faces) == 3  # a quad and a triangle
+    assert_array_equal(mesh.regions, [[5, 0], [5, 0], [5, 4]])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("<VTKFile type='PolyData'>", r"\.vtu and \.vtp are not read"),
+        ("# vtk DataFile Version 3.0\nx\nASCII\nDATASET STRUCTURED_GRID\n", "POLYDATA"),
+        ("# vtk DataFile Version 3.0\nx\nASCII\nDATASET POLYDATA\nPOINTS 3 double\n0 1\n", "early"),
+        ("# vtk DataFile Version 3.0\nx\nBINARY\nDATASET POLYDATA\nPOINTS 3 double\n0", "early"),
+    ],
+)
+def test_vtk_that_cannot_be_read(text, message, tmp_path):
+    (tmp_path / "a.vtk").write_text(text)
+    with pytest.raises(InputError, match=message):
+        load_mesh(tmp_path / "a.vtk")
+
+
+def test_what_cannot_be_repaired_is_told(tmp_path):
+    cube = two_cubes()
+    around = np.concatenate([cube.vertices, cube.vertices * (-1, 1, 1) + (0, 1, 0)])
+    opened = Mesh(cube.vertices, cube.faces[1:], cube.regions[1:])
+    save_mesh(opened, tmp_path / "open.ply")
+    with pytest.warns(RepairWarning, match="is open: it has no volume"):
+        load_mesh(tmp_path / "open.ply")
+    # Two bodies that touch along an edge.
+    faces = np.concatenate([cube.faces, cube.faces[:, ::-1] + len(cube.vertices)])
+    regions = np.concatenate([cube.regions, np.where(cube.regions, cube.regions + 2, 0)])
+    save_mesh(Mesh(around, faces, regions), tmp_path / "touching.ply")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        load_mesh(tmp_path / "touching.ply")
+    assert any("four walls or more meet in" in str(w.message) for w in caught)
+
+
 def test_truncated_files_never_crash(tmp_path):
     mesh = sphere((0, 0, 0), 1.0, subdivisions=1)
     for kind in KINDS:
@@ -202,7 +298,7 @@ def test_missing_file_and_folder(tmp_path):
     with pytest.raises(InputError, match="cannot be written"):
         save_mesh(sphere((0, 0, 0), 1.0), tmp_path / "nowhere" / "a.ply")
     with pytest.raises(InputError, match="unknown mesh extension"):
-        save_mesh(sphere((0, 0, 0), 1.0), tmp_path / "a.vtk")
+        save_mesh(sphere((0, 0, 0), 1.0), tmp_path / "a.msh")
 
 
 def test_a_failed_save_leaves_the_old_file(tmp_path, monkeypatch):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from napari_deltamic.errors import RepairWarning
 from napari_deltamic.geometry import label_meshes, mesh_from_labels
 from napari_deltamic.geometry.remeshing import can_remesh, edge_valences, smallest_angles
 
@@ -60,7 +61,12 @@ def test_crumbs_and_holes_of_a_cluster():
     labels = halves()
     labels[1:3, 1:3, 1:3] = 4
     labels[12:14, 24:27, 12:15] = 0
-    mesh = mesh_from_labels(labels, SIZE)
+    with pytest.warns(RepairWarning) as told:
+        mesh = mesh_from_labels(labels, SIZE)
+    assert [str(w.message) for w in told] == [
+        "label 4: in several parts; the largest was kept",
+        "label 4: holes were filled",
+    ]
     assert mesh.bounds()[0].min() > 0.5
     assert_allclose(mesh.region_volume(4), (halves() == 4).sum() * 0.016, rtol=5e-3)
 
@@ -78,3 +84,13 @@ def test_small_labels_keep_their_volume(across):
     mesh = mesh_from_labels(labels, (0.1, 0.1, 0.1))
     assert_allclose(mesh.region_volume(1), labels.sum() * 1e-3, rtol=0.01)
     assert smallest_angles(mesh).min() > 15
+
+
+def test_the_default_edge_is_three_voxels_unless_that_makes_too_many_faces(monkeypatch):
+    size = np.array(SIZE)
+    assert label_meshes.default_edge(halves(), size) == pytest.approx(0.6)
+    monkeypatch.setattr(label_meshes, "MOST_FACES", 400)
+    edge = label_meshes.default_edge(halves(), size)
+    assert edge > 0.8
+    faces = len(mesh_from_labels(halves(), SIZE).faces)
+    assert 250 < faces < 600

@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from napari_deltamic import InputError, Mesh
 from napari_deltamic.geometry import box, remesh, sphere, torus
 from napari_deltamic.geometry import remeshing as module
+from napari_deltamic.geometry.crossings import crosses
 from napari_deltamic.geometry.partition import partition_mesh
 from napari_deltamic.geometry.remeshing import can_remesh, edge_valences, smallest_angles
 
@@ -105,6 +106,17 @@ def test_fixed_vertices_stay():
     assert len(done.mesh.vertices) < len(ball.vertices)
 
 
+def test_surfaces_do_not_come_to_cross():
+    # Coarser triangles would cut through the other ball, which lies close by.
+    inner = sphere((0, 0, 0), 1.0, subdivisions=4)
+    mesh = Mesh.merge([inner, sphere((0, 0, 0), 1.04, subdivisions=4)])
+    length = 0.6
+    assert crosses(remesh(mesh, length).mesh)
+    done = remesh(mesh, length, apart=True).mesh
+    assert not crosses(done)
+    assert done.is_closed()
+
+
 def test_lengths_that_differ_over_the_surface():
     ball = sphere((0, 0, 0), 10.0, subdivisions=4)
     length = np.where(ball.vertices_numpy()[:, 0] > 0, 1.0, 3.0)
@@ -161,7 +173,7 @@ def test_bad_input(options, reason):
 
 
 def test_says_when_the_extension_is_missing(monkeypatch):
-    monkeypatch.setattr(module, "_native", lambda: None)
+    monkeypatch.setattr(module, "native", lambda: None)
     assert not can_remesh()
     with pytest.raises(InputError, match="compiled extension"):
         remesh(sphere((0, 0, 0), 1.0, subdivisions=1), 0.3)

@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from napari_deltamic.errors import InputError
+from napari_deltamic.geometry.mesh import Mesh
 from napari_deltamic.geometry.primitives import sphere
-from napari_deltamic.measure.ridge import ridge_distance
+from napari_deltamic.measure.ridge import _spots, ridge_distance
 
 SIZE = np.array([0.3, 0.15, 0.15])
 SHAPE = (34, 64, 64)
@@ -109,3 +110,12 @@ def test_a_plane_across_z_gives_axial_offsets() -> None:
 def test_bad_input(image: NDArray[np.float64], size: tuple[float, ...], reach: float) -> None:
     with pytest.raises(InputError):
         ridge_distance(sphere(CENTER, 1.0), image, size, reach_um=reach)
+
+
+@pytest.mark.parametrize(("voxel", "count"), [(0.1, 9), (0.25, 4), (1.0, 1)])
+def test_lines_lie_evenly_over_a_face(voxel, count):
+    spots = _spots(Mesh([(0, 0, 0), (0, 1, 0), (0, 0.5, 0.87)], [(0, 1, 2)]), voxel)
+    assert len(spots) == count
+    assert (spots > 0).all()
+    assert np.allclose(spots.sum(1), 1)
+    assert np.allclose(spots.mean(0), 1 / 3)

@@ -2,7 +2,9 @@
 
 from napari_deltamic.geometry.files import load_mesh, save_mesh
 from napari_deltamic.geometry.find_cells import find_cells, suggest_size
+from napari_deltamic.geometry.label_edits import Click, correct_labels, read_clicks_csv
 from napari_deltamic.geometry.label_meshes import mesh_from_labels
+from napari_deltamic.geometry.label_repair import RepairedLabels, repair_labels
 from napari_deltamic.geometry.mesh import OUTSIDE, Mesh
 from napari_deltamic.geometry.primitives import box, sphere, torus
 from napari_deltamic.geometry.remeshing import Remeshed, remesh
@@ -16,17 +18,22 @@ from napari_deltamic.geometry.windings import fix_windings
 
 __all__ = [
     "OUTSIDE",
+    "Click",
     "Mesh",
     "Remeshed",
+    "RepairedLabels",
     "box",
+    "correct_labels",
     "find_cells",
     "fix_windings",
     "labels_from_points",
     "load_mesh",
     "mesh_from_labels",
+    "read_clicks_csv",
     "read_points_csv",
     "remesh",
     "repair",
+    "repair_labels",
     "save_mesh",
     "seeds_from_points",
     "sphere",

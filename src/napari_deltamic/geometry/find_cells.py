@@ -32,7 +32,7 @@ FINEST = 1 / 40  # voxels smaller than this are put together, for speed
 LEAK = 0.12  # parts of a region that are thinner than twice this have leaked out of it
 
 # A wall's height is the logarithm of its brightness over that of the inside.
-JOIN_BELOW = 0.7
+JOIN_BELOW = 0.6
 WALL = 0.4
 # Added before the logarithm: this part of the contrast, and not less than so many standard
 # deviations of the noise, or noise in dark places would look like walls.

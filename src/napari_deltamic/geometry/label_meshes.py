@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,13 +12,17 @@ from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from napari_deltamic.errors import InputError
+from napari_deltamic.errors import InputError, RepairWarning
+from napari_deltamic.geometry.label_repair import repair_labels, share_out_gaps
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
 from napari_deltamic.geometry.partition import partition_mesh, with_volumes
 from napari_deltamic.geometry.remeshing import can_remesh, remesh
 from napari_deltamic.geometry.surface_nets import closed_surface
 
 EDGE_IN_VOXELS = 3.0
+# Where planes are far apart, or cells many, edges of three voxels would make more faces than a fit
+# takes in minutes: the default is then longer.
+MOST_FACES = 60_000
 _LEAST_CONTACT = 9  # voxel faces between two labels that make a wall
 
 
@@ -32,14 +37,16 @@ def mesh_from_labels(
 ) -> Mesh:
     """A smooth mesh of all labels of an image, with regions (label, neighbour or 0).
 
-    Of each label the largest connected part is kept and its holes are filled. Labels that touch
-    share their walls: such a face exists once, between the two. Volumes are those of the labels.
+    Of each label the largest connected part is kept and its holes are filled; each such repair is a
+    RepairWarning (see `repair_labels`). Labels that touch share their walls: such a face exists
+    once, between the two. Volumes are those of the labels.
 
     Parameters
     ----------
-    labels : (Z, Y, X) integers, 0 = outside.
+    labels : (Z, Y, X) whole numbers, 0 = outside; or a list of such arrays or masks that overlap.
     voxel_size, origin : um, Z, Y, X; origin is the centre of the first voxel.
-    edge_length : um, mean length of the edges. Default: 3 times the smallest voxel side.
+    edge_length : um, mean length of the edges. Default: 3 times the smallest voxel side, or what
+        makes about 60,000 faces of all labels, if that is longer.
     gap : um; ground between labels that is narrower is divided among them. Default: as wide as the
         lines of one voxel that some segmentations leave between cells.
     shared_walls : False gives each label a surface of its own; touching ones lie on each other.
@@ -48,19 +55,18 @@ def mesh_from_labels(
     Raises
     ------
     InputError
-        No label, not integers, not 3D, or a label too small for the edge length.
+        No label, no whole numbers, not 3D, or a label too small for the edge length.
     """
-    array = np.asarray(labels)
-    if array.ndim != 3 or not np.issubdtype(array.dtype, np.integer):
-        raise InputError(f"labels must be a 3D array of integers, not {array.ndim}D {array.dtype}")
     size, start = _triple(voxel_size, "voxel size"), _triple(origin, "origin", positive=False)
-    edge = EDGE_IN_VOXELS * float(size.min()) if edge_length is None else float(edge_length)
+    repaired = repair_labels(labels, size)
+    for repair in repaired.repairs:
+        warnings.warn(repair, RepairWarning, stacklevel=2)
+    array = repaired.labels.astype(np.int64)
+    edge = default_edge(array, size) if edge_length is None else float(edge_length)
     if not edge > 0:
         raise InputError(f"edge length must be positive, not {edge:g}")
     names = np.unique(array)
     names = names[names > 0]
-    if not len(names):
-        raise InputError("the label image has no labels above 0")
     numbers = np.searchsorted(names, array) + 1
     numbers[array <= 0] = 0
     clusters = [np.array([k]) for k in range(1, len(names) + 1)]
@@ -75,6 +81,18 @@ def mesh_from_labels(
             for c in clusters
         ]
     )
+
+
+def default_edge(labels: IntArray, size: FloatArray) -> float:
+    """um, the edge length of a mesh of labels that is fine enough and can be fitted in minutes."""
+    area = 0.0
+    for axis in range(3):
+        moved = np.moveaxis(labels, axis, 0)
+        borders = np.count_nonzero(moved[1:] != moved[:-1])
+        area += borders * float(np.prod(size) / size[axis])
+    area /= 1.5  # faces of voxels have so much more area than the smooth surface within them
+    fewest = np.sqrt(area / (np.sqrt(3) / 4 * MOST_FACES))
+    return max(EDGE_IN_VOXELS * float(size.min()), float(fewest))
 
 
 @dataclass(frozen=True)
@@ -140,19 +158,9 @@ def _boxes(numbers: IntArray, cluster: IntArray) -> list[tuple[slice, ...]]:
 
 
 def _without_gaps(numbers: IntArray, size: FloatArray, gap: float | None) -> IntArray:
-    """Ground in gaps (a closing by a ball finds them) goes to the nearest label."""
     # Half the gap; a line of one voxel is reached from the voxels beside it.
     reach, spacing = (1.0, np.ones(3)) if gap is None else (gap / 2, size)
-    if reach <= 0:
-        return numbers
-    room = int(np.ceil(reach / spacing.min())) + 1
-    ground = np.pad(numbers == 0, room, constant_values=True)
-    distance, nearest = ndimage.distance_transform_edt(ground, spacing, return_indices=True)
-    grown = distance <= reach + 1e-6
-    closed = ndimage.distance_transform_edt(grown, spacing) > reach + 1e-6
-    filled = np.pad(numbers, room)[tuple(nearest)]
-    inner = (slice(room, -room),) * 3
-    return np.where(closed[inner] & (numbers == 0), filled[inner], numbers)
+    return share_out_gaps(numbers, spacing, reach) if reach > 0 else numbers
 
 
 def _touching(numbers: IntArray, count: int) -> list[IntArray]:

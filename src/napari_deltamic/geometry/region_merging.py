@@ -21,7 +21,7 @@ Labels = NDArray[np.int32]
 Image = NDArray[np.float32]
 
 # So much of how enclosed the better of two regions is may be lost by joining them.
-_OPENING = 0.02
+_OPENING = 0.0
 # Regions smaller or larger than a cell are joined more, or less, readily, between these factors.
 _READY, _RELUCTANT = 0.6, 1.6
 BOUND = 1.15  # heights above the inside are counted up to this, in the units of the image

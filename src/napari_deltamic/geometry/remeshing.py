@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import ceil, log2
-from types import ModuleType
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from napari_deltamic.errors import InputError
+from napari_deltamic.geometry.crossings import crosses
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
+from napari_deltamic.geometry.native import native
 
 _PASSES = 3  # bring any mesh of about the right edge length into shape
 
@@ -41,7 +42,7 @@ class Remeshed:
 
 def can_remesh() -> bool:
     """Whether the compiled extension is there."""
-    return _native() is not None
+    return native() is not None
 
 
 def remesh(
@@ -52,6 +53,7 @@ def remesh(
     carried: ArrayLike | None = None,
     fixed: ArrayLike | None = None,
     smooth: bool = True,
+    apart: bool = False,
 ) -> Remeshed:
     """Bring edges near a length and triangles near equilateral; regions and junctions stay.
 
@@ -75,6 +77,8 @@ def remesh(
         (V,) bool: vertices that neither move nor vanish.
     smooth
         Whether vertices may move at all.
+    apart
+        Surfaces that do not cross stay so: what would make them cross is not done.
 
     Raises
     ------
@@ -82,8 +86,7 @@ def remesh(
         If the length is not positive, arrays do not fit the mesh, or the compiled extension is
         missing.
     """
-    native = _native()
-    if native is None:
+    if not can_remesh():
         raise InputError("remeshing needs the compiled extension: reinstall with a C++ compiler")
     n = len(mesh.vertices)
     length = np.broadcast_to(np.asarray(edge_length, np.float64), (n,))
@@ -100,15 +103,37 @@ def remesh(
             np.linalg.norm(np.diff(mesh.vertices_numpy()[mesh.edges()], axis=1), axis=2).max()
         )
         passes = _PASSES + max(0, ceil(log2(longest / float(length.min()))))
-    vertices, faces, regions, held_now, loads_now, counts = native.remesh(
+    given = mesh, length, passes, loads, held, smooth
+    done = _remeshed(*given)
+    if not apart or not crosses(done.mesh) or crosses(mesh):
+        return done
+    done = _remeshed(*given, apart=True)  # several times as slow
+    if crosses(done.mesh):  # by rounding
+        return Remeshed(mesh, loads, held, 0, 0, 0)
+    return done
+
+
+def _remeshed(
+    mesh: Mesh,
+    length: FloatArray,
+    passes: int,
+    loads: FloatArray,
+    held: np.ndarray,
+    smooth: bool,
+    apart: bool = False,
+) -> Remeshed:
+    library = native()
+    assert library is not None
+    vertices, faces, regions, held_now, loads_now, counts = library.remesh(
         np.ascontiguousarray(mesh.vertices_numpy(), np.float64),
         np.ascontiguousarray(mesh.faces, np.int64),
         np.ascontiguousarray(mesh.regions, np.int64),
         np.ascontiguousarray(length),
         np.ascontiguousarray(held, np.uint8),
-        np.ascontiguousarray(loads.reshape(n, -1)),
+        np.ascontiguousarray(loads.reshape(len(length), -1)),
         int(passes),
         bool(smooth),
+        bool(apart),
     )
     shape = (len(vertices), *loads.shape[1:])
     return Remeshed(
@@ -131,11 +156,3 @@ def edge_valences(mesh: Mesh) -> IntArray:
     ends = np.sort(mesh.faces[:, [1, 2, 2, 0, 0, 1]].reshape(-1, 2), axis=1)
     counts: IntArray = np.unique(ends, axis=0, return_counts=True)[1]
     return counts
-
-
-def _native() -> ModuleType | None:
-    try:
-        from napari_deltamic.geometry import _remesh  # type: ignore[attr-defined]
-    except ImportError:
-        return None
-    return _remesh

@@ -1,0 +1,78 @@
+"""Where surfaces cross themselves or each other."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from napari_deltamic.geometry.mesh import IntArray, Mesh
+from napari_deltamic.geometry.native import native
+
+
+def crossings(mesh: Mesh) -> IntArray:
+    """(n, 2) rows of an edge (in ``mesh.edges()``) and of the face that it runs through.
+
+    Edges and faces that share a vertex are left out. Empty where the compiled extension is missing.
+    """
+    library = native()
+    if library is None:
+        return np.zeros((0, 2), np.int64)
+    found: IntArray = library.crossings(
+        np.ascontiguousarray(mesh.vertices_numpy(), np.float64),
+        np.ascontiguousarray(mesh.edges(), np.int64),
+        np.ascontiguousarray(mesh.faces, np.int64),
+    )
+    return found
+
+
+def crosses(mesh: Mesh) -> bool:
+    """Whether a surface crosses itself or another; False where the extension is missing."""
+    return len(crossings(mesh)) > 0
+
+
+class CrossingWalls:
+    """Which walls of a mesh cross, and which regions are theirs.
+
+    A wall is the faces of one connected piece between the same two regions.
+
+    Attributes
+    ----------
+    regions
+        For each pair of walls that cross the larger region number of each: one number where it is
+        the same.
+    wall
+        (F,) number of each face's wall.
+    pairs
+        (W, W) bool: walls that cross each other.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        self.regions: set[tuple[int, ...]] = set()
+        self.wall: IntArray = np.zeros(len(mesh.faces), np.int64)
+        self.pairs = np.zeros((0, 0), bool)
+        found = crossings(mesh)
+        if not len(found):
+            return
+        rows = np.column_stack([_pieces(mesh)[mesh.faces[:, 0]], mesh.interfaces()[1]])
+        walls, wall = np.unique(rows, axis=0, return_inverse=True)
+        self.wall = wall.reshape(-1).astype(np.int64)
+        self.pairs = np.zeros((len(walls), len(walls)), bool)
+        name = mesh.interfaces()[0][walls[:, 1], 0]
+        edge_of_face = mesh.face_edges().reshape(-1)
+        order = np.argsort(edge_of_face, kind="stable")
+        starts = np.searchsorted(edge_of_face[order], [found[:, 0], found[:, 0] + 1])
+        for (first, last), face in zip(starts.T, found[:, 1], strict=True):
+            one, other = self.wall[order[first:last] // 3], self.wall[face]
+            self.pairs[one, other] = self.pairs[other, one] = True
+            self.regions |= {tuple(sorted({int(name[k]), int(name[other])})) for k in one}
+
+    def __bool__(self) -> bool:
+        return bool(self.regions)
+
+
+def _pieces(mesh: Mesh) -> IntArray:
+    edges, n = mesh.edges(), len(mesh.vertices)
+    graph = coo_matrix((np.ones(len(edges)), edges.T), shape=(n, n))
+    pieces: IntArray = connected_components(graph, directed=False)[1].astype(np.int64)
+    return pieces

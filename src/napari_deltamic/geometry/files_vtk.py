@@ -1,0 +1,193 @@
+"""Legacy .vtk files; regions are the cell data region_a and region_b.
+
+The format is that of "VTK File Formats", The VTK User's Guide: a header of four lines, then blocks
+named by keywords, as text or big-endian binary. Read: POLYDATA and UNSTRUCTURED_GRID, up to version
+5.1, of which the polygons count. Written: version 3.0, POLYDATA, binary, doubles.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_deltamic.errors import InputError
+from napari_deltamic.geometry.files_raw import RawMesh
+from napari_deltamic.geometry.mesh import FloatArray, IntArray
+from napari_deltamic.geometry.repair import counted
+
+_TYPES = {
+    "unsigned_char": "u1",
+    "char": "i1",
+    "unsigned_short": "u2",
+    "short": "i2",
+    "unsigned_int": "u4",
+    "int": "i4",
+    "unsigned_long": "u8",
+    "long": "i8",
+    "float": "f4",
+    "double": "f8",
+    "vtkidtype": "i8",
+    "vtktypeint64": "i8",
+    "vtktypeint32": "i4",
+    "vtktypeuint8": "u1",
+}
+_POLYGONS = (5, 7, 9)  # cell types: triangle, polygon, quad
+_PER_TUPLE = {"NORMALS": 3, "VECTORS": 3, "TENSORS": 9}
+
+
+def read_vtk(data: bytes) -> RawMesh:
+    """Positions, polygons cut into triangles, and regions where they are there."""
+    return _Reader(data).mesh()
+
+
+def write_vtk(xyz: FloatArray, faces: IntArray, regions: IntArray) -> bytes:
+    """Binary POLYDATA in double precision."""
+    cells = np.column_stack([np.full(len(faces), 3), faces])
+    blocks = [
+        b"# vtk DataFile Version 3.0\nmesh in um, x y z\nBINARY\nDATASET POLYDATA\n",
+        f"POINTS {len(xyz)} double\n".encode() + xyz.astype(">f8").tobytes(),
+        f"\nPOLYGONS {len(faces)} {cells.size}\n".encode() + cells.astype(">i4").tobytes(),
+        f"\nCELL_DATA {len(faces)}\n".encode(),
+    ]
+    for name, column in zip(("region_a", "region_b"), regions.T, strict=True):
+        blocks.append(f"SCALARS {name} int 1\nLOOKUP_TABLE default\n".encode())
+        blocks.append(column.astype(">i4").tobytes() + b"\n")
+    return b"".join(blocks)
+
+
+class _Reader:
+    """A place in a file, and what was found before it."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data, self.place = data, 0
+        self.xyz: FloatArray = np.zeros((0, 3))
+        self.polygons: list[IntArray] = []
+        self.kinds: IntArray | None = None  # of the cells of an unstructured grid
+        self.cell_data: dict[str, NDArray[Any]] = {}
+        self.section = ""
+        first = self._line().lower()
+        if not first.startswith("# vtk datafile version"):
+            raise InputError("it does not begin as a legacy .vtk file; .vtu and .vtp are not read")
+        self.new = float(first.split()[-1]) >= 5
+        self._line()  # the title
+        self.binary = self._line().upper() == "BINARY"
+        kind = self._line().upper().split()
+        if kind not in (["DATASET", "POLYDATA"], ["DATASET", "UNSTRUCTURED_GRID"]):
+            raise InputError("a .vtk file of POLYDATA or UNSTRUCTURED_GRID is needed")
+
+    def mesh(self) -> RawMesh:
+        """Read the whole file."""
+        while self.place < len(self.data):
+            words = self._line().split()
+            if words:
+                self._block(words[0].upper(), words)
+        kept = [k for k, polygon in enumerate(self.polygons) if self._is_polygon(k, polygon)]
+        faces = [
+            (p[0], p[j - 1], p[j])
+            for p in (self.polygons[k] for k in kept)
+            for j in range(2, len(p))
+        ]
+        regions = None
+        if {"region_a", "region_b"} <= set(self.cell_data):
+            pairs = np.column_stack([self.cell_data[f"region_{side}"] for side in "ab"])
+            if len(pairs) != len(self.polygons):
+                raise InputError("the regions are not one pair for each cell")
+            repeats = [len(self.polygons[k]) - 2 for k in kept]
+            regions = np.repeat(pairs[kept].astype(np.int64), repeats, axis=0)
+        dropped = len(self.polygons) - len(kept)
+        plain = "is no polygon" if dropped == 1 else "are no polygons"
+        text = f"ignored {counted(dropped, 'cell')} that {plain}"
+        table = np.reshape(faces, (-1, 3)).astype(np.int64)
+        return RawMesh(self.xyz, table, regions, (text,) if dropped else ())
+
+    def _is_polygon(self, k: int, polygon: IntArray) -> bool:
+        return len(polygon) > 2 and (self.kinds is None or int(self.kinds[k]) in _POLYGONS)
+
+    def _block(self, name: str, words: list[str]) -> None:
+        if name == "POINTS":
+            self.xyz = self._numbers(3 * int(words[1]), words[2]).reshape(-1, 3).astype(np.float64)
+        elif name in ("POLYGONS", "CELLS"):
+            self.polygons += self._cells(int(words[1]), int(words[2]))
+        elif name in ("VERTICES", "LINES", "TRIANGLE_STRIPS"):
+            # Their cells come with the cell data too, so they are kept in their place.
+            self.polygons += [cell[:1] for cell in self._cells(int(words[1]), int(words[2]))]
+        elif name == "CELL_TYPES":
+            self.kinds = self._numbers(int(words[1]), "int").astype(np.int64)
+        elif name in ("CELL_DATA", "POINT_DATA"):
+            self.section, self.count = name, int(words[1])
+        elif name == "SCALARS":
+            width = int(words[3]) if len(words) > 3 else 1
+            start = self.place
+            if self._line().split()[:1] != ["LOOKUP_TABLE"]:
+                self.place = start
+            self._keep(words[1], self._numbers(width * self.count, words[2]))
+        elif name in _PER_TUPLE:
+            self._numbers(_PER_TUPLE[name] * self.count, words[2])
+        elif name == "TEXTURE_COORDINATES":
+            self._numbers(int(words[2]) * self.count, words[3])
+        elif name == "FIELD":
+            self._fields(int(words[2]))
+        elif name == "LOOKUP_TABLE":
+            self._numbers(4 * int(words[2]), "unsigned_char" if self.binary else "float")
+        elif name == "METADATA":
+            while self._line():
+                pass
+        else:
+            raise InputError(f"the block '{words[0][:30]}' is not known")
+
+    def _fields(self, count: int) -> None:
+        for _ in range(count):
+            words = self._line().split()
+            while not words and self.place < len(self.data):
+                words = self._line().split()
+            name, width, tuples, kind = words[:4]
+            self._keep(name, self._numbers(int(width) * int(tuples), kind))
+
+    def _keep(self, name: str, values: NDArray[Any]) -> None:
+        if self.section == "CELL_DATA":
+            self.cell_data[name] = values
+
+    def _cells(self, count: int, size: int) -> list[IntArray]:
+        """The vertices of each cell."""
+        if not self.new:
+            table = self._numbers(size, "int").astype(np.int64)
+            cells, place = [], 0
+            for _ in range(count):
+                length = int(table[place])
+                cells.append(table[place + 1 : place + 1 + length])
+                place += 1 + length
+            return cells
+        offsets = self._numbers(count, self._line().split()[1]).astype(np.int64)
+        corners = self._numbers(size, self._line().split()[1]).astype(np.int64)
+        return [corners[a:b] for a, b in pairwise(offsets.tolist())]
+
+    def _line(self) -> str:
+        end = self.data.find(b"\n", self.place)
+        end = len(self.data) if end < 0 else end
+        line = self.data[self.place : end]
+        self.place = end + 1
+        return line.decode("ascii", errors="replace").strip()
+
+    def _numbers(self, count: int, kind: str) -> NDArray[Any]:
+        """So many numbers from here on."""
+        dtype = np.dtype(_TYPES[kind.lower()]).newbyteorder(">")
+        if self.binary:
+            stop = self.place + count * dtype.itemsize
+            if stop > len(self.data):
+                raise InputError("the file ends too early")
+            found = np.frombuffer(self.data, dtype, count, self.place)
+            # A line break ends the block.
+            self.place = stop + (self.data[stop : stop + 1] == b"\n")
+            return found
+        words: list[bytes] = []
+        while len(words) < count:
+            if self.place >= len(self.data):
+                raise InputError("the file ends too early")
+            end = self.data.find(b"\n", self.place)
+            end = len(self.data) if end < 0 else end
+            words += self.data[self.place : end].split()
+            self.place = end + 1
+        return np.array(words[:count], dtype=np.float64 if dtype.kind == "f" else np.int64)

@@ -1,0 +1,286 @@
+"""Corrections of found cells by clicks: one that was missed, two in one, one in two parts.
+
+A label image of an automatic segmentation is right for most cells and wrong for a few. A click
+says where, the image says how far: cells are divided and added by a watershed on the membranes, as
+`find_cells` finds them.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+from skimage.graph import MCP_Geometric
+from skimage.segmentation import watershed
+
+from napari_deltamic.errors import InputError
+from napari_deltamic.geometry.find_cells import _checked, _walls
+from napari_deltamic.geometry.mesh import FloatArray
+from napari_deltamic.geometry.region_merging import Image, Labels
+
+Action = Literal["cell", "merge", "remove"]
+
+# In parts of the diameter of a typical cell:
+_MARKER = 0.08  # radius of what a click marks
+_REACH = 1.1  # a cell that is added ends at this distance from the click, wall or not
+_ROUND = 0.06  # parts of a new cell that are thinner than twice this are not kept
+_FEWEST = 27  # voxels of a cell
+# A way of one um costs this without a wall, and a wall's height squared more: a dim wall (0.5)
+# three voxels wide counts like 40 voxels of nothing.
+_FLAT = 0.02
+
+
+@dataclass(frozen=True)
+class Click:
+    """A correction at a place.
+
+    place : um, Z, Y, X.
+    action : "cell": a cell of its own lies here. In the background it is added; in a label it is
+        cut off from the rest of it, or the label is divided among several clicks in it.
+        "merge": the labels here and at the next "merge" click are one cell. "remove": the label
+        here is no cell.
+    """
+
+    place: tuple[float, float, float]
+    action: Action = "cell"
+
+
+def correct_labels(
+    image: ArrayLike,
+    voxel_size: Sequence[float],
+    labels: ArrayLike,
+    clicks: Sequence[Click],
+    origin: Sequence[float] = (0.0, 0.0, 0.0),
+) -> NDArray[np.int32]:
+    """Labels with the corrections that clicks ask for; removed first, then merged, then cut, added.
+
+    Parameters
+    ----------
+    image : (Z, Y, X), membranes bright; NaN where missing.
+    voxel_size, origin : um, Z, Y, X; origin is the centre of the first voxel.
+    labels : (Z, Y, X) integers, 0 = background, as `find_cells` gives.
+    clicks : numbered from 1 in messages.
+
+    Returns
+    -------
+    (Z, Y, X) int32. Labels that no click names keep their number; new ones follow the largest.
+
+    Raises
+    ------
+    InputError
+        Labels and image differ in shape; a click lies outside the image or where its action means
+        nothing; an odd number of "merge".
+    """
+    data, _, voxel = _checked(image, voxel_size)
+    result = np.array(labels, np.int32)
+    if result.shape != data.shape:
+        raise InputError(f"the labels have shape {result.shape}, the image {data.shape}")
+    if not clicks:
+        return result
+    places = _voxels(clicks, voxel, np.asarray(origin, np.float64), result.shape)
+    size = _typical(result, voxel)
+    numbered = [(k, places[k], click.action) for k, click in enumerate(clicks)]
+    _remove(result, [(k, p) for k, p, action in numbered if action == "remove"])
+    _merge(result, [(k, p) for k, p, action in numbered if action == "merge"], voxel, size)
+    new = [(k, p) for k, p, action in numbered if action == "cell"]
+    if new:
+        walls = _walls(data, voxel, size)
+        # All of it is decided before anything is changed.
+        names = [int(result[place]) for _, place in new]
+        for name in sorted(set(names) - {0}):
+            _cut(
+                result,
+                walls,
+                name,
+                [c for c, n in zip(new, names, strict=True) if n == name],
+                voxel,
+            )
+        missing = [c for c, n in zip(new, names, strict=True) if n == 0]
+        if missing:
+            _add(result, walls, missing, voxel, size)
+    return result
+
+
+def read_clicks_csv(path: str | Path) -> list[Click]:
+    """Read clicks: header `z,y,x,action`, um; an empty action is "cell".
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, has another header, or a field that means nothing.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot read clicks from {path}: {error}") from error
+    rows = [[field.strip().lower() for field in row] for row in csv.reader(text.splitlines())]
+    if not rows or rows[0] != ["z", "y", "x", "action"]:
+        raise InputError(f"{path}: the first line must be z,y,x,action")
+    clicks = []
+    for number, row in enumerate(rows[1:], 2):
+        if not any(row):
+            continue
+        try:
+            z, y, x = (float(field) for field in row[:3])
+        except ValueError as error:
+            raise InputError(f"{path}, line {number}: {error}") from error
+        word = row[3] if len(row) > 3 and row[3] else "cell"
+        actions: tuple[Action, ...] = get_args(Action)
+        action = next((known for known in actions if known == word), None)
+        if action is None or not np.isfinite((z, y, x)).all():
+            raise InputError(f"{path}, line {number}: three numbers and one of cell, merge, remove")
+        clicks.append(Click((z, y, x), action))
+    return clicks
+
+
+# Actions --------------------------------------------------------------------------------------
+
+_Place = tuple[int, ...]
+_Clicks = list[tuple[int, _Place]]  # number from 0, voxel
+
+
+def _remove(labels: Labels, clicks: _Clicks) -> None:
+    for k, place in clicks:
+        labels[labels == _label_at(labels, k, place)] = 0
+
+
+def _merge(labels: Labels, clicks: _Clicks, voxel: FloatArray, size: float) -> None:
+    if len(clicks) % 2:
+        raise InputError(f"click {clicks[-1][0] + 1} has no partner to merge with: click in pairs")
+    for (i, first), (j, second) in zip(clicks[::2], clicks[1::2], strict=True):
+        one, other = _label_at(labels, i, first), _label_at(labels, j, second)
+        if one == other:
+            raise InputError(f"clicks {i + 1} and {j + 1} lie in the same cell already")
+        both = (labels == one) | (labels == other)
+        # The seam between them, where one was left.
+        reach = _MARKER * size
+        near = ndimage.distance_transform_edt(~both, voxel) <= reach
+        closed = near & (ndimage.distance_transform_edt(near, voxel) > reach)
+        labels[both | (closed & (labels == 0))] = one
+        if ndimage.label(labels == one)[1] > 1:
+            raise InputError(f"clicks {i + 1} and {j + 1} lie in cells that do not touch")
+
+
+def _cut(labels: Labels, walls: Image, name: int, clicks: _Clicks, voxel: FloatArray) -> None:
+    """Divide a label among the clicks in it; a single one against the rest of the label."""
+    box = ndimage.find_objects(labels)[name - 1]
+    corner = [s.start for s in box]
+    inside = labels[box] == name
+    cost = np.where(inside, _FLAT + walls[box] ** 2, np.inf)
+    centres = [tuple(np.subtract(place, corner)) for _, place in clicks]
+    first = np.array(centres)
+    if len(centres) == 1:
+        # The other cell's middle: what is hardest to get to, well inside the label.
+        deep = ndimage.distance_transform_edt(np.pad(inside, 1), voxel)[1:-1, 1:-1, 1:-1]
+        # The least around, as a bright speck is hard to get to, too.
+        around = tuple(int(n) for n in 1 + 2 * np.ceil(_MARKER * float(deep.max()) / voxel))
+        reached = ndimage.minimum_filter(_ways(cost, first, voxel), around)
+        reached = np.where((deep > 0.5 * deep.max()) & np.isfinite(reached), reached, -1.0)
+        centres.append(np.unravel_index(int(reached.argmax()), reached.shape))
+    parts = _nearest(cost, centres, voxel)
+    for k in range(len(centres)):
+        if (parts[inside] == k).sum() < _FEWEST:
+            numbers = " and ".join(str(k + 1) for k, _ in clicks)
+            raise InputError(f"click {numbers} cuts nothing off: click in the middle of the cell")
+    for k in range(len(clicks) - (len(clicks) == len(centres))):
+        # The largest number stays free for the next; with several clicks the last keeps the name.
+        labels[box][inside & (parts == k)] = int(labels.max()) + 1
+
+
+def _add(labels: Labels, walls: Image, clicks: _Clicks, voxel: FloatArray, size: float) -> None:
+    """Flood the background from the clicks, against the cells around and what lies beyond reach."""
+    places = np.array([place for _, place in clicks])
+    room = np.ceil(1.2 * _REACH * size / voxel).astype(int)
+    low = np.maximum(places.min(0) - room, 0)
+    box = tuple(slice(a, b) for a, b in zip(low, places.max(0) + room + 1, strict=True))
+    own, landscape = labels[box], walls[box]
+    free = own == 0
+    spot = np.ones(own.shape, bool)
+    spot[tuple((places - low).T)] = False
+    away = ndimage.distance_transform_edt(spot, voxel)
+    outside, new = int(labels.max()) + 1, int(labels.max()) + 2
+    markers = own.copy()
+    markers[free & (away > _REACH * size)] = outside
+    markers[free & (away <= _MARKER * size)] = new
+    region = free & (watershed(landscape, markers) == new)
+    cost = np.where(region, _FLAT + landscape**2, np.inf)
+    parts = _nearest(cost, list(places - low), voxel)
+    parts = np.where(region, parts + 1, 0)
+    for k, (part, (click, _)) in enumerate(
+        zip(ndimage.find_objects(parts, len(clicks)), clicks, strict=True)
+    ):
+        if part is None:
+            raise InputError(f"no room for a cell at click {click + 1}: is it on a membrane?")
+        place = tuple(places[k] - low - [s.start for s in part])
+        cell = _rounded(parts[part] == k + 1, place, voxel, size)
+        if cell.sum() < _FEWEST:
+            raise InputError(f"no room for a cell at click {click + 1}: is it on a membrane?")
+        own[part][cell] = outside + k
+
+
+def _nearest(cost: FloatArray, centres: Sequence[_Place], voxel: FloatArray) -> NDArray[np.intp]:
+    """Which centre each voxel is nearest to, by ways that avoid walls.
+
+    Where a wall has a gap, or is not seen at all, the border runs half-way.
+    """
+    ways = [_ways(cost, np.array([centre]), voxel) for centre in centres]
+    nearest: NDArray[np.intp] = np.argmin(ways, axis=0)
+    return nearest
+
+
+def _ways(cost: FloatArray, starts: NDArray[np.int_], voxel: FloatArray) -> FloatArray:
+    """Cost of the cheapest way from any of the starts; inf where there is none."""
+    ways: FloatArray = MCP_Geometric(cost, sampling=tuple(voxel)).find_costs(starts)[0]
+    return ways
+
+
+def _rounded(
+    mask: NDArray[np.bool_], place: _Place, voxel: FloatArray, size: float
+) -> NDArray[np.bool_]:
+    """The part around a place, without tongues, without holes."""
+    radius = _ROUND * size
+    core = ndimage.distance_transform_edt(np.pad(mask, 1), voxel)[1:-1, 1:-1, 1:-1] > radius
+    spot = np.ones(mask.shape, bool)
+    spot[place] = False
+    core |= mask & (ndimage.distance_transform_edt(spot, voxel) <= _MARKER * size)
+    parts, _ = ndimage.label(core)
+    kept = mask & (ndimage.distance_transform_edt(parts != parts[place], voxel) <= 1.7 * radius)
+    filled: NDArray[np.bool_] = ndimage.binary_fill_holes(kept)
+    return filled
+
+
+# Places ---------------------------------------------------------------------------------------
+
+
+def _voxels(
+    clicks: Sequence[Click], voxel: FloatArray, origin: FloatArray, shape: tuple[int, ...]
+) -> list[_Place]:
+    places = []
+    for k, click in enumerate(clicks):
+        index = np.floor((np.array(click.place) - origin) / voxel + 0.5).astype(int)
+        if ((index < 0) | (index >= shape)).any():
+            where = ", ".join(f"{value:g}" for value in click.place)
+            raise InputError(f"click {k + 1} ({where} um) lies outside the image")
+        places.append(tuple(int(i) for i in index))
+    return places
+
+
+def _label_at(labels: Labels, click: int, place: _Place) -> int:
+    if not labels[place]:
+        raise InputError(f"click {click + 1} lies in no cell")
+    return int(labels[place])
+
+
+def _typical(labels: Labels, voxel: FloatArray) -> float:
+    """um, the median diameter of the labels; a fifth of the image where there is none."""
+    counts = np.bincount(labels.ravel().clip(0))[1:]
+    counts = counts[counts > 0]
+    if not len(counts):
+        return float((np.array(labels.shape) * voxel).max()) / 5
+    return float(np.cbrt(6 / np.pi * np.median(counts) * np.prod(voxel)))

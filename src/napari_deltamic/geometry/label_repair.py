@@ -1,0 +1,237 @@
+"""Label images of segmentation programs made fit for meshes, with a sentence for every repair.
+
+Programs leave gaps between cells or let them overlap, cells in several parts, holes, numbers kept
+as floats. What can be put right without a guess is put right and said; what cannot is refused with
+what to do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from napari_deltamic.errors import InputError
+from napari_deltamic.geometry.mesh import FloatArray
+
+_NAMED = 6  # labels, at most, that a sentence names
+_SMALL_PART = 0.1  # a part of a label larger than this share of it may be a cell of its own
+
+
+@dataclass(frozen=True, eq=False)
+class RepairedLabels:
+    """A label image and what was done to it.
+
+    labels : (Z, Y, X) int32, each label in one part, without holes; 0 = outside.
+    repairs : a sentence for each change.
+    doubts : a sentence for each thing that may be wrong and was left as it is.
+    """
+
+    labels: NDArray[np.int32]
+    repairs: tuple[str, ...]
+    doubts: tuple[str, ...]
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """All that a user should know."""
+        return self.repairs + self.doubts
+
+
+def repair_labels(
+    labels: ArrayLike | Sequence[ArrayLike],
+    voxel_size: Sequence[float] | FloatArray = (1.0, 1.0, 1.0),
+    *,
+    gap: float = 0.0,
+) -> RepairedLabels:
+    """Bring a segmentation into the form that `mesh_from_labels` takes.
+
+    Whole numbers kept as floats become integers, holes are filled, of a label in several parts the
+    largest is kept, voxels that several layers claim go to the cell that they lie deepest in, gaps
+    up to a width are shared out. Labels that touch the border are kept and named: their surfaces
+    are closed there, where no membrane is.
+
+    Parameters
+    ----------
+    labels : (Z, Y, X) array, 0 = outside; or a list of such arrays or of masks that may overlap,
+        each label of each a cell of its own.
+    voxel_size : um, Z, Y, X.
+    gap : um; ground between labels that is narrower is shared out among them.
+
+    Raises
+    ------
+    InputError
+        Not 3D, different shapes, values that are no whole numbers of 0 or more, or no label.
+    """
+    size = np.asarray(voxel_size, np.float64)
+    if size.shape != (3,) or not np.isfinite(size).all() or (size <= 0).any():
+        raise InputError("voxel size must be 3 positive numbers (um, Z, Y, X)")
+    if isinstance(labels, (list, tuple)) and len(labels) and np.ndim(labels[0]) == 3:
+        layers = [_whole_numbers(layer) for layer in labels]
+    else:
+        layers = [_whole_numbers(labels)]
+    repairs: list[str] = []
+    numbers = layers[0] if len(layers) == 1 else _together(layers, size, repairs)
+    if not numbers.any():
+        raise InputError("the label image has no labels above 0")
+    numbers = _in_one_part(numbers, repairs)
+    if gap > 0:
+        numbers = _closed(numbers, size, gap, repairs)
+    return RepairedLabels(numbers, tuple(repairs), tuple(_doubts(numbers)))
+
+
+def _whole_numbers(labels: ArrayLike | Sequence[ArrayLike]) -> NDArray[np.int32]:
+    array: NDArray[Any] = np.asarray(labels)
+    if array.ndim == 2:
+        raise InputError("the labels are 2D: a 3D stack (Z, Y, X) of labels is needed")
+    if array.ndim != 3 or not array.size:
+        raise InputError(f"labels must be a 3D array (Z, Y, X), not one of shape {array.shape}")
+    if array.dtype == np.bool_:
+        return array.astype(np.int32)
+    if not np.issubdtype(array.dtype, np.number) or np.iscomplexobj(array):
+        raise InputError(f"labels must be whole numbers, not {array.dtype}")
+    if np.issubdtype(array.dtype, np.floating):
+        array = np.nan_to_num(array, nan=0.0, posinf=np.inf, neginf=-np.inf)
+        if not (array == np.round(array)).all():
+            raise InputError(
+                "the labels are not whole numbers: is this an image of probabilities or "
+                "intensities? Threshold and label it first"
+            )
+    if (array < 0).any():
+        raise InputError("labels must not be negative: 0 is outside, cells count from 1")
+    if array.max() > np.iinfo(np.int32).max:
+        raise InputError(f"label {array.max():.0f} is too large: number the cells from 1")
+    whole: NDArray[np.int32] = array.astype(np.int32)
+    return whole
+
+
+def _together(
+    layers: list[NDArray[np.int32]], size: FloatArray, repairs: list[str]
+) -> NDArray[np.int32]:
+    """One image of all; a voxel that several cells claim goes to the one it lies deepest in."""
+    shape = layers[0].shape
+    for layer in layers:
+        if layer.shape != shape:
+            raise InputError(f"label layers have shapes {shape} and {layer.shape}: they must agree")
+    result = np.zeros(shape, np.int32)
+    depth = np.zeros(shape, np.float32)
+    claimed = np.zeros(shape, bool)
+    number = 0
+    gone = []
+    for layer in layers:
+        boxes = ndimage.find_objects(layer)
+        for name, box in enumerate(boxes, 1):
+            if box is None:
+                continue
+            number += 1
+            own = np.pad(layer[box] == name, 1)
+            inside = ndimage.distance_transform_edt(own, size)[1:-1, 1:-1, 1:-1]
+            own = own[1:-1, 1:-1, 1:-1]
+            claimed[box] |= own & (result[box] > 0)
+            deeper = own & (inside > depth[box])
+            result[box][deeper] = number
+            depth[box][deeper] = inside[deeper]
+    gone = [k for k in range(1, number + 1) if not (result == k).any()] if claimed.any() else []
+    if claimed.any():
+        share = claimed.sum() / max(int((result > 0).sum()), 1)
+        repairs.append(
+            f"cells overlap in {claimed.sum()} voxels ({share:.1%} of all): each went to the cell "
+            "that it lies deepest in"
+        )
+    if gone:
+        lies = "lies" if len(gone) == 1 else "lie"
+        raise InputError(
+            f"{_listed('cell', gone)} (counted over all layers) {lies} wholly in others: "
+            "remove one of each pair"
+        )
+    return result
+
+
+def _in_one_part(numbers: NDArray[np.int32], repairs: list[str]) -> NDArray[np.int32]:
+    result = numbers.copy()
+    broken, large, holes = [], [], []
+    boxes = [(k, box) for k, box in enumerate(ndimage.find_objects(numbers), 1) if box is not None]
+    for name, box in boxes:
+        mask = numbers[box] == name
+        parts, count = ndimage.label(mask)
+        if count < 2:
+            continue
+        sizes = np.bincount(parts.ravel())[1:]
+        result[box][mask & (parts != int(sizes.argmax()) + 1)] = 0
+        broken.append(name)
+        if np.sort(sizes)[-2] > _SMALL_PART * mask.sum():
+            large.append(name)
+    # Fragments of others leave holes, too.
+    for name, box in boxes:
+        mask = result[box] == name
+        hole = ndimage.binary_fill_holes(mask) & (result[box] == 0)
+        if hole.any():
+            result[box][hole] = name
+            holes.append(name)
+    if broken:
+        repairs.append(f"{_listed('label', broken)}: in several parts; the largest was kept")
+    if large:
+        repairs.append(
+            f"{_listed('label', large)}: another large part was left out; if it is a cell, give it "
+            "a number of its own"
+        )
+    if holes:
+        repairs.append(f"{_listed('label', holes)}: holes were filled")
+    return result
+
+
+def _closed(
+    numbers: NDArray[np.int32], size: FloatArray, gap: float, repairs: list[str]
+) -> NDArray[np.int32]:
+    before = int((numbers > 0).sum())
+    # From the centres of voxels, which lie half a voxel inside.
+    reach = (gap + float(size.min())) / 2
+    result: NDArray[np.int32] = share_out_gaps(numbers, size, reach).astype(np.int32)
+    filled = int((result > 0).sum()) - before
+    if filled:
+        repairs.append(f"gaps up to {gap:g} um were shared out among the labels: {filled} voxels")
+    return result
+
+
+def share_out_gaps(numbers: NDArray[Any], spacing: FloatArray, reach: float) -> NDArray[Any]:
+    """Ground in gaps of twice the reach (a closing by a ball finds them) to the nearest label."""
+    room = int(np.ceil(reach / spacing.min())) + 1
+    ground = np.pad(numbers == 0, room, constant_values=True)
+    distance, nearest = ndimage.distance_transform_edt(ground, spacing, return_indices=True)
+    grown = distance <= reach + 1e-6
+    closed = ndimage.distance_transform_edt(grown, spacing) > reach + 1e-6
+    filled = np.pad(numbers, room)[tuple(nearest)]
+    inner = (slice(room, -room),) * 3
+    shared: NDArray[Any] = np.where(closed[inner] & (numbers == 0), filled[inner], numbers)
+    return shared
+
+
+def _doubts(numbers: NDArray[np.int32]) -> list[str]:
+    remarks = []
+    names = np.unique(numbers)
+    names = names[names > 0]
+    border = np.zeros(numbers.shape, bool)
+    for axis in range(3):
+        sides = np.moveaxis(border, axis, 0)
+        sides[[0, -1]] = True
+    cut = [int(k) for k in np.unique(numbers[border]) if k]
+    if cut:
+        remarks.append(
+            f"{_listed('label', cut)}: cut by the border of the image; the surface is closed there"
+        )
+    if len(names) == 1 and (numbers > 0).mean() > 0.5:
+        remarks.append(
+            "one label covers more than half of the image: is it the background? It should be 0"
+        )
+    return remarks
+
+
+def _listed(noun: str, names: Sequence[int]) -> str:
+    shown = [str(k) for k in names[:_NAMED]]
+    if len(names) > _NAMED:
+        shown.append(f"{len(names) - _NAMED} others")
+    words = ", ".join(shown[:-1]) + (" and " if len(shown) > 1 else "") + shown[-1]
+    return f"{noun}{'s' if len(names) > 1 else ''} {words}"

@@ -1,0 +1,14 @@
+"""The compiled part: remeshing, and what keeps surfaces apart."""
+
+from __future__ import annotations
+
+from types import ModuleType
+
+
+def native() -> ModuleType | None:
+    """The compiled extension, or None where it is missing."""
+    try:
+        from napari_deltamic.geometry import _remesh  # type: ignore[attr-defined]
+    except ImportError:
+        return None
+    return _remesh

@@ -1,0 +1,104 @@
+"""How alike two images are: MSE, PSNR and SSIM, on one scale of brightness."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf, log10
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from napari_deltamic.errors import InputError
+
+SSIM_SIGMA = 1.5  # voxels: the Gaussian window of the paper that introduced SSIM
+_C1, _C2 = 0.01**2, 0.03**2  # its constants, in squared ranges
+
+
+@dataclass(frozen=True)
+class ImageSimilarity:
+    """Of a rendered image to a measured one whose range is 1.
+
+    mse : mean squared difference.
+    psnr : peak signal-to-noise ratio, dB.
+    ssim : structural similarity, 1 for equal images.
+    amplitude, background : what brought the rendered image onto the scale of the measured one.
+    """
+
+    mse: float
+    psnr: float
+    ssim: float
+    amplitude: float
+    background: float
+
+
+def image_similarity(
+    measured: ArrayLike,
+    rendered: ArrayLike,
+    voxels: ArrayLike | None = None,
+    *,
+    window: Sequence[float] = (SSIM_SIGMA,) * 3,
+) -> ImageSimilarity:
+    """Compare a rendered image with a measured one; amplitude and background are solved for.
+
+    A rendered image has no scale of its own, so it is first brought onto that of the measured one
+    by least squares. The range of the measured image is that from its 0.1 to its 99.9 percentile.
+    SSIM is that of Z. Wang et al., "Image quality assessment: from error visibility to structural
+    similarity", IEEE Trans. Image Process. 13, 2004, with Gaussian windows in 3D.
+
+    Parameters
+    ----------
+    measured, rendered : (Z, Y, X)
+    voxels : (Z, Y, X) bool, those that count; default all. Not finite ones never do.
+    window : voxels, Z Y X: the standard deviations of the window of SSIM.
+
+    Raises
+    ------
+    InputError
+        Shapes differ, nothing is left to count, or the measured image is flat.
+    """
+    image, model = np.asarray(measured, np.float64), np.asarray(rendered, np.float64)
+    if image.shape != model.shape or image.ndim != 3:
+        raise InputError(f"images of one 3D shape are needed, not {image.shape} and {model.shape}")
+    counted = np.isfinite(image) & np.isfinite(model)
+    if voxels is not None:
+        counted &= np.asarray(voxels, bool)
+    if not counted.any():
+        raise InputError("no voxel is left to compare")
+    low, high = np.percentile(image[counted], (0.1, 99.9))
+    if not high > low:
+        raise InputError("the measured image is flat")
+    image = (np.where(counted, image, low) - low) / (high - low)
+    amplitude, background = _scale(model[counted], image[counted])
+    model = np.where(counted, amplitude * model + background, 0.0)
+    mse = float(((image - model)[counted] ** 2).mean())
+    ssim = float(_ssim(image, model, window)[counted].mean())
+    psnr = -10 * log10(mse) if mse > 0 else inf
+    span = float(high - low)
+    return ImageSimilarity(mse, psnr, ssim, amplitude * span, background * span + float(low))
+
+
+def _scale(model: NDArray[np.float64], image: NDArray[np.float64]) -> tuple[float, float]:
+    away = model - model.mean()
+    spread = float(away @ away)
+    amplitude = float(away @ (image - image.mean())) / spread if spread > 0 else 0.0
+    return amplitude, float(image.mean() - amplitude * model.mean())
+
+
+def _ssim(
+    a: NDArray[np.float64], b: NDArray[np.float64], window: Sequence[float]
+) -> NDArray[np.float64]:
+    def mean(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        smooth: NDArray[np.float64] = ndimage.gaussian_filter(x, window, truncate=3.5)
+        return smooth
+
+    mean_a, mean_b = mean(a), mean(b)
+    var_a, var_b = mean(a * a) - mean_a**2, mean(b * b) - mean_b**2
+    both = mean(a * b) - mean_a * mean_b
+    ssim: NDArray[np.float64] = (
+        (2 * mean_a * mean_b + _C1)
+        * (2 * both + _C2)
+        / ((mean_a**2 + mean_b**2 + _C1) * (var_a + var_b + _C2))
+    )
+    return ssim

@@ -1,0 +1,77 @@
+"""The table of tracked cells: one row for each cell in each frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import nan
+
+import numpy as np
+
+from ..inference.tracking import FrameResult, lineage
+from .cells import measure_cells
+
+TRACK_COLUMNS = (
+    "frame",
+    "time_s",
+    "cell",
+    "parent",
+    "volume_um3",
+    "area_um2",
+    "sphericity",
+    "centroid_z_um",
+    "centroid_y_um",
+    "centroid_x_um",
+    "displacement_um",
+    "neighbours",
+    "message",
+)
+TrackRow = dict[str, int | float | str]
+
+
+def measure_tracks(results: Sequence[FrameResult]) -> list[TrackRow]:
+    """Measure each cell in each frame.
+
+    Returns
+    -------
+    list of dict, by frame and cell, with the keys ``TRACK_COLUMNS``
+        parent : the cell that it was born of; 0 for none
+        displacement_um : of the centre since the last good frame; NaN in the first one
+        neighbours : the cells with which it shares a wall, with spaces between
+        message : what happened to it then; in its last frame, why it ends
+
+        The others are those of ``measure_cells``.
+    """
+    lives = {life.cell: life for life in lineage(results)}
+    last: dict[int, np.ndarray] = {}
+    rows: list[TrackRow] = []
+    for result in results:
+        if result.mesh is None:
+            continue
+        pairs = result.mesh.interfaces()[0]
+        told = {e.cell: e.text for e in result.events if e.kind == "alarm"}
+        for cell in measure_cells(result.mesh):
+            number = int(cell["region"])
+            life = lives[number]
+            center = np.array([cell[f"centroid_{axis}_um"] for axis in "zyx"])
+            others = pairs[(pairs == number).any(axis=1)].ravel()
+            others = sorted({int(k) for k in others} - {0, number})
+            words = [told.get(number, "")]
+            if life.parent and life.first == result.frame:
+                words.append(f"born of cell {life.parent}")
+            if life.end and life.last == result.frame:
+                words.append(life.end)
+            moved = np.linalg.norm(center - last[number]) if number in last else nan
+            rows.append(
+                {
+                    "frame": result.frame,
+                    "time_s": result.time,
+                    "cell": number,
+                    "parent": life.parent,
+                    **{key: cell[key] for key in TRACK_COLUMNS[4:10]},
+                    "displacement_um": float(moved),
+                    "neighbours": " ".join(map(str, others)),
+                    "message": "; ".join(filter(None, words)),
+                }
+            )
+            last[number] = center
+    return rows

@@ -1,0 +1,111 @@
+"""Corrections of found cells by clicks."""
+
+import numpy as np
+import pytest
+
+from napari_deltamic.errors import InputError
+from napari_deltamic.geometry.label_edits import Click, correct_labels, read_clicks_csv
+
+SIZE = (0.4, 0.2, 0.2)
+LEFT, RIGHT = (2.4, 3.0, 2.0), (2.4, 3.0, 5.0)
+
+
+def scene(wall=1.0, noise=0.02):
+    """Two cells side by side with a wall between them, and which is where (um voxels of SIZE)."""
+    z, y, x = np.indices((13, 31, 36)) * np.reshape(SIZE, (3, 1, 1, 1))
+    truth = np.zeros(z.shape, np.int32)
+    inside = (abs(z - 2.4) < 1.6) & (abs(y - 3.0) < 1.8)
+    truth[inside & (x > 0.6) & (x < 3.4)] = 1
+    truth[inside & (x >= 3.4) & (x < 6.4)] = 2
+    away = np.maximum(abs(z - 2.4) - 1.6, abs(y - 3.0) - 1.8)
+    hull = np.maximum(away, abs(x - 3.5) - 2.9)
+    image = np.exp(-((hull / 0.2) ** 2)) + wall * np.exp(-(((x - 3.4) / 0.2) ** 2)) * (hull < 0)
+    return image + noise * np.random.default_rng(0).normal(size=z.shape), truth
+
+
+def same(found, truth):
+    """Dice of two masks."""
+    return 2 * (found & truth).sum() / (found.sum() + truth.sum())
+
+
+@pytest.mark.parametrize(("wall", "least"), [(1.0, 0.9), (0.3, 0.9), (0.0, 0.8)])
+def test_one_click_cuts_a_label_at_the_wall_or_half_way(wall, least):
+    image, truth = scene(wall)
+    joined = (truth > 0).astype(np.int32)
+    done = correct_labels(image, SIZE, joined, [Click(LEFT)])
+    assert set(np.unique(done)) == {0, 1, 2}
+    assert same(done == 2, truth == 1) > least
+    assert same(done == 1, truth == 2) > least
+
+
+def test_several_clicks_in_a_label_divide_it_among_them():
+    image, truth = scene()
+    done = correct_labels(image, SIZE, 5 * (truth > 0), [Click(LEFT), Click(RIGHT)])
+    assert same(done == done[6, 15, 10], truth == 1) > 0.95
+    assert same(done == done[6, 15, 25], truth == 2) > 0.95
+
+
+def test_a_click_in_the_background_adds_the_cell_there_and_leaves_others_alone():
+    image, truth = scene()
+    only = np.where(truth == 1, 4, 0)
+    done = correct_labels(image, SIZE, only, [Click(RIGHT)])
+    assert np.array_equal(done == 4, only == 4)
+    assert same(done == 5, truth == 2) > 0.85
+
+
+def test_cells_are_merged_and_removed():
+    image, truth = scene()
+    merged = correct_labels(image, SIZE, truth, [Click(LEFT, "merge"), Click(RIGHT, "merge")])
+    assert set(np.unique(merged)) == {0, 1}
+    assert same(merged == 1, truth > 0) > 0.98
+    left = correct_labels(image, SIZE, truth, [Click(RIGHT, "remove")])
+    assert np.array_equal(left, np.where(truth == 1, 1, 0))
+
+
+@pytest.mark.parametrize(
+    ("clicks", "message"),
+    [
+        ([Click((0, 0, 90))], "click 1 .* outside the image"),
+        ([Click(LEFT, "merge")], "no partner"),
+        ([Click(LEFT, "merge"), Click(LEFT, "merge")], "same cell already"),
+        ([Click((0, 0, 0), "remove")], "lies in no cell"),
+    ],
+)
+def test_clicks_that_mean_nothing_are_told(clicks, message):
+    image, truth = scene()
+    with pytest.raises(InputError, match=message):
+        correct_labels(image, SIZE, truth, clicks)
+
+
+def test_labels_of_another_shape_are_refused():
+    image, truth = scene()
+    with pytest.raises(InputError, match="the labels have shape"):
+        correct_labels(image, SIZE, truth[1:], [Click(LEFT)])
+
+
+def test_clicks_are_read_from_a_file(tmp_path):
+    path = tmp_path / "clicks.csv"
+    path.write_text("z,y,x,action\n1,2,3,cell\n\n4,5,6,\n7,8,9,Merge\n")
+    assert read_clicks_csv(path) == [
+        Click((1, 2, 3)),
+        Click((4, 5, 6)),
+        Click((7, 8, 9), "merge"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("z,y,x\n1,2,3\n", "first line"),
+        ("z,y,x,action\n1,b,3,cell\n", "line 2"),
+        ("z,y,x,action\n1,2,3,fly\n", "one of cell, merge, remove"),
+        ("z,y,x,action\n1,2,nan,cell\n", "three numbers"),
+    ],
+)
+def test_a_damaged_file_is_told_with_its_line(tmp_path, text, message):
+    path = tmp_path / "clicks.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_clicks_csv(path)
+    with pytest.raises(InputError, match="cannot read"):
+        read_clicks_csv(tmp_path / "none.csv")
