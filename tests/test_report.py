@@ -15,6 +15,7 @@ from napari_deltamic.images import read_image
 from napari_deltamic.inference import FitState
 from napari_deltamic.picture import COLOURS, picture
 from napari_deltamic.report import FILES, History, write_results
+from napari_deltamic.scene.effects import Effects, Halo
 from napari_deltamic.settings import FitSettings, RunSettings, SceneSettings
 
 GRID = nd.Grid((12, 18, 20), (0.4, 0.2, 0.2), (1.0, 2.0, 3.0))
@@ -83,6 +84,27 @@ def test_all_files(tmp_path, mesh, rendered):
     assert RunSettings.from_toml(folder / "run.toml") == RUN
 
 
+def test_report_tells_what_became_of_the_effects(tmp_path, mesh, rendered):
+    scene = RUN.scene.model_copy(update={"effects": Effects.of("halo", "pixel_integration")})
+    run = RUN.model_copy(update={"scene": scene})
+    found = Effects.of(Halo(fraction=0.1, width=2.0), "pixel_integration", "bulk")
+    state, history = a_state(mesh, rendered, effects=found), a_history(mesh, rendered)
+    write_results(tmp_path, state, rendered, GRID, run, history, 1.5)
+    pixels, bulk, halo = json.loads((tmp_path / "report.json").read_text())["effects"]
+    assert pixels == {
+        "name": "pixel_integration",
+        "where": "fourier",
+        "fitted": False,
+        "numbers": [],
+    }
+    assert halo["fitted"]
+    assert halo["numbers"] == [
+        {"name": "fraction", "unit": "1", "start": 0.02, "value": 0.1},
+        {"name": "width", "unit": "um", "start": 1.0, "value": 2.0},
+    ]
+    assert bulk["numbers"][0]["start"] == 0.0  # it came on the way
+
+
 def test_report(tmp_path, mesh, rendered):
     state = a_state(mesh, rendered, background=nan)
     history = a_history(mesh, rendered)
@@ -101,6 +123,10 @@ def test_report(tmp_path, mesh, rendered):
     assert report["optics"] == {
         "model": "GaussianPSF",
         "sigma_um": pytest.approx([0.48, 0.24, 0.24]),
+        "parameters": {
+            f"sigma_{axis}": {"value": pytest.approx(value), "unit": "um", "fitted": True}
+            for axis, value in zip("zyx", (0.48, 0.24, 0.24), strict=True)
+        },
         "fitted": False,
     }
     assert report["effects"] == []

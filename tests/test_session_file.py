@@ -15,6 +15,7 @@ import napari_deltamic as nd
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import files, sphere
 from napari_deltamic.report import History
+from napari_deltamic.scene.effects import Effects, Halo
 from napari_deltamic.session_file import (
     SavedImage,
     SavedLayer,
@@ -62,6 +63,7 @@ def session(dtype=np.float32):
         blur=1.35,
         converged=True,
         message="converged",
+        effects=Effects.of(Halo(fraction=1 / 3), "pixel_integration"),
     )
     result = SavedResult(
         settings=settings(density="smooth", levels=(2.0, 1.0)),
@@ -127,7 +129,8 @@ def test_what_was_saved_is_what_is_reopened(tmp_path, dtype):
     a, b = after.result, before.result
     for name in ("settings", "history", "seconds", "verdict", "message"):
         assert getattr(a, name) == getattr(b, name)
-    for name in ("iteration", "loss", "amplitude", "background", "blur", "converged", "message"):
+    scalars = ("iteration", "loss", "amplitude", "background", "blur", "converged", "message")
+    for name in (*scalars, "effects"):
         assert getattr(a.state, name) == getattr(b.state, name)
     assert same(a.state.density, b.state.density)
     assert same_mesh(a.state.mesh, b.state.mesh)
@@ -158,6 +161,7 @@ def test_a_reopened_state_renders_as_before(tmp_path):
         nd.Grid(SHAPE, SIZE),
         before.result.state.optics,
         density=before.result.state.density,
+        effects=before.result.state.effects,
     ).numpy()
     expected = np.pi * clean - 2 / 7
     np.testing.assert_allclose(state.rendered(), expected, rtol=1e-5, atol=1e-6)

@@ -9,8 +9,29 @@ from . import _threads, fourier  # noqa: F401  (_threads before anything that lo
 from .errors import InputError
 from .geometry import Mesh, load_mesh, save_mesh
 from .inference import Change, FitState, fit
-from .optics import GaussianPSF
-from .scene import Grid, render
+from .optics import (
+    ConfocalPSF,
+    GaussianMixturePSF,
+    GaussianPSF,
+    GibsonLanniPSF,
+    LightSheetPSF,
+    MeasuredPSF,
+    PupilPSF,
+    ScalarPSF,
+    VectorialPSF,
+    microscope,
+)
+from .scene import (
+    Filament,
+    Grid,
+    Points,
+    Scene,
+    Solid,
+    Surface,
+    render,
+    render_scene,
+    simulate,
+)
 
 try:
     __version__ = version("napari-deltamic")
@@ -19,15 +40,31 @@ except PackageNotFoundError:  # running from a source tree that was never instal
 
 __all__ = [
     "Change",
+    "ConfocalPSF",
+    "Filament",
     "FitState",
+    "GaussianMixturePSF",
     "GaussianPSF",
+    "GibsonLanniPSF",
     "Grid",
     "InputError",
+    "LightSheetPSF",
+    "MeasuredPSF",
     "Mesh",
+    "Points",
+    "PupilPSF",
+    "ScalarPSF",
+    "Scene",
+    "Solid",
+    "Surface",
+    "VectorialPSF",
     "__version__",
     "fit",
     "fourier",
     "load_mesh",
+    "microscope",
     "render",
+    "render_scene",
     "save_mesh",
+    "simulate",
 ]

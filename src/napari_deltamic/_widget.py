@@ -14,6 +14,7 @@ from .gui.accuracy.accuracy_forecast import AccuracyForecast
 from .gui.accuracy.accuracy_measure import MeasureControl
 from .gui.attempt import attempt
 from .gui.editing.interaction import Interaction
+from .gui.effects.effects_check import EffectsCheck
 from .gui.panels.image_panel import ImagePanel
 from .gui.panels.preferences import read_preferences
 from .gui.panels.settings_panel import SettingsPanel
@@ -28,6 +29,8 @@ from .gui.running.run_panel import RunPanel
 from .gui.running.worker import FitRun
 from .gui.seeding.seeds import Seeds
 from .gui.seeding.seeds_panel import SeedsPanel
+from .gui.tracking.control import TrackControl
+from .gui.tracking.panel import TrackPanel
 from .gui.viewing.viewer_link import ViewerLink
 from .settings import RunSettings
 
@@ -57,8 +60,9 @@ class FitWidget(QWidget):
         self._docked = False
         self.image = ImagePanel(viewer, self)
         self.seeds = SeedsPanel(viewer, self.image, self)
-        self.settings = SettingsPanel(self.image, self)
+        self.settings = SettingsPanel(viewer, self.image, self)
         self.running = RunPanel(self)
+        self.track_panel = TrackPanel(self)
         self.results = ResultsPanel(lambda action: attempt(action, _warn), self)
         panels = Panels(self.image, self.seeds, self.settings, self.running, self.results)
         self._live = live = Live(panels=[self.image, self.seeds])
@@ -67,7 +71,12 @@ class FitWidget(QWidget):
         self.interaction = Interaction(viewer, self.control, panels, live, self)
         self.forecast = AccuracyForecast(viewer, panels, live, self.control, self)
         self.measuring = MeasureControl(viewer, panels, live, self.control, self.forecast, self)
-        live.panels += [self.forecast, self.measuring]
+        self.tracking = TrackControl(
+            viewer, self.track_panel, panels, live, self.control, _tell, _warn, self
+        )
+        self.checking = EffectsCheck(panels, live, self.control, self)
+        live.panels += [self.forecast, self.measuring, self.tracking, self.checking]
+        live.panels.append(self.settings.optics)
         self.parts = parts = Parts(viewer, panels, self.control, live)
         self.sessions = SessionBar(partial(capture, parts), partial(restore, parts), _warn, self)
         self.commands = CommandCopy(self._folder, self._copied, self._not_copied)
@@ -168,7 +177,8 @@ class FitWidget(QWidget):
         inner = QWidget(self)
         column = QVBoxLayout(inner)
         column.setContentsMargins(2, 2, 2, 2)
-        for panel in (self.image, self.seeds, self.settings, self.running, self.results):
+        panels = (self.image, self.seeds, self.settings, self.running)
+        for panel in (*panels, self.track_panel, self.results):
             column.addWidget(panel)
         column.addWidget(self.sessions)
         column.addStretch()

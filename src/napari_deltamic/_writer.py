@@ -16,7 +16,7 @@ from .gui.viewing.walls import joined
 
 
 def write_surface(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
-    """Write a Surface layer as a .ply, .obj, .stl, .rec or .off file, um.
+    """Write a Surface layer as a .ply, .obj, .stl, .rec, .off or .vtk file, um.
 
     The layer's scale counts, and its translation. Files of the layers of a fit, and of those that
     were read from a mesh file, have the centre of the image's first voxel at 0.
@@ -29,6 +29,10 @@ def write_surface(path: str, data: Any, attributes: dict[str, Any]) -> list[str]
     vertices, faces = np.asarray(data[0], float), np.asarray(data[1])
     if vertices.ndim != 2 or vertices.shape[1] < 3 or not len(faces):
         raise InputError("the layer holds no 3D surface")
+    if vertices.shape[1] > 3 and len(np.unique(vertices[:, :-3], axis=0)) > 1:
+        raise InputError(
+            "the layer holds surfaces of several times; 'Save all frames' saves tracked cells"
+        )
     vertices, faces = joined(vertices, faces, attributes.get("metadata", {}))
     um = np.array([_um(unit) for unit in attributes.get("units", ("um",) * 3)[-3:]])
     own = attributes.get("metadata", {}).get(OWN, {})

@@ -224,7 +224,7 @@ def _read_tiff(path: Path) -> _Stored:
         if not tif.series:
             raise InputError("the file holds no image")
         series = tif.series[0]
-        return series.asarray(), series.axes, _voxel_size(tif)
+        return series.asarray(), series.axes, tiff_voxel_size(tif)
 
 
 def _npy_header(path: Path) -> _Stored:
@@ -238,7 +238,7 @@ def _tiff_header(path: Path) -> _Stored:
             raise InputError("the file holds no image")
         series = tif.series[0]
         empty = _without_pixels(series.shape, np.dtype(series.dtype))
-        return empty, series.axes, _voxel_size(tif)
+        return empty, series.axes, tiff_voxel_size(tif)
 
 
 def _without_pixels(shape: Sequence[int], dtype: np.dtype[Any]) -> NDArray[Any]:
@@ -285,7 +285,7 @@ def _checked(array: NDArray[Any], axes: str = "") -> NDArray[Any]:
     return array.astype(array.dtype.newbyteorder("="), copy=False)
 
 
-def _voxel_size(tif: tifffile.TiffFile) -> VoxelSize | None:
+def tiff_voxel_size(tif: tifffile.TiffFile) -> VoxelSize | None:
     """um, Z Y X; None where the metadata does not say, or cannot be right."""
     try:
         size = _ome_size(tif) if tif.is_ome else _imagej_size(tif) if tif.is_imagej else None

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from .geometry import Mesh
 from .inference import FitState, counted_voxels, fit
 from .inference.default_accuracy import accuracy_for_image
-from .optics import GaussianPSF
+from .optics import GaussianPSF, Optics
+from .optics_settings import optics_from_values
 from .scene import Grid
-from .settings import NEAR_LEVELS, RunSettings
+from .settings import NEAR_LEVELS, RunSettings, SceneSettings
 
 # How near to the membranes starting surfaces lie: "rough" for meshes and spheres, "labels", or
 # "image" where all follow from points in the image alone (neighbours without a point would then
@@ -36,13 +37,42 @@ class FitInput:
     image: NDArray[Any]
     grid: Grid
     mesh: Mesh
-    optics: GaussianPSF
+    optics: Optics
     counted: NDArray[np.bool_] | None
 
     @property
     def has_missing(self) -> bool:
         """Whether some voxels are missing."""
         return bool(np.isnan(self.image).any())
+
+
+def optics_of(scene: SceneSettings) -> Optics:
+    """The PSF of the settings; a Gaussian of 1.2 voxels where they give none.
+
+    Raises
+    ------
+    InputError
+        If its numbers cannot be, or the file of a measured one cannot be used.
+    """
+    if scene.optics is not None:
+        return scene.optics.build()
+    return GaussianPSF(scene.sigma or [SIGMA_IN_VOXELS * d for d in scene.voxel_size])
+
+
+def scene_with(scene: SceneSettings, optics: Optics) -> SceneSettings:
+    """The settings of a scene whose PSF has moved on, in a fit for example.
+
+    What settings of that kind do not hold (the OTF of a bead) stays as it is.
+    """
+    if isinstance(optics, GaussianPSF):
+        if optics.diagonal:
+            return scene.model_copy(update={"sigma": optics.sigma_um, "optics": None})
+        rows = optics.covariance.detach().tolist()
+        tilted = optics_from_values({"kind": "gaussian", "covariance": rows})
+        return scene.model_copy(update={"sigma": None, "optics": tilted})
+    if scene.optics is None:
+        return scene
+    return scene.model_copy(update={"optics": scene.optics.moved(optics.described())})
 
 
 def assemble(
@@ -55,8 +85,7 @@ def assemble(
     if settings.fit.accuracy is None:
         found["accuracy"] = accuracy_for_image(image)
     settings = settings.model_copy(update={"fit": settings.fit.model_copy(update=found)})
-    sigma = settings.scene.sigma
-    optics = GaussianPSF(sigma or [SIGMA_IN_VOXELS * d for d in grid.voxel_size])
+    optics = optics_of(settings.scene)
     counted = counted_voxels(image, grid, mesh, optics) if kind == "image" else None
     return FitInput(settings, image, grid, mesh, optics, counted)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from math import isfinite
@@ -12,9 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import ArrayLike
 
 from .errors import InputError
+from .fourier.devices import choose_device
 from .fourier.native import threads
 from .geometry import save_mesh
 from .geometry.files import write_atomically
@@ -23,6 +25,7 @@ from .inference import FitState
 from .measure import measure_cells, write_csv
 from .picture import picture_png
 from .scene import Grid, Renderer
+from .scene.effects import Effects
 from .settings import RunSettings
 
 FILES = (
@@ -79,6 +82,7 @@ def write_results(
     seconds: float,
     *,
     warnings: Sequence[str] = (),
+    further: Mapping[str, Any] | None = None,
 ) -> list[Path]:
     """Write everything that a fit found; files of the same names are replaced.
 
@@ -97,6 +101,7 @@ def write_results(
     history : every state of the fit.
     seconds : s; how long the fit took.
     warnings : remarks that a reader of the report should see.
+    further : sections of the report besides those that every fit has.
 
     Returns
     -------
@@ -120,6 +125,7 @@ def write_results(
     write_atomically(png, picture_png(image, rendered, state.mesh, grid))
     # Last: where there is a report, the rest is complete.
     facts = describe(state, grid, settings, history, seconds, warnings)
+    facts |= plain_values(dict(further or {}))
     write_atomically(report, (json.dumps(facts, indent=2, allow_nan=False) + "\n").encode())
     return paths
 
@@ -135,8 +141,8 @@ def describe(
     """The content of ``report.json``: plain values; what is not finite is None."""
     fit = settings.fit
     facts = {
-        "version": _version("napari-deltamic"),
-        "engine": engine_used(state, grid, fit.image_accuracy),
+        "version": version_of("napari-deltamic"),
+        "engine": engine_used(state, grid, fit.image_accuracy, choose_device(fit.device)),
         "accuracy": fit.image_accuracy,
         "iterations": state.iteration,
         "seconds": round(seconds, 3),
@@ -146,9 +152,13 @@ def describe(
         "optics": {
             "model": type(state.optics).__name__,
             "sigma_um": list(state.optics.sigma_um),
+            "parameters": {
+                p.name: {"value": p.value, "unit": p.unit, "fitted": p.fitted}
+                for p in state.optics.described()
+            },
             "fitted": fit.fit_psf,
         },
-        "effects": list(settings.scene.effects),
+        "effects": effects_found(settings.scene.effects, state.effects),
         "amplitude": state.amplitude,
         "background": state.background,
         "mesh": {
@@ -165,17 +175,38 @@ def describe(
         "levels": history.levels(),
         "first_iteration": history.first,
         "loss": list(history.loss),
-        "versions": {name: _version(name) for name in PACKAGES},
+        "versions": {name: version_of(name) for name in PACKAGES},
     }
-    plain: dict[str, Any] = _plain(facts)
-    return plain
+    found: dict[str, Any] = plain_values(facts)
+    return found
 
 
-def engine_used(state: FitState, grid: Grid, accuracy: float) -> str:
+def effects_found(start: Effects, end: Effects) -> list[dict[str, Any]]:
+    """For each effect: where it acts, whether it was fitted, and its numbers before and after."""
+    found = []
+    for effect in end.present():
+        first = getattr(start, effect.name) or type(effect).neutral()
+        before = {v.name: v.value for v in first.values()}
+        found.append(
+            {
+                "name": effect.name,
+                "where": effect.where,
+                "fitted": bool(effect.fit and effect.bounds),
+                "numbers": [
+                    {"name": v.name, "unit": v.unit, "start": before.get(v.name), "value": v.value}
+                    for v in effect.values()
+                ],
+            }
+        )
+    return found
+
+
+def engine_used(state: FitState, grid: Grid, accuracy: float, device: torch.device) -> str:
     """What computes the images of a state at the last level, in words."""
-    method = Renderer(state.mesh, grid, state.optics, accuracy).plan.method
-    library = f" (finufft {_version('finufft')})" if method == "non-uniform" else ""
-    return f"cpu, {method}{library}, {threads()} threads"
+    method = Renderer(state.mesh, grid, state.optics, accuracy, device=device).plan.method
+    package = "cufinufft" if device.type == "cuda" else "finufft"
+    library = f" ({package} {version_of(package)})" if method == "non-uniform" else ""
+    return f"{device.type}, {method}{library}, {threads()} threads"
 
 
 def make_folder(folder: str | os.PathLike[str]) -> None:
@@ -190,21 +221,22 @@ def make_folder(folder: str | os.PathLike[str]) -> None:
         raise InputError(f"{folder}: cannot be written: {error.strerror}") from None
 
 
-def _version(package: str) -> str:
+def version_of(package: str) -> str:
+    """The version of an installed package; "unknown" where there is none."""
     try:
         return version(package)
     except PackageNotFoundError:
         return "unknown"
 
 
-def _plain(value: Any) -> Any:
+def plain_values(value: Any) -> Any:
     """Values that JSON knows, numpy's included."""
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain_values(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [plain_values(item) for item in value]
     if isinstance(value, np.generic):
-        return _plain(value.item())
+        return plain_values(value.item())
     if isinstance(value, float) and not isfinite(value):
         return None
     return value

@@ -22,9 +22,11 @@ from .archive import ArchiveReader, ArchiveWriter, MeshReader, MeshWriter, opene
 from .errors import InputError
 from .geometry import Mesh
 from .inference import FitState
+from .job import optics_of
 from .optics import GaussianPSF, Optics
 from .report import History
-from .scene import Grid, render
+from .scene import Grid, expected_image
+from .scene.effects import Effects
 from .settings import RunSettings, validated
 from .timeline import Moment
 
@@ -229,6 +231,7 @@ def _result_facts(
             **scalars,
             "mesh": meshes.add("state/vertices", state.mesh),
             "optics": _optics_facts(state.optics),
+            "effects": state.effects.to_dict(),
             "pinned": state.pinned is not None,
         },
         "first": history.first,
@@ -250,7 +253,7 @@ def _result_facts(
 
 def _optics_facts(optics: Optics) -> dict[str, Any]:
     if not isinstance(optics, GaussianPSF):
-        raise InputError(f"a PSF of the kind {type(optics).__name__} cannot be saved yet")
+        return {"model": "settings", "parameters": optics.parameters().tolist()}
     # Plain floats come back from JSON as they were.
     if optics.diagonal:
         return {"model": "gaussian", "sigma": list(optics.sigma_um)}
@@ -302,14 +305,16 @@ def _layer(archive: ArchiveReader, index: int, facts: Mapping[str, Any]) -> Save
 
 def _result(archive: ArchiveReader, facts: Mapping[str, Any], grid: Grid) -> SavedResult:
     settings, meshes = _settings(archive, "result.toml"), MeshReader(archive)
+    first = optics_of(settings.scene)  # a PSF of which states hold only what was fitted
     course = {name: archive.array(f"history/{name}").tolist() for name in ("loss", "level", "blur")}
     shown = facts["state"]
     scalars: dict[str, Any] = {name: nan if shown[name] is None else shown[name] for name in _STATE}
     state = FitState(
         mesh=meshes.mesh(shown["mesh"]),
-        optics=_optics(shown["optics"]),
+        optics=_optics(shown["optics"], first),
         density=archive.array("state/density"),
-        # Earlier versions did not save pins.
+        # Earlier versions saved neither effects nor pins.
+        effects=Effects(**shown.get("effects", settings.scene.effects.to_dict())),
         pinned=archive.array("state/pinned") if shown.get("pinned") else None,
         **scalars,
     )
@@ -327,7 +332,7 @@ def _result(archive: ArchiveReader, facts: Mapping[str, Any], grid: Grid) -> Sav
         start=meshes.mesh(facts["start"]) if facts["start"] else None,
         counted=archive.array("counted") if facts["counted"] else None,
         moments=tuple(
-            _moment(meshes, moment, row)
+            _moment(meshes, moment, row, first)
             for moment, row in zip(
                 facts["moments"], archive.array("moments/iteration_loss"), strict=True
             )
@@ -335,12 +340,14 @@ def _result(archive: ArchiveReader, facts: Mapping[str, Any], grid: Grid) -> Sav
     )
 
 
-def _moment(meshes: MeshReader, facts: Mapping[str, Any], row: NDArray[Any]) -> Moment:
+def _moment(
+    meshes: MeshReader, facts: Mapping[str, Any], row: NDArray[Any], first: Optics
+) -> Moment:
     return Moment(
         iteration=int(row[0]),
         loss=float(row[1]),
         mesh=meshes.mesh(facts["mesh"]),
-        optics=_optics(facts["optics"]),
+        optics=_optics(facts["optics"], first),
         note=str(facts["note"]),
     )
 
@@ -349,21 +356,23 @@ def _with_images(state: FitState, grid: Grid, settings: RunSettings) -> FitState
     """The state, able to render itself as it was during the fit."""
 
     def rendered() -> NDArray[np.float32]:
-        with torch.no_grad():
-            image = render(
-                state.mesh,
-                grid,
-                state.optics,
-                settings.fit.image_accuracy,
-                density=state.density,
-                pixel_integration="pixel_integration" in settings.scene.effects,
-            )
-        return (state.amplitude * image + state.background).to(torch.float32).numpy()
+        return expected_image(
+            state.mesh,
+            grid,
+            state.optics,
+            settings.fit.image_accuracy,
+            state.amplitude,
+            state.background,
+            density=state.density,
+            effects=state.effects,
+        )
 
     return replace(state, _render=rendered)
 
 
-def _optics(facts: Mapping[str, Any]) -> GaussianPSF:
+def _optics(facts: Mapping[str, Any], first: Optics) -> Optics:
+    if facts["model"] == "settings":
+        return first.with_parameters(torch.tensor(facts["parameters"], dtype=torch.float64))
     if facts["model"] != "gaussian":
         raise InputError(f"a PSF of the unknown kind {facts['model']}")
     if "sigma" in facts:

@@ -13,9 +13,20 @@ from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_serializer,
+    field_validator,
+    model_validator,
+)
 
 from .errors import InputError
+from .fourier.devices import DeviceChoice
+from .optics_settings import OpticsSettings
+from .scene.effects import KINDS, Effects
 
 Likelihood = Literal["poisson", "gaussian", "paper"]
 DensityModel = Literal["uniform", "interface", "smooth"]
@@ -24,13 +35,7 @@ Triple = tuple[float, float, float]
 # other's mesh, so seeds that already lie on the membranes start near.
 WIDE_LEVELS = (5.0, 3.2, 2.0, 1.35, 1.0)
 NEAR_LEVELS = (1.5, 1.0)
-# Optional parts of image formation, and what each does and costs.
-EFFECT_HELP = {
-    "pixel_integration": "a voxel collects light over its whole size instead of at its centre: "
-    "widens the image by 0.29 voxel; for voxels that are not much smaller than the PSF; takes no "
-    "time that can be measured",
-}
-EFFECTS: tuple[str, ...] = tuple(EFFECT_HELP)
+EFFECTS: tuple[str, ...] = tuple(KINDS)
 
 
 class _Model(BaseModel):
@@ -80,12 +85,21 @@ class FitSettings(_Model):
         description="remesh where triangles become slivers, at the edge length of the start",
     )
     collisions: bool = Field(
-        default=False,
-        description="no surface comes to cross itself or another; needs ipctk and makes a fit take "
-        "a tenth (few cells) to a third (20,000 triangles) longer",
+        default=True,
+        description="no surface comes to cross itself or another",
+    )
+    topology: bool = Field(
+        default=True,
+        description="cells may come to touch, part and exchange neighbours while the fit runs, and "
+        "surfaces that cross at the start are repaired; needs collisions",
     )
     max_iterations: Annotated[int, Field(ge=1)] = Field(
         default=3000, description="the fit gives up after this many iterations"
+    )
+    device: DeviceChoice = Field(
+        default="auto",
+        description="what computes: cpu, cuda (an NVIDIA GPU), mps (the GPU of a Mac); auto: an "
+        "NVIDIA GPU that can be used, else the CPU",
     )
 
     @property
@@ -119,7 +133,14 @@ class SceneSettings(_Model):
         default=None,
         description="standard deviations of the PSF, um, Z Y X; None: from the voxel size",
     )
-    effects: tuple[str, ...] = Field(default=(), description="optional parts of image formation")
+    optics: OpticsSettings | None = Field(
+        default=None,
+        description="the PSF, where it is not the Gaussian of sigma: a microscope, a measured PSF, "
+        "a mixture; a table with its kind",
+    )
+    effects: Effects = Field(
+        default=Effects(), description="optional parts of image formation; names, or a table each"
+    )
 
     @field_validator("voxel_size")
     @classmethod
@@ -142,13 +163,19 @@ class SceneSettings(_Model):
             raise ValueError(f"sigma must be positive (um), not {v}")
         return v
 
-    @field_validator("effects")
-    @classmethod
-    def _known_effects(cls, v: tuple[str, ...]) -> tuple[str, ...]:
-        for name in v:
-            if name not in EFFECTS:
-                raise ValueError(f"unknown effect '{name}': choose from {', '.join(EFFECTS)}")
-        return v
+    @model_validator(mode="after")
+    def _one_psf(self) -> SceneSettings:
+        if self.sigma is not None and self.optics is not None:
+            raise ValueError("sigma and optics both say what the PSF is: give one of them")
+        return self
+
+    @field_serializer("optics")
+    def _given(self, optics: Any) -> dict[str, Any] | None:
+        return None if optics is None else optics.model_dump(exclude_none=True)
+
+    @field_serializer("effects")
+    def _present(self, effects: Effects) -> dict[str, Any]:
+        return effects.to_dict()
 
 
 class RunSettings(_Model):
@@ -204,4 +231,6 @@ def _toml(value: Any) -> str:
             raise InputError(f"{value!r} is not a name that a text file can hold: rename it")
         # TOML's basic strings escape as JSON's do, and also the delete character.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{_toml(str(k))} = {_toml(v)}" for k, v in value.items()) + "}"
     return "[" + ", ".join(_toml(v) for v in value) + "]"

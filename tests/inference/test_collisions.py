@@ -1,19 +1,19 @@
 """Surfaces do not come to cross."""
 
-import builtins
-
 import numpy as np
 import pytest
 from synthetic import CENTER, GRID, OPTICS, RADIUS, VOXEL, apart, measured
 
 from napari_deltamic import Change, Mesh, fit
 from napari_deltamic.geometry import sphere
+from napari_deltamic.geometry.crossings import crosses
 from napari_deltamic.geometry.remeshing import Remeshed, can_remesh
-from napari_deltamic.inference.collisions import CollisionGuard, crosses
+from napari_deltamic.inference import collisions as module
+from napari_deltamic.inference.collisions import CollisionGuard
 from napari_deltamic.inference.upkeep import Upkeep
 from napari_deltamic.settings import FitSettings
 
-pytest.importorskip("ipctk")
+pytestmark = pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
 AT_ONCE = FitSettings(levels=(1.0,), max_iterations=10, collisions=True)
 
 
@@ -144,21 +144,13 @@ def test_steps_that_are_not_finite_are_not_asked_about():
     assert guarded(ball).limited(ball.vertices_numpy(), end) is end
 
 
-def test_without_ipctk_there_is_no_guard(monkeypatch):
-    there = builtins.__import__
-
-    def missing(name, *args, **kwargs):
-        if name == "ipctk":
-            raise ImportError(name)
-        return there(name, *args, **kwargs)
-
-    monkeypatch.setattr(builtins, "__import__", missing)
+def test_without_the_extension_there_is_no_guard(monkeypatch):
+    monkeypatch.setattr(module, "native", lambda: None)
     pair = balls((0, 0, 0), (0, 0, 1.5))
     guard = guarded(pair)
     end = pair.vertices_numpy() + 1
     assert guard.limited(pair.vertices_numpy(), end) is end
     assert guard.remark() == ""
-    assert not crosses(pair)
     assert guard.allows(pair)
     start = sphere(CENTER, RADIUS, subdivisions=2)
     assert len(list(fit(measured(), GRID, start, OPTICS, settings=AT_ONCE))) == 10
@@ -200,10 +192,19 @@ def test_cells_that_touch_do_not_cross(two):
 def test_a_start_that_crosses_is_fitted_and_told():
     z, y, x = CENTER
     starts = balls((z, y - 0.3, x), (z, y + 0.3, x), radius=0.5, subdivisions=2)
-    states = list(fit(measured(), GRID, starts, OPTICS, settings=AT_ONCE))
+    settings = AT_ONCE.model_copy(update={"topology": False})
+    states = list(fit(measured(), GRID, starts, OPTICS, settings=settings))
     assert len(states) == 10
     assert "regions 1 and 2 cross" in states[0].message
     assert not any("cross:" in s.message for s in states[1:])
+
+
+def test_a_start_that_crosses_is_repaired_and_told():
+    z, y, x = CENTER
+    starts = balls((z, y - 0.3, x), (z, y + 0.3, x), radius=0.5, subdivisions=2)
+    states = list(fit(measured(), GRID, starts, OPTICS, settings=AT_ONCE))
+    assert "cells 1 and 2 overlapped and now share a wall" in states[0].message
+    assert not any(crosses(s.mesh) for s in states)
 
 
 def test_a_change_may_cross_and_is_told(two):
@@ -218,7 +219,7 @@ def test_a_change_may_cross_and_is_told(two):
 
 
 def test_the_guard_can_be_switched_off(two, monkeypatch):
-    monkeypatch.setattr(CollisionGuard, "_part", None)
+    monkeypatch.setattr(module, "ceil", None)
     _, image, starts = two
     off = AT_ONCE.model_copy(update={"collisions": False})
     assert len(list(fit(image, GRID, starts, OPTICS, settings=off))) == 10
@@ -226,13 +227,12 @@ def test_the_guard_can_be_switched_off(two, monkeypatch):
         list(fit(image, GRID, starts, OPTICS, settings=AT_ONCE))
 
 
-@pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
 def test_a_remeshing_that_makes_surfaces_cross_is_not_taken(two, monkeypatch):
     _, image, starts = two
     crossing = balls((1.15, 1.3, 1.55), (1.15, 1.8, 1.55), radius=0.5, subdivisions=3)
     tried = []
 
-    def renewed(self, mesh, carried, fixed):
+    def renewed(self, mesh, carried, fixed, apart):
         tried.append(mesh)
         n = len(crossing.vertices)
         return Remeshed(crossing, np.zeros((n, carried.shape[1])), np.zeros(n, bool), 0, 0, 0)

@@ -6,6 +6,8 @@ from synthetic import CENTER, GRID, RADIUS, TRUTH, apart, fitted, measured, star
 
 from napari_deltamic import Grid, Mesh
 from napari_deltamic.geometry import sphere
+from napari_deltamic.geometry.foam import foam
+from napari_deltamic.geometry.remeshing import can_remesh
 from napari_deltamic.inference.density import DensityField
 from napari_deltamic.inference.preconditioner import Preconditioner
 from napari_deltamic.settings import FitSettings
@@ -41,6 +43,24 @@ def test_density_of_each_interface():
     assert_allclose(last.density[of_two][0] / last.density[~of_two][0], 3, rtol=0.05)
 
 
+@pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
+@pytest.mark.parametrize("noise", [None, 1])
+def test_density_of_a_double_bubbles_wall_counts_its_two_membranes(noise):
+    grid = Grid((28, 28, 40), (0.1, 0.1, 0.1))
+    centers, radii = np.array([(1.35, 1.35, 1.4), (1.35, 1.35, 2.5)]), np.array([0.8, 0.8])
+    truth = foam(centers, radii, 0.2)
+    names, of_face = truth.interfaces()
+    given = np.array([1.0, 1.3, 2.2])
+    image = measured(grid, truth, density=given[of_face], noise=noise)
+    moved = centers + np.array([(0.05, -0.06, 0.04), (-0.05, 0.03, 0.06)])
+    settings = FitSettings(density="interface", levels=(2.0, 1.35, 1.0))
+    last = fitted(image, foam(moved, radii - 0.06, 0.25), grid, settings=settings)
+    found_names, found_of = last.mesh.interfaces()
+    assert np.array_equal(found_names, names)
+    found = np.array([last.density[found_of == k].mean() for k in range(3)])
+    assert_allclose(found / found[0], given / given[0], rtol=0.05)
+
+
 def field(model, subdivisions=1):
     mesh = start(subdivisions)
     return mesh, DensityField(mesh, np.zeros(len(mesh.vertices), int), model)
@@ -53,10 +73,14 @@ def test_a_uniform_density_costs_nothing():
     assert_allclose(density.faces_numpy(), np.ones(len(mesh.faces)))
 
 
+def test_a_smooth_density_waits_and_that_of_interfaces_does_not():
+    assert field("smooth")[1].faces(active=False) is None
+    assert field("interface")[1].faces(active=False).requires_grad
+
+
 @pytest.mark.parametrize("model", ["smooth", "interface"])
-def test_nothing_is_rendered_before_the_density_is_active(model):
+def test_a_density_starts_uniform(model):
     _, density = field(model)
-    assert density.faces(active=False) is None
     faces = density.faces(active=True)
     assert faces.requires_grad
     assert_allclose(faces.detach(), 1)

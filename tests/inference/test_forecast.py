@@ -70,6 +70,8 @@ def test_finer_or_larger_or_freer_costs_more():
     for more in ({"fit_psf": True}, {"density": "smooth"}):
         assert expected(WIDE.model_copy(update=more)).seconds_per_iteration > each
     assert expected(NEAR).seconds < 0.7 * expected().seconds
+    assert expected(effects=("bulk",)).seconds_per_iteration > 1.2 * each
+    assert expected(effects=("attenuation",)).seconds_per_iteration == each
 
 
 def test_accuracy_zero_is_dear():

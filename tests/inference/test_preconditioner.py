@@ -2,12 +2,21 @@ import sys
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.sparse.linalg import spsolve
 
 from napari_deltamic import Mesh
 from napari_deltamic.geometry import sphere
+from napari_deltamic.geometry.foam import foam
+from napari_deltamic.geometry.remeshing import can_remesh
 from napari_deltamic.inference.optimiser import AdamUniform
-from napari_deltamic.inference.preconditioner import Preconditioner, adjacency, components
+from napari_deltamic.inference.preconditioner import (
+    Preconditioner,
+    adjacency,
+    components,
+    on_long_edges,
+)
 
 
 @pytest.fixture
@@ -141,3 +150,24 @@ def test_held_vertices_without_smoothing(mesh, gradient):
     step = Preconditioner(mesh, 0, held=held).solve(gradient)
     assert_array_equal(step[:3], 0)
     assert_array_equal(step[3:], gradient[3:])
+
+
+@pytest.mark.parametrize(("width", "expected"), [(1.0, 10.0), (0.5, 10.0), (0.25, 2.5)])
+def test_smoothing_reaches_as_far_on_long_edges(width, expected):
+    vertices = np.array([(0, 0, 0), (1, 0, 0), (0.5, np.sqrt(3) / 2, 0)])
+    triangle = Mesh(vertices, np.array([(0, 1, 2)]))
+    assert on_long_edges(10.0, triangle, width) == pytest.approx(expected)
+
+
+@pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
+def test_a_wall_is_not_held_straight_across_its_junctions():
+    mesh = foam(np.array([(0, 0, 0), (0, 0, 1.4)]), np.ones(2), 0.25)
+    ends = np.sort(mesh.faces[:, [1, 2, 2, 0, 0, 1]].reshape(-1, 2), axis=1)
+    edges, faces = np.unique(ends, axis=0, return_counts=True)
+    junction = np.zeros(len(mesh.vertices), bool)
+    junction[edges[faces > 2]] = True
+    moved = Preconditioner(mesh, 10.0).solve(junction[:, None] * np.ones((1, 3)))[:, 0]
+    a = adjacency(mesh)
+    plain = sp.eye(len(moved)) + 10.0 * (sp.diags(np.asarray(a.sum(1)).ravel()) - a)
+    uniform = spsolve(plain.tocsc(), junction.astype(float))
+    assert moved[junction].mean() > 1.3 * uniform[junction].mean()

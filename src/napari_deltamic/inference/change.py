@@ -9,6 +9,7 @@ import numpy as np
 from ..errors import InputError
 from ..geometry.mesh import Mesh
 from ..optics import Optics
+from ..scene.effects import Effects
 from ..settings import FitSettings
 
 
@@ -26,6 +27,8 @@ class Change:
         (V,) bool: vertices that stay where they are from now on; all False frees them.
     optics
         The PSF from now on; of the kind it had.
+    effects
+        All that are there from now on.
     settings
         Everything else; its levels must be those of the fit, or None.
     """
@@ -34,6 +37,7 @@ class Change:
     pinned: np.ndarray | None = None
     optics: Optics | None = None
     settings: FitSettings | None = None
+    effects: Effects | None = None
 
     def check(self, mesh: Mesh, optics: Optics, settings: FitSettings) -> None:
         """InputError if a fit of this mesh with these optics and settings cannot take it."""

@@ -34,7 +34,10 @@ class DensityField:
         }[model]
         self.log = np.zeros(count)
         groups = pieces if model == "smooth" else np.arange(count)
-        self._adam = AdamUniform(groups, 1)
+        # One number for each interface: the size of its steps follows it closely, or it would
+        # crawl towards the end, its first gradients in mind.
+        betas = (0.9, 0.9) if model == "interface" else (0.9, 0.99)
+        self._adam = AdamUniform(groups, 1, betas)
         self._leaf: Tensor | None = None
 
     def _per_face(self, log: Tensor) -> Tensor:
@@ -48,8 +51,14 @@ class DensityField:
         return self.log if self.model == "smooth" else None
 
     def faces(self, active: bool) -> Tensor | None:
-        """(F,) density to render with, tracking gradients; None where it is uniform."""
+        """(F,) density to render with, tracking gradients; None where it is uniform.
+
+        A smooth one waits until it is active. Numbers of interfaces are too few to stand in for
+        shape; held back, the shape would stand in for them: a wall crumples where it is brighter
+        than the rest.
+        """
         self._leaf = None
+        active = active or self.model == "interface"
         if self.model == "uniform" or not (active or self.log.any()):
             return None
         self._leaf = torch.from_numpy(self.log.copy()).requires_grad_(active)

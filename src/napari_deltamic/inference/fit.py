@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from ..errors import InputError
+from ..fourier.devices import choose_device
 from ..fourier.plan import check_accuracy
+from ..geometry.crossings import crosses
 from ..geometry.mesh import Mesh
+from ..geometry.topology import untangled
 from ..optics import Optics
 from ..scene import Grid
-from ..settings import EFFECTS, WIDE_LEVELS, FitSettings
+from ..scene.effects import Effects, as_effects
+from ..settings import WIDE_LEVELS, FitSettings
 from .change import Change
 from .checks import check_image, check_mesh, hot_voxels
 from .default_accuracy import accuracy_for_image
 from .level import FEWEST_VOXELS
 from .likelihood import noise_ratio, smoothing_for
+from .preconditioner import on_long_edges
 from .run import Run
+from .second_view import Pixels
 from .state import FitState, load_checkpoint
 
 
@@ -33,7 +40,8 @@ def fit(
     *,
     settings: FitSettings | None = None,
     counted: np.ndarray | None = None,
-    effects: tuple[str, ...] = (),
+    effects: Effects | Sequence[str] = (),
+    second: np.ndarray | None = None,
     resume: str | Path | None = None,
 ) -> Generator[FitState, Change | None, None]:
     """Fit a mesh to an image; yields a state after every iteration and ends by itself.
@@ -59,22 +67,26 @@ def fit(
         (Z, Y, X) bool: voxels that may count. Ground that belongs to what no mesh describes should
         be left out, or it pulls.
     effects
-        Optional parts of image formation by name.
+        Optional parts of image formation, or their names, which stand for their defaults. Their
+        numbers are fitted together with the PSF unless they say ``fit=False``.
+    second
+        (Z, Y, X) second image of the same scene, where the effects hold a second view; by default
+        that of its file.
     resume
         A checkpoint written by :meth:`FitState.save` to go on from.
 
     Raises
     ------
     InputError
-        If the image is not 3D, empty, flat or has no finite voxel, or the mesh lies outside it.
+        If the image is not 3D, empty, flat or has no finite voxel, the mesh lies outside it, or
+        the device of the settings cannot be used.
     """
     settings = settings or FitSettings()
     if accuracy is not None:
         settings = settings.model_copy(update={"accuracy": float(accuracy)})
     check_accuracy(settings.image_accuracy)
-    for name in effects:
-        if name not in EFFECTS:
-            raise InputError(f"unknown effect '{name}': choose from {', '.join(EFFECTS)}")
+    choose_device(settings.device)  # one that cannot be used is told now
+    effects = as_effects(effects)
     pixels, known = check_image(image, grid)
     if counted is not None:
         if counted.shape != grid.shape:
@@ -85,20 +97,55 @@ def fit(
     if known.sum() < FEWEST_VOXELS:
         raise InputError(f"only {known.sum()} voxels count; a fit needs {FEWEST_VOXELS}")
     check_mesh(mesh, grid)
-    settings = _completed(settings, pixels, known)
-    run = Run(pixels, known, grid, mesh, optics, settings, effects)
+    settings = _completed(settings, pixels, known, mesh, optics)
+    mesh, repairs = _apart(mesh, settings)
+    view = None
+    if effects.second_view is not None:
+        view = Pixels(second, grid, effects.second_view)
+        if counted is not None:
+            view.restricted(counted)
+    run = Run(pixels, known, grid, mesh, optics, settings, effects, view)
     if resume is not None:
         run.load(load_checkpoint(resume))
+    remarks = list(repairs)
     if hot.any():
-        run.remark = f"{hot.sum()} hot voxels, brighter than any PSF can make one, are left out"
-    return run.states()
+        remarks += [f"{hot.sum()} hot voxels, brighter than any PSF can make one, are left out"]
+    run.remark = "; ".join(remarks)
+    return _states(run)
 
 
-def _completed(settings: FitSettings, pixels: np.ndarray, known: np.ndarray) -> FitSettings:
+def _states(run: Run) -> Generator[FitState, Change | None, None]:
+    """Those of the run; where a GPU is too small for it, the CPU takes over and says so."""
+    try:
+        yield from run.states()
+        return
+    except torch.OutOfMemoryError:
+        if run.settings.device == "cpu":
+            raise
+    run.settings = run.settings.model_copy(update={"device": "cpu"})
+    run.remark = "the memory of the GPU does not suffice: the fit goes on on the CPU"
+    yield from run.states()
+
+
+def _apart(mesh: Mesh, settings: FitSettings) -> tuple[Mesh, tuple[str, ...]]:
+    """The mesh without surfaces that cross, where that can be repaired, and what was done."""
+    if not (settings.topology and settings.collisions and crosses(mesh)):
+        return mesh, ()
+    try:
+        done = untangled(mesh)
+    except InputError:
+        return mesh, ()  # the guard tells which surfaces cross
+    return done.mesh, done.events
+
+
+def _completed(
+    settings: FitSettings, pixels: np.ndarray, known: np.ndarray, mesh: Mesh, optics: Optics
+) -> FitSettings:
     """The settings with what was left to the software filled in."""
     found: dict[str, Any] = {"levels": settings.levels or WIDE_LEVELS}
     if settings.smoothing is None:
-        found["smoothing"] = smoothing_for(noise_ratio(pixels, known))
+        smoothing = smoothing_for(noise_ratio(pixels, known))
+        found["smoothing"] = on_long_edges(smoothing, mesh, min(optics.sigma_um))
     if settings.accuracy is None:
         found["accuracy"] = accuracy_for_image(pixels, known)
     return settings.model_copy(update=found)

@@ -15,8 +15,10 @@ from ..fourier.plan import Method, Plan
 from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..scene import Grid, Renderer
+from ..scene.effects import Effects, as_effects
 from ..settings import WIDE_LEVELS, FitSettings
 from .default_accuracy import accuracy_for_image
+from .evidence.price import milliseconds
 from .level import FEWEST_VOXELS, LevelShape, level_shape
 
 # Iterations of a level, from measured fits with other settings by default. Seeds near the
@@ -172,7 +174,7 @@ def forecast(
     optics: Optics,
     settings: FitSettings,
     counted: np.ndarray | None = None,
-    effects: Sequence[str] = (),
+    effects: Effects | Sequence[str] = (),
     costs: Costs | None = None,
 ) -> Forecast:
     """What a fit with these arguments is expected to take; nothing is rendered.
@@ -194,6 +196,7 @@ def forecast(
     costs = costs or known_costs()
     if settings.accuracy is None:
         settings = settings.model_copy(update={"accuracy": accuracy_for_image(image)})
+    chosen = as_effects(effects)
     factors = settings.levels or WIDE_LEVELS
     surface = _surface(mesh)
     share = 1.0 if counted is None else float(np.mean(np.asarray(counted, dtype=bool)))
@@ -205,8 +208,17 @@ def forecast(
             continue
         near = min(voxels, _near(shape.grid, optics, settings.reach, factor, surface))
         plan = Renderer(
-            mesh, shape.grid, optics, shape.accuracy, blur=shape.blur, margin=2 * shape.width
+            mesh,
+            shape.grid,
+            optics,
+            shape.accuracy,
+            blur=shape.blur,
+            effects=chosen,
+            frame=grid,
+            margin=2 * shape.width,
         ).plan
+        each = _iteration(costs, plan, shape, mesh, near, settings, factor)
+        each += sum(milliseconds(e, plan, shape.grid, costs) for e in chosen.present()) / 1e3
         found.append(
             LevelForecast(
                 number=number,
@@ -214,7 +226,7 @@ def forecast(
                 shape=shape.grid.shape,
                 method=plan.method,
                 accuracy=shape.accuracy,
-                seconds_per_iteration=_iteration(costs, plan, shape, mesh, near, settings, factor),
+                seconds_per_iteration=each,
                 iterations=_iterations(settings, factors, number, not found),
                 preparation=_preparation(costs, shape, grid, mesh),
             )

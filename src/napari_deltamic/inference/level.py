@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import sqrt
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from math import ceil, sqrt
+from typing import Any
 
 import numpy as np
 import torch
@@ -11,9 +13,13 @@ from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
 from ..errors import InputError
+from ..fourier.devices import choose_device, widest
 from ..geometry.mesh import Mesh
-from ..optics import Optics
+from ..optics import GaussianPSF, Optics
+from ..optics.sharpest import Sharpest
 from ..scene import Grid, Renderer
+from ..scene.effects import Effects, VoxelEffect
+from ..scene.render import offset
 from ..settings import FitSettings
 from .likelihood import ImageNoise, solve_scale
 
@@ -33,7 +39,8 @@ class Voxels:
 
     def of(self, image: Tensor) -> Tensor:
         """Their values in an image (Z, Y, X)."""
-        return image.reshape(-1)[self.index]
+        # Unlike indexing, whose gradient sorts, since an index might come twice.
+        return image.to(self.index.device).reshape(-1).index_select(0, self.index)
 
 
 @dataclass(frozen=True)
@@ -90,6 +97,10 @@ class Level:
         Of the fit.
     factor
         Width of the blurred PSF relative to the PSF; 1 at the last level.
+    second
+        Another PSF that images are rendered through.
+    halo
+        um: voxels count as far from the surface's own image as this, where there is a halo.
     """
 
     def __init__(
@@ -99,23 +110,35 @@ class Level:
         grid: Grid,
         optics: Optics,
         settings: FitSettings,
-        effects: tuple[str, ...],
+        effects: Effects,
         factor: float,
+        second: GaussianPSF | None = None,
+        halo: float = 0.0,
     ) -> None:
         self.factor = factor
         self.settings = settings
-        self._effects = effects
+        self.frame = grid
+        self._second = second
         shape = level_shape(grid, optics, settings, factor)
         self.blur, self.accuracy, self.width = shape.blur, shape.accuracy, shape.width
         self.smoothing = (settings.smoothing or 0.0) * factor
         self._sample = tuple(slice(None, None, s) for s in shape.step)
         self.grid = shape.grid
         self.volume_ratio = float(1 / np.prod(shape.step))
-        self.target, self._counted = self._blurred(image, counted, grid)
+        for effect in effects.present():
+            if isinstance(effect, VoxelEffect):
+                counted = counted & ~effect.missing(image)
+        self.device = choose_device(settings.device)
+        blurred = self._blurred(image, counted, grid)
+        self.target, self._counted = (t.to(self.device) for t in blurred)
         # Where the blur is wider than the field of view, hardly a voxel is left to go by.
         self.usable = int(self._counted.sum()) >= FEWEST_VOXELS
         if self.usable:
-            self.noise = ImageNoise(self.target[self._counted], settings.likelihood)
+            self.noise = ImageNoise(
+                self.target[self._counted], settings.likelihood, camera=effects.camera
+            )
+        self._take(effects)
+        self._halo = None if effects.halo is None else halo
         self._renderer: Renderer | None = None
         self._planned_width: np.ndarray | None = None
         self._voxels: Voxels | None = None
@@ -146,6 +169,26 @@ class Level:
         """Make plan and voxels anew at the next iteration: the mesh was moved by hand."""
         self._age = 0
 
+    def _take(self, effects: Effects) -> None:
+        self.effects = effects
+        found = offset(effects, self.grid, self.frame)
+        self._offset = None if found is None else found.to(self.device, widest(self.device))
+
+    def set_effects(self, effects: Effects) -> None:
+        """Go on with other numbers of the same effects."""
+        self._take(effects)
+        if self._renderer is not None:
+            self._renderer = self._renderer.with_effects(effects)
+        if self._voxels is not None and self._offset is not None:
+            self._voxels = replace(self._voxels, measured=self._measured(self._voxels.index))
+
+    def _measured(self, index: Tensor) -> Tensor:
+        """Measured values of voxels, without what effects add to the image."""
+        measured = self.target.reshape(-1)[index]
+        if self._offset is None:
+            return measured
+        return measured - self._offset.reshape(-1)[index].to(measured.dtype)
+
     # ------------------------------------------------------------------------------- rendering
 
     def renderer(self, mesh: Mesh, optics: Optics) -> Renderer:
@@ -161,15 +204,19 @@ class Level:
         if stale:
             # With a PSF that is being fitted the band reaches further: cut at today's width, it
             # would hide what a sharper PSF explains.
-            sharper = optics if not self.settings.fit_psf else _scaled(optics, 0.9)
+            sharper: Any = optics if not self.settings.fit_psf else optics.sharpened(0.9)
+            if self._second is not None:
+                sharper = Sharpest(sharper, self._second)
             self._renderer = Renderer(
                 mesh,
                 self.grid,
                 sharper,
                 self.accuracy,
                 blur=self.blur,
-                pixel_integration="pixel_integration" in self._effects,
+                effects=self.effects,
+                frame=self.frame,
                 margin=2 * self.width,
+                device=self.device,
             )
             self._planned_width = width
         assert self._renderer is not None
@@ -179,28 +226,49 @@ class Level:
         """Image per voxel of the fine grid, whatever the spacing of this one."""
         return renderer.image(transform, otf) * self.volume_ratio
 
+    def with_effects(
+        self, renderer: Renderer, transform: Tensor, optics: Optics, effects: Effects
+    ) -> Tensor:
+        """The image of a transform with other effects than it was made with; no gradient."""
+        with torch.no_grad():
+            other = renderer.with_effects(effects)
+            return self.rendered(other, transform.detach(), other.otf(optics))
+
     # ---------------------------------------------------------------------------------- voxels
 
-    def voxels(self, rendered: Tensor) -> Voxels:
+    def voxels(self, rendered: Tensor, plain: Callable[[Effects], Tensor] | None = None) -> Voxels:
         """The voxels that count: near the surface, known, weighted by the likelihood.
 
-        Looked at anew every few iterations, as the surface moves.
+        Looked at anew every few iterations, as the surface moves. ``plain`` renders the same with
+        other effects: a halo is seen everywhere, and would have everything count.
         """
         self._age += 1
         if self._voxels is not None and self._age % _REFRESH_EVERY != 1:
             return self._voxels
-        inside = (rendered > self._image_at_reach()) & self._counted
+        if self._halo is None or plain is None:
+            near = rendered > self._image_at_reach()
+        else:
+            near = plain(self.effects.without("halo")) > self._image_at_reach()
+            near = _dilated(near, [self._halo / d for d in self.grid.voxel_size])
+        inside = near & self._counted
         index = torch.nonzero((inside if bool(inside.any()) else self._counted).reshape(-1))[:, 0]
-        measured, model = self.target.reshape(-1)[index], rendered.reshape(-1)[index]
+        measured, model = self._measured(index), rendered.reshape(-1)[index]
         if self.noise.kind == "poisson":
             a, b, _ = solve_scale(model, measured, torch.ones_like(measured))
-            weights = self.noise.weights(measured, a * model + b)
+            expected = a * model + b
+            if self._offset is not None:
+                expected = expected + self._offset.reshape(-1)[index].to(expected.dtype)
+            weights = self.noise.weights(measured, expected)
         else:
-            weights = self.noise.weights(measured, None)
+            weights = self.noise.weights(self.target.reshape(-1)[index], None)
         if not bool(measured.min() < measured.max()):
             raise InputError("the image is flat wherever the mesh reaches: start nearer to it")
         self._voxels = Voxels(index, measured, weights)
         return self._voxels
+
+    def reach_of(self, optics: Optics) -> None:
+        """Take the reach of this PSF, where images are rendered by another level."""
+        self._planned_width = np.asarray(optics.sigma_um)
 
     def _image_at_reach(self) -> float:
         """What a flat membrane of density 1 gives a voxel at the reach from it."""
@@ -209,7 +277,12 @@ class Level:
         return float(np.exp(-(self.settings.reach**2) / 2) / (sqrt(2 * np.pi) * sigma) * volume)
 
 
-def _scaled(optics: Optics, factor: float) -> Optics:
-    p = optics.parameters().detach().clone()
-    p[:3] += float(np.log(factor))
-    return optics.with_parameters(p)
+def _dilated(mask: Tensor, voxels: Sequence[float]) -> Tensor:
+    """A mask (Z, Y, X) and what lies within so many voxels of it along each axis."""
+    grown = mask[None, None].to(torch.float32)
+    for axis, n in enumerate(voxels):
+        half = [0, 0, 0]
+        half[axis] = min(ceil(n), mask.shape[axis] - 1)
+        size = [2 * h + 1 for h in half]
+        grown = torch.nn.functional.max_pool3d(grown, size, stride=1, padding=half)
+    return grown[0, 0] > 0

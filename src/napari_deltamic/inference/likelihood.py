@@ -9,6 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..fourier.devices import widest
+from ..scene.effects import Camera
 from ..settings import Likelihood
 
 
@@ -31,16 +33,28 @@ class ImageNoise:
 
     ``"poisson"``: variance in proportion to the (detached) model above the dark level, and a floor.
     It needs the dark level and the scale of the image only, both from its histogram; gain cancels.
+    A camera that is known replaces both.
     ``"gaussian"``: all alike. ``"paper"``: the measured intensity, as in the paper, which costs
     about three times the photons and shifts the background by one.
     """
 
-    def __init__(self, measured: Tensor, kind: Likelihood, floor: float = 0.05) -> None:
+    def __init__(
+        self,
+        measured: Tensor,
+        kind: Likelihood,
+        floor: float = 0.05,
+        camera: Camera | None = None,
+    ) -> None:
         self.kind = kind
         sample = measured.reshape(-1)[:: max(1, measured.numel() // 200_000)]
-        low, high = (float(torch.quantile(sample.to(torch.float64), q)) for q in (0.01, 0.999))
+        low, high = (float(torch.quantile(sample.to(widest(sample.device)), q)) for q in (0.01, 0.999))
         self.dark = low
         self.floor = max(floor * (high - low), 1e-12 * max(abs(high), 1.0))
+        if camera is not None:
+            # Its variance, gain (model - offset) + read noise^2, over the gain; a floor below a
+            # hundredth of the range would let a few dark voxels outweigh all others.
+            self.dark = camera.offset
+            self.floor = max(camera.read_noise**2 / camera.gain, self.floor / 5)
 
     def weights(self, measured: Tensor, model: Tensor | None) -> Tensor:
         """Weights of voxels, given what the model shows there (None: the measured values)."""
@@ -86,18 +100,20 @@ def solve_scale(rendered: Tensor, measured: Tensor, weights: Tensor) -> tuple[fl
     A free amplitude turns negative near a bad start, and the mesh then runs away from the membrane:
     it stays above a small positive bound.
     """
-    w, m, y = (t.to(torch.float64) for t in (weights, rendered, measured))
+    wide = widest(rendered.device)
+    tiny = 1e-300 if wide == torch.float64 else 1e-30
+    w, m, y = (t.to(wide) for t in (weights, rendered, measured))
     if not bool(torch.dot(w, (m - m.mean()) ** 2) > 0):
-        return 0.0, float(torch.dot(w, y) / w.sum().clamp(min=1e-300)), True
-    total = w.sum().clamp(min=1e-300)
+        return 0.0, float(torch.dot(w, y) / w.sum().clamp(min=tiny)), True
+    total = w.sum().clamp(min=tiny)
     m, y = m - torch.dot(w, m) / total, y - torch.dot(w, y) / total
     wm = w * m
-    var_m = torch.dot(wm, m).clamp(min=1e-300)
+    var_m = torch.dot(wm, m).clamp(min=tiny)
     least = 0.05 * torch.sqrt(torch.dot(w * y, y) / var_m)
     amplitude = torch.dot(wm, y) / var_m
     bounded = bool(amplitude < least)
     amplitude = torch.maximum(amplitude, least)
-    means = torch.dot(w, measured.to(torch.float64)), torch.dot(w, rendered.to(torch.float64))
+    means = torch.dot(w, measured.to(wide)), torch.dot(w, rendered.to(wide))
     return float(amplitude), float((means[0] - amplitude * means[1]) / total), bounded
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Generator
 from dataclasses import replace
 
@@ -10,21 +9,24 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from ..errors import InputError
 from ..geometry.mesh import Mesh
 from ..optics import Optics
-from ..scene import Grid, render
+from ..scene import Grid, expected_image
+from ..scene.effects import Effects
 from ..settings import WIDE_LEVELS, FitSettings
+from . import checkpoint
 from .change import Change
 from .collisions import CollisionGuard
 from .density import DensityField
 from .health import GrowthAlarm, shrunken
+from .imaging_step import Imaging, imaging_step
 from .level import Level
 from .likelihood import Match, match
 from .optimiser import AdamUniform
 from .preconditioner import Preconditioner, components
-from .psf_step import psf_step
+from .second_view import Pixels, SecondTerm
 from .state import FitState
+from .topology import TopologyKeeper
 from .upkeep import Upkeep
 
 _WINDOW = 12  # iterations over which a level must gain
@@ -50,15 +52,19 @@ class Run:
         mesh: Mesh,
         optics: Optics,
         settings: FitSettings,
-        effects: tuple[str, ...],
+        effects: Effects,
+        second: Pixels | None = None,
     ) -> None:
+        self.second = second
         self.image, self.counted, self.grid = image, counted, grid
-        self.settings, self.effects = settings, effects
+        self.settings = settings
+        self.effects = self.first_effects = effects
         self.levels = settings.levels or WIDE_LEVELS
         self.growth = GrowthAlarm(mesh)
         self.upkeep = Upkeep(mesh)
         self.guard = CollisionGuard(settings.collisions)
-        self.seed = _seed(mesh)
+        self.topology = TopologyKeeper()
+        self.seed = checkpoint.seed(mesh)
         self.mesh = mesh.with_vertices(mesh.vertices_numpy().copy())
         self.optics = self.first_optics = optics.detach()
         self.pieces = components(mesh)
@@ -86,22 +92,25 @@ class Run:
         for number in range(first, len(levels)):
             if number > first or self.iteration == 0:
                 self._enter(number)
-            self.level = self._new_level()
+            self._make_level()
             last = number == len(levels) - 1
             if not (self.level.usable or last):
                 continue
-            self._hold()
+            self.hold()
             while True:
                 state = self._iterate()
                 finished = self._settled(last)
                 warning = "" if self.iteration % _WINDOW else self.growth.check(self.mesh)
                 over = self.iteration - self.changed_at >= self.settings.max_iterations
+                if finished and last and not over and self.topology.holds_up(self):
+                    finished = False
+                    self._enter(number)
                 ends = (finished and last) or over
                 if ends:
                     state = self._verdict(state, finished and last, warning)
                 else:
-                    remarks = "; ".join(filter(None, (self.remark, self.guard.remark(), warning)))
-                    state = replace(state, message=remarks)
+                    told = (self.remark, self.guard.remark(), *state.events, warning)
+                    state = replace(state, message="; ".join(filter(None, told)))
                 self.remark = ""
                 change = yield state
                 if change is not None:
@@ -109,20 +118,19 @@ class Run:
                 elif ends:
                     return
                 elif finished:
+                    self.topology.level_ends(self)
                     break
 
-    def _new_level(self) -> Level:
-        return Level(
-            self.image,
-            self.counted,
-            self.grid,
-            self.level_optics,
-            self.settings,
-            self.effects,
-            self.levels[self.level_number],
-        )
+    def _make_level(self) -> None:
+        given = self.grid, self.level_optics, self.settings, self.effects
+        factor = self.levels[self.level_number]
+        second = None if self.second is None else self.second.optics
+        # As wide as at the start, so that the voxels that count stay the same.
+        halo = 0.0 if self.first_effects.halo is None else self.first_effects.halo.width
+        self.level = Level(self.image, self.counted, *given, factor, second, halo)
+        self.other = None if self.second is None else SecondTerm(self.second, *given, factor)
 
-    def _hold(self) -> None:
+    def hold(self) -> None:
         """Smoothers of this level: of steps, which end at pinned vertices, and of the density."""
         smoothing = self.level.smoothing
         self.smoother = Preconditioner(self.mesh, smoothing)
@@ -138,6 +146,7 @@ class Run:
         if change.mesh is not None:
             self._replace(change.mesh)
             self.growth = GrowthAlarm(self.mesh)
+            self.topology.restart()
         if change.pinned is not None:
             self.pinned = np.array(change.pinned, bool)
             if change.mesh is None:
@@ -149,30 +158,32 @@ class Run:
             self.optics = self.first_optics = change.optics.detach()
         if change.settings is not None:
             self._take_settings(change.settings)
+        if change.effects is not None:
+            self.effects = self.first_effects = change.effects
         self._enter(self.level_number)
-        if change.optics is not None or change.settings is not None:
-            self.level = self._new_level()
+        if (change.optics, change.settings, change.effects) != (None, None, None):
+            self._make_level()
         else:
             self.level.renew()
-        self._hold()
+        self.hold()
 
     def _remesh(self) -> None:
         """Good triangles again."""
         before, log, past = self.mesh, self.density.per_vertex, self.adam.carried()
         width, count = past.shape[1], self.adam.count
         carried = past if log is None else np.column_stack([past, log])
-        done = self.upkeep.renewed(before, carried, self.pinned)
+        done = self.upkeep.renewed(before, carried, self.pinned, self.settings.collisions)
         if not self.guard.allows(done.mesh):
             self.upkeep.refused(before)
             return
-        self._retriangulate(done.mesh, None if log is None else done.carried[:, width])
+        self.retriangulate(done.mesh, None if log is None else done.carried[:, width])
         # Its past included, or the first steps after it would be as rough as those of a level.
         self.adam.count = count
         self.adam.carry_on(self.pieces, done.carried[:, :width])
         self.pinned = done.fixed
         self.growth.remeshed(before, self.mesh)
         self.window_start = np.zeros((0, 3))
-        self._hold()
+        self.hold()
 
     def _replace(self, mesh: Mesh) -> None:
         """Take a mesh from outside, as it is."""
@@ -185,20 +196,22 @@ class Run:
         log = self.density.per_vertex
         if log is not None:
             log = log[cKDTree(old.vertices_numpy()).query(vertices)[1]]
-        self._retriangulate(mesh.with_vertices(vertices), log)
+        self.retriangulate(mesh.with_vertices(vertices), log)
         self.pinned = np.zeros(len(vertices), bool)
 
-    def _retriangulate(self, mesh: Mesh, log_density: np.ndarray | None) -> None:
+    def retriangulate(self, mesh: Mesh, log_density: np.ndarray | None) -> None:
         """The same regions with other triangles; the density goes along."""
-        kept = self.density.log
+        kept, before = self.density.log, self.mesh
         self.mesh = mesh
         self.pieces = components(mesh)
         self.adam = AdamUniform(self.pieces, 3)
         self.density = DensityField(mesh, self.pieces, self.settings.density)
         if log_density is not None:
             self.density.log = log_density
-        elif len(kept) == len(self.density.log):
-            self.density.log = kept
+        elif self.settings.density == "interface":
+            # Walls that are new have the mean density.
+            own = {tuple(pair): log for pair, log in zip(before.interfaces()[0], kept, strict=True)}
+            self.density.log = np.array([own.get(tuple(p), 0.0) for p in mesh.interfaces()[0]])
 
     def _take_settings(self, settings: FitSettings) -> None:
         old = self.settings
@@ -243,17 +256,22 @@ class Run:
         if level.renews:
             if self.settings.remesh and not self.halvings and self.upkeep.wanted(self.mesh):
                 self._remesh()
-            self.kept = self._kept()
+            self.topology.look(self)
+            self.kept = checkpoint.kept(self)
         kept = self.kept
         vertices = torch.tensor(self.mesh.vertices_numpy(), requires_grad=True)
         with_density = level.factor < self.levels[0] or len(self.levels) == 1
         density = self.density.faces(active=with_density)
         renderer = level.renderer(self.mesh, self.optics)
-        otf = renderer.otf(self.optics)
+        optics = self.optics
+        otf = renderer.otf(optics)
         transform = renderer.transform(vertices, density)
         rendered = level.rendered(renderer, transform, otf)
-        voxels = level.voxels(rendered.detach())
+        given = renderer, transform, optics
+        voxels = level.voxels(rendered.detach(), lambda other: level.with_effects(*given, other))
         result = match(voxels.of(rendered), voxels.measured, voxels.weights)
+        if self.other is not None:
+            result = self.other.added_to(result, level, renderer, transform)
         result.loss.backward()
         assert vertices.grad is not None
         gradient = self.mover.solve(vertices.grad.numpy())
@@ -261,19 +279,26 @@ class Run:
         size = self.settings.step * level.width * self.step_factor
         self.seen = self.mesh.vertices_numpy()
         moved = self.guard.limited(self.seen, self.seen - size * step)
-        if with_density:
-            self.density.step(self.smoother, self.step_factor)
+        self.density.step(self.smoother, self.step_factor)
         moved.setflags(write=False)  # states share it
         self.bounded = result.bounded
         loss = float(result.loss.detach())
         if not np.isfinite(loss) or not np.isfinite(moved).all():
             raise FloatingPointError("the fit met a number that is not finite")
         state = self._state(level, result, kept)
-        fits_psf = self.settings.fit_psf and level.factor <= _PSF_BELOW
-        if fits_psf and len(self.losses) % _PSF_EVERY == _PSF_EVERY - 1:
-            self.optics = psf_step(
-                level, renderer, self.optics, transform.detach(), voxels, self.first_optics
+        imaging = Imaging(self.optics, self.effects, self.settings.fit_psf)
+        due = level.factor <= _PSF_BELOW and len(self.losses) % _PSF_EVERY == _PSF_EVERY - 1
+        if due and imaging.fitted:
+            fixed = None if density is None else density.detach()
+            self.optics, self.effects = imaging_step(
+                level,
+                renderer,
+                imaging,
+                lambda other: other.transform(vertices.detach(), fixed),
+                voxels,
+                self.first_optics,
             )
+            level.set_effects(self.effects)
         self.mesh = self.mesh.with_vertices(moved)
         self.iteration += 1
         self.losses.append(loss)
@@ -312,16 +337,8 @@ class Run:
         grid, accuracy, effects = self.grid, self.settings.image_accuracy, self.effects
 
         def rendered() -> np.ndarray:
-            with torch.no_grad():
-                image = render(
-                    mesh,
-                    grid,
-                    optics,
-                    accuracy,
-                    density=density,
-                    pixel_integration="pixel_integration" in effects,
-                )
-            return (amplitude * image + background).to(torch.float32).numpy()
+            given = mesh, grid, optics, accuracy, amplitude, background
+            return expected_image(*given, density=density, effects=effects)
 
         return FitState(
             iteration=self.iteration + 1,
@@ -333,66 +350,14 @@ class Run:
             loss=float(result.loss.detach()),
             amplitude=amplitude,
             background=background,
+            effects=effects,
             blur=level.factor,
             pinned=self.pinned if self.pinned.any() else None,
+            events=self.topology.events(),
             _render=rendered,
             _checkpoint=lambda: kept,
         )
 
-    def _kept(self) -> dict[str, np.ndarray]:
-        return {
-            "vertices": self.mesh.vertices_numpy(),
-            "faces": self.mesh.faces,
-            "regions": self.mesh.regions,
-            "seed": self.seed,
-            "slivers": np.array(self.upkeep.left),
-            "optics": self.optics.parameters().numpy(),
-            "level_optics": self.level_optics.parameters().numpy(),
-            "window_start": self.window_start,
-            "pinned": self.pinned,
-            "levels": np.array(self.levels),
-            "iteration": np.array(self.iteration),
-            "level": np.array(self.level_number),
-            "step_factor": np.array(self.step_factor),
-            "halvings": np.array(self.halvings),
-            "losses": np.array(self.losses),
-            **{f"adam_{k}": np.copy(v) for k, v in self.adam.state().items()},
-            **{f"density_{k}": np.copy(v) for k, v in self.density.state().items()},
-        }
-
     def load(self, kept: dict[str, np.ndarray]) -> None:
         """Take over a checkpoint; raises InputError if it belongs to another mesh."""
-        own = self._kept()
-        if not np.array_equal(kept.get("seed", 0), self.seed):
-            raise InputError("the checkpoint belongs to another mesh")
-        if set(kept) != set(own) or not np.array_equal(kept["levels"], own["levels"]):
-            raise InputError("the checkpoint belongs to a fit with other settings")
-        self.mesh = Mesh(kept["vertices"], kept["faces"], kept["regions"])
-        self.pieces = components(self.mesh)
-        self.adam = AdamUniform(self.pieces, 3)
-        self.density = DensityField(self.mesh, self.pieces, self.settings.density)
-        self.window_start, self.pinned = kept["window_start"], kept["pinned"]
-        self.upkeep.left = float(kept["slivers"])
-        self.growth = GrowthAlarm(self.mesh)
-        own = self._kept()
-        if any(kept[name].shape != own[name].shape for name in own if name != "losses"):
-            raise InputError("the checkpoint belongs to a fit with other settings")
-        self.optics = self.optics.with_parameters(torch.from_numpy(kept["optics"]))
-        self.level_optics = self.optics.with_parameters(torch.from_numpy(kept["level_optics"]))
-        self.iteration = int(kept["iteration"])
-        self.level_number = int(kept["level"])
-        self.step_factor = float(kept["step_factor"])
-        self.halvings = int(kept["halvings"])
-        self.losses = list(kept["losses"])
-        self.adam.load(
-            {k.removeprefix("adam_"): v for k, v in kept.items() if k.startswith("adam_")}
-        )
-        self.density.load(
-            {k.removeprefix("density_"): v for k, v in kept.items() if k.startswith("density_")}
-        )
-
-
-def _seed(mesh: Mesh) -> np.ndarray:
-    """What tells the starting mesh from others, whatever became of it."""
-    counts = [len(mesh.vertices), len(mesh.faces)]
-    return np.array([*counts, zlib.crc32(np.ascontiguousarray(mesh.faces).tobytes())])
+        checkpoint.take_over(self, kept)

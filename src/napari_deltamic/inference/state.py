@@ -15,6 +15,7 @@ from ..errors import InputError
 from ..geometry.files import write_atomically
 from ..geometry.mesh import Mesh
 from ..optics import Optics
+from ..scene.effects import Effects
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,8 @@ class FitState:
         Weighted residual relative to the variance of the voxels that count: 1 explains nothing.
     amplitude, background
         Measured image = amplitude * rendered image + background.
+    effects
+        Optional parts of image formation, with their numbers as they are now.
     blur
         Width of both images at this level, in widths of the PSF.
     converged
@@ -41,6 +44,8 @@ class FitState:
         A verdict or a warning in plain words; mostly empty.
     pinned
         (V,) bool: vertices that were told to stay; None where none were.
+    events
+        Changes of topology since the last state, a sentence each.
     """
 
     iteration: int
@@ -53,9 +58,11 @@ class FitState:
     amplitude: float
     background: float
     blur: float
+    effects: Effects = field(default_factory=Effects)
     converged: bool = False
     message: str = ""
     pinned: np.ndarray | None = None
+    events: tuple[str, ...] = ()
     _render: Callable[[], np.ndarray] = field(repr=False, default=lambda: np.zeros(0))
     _checkpoint: Callable[[], dict[str, np.ndarray]] = field(repr=False, default=dict)
 

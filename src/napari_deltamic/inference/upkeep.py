@@ -29,10 +29,15 @@ class Upkeep:
         """Whether the mesh has too many slivers."""
         return self.able and _slivers(mesh) > self.left + _MANY
 
-    def renewed(self, mesh: Mesh, carried: np.ndarray, fixed: np.ndarray) -> Remeshed:
-        """The mesh with better triangles; numbers of its vertices and fixed ones go along."""
+    def renewed(
+        self, mesh: Mesh, carried: np.ndarray, fixed: np.ndarray, apart: bool = False
+    ) -> Remeshed:
+        """The mesh with better triangles; numbers of its vertices and fixed ones go along.
+
+        ``apart``: surfaces that do not cross stay so.
+        """
         length = min(max(median_edge(mesh), self._start), _GROWTH * self._start)
-        done = remesh(mesh, length, passes=3, carried=carried, fixed=fixed)
+        done = remesh(mesh, length, passes=3, carried=carried, fixed=fixed, apart=apart)
         self.left = _slivers(done.mesh)
         return done
 

@@ -1,0 +1,6 @@
+"""What an image calls for: evidence for effects, their price, and what a fit left unexplained."""
+
+from .recommend import Evidence, Recommendation, recommend
+from .residual import Residual, analyse_residual
+
+__all__ = ["Evidence", "Recommendation", "Residual", "analyse_residual", "recommend"]

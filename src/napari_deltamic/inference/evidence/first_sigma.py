@@ -1,0 +1,164 @@
+"""A first width of the PSF, from where the spectrum of an image sinks into its noise.
+
+The power of thin surfaces that face every direction falls as one over the wavenumber squared
+(Porod's law for sheets); the PSF makes it fall as a Gaussian on top, down to the power of the
+noise, which is the same everywhere. The three are fitted to the periodogram by its own likelihood
+(P. Whittle, 1953).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import hypot, pi
+
+import numpy as np
+from scipy.fft import rfftn
+from scipy.optimize import minimize
+
+from .finding import Finding, unknown
+
+_RINGS = 48  # of wavenumbers, along z and in the plane
+_LARGEST_ERROR = 0.25  # relative
+_SHAPE_ERROR = 0.08  # relative: surfaces do not face every direction alike (spheres, ellipsoids)
+_LONGEST_WAVE = 0.5  # of the image's side: longer ones tell its frame
+_CROP = 3_000_000  # voxels
+
+
+@dataclass(frozen=True)
+class FirstSigma:
+    """Standard deviations of the PSF, um, along z and in the plane."""
+
+    z: Finding
+    yx: Finding
+
+
+def first_sigma(image: np.ndarray, voxel_size: tuple[float, float, float]) -> FirstSigma:
+    """Standard deviations of a Gaussian PSF from the spectrum of an image.
+
+    Parameters
+    ----------
+    image
+        (Z, Y, X); NaN where missing.
+    voxel_size
+        um, Z Y X.
+    """
+    pixels = _prepared(np.asarray(image, dtype=np.float32))
+    if min(pixels.shape) < 12:
+        nothing = unknown("a spectrum needs 12 voxels along each axis")
+        return FirstSigma(nothing, nothing)
+    if not pixels.any():
+        nothing = unknown("every voxel has the same value")
+        return FirstSigma(nothing, nothing)
+    kz, k, count, power = _rings(pixels, voxel_size)
+    return _fitted(kz, k, count, power, voxel_size)
+
+
+def _prepared(pixels: np.ndarray) -> np.ndarray:
+    """The middle of the stack, without its mean, fading towards the border."""
+    share = min(1.0, (_CROP / pixels.size) ** 0.5)
+    kept = [pixels.shape[0], *(max(1, int(n * share)) for n in pixels.shape[1:])]
+    cut = tuple(
+        slice((n - m) // 2, (n - m) // 2 + m) for n, m in zip(pixels.shape, kept, strict=True)
+    )
+    part = pixels[cut]
+    finite = np.isfinite(part)
+    part = np.where(finite, part - (part[finite].mean() if finite.any() else 0), 0)
+    for axis, n in enumerate(part.shape):
+        window = np.hanning(n + 2)[1:-1] ** 0.5
+        part = part * np.expand_dims(window, tuple(a for a in range(3) if a != axis))
+    return part
+
+
+def _rings(
+    pixels: np.ndarray, voxel_size: tuple[float, float, float]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """|k_z|, |k_yx| (rad/um), number of modes and mean power of each ring of the spectrum."""
+    power = np.abs(rfftn(pixels, workers=1)) ** 2 / pixels.size
+    n = pixels.shape
+    axes = [2 * pi * np.fft.fftfreq(m, d) for m, d in zip(n[:2], voxel_size[:2], strict=True)]
+    axes.append(2 * pi * np.fft.rfftfreq(n[2], voxel_size[2]))
+    kz = np.abs(axes[0])[:, None, None] + np.zeros(power.shape)
+    plane = np.sqrt(axes[1][:, None] ** 2 + axes[2][None] ** 2)[None] + np.zeros(power.shape)
+    long_z = kz < 2 * pi / (_LONGEST_WAVE * n[0] * voxel_size[0])
+    longest = min(n[1] * voxel_size[1], n[2] * voxel_size[2])
+    long_yx = plane < 2 * pi / (_LONGEST_WAVE * longest)
+    limit = pi / max(voxel_size[1:])
+    used = ~(long_z & long_yx) & (plane <= limit)
+    # One ring a frequency along z: there are few. Rings in the plane are finer near the middle.
+    row = np.rint(kz / (2 * pi / (n[0] * voxel_size[0]))).astype(int)
+    column = np.minimum((plane / limit * _RINGS).astype(int), _RINGS - 1)
+    ring = (row * _RINGS + column)[used]
+    count = np.bincount(ring)
+    filled = count > 0
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return np.bincount(ring, values[used])[filled] / count[filled]
+
+    return mean(kz), mean(plane), count[filled].astype(float), mean(power)
+
+
+def _fitted(
+    kz: np.ndarray,
+    k: np.ndarray,
+    count: np.ndarray,
+    power: np.ndarray,
+    voxel_size: tuple[float, float, float],
+) -> FirstSigma:
+    size = np.array([voxel_size[0], max(voxel_size[1:])])
+    squared = kz**2 + k**2
+    floor = float(np.quantile(power, 0.05)) + 1e-30
+    # The modes of one ring belong to one shape: they are not as many draws as they are.
+    weight = np.minimum(count, 200.0)
+
+    def model(p: np.ndarray) -> np.ndarray:
+        width_z, width_yx = np.exp(p[1:3]) * size
+        signal = np.exp(p[0] - (width_z * kz) ** 2 - (width_yx * k) ** 2) / squared
+        whole: np.ndarray = signal + np.exp(p[3])
+        return whole
+
+    def loss(p: np.ndarray) -> float:
+        m = model(p)
+        return float((weight * (np.log(m) + power / m)).sum())
+
+    low = squared < np.quantile(squared, 0.2)
+    start = float(np.log(np.median(power[low] * squared[low]) + 1e-30))
+    noise = float(np.log(floor))
+    bounds = [(start - 12, start + 12), (-1.6, 2.5), (-1.6, 2.5), (noise - 4, noise + 6)]
+    tried = (
+        minimize(loss, [start, w, w, noise], method="L-BFGS-B", bounds=bounds)
+        for w in np.log((0.8, 1.5, 3.0))
+    )
+    best = min(tried, key=lambda r: float(r.fun))
+    p = np.asarray(best.x)
+    if not (np.exp(p[0] - (size.min() * 0.3) ** 2) / squared.min() > 3 * np.exp(p[3])):
+        nothing = unknown("the spectrum shows no structure above the noise")
+        return FirstSigma(nothing, nothing)
+    errors = _errors(model, p, weight)
+    return FirstSigma(
+        _width(p[1], float(errors[1]), size[0], bounds[1], "z"),
+        _width(p[2], float(errors[2]), size[1], bounds[2], "y and x"),
+    )
+
+
+def _errors(model, p: np.ndarray, weight: np.ndarray) -> np.ndarray:  # type: ignore[no-untyped-def]
+    """Standard deviations of the parameters, from the Fisher information of the periodogram."""
+    h = 1e-4
+    base = model(p)
+    columns = []
+    for i in range(len(p)):
+        step = np.zeros(len(p))
+        step[i] = h
+        columns.append((model(p + step) - model(p - step)) / (2 * h) / base)
+    j = np.stack(columns, 1)
+    information = (j * weight[:, None]).T @ j + 1e-12 * np.eye(len(p))
+    return np.sqrt(np.maximum(np.diag(np.linalg.pinv(information)), 0))
+
+
+def _width(
+    log_width: float, error: float, size: float, bounds: tuple[float, float], axis: str
+) -> Finding:
+    if error > _LARGEST_ERROR or not bounds[0] + 0.01 < log_width < bounds[1] - 0.01:
+        return unknown(f"the spectrum does not tell the width along {axis}")
+    sigma = float(np.exp(log_width)) * size
+    error = hypot(error, _SHAPE_ERROR)
+    return Finding(sigma, error * sigma, "where the spectrum sinks into the noise")

@@ -1,0 +1,105 @@
+"""The efficient score of an effect: whether the image asks for it, whatever shape could explain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtri_exp
+from scipy.stats import chi2
+
+from .refit import Linearised
+
+_HIDDEN = 0.02  # of a column, left beside shape and the rest: less cannot be told from them
+_LARGEST_Z = 99.0
+
+
+@dataclass(frozen=True)
+class Score:
+    """What the image says about one effect.
+
+    Attributes
+    ----------
+    z
+        Standard deviations: of one number with its sign, of several those that are as unlikely.
+    estimate
+        (P,) the effect's numbers, in the units of the columns.
+    shape
+        (K,) by how much the shape modes are off where the effect is left out.
+    hidden
+        Whether shape and the rest can pass for the effect altogether.
+    """
+
+    z: float
+    estimate: np.ndarray
+    shape: np.ndarray
+    hidden: bool = False
+
+
+def score(at: Linearised, columns: np.ndarray, blocks: np.ndarray) -> Score:
+    """The score of an effect that is not in the scene.
+
+    ``z = g'W(y - I) / sqrt(g'Wg)``, g being the columns less all that the fitted numbers explain of
+    them (C. R. Rao's efficient score). Where the residual of neighbouring voxels is related,
+    because the model is not all there is to the image, g'Wg is too small a variance: that of the
+    sums over blocks takes its place (the sandwich of P. Huber and H. White).
+
+    Parameters
+    ----------
+    at
+        Derivatives and residual of the scene without the effect.
+    columns
+        (N, P) derivatives of the expected image in the effect's numbers.
+    blocks
+        (N,) number of the block that each voxel lies in, from 0 on.
+    """
+    g = columns * at.root[:, None]
+    size = np.linalg.norm(g, axis=0)
+    free = at.left(g)
+    left = np.linalg.norm(free, axis=0)
+    told = left > _HIDDEN * np.maximum(size, 1e-300)
+    nothing = np.zeros(columns.shape[1])
+    if not told.any() or not size.any():
+        return Score(0.0, nothing, np.zeros(at.modes), hidden=True)
+    estimate = nothing.copy()
+    free, unit = free[:, told] / left[told], left[told]
+    residual = at.left(at.residual)
+    information = free.T @ free
+    sums = free.T @ residual
+    found = np.linalg.lstsq(information, sums, rcond=1e-6)[0]
+    estimate[told] = found / unit
+    excess = _excess(free, residual - free @ found, information, blocks)
+    surprise = float(sums @ found) / excess
+    z = equivalent_z(surprise, int(told.sum()))
+    if columns.shape[1] == 1:
+        z = float(np.copysign(z, found[0]))
+    return Score(z, estimate, at.solve(g @ estimate)[: at.modes])
+
+
+def _excess(
+    free: np.ndarray, residual: np.ndarray, information: np.ndarray, blocks: np.ndarray
+) -> float:
+    """How many times larger the variance of the score is than the weights say; 1 at least."""
+    sums = np.stack([np.bincount(blocks, free[:, k] * residual) for k in range(free.shape[1])], 1)
+    ratio = np.linalg.lstsq(information, sums.T @ sums, rcond=1e-6)[0]
+    return max(1.0, float(np.trace(ratio)) / free.shape[1])
+
+
+def equivalent_z(surprise: float, numbers: int) -> float:
+    """The |z| of one number that is as unlikely as this chi-squared of several."""
+    if surprise <= 0:
+        return 0.0
+    if numbers == 1:
+        return min(float(np.sqrt(surprise)), _LARGEST_Z)
+    log_tail = float(chi2.logsf(surprise, numbers))
+    if not np.isfinite(log_tail) or log_tail < -4000:
+        return min(float(np.sqrt(surprise)), _LARGEST_Z)
+    return min(max(float(-ndtri_exp(log_tail - np.log(2))), 0.0), _LARGEST_Z)
+
+
+def blocks_of(index: np.ndarray, shape: tuple[int, int, int], side: np.ndarray) -> np.ndarray:
+    """(N,) numbers of the blocks, of so many voxels (3,) a side, that flat indices lie in."""
+    at = np.stack(np.unravel_index(index, shape)) // np.maximum(side.astype(int), 1)[:, None]
+    whole = np.ravel_multi_index(tuple(at), tuple(at.max(1) + 1))
+    found: np.ndarray = np.unique(whole, return_inverse=True)[1].reshape(-1)
+    return found

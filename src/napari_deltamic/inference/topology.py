@@ -1,0 +1,233 @@
+"""Changes of topology while a fit runs: cells that come to touch, part, or exchange neighbours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..geometry.mesh import Mesh
+from ..geometry.thin_places import ThinPlace, small_walls, thin_places
+from ..geometry.topology import give_way
+from .upkeep import median_edge
+
+if TYPE_CHECKING:
+    from .run import Run
+
+# As shares of the median edge:
+_THIN = 0.25  # what is thinner may give way
+_SMALL = 0.5  # walls smaller than this, of an edge length squared, may go
+# At the end of a fit, what is larger is tried too: necks and holes up to a width, walls to an area.
+_NARROW, _SMALL_AT_END = 1.6, 2.5
+_SAME = 2.5  # places nearer to each other than this are the same place
+# Counts and others:
+_WIDENS = 1.2  # a place that has become this much wider since it was last seen is left alone
+_TRIAL = 18  # iterations after which a change is judged
+_MEAN = 4  # losses that are averaged before and after
+_WORSE = 1.002  # times the loss before: a change that leaves more is undone
+_BETTER = 0.998  # the same for a change that nothing but the loss speaks for
+_SHARP = 2.0  # blur, in widths of the PSF, up to which images can tell what touches what
+_OFTEN = 3  # changes at one place in a fit
+_LATE = 2  # times that a change puts off the end of a fit
+
+
+@dataclass(frozen=True, eq=False)
+class _Before:
+    """What a fit was before a change."""
+
+    mesh: Mesh
+    carried: np.ndarray
+    count: int
+    log: np.ndarray
+    pinned: np.ndarray
+    loss: float
+    level: int
+    iteration: int
+    places: list[ThinPlace]
+    events: tuple[str, ...]
+    tried: bool
+
+
+class TopologyKeeper:
+    """Lets thin places of a mesh give way where the fit presses their sides together.
+
+    A place counts that is seen twice, some iterations apart, and has not become wider: two
+    surfaces that the guard against collisions keeps apart. A change stays if the loss, after some
+    iterations, is not larger than before; else it is undone, and the place is left alone. At the
+    end of a fit, narrow necks and holes and small walls are tried without.
+
+    Only meshes of several closed regions are changed; surfaces must be kept from crossing.
+    """
+
+    def __init__(self) -> None:
+        self._seen: list[ThinPlace] = []
+        self._past: list[ThinPlace] = []
+        self._left_alone: list[ThinPlace] = []
+        self._before: _Before | None = None
+        self._late = 0
+        self._events: list[str] = []
+
+    def restart(self) -> None:
+        """Go on with a mesh that was changed from outside."""
+        self._seen, self._before = [], None
+
+    def events(self) -> tuple[str, ...]:
+        """What has happened since this was last asked."""
+        told, self._events = tuple(self._events), []
+        return told
+
+    def look(self, run: Run) -> None:
+        """Change the mesh of a run, or judge the last change, if it is time to."""
+        if not applies(run):
+            return
+        if self._before is not None:
+            if run.iteration - self._before.iteration >= _TRIAL:
+                self._judge(run)
+            return
+        found = self._candidates(run, _THIN, _SMALL)
+        lasting = [p for p in found if any(self._lasts(p, q, run) for q in self._seen)]
+        self._seen = found
+        if lasting:
+            self._change(run, lasting)
+
+    def holds_up(self, run: Run) -> bool:
+        """Whether a fit that is about to end goes on from a change instead."""
+        if not applies(run):
+            return False
+        if self._before is not None:
+            return self._judge(run)
+        if self._late >= _LATE:
+            return False
+        found, narrow = self._candidates(run, _THIN, _SMALL), []
+        if not found:
+            wide = self._candidates(run, _NARROW, _SMALL_AT_END)
+            alike = [p for p in wide if len(p.sides) == 1 or len(p.regions) == 2]
+            # The flanks of a neck look like a hole, not the other way round.
+            alike = [p for p in alike if p.regions[0]] or alike
+            narrow = sorted(alike, key=lambda p: p.width)[:1]
+        if not (found or narrow) or not self._change(run, found or narrow, tried=not found):
+            return False
+        self._late += 1
+        return True
+
+    def level_ends(self, run: Run) -> None:
+        """Judge a change before the images become sharper."""
+        if self._before is not None and run.iteration - self._before.iteration >= _TRIAL:
+            self._judge(run)
+        self._before = None
+
+    # ------------------------------------------------------------------------------ places
+
+    def _candidates(self, run: Run, thin: float, small: float) -> list[ThinPlace]:
+        edge = median_edge(run.mesh)
+        pins = run.mesh.vertices_numpy()[run.pinned]
+        found = []
+        places = thin_places(run.mesh, thin * edge, apart=_SAME * edge)
+        for place in [*places, *small_walls(run.mesh, small * edge**2)]:
+            pinned = len(pins) and cKDTree(pins).query(place.points)[0].min() < _SAME * edge
+            alone = any(_same(place, q, edge) for q in self._left_alone)
+            again = sum(_meet(place, q, edge) for q in self._past) >= _OFTEN
+            if not (pinned or alone or again):
+                found.append(place)
+        return found
+
+    @staticmethod
+    def _lasts(now: ThinPlace, before: ThinPlace, run: Run) -> bool:
+        return _same(now, before, median_edge(run.mesh)) and now.width < _WIDENS * before.width
+
+    # ----------------------------------------------------------------------------- changes
+
+    def _change(self, run: Run, places: list[ThinPlace], tried: bool = False) -> bool:
+        made = give_way(run.mesh, places, median_edge(run.mesh))
+        if made is None:
+            self._left_alone += places
+            return False
+        self._before = _Before(
+            run.mesh,
+            run.adam.carried(),
+            run.adam.count,
+            run.density.log,
+            run.pinned,
+            float(np.mean(run.losses[-_MEAN:])) if run.losses else np.inf,
+            run.level_number,
+            run.iteration,
+            places,
+            made.events,
+            tried,
+        )
+        self._past += places
+        _go_on(run, made.mesh)
+        if not tried:
+            self._events += made.events
+        return True
+
+    def _judge(self, run: Run) -> bool:
+        """Undo the last change if it has made the fit worse; whether it was undone."""
+        before, self._before = self._before, None
+        assert before is not None
+        same_level = before.level == run.level_number
+        tried = run.iteration - before.iteration
+        if not same_level or tried < _TRIAL or len(run.losses) < _MEAN:
+            return False
+        most = (_BETTER if before.tried else _WORSE) * before.loss
+        if float(np.mean(run.losses[-_MEAN:])) <= most:
+            self._events += before.events if before.tried else ()
+            return False
+        self._left_alone += before.places
+        run.retriangulate(before.mesh, before.log if len(before.log) else None)
+        run.adam.count = before.count
+        run.adam.carry_on(run.pieces, before.carried)
+        run.pinned = before.pinned
+        _renew(run)
+        if not before.tried:
+            self._events.append("undone, as the image speaks against it")
+        return True
+
+
+def applies(run: Run) -> bool:
+    """Whether the topology of this run's mesh may change."""
+    settings = run.settings
+    return (
+        settings.topology
+        and settings.collisions
+        and run.level.factor <= _SHARP
+        and len(run.mesh.region_ids()) > 1
+        and run.mesh.is_closed()
+    )
+
+
+def _go_on(run: Run, mesh: Mesh) -> None:
+    """Go on with a mesh of other topology; what vertices carry comes from the nearest old one."""
+    old, past, count = run.mesh, run.adam.carried(), run.adam.count
+    log, pinned = run.density.per_vertex, run.pinned
+    places = mesh.vertices_numpy().copy()
+    nearest = cKDTree(old.vertices_numpy()).query(places)[1]
+    pins = np.zeros(len(places), bool)
+    if pinned.any():
+        held = old.vertices_numpy()[pinned]
+        rows = cKDTree(places).query(held)[1]
+        places[rows], pins[rows] = held, True
+    places.setflags(write=False)  # states share it
+    run.retriangulate(mesh.with_vertices(places), None if log is None else log[nearest])
+    run.adam.count = count
+    run.adam.carry_on(run.pieces, past[nearest])
+    run.pinned = pins
+    _renew(run)
+
+
+def _renew(run: Run) -> None:
+    run.growth = type(run.growth)(run.mesh)
+    run.window_start = np.zeros((0, 3))
+    run.level.renew()
+    run.hold()
+
+
+def _same(one: ThinPlace, other: ThinPlace, edge: float) -> bool:
+    alike = one.regions == other.regions and one.sides == other.sides
+    return alike and _meet(one, other, edge)
+
+
+def _meet(one: ThinPlace, other: ThinPlace, edge: float) -> bool:
+    return bool(cKDTree(one.points).query(other.points)[0].min() < _SAME * edge)

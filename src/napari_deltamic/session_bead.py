@@ -1,0 +1,54 @@
+"""The image of a bead in a session file, whose PSF is that of the bead."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from .archive import ArchiveReader, ArchiveWriter
+from .errors import InputError
+from .images import read_image, write_image
+from .optics_settings import MeasuredOptics
+from .settings import RunSettings
+
+
+def keep_bead(archive: ArchiveWriter, name: str, settings: RunSettings) -> RunSettings:
+    """Put the image of the bead into a session, where the PSF is measured and the file is there.
+
+    Returns
+    -------
+    The settings, which say the voxel size that the file said.
+    """
+    optics = settings.scene.optics
+    if not isinstance(optics, MeasuredOptics):
+        return settings
+    try:
+        pixels, size = read_image(optics.file)
+    except InputError:
+        return settings  # the file is gone since: what was fitted can be saved all the same
+    archive.add_array(name, np.asarray(pixels))
+    return _with(settings, optics.model_copy(update={"voxel_size": optics.voxel_size or size}))
+
+
+def with_bead(archive: ArchiveReader, name: str, settings: RunSettings) -> RunSettings:
+    """The settings of a session, for which a file is written where that of the bead is gone.
+
+    Raises
+    ------
+    InputError
+        If the session does not hold the image either.
+    """
+    optics = settings.scene.optics
+    if not isinstance(optics, MeasuredOptics) or Path(optics.file).is_file():
+        return settings
+    folder = Path(tempfile.mkdtemp(prefix="deltamic-"))
+    path = folder / f"{Path(optics.file).stem}.tif"
+    write_image(path, archive.array(name), optics.voxel_size or (1.0, 1.0, 1.0))
+    return _with(settings, optics.model_copy(update={"file": str(path)}))
+
+
+def _with(settings: RunSettings, optics: MeasuredOptics) -> RunSettings:
+    scene = settings.scene.model_copy(update={"optics": optics})
+    return settings.model_copy(update={"scene": scene})

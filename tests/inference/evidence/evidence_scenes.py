@@ -1,0 +1,38 @@
+"""A cell with noise, as a camera sees it, and a fit of it."""
+
+import numpy as np
+
+from napari_deltamic import GaussianPSF, Grid, fit
+from napari_deltamic.geometry import sphere
+from napari_deltamic.scene import expected_image
+from napari_deltamic.scene.effects import Effects
+from napari_deltamic.settings import FitSettings
+
+VOXEL = (0.3, 0.2, 0.2)
+GRID = Grid((24, 34, 34), VOXEL)
+SIGMA = (0.42, 0.25, 0.25)
+OPTICS = GaussianPSF(SIGMA)
+CENTER = (3.45, 3.3, 3.3)
+TRUTH = sphere(CENTER, (1.9, 2.0, 2.1), edge_length=0.15)
+SETTINGS = FitSettings(levels=(1.0,), max_iterations=120)
+
+
+def light(effects=None, peak=40.0, background=4.0):
+    """(Z, Y, X) photons expected."""
+    plain = expected_image(TRUTH, GRID, OPTICS, 1e-4, 1.0, 0.0)
+    amplitude = peak / float(np.percentile(plain, 99.7))
+    effects = effects or Effects()
+    return expected_image(TRUTH, GRID, OPTICS, 1e-4, amplitude, background, effects=effects)
+
+
+def photons(effects=None, seed=0, **options):
+    """The same with the noise of counted photons."""
+    return np.random.default_rng(seed).poisson(light(effects, **options)).astype(np.float32)
+
+
+def fitted(image, effects=(), **settings):
+    """The last state of a fit that starts near."""
+    start = sphere(CENTER, (1.8, 1.9, 2.0), edge_length=0.45)
+    chosen = SETTINGS.model_copy(update=settings)
+    *_, last = fit(image, GRID, start, OPTICS, settings=chosen, effects=effects)
+    return last
