@@ -22,7 +22,7 @@ from napari_deltamic.fourier.cost import processor
 from .figure import Figure, MissingData, Options, Row, default_data_folder
 
 # Each exposes FIGURES: dict[str, Callable[[Options], list[Row]]].
-MODULES = ("engine", "rendering", "fits", "vesicles", "event_loop")
+MODULES = ("engine", "rendering", "fits", "vesicles", "event_loop", "effects", "tracking")
 LIBRARIES = ("napari-deltamic", "torch", "finufft", "numpy", "scipy")
 HEADINGS = ("figure", "asked", "measured", "unit", "", "note")
 
@@ -98,12 +98,17 @@ reading the table:
 def as_markdown(rows: list[Row], where: dict[str, str]) -> str:
     """The table and where it was measured, for the documentation."""
     lines = [f"- {name}: `{value}`" for name, value in where.items()]
+    return INTRODUCTION + "\n".join([*lines, "", markdown_table(rows)]) + "\n"
+
+
+def markdown_table(rows: list[Row]) -> str:
+    """The table alone."""
     heading = " | ".join(h or "passed" for h in HEADINGS)
-    lines += ["", f"| {heading} |", "|---|---|---:|---|---|---|"]
+    lines = [f"| {heading} |", "|---|---|---:|---|---|---|"]
     for row in rows:
         cells = " | ".join(cell.replace("|", "\\|") for cell in _cells(row))
         lines.append(f"| {cells} |")
-    return INTRODUCTION + "\n".join(lines) + "\n"
+    return "\n".join(lines)
 
 
 def _cells(row: Row) -> tuple[str, ...]:
@@ -150,7 +155,10 @@ def main(argv: Sequence[str]) -> int:
         entry = {"where": where, "seconds": taken, "rows": [_for_json(row) for row in rows]}
         chosen.json.write_text(json.dumps(entry, indent=1) + "\n")
     if chosen.markdown:
-        chosen.markdown.write_text(as_markdown(rows, where))
+        # Further sections of the page are measured by other means.
+        page = chosen.markdown.read_text() if chosen.markdown.is_file() else ""
+        _, further, sections = page.partition("\n## ")
+        chosen.markdown.write_text(as_markdown(rows, where) + further + sections)
     return 1 if any(row.passed is False for row in rows) else 0
 
 

@@ -35,11 +35,8 @@ class Fitted:
 def run(image: NDArray[np.float64], grid: Grid, start: Mesh, sigma: float) -> Fitted:
     """A fit from a start near the truth."""
     begun = time.perf_counter()
-    state = None
-    for state in fit(image, grid, start, GaussianPSF(sigma), settings=FitSettings(levels=LEVELS)):
-        pass
-    assert state is not None
-    return Fitted(state, time.perf_counter() - begun)
+    *_, last = fit(image, grid, start, GaussianPSF(sigma), settings=FitSettings(levels=LEVELS))
+    return Fitted(last, time.perf_counter() - begun)
 
 
 def measured(truth: Mesh, grid: Grid, sigma: float, photons: float, seed: int) -> NDArray:
@@ -57,7 +54,8 @@ def double_bubble(options: Options) -> list[Row]:
     rows = []
     for photons in (np.inf, PHOTONS):
         rng = np.random.default_rng(0)
-        centers = CENTER + [[0, 0, -RADIUS / 2], [0, 0, RADIUS / 2]] + rng.normal(0, 1.5, (2, 3))
+        half = np.array([0, 0, RADIUS / 2])
+        centers = np.stack([CENTER - half, CENTER + half]) + rng.normal(0, 1.5, (2, 3))
         start = foam(centers, np.full(2, 14.0), EDGE)
         fitted = run(measured(truth, GRID, SIGMA, photons, 0), GRID, start, SIGMA)
         (junction,) = junction_angles(fitted.state.mesh)

@@ -62,7 +62,7 @@ def test_run_toml_runs_again_identically(data, tmp_path, run):
     assert settings.fit.fit_psf
     assert settings.fit.accuracy == 1e-2
     assert settings.fit.likelihood == "gaussian"
-    assert settings.scene.effects == ("pixel_integration",)
+    assert settings.scene.effects.names == ("pixel_integration",)
 
 
 def test_options_prevail_over_settings(data, tmp_path, run, seen):
@@ -107,8 +107,8 @@ def test_missing_voxels(data, tmp_path, run, seen):
 def test_effects_auto_says_what_it_does(data, tmp_path, run, seen):
     arguments = ("fit", data / "cell.tif", "--seeds", data / "start.ply", *SIGMA)
     _, _, err = run(*arguments, "--effects", "auto", "-o", tmp_path / "out")
-    assert "note: effects: 'auto' adds none in this version" in err
-    assert seen[0][1]["effects"] == ()
+    assert "note: effects: the image calls for none" in err
+    assert seen[0][1]["effects"].names == ()
 
 
 def test_repairs_are_notes(data, tmp_path, run, seen):
@@ -142,7 +142,7 @@ def test_render(data, tmp_path, run, fails):
         nd.load_mesh(data / "start.ply"),
         nd.Grid(SHAPE, SIZE),
         nd.GaussianPSF((0.36, 0.24, 0.24)),
-        pixel_integration=True,
+        effects=("pixel_integration",),
     )
     # Not bit by bit: the non-uniform FFT adds in an order that depends on its threads.
     assert np.allclose(image, wanted.numpy(), rtol=0, atol=1e-5 * float(wanted.max()))

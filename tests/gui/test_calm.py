@@ -26,7 +26,11 @@ def test_the_dock_may_be_narrow_whatever_it_shows(window, docked, spin):
     window.layers["seeds"].add(CENTER)
     widget.start()
     spin(lambda: not widget.run.running)
-    widget.settings.more.unfold()
+    settings = widget.settings
+    for fold in (settings.more, settings.psf_fold, settings.effects_fold):
+        fold.unfold()
+    settings.optics.kind.setCurrentText("from the objective")
+    settings.optics.objective.modality.setCurrentText("spinning disk")
     widget.running.edit.use("pin")
     for row in (widget.running.pause_button, widget.running.history.live_button):
         row.show()

@@ -10,6 +10,7 @@ from napari_deltamic.gui.seeding.seeds import mesh_of_surface, seeds_from_layer
 from napari_deltamic.gui.viewing.contours import Contours, sliced_axis
 from napari_deltamic.gui.viewing.frame import OWN, Frame, is_stack, stack_of
 from napari_deltamic.measure import section
+from napari_deltamic.scene.effects import Effects
 
 SHAPE = (6, 8, 10)
 
@@ -136,14 +137,14 @@ def test_contours_across_other_axes_and_in_time(viewer):
 
 def test_effects_and_switches_reach_the_settings(make_widget):
     panel = make_widget().settings
-    assert panel.scene_settings().effects == ()
-    panel.effects["pixel_integration"].setChecked(True)
+    assert panel.scene_settings().effects.names == ()
+    panel.effects.table.tick("pixel_integration")
     panel.switches["collisions"].setChecked(True)
     panel.switches["remesh"].setChecked(False)
-    assert panel.scene_settings().effects == ("pixel_integration",)
+    assert panel.scene_settings().effects.names == ("pixel_integration",)
     assert (panel.fit_settings().collisions, panel.fit_settings().remesh) == (True, False)
-    panel.show_effects(())
-    assert panel.scene_settings().effects == ()
+    panel.show_effects(Effects())
+    assert panel.scene_settings().effects.names == ()
 
 
 @pytest.mark.parametrize(("radius", "width"), [(2.0, 0.08), (100.0, 0.5)])

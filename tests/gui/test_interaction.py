@@ -8,6 +8,7 @@ import pytest
 from napari_deltamic.errors import InputError
 from napari_deltamic.gui.running.run_panel import duration, progress_text
 from napari_deltamic.inference import Change
+from napari_deltamic.scene.effects import Effects
 
 from .conftest import CENTER
 from .mouse import Mouse
@@ -234,6 +235,22 @@ def test_the_psf_is_taken_over(begun, spin):
     spin(lambda: begun.run.state.optics.sigma_um[0] == pytest.approx(0.5))
     spin(lambda: begun.running.psf.shown("now")[0] == "0.500")
     spin(lambda: begun.running.sigmas.isVisibleTo(begun.running))
+
+
+def test_effects_are_taken_over_and_taken_back(begun, spin):
+    panel = begun.settings
+    panel.show_effects(Effects.of("attenuation"))
+    panel.changed.emit()
+    spin(lambda: begun.run.state.effects.names == ("attenuation",))
+    spin(lambda: "effects attenuation" in " ".join(notes(begun)))
+    panel.effects.table.tick("pixel_integration")
+    spin(lambda: begun.run.state.effects.names == ("pixel_integration", "attenuation"))
+    assert begun.run.job.settings.scene.effects.names == ("pixel_integration", "attenuation")
+    assert panel.effects_fold.title == "Effects: pixel integration, attenuation"
+    for left in (("attenuation",), ()):
+        begun.interaction.edits.undo()
+        spin(lambda left=left: begun.run.state.effects.names == left)
+        assert panel.scene_settings().effects.names == left
 
 
 def test_what_cannot_be_used_is_told_and_the_fit_goes_on(begun, spin):

@@ -10,6 +10,7 @@ import napari_deltamic
 from napari_deltamic.gui.accuracy.accuracy_dial import CHOICES
 from napari_deltamic.gui.panels import preferences
 from napari_deltamic.gui.panels.preferences import PLUGIN, Preferences, read_preferences, usable
+from napari_deltamic.scene.effects import Bulk, Effects
 from napari_deltamic.settings import FitSettings
 
 MANIFEST = Path(napari_deltamic.__file__).with_name("napari.yaml")
@@ -65,6 +66,10 @@ def test_a_new_widget_is_set_as_preferred(make_widget, monkeypatch, told):
         "preview_seeds": False,
         "show_rendered": True,
         "updates_per_second": 4,
+        "effects": "bulk=0.2",
+        "psf": "from the objective",
+        "modality": "widefield",
+        "na": 0.8,
     }
     monkeypatch.setattr(
         "napari_deltamic._widget.read_preferences", lambda: (Preferences(**chosen), "a remark")
@@ -75,6 +80,9 @@ def test_a_new_widget_is_set_as_preferred(make_widget, monkeypatch, told):
     assert widget.running.rendered.isChecked()
     assert not widget.seeds.preview.isChecked()
     assert widget.control.interval == 0.25
+    scene = widget.settings.scene_settings()
+    assert scene.effects == Effects.of(Bulk(density=0.2))
+    assert (scene.optics.modality, scene.optics.na) == ("widefield", 0.8)
     assert told == ["a remark"]
 
 

@@ -14,6 +14,8 @@ from napari_deltamic.geometry import files, sphere
 from napari_deltamic.gui.results.session import capture, restore
 from napari_deltamic.gui.running import worker
 from napari_deltamic.inference import fit
+from napari_deltamic.optics_settings import optics_from_values
+from napari_deltamic.scene.effects import Attenuation, Effects
 from napari_deltamic.session_file import load_session
 
 from .conftest import CENTER
@@ -87,6 +89,24 @@ def shown(widget):
         "boxes": (running.rendered.isChecked(), running.residual.isChecked()),
         "can be saved": widget.results.isEnabled(),
     }
+
+
+def test_psf_and_effects_come_back_with_what_was_fitted(seeded, spin, tmp_path, told, reopened):
+    chosen = {"kind": "microscope", "na": 0.6, "wavelength": 0.6, "immersion": "water"}
+    seeded.settings.optics.show_settings(optics_from_values(chosen))
+    seeded.settings.show_effects(Effects.of(Attenuation(per_um=0.01)))
+    seeded.settings.fit_psf.setChecked(True)
+    seeded.settings.max_iterations.setValue(8)
+    seeded.start()
+    spin(done(seeded), seconds=60)
+    save(seeded, tmp_path / "a.deltamic", spin)
+    _, after = reopened(tmp_path / "a.deltamic")
+    assert after.settings.scene_settings() == seeded.settings.scene_settings()
+    one, other = seeded.results.last[0], after.results.last[0]
+    assert one.optics.described() == other.optics.described()
+    assert one.optics.described() != seeded.results.last[1].optics.described()
+    assert one.effects == other.effects
+    assert after.running.numbers.texts() == seeded.running.numbers.texts()
 
 
 def test_a_reopened_session_is_the_same(seeded, with_image, spin, tmp_path, told, reopened):

@@ -51,9 +51,8 @@ def test_public_render(integrate):
 
     def image(v, rho):
         optics = nd.GaussianPSF(SIGMA)
-        return nd.render(
-            mesh.with_vertices(v), grid, optics, 0, density=rho, pixel_integration=integrate
-        )
+        effects = ("pixel_integration",) if integrate else ()
+        return nd.render(mesh.with_vertices(v), grid, optics, 0, density=rho, effects=effects)
 
     assert gradcheck(image, (v, rho), atol=1e-7)
 

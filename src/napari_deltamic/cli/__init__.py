@@ -15,10 +15,10 @@ from typing import NoReturn
 
 from .. import __version__
 from ..errors import InputError
-from . import accuracy, doctor, fitting, rendering
+from . import accuracy, doctor, effects, fitting, rendering, simulating, tracking
 from .messages import PROGRAM, Failure, Notes, failure, one_line
 
-COMMANDS = (rendering, fitting, accuracy, doctor)
+COMMANDS = (rendering, fitting, effects, tracking, accuracy, simulating, doctor)
 
 
 class _Parser(argparse.ArgumentParser):

@@ -38,12 +38,14 @@ from ..inference.default_accuracy import accuracy_for, image_noise
 from ..inference.forecast import Forecast, forecast
 from ..job import FitInput
 from ..measure.shape_error import DRAWS, ShapeError, photons_for, shape_errors
-from ..optics import GaussianPSF
+from ..optics import Optics
 from ..report import make_folder
 from ..scene import Grid
 from ..scene.tradeoff import Way, duration, measure_ways, with_front
+from .folders import check_folder
 from .inputs import MESHES, gather
 from .messages import Notes, failure
+from .optics_arguments import OPTICS_ARGUMENTS, add_optics, optics_from_arguments
 
 TRIPLE = ("Z", "Y", "X")
 _RENDERED = 1e-3  # accuracy of a scene without an image, as that of `render`
@@ -56,7 +58,7 @@ def add_parser(commands: Any) -> None:
         "accuracy",
         help="what accuracy costs in time, on your scene and machine",
         description="Time every way to render a scene and compare it with the exact one. The scene "
-        "is a mesh with --shape, --voxel-size and --sigma, or an image with --seeds.",
+        "is a mesh with --shape, --voxel-size and a PSF, or an image with --seeds.",
     )
     add = parser.add_argument
     add("scene", metavar="MESH or IMAGE", help=f"{', '.join(MESHES)}; or .tif, .npy")
@@ -64,6 +66,7 @@ def add_parser(commands: Any) -> None:
     add("--seeds", metavar="FILE", help="mesh, label image, or CSV of points (with an image)")
     add("--voxel-size", nargs=3, type=float, metavar=TRIPLE, help="um")
     add("--sigma", nargs=3, type=float, metavar=TRIPLE, help="um; standard deviations of the PSF")
+    add_optics(parser)
     add(
         "--accuracy",
         type=float,
@@ -102,7 +105,7 @@ class _Scene:
     name: str
     mesh: Mesh
     grid: Grid
-    optics: GaussianPSF
+    optics: Optics
     accuracy: float
     noise: float | None = None
     job: FitInput | None = None
@@ -118,7 +121,7 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
     """Measure, print the table, and write what was asked for."""
     folder = Path(arguments.output) if arguments.output else None
     if folder is not None:
-        _check_folder(folder, arguments.overwrite)
+        check_folder(folder, _FILES, overwrite=arguments.overwrite)
     if not arguments.budget > 0:
         raise InputError(f"budget must be a positive number of seconds, not {arguments.budget:g}")
     if arguments.draws < 1:
@@ -164,7 +167,7 @@ def _read(arguments: argparse.Namespace, notes: Notes) -> _Scene:
 
 
 def _from_mesh(arguments: argparse.Namespace) -> _Scene:
-    for name in ("shape", "voxel_size", "sigma"):
+    for name in ("shape", "voxel_size"):
         if getattr(arguments, name) is None:
             raise InputError(f"a mesh needs --{name.replace('_', '-')} Z Y X")
     if arguments.seeds is not None:
@@ -172,7 +175,7 @@ def _from_mesh(arguments: argparse.Namespace) -> _Scene:
     if arguments.shape_error and not (arguments.photons and arguments.photons > 0):
         raise InputError("--shape-error with a mesh needs --photons P, at the peak of the images")
     grid = Grid(tuple(arguments.shape), tuple(arguments.voxel_size))
-    optics = GaussianPSF(arguments.sigma)
+    optics = optics_from_arguments(arguments)
     mesh = load_mesh(arguments.scene)
     check_mesh(mesh, grid)
     accuracy = _RENDERED if arguments.accuracy is None else _checked(arguments.accuracy)
@@ -193,7 +196,7 @@ def _from_image(arguments: argparse.Namespace, notes: Notes) -> _Scene:
         raise InputError("--photons goes with a mesh; an image has its own noise")
     if arguments.seeds is None:
         raise InputError("an image needs --seeds FILE")
-    given = ("seeds", "voxel_size", "sigma", "missing_nan")
+    given = ("seeds", "voxel_size", "sigma", "missing_nan", *OPTICS_ARGUMENTS)
     asked = {name: getattr(arguments, name) for name in given}
     job = gather(_Blank(image=arguments.scene, **asked), notes)
     noise = image_noise(job.image)
@@ -209,20 +212,6 @@ def _checked(accuracy: float) -> float:
     if not 0 <= accuracy < 1:
         raise InputError(f"accuracy must be at least 0 and below 1, not {accuracy:g}")
     return accuracy
-
-
-def _check_folder(folder: Path, overwrite: bool) -> None:
-    """Refuse, before any work, a folder that cannot take the results or holds others."""
-    above = folder.absolute()
-    while not above.exists() and above != above.parent:
-        above = above.parent
-    if not above.is_dir():
-        raise InputError(f"{above} is a file, not a folder")
-    if not os.access(above, os.W_OK | os.X_OK):
-        raise InputError(f"{folder}: cannot be written: no permission for {above}")
-    for name in _FILES:
-        if (folder / name).exists() and not overwrite:
-            raise InputError(f"{folder} holds {name}; --overwrite replaces what is there")
 
 
 # ---------------------------------------------------------------------------------- measuring

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import shlex
 import sys
 import time
@@ -15,13 +14,25 @@ from typing import Any, get_args
 from tqdm import tqdm
 
 from ..errors import InputError
+from ..fourier.devices import DeviceChoice
 from ..geometry.files import write_atomically
+from ..images import write_image
 from ..inference import FitState, fit
-from ..job import FitInput
+from ..inference.evidence import analyse_residual
+from ..job import FitInput, start
 from ..report import History, make_folder, write_results
 from ..settings import EFFECTS, DensityModel, FitSettings, Likelihood
+from .folders import check_folder
 from .inputs import gather
 from .messages import PROGRAM, Notes, failure
+from .optics_arguments import add_optics
+from .recommending import (
+    as_plain,
+    recommendation_for,
+    residual_as_plain,
+    verdict,
+    with_recommended,
+)
 
 CHECKPOINT = "checkpoint.npz"
 CHECKPOINT_EVERY = 5.0  # s
@@ -40,6 +51,28 @@ def add_parser(commands: Any) -> None:
     )
     add = parser.add_argument
     add("image", nargs="?", metavar="IMAGE", help=".tif or .npy; not needed with --settings")
+    add("--resume", metavar="CHECKPOINT", help="go on from a checkpoint of the same fit")
+    add(
+        "--residual",
+        action="store_true",
+        help="also write residual.tif: where the model does not explain the image, in standard "
+        "deviations",
+    )
+    add_options(parser)
+    parser.set_defaults(run=run)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add what every command that fits takes: seeds, scene, settings of a fit, and the folder."""
+    add_fit_options(parser)
+    add = parser.add_argument
+    add("--overwrite", action="store_true", help="replace the results in DIR")
+    add("-o", "--output", required=True, metavar="DIR", help="folder for the results")
+
+
+def add_fit_options(parser: argparse.ArgumentParser) -> None:
+    """Add what describes a fit: seeds, scene and settings."""
+    add = parser.add_argument
     add("--seeds", metavar="FILE", help="mesh, label image, or CSV (z,y,x or z,y,x,radius; um)")
     add("--voxel-size", nargs=3, type=float, metavar=TRIPLE, help="um; else from the image file")
     add(
@@ -49,22 +82,20 @@ def add_parser(commands: Any) -> None:
         metavar=TRIPLE,
         help="um; standard deviations of the PSF (default: 1.2 voxels)",
     )
+    add_optics(parser)
     add("--fit-psf", action=argparse.BooleanOptionalAction, default=None, help=_help("fit_psf"))
     add("--accuracy", type=float, metavar="A", help=_help("accuracy"))
     names = ", ".join(EFFECTS)
     add("--effects", metavar="E", help=f"auto, none, or some of {names}, with commas between")
     add("--density", choices=get_args(DensityModel), help=_help("density"))
-    for name in ("remesh", "collisions"):
+    for name in ("remesh", "collisions", "topology"):
         add(f"--{name}", action=argparse.BooleanOptionalAction, default=None, help=_help(name))
     add("--likelihood", choices=get_args(Likelihood), help=_help("likelihood"))
     add("--levels", nargs="+", type=float, metavar="B", help=_help("levels"))
     add("--max-iterations", type=int, metavar="N", help=_help("max_iterations"))
+    add("--device", choices=get_args(DeviceChoice), help=_help("device"))
     add("--settings", metavar="run.toml", help="settings of a former run; other options prevail")
-    add("--resume", metavar="CHECKPOINT", help="go on from a checkpoint of the same fit")
     add("--missing-nan", action="store_true", help="leave out voxels that are NaN or infinite")
-    add("--overwrite", action="store_true", help="replace the results in DIR")
-    add("-o", "--output", required=True, metavar="DIR", help="folder for the results")
-    parser.set_defaults(run=run)
 
 
 def _help(name: str) -> str:
@@ -76,7 +107,10 @@ def _help(name: str) -> str:
 def run(arguments: argparse.Namespace, notes: Notes) -> int:
     """Read, fit, write; prints the path of each result."""
     folder = Path(arguments.output)
-    _check_folder(folder, arguments.overwrite, arguments.resume)
+    check_folder(folder, _PRECIOUS, overwrite=arguments.overwrite, but=arguments.resume)
+    auto = arguments.effects == "auto"
+    if auto and arguments.resume:
+        raise InputError("--resume goes on with the effects of its run.toml; leave out 'auto'")
     try:
         job = gather(arguments, notes)
         states = fit(
@@ -93,14 +127,23 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
         raise failure(error) from error
     make_folder(folder)
     notes.release()
-    return _Run(job, folder, notes).complete(states)
+    return _Run(job, folder, notes, auto, arguments.residual).complete(states)
 
 
 class _Run:
     """A fit under way: its course, its checkpoints, its end."""
 
-    def __init__(self, job: FitInput, folder: Path, notes: Notes) -> None:
+    def __init__(
+        self,
+        job: FitInput,
+        folder: Path,
+        notes: Notes,
+        auto: bool = False,
+        residual: bool = False,
+    ) -> None:
         self.job, self.folder, self.notes = job, folder, notes
+        self.auto, self.residual = auto, residual  # effects; whether the map is written
+        self.further: dict[str, Any] = {}  # sections of the report
         self.checkpoint = folder / CHECKPOINT
         self.history = History()
         self.last: FitState | None = None
@@ -112,6 +155,8 @@ class _Run:
         write_atomically(self.folder / "run.toml", self.job.settings.to_toml().encode())
         try:
             self._follow(states)
+            if self.auto:
+                self._follow(self._with_recommended())
         except KeyboardInterrupt:
             return self._interrupted()
         except Exception as error:
@@ -124,6 +169,21 @@ class _Run:
             self.last.save(self.checkpoint)
             print(self.checkpoint)
         return 0
+
+    def _with_recommended(self) -> Iterator[FitState]:
+        """The fit with the effects that the one before calls for; empty where it calls for none."""
+        assert self.last is not None, "a fit yields at least one state"
+        found = recommendation_for(self.job, self.notes, self.last)
+        self.further["recommendation"] = as_plain(found)
+        for line in verdict(found):
+            self.notes.add(line)
+        if not found.recommended:
+            return iter(())
+        self.job = with_recommended(self.job, found)
+        write_atomically(self.folder / "run.toml", self.job.settings.to_toml().encode())
+        self.history = History()
+        self.last = replace(self.last, message="")  # its verdict is not that of what comes
+        return start(self.job)
 
     def _follow(self, states: Iterator[FitState]) -> None:
         saved = time.monotonic()
@@ -146,6 +206,8 @@ class _Run:
         job = self.job
         seconds = time.monotonic() - self.started
         try:
+            left = analyse_residual(job.image, job.grid, state, counted=job.counted)
+            self.further["residual"] = residual_as_plain(left)
             paths = write_results(
                 self.folder,
                 state,
@@ -155,12 +217,17 @@ class _Run:
                 self.history,
                 seconds,
                 warnings=self.notes.texts,
+                further=self.further,
             )
         except (MemoryError, RuntimeError) as error:
             raise self._failed(error) from error
-        verdict = state.message or ("converged" if state.converged else "ended")
+        if self.residual:
+            tif = self.folder / "residual.tif"
+            write_image(tif, left.map, job.grid.voxel_size)
+            paths.append(tif)
+        how = state.message or ("converged" if state.converged else "ended")
         print(
-            f"{verdict} ({state.iteration} iterations, {seconds:.1f} s, loss {state.loss:.4g})",
+            f"{how} ({state.iteration} iterations, {seconds:.1f} s, loss {state.loss:.4g})",
             file=sys.stderr,
         )
         for path in paths:
@@ -200,25 +267,3 @@ class _Bar(tqdm):  # type: ignore[misc]
     """A progress bar without the thread that watches over progress bars."""
 
     monitor_interval = 0
-
-
-def _check_folder(folder: Path, overwrite: bool, resume: str | None) -> None:
-    """Refuse, before any work, a folder that cannot take the results or holds others."""
-    above = folder.absolute()
-    while not above.exists() and above != above.parent:
-        above = above.parent
-    if not above.is_dir():
-        raise InputError(f"{above} is a file, not a folder")
-    if not os.access(above, os.W_OK | os.X_OK):
-        raise InputError(f"{folder}: cannot be written: no permission for {above}")
-    if overwrite:
-        return
-    for name in _PRECIOUS:
-        path = folder / name
-        resumed = resume is not None and name == CHECKPOINT and _same(path, Path(resume))
-        if path.exists() and not resumed:
-            raise InputError(f"{folder} holds {name}; --overwrite replaces what is there")
-
-
-def _same(one: Path, other: Path) -> bool:
-    return one.exists() and other.exists() and one.samefile(other)

@@ -16,10 +16,12 @@ from ..images import EXTENSIONS, VoxelSize, read_image
 from ..inference.checks import check_image
 from ..job import SIGMA_IN_VOXELS, FitInput, SeedKind, assemble
 from ..scene import Grid
+from ..scene.effects import Effects
 from ..settings import RunSettings, validated
 from .messages import Notes
+from .optics_arguments import optics_values
 
-MESHES = (".ply", ".obj", ".off", ".stl", ".rec")
+MESHES = (".ply", ".obj", ".off", ".stl", ".rec", ".vtk")
 _FIT = (
     "accuracy",
     "fit_psf",
@@ -28,18 +30,20 @@ _FIT = (
     "levels",
     "remesh",
     "collisions",
+    "topology",
     "max_iterations",
+    "device",
 )
 
 
 def gather(arguments: argparse.Namespace, notes: Notes) -> FitInput:
     """Read everything that a fit needs. Raises InputError where something cannot be used."""
-    values = _values(arguments, notes)
+    values = run_values(arguments, notes)
     image, found = read_image(values["image"])
     scene = values["scene"]
-    scene["voxel_size"] = _voxel_size(scene.get("voxel_size"), found, values["image"], notes)
+    scene["voxel_size"] = voxel_size_of(scene.get("voxel_size"), found, values["image"], notes)
     settings: RunSettings = validated(RunSettings, values)
-    if settings.scene.sigma is None:
+    if settings.scene.sigma is None and settings.scene.optics is None:
         sigma = [SIGMA_IN_VOXELS * d for d in settings.scene.voxel_size]
         notes.add(
             f"no sigma given: {_shown(sigma)} um (Z Y X), {SIGMA_IN_VOXELS} voxels, is used"
@@ -88,11 +92,13 @@ def _naming(path: str, function: Any, *arguments: Any) -> Mesh:
     return mesh
 
 
-def _values(arguments: argparse.Namespace, notes: Notes) -> dict[str, Any]:
+def run_values(
+    arguments: argparse.Namespace, notes: Notes, model: type[RunSettings] = RunSettings
+) -> dict[str, Any]:
     """The run settings as plain values: those of a file, if any, under those of the arguments."""
     values: dict[str, Any] = {"scene": {}, "fit": {}}
     if arguments.settings:
-        values = RunSettings.from_toml(arguments.settings).model_dump()
+        values = model.from_toml(arguments.settings).model_dump()
     for name in ("image", "seeds"):
         given = getattr(arguments, name)
         if given is not None:
@@ -100,26 +106,30 @@ def _values(arguments: argparse.Namespace, notes: Notes) -> dict[str, Any]:
             values[name] = str(Path(given).absolute())
         elif name not in values:
             wanted = "IMAGE" if name == "image" else "--seeds FILE"
-            raise InputError(f"fit needs {wanted}, or --settings with a run.toml that names it")
+            command = "fit" if model is RunSettings else "track"
+            raise InputError(
+                f"{command} needs {wanted}, or --settings with a run.toml that names it"
+            )
     for part, names in (("fit", _FIT), ("scene", ("voxel_size", "sigma"))):
         for name in names:
             if getattr(arguments, name) is not None:
                 values[part][name] = getattr(arguments, name)
+    optics = optics_values(arguments)
+    if optics is not None:
+        values["scene"] |= {"sigma": None, "optics": optics}
+    elif arguments.sigma is not None:
+        values["scene"]["optics"] = None
     if arguments.effects is not None:
-        values["scene"]["effects"] = _effects(arguments.effects, notes)
+        if arguments.effects == "auto" and model is not RunSettings:
+            notes.add("effects: 'auto' adds none to a series; 'effects' says which a frame needs")
+        # Those that an image calls for are added once it was fitted without.
+        text = "none" if arguments.effects == "auto" else arguments.effects
+        values["scene"]["effects"] = Effects.from_text(text)
     return values
 
 
-def _effects(text: str, notes: Notes) -> tuple[str, ...]:
-    if text == "none":
-        return ()
-    if text == "auto":
-        notes.add("effects: 'auto' adds none in this version; name those that you want")
-        return ()
-    return tuple(name.strip().replace("-", "_") for name in text.split(","))
-
-
-def _voxel_size(given: Any, found: VoxelSize | None, path: str, notes: Notes) -> Any:
+def voxel_size_of(given: Any, found: VoxelSize | None, path: str, notes: Notes) -> Any:
+    """The voxel size given, else that of the file, with a note. InputError if there is none."""
     name = Path(path).name
     if given is not None:
         if found is not None and np.shape(given) == (3,) and not np.allclose(given, found, 0.01):

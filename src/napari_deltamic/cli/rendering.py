@@ -11,9 +11,9 @@ from ..errors import InputError
 from ..geometry import load_mesh
 from ..images import EXTENSIONS, write_image
 from ..inference.checks import check_mesh
-from ..optics import GaussianPSF
 from ..scene import Grid, render
 from .messages import Notes, failure
+from .optics_arguments import add_optics, optics_from_arguments
 
 TRIPLE = ("Z", "Y", "X")
 
@@ -26,7 +26,7 @@ def add_parser(commands: Any) -> None:
         description="Render the image that a microscope would show of the surface of a mesh.",
     )
     add = parser.add_argument
-    add("mesh", metavar="MESH", help=".ply, .obj, .off, .stl or .rec; x, y, z in um")
+    add("mesh", metavar="MESH", help=".ply, .obj, .off, .stl, .rec or .vtk; x, y, z in um")
     add("--shape", nargs=3, type=int, metavar=TRIPLE, required=True, help="voxels")
     add("--voxel-size", nargs=3, type=float, metavar=TRIPLE, required=True, help="um")
     add(
@@ -34,9 +34,9 @@ def add_parser(commands: Any) -> None:
         nargs=3,
         type=float,
         metavar=TRIPLE,
-        required=True,
         help="um; standard deviations of the PSF",
     )
+    add_optics(parser)
     add(
         "--accuracy",
         type=float,
@@ -59,16 +59,15 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
     output = Path(arguments.output)
     _check_output(output, arguments.overwrite)
     grid = Grid(tuple(arguments.shape), tuple(arguments.voxel_size))
-    optics = GaussianPSF(arguments.sigma)
+    optics = optics_from_arguments(arguments)
     if not 0 <= arguments.accuracy < 1:
         raise InputError(f"accuracy must be at least 0 and below 1, not {arguments.accuracy:g}")
     mesh = load_mesh(arguments.mesh)
     check_mesh(mesh, grid)
     notes.release()
     try:
-        image = render(
-            mesh, grid, optics, arguments.accuracy, pixel_integration=arguments.pixel_integration
-        )
+        effects = ("pixel_integration",) if arguments.pixel_integration else ()
+        image = render(mesh, grid, optics, arguments.accuracy, effects=effects)
         write_image(output, image.numpy(), grid.voxel_size)
     except (MemoryError, RuntimeError) as error:
         raise failure(error, grid.shape) from error

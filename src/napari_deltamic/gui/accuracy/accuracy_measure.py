@@ -173,7 +173,7 @@ class MeasureControl(QObject):
     def _key(self) -> tuple[Any, ...]:
         layer, settings = self._panels.image.layer, self._panels.settings
         size = self._panels.image.voxel_size.value()
-        return id(layer), size, settings.sigma.value()
+        return id(layer), size, settings.optics.key()
 
     def _chosen(self, accuracy: float) -> None:
         settings = self._panels.settings

@@ -17,10 +17,10 @@ from ...geometry import Mesh, sphere
 from ...geometry.label_meshes import EDGE_IN_VOXELS
 from ...inference.default_accuracy import image_noise
 from ...inference.forecast import Forecast, forecast
-from ...job import SIGMA_IN_VOXELS, SeedKind
-from ...optics import GaussianPSF
+from ...job import SeedKind, optics_of
+from ...optics import Optics
 from ...scene import Grid
-from ...settings import NEAR_LEVELS, FitSettings
+from ...settings import NEAR_LEVELS, FitSettings, SceneSettings
 from ..running.composition import Live, Panels
 from ..seeding.seeds import at_time, seeds_from_layer
 from ..viewing.frame import FloatArray, Frame
@@ -35,6 +35,7 @@ class SceneNow:
 
     choice : of the accuracy dial.
     image : (Z, Y, X), or what becomes such an array.
+    scene : PSF and effects.
     settings : of the fit; the accuracy is that of the choice.
     kind : of the seeds, which decides the levels.
     surfaces : make the starting surfaces, or cheap ones about as large; may take a while.
@@ -44,12 +45,16 @@ class SceneNow:
     choice: str
     image: Any
     grid: Grid
-    optics: GaussianPSF
+    scene: SceneSettings
     settings: FitSettings
-    effects: tuple[str, ...]
     kind: SeedKind
     surfaces: tuple[Surfaces, ...]
     guessed: bool
+
+    @property
+    def optics(self) -> Optics:
+        """The PSF, computed when asked. InputError where it cannot be."""
+        return optics_of(self.scene)
 
     def pixels(self) -> NDArray[Any]:
         """(Z, Y, X)."""
@@ -81,8 +86,9 @@ def outlook(scene: SceneNow) -> Outlook:
     if scene.kind != "rough" and scene.settings.levels is None:
         found["levels"] = NEAR_LEVELS
     settings = scene.settings.model_copy(update=found)
+    effects = scene.scene.effects
     expected = forecast(
-        pixels, scene.grid, scene.mesh(), scene.optics, settings, None, scene.effects, known
+        pixels, scene.grid, scene.mesh(), scene.optics, settings, None, effects, known
     )
     return Outlook(noise, accuracy, expected, scene.guessed)
 
@@ -136,9 +142,8 @@ def scene_now(viewer: Any, panels: Panels, live: Live) -> SceneNow:
         choice=panels.settings.accuracy.choice,
         image=data,
         grid=grid,
-        optics=GaussianPSF(scene.sigma or [SIGMA_IN_VOXELS * d for d in grid.voxel_size]),
+        scene=scene,
         settings=panels.settings.other_settings(),
-        effects=scene.effects,
         kind=kind,
         surfaces=surfaces,
         guessed=guessed,

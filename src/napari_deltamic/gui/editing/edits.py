@@ -13,7 +13,7 @@ from ...errors import InputError
 from ...geometry import Mesh
 from ...inference import Change, FitState
 from ...job import FitInput
-from ...scene import render
+from ...scene import expected_image
 from ..qt import Signal
 from ..running.waiting import usable
 from .carry import carried
@@ -58,7 +58,7 @@ class Edits(QObject):
     """
 
     changed = Signal()  # what can be undone, or what is pinned
-    settings_undone = Signal(object)  # the Change that took settings or optics back
+    settings_undone = Signal(object)  # the Change that took settings, optics or effects back
 
     def __init__(self, control: Any, parent: QObject | None = None) -> None:
         super().__init__(parent)
@@ -188,7 +188,7 @@ class Edits(QObject):
         source.pop()
         self._apply(change, present, f"{word} {step.note}")
         other.append(_Step(step.note, back, mesh))
-        if change.settings is not None or change.optics is not None:
+        if (change.settings, change.optics, change.effects) != (None, None, None):
             self.settings_undone.emit(change)
         self.changed.emit()
 
@@ -216,6 +216,7 @@ class Edits(QObject):
             "pinned": self._pins(present),
             "optics": present.state.optics,
             "settings": present.job.settings.fit,
+            "effects": present.state.effects,
         }
         changed = {f.name for f in fields(change) if getattr(change, f.name) is not None}
         if "mesh" in changed:
@@ -265,15 +266,8 @@ def changed_by_hand(state: FitState, job: FitInput, change: Change) -> FitState:
     amplitude, background = state.amplitude, state.background
 
     def rendered() -> NDArray[np.float32]:
-        image = render(
-            mesh,
-            grid,
-            optics,
-            settings.fit.image_accuracy,
-            density=density,
-            pixel_integration="pixel_integration" in settings.scene.effects,
-        )
-        return (amplitude * image.detach() + background).numpy().astype(np.float32)
+        given = mesh, grid, optics, settings.fit.image_accuracy, amplitude, background
+        return expected_image(*given, density=density, effects=state.effects)
 
     return replace(
         state,

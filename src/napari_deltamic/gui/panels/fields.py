@@ -65,6 +65,26 @@ class TripleField(QWidget):
         self.edited.emit()
 
 
+class Number(QDoubleSpinBox):
+    """A number that is 0 or more, without zeros at its end.
+
+    It is wide open: a value in another unit is to be named, not cut.
+    """
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setRange(0, 100_000)
+        self.setDecimals(4)
+        self.setKeyboardTracking(False)
+        self.setStyleSheet("QDoubleSpinBox { min-width: 60px; }")
+
+    def textFromValue(self, value: float) -> str:
+        """Qt's."""
+        text = super().textFromValue(value)
+        point = self.locale().decimalPoint()
+        return text.rstrip("0").rstrip(point) if point in text else text
+
+
 class LayerChooser(QComboBox):
     """The layers of a viewer that can be used for something; ``chosen`` says that it is another."""
 

@@ -6,12 +6,17 @@ from qtpy.QtWidgets import QLabel, QSizePolicy, QWidget
 
 
 class Note(QLabel):
-    """A small line, wrapped, that is hidden while it is empty."""
+    """A small line, wrapped, that is hidden while it is empty.
 
-    def __init__(self, parent: QWidget | None = None) -> None:
+    Parameters
+    ----------
+    wrong : whether what it says is that something cannot be used.
+    """
+
+    def __init__(self, parent: QWidget | None = None, *, wrong: bool = False) -> None:
         super().__init__(parent)
         self.setWordWrap(True)
-        self.setStyleSheet("font-size: 11px;")
+        self.setStyleSheet("font-size: 11px;" + " color: #e0564f;" * wrong)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Minimum)
         self.hide()
 

@@ -7,18 +7,27 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from npe2 import PluginManager
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
+from ...optics.microscope import Modality
+from ...optics_settings import MicroscopeOptics
+from ...scene.effects import Effects
 from ...settings import FitSettings
 from ..accuracy.accuracy_dial import STANDARD, usable_choice
+from ..optics.optics_panel import GAUSSIAN
 from ..running.composition import Panels
 from ..running.run_control import RunControl
 
 PLUGIN = "napari-deltamic"
 _FIT = ("fit_psf", "density")
+
+
+def _readable(text: str) -> str:
+    Effects.from_text(text)
+    return text
 
 
 class Preferences(BaseModel):
@@ -28,6 +37,9 @@ class Preferences(BaseModel):
     accuracy : what the dial shows, a name or a number.
     preview_seeds : whether the surfaces that a fit would start from are shown.
     show_rendered : whether the rendered image is shown.
+    effects : those ticked, as ``--effects`` names them.
+    psf : kind of PSF; for that of an objective its modality, aperture, immersion and wavelength
+        (um).
     updates_per_second : of the viewer while a fit runs, at most.
     """
 
@@ -37,12 +49,33 @@ class Preferences(BaseModel):
     accuracy: Annotated[str, AfterValidator(usable_choice)] = STANDARD
     preview_seeds: bool = True
     show_rendered: bool = False
+    effects: Annotated[str, AfterValidator(_readable)] = "none"
+    psf: Literal["Gaussian", "from the objective"] = GAUSSIAN
+    modality: Modality = "confocal"
+    na: Annotated[float, Field(gt=0, lt=2)] = 1.2
+    immersion: str = "water"
+    wavelength: Annotated[float, Field(ge=0.2, le=2)] = 0.52
     updates_per_second: Annotated[int, Field(ge=1, le=30)] = 30
+
+    @property
+    def objective(self) -> MicroscopeOptics:
+        """The numbers of the objective; a light sheet has one as thick as most."""
+        return MicroscopeOptics(
+            modality=self.modality,
+            na=self.na,
+            immersion=self.immersion,
+            wavelength=self.wavelength,
+            sheet=2.0,
+        )
 
     def show(self, panels: Panels, control: RunControl) -> None:
         """Set a new widget."""
         panels.settings.show_settings(self.fit)
         panels.settings.accuracy.show_choice(self.accuracy)
+        panels.settings.show_effects(Effects.from_text(self.effects))
+        optics = panels.settings.optics
+        optics.objective.show_settings(self.objective)
+        optics.prefer(self.psf)
         panels.seeds.preview.prefer(self.preview_seeds)
         panels.running.rendered.setChecked(self.show_rendered)
         control.interval = 1 / self.updates_per_second
@@ -64,7 +97,8 @@ def read_preferences() -> tuple[Preferences, str]:
         warnings.simplefilter("ignore")  # remarks about other plugins are not for our user
         try:
             page: Any = get_plugin_settings(PLUGIN)
-            chosen = {**page.fit.model_dump(), **page.viewing.model_dump()}
+            pages = (page.fit, page.optics, page.viewing)
+            chosen = {k: v for part in pages for k, v in part.model_dump().items()}
         except Exception as error:  # unreadable preferences must not cost the widget
             reason = " ".join(str(error).split())[:200]
             return Preferences(), f"the preferences of deltaMic cannot be read: {reason}"

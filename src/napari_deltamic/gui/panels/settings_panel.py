@@ -17,8 +17,8 @@ from qtpy.QtWidgets import (
 
 from ...inference.default_accuracy import image_noise
 from ...job import SIGMA_IN_VOXELS
+from ...scene.effects import Effects
 from ...settings import (
-    EFFECT_HELP,
     DensityModel,
     FitSettings,
     Likelihood,
@@ -27,8 +27,9 @@ from ...settings import (
 )
 from ..accuracy.accuracy_dial import AccuracyDial
 from ..accuracy.accuracy_view import TradeoffView
+from ..effects.effects_panel import EffectsPanel
+from ..optics.optics_panel import OpticsPanel
 from ..qt import Signal
-from .fields import TripleField
 from .fold import Fold
 from .note import Note
 
@@ -37,6 +38,7 @@ _SWITCHES = {
     "fit_psf": "fit the PSF too",
     "remesh": "remesh slivers",
     "collisions": "surfaces never cross",
+    "topology": "cells may change neighbours",
 }
 
 
@@ -45,14 +47,15 @@ class SettingsPanel(QGroupBox):
 
     changed = Signal()
 
-    def __init__(self, image_panel: Any, parent: QWidget | None = None) -> None:
+    def __init__(self, viewer: Any, image_panel: Any, parent: QWidget | None = None) -> None:
         super().__init__("Optics and fit", parent)
         self._image = image_panel
         self._sigma_given = False
-        self.sigma = TripleField(_tip(SceneSettings, "sigma"), self)
+        self.optics = OpticsPanel(viewer, _tip(SceneSettings, "sigma"), self)
+        self.sigma = self.optics.sigma
         self.switches = {name: QCheckBox(text, self) for name, text in _SWITCHES.items()}
         self.fit_psf = self.switches["fit_psf"]
-        self.effects = {name: QCheckBox(name.replace("_", " "), self) for name in EFFECT_HELP}
+        self.effects = EffectsPanel(self)
         self.accuracy = AccuracyDial(lambda: image_noise(image_panel.stack()), self)
         self.accuracy_number = QLabel(self)  # what the dial stands for
         self.outlook, self.pace = Note(self), Note(self)  # predicted, and measured, times
@@ -64,29 +67,18 @@ class SettingsPanel(QGroupBox):
         self.max_iterations = QSpinBox(self)
         self.max_iterations.setRange(1, 1_000_000)
         layout = QFormLayout(self)
-        more = QWidget()
-        inner = QFormLayout(more)
-        inner.setContentsMargins(0, 0, 0, 0)
         dial = QHBoxLayout()
         dial.addWidget(self.accuracy, 1)
         dial.addWidget(self.accuracy_number)
         layout.addRow("accuracy", dial)
         for row in (self.outlook, self.pace):
             layout.addRow(row)
-        inner.addRow(self.tradeoff)
-        # In a row of its own: the dock may be narrow.
-        inner.addRow(QLabel("PSF sigma, um", self))
-        inner.addRow(self.sigma)
-        inner.addRow("", self.fit_psf)
-        for k, (name, box) in enumerate(self.effects.items()):
-            box.setToolTip(_rich(EFFECT_HELP[name]))
-            inner.addRow("" if k else "effects", box)
-        for name in _RARE:
-            inner.addRow(name.replace("_", " "), getattr(self, name))
-        for name in ("remesh", "collisions"):
-            inner.addRow("", self.switches[name])
-        self.more = Fold("PSF, density and more", more, self)
-        layout.addRow(self.more)
+        self.optics.layout().addWidget(self.fit_psf)  # type: ignore[union-attr]
+        self.psf_fold = Fold("", self.optics, self)
+        self.effects_fold = Fold("", self.effects, self)
+        self.more = Fold("Density, cost and more", self._rest(), self)
+        for fold in (self.psf_fold, self.effects_fold, self.more):
+            layout.addRow(fold)
         for name in _RARE:
             getattr(self, name).setToolTip(_tip(FitSettings, name))
         for name, box in self.switches.items():
@@ -94,7 +86,8 @@ class SettingsPanel(QGroupBox):
         self.show_settings(FitSettings())
         typed: Any = self.accuracy.lineEdit()
         for signal in (
-            *(box.toggled for box in (*self.switches.values(), *self.effects.values())),
+            *(box.toggled for box in self.switches.values()),
+            self.effects.changed,
             self.accuracy.activated,
             typed.editingFinished,
             self.density.currentTextChanged,
@@ -104,8 +97,12 @@ class SettingsPanel(QGroupBox):
             signal.connect(self._edited)
         self.max_iterations.setKeyboardTracking(False)
         image_panel.changed.connect(self._guess_sigma)
-        self.sigma.edited.connect(self._sigma_edited)
+        self.sigma.edited.connect(self._sigma_given_by_user)
+        self.optics.changed.connect(self._edited)
+        self.optics.described.connect(self._show_choices)
+        self.effects.described.connect(self._show_choices)
         self._guess_sigma()
+        self._show_choices()
 
     def fit_settings(self) -> FitSettings:
         """The settings shown. InputError names the field that is wrong."""
@@ -124,10 +121,12 @@ class SettingsPanel(QGroupBox):
 
     def scene_settings(self) -> SceneSettings:
         """Voxel size of the image chosen, PSF and effects."""
+        optics = self.optics.settings()
         values = {
             "voxel_size": self._image.frame().voxel_size,
-            "sigma": self.sigma.value(),
-            "effects": tuple(name for name, box in self.effects.items() if box.isChecked()),
+            "sigma": self.sigma.value() if optics is None else None,
+            "optics": optics,
+            "effects": self.effects.effects(),
         }
         settings: SceneSettings = validated(SceneSettings, values)
         return settings
@@ -144,23 +143,45 @@ class SettingsPanel(QGroupBox):
     def show_sigma(self, sigma: tuple[float, float, float]) -> None:
         """Show PSF widths that are known, um."""
         self._sigma_given = True
-        self.sigma.set_value(sigma)
+        self.optics.show_sigma(sigma)
 
-    def show_effects(self, effects: tuple[str, ...]) -> None:
+    def show_scene(self, scene: SceneSettings) -> None:
+        """Show the PSF and the effects of settings."""
+        self.optics.show_settings(scene.optics)
+        if scene.sigma is not None:
+            self.show_sigma(scene.sigma)
+        self.show_effects(scene.effects)
+
+    def show_effects(self, effects: Effects) -> None:
         """Tick effects."""
-        for name, box in self.effects.items():
-            box.setChecked(name in effects)
+        self.effects.show_effects(effects)
+
+    def _rest(self) -> QWidget:
+        rest = QWidget()
+        inner = QFormLayout(rest)
+        inner.setContentsMargins(0, 0, 0, 0)
+        inner.addRow(self.tradeoff)
+        for name in _RARE:
+            inner.addRow(name.replace("_", " "), getattr(self, name))
+        for name in ("remesh", "collisions", "topology"):
+            inner.addRow("", self.switches[name])
+        return rest
+
+    def _show_choices(self) -> None:
+        """What is chosen is told while its fields are folded away."""
+        self.psf_fold.set_title(f"PSF: {self.optics.summary()}")
+        self.effects_fold.set_title(f"Effects: {self.effects.summary()}")
 
     def _guess_sigma(self) -> None:
         if self._image.layer is not None and not self._sigma_given:
-            self.sigma.set_value([SIGMA_IN_VOXELS * d for d in self._image.voxel_size.value()])
+            sizes = self._image.voxel_size.value()
+            self.optics.show_sigma([SIGMA_IN_VOXELS * d for d in sizes])
 
     def _edited(self, value: Any = None) -> None:
         self.changed.emit()
 
-    def _sigma_edited(self) -> None:
+    def _sigma_given_by_user(self) -> None:
         self._sigma_given = True
-        self.changed.emit()
 
 
 def _tip(model: Any, name: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from math import nan
 from typing import Any
 
 from qtpy.QtCore import QEvent, QSignalBlocker, Qt
@@ -16,6 +17,7 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
+from ...inference.evidence.residual import CellFit
 from ...measure.cells import CellRow
 from ...picture import COLOURS
 from ..qt import Signal
@@ -26,6 +28,23 @@ _COLUMNS = (
     ("area, µm²", "area_um2", "{:.2f}", "Area of the whole surface, walls included, um^2."),
     ("sphericity", "sphericity", "{:.3f}", "1 for a sphere, less for any other shape."),
 )
+# Only there once the residual was looked at.
+_FITS = (
+    (
+        "explained",
+        "explained",
+        "{:.1%}",
+        "Share of what varies near the cell, beyond noise, that the fit explains.",
+    ),
+    (
+        "residual, z",
+        "residual_z",
+        "{:.1f}",
+        "Standard deviations by which the residual near the cell is larger than noise.",
+    ),
+)
+_FIT_KEYS = tuple(key for _, key, _, _ in _FITS)
+_ALL = (*_COLUMNS, *_FITS)
 _REGION = Qt.ItemDataRole.UserRole
 
 
@@ -39,10 +58,10 @@ class CellTable(QTableWidget):
     chosen = Signal(tuple, bool)
 
     def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(0, len(_COLUMNS), parent)
+        super().__init__(0, len(_ALL), parent)
         self._rows: dict[int, CellRow] = {}
         self._told: tuple[int, ...] = ()
-        for column, (title, _, _, tip) in enumerate(_COLUMNS):
+        for column, (title, _, _, tip) in enumerate(_ALL):
             item = QTableWidgetItem(title.replace(", ", "\n"))
             item.setToolTip(f"{tip} Click to sort.")
             self.setHorizontalHeaderItem(column, item)
@@ -63,21 +82,34 @@ class CellTable(QTableWidget):
             "the viewer. Ctrl+C copies the rows chosen, or all.</qt>"
         )
         self.itemSelectionChanged.connect(self._selection_changed)
+        self._hide_fits(True)
 
     def show_rows(self, rows: Collection[CellRow]) -> None:
         """Show measurements, as from ``measure_cells``; cells that are still there stay chosen."""
+        self._hide_fits(not any("explained" in row for row in rows))
         before = self.chosen_regions()
         blocker = QSignalBlocker(self)
         self._rows = {int(row["region"]): row for row in rows}
         self.setSortingEnabled(False)  # or rows would move while they are filled
         self.setRowCount(len(rows))
         for r, row in enumerate(rows):
-            for c, (_, key, form, _) in enumerate(_COLUMNS):
+            for c, (_, key, form, _) in enumerate(_ALL):
                 self.setItem(r, c, _cell(row, key, form))
         self.setSortingEnabled(True)
         self._select(before)
         blocker.unblock()
         self._tell(by_hand=False)
+
+    def show_fits(self, cells: Collection[CellFit]) -> None:
+        """Show how well the cells are explained; nothing of it where there are none."""
+        fits = {cell.region: cell for cell in cells}
+        rows = [{k: v for k, v in row.items() if k not in _FIT_KEYS} for row in self._rows.values()]
+        for row in rows if fits else ():
+            fit = fits.get(int(row["region"]))
+            share = None if fit is None else fit.explained
+            row["explained"] = nan if share is None else share
+            row["residual_z"] = nan if fit is None else fit.z
+        self.show_rows(rows)
 
     def chosen_regions(self) -> tuple[int, ...]:
         """The regions of the rows selected, in the order in which they were."""
@@ -103,10 +135,11 @@ class CellTable(QTableWidget):
         """The rows selected, or all, as they are sorted: tab-separated, with a header."""
         model: Any = self.selectionModel()
         rows = sorted(i.row() for i in model.selectedRows()) or range(self.rowCount())
-        lines = [[title for title, _, _, _ in _COLUMNS]]
+        shown = [column for c, column in enumerate(_ALL) if not self.isColumnHidden(c)]
+        lines = [[title for title, _, _, _ in shown]]
         for r in rows:
             row = self._rows[self._region(r)]
-            lines.append([f"{row[key]:.10g}" for _, key, _, _ in _COLUMNS])
+            lines.append([f"{row[key]:.10g}" for _, key, _, _ in shown])
         return "\n".join("\t".join(line) for line in lines) + "\n"
 
     def copy(self) -> None:
@@ -135,6 +168,10 @@ class CellTable(QTableWidget):
             super().keyPressEvent(event)
 
     # ----------------------------------------------------------------------------------- inside
+
+    def _hide_fits(self, hidden: bool) -> None:
+        for column in range(len(_COLUMNS), len(_ALL)):
+            self.setColumnHidden(column, hidden)
 
     def _region(self, row: int) -> int:
         item: Any = self.item(row, 0)
@@ -174,13 +211,15 @@ class _Item(QTableWidgetItem):
 
 
 def _cell(row: CellRow, key: str, form: str) -> QTableWidgetItem:
-    value = float(row[key])
+    value = float(row.get(key, nan))
     item = _Item(form.format(value) if value == value else "-", value)
     item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
     region = int(row["region"])
     if key == "region":
         item.setForeground(QColor(*COLOURS[(region - 1) % len(COLOURS)]))
         item.setData(_REGION, region)
-    if value != value:
+    if value != value and key in _FIT_KEYS:
+        item.setToolTip("Nothing near this cell varies by more than noise.")
+    elif value != value:
         item.setToolTip("The surface of this cell is not closed, or inside out.")
     return item

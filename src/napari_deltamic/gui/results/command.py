@@ -10,13 +10,14 @@ from typing import Any
 from numpy.typing import NDArray
 
 from ...cli.messages import PROGRAM
+from ...cli.optics_arguments import optics_options
 from ...images import write_image
 from ...scene import Grid
 from ...settings import NEAR_LEVELS, FitSettings, RunSettings
 from ..seeding.seeds import Seeds
 from ..viewing.mesh_layer import SUFFIXES
 
-_FLAGS = ("accuracy", "density", "likelihood", "max_iterations")
+_FLAGS = ("accuracy", "density", "likelihood", "max_iterations", "device")
 
 
 def command(settings: RunSettings, output: str, *, missing: bool = False) -> str:
@@ -25,18 +26,21 @@ def command(settings: RunSettings, output: str, *, missing: bool = False) -> str
     words += ["--voxel-size", *_numbers(settings.scene.voxel_size)]
     if settings.scene.sigma is not None:
         words += ["--sigma", *_numbers(settings.scene.sigma)]
+    if settings.scene.optics is not None:
+        words += optics_options(settings.scene.optics)
     fit, default = settings.fit, FitSettings()
     words.append("--fit-psf" if fit.fit_psf else "--no-fit-psf")
     for name in _FLAGS:
         value: Any = getattr(fit, name)
         if value != getattr(default, name):
             words += [f"--{name.replace('_', '-')}", str(value)]
-    for name in ("remesh", "collisions"):
+    for name in ("remesh", "collisions", "topology"):
         if getattr(fit, name) != getattr(default, name):
             words.append(f"--{name}" if getattr(fit, name) else f"--no-{name}")
     words += ["--levels", *_numbers(fit.levels)] if fit.levels else []
     words += ["--missing-nan"] if missing else []
-    words += ["--effects", ",".join(settings.scene.effects)] if settings.scene.effects else []
+    effects = settings.scene.effects
+    words += ["--effects", effects.to_text()] if effects.names else []
     return shlex.join([*words, "-o", output])
 
 

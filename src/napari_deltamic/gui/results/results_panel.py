@@ -18,7 +18,7 @@ from ..qt import Signal
 from .cell_table import CellTable
 
 IMAGE_FILES = "OME-TIFF (*.ome.tif *.ome.tiff);;ImageJ TIFF (*.tif *.tiff)"
-MESH_FILES = "PLY (*.ply);;OBJ (*.obj);;STL (*.stl);;multimaterial (*.rec)"
+MESH_FILES = "PLY (*.ply);;OBJ (*.obj);;STL (*.stl);;multimaterial (*.rec);;VTK (*.vtk)"
 
 
 class ResultsPanel(QGroupBox):

@@ -7,8 +7,7 @@ from typing import Any
 
 from ...errors import InputError
 from ...geometry.mesh import OUTSIDE
-from ...job import SIGMA_IN_VOXELS, FitInput
-from ...optics import GaussianPSF
+from ...job import FitInput, optics_of
 from ...report import History
 from ...session_file import SavedImage, SavedResult, Session
 from ...settings import RunSettings
@@ -85,10 +84,8 @@ def restore(parts: Parts, session: Session) -> None:
     viewer.add_layer(image)
     panels.image.chooser.choose(image)
     panels.settings.show_settings(session.settings.fit)
-    panels.settings.show_effects(session.settings.scene.effects)
+    panels.settings.show_scene(session.settings.scene)
     _show_accuracy(panels, session.panels.get("accuracy"))
-    if session.settings.scene.sigma is not None:
-        panels.settings.show_sigma(session.settings.scene.sigma)
     # Before the layers: sizes of points follow these fields.
     _show_seeds(panels, session.panels.get("seeds", {}))
     for seed in seeds:
@@ -143,13 +140,12 @@ def _result(parts: Parts, frame: Frame) -> tuple[tuple[SavedResult, FitInput] | 
 
 def _show_result(parts: Parts, result: SavedResult, image: SavedImage) -> None:
     running, state, history = parts.panels.running, result.state, result.history
-    sigma = result.settings.scene.sigma or [SIGMA_IN_VOXELS * d for d in image.voxel_size]
     job = FitInput(
         settings=result.settings,
         image=image.pixels,
         grid=image.grid,
         mesh=result.start or state.mesh,
-        optics=GaussianPSF(sigma),
+        optics=optics_of(result.settings.scene),
         counted=result.counted,
     )
     parts.panels.results.choose(OUTSIDE)

@@ -9,19 +9,22 @@ from qtpy.QtCore import QObject, QSignalBlocker
 
 from ...errors import InputError
 from ...inference import Change
-from ...optics import GaussianPSF
-from ...settings import FitSettings
+from ...job import optics_of, scene_with
+from ...optics import Optics
+from ...scene.effects import Effects
+from ...settings import FitSettings, SceneSettings
 from ..editing.edits import Edits
 from .composition import Live, Panels
 from .run_control import RunControl
 
 # Of a fit: its schedule is what it is on.
 _FIXED = ("levels",)
-_SCENE = {"voxel_size": "voxel size", "origin": "origin", "effects": "effects"}
+_SCENE = {"voxel_size": "voxel size", "origin": "origin"}
 _YES_NO = {
     "fit_psf": ("the PSF is fitted too", "the PSF is held"),
     "remesh": ("slivers are remeshed", "nothing is remeshed"),
     "collisions": ("surfaces may not cross", "surfaces may cross"),
+    "topology": ("cells may change neighbours", "cells keep their neighbours"),
 }
 
 
@@ -40,8 +43,9 @@ class LiveSettings(QObject):
         self._control, self._edits, self._panels, self._live = control, edits, panels, live
         self._fit: FitSettings | None = None  # of the fit, as it was last told
         self._shown: FitSettings | None = None  # what the panel showed then
-        self._sigma: tuple[float, ...] = ()
+        self._psf = ""  # that the panel showed then
         self._scene: dict[str, Any] = {}
+        self._effects = Effects()  # those that the panel showed then
         control.started.connect(self._started)
         control.began.connect(self._began)
         edits.settings_undone.connect(self._undone)
@@ -51,7 +55,9 @@ class LiveSettings(QObject):
     def _started(self) -> None:
         settings = self._panels.settings
         self._fit, self._shown = None, settings.fit_settings()
-        self._sigma, self._scene = settings.sigma.value(), _scene(settings.scene_settings())
+        scene = settings.scene_settings()
+        self._psf, self._scene = settings.optics.key(), _scene(scene)
+        self._effects = scene.effects
 
     def _began(self, fresh: bool) -> None:
         present = self._control.present()
@@ -75,7 +81,7 @@ class LiveSettings(QObject):
     def _image_changed(self) -> None:
         if self._running:
             # A PSF that is only guessed follows the voxel size, but not in a fit.
-            self._sigma = self._panels.settings.sigma.value()
+            self._psf = self._panels.settings.optics.key()
             link, chosen = self._live.link, self._panels.image.layer
             try:
                 if link is None or chosen is link.image_layer:
@@ -88,7 +94,8 @@ class LiveSettings(QObject):
 
     def _hand_over(self) -> None:
         settings = self._panels.settings
-        fit, sigma = settings.fit_settings(), settings.sigma.value()
+        fit, scene, psf = settings.fit_settings(), settings.scene_settings(), settings.optics.key()
+        shown = scene.effects
         assert self._fit is not None
         changed = {
             name: getattr(fit, name)
@@ -98,15 +105,42 @@ class LiveSettings(QObject):
         if "accuracy" in changed:
             changed["accuracy"] = settings.accuracy.number()  # also where the noise decides
         words = [_words(name, value) for name, value in changed.items()]
-        optics = None
-        if sigma != self._sigma:
-            optics = GaussianPSF(sigma)
-            words.append("PSF sigma " + " ".join(f"{s:.3g}" for s in sigma))
+        optics = self._other_optics(scene) if psf != self._psf else None
+        if optics is not None:
+            words.append(f"PSF {settings.optics.summary()}")
+        self._psf = psf
+        effects = None
+        if shown != self._effects:
+            effects = self._with_found(shown)
+            words.append("effects " + (", ".join(shown.names) or "none").replace("_", " "))
         if words:
             after = self._fit.model_copy(update=changed)
-            change = Change(settings=after if changed else None, optics=optics)
+            change = Change(settings=after if changed else None, optics=optics, effects=effects)
             self._edits.change(change, ", ".join(words))
-            self._fit, self._shown, self._sigma = after, fit, sigma
+            self._fit, self._shown = after, fit
+            self._effects = shown
+
+    def _other_optics(self, scene: SceneSettings) -> Optics | None:
+        """The PSF shown; None where the fit cannot take it, which is told."""
+        present = self._control.present()
+        optics = optics_of(scene)
+        if present is None or type(optics) is type(present.state.optics):
+            return optics
+        self._panels.running.tell("PSF of another kind: from the next run on")
+        return None
+
+    def _with_found(self, shown: Effects) -> Effects:
+        """The effects shown; those that stay keep the numbers that the fit has found."""
+        present = self._control.present()
+        if present is None:
+            return shown
+        found = present.state.effects
+        same = [
+            effect
+            for effect in found.present()
+            if getattr(shown, effect.name) == getattr(self._effects, effect.name) is not None
+        ]
+        return shown.replace(**{effect.name: effect for effect in same})
 
     def _tell_fixed(self) -> None:
         """What cannot change on the way is told once."""
@@ -123,8 +157,12 @@ class LiveSettings(QObject):
             panel.show_settings(back.settings)
             self._fit, self._shown = back.settings, panel.fit_settings()
         if back.optics is not None:
-            panel.show_sigma(back.optics.sigma_um)
-            self._sigma = panel.sigma.value()
+            scene = scene_with(panel.scene_settings(), back.optics)
+            panel.show_scene(scene.model_copy(update={"effects": panel.effects.effects()}))
+            self._psf = panel.optics.key()
+        if back.effects is not None:
+            panel.show_effects(back.effects)
+            self._effects = panel.scene_settings().effects
         blocker.unblock()
 
 

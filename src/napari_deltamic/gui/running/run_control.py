@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +14,7 @@ from ...errors import InputError
 from ...geometry import Mesh
 from ...inference import Change, FitState
 from ...inference.checks import check_image
-from ...job import FitInput, assemble
+from ...job import FitInput, assemble, scene_with
 from ...report import History
 from ...settings import NEAR_LEVELS, RunSettings
 from ...timeline import Moment, Timeline
@@ -149,6 +149,7 @@ class RunControl(QObject):
         if self._live.link is not None:
             self._live.link.show_mesh(state.mesh)
         self._panels.running.psf.show_sigma("now", state.optics.sigma_um)
+        self._panels.running.numbers.show_fit(state, last[1])
         self._panels.results.show_result(state, *last[1:])
         self._panels.running.tell(f"{note}: the result was changed by hand")
         self._overlays.show_result()
@@ -179,6 +180,7 @@ class RunControl(QObject):
             self._live.link.show_mesh(state.mesh)
         running.curve.show_losses(history.loss, history.level, history.first)
         running.psf.show_sigma("now", state.optics.sigma_um)
+        running.numbers.show_fit(state, job)
         self.ended.emit()
 
     def go_on_from(self, mesh: Mesh, optics: Any, pinned: NDArray[np.bool_] | None) -> None:
@@ -189,7 +191,7 @@ class RunControl(QObject):
         fit = self._panels.settings.fit_settings().model_copy(update={"levels": NEAR_LEVELS})
         old = last[1].settings
         # The seeds of that fit would not repeat this one.
-        scene = old.scene.model_copy(update={"sigma": optics.sigma_um})
+        scene = scene_with(old.scene, optics)
         settings = old.model_copy(update={"fit": fit, "scene": scene, "seeds": ""})
         job = replace(last[1], settings=settings, mesh=mesh, optics=optics)
         first = None
@@ -198,7 +200,7 @@ class RunControl(QObject):
         if link.surface not in self._viewer.layers:
             link.close()
             self._live.link = ViewerLink(self._viewer, link.image_layer, link.frame, self._lost)
-        self._launch(lambda: job, optics.sigma_um, fresh=False, first=first)
+        self._launch(lambda: job, fresh=False, first=first)
 
     def hold(self, mesh: Mesh) -> None:
         """Show a mesh, whatever the fit does, until ``let_go``."""
@@ -228,12 +230,11 @@ class RunControl(QObject):
 
         self._link_to(frame)
         self._panels.seeds.finish_placing(keep_preview=True)
-        self._launch(prepare, settings.scene.sigma or (0, 0, 0), fresh=True)
+        self._launch(prepare, fresh=True)
 
     def _launch(
         self,
         prepare: Callable[[], FitInput],
-        sigma: Sequence[float],
         *,
         fresh: bool,
         first: Change | None = None,
@@ -252,7 +253,6 @@ class RunControl(QObject):
         self._live.run = run
         run.show_rendered(self._overlays.wanted)
         run.update_every(self.interval)
-        running.psf.show_sigma("start", sigma)
         running.set_running(True)
         running.say("preparing the seeds ..." if fresh else "starting ...")
         self.started.emit()
@@ -275,6 +275,9 @@ class RunControl(QObject):
         fresh, self._fresh = self._fresh, None
         if fresh is None:
             return
+        run = self._live.run
+        if run is not None and run.job is not None:
+            self._panels.running.psf.show_sigma("start", run.job.optics.sigma_um)
         if fresh:
             self._panels.seeds.make_room()
             self.timeline = Timeline()
@@ -294,6 +297,7 @@ class RunControl(QObject):
         if self._lets_go:
             self.let_go()
         self._overlays.show_snapshot(snapshot)
+        running.numbers.show_fit(state, snapshot.job)
         running.show_progress(
             run.history,
             state.level,
@@ -340,6 +344,7 @@ class RunControl(QObject):
         self._begin()
         self.timeline.add(state)
         link.show_mesh(state.mesh)
+        running.numbers.show_fit(state, outcome.job)
         self._panels.results.show_result(state, outcome.job, run.history, outcome.seconds)
         late, notes = run.left, ", ".join(note for _, note in self._asked)
         self._asked = []
@@ -348,6 +353,7 @@ class RunControl(QObject):
             self.replace_result(changed_by_hand(state, outcome.job, late), notes)
         elif late is not None and late.pinned is not None:
             self.pin_result(late.pinned)
+        self._overlays.show_end()
         if self._lets_go:
             self.let_go()
 

@@ -22,6 +22,7 @@ from ..editing.edit_bar import EditBar
 from ..editing.history_bar import HistoryBar
 from ..panels.fields import note_label
 from ..qt import Signal
+from .live_numbers import LiveNumbers
 from .loss_curve import LossCurve, SigmaCurve
 
 _COLOURS = {"converged": "#3fae6b", "ended": "#d99a1c", "stopped": "#d99a1c", "failed": "#e0564f"}
@@ -55,10 +56,15 @@ class RunPanel(QGroupBox):
         self.curve = LossCurve(self)
         self.sigmas = SigmaCurve(self)
         self.psf = PsfTable(self)
+        self.numbers = LiveNumbers(self)
         self.rendered = QCheckBox("rendered image", self)
         self.rendered.setToolTip("Show what the microscope would see of the present meshes.")
         self.residual = QCheckBox("residual", self)
-        self.residual.setToolTip("Show measured minus rendered image, signed.")
+        self.residual.setToolTip(
+            "<qt>Show measured minus rendered image, in standard deviations of the noise: green is "
+            "brighter than the model, magenta darker. After a fit the table tells how well each "
+            "cell is explained.</qt>"
+        )
         self.command_button = QPushButton("Copy as command", self)
         self.command_button.setToolTip("The command that repeats this run without a window.")
         self._lay_out()
@@ -157,7 +163,7 @@ class RunPanel(QGroupBox):
         for widget in parts:
             layout.addWidget(widget)
         layout.addLayout(plots)
-        for widget in (self.history, self.edit, self.psf):
+        for widget in (self.history, self.edit, self.psf, self.numbers):
             layout.addWidget(widget)
         layout.addWidget(self._shown)
         layout.addWidget(self.command_button)

@@ -19,9 +19,10 @@ from ...fourier import SlowPathWarning
 from ...geometry import Mesh
 from ...inference import Change, FitState
 from ...inference.forecast import Forecast, forecast
-from ...job import FitInput, start
+from ...job import FitInput, scene_with, start
 from ...report import History
-from ...settings import FitSettings
+from ...scene.effects import Effects
+from ...settings import FitSettings, SceneSettings
 from ..accuracy.renewed_forecast import RenewedForecast
 from .course import Clock, Course, Forecaster, Outcome, Snapshot, Verdict
 from .waiting import usable
@@ -297,7 +298,12 @@ def _taken(state: FitState, course: Course) -> tuple[Change | None, str | None]:
     except InputError as error:
         return None, f"not changed: {error}"
     if change.settings is not None:
-        course.job = _with_settings(job, change.settings)
+        job = course.job = _with_settings(job, change.settings)
+    if change.effects is not None:
+        job = course.job = _with_scene(job, job.settings.scene, change.effects)
+    if change.optics is not None:
+        scene = scene_with(job.settings.scene, change.optics)
+        course.job = _with_scene(job, scene, scene.effects)
     return change, None
 
 
@@ -313,6 +319,11 @@ def _with_settings(job: FitInput, settings: FitSettings) -> FitInput:
     run = job.settings
     settings = settings.model_copy(update={"levels": run.fit.levels})
     return replace(job, settings=run.model_copy(update={"fit": settings}))
+
+
+def _with_scene(job: FitInput, scene: SceneSettings, effects: Effects) -> FitInput:
+    scene = scene.model_copy(update={"effects": effects})
+    return replace(job, settings=job.settings.model_copy(update={"scene": scene}))
 
 
 def _failed(error: Exception, course: Course) -> Outcome:

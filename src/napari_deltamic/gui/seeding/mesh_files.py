@@ -27,7 +27,7 @@ class MeshFiles(QPushButton):
         self._viewer, self._image = viewer, image_panel
         self.message = ""
         self.setToolTip(
-            "<qt>Adds surfaces from .ply, .obj, .off, .stl or .rec files as layers; their "
+            "<qt>Adds surfaces from .ply, .obj, .off, .stl, .rec or .vtk files as layers; their "
             "coordinates are um from the centre of the first voxel.</qt>"
         )
         self._background = Background(self._add, self._fail)

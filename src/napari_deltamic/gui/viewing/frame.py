@@ -16,6 +16,7 @@ OWN = "deltamic"  # key in the metadata of layers: what this plugin knows of the
 # Under it: of a layer of a mesh file, where in the world the file's coordinates count from; None
 # for one that has not been put into the frame of an image yet.
 ORIGIN = "origin"
+TRUTH = "truth"  # under it: whether the layer shows what is true of a simulated image
 FloatArray = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
@@ -92,8 +93,9 @@ def um_per_unit(layer: Any) -> Triple | None:
 
 
 def made_by_fit(layer: Any) -> bool:
-    """Whether a layer shows a fit."""
-    return bool(layer.metadata.get(OWN, {}).get("fit"))
+    """Whether a layer shows a fit, or the truth of a simulation: no input before it is chosen."""
+    own = layer.metadata.get(OWN, {})
+    return bool(own.get("fit") or own.get(TRUTH))
 
 
 def is_stack(layer: Any) -> bool:

@@ -16,7 +16,7 @@ from ...geometry import Mesh, load_mesh
 from .colours import LIMITS, region_colormap, vertex_values
 from .frame import ORIGIN, OWN, Frame
 
-SUFFIXES = (".ply", ".obj", ".off", ".stl", ".rec")
+SUFFIXES = (".ply", ".obj", ".off", ".stl", ".rec", ".vtk")
 _FILE = "file"  # key under OWN
 
 

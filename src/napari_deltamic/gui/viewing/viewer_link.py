@@ -17,6 +17,8 @@ from .contours import Contours
 from .frame import OWN, Frame
 from .walls import COPIES, Apart
 
+_RESIDUAL = 5.0  # standard deviations of the noise that have the strongest colours
+
 
 class ViewerLink:
     """Shows a mesh and its images in a viewer until it is closed; then it leaves no connection.
@@ -43,6 +45,7 @@ class ViewerLink:
         self.contours = Contours(frame, f"{image_layer.name} contours")
         self._on_lost: Callable[[str], None] | None = on_lost
         self._seen_in_3d = True
+        self._placed = True  # whether the surface belongs to what is shown: 3D, at its time
         self._late = False  # whether the hidden surface is another than what is to be seen
         self._time: tuple[int, ...] = ()  # of the image, that is fitted; () where it has none
         self.take_time()
@@ -51,9 +54,8 @@ class ViewerLink:
         self._values: NDArray[np.float32] | None = None
         self._connections = Connections()
         dims = viewer.dims.events
-        for emitter in (dims.current_step, dims.order):
+        for emitter in (dims.current_step, dims.order, dims.ndisplay):
             self._connections.connect(emitter, self._slice_changed)
-        self._connections.connect(dims.ndisplay, self._view_changed)
         self._connections.connect(viewer.layers.events.removed, self._layer_removed)
 
     def take_time(self) -> None:
@@ -106,8 +108,8 @@ class ViewerLink:
             self._set_surface(self.surface, self.shown)
         self._slice_changed()
 
-    def show_rendered(self, rendered: NDArray[Any], measured: NDArray[Any] | None) -> None:
-        """Show a rendered image and, with the measured one, the signed residual."""
+    def show_rendered(self, rendered: NDArray[Any], residual: NDArray[Any] | None) -> None:
+        """Show a rendered image and the residual, in standard deviations of the noise."""
         if self.rendered is None:
             self.rendered = self._add_image(
                 rendered,
@@ -120,8 +122,8 @@ class ViewerLink:
             )
         elif self.rendered in self.viewer.layers:
             self.rendered.data = rendered
-        if measured is not None:
-            self._show_residual(measured - rendered)
+        if residual is not None:
+            self._show_residual(residual)
 
     def show_layers(self, rendered: bool, residual: bool) -> None:
         """Whether the images that a fit adds are visible."""
@@ -189,10 +191,11 @@ class ViewerLink:
             colormap=region_colormap(),
             contrast_limits=LIMITS,
             shading="smooth",
-            visible=self.viewer.dims.ndisplay == 3,
+            visible=self._belongs(),
             metadata={OWN: {"fit": True}},
             **self.frame.layer_options(),
         )
+        self._placed = self._belongs()
         self._note(self.surface, mesh)
         self._connections.connect(self.surface.events.visible, self._surface_shown)
         # Last: the layer that is added last is selected, and its controls are shown.
@@ -219,13 +222,11 @@ class ViewerLink:
 
     def _show_residual(self, residual: NDArray[Any]) -> None:
         if self.residual is None:
-            finite = np.abs(residual[np.isfinite(residual)])
-            limit = float(np.percentile(finite, 99.5)) if finite.size else 1.0
             self.residual = self._add_image(
                 residual,
                 "residual",
                 colormap="PiYG",
-                contrast_limits=(-limit or -1.0, limit or 1.0),
+                contrast_limits=(-_RESIDUAL, _RESIDUAL),
                 visible=False,
             )
         elif self.residual in self.viewer.layers:
@@ -238,6 +239,7 @@ class ViewerLink:
             self._draw(self.shown)
 
     def _slice_changed(self, event: Any = None) -> None:
+        self._place_surface()
         if self.contours.layer in self.viewer.layers:
             self.contours.update(self.shown if self.at_time else None, self.viewer.dims)
 
@@ -246,14 +248,20 @@ class ViewerLink:
         """Whether the image shown is that of the meshes."""
         return not self._time or tuple(self.viewer.dims.current_step[:-3]) == self._time
 
-    def _view_changed(self, event: Any = None) -> None:
+    def _belongs(self) -> bool:
         # In 2D napari draws a few faces of a surface, which look like dirt on its contours.
-        if self.surface is not None and self.surface in self.viewer.layers:
-            in_3d = self.viewer.dims.ndisplay == 3
-            if not in_3d:
-                self._seen_in_3d = self.surface.visible
-            self.surface.visible = in_3d and self._seen_in_3d
-        self._slice_changed()
+        return self.viewer.dims.ndisplay == 3 and self.at_time
+
+    def _place_surface(self) -> None:
+        """Show the surface where it belongs, if the user has not hidden it there."""
+        if self.surface is None or self.surface not in self.viewer.layers:
+            return
+        if self._belongs() == self._placed:
+            return
+        if self._placed:
+            self._seen_in_3d = self.surface.visible
+        self._placed = not self._placed
+        self.surface.visible = self._placed and self._seen_in_3d
 
     def _layer_removed(self, event: Any) -> None:
         if self._on_lost is None:

@@ -1,0 +1,116 @@
+"""``napari-deltamic effects``: which effects an image calls for, why, and what they cost."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from ..geometry.files import write_atomically
+from ..inference.evidence import Recommendation
+from ..inference.evidence.camera import Camera
+from ..inference.evidence.candidates import CONSIDERED, chosen_candidates
+from ..inference.evidence.finding import Finding
+from ..inference.evidence.first_sigma import first_sigma
+from ..inference.evidence.slices import drift, fading
+from ..job import FitInput
+from ..report import plain_values
+from ..scene.effects import Effects
+from .fitting import add_fit_options
+from .inputs import gather
+from .messages import Notes, failure
+from .recommending import as_plain, as_table, recommendation_for
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command to the parser of all."""
+    parser = commands.add_parser(
+        "effects",
+        help="which effects an image calls for",
+        description="Fit an image without further effects and say which it calls for: the "
+        "evidence, by how much the surface is off without, and what it costs. Changes nothing.",
+    )
+    add = parser.add_argument
+    add("image", nargs="?", metavar="IMAGE", help=".tif or .npy; not needed with --settings")
+    add_fit_options(parser)
+    add("--candidates", metavar="E", help=f"only these, of {', '.join(CONSIDERED)}")
+    add("--json", metavar="FILE", help="write everything found as JSON; - for stdout")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace, notes: Notes) -> int:
+    """Read, fit, judge; prints a table."""
+    if arguments.effects == "auto":
+        raise InputError("--effects names those that are in the scene already; leave out 'auto'")
+    only = None
+    if arguments.candidates is not None:
+        only = [n.strip().replace("-", "_") for n in arguments.candidates.split(",") if n.strip()]
+    chosen_candidates(only, Effects())  # refuses what is unknown before any work
+    try:
+        job = gather(arguments, notes)
+        notes.release()
+        found = recommendation_for(job, notes, only=only)
+        hints = _hints(job)
+    except (MemoryError, RuntimeError) as error:
+        raise failure(error) from error
+    facts = plain_values({**as_plain(found), "image": {k: asdict(f) for k, f in hints.items()}})
+    text = json.dumps(facts, indent=2, allow_nan=False) + "\n"
+    if arguments.json == "-":
+        sys.stdout.write(text)
+        return 0
+    if arguments.json:
+        write_atomically(Path(arguments.json), text.encode())
+    for line in [*as_table(found), *found.remarks, "", *_image_lines(found.camera, hints)]:
+        print(line)
+    _say_how(found)
+    return 0
+
+
+def _hints(job: FitInput) -> dict[str, Finding]:
+    """What the image alone tells, besides the camera."""
+    size = job.grid.voxel_size
+    image = np.asarray(job.image)
+    width = first_sigma(image, size)
+    lean, jitter = drift(image, size)
+    return {
+        "sigma_z": width.z,
+        "sigma_yx": width.yx,
+        "fading_per_um": fading(image, size[0]),
+        "lean": lean,
+        "jitter": jitter,
+    }
+
+
+def _image_lines(camera: Camera, hints: dict[str, Finding]) -> list[str]:
+    """What the image alone tells, one line each."""
+    named = (
+        ("gain", "per photon", camera.gain),
+        ("read noise", "", camera.read_noise),
+        ("offset", "", camera.offset),
+        ("saturation", "", camera.saturation),
+        ("first sigma along z", "um", hints["sigma_z"]),
+        ("first sigma in the plane", "um", hints["sigma_yx"]),
+        ("fading along z", "per um", hints["fading_per_um"]),
+        ("lean of the slices", "um per um", hints["lean"]),
+        ("slices out of place", "um", hints["jitter"]),
+    )
+    return [f"{name}: {_shown(finding, unit)}" for name, unit, finding in named]
+
+
+def _shown(finding: Finding, unit: str) -> str:
+    if finding.value is None:
+        return f"not told ({finding.reason})"
+    error = f" +- {finding.error:.2g}" if finding.error else ""
+    return f"{finding.value:.4g}{error} {unit}".rstrip() + f" ({finding.reason})"
+
+
+def _say_how(found: Recommendation) -> None:
+    if found.recommended:
+        names = ",".join(found.effects.names)
+        print(f"to take them: napari-deltamic fit ... --effects {names}", file=sys.stderr)

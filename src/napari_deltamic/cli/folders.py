@@ -1,0 +1,49 @@
+"""Folders for results, checked before any work."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..errors import InputError
+
+
+def check_folder(
+    folder: Path, names: Sequence[str], *, overwrite: bool = False, but: str | None = None
+) -> None:
+    """Refuse, before any work, a folder that cannot take results or holds others.
+
+    Parameters
+    ----------
+    folder
+        Need not be there; made later.
+    names
+        Of results that would be lost.
+    overwrite
+        Whether they may be.
+    but
+        A file that may be there, as one that a run goes on from.
+
+    Raises
+    ------
+    InputError
+        Saying which folder cannot be written to, or what it holds.
+    """
+    above = folder.absolute()
+    while not above.exists() and above != above.parent:
+        above = above.parent
+    if not above.is_dir():
+        raise InputError(f"{above} is a file, not a folder")
+    if not os.access(above, os.W_OK | os.X_OK):
+        raise InputError(f"{folder}: cannot be written: no permission for {above}")
+    if overwrite:
+        return
+    for name in names:
+        path = folder / name
+        if path.exists() and not (but is not None and _same(path, Path(but))):
+            raise InputError(f"{folder} holds {name}; --overwrite replaces what is there")
+
+
+def _same(one: Path, other: Path) -> bool:
+    return one.exists() and other.exists() and one.samefile(other)

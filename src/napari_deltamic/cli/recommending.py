@@ -1,0 +1,101 @@
+"""What the command line does with recommended effects: as lines, as plain values, in a fit."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from typing import Any
+
+from ..inference import FitState
+from ..inference.evidence import Recommendation, Residual, recommend
+from ..inference.evidence.camera import Camera
+from ..job import FitInput
+from .messages import Notes
+
+_HEADINGS = ("effect", "score", "bias (nm)", "cost (ms)", "", "why")
+
+
+def recommendation_for(
+    job: FitInput, notes: Notes, fitted: FitState | None = None, only: Any = None
+) -> Recommendation:
+    """Ask the engine, and say on stderr what it looks at."""
+    return recommend(
+        job.image,
+        job.grid,
+        job.mesh,
+        job.optics,
+        job.settings.fit,
+        only,
+        counted=job.counted,
+        effects=job.settings.scene.effects,
+        fitted=fitted,
+        progress=notes.add,
+    )
+
+
+def with_recommended(job: FitInput, found: Recommendation) -> FitInput:
+    """The same fit with the effects recommended, which its settings then name."""
+    scene = job.settings.scene.model_copy(update={"effects": found.effects})
+    return replace(job, settings=job.settings.model_copy(update={"scene": scene}))
+
+
+def verdict(found: Recommendation) -> list[str]:
+    """A line for each effect that is recommended; one that says so where none is."""
+    lines = [f"effects: {e.name} added: {e.reason}" for e in found.evidence if e.recommended]
+    lines = lines or ["effects: the image calls for none"]
+    return [*lines, *(f"effects: {remark}" for remark in found.remarks)]
+
+
+def as_table(found: Recommendation) -> list[str]:
+    """Aligned lines: every effect that was considered."""
+    cells = [
+        _HEADINGS,
+        *(
+            (
+                e.name,
+                f"{e.score:.1f}",
+                f"{e.bias_nm:.2g}" if e.bias_nm < 10 else f"{e.bias_nm:.0f}",
+                f"{e.cost_ms:.1f}",
+                "take" if e.recommended else "",
+                e.reason,
+            )
+            for e in found.evidence
+        ),
+    ]
+    widths = [max(len(line[k]) for line in cells) for k in range(len(_HEADINGS) - 1)]
+    right = (1, 2, 3)
+    lines = []
+    for line in cells:
+        padded = [
+            c.rjust(w) if k in right else c.ljust(w)
+            for k, (c, w) in enumerate(zip(line[:-1], widths, strict=True))
+        ]
+        lines.append("  ".join([*padded, line[-1]]).rstrip())
+    return lines
+
+
+def as_plain(found: Recommendation) -> dict[str, Any]:
+    """For JSON."""
+    return {
+        "recommended": list(found.recommended),
+        "threshold": found.threshold,
+        "effects": found.effects.to_dict(),
+        "remarks": list(found.remarks),
+        "evidence": [asdict(e) for e in found.evidence],
+        "camera": camera_as_plain(found.camera),
+    }
+
+
+def residual_as_plain(left: Residual) -> dict[str, Any]:
+    """For JSON; without the map."""
+    return {
+        "explained": left.explained,
+        "threshold": left.threshold,
+        "cells": [asdict(c) for c in left.cells],
+        "spots": [asdict(s) for s in left.spots],
+    }
+
+
+def camera_as_plain(camera: Camera) -> dict[str, Any]:
+    """Gain, read noise, offset and saturation: value, error, and how each was found."""
+    findings = ("gain", "read_noise", "offset", "saturation")
+    return {name: asdict(getattr(camera, name)) for name in findings}

@@ -1,0 +1,264 @@
+"""``napari-deltamic track``: cells through a series of images, in a folder."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from ..errors import InputError
+from ..image_series import ImageSeries, open_series
+from ..inference.tracking import FrameResult, TrackSettings, track
+from ..inference.tracking.settings import TrackRun
+from ..job import SIGMA_IN_VOXELS, FitInput, assemble
+from ..report import make_folder
+from ..scene import Grid
+from ..settings import validated
+from ..track_report import FILES, mesh_name, read_results, write_frame, write_tracks
+from .fitting import add_options
+from .folders import check_folder
+from .inputs import load_seeds, run_values, voxel_size_of
+from .messages import PROGRAM, Notes, failure
+
+_PRECIOUS = (*FILES, mesh_name(0))
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command to the parser of all."""
+    parser = commands.add_parser(
+        "track",
+        help="track cells through a series of images",
+        description="Fit every frame of a series from the one before; cells keep their numbers, "
+        "divide, and end. Writes mesh_t000.ply and .vtk for each frame, tracks.csv, surface.npz, "
+        "run.toml and report.json.",
+    )
+    add = parser.add_argument
+    add(
+        "image",
+        nargs="?",
+        metavar="IMAGE4D",
+        help="a .tif or .npy file (T, Z, Y, X), a folder of 3D files, or a pattern in quotes, such "
+        "as 'movie/t*.tif'; not needed with --settings",
+    )
+    add("--frames", metavar="A:B", help="from frame A, to which the seeds belong, to before B")
+    add("--time-step", type=float, metavar="S", help=_help("time_step"))
+    add(
+        "--divisions",
+        action=argparse.BooleanOptionalAction,
+        default=None,
+        help=_help("divisions"),
+    )
+    add("--velocity", type=float, metavar="V", help=_help("velocity"))
+    add("--resume", metavar="DIR", help="go on after the frames that a former run wrote to DIR")
+    add_options(parser)
+    parser.set_defaults(run=run)
+
+
+def _help(name: str) -> str:
+    field = TrackSettings.model_fields[name]
+    return f"{field.description} (default: {field.default})".replace("%", "%%")
+
+
+def run(arguments: argparse.Namespace, notes: Notes) -> int:
+    """Read, track, write; prints the path of each result."""
+    folder = Path(arguments.output)
+    resumed = arguments.resume is not None and Path(arguments.resume).absolute()
+    check_folder(folder, _PRECIOUS, overwrite=arguments.overwrite or resumed == folder.absolute())
+    try:
+        job = _gather(arguments, notes)
+    except (MemoryError, RuntimeError) as error:
+        raise failure(error) from error
+    make_folder(folder)
+    notes.release()
+    return _Run(job, folder, notes).complete()
+
+
+@dataclass(frozen=True)
+class _Job:
+    """What is tracked; ``first`` is the fit of the first frame."""
+
+    settings: TrackRun
+    images: ImageSeries
+    first: FitInput
+    shared_ground: bool
+    done: list[FrameResult]
+    missing_nan: bool
+
+    @property
+    def frames(self) -> range:
+        stop = self.settings.track.stop
+        last = len(self.images) if stop is None else min(stop, len(self.images))
+        return range(self.settings.track.first, last)
+
+
+def _gather(arguments: argparse.Namespace, notes: Notes) -> _Job:
+    values = run_values(arguments, notes, TrackRun)
+    images = open_series(values["image"])
+    if len(images) < 2:
+        raise InputError(f"{values['image']}: tracking needs two frames or more, not {len(images)}")
+    scene = values["scene"]
+    scene["voxel_size"] = voxel_size_of(
+        scene.get("voxel_size"), images.voxel_size, values["image"], notes
+    )
+    values["track"] = {**values.get("track", {}), **_track_values(arguments, len(images))}
+    settings: TrackRun = validated(TrackRun, values)
+    if settings.scene.sigma is None and settings.scene.optics is None:
+        scene["sigma"] = [SIGMA_IN_VOXELS * d for d in settings.scene.voxel_size]
+        notes.add(f"no sigma given: {SIGMA_IN_VOXELS} voxels are used")
+        settings = validated(TrackRun, values)
+    first = settings.track.first
+    if first >= len(images):
+        raise InputError(
+            f"frame {first} is not there: the series has frames 0 to {len(images) - 1}"
+        )
+    shape = images.shape[1:]
+    grid = Grid((shape[0], shape[1], shape[2]), settings.scene.voxel_size, settings.scene.origin)
+    image = _seeded(images, first, arguments.missing_nan, notes)
+    mesh, kind = load_seeds(settings.seeds, image, grid)
+    job = assemble(settings, image, grid, mesh, kind)
+    done = read_results(arguments.resume) if arguments.resume is not None else []
+    whole = settings.model_copy(update={"fit": job.settings.fit})
+    return _Job(whole, images, job, kind == "image", done, arguments.missing_nan)
+
+
+def _track_values(arguments: argparse.Namespace, count: int) -> dict[str, object]:
+    names = ("time_step", "divisions", "velocity")
+    values = {n: getattr(arguments, n) for n in names if getattr(arguments, n) is not None}
+    if arguments.frames is None:
+        return values
+    first, colon, stop = arguments.frames.partition(":")
+    try:
+        numbers = [int(word) if word else None for word in (first, stop)]
+    except ValueError:
+        numbers = []
+    if not colon or len(numbers) != 2:
+        raise InputError(f"--frames must be A:B, such as 0:{count}, not '{arguments.frames}'")
+    return {**values, "first": numbers[0] or 0, "stop": numbers[1]}
+
+
+def _seeded(
+    images: ImageSeries, first: int, missing_nan: bool, notes: Notes
+) -> NDArray[np.float32]:
+    """The frame to which the seeds belong."""
+    image = np.asarray(images[first])
+    if not np.issubdtype(image.dtype, np.floating):
+        return image
+    bad = image.size - int(np.isfinite(image).sum())
+    if bad == image.size:
+        raise InputError(
+            f"every voxel of frame {first}, to which the seeds belong, is missing: start from "
+            "another one with --frames A:B"
+        )
+    if bad and not missing_nan:
+        raise InputError(
+            f"frame {first} holds {bad} voxels that are not finite; --missing-nan leaves them out"
+        )
+    if bad:
+        notes.add(f"{bad} of {image.size} voxels of frame {first} are treated as missing")
+    return np.where(np.isfinite(image), image, np.nan)
+
+
+class _Run:
+    """Tracking under way: its frames, its files, its end."""
+
+    def __init__(self, job: _Job, folder: Path, notes: Notes) -> None:
+        self.job, self.folder, self.notes = job, folder, notes
+        self.results = list(job.done)
+        self.started = time.monotonic()
+
+    def complete(self) -> int:
+        """Track to the end, or to that of the user's patience."""
+        for result in self.results:  # of a former run, whose folder may be another
+            write_frame(self.folder, result)
+        code = 0
+        try:
+            self._follow()
+        except KeyboardInterrupt:
+            code = 130
+        except Exception as error:
+            if self._frames_done():
+                self._write(surface=True)
+            if isinstance(error, InputError):
+                raise
+            raise failure(error, self.job.first.grid.shape) from error
+        if not self._frames_done():
+            print("interrupted before the first frame was done: nothing to save", file=sys.stderr)
+            return code
+        for result in self.results:
+            if result.mesh is not None:
+                print(self.folder / mesh_name(result.frame))
+        for path in self._write(surface=True):
+            print(path)
+        if code:
+            words = [PROGRAM, "track", "--settings", self.folder / "run.toml"]
+            words += ["--resume", self.folder, "-o", self.folder]
+            words += ["--missing-nan"] if self.job.missing_nan else []
+            print(f"interrupted; to go on: {shlex.join(map(str, words))}", file=sys.stderr)
+        return code
+
+    def _frames_done(self) -> bool:
+        return bool(self.results)
+
+    def _follow(self) -> None:
+        job, first = self.job, self.job.first
+        states = track(
+            job.images,
+            first.grid,
+            first.mesh,
+            first.optics,
+            first.settings.fit,
+            tracking=job.settings.track,
+            effects=job.settings.scene.effects,
+            shared_ground=job.shared_ground,
+            done=job.done,
+        )
+        with _Bar(
+            total=len(job.frames), initial=len(job.done), unit="frame", file=sys.stderr
+        ) as bar:
+            for state in states:
+                if state.fit is not None:
+                    bar.set_postfix_str(
+                        f"frame {state.frame}, level {state.fit.level}/{state.fit.levels}, "
+                        f"loss {state.fit.loss:.4g}",
+                        refresh=False,
+                    )
+                    bar.update(0)
+                if state.done is not None:
+                    self._take(state.done)
+                    bar.update()
+
+    def _take(self, result: FrameResult) -> None:
+        self.results.append(result)
+        for event in result.events:
+            self.notes.add(f"frame {result.frame}: {event.text}")
+        if result.message:
+            text = result.message
+            self.notes.add(text if result.mesh is None else f"frame {result.frame}: {text}")
+        write_frame(self.folder, result)
+        self._write(surface=False)
+
+    def _write(self, *, surface: bool) -> list[Path]:
+        job = self.job
+        seconds = time.monotonic() - self.started
+        return write_tracks(
+            self.folder,
+            self.results,
+            job.first.grid,
+            job.settings,
+            seconds,
+            warnings=self.notes.texts,
+            surface=surface,
+        )
+
+
+class _Bar(tqdm):  # type: ignore[misc]
+    """A progress bar without the thread that watches over progress bars."""
+
+    monitor_interval = 0

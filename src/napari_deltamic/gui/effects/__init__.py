@@ -1,0 +1,1 @@
+"""The choice of effects, and the evidence for them."""

@@ -1,0 +1,220 @@
+"""Asks, in a thread, which effects the image chosen calls for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+from qtpy.QtCore import QObject, QTimer
+
+from ...errors import InputError
+from ...inference import FitState
+from ...inference.checks import check_image
+from ...inference.evidence import Recommendation, recommend
+from ...job import FitInput, assemble, optics_of, start
+from ...settings import NEAR_LEVELS, RunSettings
+from ..background import Background
+from ..running.composition import Live, Panels
+from ..running.run_control import RunControl
+
+_STALE = "this was of another image or PSF: check again"
+_POLL = 200  # ms between two looks at how far the thread is
+
+
+@dataclass
+class Steps:
+    """What the thread and its watcher share; each field is written by one of them."""
+
+    stopped: bool = False  # by the watcher
+    text: str = "preparing"  # by the thread
+
+    def tell(self, text: str) -> None:
+        """Note what is being done; ends the thread where that was asked for."""
+        if self.stopped:
+            raise InputError("stopped")
+        self.text = text
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """What is asked; nothing in it knows of a widget.
+
+    prepare : puts the fit together.
+    fitted : its last state, where there is one of these very settings.
+    """
+
+    prepare: Callable[[], FitInput]
+    fitted: FitState | None
+    steps: Steps = field(default_factory=Steps)
+
+
+class EffectsCheck(QObject):
+    """Starts and ends checks, and hands what they find to the panel.
+
+    Parameters
+    ----------
+    panels, live : of the widget.
+    control : tells of runs.
+    parent : Qt's.
+    """
+
+    def __init__(
+        self, panels: Panels, live: Live, control: RunControl, parent: QObject | None = None
+    ) -> None:
+        super().__init__(parent)
+        self._panels, self._live, self._control = panels, live, control
+        self._view = view = panels.settings.effects
+        self._background = Background(self._show, self._fail)
+        self._question: Question | None = None
+        self._of: tuple[Any, ...] = ()  # what was checked
+        self._open = True
+        self._timer = QTimer(self)
+        self._timer.setInterval(_POLL)
+        self._timer.timeout.connect(self._look_in)
+        view.check.connect(self.start)
+        view.stop.connect(self.stop)
+        for signal in (panels.image.changed, panels.settings.changed):
+            signal.connect(self._look)
+        control.started.connect(self._run_started)
+        control.ended.connect(self._run_ended)
+
+    @property
+    def busy(self) -> bool:
+        """Whether something is being checked."""
+        return self._question is not None
+
+    def start(self) -> None:
+        """Check the image that is chosen."""
+        run = self._live.run
+        if not self._open or self.busy or (run is not None and run.running):
+            return
+        try:
+            question = self._question = self._asked()
+        except InputError as error:
+            self._view.progress.say(str(error))
+            return
+        self._of = self._key()
+        self._view.show_found(None)
+        self._view.set_checking(True)
+        self._look_in()
+        self._timer.start()
+        self._background.ask(partial(_answer, question))
+
+    def stop(self, why: str = "stopped") -> None:
+        """End what is under way; its thread ends at its next step."""
+        if self._question is not None:
+            self._question.steps.stopped = True
+            self._background.drop()
+            self._finish()
+            self._view.progress.say(why)
+
+    def close_links(self) -> None:
+        """End what is under way; the view is not touched."""
+        self._open = False
+        self._timer.stop()
+        if self._question is not None:
+            self._question.steps.stopped = True
+        self._background.close()
+
+    # ----------------------------------------------------------------------------------- inside
+
+    def _asked(self) -> Question:
+        """Of the fit of this image where there is one, else of the seeds."""
+        image, settings = self._panels.image, self._panels.settings
+        link, last = self._live.link, self._panels.results.last
+        frame = image.frame()
+        scene = settings.scene_settings()
+        if (
+            last is None
+            or link is None
+            or link.image_layer is not image.layer
+            or link.frame != frame
+        ):
+            seeds = self._panels.seeds.seeds(frame)
+            run, pixels = self._control.run_settings(seeds), image.stack()
+            grid = frame.grid(pixels.shape)
+
+            def prepare() -> FitInput:
+                check_image(pixels, grid)
+                return assemble(run, pixels, grid, seeds.mesh(pixels, grid), seeds.kind)
+
+            return Question(prepare, None)
+        state, job = last[:2]
+        # Only the end of a fit with this PSF and these effects needs no other one.
+        before = job.settings.scene
+        same = (
+            state.converged
+            and (before.sigma, before.optics) == (scene.sigma, scene.optics)
+            and state.effects.names == scene.effects.names
+        )
+        if same:
+            return Question(lambda: job, state)
+        fit = job.settings.fit.model_copy(update={"levels": NEAR_LEVELS})
+        changed = job.settings.model_copy(update={"scene": scene, "fit": fit})
+        return Question(partial(_from_there, job, state, changed), None)
+
+    def _look_in(self) -> None:
+        if self._question is not None:
+            self._view.progress.say(f"{self._question.steps.text} ...")
+
+    def _show(self, found: Recommendation) -> None:
+        self._finish()
+        self._view.show_found(found)
+        self._look()
+
+    def _fail(self, message: str) -> None:
+        self._finish()
+        self._view.progress.say(f"not checked: {message}")
+
+    def _finish(self) -> None:
+        self._question = None
+        self._timer.stop()
+        self._view.set_checking(False)
+
+    def _look(self) -> None:
+        """Something was edited: is the evidence still of what is shown?"""
+        if not self._open or self._view.found is None or self.busy:
+            return
+        if self._of != self._key():
+            self._view.progress.say(_STALE)
+        elif self._view.progress.text() == _STALE:
+            self._view.show_found(self._view.found)
+
+    def _key(self) -> tuple[Any, ...]:
+        image, optics = self._panels.image, self._panels.settings.optics
+        return id(image.layer), image.voxel_size.value(), optics.key()
+
+    def _run_started(self) -> None:
+        self.stop("ended as a fit started")
+        self._view.allow(False)
+
+    def _run_ended(self) -> None:
+        self._view.allow(True)
+
+
+def _from_there(job: FitInput, state: FitState, settings: RunSettings) -> FitInput:
+    """The fit of other settings that starts where an earlier one ended."""
+    return replace(job, settings=settings, mesh=state.mesh, optics=optics_of(settings.scene))
+
+
+def _answer(question: Question) -> Recommendation:
+    """What the thread does. InputError where it cannot, or was stopped."""
+    steps, state = question.steps, question.fitted
+    job = question.prepare()
+    if state is None:
+        for state in start(job):
+            steps.tell(f"fitting: iteration {state.iteration}")
+    assert state is not None, "a fit yields at least one state"
+    return recommend(
+        job.image,
+        job.grid,
+        job.mesh,
+        job.optics,
+        job.settings.fit,
+        counted=job.counted,
+        effects=state.effects,
+        fitted=state,
+        progress=steps.tell,
+    )

@@ -1,0 +1,180 @@
+"""The effects that there are, with boxes that take them and what speaks for each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from qtpy.QtCore import QSignalBlocker, Qt
+from qtpy.QtGui import QShowEvent
+from qtpy.QtWidgets import (
+    QAbstractItemView,
+    QHeaderView,
+    QTableWidget,
+    QTableWidgetItem,
+    QWidget,
+)
+
+from ...inference.evidence import Evidence
+from ...scene.effects import KINDS
+from ..qt import Signal
+
+_COLUMNS = (
+    ("effect", "Tick an effect to compute it: in a fit that runs at once, else in the next one."),
+    ("evidence", "Standard deviations by which the image asks for it."),
+    ("bias\nnm", "By how much the surface is off without it, as predicted."),
+    ("cost\nms", "What an iteration takes longer with it, as predicted."),
+)
+_BOXES = (
+    "QTableWidget::indicator { border: 1px solid #8d99a6; background: transparent; }"
+    "QTableWidget::indicator:checked { background: #4f8fe0; }"
+)
+_NAME = Qt.ItemDataRole.UserRole
+
+
+class EffectsTable(QTableWidget):
+    """One row an effect; ``ticked`` gives name and state when the user changes a box."""
+
+    ticked = Signal(str, bool)
+    looked_at = Signal(str)  # the effect of the row chosen
+
+    def __init__(self, names: Iterable[str], parent: QWidget | None = None) -> None:
+        super().__init__(0, len(_COLUMNS), parent)
+        self._offered = tuple(names)
+        self._evidence: dict[str, Evidence] = {}
+        self._present: frozenset[str] = frozenset()
+        for column, (title, tip) in enumerate(_COLUMNS):
+            item = QTableWidgetItem(title)
+            item.setToolTip(f"<qt>{tip}</qt>")
+            self.setHorizontalHeaderItem(column, item)
+        rows: Any = self.verticalHeader()
+        rows.setVisible(False)
+        rows.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        columns: Any = self.horizontalHeader()
+        columns.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        columns.setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
+        columns.setHighlightSections(False)
+        columns.setMinimumSectionSize(30)
+        self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+        self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+        self.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
+        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        # napari's own boxes can hardly be seen on a table.
+        self.setStyleSheet(_BOXES)
+        self.itemChanged.connect(self._changed)
+        self.itemSelectionChanged.connect(self._chosen)
+        self._fill()
+
+    def show_evidence(self, evidence: Iterable[Evidence]) -> None:
+        """Show what was found, recommended ones first; nothing where it is empty."""
+        self._evidence = {e.name: e for e in evidence}
+        self._fill()
+
+    def show_present(self, names: Iterable[str]) -> None:
+        """Tick the effects that are there, and no others."""
+        self._present = frozenset(names)
+        self._fill()
+
+    def names(self) -> tuple[str, ...]:
+        """The effects shown, from above."""
+        return tuple(self._name(row) for row in range(self.rowCount()))
+
+    def tick(self, name: str, on: bool = True) -> None:
+        """Change a box as the user does."""
+        item: Any = self.item(self.names().index(name), 0)
+        item.setCheckState(Qt.CheckState.Checked if on else Qt.CheckState.Unchecked)
+
+    def row_of(self, name: str) -> Mapping[str, str]:
+        """What is shown of an effect, by the titles of the columns."""
+        r = self.names().index(name)
+        cells: list[Any] = [self.item(r, c) for c in range(len(_COLUMNS))]
+        titles = [title.partition("\n")[0] for title, _ in _COLUMNS]
+        return {t: cell.text() for t, cell in zip(titles, cells, strict=True)}
+
+    def showEvent(self, event: QShowEvent | None) -> None:
+        """Qt's; before it is shown, the theme has not decided how high a row is."""
+        super().showEvent(event)
+        self._fit_height()
+
+    # ----------------------------------------------------------------------------------- inside
+
+    def _fill(self) -> None:
+        blocker = QSignalBlocker(self)
+        found = self._evidence
+        known = [*found, *(n for n in self._offered if n not in found)]
+        # A camera or missing voxels are only offered where they were found, or are there.
+        names = [*known, *(n for n in KINDS if n in self._present and n not in known)]
+        self.setRowCount(len(names))
+        for row, name in enumerate(names):
+            evidence = found.get(name)
+            for column, text in enumerate(_texts(name, evidence)):
+                item = QTableWidgetItem(text)
+                item.setToolTip(_tip(name, evidence))
+                if column:
+                    item.setTextAlignment(
+                        Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
+                    )
+                if evidence is not None and evidence.recommended:
+                    font = item.font()
+                    font.setBold(True)
+                    item.setFont(font)
+                self.setItem(row, column, item)
+            first: Any = self.item(row, 0)
+            first.setData(_NAME, name)
+            first.setFlags(first.flags() | Qt.ItemFlag.ItemIsUserCheckable)
+            on = name in self._present
+            first.setCheckState(Qt.CheckState.Checked if on else Qt.CheckState.Unchecked)
+        blocker.unblock()
+        self._fit_height()
+
+    def _fit_height(self) -> None:
+        """All rows, so that the column scrolls and not the table in it."""
+        self.resizeRowsToContents()
+        header: Any = self.horizontalHeader()
+        rows = sum(self.rowHeight(row) for row in range(self.rowCount()))
+        self.setFixedHeight(header.sizeHint().height() + rows + 2 * self.frameWidth())
+
+    def _name(self, row: int) -> str:
+        item: Any = self.item(row, 0)
+        return str(item.data(_NAME))
+
+    def _changed(self, item: QTableWidgetItem) -> None:
+        if item.column() == 0:
+            on = item.checkState() == Qt.CheckState.Checked
+            name = self._name(item.row())
+            if on != (name in self._present):
+                self.ticked.emit(name, on)
+
+    def _chosen(self) -> None:
+        model: Any = self.selectionModel()
+        rows = model.selectedRows()
+        self.looked_at.emit(self._name(rows[0].row()) if rows else "")
+
+
+def spoken(name: str) -> str:
+    """The name of an effect as it is shown."""
+    return name.replace("_", " ")
+
+
+def _texts(name: str, evidence: Evidence | None) -> tuple[str, str, str, str]:
+    if evidence is None:
+        return spoken(name), "", "", ""
+    return (
+        spoken(name),
+        f"{evidence.score:.1f}",
+        _two_digits(evidence.bias_nm),
+        _two_digits(evidence.cost_ms),
+    )
+
+
+def _two_digits(value: float) -> str:
+    if value < 0.05:
+        return "0"
+    return f"{value:.1f}" if value < 10 else f"{value:.0f}"
+
+
+def _tip(name: str, evidence: Evidence | None) -> str:
+    helped = KINDS[name].help
+    text = f"{helped[0].upper()}{helped[1:]}."
+    return f"<qt>{text}<br><br>{evidence.reason}</qt>" if evidence else f"<qt>{text}</qt>"

@@ -1,0 +1,178 @@
+"""The image of a bead that tells the PSF: a layer or a file, and the bead's size."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, get_args
+
+from qtpy.QtWidgets import (
+    QComboBox,
+    QFileDialog,
+    QFormLayout,
+    QHBoxLayout,
+    QLabel,
+    QMenu,
+    QPushButton,
+    QSizePolicy,
+    QWidget,
+)
+
+from ...errors import InputError
+from ...images import EXTENSIONS, read_voxel_size, stored_shape, write_image
+from ...optics.measured import Bead
+from ...optics_settings import MeasuredOptics
+from ..panels.fields import Number, TripleField, show_row
+from ..panels.note import Note
+from ..qt import Signal
+from ..viewing.frame import Frame, is_stack, stack_of
+
+_FILES = "images (*.tif *.tiff *.npy)"
+
+
+class MeasuredFields(QWidget):
+    """Fields of :class:`MeasuredOptics`; ``edited`` comes from the user.
+
+    Parameters
+    ----------
+    viewer : a napari viewer or its model, whose layers are offered.
+    """
+
+    edited = Signal()
+
+    def __init__(self, viewer: Any, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._viewer = viewer
+        self.file = ""
+        self.name = QLabel("no image of a bead yet", self)
+        self.name.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self.layer_button, self.file_button = (
+            QPushButton("Layer", self),
+            QPushButton("File...", self),
+        )
+        self.layer_button.setToolTip("<qt>Take an image layer: one bead, near its middle.</qt>")
+        self.file_button.setToolTip("<qt>Open the image of one bead, .tif or .npy.</qt>")
+        self._menu = QMenu(self.layer_button)
+        self._menu.aboutToShow.connect(self._fill)
+        self.layer_button.setMenu(self._menu)
+        self.voxel_size = TripleField("Voxel size of the image of the bead, um.", self)
+        self.diameter = Number(self)
+        self.diameter.setSingleStep(0.05)
+        self.diameter.setSpecialValueText("much smaller than the PSF")
+        self.diameter.setToolTip("Diameter of the bead, um.")
+        self.bead = QComboBox(self)
+        self.bead.addItems(get_args(Bead))
+        self.bead.setToolTip("Stained throughout, or on its surface.")
+        self.note = Note(self, wrong=True)
+        buttons = QHBoxLayout()
+        for button in (self.layer_button, self.file_button):
+            buttons.addWidget(button)
+        self._form = form = QFormLayout(self)
+        form.setContentsMargins(0, 0, 0, 0)
+        form.addRow("bead", buttons)
+        form.addRow(self.name)
+        form.addRow("voxel, um", self.voxel_size)
+        form.addRow("diameter, um", self.diameter)
+        form.addRow("stained", self.bead)
+        form.addRow(self.note)
+        self.file_button.clicked.connect(self._ask_file)
+        self.voxel_size.edited.connect(self._changed)
+        self.diameter.valueChanged.connect(self._changed)
+        self.bead.currentTextChanged.connect(self._changed)
+        self._show_rows()
+
+    def settings(self) -> MeasuredOptics:
+        """The settings shown. InputError where there is no image."""
+        if not self.file:
+            raise InputError("choose the image of a bead: a layer or a file")
+        size, diameter = self.voxel_size.value(), self.diameter.value()
+        if diameter > 50:
+            raise InputError(f"a bead of {diameter:g} um: did you mean {diameter / 1000:g}?")
+        bead: Any = self.bead.currentText()
+        return MeasuredOptics(file=self.file, voxel_size=size, bead_diameter=diameter, bead=bead)
+
+    def show_settings(self, settings: MeasuredOptics) -> None:
+        """Show settings, without a signal."""
+        blocked = self.blockSignals(True)
+        self._show_file(settings.file)
+        if settings.voxel_size is not None:
+            self.voxel_size.set_value(settings.voxel_size)
+        self.diameter.setValue(settings.bead_diameter)
+        self.bead.setCurrentText(settings.bead)
+        self.blockSignals(blocked)
+
+    def complain(self, message: str) -> None:
+        """Show an error; '' for none."""
+        self.note.say(message)
+
+    def take_file(self, path: str) -> None:
+        """Take the image of a bead. InputError if its voxel size cannot be read."""
+        size = read_voxel_size(path) if Path(path).suffix.lower() != ".npy" else None
+        self._show_file(path)
+        if size is not None:
+            self.voxel_size.set_value(size)
+        self.edited.emit()
+
+    def take_layer(self, layer: Any) -> None:
+        """Take a layer; one that is in no file is saved first, where the user says."""
+        size = Frame.of(layer).voxel_size
+        pixels = stack_of(layer, tuple(self._viewer.dims.current_step))
+        path = layer.source.path or ""
+        known = path and Path(path).suffix.lower() in EXTENSIONS
+        if not known or stored_shape(path) != pixels.shape:
+            path = self._ask_where(layer.name)
+            if not path:
+                return
+            write_image(path, pixels, size)
+        self._show_file(str(Path(path).absolute()))
+        self.voxel_size.set_value(size)
+        self.edited.emit()
+
+    def forget(self) -> None:
+        """Let go of the layers that were offered."""
+        self._menu.clear()
+
+    # ----------------------------------------------------------------------------------- inside
+
+    def _show_file(self, path: str) -> None:
+        self.file = path
+        self.name.setText(Path(path).name)
+        self.name.setToolTip(path)
+        self._show_rows()
+
+    def _show_rows(self) -> None:
+        for field in (self.voxel_size, self.diameter, self.bead):
+            show_row(self._form, field, bool(self.file))
+
+    def _fill(self) -> None:
+        self._menu.clear()
+        for layer in self._viewer.layers:
+            if is_stack(layer):
+                action: Any = self._menu.addAction(layer.name)
+                action.triggered.connect(lambda _=False, layer=layer: self._try(layer))
+        if self._menu.isEmpty():
+            action = self._menu.addAction("no image layer is open")
+            action.setEnabled(False)
+
+    def _try(self, layer: Any) -> None:
+        try:
+            self.take_layer(layer)
+        except InputError as error:
+            self.complain(str(error))
+
+    def _ask_file(self) -> None:
+        path, _ = QFileDialog.getOpenFileName(self, "Image of a bead", "", _FILES)
+        if path:
+            try:
+                self.take_file(path)
+            except InputError as error:
+                self.complain(str(error))
+
+    def _ask_where(self, name: str) -> str:
+        title = "The layer is in no file yet: save the image of the bead"
+        path, _ = QFileDialog.getSaveFileName(self, title, f"{name}.tif", "TIFF (*.tif)")
+        if path and Path(path).suffix.lower() not in (".tif", ".tiff"):
+            path += ".tif"
+        return str(path)
+
+    def _changed(self, value: Any = None) -> None:
+        self.edited.emit()

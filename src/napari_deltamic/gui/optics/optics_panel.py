@@ -1,0 +1,221 @@
+"""The choice of the PSF: a Gaussian, that of an objective, or that of a bead."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+from qtpy.QtCore import QTimer
+from qtpy.QtWidgets import QComboBox, QFormLayout, QVBoxLayout, QWidget
+
+from ...errors import InputError
+from ...optics_settings import MeasuredOptics, MicroscopeOptics
+from ..background import Background
+from ..panels.fields import TripleField
+from ..panels.note import Note
+from ..qt import Signal
+from .measured_fields import MeasuredFields
+from .objective_fields import ObjectiveFields
+
+GAUSSIAN, OBJECTIVE, MEASURED, GIVEN = "Gaussian", "from the objective", "measured", "as given"
+_WAIT = 250  # ms without a change before the PSF is computed
+_TIPS = {
+    GAUSSIAN: "Three widths; enough where cells are much larger than the PSF.",
+    OBJECTIVE: "Computed from the numbers on the objective.",
+    MEASURED: "The image of a bead.",
+}
+
+
+class OpticsPanel(QWidget):
+    """Kind of PSF and its numbers; ``changed`` comes from the user.
+
+    Parameters
+    ----------
+    viewer : a napari viewer or its model.
+    tip : explains the widths.
+    """
+
+    changed = Signal()
+    described = Signal()  # :meth:`summary` may be another
+
+    def __init__(self, viewer: Any, tip: str, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._given: Any = None  # settings of a kind that has no fields here
+        self._width = ""
+        self._open = True
+        self.kind = QComboBox(self)
+        for name in (GAUSSIAN, OBJECTIVE, MEASURED):
+            self.kind.addItem(name)
+        tips = "<br>".join(f"<b>{name}</b>: {text}" for name, text in _TIPS.items())
+        self.kind.setToolTip(f"<qt>{tips}</qt>")
+        self.sigma = TripleField(tip, self)
+        self.objective = ObjectiveFields(self)
+        self.measured = MeasuredFields(viewer, self)
+        self.width_note = Note(self)
+        self._wrong = False
+        self._pages: dict[str, QWidget] = {
+            GAUSSIAN: self.sigma,
+            OBJECTIVE: self.objective,
+            MEASURED: self.measured,
+        }
+        top = QFormLayout()
+        top.addRow("PSF", self.kind)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.addLayout(top)
+        for page in self._pages.values():
+            layout.addWidget(page)
+        layout.addWidget(self.width_note)
+        self._background = Background(self._show_width, self._complain)
+        self._timer = QTimer(self)
+        self._timer.setSingleShot(True)
+        self._timer.setInterval(_WAIT)
+        self._timer.timeout.connect(self._compute)
+        self.kind.currentTextChanged.connect(self._edited)
+        for fields in (self.objective, self.measured, self.sigma):
+            fields.edited.connect(self._edited)
+        self._show_page()
+
+    @property
+    def busy(self) -> bool:
+        """Whether a PSF is being computed to tell its widths."""
+        return self._open and (self._timer.isActive() or self._background.busy)
+
+    def settings(self) -> Any:
+        """Settings of the PSF; None for the Gaussian of :attr:`sigma`.
+
+        Raises
+        ------
+        InputError
+            If a number is missing.
+        """
+        kind = self.kind.currentText()
+        if kind == OBJECTIVE:
+            return self.objective.settings()
+        if kind == MEASURED:
+            return self.measured.settings()
+        return self._given if kind == GIVEN else None
+
+    def show_settings(self, settings: Any) -> None:
+        """Show settings of a PSF, without a signal; None for a Gaussian of three widths."""
+        blocked = self.blockSignals(True)
+        at = self.kind.findText(GIVEN)
+        if at >= 0:
+            self.kind.removeItem(at)
+        self._given = None
+        if settings is None:
+            self.kind.setCurrentText(GAUSSIAN)
+        elif isinstance(settings, MicroscopeOptics):
+            self.objective.show_settings(settings)
+            self.kind.setCurrentText(OBJECTIVE)
+        elif isinstance(settings, MeasuredOptics):
+            self.measured.show_settings(settings)
+            self.kind.setCurrentText(MEASURED)
+        else:
+            self._given = settings
+            self.kind.addItem(GIVEN)
+            self.kind.setCurrentText(GIVEN)
+        self.blockSignals(blocked)
+        self._renew()
+
+    def prefer(self, kind: str) -> None:
+        """Begin with a kind of PSF, without a signal."""
+        blocked = self.blockSignals(True)
+        self.kind.setCurrentText(kind)
+        self.blockSignals(blocked)
+        self.described.emit()
+
+    def summary(self) -> str:
+        """The present choice in a few words."""
+        kind = self.kind.currentText()
+        if kind == GAUSSIAN:
+            return f"Gaussian {_triple(self.sigma.value())} um"
+        if kind == OBJECTIVE:
+            fields = self.objective
+            name = f"{fields.modality.currentText()} NA {fields.numbers['na'].value():g}"
+        elif kind == MEASURED:
+            name = "measured"
+        else:
+            name = str(self._given.kind)
+        more = "cannot be used" if self._wrong else self._width
+        return f"{name}, {more}" if more else name
+
+    def key(self) -> str:
+        """What is the same as long as the PSF is."""
+        try:
+            settings = self.settings()
+        except InputError as error:
+            return str(error)
+        return repr(self.sigma.value() if settings is None else settings)
+
+    def show_sigma(self, sigma: Sequence[float]) -> None:
+        """Show the widths of a Gaussian (um), without a signal."""
+        self.sigma.set_value(sigma)
+        self.described.emit()
+
+    def close_links(self) -> None:
+        """End what is under way."""
+        self._open = False
+        self._timer.stop()
+        self._background.close()
+        self.measured.forget()
+
+    # ----------------------------------------------------------------------------------- inside
+
+    def _edited(self, value: Any = None) -> None:
+        self._renew()
+        self.changed.emit()
+
+    def _renew(self) -> None:
+        self._show_page()
+        self._width = ""
+        self._complain("")
+        self.width_note.say("")
+        self._background.drop()  # of what was shown before
+        if self.kind.currentText() == GAUSSIAN:
+            self._timer.stop()
+        elif self._open:
+            self._timer.start()
+        self.described.emit()
+
+    def _show_page(self) -> None:
+        for kind, page in self._pages.items():
+            page.setVisible(kind == self.kind.currentText())
+
+    def _compute(self) -> None:
+        try:
+            settings = self.settings()
+        except InputError as error:
+            self._complain(str(error))
+            return
+        if settings is not None:
+            self._background.ask(partial(_width_of, settings))
+
+    def _show_width(self, sigma: tuple[float, float, float]) -> None:
+        z, y, x = (1000 * s for s in sigma)
+        across = f"{y:.0f} nm" if abs(y - x) < 0.5 else f"{y:.0f} and {x:.0f} nm"
+        self._width = f"{_triple(sigma)} um"
+        self.width_note.say(
+            f"as wide as a Gaussian of sigma {across} in the plane, {z:.0f} nm along z"
+        )
+        self.described.emit()
+
+    def _complain(self, message: str) -> None:
+        self._wrong = bool(message)
+        self.objective.complain(message if self.kind.currentText() == OBJECTIVE else "")
+        self.measured.complain(message if self.kind.currentText() == MEASURED else "")
+        if self.kind.currentText() == GIVEN:
+            self.width_note.say(message)
+        self.described.emit()
+
+
+def _width_of(settings: Any) -> tuple[float, float, float]:
+    sigma: tuple[float, float, float] = settings.build().sigma_um
+    return sigma
+
+
+def _triple(sigma: tuple[float, float, float]) -> str:
+    """Z / Y / X, one number where Y and X are the same."""
+    z, y, x = (f"{s:.2f}" if s >= 0.1 else f"{s:.3f}" for s in sigma)
+    return f"{z} (z), {y} (yx)" if y == x else f"{z} (z), {y} (y), {x} (x)"

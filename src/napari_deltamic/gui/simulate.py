@@ -1,0 +1,111 @@
+"""Simulated cells as layers: an image whose truth is known, to learn and to try."""
+
+# No annotations as strings here: magicgui makes the fields of them.
+from typing import Annotated, Any, Literal
+
+from napari.qt.threading import FunctionWorker, create_worker
+from napari.types import LayerDataTuple
+
+from ..geometry import Mesh
+from ..optics import GaussianPSF, Optics, microscope
+from ..scene import Grid, Scene, Simulation, Surface, random_cells, simulate
+from ..scene.effects import Effects
+from .viewing.colours import LIMITS, region_colormap, vertex_values
+from .viewing.frame import OWN, TRUTH
+
+Lengths = tuple[float, float, float]
+
+
+def simulate_cells(
+    cells: Annotated[int, {"min": 1, "max": 500}] = 4,
+    kind: Literal["foam", "vesicles"] = "foam",
+    shape: tuple[int, int, int] = (40, 64, 64),
+    voxel_size: Annotated[Lengths, {"options": {"step": 0.01, "min": 0.001}}] = (0.3, 0.2, 0.2),
+    psf: Literal["Gaussian", "widefield", "confocal", "spinning disk"] = "Gaussian",
+    sigma: Annotated[Lengths, {"options": {"step": 0.01, "min": 0.001}}] = (0.4, 0.24, 0.24),
+    na: Annotated[float, {"label": "NA", "step": 0.05, "min": 0.0}] = 0.8,
+    wavelength: Annotated[float, {"step": 0.01, "min": 0.0, "max": 1e5}] = 0.52,
+    immersion: Literal["air", "water", "silicone", "glycerol", "oil"] = "water",
+    effects: str = "none",
+    photons: Annotated[float, {"min": 0.1, "max": 60_000.0}] = 100.0,
+    background: Annotated[float, {"min": 0.0, "max": 60_000.0}] = 10.0,
+    seed: Annotated[int, {"min": 0, "max": 2**31 - 1}] = 0,
+) -> FunctionWorker[list[LayerDataTuple]]:
+    """Simulate an image of random cells, and show it with their true surfaces and labels.
+
+    Parameters
+    ----------
+    cells
+        How many.
+    kind
+        A foam shares walls, vesicles keep apart.
+    shape
+        Voxels, Z Y X.
+    voxel_size
+        um, Z Y X.
+    psf
+        A Gaussian, or that of a microscope.
+    sigma
+        Standard deviations of a Gaussian PSF, um, Z Y X.
+    na
+        Numerical aperture of a microscope.
+    wavelength
+        um, of the emitted light; of a microscope.
+    immersion
+        Of a microscope's objective.
+    effects
+        As attenuation=0.02,bulk=0.1,camera:gain=2:offset=100.
+    photons
+        In the brightest voxel, on top of the background.
+    background
+        Photons in every voxel.
+    seed
+        Of cells and noise; the same one gives the same image.
+    """
+    grid = Grid(shape, voxel_size)
+    chosen = Effects.from_text(effects)
+    optics: Optics = (
+        GaussianPSF(sigma)
+        if psf == "Gaussian"
+        else microscope(psf, na=na, wavelength=wavelength, immersion=immersion)
+    )
+
+    def work() -> list[Any]:
+        mesh = random_cells(cells, grid, kind, seed)
+        scene = Scene((Surface(mesh),), optics, chosen)
+        made = simulate(scene, grid, photons=photons, background=background, seed=seed)
+        return layers_of(made, f"simulated {kind}, seed {seed}")
+
+    return create_worker(work, _start_thread=True)
+
+
+def layers_of(made: Simulation, name: str) -> list[Any]:
+    """The image, the true surfaces and the true labels as layers."""
+    options = {
+        "scale": made.grid.voxel_size,
+        "translate": made.grid.origin,
+        "units": ("um",) * 3,
+    }
+    labels = {**options, "name": f"{name}: labels", "opacity": 0.3, "visible": False}
+    labels["metadata"] = {OWN: {TRUTH: True}}
+    layers: list[Any] = [
+        (made.image, {**options, "name": name}, "image"),
+        (made.labels, labels, "labels"),
+    ]
+    if made.mesh is not None:
+        layers.insert(1, _true_surface(made.mesh, f"{name}: surfaces"))
+    return layers
+
+
+def _true_surface(mesh: Mesh, name: str) -> Any:
+    """The layer of a mesh, um; hidden, so that nobody sees the answer first."""
+    options = {
+        "name": name,
+        "units": ("um",) * 3,
+        "colormap": region_colormap(),
+        "contrast_limits": LIMITS,
+        "shading": "smooth",
+        "visible": False,
+        "metadata": {OWN: {"regions": mesh.regions, TRUTH: True}},
+    }
+    return (mesh.vertices_numpy(), mesh.faces, vertex_values(mesh)), options, "surface"

@@ -1,0 +1,1 @@
+"""Tracking in the widget: the panel, the thread, the layers."""

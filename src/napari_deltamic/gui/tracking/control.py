@@ -1,0 +1,230 @@
+"""What drives tracking: from the panels to the viewer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+from qtpy.QtCore import QObject
+
+from ...errors import InputError
+from ...inference.tracking import FrameResult, TrackSettings
+from ...inference.tracking.settings import TrackRun
+from ...job import assemble
+from ...scene import Grid
+from ...track_report import write_frame, write_tracks
+from ..attempt import attempt
+from ..running.composition import Live, Panels
+from ..running.run_control import RunControl
+from ..seeding.seeds import Seeds
+from .layers import TrackLayers
+from .panel import TrackPanel
+from .work import Frames, Progress, TrackJob, TrackOutcome, TrackWork
+
+
+class TrackControl(QObject):
+    """One run of tracking at a time, and none while a fit runs.
+
+    Parameters
+    ----------
+    viewer : a napari viewer or its model.
+    panel : shown where the image chosen has a time axis.
+    panels, live, control : of the widget.
+    tell, warn : show the user a sentence.
+    parent : Qt's.
+    """
+
+    def __init__(
+        self,
+        viewer: Any,
+        panel: TrackPanel,
+        panels: Panels,
+        live: Live,
+        control: RunControl,
+        tell: Callable[[str], None],
+        warn: Callable[[str], None],
+        parent: QObject | None = None,
+    ) -> None:
+        super().__init__(parent)
+        self._viewer, self.panel, self._panels, self._live = viewer, panel, panels, live
+        self._control, self._tell, self._warn = control, tell, warn
+        self.work: TrackWork | None = None
+        self.layers: TrackLayers | None = None
+        self._again: tuple[Callable[[], TrackJob], range] | None = None  # to go on
+        self._frames = range(0)
+        self._seeds: list[Any] = []  # layers that the run started from
+        panel.track.connect(self.start)
+        panel.go_on.connect(self.go_on)
+        panel.stop.connect(self.stop)
+        panel.save.connect(self.save)
+        panels.image.changed.connect(self._image_changed)
+        control.started.connect(partial(panel.track_button.setEnabled, False))
+        control.ended.connect(partial(panel.track_button.setEnabled, True))
+        self._image_changed()
+
+    @property
+    def running(self) -> bool:
+        """Whether cells are being tracked."""
+        return self.work is not None and self.work.running
+
+    @property
+    def results(self) -> list[FrameResult]:
+        """The frames that are done."""
+        return [] if self.work is None else self.work.results
+
+    def start(self) -> None:
+        """Track from the frame shown; says in plain words what is missing."""
+        if self._busy():
+            return
+        attempt(self._start, self._complain)
+
+    def go_on(self) -> None:
+        """Track the frames after those that are done."""
+        if self._busy() or self._again is None:
+            return
+        prepare, frames = self._again
+        self._launch(prepare, frames, self.results)
+
+    def stop(self) -> None:
+        """End tracking; the frames that are done are kept."""
+        if self.work is not None:
+            self.work.stop()
+            self.panel.say("stopping ...")
+
+    def save(self, folder: str) -> None:
+        """Write what the command line would."""
+        attempt(partial(self._save, folder), self._warn)
+
+    def close_links(self) -> None:
+        """End what runs, and let the viewer go."""
+        if self.work is not None:
+            self.work.close()
+        if self.layers is not None:
+            self.layers.close()
+
+    # ------------------------------------------------------------------------------------- runs
+
+    def _busy(self) -> bool:
+        fitting = self._live.run is not None and self._live.run.running
+        if fitting or self.running:
+            self._tell(f"{'a fit' if fitting else 'tracking'} is running already: stop it first")
+        return fitting or self.running
+
+    def _start(self) -> None:
+        image = self._panels.image
+        layer, frame = image.layer, image.frame()
+        if layer is None or layer.ndim != 4:
+            raise InputError("tracking needs an image over time (T, Z, Y, X)")
+        data = layer.data[0] if layer.multiscale else layer.data
+        first, stop = int(self._viewer.dims.current_step[-4]), len(data)
+        if stop < 2:
+            raise InputError("tracking needs two frames or more; the image has one")
+        if stop - first < 2:
+            raise InputError("this is the last frame: move to an earlier one, or run a fit")
+        seeds = self._panels.seeds.seeds(frame)
+        settings = self._settings(seeds, first, float(layer.scale[-4]))
+        frames, grid = Frames(data), frame.grid(data.shape[-3:])
+        if self.layers is not None:
+            self.layers.close()
+            self._remove_layers(self.layers)
+        self.layers = TrackLayers(self._viewer, layer, frame, self._show_frame)
+        self._panels.seeds.finish_placing(keep_preview=True)
+        self._seeds = self._panels.seeds.chooser.ticked()
+        prepare = partial(_prepared, settings, frames, grid, seeds)
+        self._launch(prepare, range(first, stop), ())
+
+    def _settings(self, seeds: Seeds, first: int, scale: float) -> TrackRun:
+        run = self._control.run_settings(seeds)
+        tracking = TrackSettings(
+            first=first,
+            divisions=self.panel.divisions.isChecked(),
+            time_step=scale if scale > 0 else 1.0,
+        )
+        return TrackRun(
+            image=str(getattr(self._panels.image.layer.source, "path", None) or ""),
+            seeds=run.seeds,
+            scene=run.scene,
+            fit=run.fit,
+            track=tracking,
+        )
+
+    def _launch(
+        self, prepare: Callable[[], TrackJob], frames: range, done: Sequence[FrameResult]
+    ) -> None:
+        self._again, self._frames = (prepare, frames), frames
+        self.work = TrackWork(prepare, done, self._progress, self._frame_done, self._ended)
+        self.panel.set_running(True, can_go_on=False)
+        self.panel.say("preparing the seeds ...")
+        self._panels.running.run_button.setEnabled(False)
+        self.work.start()
+
+    def _remove_layers(self, old: TrackLayers) -> None:
+        """Those of an earlier run give way, or two surfaces would lie on each other."""
+        for layer in (old.surface, old.tracks, old.contours.layer):
+            if layer is not None and layer in self._viewer.layers:
+                self._viewer.layers.remove(layer)
+
+    def _progress(self, progress: Progress) -> None:
+        self.panel.show_progress(progress, self._frames.start, self._frames.stop)
+
+    def _frame_done(self, result: FrameResult) -> None:
+        if len(self.results) == 1:
+            self._panels.seeds.make_room()
+            for layer in self._seeds:  # they are of one time, and would cover the cells
+                layer.visible = False
+        if self.layers is not None:
+            self.layers.show(self.results)
+        if result.mesh is None:
+            self._warn(result.message)
+        self._show_frame()
+
+    def _ended(self, outcome: TrackOutcome) -> None:
+        results = self.results
+        last = results[-1].frame if results else -1
+        left = bool(results) and last < self._frames.stop - 1
+        self.panel.set_running(False, can_go_on=left)
+        self.panel.say("")
+        text = outcome.message
+        if results and self.work is not None:
+            kept = "" if outcome.verdict == "done" else f"{len(results)} frames are kept, "
+            text += f" ({kept}{self.work.seconds:.1f} s)"
+        self.panel.show_verdict(outcome.verdict, text)
+        self._panels.running.run_button.setEnabled(True)
+        if outcome.verdict == "failed":
+            self._warn(outcome.message)
+        self._show_frame()
+
+    def _save(self, folder: str) -> None:
+        work = self.work
+        if work is None or work.job is None or not work.results:
+            raise InputError("there are no frames to save")
+        for result in work.results:
+            write_frame(folder, result)
+        job = work.job
+        write_tracks(folder, work.results, job.first.grid, job.settings, work.seconds)
+        self._tell(f"saved {folder}")
+
+    # ------------------------------------------------------------------------------- the panel
+
+    def _image_changed(self) -> None:
+        layer = self._panels.image.layer
+        self.panel.setVisible(layer is not None and layer.ndim == 4)
+
+    def _show_frame(self) -> None:
+        layers = self.layers
+        if layers is None:
+            return
+        self.panel.show_frame(layers.results.get(layers.shown), tracked=bool(layers.results))
+
+    def _complain(self, message: str) -> None:
+        self.panel.show_verdict("failed", message)
+        self._warn(message)
+
+
+def _prepared(settings: TrackRun, frames: Frames, grid: Grid, seeds: Seeds) -> TrackJob:
+    """The job, put together in the thread."""
+    pixels = frames[settings.track.first]
+    first = assemble(settings, pixels, grid, seeds.mesh(pixels, grid), seeds.kind)
+    whole = settings.model_copy(update={"fit": first.settings.fit})
+    return TrackJob(first, frames, whole, seeds.kind == "image")

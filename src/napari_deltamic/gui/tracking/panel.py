@@ -1,0 +1,146 @@
+"""Track, stop, save; where tracking is, and the cells of the frame that is shown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from qtpy.QtWidgets import (
+    QCheckBox,
+    QFileDialog,
+    QGroupBox,
+    QHBoxLayout,
+    QLabel,
+    QProgressBar,
+    QPushButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from ...inference.tracking import FrameResult, TrackSettings
+from ...measure import measure_cells
+from ..panels.fields import note_label
+from ..qt import Signal
+from ..results.cell_table import CellTable
+from .work import Progress
+
+_COLOURS = {"done": "#3fae6b", "stopped": "#d99a1c", "failed": "#e0564f"}
+
+
+class TrackPanel(QGroupBox):
+    """Shown for an image over time; signals for what the user asks for."""
+
+    track = Signal()
+    go_on = Signal()
+    stop = Signal()
+    save = Signal(str)
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__("Track", parent)
+        self.track_button = QPushButton("Track", self)
+        self.track_button.setToolTip(
+            "<qt>Fit the frame shown from the seeds, and every later frame from the one before. "
+            "Cells keep their numbers.</qt>"
+        )
+        self.go_on_button = QPushButton("Go on", self)
+        self.go_on_button.setToolTip("Go on after the last frame that was tracked.")
+        self.stop_button = QPushButton("Stop", self)
+        self.stop_button.setToolTip("End tracking; the frames that are done are kept.")
+        self.divisions = QCheckBox("cells may divide", self)
+        self.divisions.setChecked(TrackSettings().divisions)
+        described = TrackSettings.model_fields["divisions"].description
+        self.divisions.setToolTip(f"<qt>{described}</qt>")
+        self.progress = QProgressBar(self)
+        self.progress.setTextVisible(True)
+        self.message = note_label()
+        self.verdict = QLabel(self)
+        self.verdict.setWordWrap(True)
+        self.frame = QLabel(self)
+        self.frame.setWordWrap(True)
+        self.table = CellTable(self)
+        self.save_button = QPushButton("Save all frames...", self)
+        self.save_button.setToolTip(
+            "<qt>A mesh for each frame, tracks.csv, surface.npz, report.json and run.toml.</qt>"
+        )
+        self._lay_out()
+        self.track_button.clicked.connect(self.track)
+        self.go_on_button.clicked.connect(self.go_on)
+        self.stop_button.clicked.connect(self.stop)
+        self.save_button.clicked.connect(self._ask)
+        self.set_running(False, can_go_on=False)
+        self.show_frame(None)
+        self.say("")
+        self.show_verdict("", "")
+
+    def set_running(self, running: bool, *, can_go_on: bool) -> None:
+        """Which buttons can be pressed."""
+        self.track_button.setEnabled(not running)
+        self.go_on_button.setVisible(can_go_on and not running)
+        self.stop_button.setEnabled(running)
+        self.divisions.setEnabled(not running)
+        self.progress.setVisible(running)
+        self.save_button.setEnabled(not running)
+        if running:
+            self.progress.setRange(0, 0)
+            self.show_verdict("", "")
+
+    def show_progress(self, progress: Progress, first: int, stop: int) -> None:
+        """Where it is; frames are counted as in the viewer, from 0."""
+        share = (progress.level - 1) / max(progress.levels, 1)
+        done = progress.frame - first
+        self.progress.setRange(0, 100 * (stop - first))
+        self.progress.setValue(int(100 * (done + share)))
+        self.progress.setFormat(f"frame {done + 1} of {stop - first}")
+        self.say(
+            f"time {progress.frame}: level {progress.level} of {progress.levels}, "
+            f"{progress.iteration} iterations, loss {progress.loss:.3f}"
+        )
+
+    def say(self, text: str) -> None:
+        """What is going on, in a line."""
+        self.message.setText(text)
+        self.message.setVisible(bool(text))
+
+    def show_verdict(self, verdict: str, text: str) -> None:
+        """How it ended."""
+        self.verdict.setStyleSheet(f"color: {_COLOURS.get(verdict, '')}; font-weight: bold;")
+        self.verdict.setText(text)
+        self.verdict.setVisible(bool(text))
+
+    def show_frame(self, result: FrameResult | None, *, tracked: bool = False) -> None:
+        """The cells of a frame, and what happened in it; None for one that was not tracked.
+
+        tracked : whether there are other frames to look at.
+        """
+        for widget in (self.frame, self.save_button):
+            widget.setVisible(tracked)
+        self.table.setVisible(result is not None and result.mesh is not None)
+        if result is None:
+            self.frame.setText("not tracked at this time")
+            return
+        if result.mesh is None:
+            self.frame.setText(result.message)
+            return
+        self.table.show_rows(measure_cells(result.mesh))
+        cells = f"{len(result.cells)} cells" if len(result.cells) != 1 else "1 cell"
+        words = [f"time {result.frame}: {cells}", *_told(result)]
+        self.frame.setText("; ".join(words))
+
+    def _ask(self) -> None:
+        folder = QFileDialog.getExistingDirectory(self, "Folder for the frames")
+        if folder:
+            self.save.emit(folder)
+
+    def _lay_out(self) -> None:
+        buttons = QHBoxLayout()
+        for button in (self.track_button, self.go_on_button, self.stop_button):
+            buttons.addWidget(button)
+        layout: Any = QVBoxLayout(self)
+        layout.addLayout(buttons)
+        rows = (self.divisions, self.progress, self.message, self.verdict, self.frame, self.table)
+        for widget in (*rows, self.save_button):
+            layout.addWidget(widget)
+
+
+def _told(result: FrameResult) -> Sequence[str]:
+    return [event.text for event in result.events] + [result.message] * bool(result.message)

@@ -1,0 +1,189 @@
+"""Effects: what the image says about them, and how they reach a fit."""
+
+import threading
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from napari_deltamic.gui.effects import effects_check
+from napari_deltamic.gui.effects.effects_panel import EffectsPanel
+from napari_deltamic.inference.evidence import Evidence
+from napari_deltamic.inference.evidence.camera import Camera
+from napari_deltamic.inference.evidence.finding import Finding, unknown
+from napari_deltamic.scene.effects import Bulk, Effects
+
+pytestmark = pytest.mark.usefixtures("soon")
+
+BULK = Evidence("bulk", 12.3, 85.4, 0.4, 3.21, True, "z = 12.3; leaving it out would move it")
+HALO = Evidence("halo", 0.7, 0.01, 0.0, 0.1, False, "z = 0.7: no more than chance")
+
+
+def recommendation(*evidence):
+    """What an engine would answer that recommends bulk."""
+    camera = Camera(Finding(2.0, 0.1, ""), unknown(""), unknown(""), unknown(""), None)
+    effects = Effects.of(*(Bulk(density=0.3) for e in evidence if e.recommended))
+    names = tuple(e.name for e in evidence if e.recommended)
+    return SimpleNamespace(
+        effects=effects, evidence=evidence, camera=camera, remarks=("a remark",), recommended=names
+    )
+
+
+@pytest.fixture
+def panel(app):
+    return EffectsPanel()
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """Questions to the engine, which answers at once when it is let."""
+    gate, calls = threading.Semaphore(0), []
+
+    def recommend(image, grid, mesh, optics, settings, **more):
+        calls.append({"mesh": mesh, "optics": optics, **more})
+        more["progress"]("looking at bulk")
+        assert gate.acquire(timeout=20)
+        more["progress"]("looking at halo")
+        return recommendation(BULK, HALO)
+
+    monkeypatch.setattr(effects_check, "recommend", recommend)
+    yield gate, calls
+    gate.release(99)
+
+
+def test_nothing_is_ticked_before_the_user_does(panel):
+    assert panel.summary() == "none; check what this image calls for"
+    panel.show_found(recommendation(HALO, BULK))
+    assert panel.effects() == Effects()
+    assert panel.summary() == "none; bulk recommended"
+    row = panel.table.row_of("bulk")
+    assert row == {"effect": "bulk", "evidence": "12.3", "bias": "85", "cost": "3.2"}
+    assert panel.table.row_of("pixel_integration")["evidence"] == ""
+    assert "gain 2" in panel.remarks.text()
+
+
+def test_a_recommendation_is_accepted_with_its_numbers(panel):
+    told = []
+    panel.changed.connect(lambda: told.append(panel.effects()))
+    panel.show_found(recommendation(BULK))
+    panel.take_button.click()
+    assert told == [Effects.of(Bulk(density=0.3))]
+    assert panel.summary() == "bulk"
+    assert panel.take_button.isHidden()
+    panel.table.tick("bulk", False)
+    assert panel.effects() == Effects()
+    assert not panel.take_button.isHidden()
+
+
+def test_the_reason_of_a_row_can_be_read(panel):
+    panel.show_found(recommendation(BULK, HALO))
+    panel.table.selectRow(0)
+    assert panel.reason.text() == f"bulk: {BULK.reason}"
+    assert HALO.reason in panel.table.item(1, 0).toolTip()
+
+
+def test_effects_that_contradict_each_other_are_refused(panel):
+    panel.table.tick("attenuation")
+    panel.table.tick("bleaching")
+    assert panel.effects().names == ("attenuation",)
+    assert "no image tells" in panel.reason.text()
+
+
+def test_effects_without_a_row_get_one(panel):
+    panel.show_effects(Effects.of("camera"))
+    assert "camera" in panel.table.names()
+    assert panel.effects().names == ("camera",)
+
+
+def test_the_image_and_its_seeds_are_asked_in_the_background(seeded, spin, asked):
+    gate, calls = asked
+    view = seeded.settings.effects
+    seeded.settings.max_iterations.setValue(5)
+    view.button.click()
+    assert seeded.checking.busy
+    assert view.button.text() == "Stop checking"
+    spin(lambda: view.progress.text() == "looking at bulk ...")
+    gate.release()
+    spin(lambda: not seeded.checking.busy)
+    assert view.found.recommended == ("bulk",)
+    assert seeded.settings.effects_fold.title == "Effects: none; bulk recommended"
+    assert calls[0]["fitted"].iteration == 5
+    assert seeded.settings.scene_settings().effects == Effects()
+    seeded.settings.sigma._boxes[0].setValue(0.9)
+    assert "check again" in view.progress.text()
+
+
+def test_a_fit_that_converged_is_not_done_again(seeded, spin, asked):
+    gate, calls = asked
+    gate.release()
+    seeded.start()
+    spin(lambda: not seeded.run.running, seconds=60)
+    state = seeded.results.last[0]
+    assert state.converged
+    seeded.settings.effects.button.click()
+    spin(lambda: not seeded.checking.busy)
+    assert calls[0]["fitted"] is state
+    seeded.settings.effects.table.tick("attenuation")
+    seeded.settings.max_iterations.setValue(3)
+    gate.release()
+    seeded.settings.effects.button.click()
+    spin(lambda: not seeded.checking.busy, seconds=60)
+    assert calls[1]["fitted"] is not state
+    assert calls[1]["effects"].names == ("attenuation",)
+
+
+def test_a_check_can_be_stopped(seeded, spin, asked):
+    gate, _ = asked
+    view = seeded.settings.effects
+    seeded.settings.max_iterations.setValue(3)
+    view.button.click()
+    spin(lambda: view.progress.text() == "looking at bulk ...")
+    view.button.click()
+    assert not seeded.checking.busy
+    assert view.progress.text() == "stopped"
+    gate.release()
+    spin(seconds=0.3, must=False)
+    assert view.found is None
+
+
+def test_without_seeds_it_says_what_is_missing(make_widget):
+    widget = make_widget()
+    widget.settings.effects.button.click()
+    assert not widget.checking.busy
+    assert "Place seeds" in widget.settings.effects.progress.text()
+
+
+def test_an_accepted_effect_goes_into_the_fit_that_runs(seeded, spin, endless):
+    seeded.start()
+    spin(lambda: seeded.run.state is not None and seeded.link.mesh is not None)
+    view = seeded.settings.effects
+    assert not view.button.isEnabled()
+    view.show_effects(Effects())
+    view.found = recommendation(BULK)
+    view.take_recommended()
+    spin(lambda: seeded.run.state.effects.names == ("bulk",))
+    spin(lambda: any(name == "bulk: density" for name, *_ in seeded.running.numbers.texts()))
+    [(_, start, now)] = seeded.running.numbers.texts()
+    assert start == "0.3"
+    assert now.endswith(" 1/um")
+    seeded.stop()
+    spin(lambda: not seeded.run.running)
+    assert view.button.isEnabled()
+    assert seeded.results.last[1].settings.scene.effects.names == ("bulk",)
+
+
+def test_the_residual_is_in_standard_deviations_and_cells_are_judged(seeded, with_image, spin):
+    table = seeded.results.table
+    assert table.isColumnHidden(4)
+    seeded.running.residual.setChecked(True)
+    seeded.start()
+    spin(lambda: not seeded.run.running, seconds=60)
+    spin(lambda: not table.isColumnHidden(4), seconds=60)
+    layer = with_image.layers["cell residual"]
+    assert tuple(layer.contrast_limits) == (-5, 5)
+    assert np.std(layer.data) == pytest.approx(1, abs=0.25)
+    assert "explained" in table.as_text().splitlines()[0]
+    assert table.item(0, 4).text().endswith("%")
+    assert "of what varies near the surfaces is explained" in seeded.running.note.text()
+    seeded.running.residual.setChecked(False)
+    assert table.isColumnHidden(4)

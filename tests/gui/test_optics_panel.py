@@ -1,0 +1,169 @@
+"""The choice of the PSF: its fields, what is wrong with them, and how far it reaches."""
+
+import numpy as np
+import pytest
+
+import napari_deltamic as nd
+from napari_deltamic.cli.optics_arguments import optics_options
+from napari_deltamic.gui.optics import measured_fields
+from napari_deltamic.gui.optics.optics_panel import GAUSSIAN, MEASURED, OBJECTIVE, OpticsPanel
+from napari_deltamic.gui.running.live_numbers import LiveNumbers, MovedNumber
+from napari_deltamic.images import write_image
+from napari_deltamic.job import optics_of, scene_with
+from napari_deltamic.optics_settings import MicroscopeOptics, optics_from_values
+from napari_deltamic.settings import SceneSettings
+
+from .conftest import SIZE
+
+WATER = {"kind": "microscope", "na": 0.8, "wavelength": 0.6, "immersion": "water"}
+
+
+@pytest.fixture
+def panel(app, with_image):
+    panel = OpticsPanel(with_image, "widths")
+    panel.objective.show_settings(optics_from_values(WATER))
+    yield panel
+    panel.close_links()
+
+
+@pytest.fixture
+def bead(tmp_path):
+    z, y, x = (np.arange(n) - n // 2 for n in (25, 25, 25))
+    shape = np.exp(-0.5 * ((z[:, None, None] / 3) ** 2 + (y[:, None] / 2) ** 2 + (x / 2) ** 2))
+    path = tmp_path / "bead.tif"
+    write_image(path, (100 + 3000 * shape).astype(np.float32), (0.1, 0.1, 0.1))
+    return path
+
+
+def rows(panel):
+    return {name for name, field in panel.objective.fields.items() if not field.isHidden()}
+
+
+def test_only_the_fields_of_the_modality_are_there(panel):
+    panel.kind.setCurrentText(OBJECTIVE)
+    panel.objective.modality.setCurrentText("widefield")
+    assert not {"pinhole", "excitation", "sheet", "depth"} & rows(panel)
+    panel.objective.modality.setCurrentText("confocal")
+    assert {"pinhole", "excitation"} <= rows(panel)
+    panel.objective.modality.setCurrentText("light sheet")
+    assert "sheet" in rows(panel)
+    assert "pinhole" not in rows(panel)
+    panel.objective.numbers["sample_index"].setValue(1.38)
+    assert "depth" in rows(panel)
+
+
+def test_the_widths_of_the_psf_are_told(panel, spin):
+    assert panel.summary().startswith("Gaussian ")
+    panel.kind.setCurrentText(OBJECTIVE)
+    spin(lambda: not panel.busy)
+    z, y, _ = optics_from_values(WATER).build().sigma_um
+    assert f"{1000 * y:.0f} nm in the plane, {1000 * z:.0f} nm along z" in panel.width_note.text()
+    assert panel.summary() == f"widefield NA 0.8, {z:.2f} (z), {y:.2f} (yx) um"
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "says"),
+    [
+        ("wavelength", 520, "wavelength 520 um: did you mean 0.52?"),
+        ("na", 1.4, "NA 1.4 must be below the refractive index of the immersion, 1.333"),
+    ],
+)
+def test_an_error_stands_under_its_field(panel, spin, field, value, says):
+    panel.kind.setCurrentText(OBJECTIVE)
+    panel.objective.numbers[field].setValue(value)
+    spin(lambda: not panel.busy)
+    assert list(panel.objective.errors()) == [says]
+    assert panel.objective._errors[field].text() == says
+    assert panel.summary().endswith("cannot be used")
+    panel.objective.numbers[field].setValue(0.6)
+    spin(lambda: not panel.busy)
+    assert list(panel.objective.errors()) == []
+
+
+def test_a_bead_in_a_file_is_the_psf(panel, spin, bead):
+    panel.kind.setCurrentText(MEASURED)
+    with pytest.raises(nd.InputError, match="choose the image of a bead"):
+        panel.settings()
+    panel.measured.take_file(str(bead))
+    spin(lambda: not panel.busy)
+    assert panel.settings().build().sigma_um == pytest.approx((0.3, 0.2, 0.2), rel=0.1)
+    assert "measured, 0.3" in panel.summary()
+    panel.measured.diameter.setValue(200)
+    with pytest.raises(nd.InputError, match=r"did you mean 0\.2"):
+        panel.settings()
+
+
+def test_a_layer_that_is_in_no_file_is_saved_first(panel, with_image, monkeypatch, tmp_path):
+    path = tmp_path / "saved"
+    monkeypatch.setattr(
+        measured_fields.QFileDialog, "getSaveFileName", lambda *_: (str(path), "TIFF (*.tif)")
+    )
+    panel.kind.setCurrentText(MEASURED)
+    panel.measured.take_layer(with_image.layers["cell"])
+    assert panel.settings().file == f"{path}.tif"
+    assert panel.settings().voxel_size == pytest.approx(SIZE)
+    assert path.with_suffix(".tif").is_file()
+
+
+def test_settings_come_back_as_they_were_shown(panel):
+    for settings in (
+        optics_from_values({**WATER, "modality": "confocal", "pinhole": 1.2, "excitation": 0.55}),
+        optics_from_values({**WATER, "modality": "light sheet", "sheet": 3.0}),
+        optics_from_values({**WATER, "sample_index": 1.38, "depth": 12.0, "fitted": ("na",)}),
+        optics_from_values(
+            {"kind": "mixture", "sigmas": ((1, 1, 1), (2, 2, 2)), "masses": (1, 0.5)}
+        ),
+        None,
+    ):
+        panel.show_settings(settings)
+        shown = panel.settings()
+        if isinstance(settings, MicroscopeOptics):
+            assert shown.build().described() == settings.build().described()
+        else:
+            assert shown == settings
+    assert panel.kind.currentText() == GAUSSIAN
+
+
+def test_a_command_gives_the_same_psf(capsys):
+    settings = optics_from_values({**WATER, "modality": "confocal", "pinhole": 1.2})
+    words = optics_options(settings)
+    assert words[:4] == ["--na", "0.8", "--wavelength", "0.6"]
+    assert "--pinhole" in words
+    with pytest.raises(nd.InputError, match=r"run\.toml"):
+        optics_options(optics_from_values({**WATER, "fitted": ("na", "wavelength")}))
+
+
+def test_settings_follow_a_psf_that_was_fitted():
+    scene = SceneSettings(voxel_size=SIZE, optics=optics_from_values(WATER))
+    optics = optics_of(scene)
+    moved = optics.with_parameters(optics.parameters() - 0.1)
+    after = scene_with(scene, moved)
+    assert after.optics.na == pytest.approx(float(moved.values["na"]))
+    assert after.optics.na < 0.8
+    np.testing.assert_allclose(optics_of(after).parameters(), moved.parameters())
+    gaussian = scene_with(scene, nd.GaussianPSF((0.4, 0.2, 0.2)))
+    assert (gaussian.sigma, gaussian.optics) == (pytest.approx((0.4, 0.2, 0.2)), None)
+
+
+def test_a_fit_with_the_psf_of_an_objective_shows_its_numbers(seeded, spin):
+    seeded.settings.optics.show_settings(optics_from_values({**WATER, "na": 0.6}))
+    seeded.settings.fit_psf.setChecked(True)
+    seeded.settings.max_iterations.setValue(8)
+    seeded.start()
+    spin(lambda: not seeded.run.running, seconds=60)
+    state, job, *_ = seeded.results.last
+    assert type(state.optics).__name__ == "VectorialPSF"
+    assert job.settings.scene.sigma is None
+    [(name, start, now)] = seeded.running.numbers.texts()
+    assert (name, start) == ("na", "0.6")
+    na = next(p.value for p in state.optics.described() if p.name == "na")
+    assert now == f"{na:.4g}"
+
+
+def test_numbers_are_shown_with_their_units(app):
+    numbers = LiveNumbers()
+    assert numbers.isHidden()
+    numbers.show_numbers([MovedNumber("sheet", "um", 2.0, 2.5), MovedNumber("na", "", None, 0.8)])
+    assert numbers.texts() == [("sheet", "2", "2.5 um"), ("na", "-", "0.8")]
+    numbers.show_numbers([])
+    assert numbers.texts() == []

@@ -1,0 +1,229 @@
+"""Tracking in the widget: a series of stacks becomes a surface over time."""
+
+import gc
+import weakref
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import napari_deltamic as nd
+from napari_deltamic import _widget
+from napari_deltamic._writer import write_surface
+from napari_deltamic.errors import InputError
+from napari_deltamic.geometry import sphere
+from napari_deltamic.gui.tracking import work
+from napari_deltamic.gui.viewing.frame import OWN
+from napari_deltamic.inference.tracking import track
+from napari_deltamic.track_report import read_results
+
+from .conftest import CENTER, SHAPE, SIZE
+
+STEP = np.array([0.0, 0.1, -0.1])  # um a frame
+
+
+@pytest.fixture(scope="module")
+def series():
+    """Four frames of a cell that drifts."""
+    grid, optics = nd.Grid(SHAPE, SIZE), nd.GaussianPSF((0.36, 0.24, 0.24))
+    rng, frames = np.random.default_rng(0), []
+    for t in range(4):
+        cell = sphere(CENTER + t * STEP, (1.2, 1.1, 1.1), edge_length=0.3)
+        image = nd.render(cell, grid, optics).numpy()
+        frames.append(rng.poisson(100 + 400 * image / image.max()))
+    return np.array(frames, np.float32)
+
+
+@pytest.fixture
+def widget(app, viewer, series, spin):
+    """A widget with the series, and a sphere around a point as the seed."""
+    viewer.add_image(
+        series, scale=(5, *SIZE), translate=(0, 1, 2, 3), units=("s", *("um",) * 3), name="movie"
+    )
+    viewer.dims.set_current_step(0, 0)
+    widget = _widget.FitWidget(viewer)
+    widget.seeds.place.click()
+    seeds = viewer.layers["seeds"]
+    seeds.add(CENTER if seeds.ndim == 3 else (0, *CENTER))
+    widget.seeds.shape.setCurrentText("sphere around each point")
+    widget.seeds.radius.setValue(0.9)
+    yield widget
+    widget.close_links()
+    spin(seconds=0.05, must=False)
+    gc.collect()
+
+
+@pytest.fixture
+def slow(monkeypatch):
+    """Tracking that lets go of every frame only when it is told to."""
+    gate = []
+
+    def states(images, *arguments, **options):
+        for state in track(images, *arguments, **options):
+            while state.done is not None and state.done.frame >= len(gate):
+                yield replace(state, done=None)
+            yield state
+
+    monkeypatch.setattr(work, "track", states)
+    return gate
+
+
+def ended(widget):
+    return lambda: widget.tracking.work is not None and not widget.tracking.running
+
+
+def test_the_panel_is_there_for_images_over_time_only(make_widget, with_image, series):
+    widget = make_widget()
+    assert widget.track_panel.isHidden()
+    with_image.add_image(series, scale=(1, *SIZE), name="movie")
+    chooser = widget.image.chooser
+    chooser.setCurrentIndex(chooser.findText("movie"))
+    assert not widget.track_panel.isHidden()
+
+
+def test_one_click_gives_a_surface_over_time(widget, viewer, series, spin):
+    widget.track_panel.track_button.click()
+    spin(ended(widget), 60)
+    assert "4 frames tracked" in widget.track_panel.verdict.text()
+    surface = viewer.layers["movie tracked cells"]
+    vertices, _, values = surface.data
+    assert tuple(surface.scale) == (5, 1, 1, 1)
+    assert tuple(surface.translate) == (0, 1, 2, 3)
+    for t in range(4):
+        own = vertices[vertices[:, 0] == t]
+        np.testing.assert_allclose(own[:, 1:].mean(axis=0), CENTER + t * STEP, atol=0.08)
+    np.testing.assert_array_equal(values, surface.metadata[OWN]["cells"])
+    tracks = viewer.layers["movie tracks"]
+    assert tracks.data.shape == (4, 5)
+    assert viewer.dims.current_step[0] == 3, "what is looked at moves on with the frames"
+    assert widget.track_panel.frame.text().startswith("time 3: 1 cell")
+    assert widget.track_panel.table.rowCount() == 1
+
+
+def test_contours_and_table_follow_the_slider(widget, viewer, spin):
+    widget.tracking.start()
+    spin(ended(widget), 60)
+    middle = {}
+    for t in (0, 3):
+        viewer.dims.set_point((0, 1), (5.0 * t, 1 + CENTER[0]))
+        contours = viewer.layers["movie tracked contours"].data
+        assert len(contours) > 10
+        middle[t] = contours[:, 0].mean(axis=0)
+        assert widget.track_panel.frame.text().startswith(f"time {t}")
+    np.testing.assert_allclose((middle[3] - middle[0])[1:], 3 * STEP[1:], atol=0.1)
+
+
+def test_tracking_starts_at_the_frame_shown(widget, viewer, spin):
+    viewer.dims.set_current_step(0, 2)
+    widget.tracking.start()
+    spin(ended(widget), 60)
+    assert [r.frame for r in widget.tracking.results] == [2, 3]
+    viewer.dims.set_current_step(0, 0)
+    assert widget.track_panel.frame.text() == "not tracked at this time"
+    assert len(viewer.layers["movie tracked contours"].data) == 0
+
+
+def test_stop_keeps_the_frames_that_are_done_and_go_on_tracks_the_rest(
+    widget, viewer, spin, slow, tmp_path
+):
+    widget.tracking.start()
+    assert not widget.running.run_button.isEnabled()
+    slow += [1, 1]
+    spin(lambda: len(widget.tracking.results) == 2, 60)
+    assert "of 4" in widget.track_panel.progress.text()
+    widget.track_panel.stop_button.click()
+    spin(ended(widget))
+    assert widget.track_panel.verdict.text().startswith("stopped by you (2 frames are kept")
+    assert set(viewer.layers["movie tracked cells"].data[0][:, 0]) == {0, 1}
+    assert widget.running.run_button.isEnabled()
+    slow += [1] * 4
+    assert widget.track_panel.go_on_button.isVisibleTo(widget.track_panel)
+    widget.track_panel.go_on_button.click()
+    spin(ended(widget), 60)
+    assert [r.frame for r in widget.tracking.results] == [0, 1, 2, 3]
+    widget.tracking.save(str(tmp_path))
+    assert [r.frame for r in read_results(tmp_path)] == [0, 1, 2, 3]
+
+
+def test_a_bad_frame_is_told_and_left_out(widget, viewer, spin, told):
+    layer = viewer.layers["movie"]
+    layer.data = np.where(np.arange(4).reshape(4, 1, 1, 1) == 1, np.nan, layer.data)
+    widget.tracking.start()
+    spin(ended(widget), 60)
+    assert any("frame 1 is left out: every voxel is missing" in text for text in told)
+    assert "1 of them left out" in widget.track_panel.verdict.text()
+    viewer.dims.set_current_step(0, 1)
+    assert "left out" in widget.track_panel.frame.text()
+
+
+def test_what_is_missing_is_said(widget, viewer, told):
+    viewer.dims.set_current_step(0, 3)
+    widget.tracking.start()
+    assert "last frame" in told[-1]
+    viewer.dims.set_current_step(0, 0)
+    viewer.layers["seeds"].data = np.zeros((0, 3))
+    widget.tracking.start()
+    assert "seeds" in told[-1]
+    assert widget.tracking.work is None
+
+
+def test_an_error_of_the_engine_is_told_in_words(widget, spin, monkeypatch, told):
+    def broken(*arguments, **options):
+        yield next(track(*arguments, **options))
+        raise InputError("it cannot be")
+
+    monkeypatch.setattr(work, "track", broken)
+    widget.tracking.start()
+    spin(ended(widget))
+    assert told[-1] == "it cannot be"
+    assert widget.track_panel.track_button.isEnabled()
+
+
+def test_a_second_run_replaces_the_layers_of_the_first(widget, viewer, spin):
+    names = None
+    for _ in range(2):
+        viewer.dims.set_current_step(0, 2)
+        widget.tracking.start()
+        spin(ended(widget), 60)
+        names = names or sorted(layer.name for layer in viewer.layers)
+    assert sorted(layer.name for layer in viewer.layers) == names
+
+
+def test_closing_ends_tracking_and_leaves_no_connection(widget, viewer, spin, slow):
+    widget.tracking.start()
+    spin(lambda: widget.tracking.work.job is not None)
+    refs = [weakref.ref(widget.tracking.work), weakref.ref(widget.tracking.layers)]
+    run = widget.tracking.work
+    widget.close_links()
+    assert not run.running
+    widget.tracking.work = widget.tracking.layers = run = None
+    spin(seconds=0.3, must=False)
+    gc.collect()
+    assert [ref() for ref in refs] == [None, None]
+    viewer.dims.set_current_step(0, 1)
+
+
+def test_the_surface_of_a_fit_is_there_at_its_time_only(widget, viewer, spin):
+    viewer.dims.set_current_step(0, 1)
+    viewer.dims.ndisplay = 3
+    widget.start()
+    spin(lambda: widget.run is not None and not widget.run.running, 60)
+    surface = viewer.layers["movie cells"]
+    assert surface.visible
+    viewer.dims.set_current_step(0, 2)
+    assert not surface.visible
+    viewer.dims.set_current_step(0, 1)
+    assert surface.visible
+    surface.visible = False  # by the user
+    viewer.dims.set_current_step(0, 2)
+    viewer.dims.set_current_step(0, 1)
+    assert not surface.visible
+
+
+def test_a_surface_of_several_times_is_no_mesh_file(tmp_path):
+    vertices, faces = np.random.default_rng(0).random((6, 4)), [[0, 1, 2], [3, 4, 5]]
+    vertices[:, 0] = [0, 0, 0, 1, 1, 1]
+    with pytest.raises(InputError, match="several times"):
+        write_surface(str(tmp_path / "a.ply"), (vertices, faces), {})
+    vertices[:, 0] = 2
+    assert write_surface(str(tmp_path / "a.ply"), (vertices, faces), {})
