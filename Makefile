@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-slow stability benchmark lint clean
+.PHONY: demo test test-slow stability clusters effects benchmark lint clean
 demo: $(STAMP)
 	$(BIN)/python -m napari_deltamic.demo
 
@@ -19,6 +19,12 @@ test-slow: $(STAMP)
 stability: $(STAMP)
 	$(BIN)/python -m pytest tests/stability -m ""
 	$(BIN)/python -m benchmarks.stability
+
+clusters: $(STAMP)
+	$(BIN)/python -m benchmarks.clusters --write
+
+effects: $(STAMP)
+	$(BIN)/python -m benchmarks.effects --write
 
 benchmark: $(STAMP)
 	$(BIN)/python -m benchmarks --markdown docs/benchmarks.md

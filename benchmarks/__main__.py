@@ -20,11 +20,11 @@ from typing import Any
 from napari_deltamic.fourier.cost import processor
 
 from .figure import Figure, MissingData, Options, Row, default_data_folder
+from .page import HEADINGS, cells, table
 
 # Each exposes FIGURES: dict[str, Callable[[Options], list[Row]]].
-MODULES = ("engine", "rendering", "fits", "vesicles", "event_loop", "effects", "tracking")
+MODULES = ("engine", "rendering", "fits", "vesicles", "event_loop")
 LIBRARIES = ("napari-deltamic", "torch", "finufft", "numpy", "scipy")
-HEADINGS = ("figure", "asked", "measured", "unit", "", "note")
 
 
 def find_figures() -> dict[str, Figure]:
@@ -67,10 +67,10 @@ def machine(only: list[str] | None, quick: bool) -> dict[str, str]:
 
 def as_table(rows: list[Row]) -> str:
     """Aligned columns of text."""
-    cells = [HEADINGS, *(_cells(row) for row in rows)]
-    widths = [max(len(line[i]) for line in cells) for i in range(len(HEADINGS) - 1)]
+    lines_of = [HEADINGS, *(cells(row) for row in rows)]
+    widths = [max(len(line[i]) for line in lines_of) for i in range(len(HEADINGS) - 1)]
     lines = []
-    for line in cells:
+    for line in lines_of:
         padded = [
             c.rjust(w) if i == 2 else c.ljust(w)
             for i, (c, w) in enumerate(zip(line[:-1], widths, strict=True))
@@ -98,23 +98,7 @@ reading the table:
 def as_markdown(rows: list[Row], where: dict[str, str]) -> str:
     """The table and where it was measured, for the documentation."""
     lines = [f"- {name}: `{value}`" for name, value in where.items()]
-    return INTRODUCTION + "\n".join([*lines, "", markdown_table(rows)]) + "\n"
-
-
-def markdown_table(rows: list[Row]) -> str:
-    """The table alone."""
-    heading = " | ".join(h or "passed" for h in HEADINGS)
-    lines = [f"| {heading} |", "|---|---|---:|---|---|---|"]
-    for row in rows:
-        cells = " | ".join(cell.replace("|", "\\|") for cell in _cells(row))
-        lines.append(f"| {cells} |")
-    return "\n".join(lines)
-
-
-def _cells(row: Row) -> tuple[str, ...]:
-    passed = {True: "yes", False: "NO", None: ""}[row.passed]
-    measured = "-" if math.isnan(row.measured) else f"{row.measured:.4g}"
-    return row.figure, row.asked, measured, row.unit, passed, row.note
+    return INTRODUCTION + "\n".join([*lines, "", table(rows)]) + "\n"
 
 
 def _for_json(row: Row) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from napari_deltamic.geometry import sphere
 from napari_deltamic.measure import surface_distance
 from napari_deltamic.settings import FitSettings
 
-from .__main__ import as_table, markdown_table, measure
+from .__main__ import as_table, measure
 from .figure import (
     Figure,
     Options,
@@ -40,7 +40,7 @@ from .figure import (
     sphere_of,
     tensors,
 )
-from .page import put_between
+from .page import put_between, table
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "benchmarks.md"
@@ -241,7 +241,7 @@ def main(arguments: list[str] | None = None) -> int:
     said = f"{p.name}, {p.multi_processor_count} multiprocessors, torch {torch.__version__}"
     print(f"{said}\n{as_table(rows)}")
     if given.markdown:
-        put_between(given.markdown, MARK, f"{said}\n\n{markdown_table(rows)}")
+        put_between(given.markdown, MARK, f"{said}\n\n{table(rows)}")
     return int(any(row.passed is False for row in rows))
 
 

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "boxes.h"
+#include "distance.h"
 #include "vec.h"
 
 namespace deltamic_remesh {
@@ -21,27 +22,44 @@ inline bool runs_through(Vec p, Vec q, Vec a, Vec b, Vec c) {
     return (over >= 0 && under <= 0 && over > under) || (over <= 0 && under >= 0 && over < under);
 }
 
+// Whether an edge runs through a face, or comes as near to it.
+inline bool meets(Vec p, Vec q, Vec a, Vec b, Vec c, double near) {
+    if (runs_through(p, q, a, b, c)) return true;
+    if (near <= 0) return false;
+    const Vec n = cross(b - a, c - a);
+    const double over = dot(n, p - a), under = dot(n, q - a), beyond = near * norm(n);
+    if ((over > beyond && under > beyond) || (over < -beyond && under < -beyond)) return false;
+    const double square = near * near;
+    for (Vec end : {p, q}) {
+        const Vec way = end - nearest_in_triangle(end, a, b, c);
+        if (dot(way, way) <= square) return true;
+    }
+    return squared_between_segments(p, q, a, b) <= square || squared_between_segments(p, q, b, c) <= square ||
+           squared_between_segments(p, q, c, a) <= square;
+}
+
 // A face: its vertices and where they lie.
 struct Placed {
     std::array<std::int32_t, 3> vertex;
     std::array<Vec, 3> corner;
 
-    Box box() const {
+    Box box(double margin) const {
         Box b = Box::around(corner[0]);
         for (int k = 1; k < 3; ++k) b.take(Box::around(corner[k]));
+        b.grow(margin);
         return b;
     }
     bool has(std::int32_t v) const { return vertex[0] == v || vertex[1] == v || vertex[2] == v; }
-    // Whether an edge of this face runs through the other; those that share a vertex do not count.
-    bool reaches_through(const Placed& other) const {
+    // Whether an edge of this face meets the other; those that share a vertex do not count.
+    bool reaches(const Placed& other, double near) const {
         for (int k = 0; k < 3; ++k) {
             const int l = (k + 1) % 3;
             if (other.has(vertex[k]) || other.has(vertex[l])) continue;
-            if (runs_through(corner[k], corner[l], other.corner[0], other.corner[1], other.corner[2])) return true;
+            if (meets(corner[k], corner[l], other.corner[0], other.corner[1], other.corner[2], near)) return true;
         }
         return false;
     }
-    bool crosses(const Placed& other) const { return reaches_through(other) || other.reaches_through(*this); }
+    bool crosses(const Placed& other, double near) const { return reaches(other, near) || other.reaches(*this, near); }
 };
 
 // The faces in each cell of a regular grid; its side is near the wanted length of edges.
@@ -102,7 +120,8 @@ private:
         std::array<std::int64_t, 3> from{}, to{};
         for (int k = 0; k < 3; ++k) {
             const auto at = [&](double x) {
-                return std::clamp<std::int64_t>(static_cast<std::int64_t>((x - corner_[k]) * per_cell_), 0, shape_[k] - 1);
+                const auto cell = static_cast<std::int64_t>((x - corner_[k]) * per_cell_);
+                return std::clamp<std::int64_t>(cell, 0, shape_[k] - 1);
             };
             from[k] = at(b.low[k]);
             to[k] = at(b.high[k]);

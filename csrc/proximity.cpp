@@ -16,57 +16,15 @@ constexpr double gap = 0.1;             // of the distance that is left where a 
 constexpr int looks = 200;              // of the continuous test; what takes more counts as colliding
 constexpr int rounds = 3;               // of shortening; what still collides then stays where it was
 constexpr int rounds_at_most = 60;      // then nothing that was looked at moves
+constexpr double looks_per_pair = 50;   // on the mean; then what is not known to be free stays
+// Where parts lie so dense that there are more in a cell, the search is repeated with smaller balls
+// and finer cells; what is still crowded then stays where it was.
+constexpr std::size_t crowd = 512;
+constexpr std::array<double, 2> reaches{1, 0.1};
+constexpr double finer_at_last = 4;
+constexpr std::size_t pairs_per_part = 100;  // on the mean; the same if there are more
 
 using Four = std::array<Vec, 4>;
-
-Vec nearest_in_triangle(Vec p, Vec a, Vec b, Vec c) {
-    // By the regions around a triangle: C. Ericson, "Real-Time Collision Detection", 2005, 5.1.5.
-    const Vec ab = b - a, ac = c - a, ap = p - a;
-    const double d1 = dot(ab, ap), d2 = dot(ac, ap);
-    if (d1 <= 0 && d2 <= 0) return a;
-    const Vec bp = p - b;
-    const double d3 = dot(ab, bp), d4 = dot(ac, bp);
-    if (d3 >= 0 && d4 <= d3) return b;
-    const double vc = d1 * d4 - d3 * d2;
-    if (vc <= 0 && d1 >= 0 && d3 <= 0 && d1 > d3) return a + (d1 / (d1 - d3)) * ab;
-    const Vec cp = p - c;
-    const double d5 = dot(ab, cp), d6 = dot(ac, cp);
-    if (d6 >= 0 && d5 <= d6) return c;
-    const double vb = d5 * d2 - d1 * d6;
-    if (vb <= 0 && d2 >= 0 && d6 <= 0 && d2 > d6) return a + (d2 / (d2 - d6)) * ac;
-    const double va = d3 * d6 - d5 * d4;
-    const double bc = (d4 - d3) + (d5 - d6);
-    if (va <= 0 && d4 >= d3 && d5 >= d6 && bc > 0) return b + ((d4 - d3) / bc) * (c - b);
-    const double total = va + vb + vc;
-    if (!(total > 0)) return a;
-    return a + (vb / total) * ab + (vc / total) * ac;
-}
-
-double squared_between_segments(Vec p, Vec q, Vec r, Vec s) {
-    // C. Ericson, "Real-Time Collision Detection", 2005, 5.1.9.
-    const Vec u = q - p, v = s - r, w = p - r;
-    const double a = dot(u, u), e = dot(v, v), f = dot(v, w), c = dot(u, w), b = dot(u, v);
-    double m = 0, n = 0;
-    if (a <= 0 && e <= 0) return dot(w, w);
-    if (a <= 0) {
-        n = std::clamp(f / e, 0.0, 1.0);
-    } else if (e <= 0) {
-        m = std::clamp(-c / a, 0.0, 1.0);
-    } else {
-        const double below = a * e - b * b;
-        m = below > 1e-14 * a * e ? std::clamp((b * f - c * e) / below, 0.0, 1.0) : 0.0;
-        n = (b * m + f) / e;
-        if (n < 0) {
-            n = 0;
-            m = std::clamp(-c / a, 0.0, 1.0);
-        } else if (n > 1) {
-            n = 1;
-            m = std::clamp((b - c) / a, 0.0, 1.0);
-        }
-    }
-    const Vec d = w + m * u - n * v;
-    return dot(d, d);
-}
 
 double distance(const Four& q, bool edges) {
     if (edges) return std::sqrt(squared_between_segments(q[0], q[1], q[2], q[3]));
@@ -84,10 +42,11 @@ double approach(const Four& step, bool edges) {
 }
 
 // The share of a step after which a pair has come as near as the gap; above 1 if it does not.
-double time_to_gap(Four place, const Four& step, double near, bool edges) {
+double time_to_gap(Four place, const Four& step, double near, bool edges, std::int64_t& looks_left) {
     const double most = approach(step, edges), aim = gap * near;
     double time = 0;
     for (int k = 0; k < looks; ++k) {
+        if (--looks_left < 0) return 0;
         const double now = time == 0 ? near : distance(place, edges);
         if (time > 0 && now < aim) return time;
         const double on = safe * (now - (time == 0 ? 0.0 : 0.5 * aim)) / most;
@@ -96,6 +55,14 @@ double time_to_gap(Four place, const Four& step, double near, bool edges) {
         for (int i = 0; i < 4; ++i) place[i] = place[i] + on * step[i];
     }
     return time;
+}
+
+template <class One, class Other>
+bool share_a_vertex(const One& one, const Other& other) {
+    for (std::int32_t v : one)
+        for (std::int32_t w : other)
+            if (v == w) return true;
+    return false;
 }
 
 template <class Corners>
@@ -119,17 +86,17 @@ std::vector<char> any_of(const std::vector<char>& active, const std::vector<Corn
 }  // namespace
 
 std::vector<Two> crossings(const std::vector<Vec>& place, const std::vector<Two>& edges,
-                           const std::vector<Triple>& faces) {
+                           const std::vector<Triple>& faces, double near) {
     std::vector<Box> points(place.size());
-    for (std::size_t v = 0; v < place.size(); ++v) points[v] = Box::around(place[v]);
+    for (std::size_t v = 0; v < place.size(); ++v) points[v] = Box::around(place[v]), points[v].grow(near / 2);
     const std::vector<Box> along = joined(points, edges), over = joined(points, faces);
     const std::vector<char> every_edge(edges.size(), 1), every_face(faces.size(), 1);
     std::vector<Two> found;
-    BoxGrid(along, over, every_edge, every_face).overlaps([&](std::int32_t e, std::int32_t f) {
+    const auto related = [&](std::int32_t e, std::int32_t f) { return share_a_vertex(edges[e], faces[f]); };
+    BoxGrid(along, over, every_edge, every_face).overlaps(related, [&](std::int32_t e, std::int32_t f) {
         const auto& [a, b] = edges[e];
         const auto& [p, q, r] = faces[f];
-        if (a == p || a == q || a == r || b == p || b == q || b == r) return;
-        if (runs_through(place[a], place[b], place[p], place[q], place[r])) found.push_back({e, f});
+        if (meets(place[a], place[b], place[p], place[q], place[r], near)) found.push_back({e, f});
     });
     return found;
 }
@@ -145,7 +112,8 @@ std::vector<Near> near_faces(const std::vector<Vec>& points, const std::vector<V
     const std::vector<Box> over = joined(corners, faces);
     const std::vector<char> every_point(points.size(), 1), every_face(faces.size(), 1);
     std::vector<Near> found;
-    BoxGrid(around, over, every_point, every_face).overlaps([&](std::int32_t i, std::int32_t f) {
+    const auto related = [](std::int32_t, std::int32_t) { return false; };
+    BoxGrid(around, over, every_point, every_face).overlaps(related, [&](std::int32_t i, std::int32_t f) {
         const auto& [a, b, c] = faces[f];
         const Vec p = nearest_in_triangle(points[i], place[a], place[b], place[c]);
         if (norm(points[i] - p) <= reach) found.push_back({i, f, p});
@@ -153,13 +121,14 @@ std::vector<Near> near_faces(const std::vector<Vec>& points, const std::vector<V
     return found;
 }
 
-Guard::Guard(std::vector<Two> edges, std::vector<Triple> faces, std::size_t vertices, double near, double contact,
-             double touch, std::vector<std::int32_t> wall, std::vector<std::uint8_t> unguarded)
-    : edges_(std::move(edges)), faces_(std::move(faces)), near_(near), contact_(contact), touch_(touch),
-      wall_(std::move(wall)), unguarded_(std::move(unguarded)), center_(vertices, Vec{0, 0, 0}), radius_(vertices, -1) {
+Guard::Guard(std::vector<Two> edges, std::vector<Triple> faces, std::vector<double> near, double contact, double touch,
+             std::vector<std::int32_t> wall, std::vector<std::uint8_t> unguarded)
+    : edges_(std::move(edges)), faces_(std::move(faces)), near_(std::move(near)), contact_(contact),
+      touch_(touch), wall_(std::move(wall)), unguarded_(std::move(unguarded)), center_(near_.size(), Vec{0, 0, 0}),
+      radius_(near_.size(), -1) {
     walls_ = static_cast<std::size_t>(std::lround(std::sqrt(static_cast<double>(unguarded_.size()))));
     if (!walls_) return;
-    walls_of_vertex_.resize(vertices);
+    walls_of_vertex_.resize(near_.size());
     for (std::size_t f = 0; f < faces_.size(); ++f)
         for (std::int32_t v : faces_[f]) {
             auto& own = walls_of_vertex_[v];
@@ -181,35 +150,56 @@ bool Guard::left_alone(const std::vector<std::int32_t>& a, const std::vector<std
     return false;
 }
 
-std::vector<Guard::Pair> Guard::pairs(const std::vector<Vec>& start, const std::vector<Vec>& end,
-                                      const std::vector<char>& active) const {
+bool Guard::pairs(const std::vector<Vec>& start, const std::vector<Vec>& end, const std::vector<char>& active,
+                  double reach, std::vector<Pair>& found, std::vector<char>& refused) {
     std::vector<Box> points(start.size());
     for (std::size_t v = 0; v < start.size(); ++v) {
         points[v] = Box::around(active[v] ? start[v] : center_[v]);
         if (active[v]) points[v].take(Box::around(end[v]));
-        points[v].grow(active[v] ? share_of_room * near_ : radius_[v]);  // its ball, now or soon
+        points[v].grow(active[v] ? share_of_room * reach * near_[v] : radius_[v]);  // its ball, now or soon
     }
     const std::vector<Box> along = joined(points, edges_), over = joined(points, faces_);
     const std::vector<char> active_edges = any_of(active, edges_), active_faces = any_of(active, faces_);
-    std::vector<Pair> found;
-    BoxGrid(points, over, active, active_faces).overlaps([&](std::int32_t v, std::int32_t f) {
-        const auto& [a, b, c] = faces_[f];
-        if (v == a || v == b || v == c) return;
-        if (walls_ && left_alone(walls_of_vertex_[v], {wall_[f]})) return;
-        found.push_back({{v, a, b, c}, false});
-    });
-    BoxGrid(along, along, active_edges, active_edges).overlaps([&](std::int32_t e, std::int32_t g) {
-        const auto& [a, b] = edges_[e];
-        const auto& [c, d] = edges_[g];
-        if (a == c || a == d || b == c || b == d) return;
-        if (walls_ && left_alone(walls_of_edge_[e], walls_of_edge_[g])) return;
-        found.push_back({{a, b, c, d}, true});
-    });
-    return found;
+    found.clear();
+    refused.assign(start.size(), 0);
+    bool all = true;
+    const auto refuse = [&](const auto& vertices) {
+        for (std::int32_t v : vertices) refused[v] = 1;
+        all = false;
+    };
+    const std::size_t most = pairs_per_part * (start.size() + edges_.size() + faces_.size());
+    const double finer = reach < 1 ? finer_at_last : 1;
+    BoxGrid to_faces(points, over, active, active_faces, finer);
+    BoxGrid to_edges(along, along, active_edges, active_edges, finer);
+    to_faces.overlaps(
+        [&](std::int32_t v, std::int32_t f) { return share_a_vertex(Triple{v, v, v}, faces_[f]); },
+        [&](std::int32_t v, std::int32_t f) {
+            if (found.size() == most || (walls_ && left_alone(walls_of_vertex_[v], {wall_[f]}))) return;
+            const auto& [a, b, c] = faces_[f];
+            found.push_back({{v, a, b, c}, false});
+        },
+        crowd,
+        [&](std::int32_t v, std::int32_t f) { f < 0 ? refuse(std::array<std::int32_t, 1>{v}) : refuse(faces_[f]); });
+    to_edges.overlaps(
+        [&](std::int32_t e, std::int32_t g) { return share_a_vertex(edges_[e], edges_[g]); },
+        [&](std::int32_t e, std::int32_t g) {
+            if (found.size() == most || (walls_ && left_alone(walls_of_edge_[e], walls_of_edge_[g]))) return;
+            found.push_back({{edges_[e][0], edges_[e][1], edges_[g][0], edges_[g][1]}, true});
+        },
+        crowd, [&](std::int32_t e, std::int32_t) { refuse(edges_[e]); });
+    work += static_cast<std::int64_t>(to_faces.tests + to_edges.tests);
+    if (found.size() == most) {
+        found.clear();
+        std::fill(refused.begin(), refused.end(), 1);
+        all = false;
+    }
+    return all;
 }
 
 void Guard::shorten(const std::vector<Pair>& near, const std::vector<double>& distances, const std::vector<Vec>& start,
-                    const std::vector<Vec>& end, std::vector<double>& share) const {
+                    const std::vector<Vec>& end, std::vector<double>& share) {
+    const auto all_looks = static_cast<std::int64_t>(looks_per_pair * static_cast<double>(near.size()));
+    std::int64_t looks_left = all_looks;
     std::vector<char> changed(start.size(), 1), lower(start.size(), 0);
     for (int turn = 0;; ++turn) {
         std::vector<double> may = share;
@@ -226,7 +216,7 @@ void Guard::shorten(const std::vector<Pair>& near, const std::vector<double>& di
             const double most = approach(step, near[i].edges);
             if (most < safe * distances[i]) continue;
             if (distances[i] <= touch_) continue;
-            double time = time_to_gap(place, step, distances[i], near[i].edges);
+            double time = time_to_gap(place, step, distances[i], near[i].edges, looks_left);
             if (time > 1) continue;
             if (distances[i] < contact_ || turn >= rounds) time = 0;
             any = true;
@@ -235,15 +225,16 @@ void Guard::shorten(const std::vector<Pair>& near, const std::vector<double>& di
                 may[w] = std::min(may[w], turn >= rounds_at_most ? 0.0 : time * share[w]);
             }
         }
-        if (!any) return;
+        if (!any) break;
         if (turn >= rounds_at_most) {
             for (const Pair& p : near)
                 for (std::int32_t w : p.v) may[w] = 0, lower[w] = 1;
         }
         share.swap(may);
         changed.swap(lower);
-        if (turn > rounds_at_most) return;
+        if (turn > rounds_at_most) break;
     }
+    work += all_looks - std::max<std::int64_t>(looks_left, 0);
 }
 
 std::int64_t Guard::limit(const std::vector<Vec>& start, std::vector<Vec>& end) {
@@ -255,7 +246,13 @@ std::int64_t Guard::limit(const std::vector<Vec>& start, std::vector<Vec>& end) 
     }
     if (!leaving) return 0;
     renewed += leaving;
-    const std::vector<Pair> near = pairs(start, end, active);
+    std::vector<Pair> near;
+    std::vector<char> refused;
+    double reach = 1;
+    for (double r : reaches) {
+        reach = r;
+        if (pairs(start, end, active, reach, near, refused)) break;
+    }
     std::vector<double> apart(near.size());
     for (std::size_t i = 0; i < near.size(); ++i) {
         Four place{};
@@ -263,6 +260,8 @@ std::int64_t Guard::limit(const std::vector<Vec>& start, std::vector<Vec>& end) 
         apart[i] = distance(place, near[i].edges);
     }
     std::vector<double> share(start.size(), 1.0);
+    for (std::size_t v = 0; v < start.size(); ++v)
+        if (refused[v]) share[v] = 0;
     shorten(near, apart, start, end, share);
     std::int64_t held = 0;
     for (std::size_t v = 0; v < start.size(); ++v)
@@ -271,9 +270,9 @@ std::int64_t Guard::limit(const std::vector<Vec>& start, std::vector<Vec>& end) 
             ++held;
         }
     for (std::size_t v = 0; v < start.size(); ++v) {
-        if (!active[v]) continue;
+        if (!active[v] && !refused[v]) continue;
         center_[v] = end[v];
-        radius_[v] = share_of_room * near_;
+        radius_[v] = refused[v] ? 0 : share_of_room * reach * near_[v];
     }
     for (std::size_t i = 0; i < near.size(); ++i) {
         const auto& v = near[i].v;

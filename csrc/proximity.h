@@ -9,16 +9,15 @@
 #include <utility>
 #include <vector>
 
-#include "vec.h"
+#include "boxes.h"
 
 namespace deltamic_remesh {
 
 using Triple = std::array<std::int32_t, 3>;
-using Two = std::array<std::int32_t, 2>;
 
-// (edge, face) of every edge that runs through a face.
+// (edge, face) of every edge that runs through a face or comes as near to one.
 std::vector<Two> crossings(const std::vector<Vec>& place, const std::vector<Two>& edges,
-                           const std::vector<Triple>& faces);
+                           const std::vector<Triple>& faces, double near);
 
 // A face near a point, and its point nearest to it.
 struct Near {
@@ -35,19 +34,21 @@ std::vector<Near> near_faces(const std::vector<Vec>& points, const std::vector<V
 // Only vertices that leave their ball are looked at: pairs around them are tested, the relative
 // motion of a pair against its distance first, then by the additive continuous test of M. Li et
 // al., "Codimensional Incremental Potential Contact", ACM Trans. Graph. 40, 2021; and they get
-// new balls.
+// new balls. The work of a step is at most proportional to the size of the mesh: what cannot be
+// looked at for that stays where it was.
 class Guard {
 public:
-    // near: distance up to which pairs are looked at; contact: pairs this near that approach stop;
+    // near: of each vertex, the distance up to which its pairs are looked at; contact: pairs this near that approach stop;
     // touch: pairs this near cross as good as. wall: one number for each face; pairs of walls with
     // a nonzero entry in `unguarded`, (walls, walls), are left alone.
-    Guard(std::vector<Two> edges, std::vector<Triple> faces, std::size_t vertices, double near,
-          double contact, double touch, std::vector<std::int32_t> wall, std::vector<std::uint8_t> unguarded);
+    Guard(std::vector<Two> edges, std::vector<Triple> faces, std::vector<double> near, double contact,
+          double touch, std::vector<std::int32_t> wall, std::vector<std::uint8_t> unguarded);
 
     // `end` becomes what each vertex may reach from `start`; how many were held back.
     std::int64_t limit(const std::vector<Vec>& start, std::vector<Vec>& end);
 
     std::int64_t renewed = 0;  // balls made anew, in all
+    std::int64_t work = 0;     // couples of boxes and distances looked at, in all
 
 private:
     struct Pair {
@@ -56,7 +57,8 @@ private:
     };
     std::vector<Two> edges_;
     std::vector<Triple> faces_;
-    double near_, contact_, touch_;
+    std::vector<double> near_;
+    double contact_, touch_;
     std::vector<std::vector<std::int32_t>> walls_of_vertex_, walls_of_edge_;
     std::vector<std::int32_t> wall_;
     std::vector<std::uint8_t> unguarded_;
@@ -64,11 +66,13 @@ private:
     std::vector<Vec> center_;
     std::vector<double> radius_;
 
-    std::vector<Pair> pairs(const std::vector<Vec>& start, const std::vector<Vec>& end,
-                            const std::vector<char>& active) const;
+    // Pairs that could meet before one of the vertices has left its ball, old or new. False if
+    // there are too many to look at: then the vertices that must stay are refused.
+    bool pairs(const std::vector<Vec>& start, const std::vector<Vec>& end, const std::vector<char>& active,
+               double reach, std::vector<Pair>& found, std::vector<char>& refused);
     bool left_alone(const std::vector<std::int32_t>& a, const std::vector<std::int32_t>& b) const;
     void shorten(const std::vector<Pair>& near, const std::vector<double>& distance, const std::vector<Vec>& start,
-                 const std::vector<Vec>& end, std::vector<double>& share) const;
+                 const std::vector<Vec>& end, std::vector<double>& share);
 };
 
 }  // namespace deltamic_remesh

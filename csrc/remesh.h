@@ -33,8 +33,8 @@ struct Counts {
 
 // Each pass splits, collapses, flips and moves. Vertices and faces that are not used any more are
 // gone from the surface afterwards; regions are written larger number first.
-// apart: no operation is done that makes an edge run through a face; the surface must be free of
-// such places before.
-Counts remesh(Surface& surface, int passes, bool smooth, bool apart);
+// apart: if above 0, no operation is done that makes an edge run through a face or come as near to
+// one; the surface must be free of such places before.
+Counts remesh(Surface& surface, int passes, bool smooth, double apart);
 
 }  // namespace deltamic_remesh

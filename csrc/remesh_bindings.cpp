@@ -65,7 +65,7 @@ NB_MODULE(_remesh, m) {
     m.doc() = "The remesher and the guard against crossings; use napari_deltamic.geometry instead.";
     m.def("remesh", [](Array<double> vertices, Array<std::int64_t> faces, Array<std::int64_t> regions,
                        Array<double> length, Array<std::uint8_t> fixed, Array<double> carried, int passes, bool smooth,
-                       bool apart) {
+                       double apart) {
         Surface s = surface_of(vertices, faces, regions, length, fixed, carried);
         Counts c;
         {
@@ -79,18 +79,18 @@ NB_MODULE(_remesh, m) {
             copied<std::int64_t>(m ? s.region.data()->data() : nullptr, m, 2), copied<std::uint8_t>(s.fixed.data(), n, 1),
             copied<double>(s.carried.data(), n, s.columns), nb::make_tuple(c.splits, c.collapses, c.flips));
     }, nb::arg("vertices"), nb::arg("faces"), nb::arg("regions"), nb::arg("length"), nb::arg("fixed"), nb::arg("carried"),
-          nb::arg("passes"), nb::arg("smooth"), nb::arg("apart") = false);
-    m.def("crossings", [](Array<double> vertices, Array<std::int64_t> edges, Array<std::int64_t> faces) {
+          nb::arg("passes"), nb::arg("smooth"), nb::arg("apart") = 0.0);
+    m.def("crossings", [](Array<double> vertices, Array<std::int64_t> edges, Array<std::int64_t> faces, double near) {
         const auto places = places_of(vertices);
         const auto lines = rows_of<2>(edges);
         const auto triangles = rows_of<3>(faces);
         std::vector<Two> found;
         {
             nb::gil_scoped_release others_may_run;
-            found = crossings(places, lines, triangles);
+            found = crossings(places, lines, triangles, near);
         }
         return copied<std::int64_t>(found.empty() ? nullptr : found.data()->data(), found.size(), 2);
-    });
+    }, nb::arg("vertices"), nb::arg("edges"), nb::arg("faces"), nb::arg("near") = 0.0);
     m.def("near_faces", [](Array<double> query, Array<double> vertices, Array<std::int64_t> faces, double reach) {
         const auto queries = places_of(query), places = places_of(vertices);
         const auto triangles = rows_of<3>(faces);
@@ -107,9 +107,9 @@ NB_MODULE(_remesh, m) {
     });
     nb::class_<Guard>(m, "Guard")
         .def("__init__",
-             [](Guard* self, Array<std::int64_t> edges, Array<std::int64_t> faces, std::size_t vertices, double near,
-                double contact, double touch, Array<std::int64_t> wall, Array<std::uint8_t> unguarded) {
-                 new (self) Guard(rows_of<2>(edges), rows_of<3>(faces), vertices, near, contact, touch,
+             [](Guard* self, Array<std::int64_t> edges, Array<std::int64_t> faces, Array<double> near, double contact,
+                double touch, Array<std::int64_t> wall, Array<std::uint8_t> unguarded) {
+                 new (self) Guard(rows_of<2>(edges), rows_of<3>(faces), {near.data(), near.data() + near.size()}, contact, touch,
                                   {wall.data(), wall.data() + wall.size()},
                                   {unguarded.data(), unguarded.data() + unguarded.size()});
              })
@@ -124,5 +124,6 @@ NB_MODULE(_remesh, m) {
                  }
                  return nb::make_tuple(copied<double>(to.empty() ? nullptr : &to.data()->z, to.size(), 3), held);
              })
-        .def_ro("renewed", &Guard::renewed);
+        .def_ro("renewed", &Guard::renewed)
+        .def_ro("work", &Guard::work);
 }

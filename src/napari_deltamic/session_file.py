@@ -27,6 +27,7 @@ from .optics import GaussianPSF, Optics
 from .report import History
 from .scene import Grid, expected_image
 from .scene.effects import Effects
+from .session_bead import keep_bead, with_bead
 from .settings import RunSettings, validated
 from .timeline import Moment
 
@@ -152,7 +153,7 @@ def save_session(path: str | os.PathLike[str], session: Session) -> None:
         "panels": session.panels,
         "result": _result_facts(archive, meshes, session.result) if session.result else None,
     }
-    archive.add_text("run.toml", session.settings.to_toml())
+    archive.add_text("run.toml", keep_bead(archive, "run/bead", session.settings).to_toml())
     archive.add_json("session.json", facts)
     archive.write(path)
 
@@ -211,7 +212,7 @@ def _result_facts(
     archive: ArchiveWriter, meshes: MeshWriter, result: SavedResult
 ) -> dict[str, Any]:
     state, history = result.state, result.history
-    archive.add_text("result.toml", result.settings.to_toml())
+    archive.add_text("result.toml", keep_bead(archive, "result/bead", result.settings).to_toml())
     archive.add_array("state/density", state.density)
     if state.pinned is not None:
         archive.add_array("state/pinned", np.asarray(state.pinned, bool))
@@ -284,7 +285,7 @@ def _session(archive: ArchiveReader, facts: Mapping[str, Any]) -> Session:
 
 def _settings(archive: ArchiveReader, name: str) -> RunSettings:
     settings: RunSettings = validated(RunSettings, tomllib.loads(archive.text(name)))
-    return settings
+    return with_bead(archive, name.replace(".toml", "/bead"), settings)
 
 
 def _placed(facts: Mapping[str, Any]) -> dict[str, Any]:

@@ -86,7 +86,7 @@ class FitSettings(_Model):
     )
     collisions: bool = Field(
         default=True,
-        description="no surface comes to cross itself or another",
+        description="no surface comes to cross itself or another: vertices stop before that",
     )
     topology: bool = Field(
         default=True,

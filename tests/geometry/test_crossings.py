@@ -12,6 +12,9 @@ from napari_deltamic.geometry.remeshing import can_remesh
 pytestmark = pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
 
 
+TETRAHEDRON = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+
+
 def pair(distance, radius=1.0):
     return Mesh.merge(
         [sphere(c, radius, subdivisions=3) for c in ((0, 0, 0), (0.013, 0.021, distance))]
@@ -38,6 +41,15 @@ def test_each_pair_runs_through():
     assert len(found) > 20
     assert (side[:, 0] * side[:, 1] <= 0).all()
     assert len(np.unique(found, axis=0)) == len(found)
+
+
+def test_surfaces_that_touch_count_if_asked_for():
+    low = Mesh(np.array([[0, 0, 0], [0, 0, 1], [0, 1, 0], [1, 1, 1.0]]), TETRAHEDRON)
+    high = low.with_vertices(low.vertices_numpy() * [-1, 1, 1] - [1e-3, 0, 0])
+    mesh = Mesh.merge([low, Mesh(high.vertices_numpy(), TETRAHEDRON[:, ::-1])])
+    assert not crosses(mesh)
+    assert not crosses(mesh, 0.9e-3)
+    assert crosses(mesh, 1.1e-3)
 
 
 def test_agrees_with_ipctk():

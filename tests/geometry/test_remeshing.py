@@ -117,6 +117,14 @@ def test_surfaces_do_not_come_to_cross():
     assert done.is_closed()
 
 
+def test_thin_sheets_are_remeshed_as_well():
+    # Of the operations only those that would make the two cross are left out.
+    balls = [sphere((0, 0, 0), r, subdivisions=4) for r in (1.0, 1.04)]
+    done = remesh(Mesh.merge(balls), 0.6, apart=True).mesh
+    assert len(done.faces) < 0.1 * 2 * len(balls[0].faces)
+    assert smallest_angles(done).min() > 15
+
+
 def test_lengths_that_differ_over_the_surface():
     ball = sphere((0, 0, 0), 10.0, subdivisions=4)
     length = np.where(ball.vertices_numpy()[:, 0] > 0, 1.0, 3.0)

@@ -167,3 +167,27 @@ def test_numbers_are_shown_with_their_units(app):
     assert numbers.texts() == [("sheet", "2", "2.5 um"), ("na", "-", "0.8")]
     numbers.show_numbers([])
     assert numbers.texts() == []
+
+
+def test_another_kind_of_psf_is_for_the_next_run(seeded, spin, endless):
+    seeded.start()
+    spin(lambda: seeded.run.state is not None and seeded.link.mesh is not None)
+    seeded.settings.optics.objective.show_settings(optics_from_values(WATER))
+    seeded.settings.optics.kind.setCurrentText(OBJECTIVE)
+    assert seeded.running.note.text() == "PSF of another kind: from the next run on"
+    n = len(seeded.run.history.loss)
+    spin(lambda: len(seeded.run.history.loss) > n + 2)
+    assert isinstance(seeded.run.state.optics, nd.GaussianPSF)
+    assert seeded.run.job.settings.scene.optics is None
+
+
+def test_numbers_of_an_objective_go_into_a_fit_that_runs(seeded, spin, endless):
+    seeded.settings.optics.show_settings(optics_from_values(WATER))
+    seeded.start()
+    spin(lambda: seeded.run.state is not None and seeded.link.mesh is not None)
+    seeded.settings.optics.objective.numbers["na"].setValue(0.9)
+    spin(lambda: float(seeded.run.state.optics.values["na"]) == 0.9)
+    assert seeded.run.job.settings.scene.optics.na == 0.9
+    seeded.interaction.edits.undo()
+    spin(lambda: float(seeded.run.state.optics.values["na"]) == 0.8)
+    assert seeded.settings.scene_settings().optics.na == pytest.approx(0.8)

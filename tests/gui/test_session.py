@@ -13,8 +13,9 @@ from napari_deltamic import _reader, _widget
 from napari_deltamic.geometry import files, sphere
 from napari_deltamic.gui.results.session import capture, restore
 from napari_deltamic.gui.running import worker
+from napari_deltamic.images import write_image
 from napari_deltamic.inference import fit
-from napari_deltamic.optics_settings import optics_from_values
+from napari_deltamic.optics_settings import MeasuredOptics, optics_from_values
 from napari_deltamic.scene.effects import Attenuation, Effects
 from napari_deltamic.session_file import load_session
 
@@ -107,6 +108,23 @@ def test_psf_and_effects_come_back_with_what_was_fitted(seeded, spin, tmp_path, 
     assert one.optics.described() != seeded.results.last[1].optics.described()
     assert one.effects == other.effects
     assert after.running.numbers.texts() == seeded.running.numbers.texts()
+
+
+def test_a_session_holds_the_image_of_its_bead(seeded, spin, tmp_path, told, reopened):
+    z, y, x = (np.arange(21) - 10 for _ in range(3))
+    bead = np.exp(-0.5 * (z[:, None, None] ** 2 / 9 + y[:, None] ** 2 / 4 + x**2 / 4))
+    path = tmp_path / "bead.tif"
+    write_image(path, (50 + 900 * bead).astype(np.float32), (0.1, 0.1, 0.1))
+    seeded.settings.optics.show_settings(MeasuredOptics(file=str(path)))
+    seeded.settings.max_iterations.setValue(3)
+    seeded.start()
+    spin(done(seeded), seconds=60)
+    before = seeded.results.last[0].optics
+    save(seeded, tmp_path / "a.deltamic", spin)
+    path.unlink()
+    _, after = reopened(tmp_path / "a.deltamic")
+    assert after.results.last[0].optics.sigma_um == pytest.approx(before.sigma_um)
+    assert after.settings.scene_settings().optics.build().sigma_um == pytest.approx(before.sigma_um)
 
 
 def test_a_reopened_session_is_the_same(seeded, with_image, spin, tmp_path, told, reopened):

@@ -4,11 +4,10 @@ import time
 
 import numpy as np
 import pytest
-from magicgui import magicgui
 from napari.layers import Layer
 
 import napari_deltamic as nd
-from napari_deltamic.gui.simulate import simulate_cells
+from napari_deltamic.gui.simulate import simulate_cells, simulate_widget
 from napari_deltamic.gui.viewing.frame import OWN
 
 SMALL = {"cells": 2, "shape": (20, 24, 24), "kind": "vesicles"}
@@ -27,11 +26,15 @@ def layers(app, **options):
 
 
 def test_every_argument_has_a_field(app):
-    widget = magicgui(simulate_cells)
+    widget = simulate_widget()
     assert widget.cells.value == 4
     assert widget.voxel_size.value == pytest.approx((0.3, 0.2, 0.2))
     assert widget.kind.choices == ("foam", "vesicles")
     assert widget.effects.value == "none"
+    widget.show()
+    assert (widget.sigma.visible, widget.na.visible) == (True, False)
+    widget.psf.value = "confocal"
+    assert (widget.sigma.visible, widget.na.visible) == (False, True)
     widget.close()
 
 

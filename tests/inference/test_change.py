@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from synthetic import CENTER, GRID, OPTICS, RADIUS, VOXEL, apart, measured, start
 
-from napari_deltamic import Change, GaussianPSF, InputError, Mesh, fit
+from napari_deltamic import Change, GaussianPSF, Grid, InputError, Mesh, fit, render
 from napari_deltamic.geometry import remesh, sphere
 from napari_deltamic.inference.upkeep import median_edge
 from napari_deltamic.settings import FitSettings
@@ -153,3 +153,15 @@ def test_what_cannot_be_used_is_refused(image, change, reason):
     states, _ = begun(image, 1)
     with pytest.raises(InputError, match=reason):
         states.send(change)
+
+
+def test_a_psf_so_wide_that_its_blur_leaves_no_voxel_is_taken_at_the_blur_before():
+    grid = Grid((20, 24, 24), (0.3, 0.2, 0.2))
+    center = [1.4 * (n - 1) * d / 2.8 for n, d in zip(grid.shape, grid.voxel_size, strict=True)]
+    narrow, wide = GaussianPSF((0.3, 0.2, 0.2)), GaussianPSF((1.2, 0.8, 0.8))
+    image = render(sphere(center, 1.2), grid, narrow).numpy()
+    states = fit(image, grid, sphere(center, 1.0), narrow)
+    next(states)
+    state = states.send(Change(optics=wide))
+    assert state.optics.sigma_um == wide.sigma_um
+    assert np.isfinite(next(states).loss)

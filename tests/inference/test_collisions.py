@@ -144,6 +144,58 @@ def test_steps_that_are_not_finite_are_not_asked_about():
     assert guarded(ball).limited(ball.vertices_numpy(), end) is end
 
 
+def degenerate(name, subdivisions):
+    """A mesh of badly placed vertices, and a step as wild."""
+    random = np.random.default_rng(0)
+    ball = sphere((0, 0, 0), 1.0, subdivisions=subdivisions)
+    place = ball.vertices_numpy()
+    noise = random.normal(size=place.shape)
+    place, size = {
+        "crumpled": (place + 0.3 * noise, 0.05),
+        "flat": (place * [1e-5, 1, 1], 0.05),
+        "needle": (place * [1e-5, 1e-5, 1], 0.05),
+        "nearly a point": (place * 1e-9, 1e-9),
+        "a point": (place * 0, 0.05),
+        "a vertex far away": (np.where(np.arange(len(place))[:, None] == 5, 1e6, place), 0.05),
+        "far too long steps": (place, 50),
+    }[name]
+    step = size * random.normal(size=place.shape)
+    return ball.with_vertices(place), step, len(place) + len(ball.edges()) + len(ball.faces)
+
+
+@pytest.mark.parametrize("subdivisions", [2, 3])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "crumpled",
+        "flat",
+        "needle",
+        "nearly a point",
+        "a point",
+        "a vertex far away",
+        "far too long steps",
+    ],
+)
+def test_the_work_of_a_step_is_at_most_proportional_to_the_mesh(name, subdivisions):
+    mesh, step, parts = degenerate(name, subdivisions)
+    guard, place = guarded(mesh), mesh.vertices_numpy()
+    crossed = crosses(mesh)
+    reached = guard.limited(place, place + step)
+    assert guard.work <= 8000 * parts
+    assert np.isfinite(reached).all()
+    assert crossed or not crosses(mesh.with_vertices(reached))
+
+
+def test_a_crowd_of_vertices_does_not_hold_back_the_others():
+    crowd = sphere((0, 0, 0), 1e-7, subdivisions=3)
+    mesh = Mesh.merge([crowd, sphere((0, 0, 3), 1.0, subdivisions=4)])
+    others = np.arange(len(mesh.vertices)) >= len(crowd.vertices)
+    step = 1e-3 * np.random.default_rng(0).normal(size=(len(mesh.vertices), 3))
+    place = mesh.vertices_numpy()
+    reached = moved(mesh, step).vertices_numpy()
+    assert (np.abs(reached - place - step).max(1) < 1e-12)[others].mean() > 0.9
+
+
 def test_without_the_extension_there_is_no_guard(monkeypatch):
     monkeypatch.setattr(module, "native", lambda: None)
     pair = balls((0, 0, 0), (0, 0, 1.5))

@@ -10,10 +10,11 @@ from napari_deltamic.geometry.mesh import IntArray, Mesh
 from napari_deltamic.geometry.native import native
 
 
-def crossings(mesh: Mesh) -> IntArray:
+def crossings(mesh: Mesh, near: float = 0.0) -> IntArray:
     """(n, 2) rows of an edge (in ``mesh.edges()``) and of the face that it runs through.
 
-    Edges and faces that share a vertex are left out. Empty where the compiled extension is missing.
+    Those that are no more than ``near`` apart (um) count as well; edges and faces that share a
+    vertex do not. Empty where the compiled extension is missing.
     """
     library = native()
     if library is None:
@@ -22,13 +23,17 @@ def crossings(mesh: Mesh) -> IntArray:
         np.ascontiguousarray(mesh.vertices_numpy(), np.float64),
         np.ascontiguousarray(mesh.edges(), np.int64),
         np.ascontiguousarray(mesh.faces, np.int64),
+        float(near),
     )
     return found
 
 
-def crosses(mesh: Mesh) -> bool:
-    """Whether a surface crosses itself or another; False where the extension is missing."""
-    return len(crossings(mesh)) > 0
+def crosses(mesh: Mesh, near: float = 0.0) -> bool:
+    """Whether a surface crosses itself or another, or comes as near to it (um).
+
+    False where the extension is missing.
+    """
+    return len(crossings(mesh, near)) > 0
 
 
 class CrossingWalls:

@@ -13,6 +13,7 @@ from napari_deltamic.geometry.crossings import crosses
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
 from napari_deltamic.geometry.native import native
 
+_TOUCH = 1e-6  # of the wanted length: surfaces as near to each other touch
 _PASSES = 3  # bring any mesh of about the right edge length into shape
 
 
@@ -105,9 +106,10 @@ def remesh(
         passes = _PASSES + max(0, ceil(log2(longest / float(length.min()))))
     given = mesh, length, passes, loads, held, smooth
     done = _remeshed(*given)
-    if not apart or not crosses(done.mesh) or crosses(mesh):
+    near = _TOUCH * float(length.min())
+    if not apart or not crosses(done.mesh, near) or crosses(mesh):
         return done
-    done = _remeshed(*given, apart=True)  # several times as slow
+    done = _remeshed(*given, apart=near)  # several times as slow
     if crosses(done.mesh):  # by rounding
         return Remeshed(mesh, loads, held, 0, 0, 0)
     return done
@@ -120,7 +122,7 @@ def _remeshed(
     loads: FloatArray,
     held: np.ndarray,
     smooth: bool,
-    apart: bool = False,
+    apart: float = 0.0,
 ) -> Remeshed:
     library = native()
     assert library is not None
@@ -133,7 +135,7 @@ def _remeshed(
         np.ascontiguousarray(loads.reshape(len(length), -1)),
         int(passes),
         bool(smooth),
-        bool(apart),
+        float(apart),
     )
     shape = (len(vertices), *loads.shape[1:])
     return Remeshed(

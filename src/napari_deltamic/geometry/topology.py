@@ -32,6 +32,9 @@ Labels = NDArray[np.int32]
 # Voxels and mesh vertices along an edge: the second where the first joins what should stay apart.
 _FINENESS = ((3.0, 2.0), (5.0, 4.0))
 _MOST_VOXELS = 30_000_000
+# Voxels that one call may put into new meshes before it gives up: some seconds. A small cluster
+# is tried in every way, a large one in one.
+_WORK = 3_000_000
 _ROOM = 3.0  # edge lengths around the mesh
 # Edge lengths:
 _WINDOW = 1.5  # around a thin place in which it gives way
@@ -51,14 +54,18 @@ class Rearranged:
     mesh
         Of the same regions.
     events
-        What happened, a sentence each.
+        What happened, a sentence each; none where nothing has changed.
+    hopeless
+        The places that cannot give way: a region would vanish, surfaces would cross, or nothing
+        would change. Places that are in neither were not tried one by one.
     """
 
     mesh: Mesh
     events: tuple[str, ...]
+    hopeless: tuple[ThinPlace, ...] = ()
 
 
-def give_way(mesh: Mesh, places: Sequence[ThinPlace], edge: float) -> Rearranged | None:
+def give_way(mesh: Mesh, places: Sequence[ThinPlace], edge: float) -> Rearranged:
     """The mesh after thin places have given way: what lay on their two sides meets there.
 
     A gap between two cells becomes a wall, a hole closes, a neck is pinched off, and where a cell
@@ -72,28 +79,49 @@ def give_way(mesh: Mesh, places: Sequence[ThinPlace], edge: float) -> Rearranged
         From :func:`thin_places`.
     edge
         um: the edge length of the mesh.
-
-    Returns
-    -------
-    None where that is not possible (a region would vanish, or surfaces cross) or changes nothing.
     """
-    done = _opened(mesh, places, edge)
-    if done is not None or len(places) < 2:
+    work = _Work()
+    done = _opened(mesh, places, edge, work)
+    if done is not None:
         return done
+    if len(places) < 2:
+        return Rearranged(mesh, (), tuple(places))
     events: list[str] = []
+    hopeless = []
     for place in places:  # one of them spoils it for the others
-        one = _opened(mesh, [place], edge)
-        if one is not None:
+        if work.is_done():
+            break
+        one = _opened(mesh, [place], edge, work)
+        if one is None:
+            hopeless.append(place)
+        else:
             mesh = one.mesh
             events += one.events
-    return Rearranged(mesh, tuple(dict.fromkeys(events))) if events else None
+    return Rearranged(mesh, tuple(dict.fromkeys(events)), tuple(hopeless))
 
 
-def _opened(mesh: Mesh, places: Sequence[ThinPlace], edge: float) -> Rearranged | None:
+class _Work:
+    """Voxels that went into new meshes so far."""
+
+    def __init__(self) -> None:
+        self.voxels = 0
+
+    def is_done(self) -> bool:
+        """Whether no more should be tried."""
+        return self.voxels > _WORK
+
+
+def _opened(
+    mesh: Mesh, places: Sequence[ThinPlace], edge: float, work: _Work
+) -> Rearranged | None:
     """All places at once, if that joins nothing else."""
     meant = {pair for place in places for pair in combinations(place.sides, 2)}
     for voxels, nodes in _FINENESS:
         box = _Voxels(mesh, edge, voxels, nodes)
+        size = int(np.prod(box.shape))
+        if work.voxels and work.voxels + size > _WORK:
+            return None
+        work.voxels += size
         labels = box.labels(mesh)
         before = labels.copy()
         for place in places:
@@ -185,9 +213,10 @@ class _Voxels:
             turns = voxel_windings(mesh, int(region), self.shape, (self.size,) * 3, self.origin)
             inside = turns > 0
             overlap |= (inside & (labels > 0)) | (turns > 1) | (turns < 0)
-            own = ndimage.distance_transform_edt(inside)
-            deeper = own > depth
-            labels[deeper], depth[deeper] = region, own[deeper]
+            for cut in ndimage.find_objects(inside.astype(np.uint8)):
+                own = ndimage.distance_transform_edt(np.pad(inside[cut], 1))[1:-1, 1:-1, 1:-1]
+                deeper = own > depth[cut]
+                labels[cut][deeper], depth[cut][deeper] = region, own[deeper]
         return labels, overlap
 
     def places(self, mask: NDArray[np.bool_]) -> FloatArray:

@@ -3,6 +3,7 @@
 # No annotations as strings here: magicgui makes the fields of them.
 from typing import Annotated, Any, Literal
 
+from magicgui import magic_factory
 from napari.qt.threading import FunctionWorker, create_worker
 from napari.types import LayerDataTuple
 
@@ -20,11 +21,19 @@ def simulate_cells(
     cells: Annotated[int, {"min": 1, "max": 500}] = 4,
     kind: Literal["foam", "vesicles"] = "foam",
     shape: tuple[int, int, int] = (40, 64, 64),
-    voxel_size: Annotated[Lengths, {"options": {"step": 0.01, "min": 0.001}}] = (0.3, 0.2, 0.2),
+    voxel_size: Annotated[
+        Lengths, {"label": "voxel, um", "options": {"step": 0.01, "min": 0.001}}
+    ] = (0.3, 0.2, 0.2),
     psf: Literal["Gaussian", "widefield", "confocal", "spinning disk"] = "Gaussian",
-    sigma: Annotated[Lengths, {"options": {"step": 0.01, "min": 0.001}}] = (0.4, 0.24, 0.24),
+    sigma: Annotated[Lengths, {"label": "sigma, um", "options": {"step": 0.01, "min": 0.001}}] = (
+        0.4,
+        0.24,
+        0.24,
+    ),
     na: Annotated[float, {"label": "NA", "step": 0.05, "min": 0.0}] = 0.8,
-    wavelength: Annotated[float, {"step": 0.01, "min": 0.0, "max": 1e5}] = 0.52,
+    wavelength: Annotated[
+        float, {"label": "emission, um", "step": 0.01, "min": 0.0, "max": 1e5}
+    ] = 0.52,
     immersion: Literal["air", "water", "silicone", "glycerol", "oil"] = "water",
     effects: str = "none",
     photons: Annotated[float, {"min": 0.1, "max": 60_000.0}] = 100.0,
@@ -77,6 +86,21 @@ def simulate_cells(
         return layers_of(made, f"simulated {kind}, seed {seed}")
 
     return create_worker(work, _start_thread=True)
+
+
+def _tend(widget: Any) -> None:
+    """Only the fields of the kind of PSF chosen are there."""
+
+    def show(psf: str) -> None:
+        widget.sigma.visible = psf == "Gaussian"
+        for name in ("na", "wavelength", "immersion"):
+            widget[name].visible = psf != "Gaussian"
+
+    widget.psf.changed.connect(show)
+    show(widget.psf.value)
+
+
+simulate_widget = magic_factory(simulate_cells, widget_init=_tend, call_button="Simulate")
 
 
 def layers_of(made: Simulation, name: str) -> list[Any]:

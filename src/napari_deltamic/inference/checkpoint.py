@@ -42,6 +42,7 @@ def kept(run: Run) -> dict[str, np.ndarray]:
         "losses": np.array(run.losses),
         **{f"adam_{k}": np.copy(v) for k, v in run.adam.state().items()},
         **{f"density_{k}": np.copy(v) for k, v in run.density.state().items()},
+        **{f"topology_{k}": np.copy(v) for k, v in run.topology.state().items()},
     }
 
 
@@ -61,7 +62,8 @@ def take_over(run: Run, found: dict[str, np.ndarray]) -> None:
     run.growth = GrowthAlarm(run.mesh)
     own = kept(run)
     effects = Effects(**json.loads(str(found["effects"])))
-    changed = any(found[name].shape != own[name].shape for name in own if name != "losses")
+    fixed = [name for name in own if name != "losses" and not name.startswith("topology_")]
+    changed = any(found[name].shape != own[name].shape for name in fixed)
     if changed or effects.names != run.effects.names:
         raise InputError("the checkpoint belongs to a fit with other settings")
     run.effects = effects
@@ -75,6 +77,9 @@ def take_over(run: Run, found: dict[str, np.ndarray]) -> None:
     run.adam.load({k.removeprefix("adam_"): v for k, v in found.items() if k.startswith("adam_")})
     run.density.load(
         {k.removeprefix("density_"): v for k, v in found.items() if k.startswith("density_")}
+    )
+    run.topology.load(
+        {k.removeprefix("topology_"): v for k, v in found.items() if k.startswith("topology_")}
     )
 
 

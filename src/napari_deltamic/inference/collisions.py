@@ -14,7 +14,8 @@ from .upkeep import median_edge
 
 # As shares of the median edge:
 _LONG = 2.0  # longer steps are checked in parts, whose swept boxes overlap fewer others
-_NEAR = 0.25  # pairs further apart do not matter; at most half of it is moved without a look
+_NEAR = 0.25  # pairs further apart do not matter; at most half of it is moved without a look;
+# or of the longest edge at a vertex, where that is shorter
 _CONTACT = 1e-3  # surfaces this near that approach each other stop, or the gap would go to nothing
 _TOUCH = 1e-9  # as good as crossing
 # Counts:
@@ -61,8 +62,7 @@ class CollisionGuard:
         self._guard = self._library.Guard(
             np.ascontiguousarray(mesh.edges(), np.int64),
             np.ascontiguousarray(mesh.faces, np.int64),
-            len(mesh.vertices),
-            _NEAR * self._edge,
+            _NEAR * np.minimum(_longest_edges(mesh), self._edge),
             _CONTACT * self._edge,
             _TOUCH * self._edge,
             self._crossing.wall,
@@ -74,6 +74,11 @@ class CollisionGuard:
         if new:
             self._told |= new
             self._remark = _sentence(new)
+
+    @property
+    def work(self) -> int:
+        """Couples of boxes and distances looked at since it began to watch the mesh."""
+        return int(self._guard.work)
 
     def remark(self) -> str:
         """What there is to tell, once: which regions cross."""
@@ -125,6 +130,14 @@ class CollisionGuard:
         stopped = (np.abs(place - aim) > 0.1 * np.abs(aim - start)).any(1)
         self.held = np.where(stopped, self.held + 1, 0)
         return place
+
+
+def _longest_edges(mesh: Mesh) -> np.ndarray:
+    """(V,) um."""
+    edges, longest = mesh.edges(), np.zeros(len(mesh.vertices))
+    length = np.linalg.norm(np.diff(mesh.vertices_numpy()[edges], axis=1)[:, 0], axis=1)
+    np.maximum.at(longest, edges.ravel(), np.repeat(length, 2))
+    return longest
 
 
 def _sentence(regions: set[tuple[int, ...]]) -> str:

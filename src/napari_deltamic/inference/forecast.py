@@ -33,6 +33,7 @@ _NEAR_BLUR = 2.0  # first blur below which they do
 _FREER = 2.0  # times the last level where density or PSF are fitted as well
 # What an iteration does besides the rendering, as multiples of what was measured alone.
 _SOLVES = 3.0  # two of the preconditioner, and the steps between
+_APART = 5.0  # solves: keeping surfaces from crossing
 _OVERHEAD = 1.0  # calls: what takes the same time however small the scene
 _FACTORING = 100.0  # solves: of the preconditioner's matrix
 _TRUNCATED = 3.5  # standard deviations; see level.py
@@ -270,6 +271,8 @@ def _iteration(
     call = costs.rates(plan.single, True).call
     seconds = costs.seconds(plan.work, plan.single) + _OVERHEAD * call
     seconds += near * costs.voxel + _SOLVES * vertices * costs.vertex
+    if settings.collisions:
+        seconds += _APART * vertices * costs.vertex
     if settings.density == "smooth":
         seconds += _SOLVES / 2 * vertices * costs.vertex + call / 2
     seconds += (len(mesh.faces) * costs.face + call) / _EVERY_PLAN

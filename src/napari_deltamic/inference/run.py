@@ -160,9 +160,14 @@ class Run:
             self._take_settings(change.settings)
         if change.effects is not None:
             self.effects = self.first_effects = change.effects
+        blurred_for = self.level_optics
         self._enter(self.level_number)
         if (change.optics, change.settings, change.effects) != (None, None, None):
             self._make_level()
+            if not self.level.usable:
+                # The blur that goes with the new PSF is wider than the image.
+                self.level_optics = blurred_for
+                self._make_level()
         else:
             self.level.renew()
         self.hold()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -30,6 +31,7 @@ _WORSE = 1.002  # times the loss before: a change that leaves more is undone
 _BETTER = 0.998  # the same for a change that nothing but the loss speaks for
 _SHARP = 2.0  # blur, in widths of the PSF, up to which images can tell what touches what
 _OFTEN = 3  # changes at one place in a fit
+_ALL = 10**6  # places at a time
 _LATE = 2  # times that a change puts off the end of a fit
 
 
@@ -50,6 +52,13 @@ class _Before:
     tried: bool
 
 
+# What a checkpoint keeps of the keeper and of what was before a change, by kind:
+_PLACES = ("seen", "past", "left_alone")
+_MEMORY = ("late", "most", "looked", "events")
+_SCALARS = ("count", "loss", "level", "iteration", "events", "tried")
+_ARRAYS = ("carried", "log", "pinned")
+
+
 class TopologyKeeper:
     """Lets thin places of a mesh give way where the fit presses their sides together.
 
@@ -67,6 +76,8 @@ class TopologyKeeper:
         self._left_alone: list[ThinPlace] = []
         self._before: _Before | None = None
         self._late = 0
+        self._most = _ALL
+        self._looked = -1  # the last iteration in which it looked
         self._events: list[str] = []
 
     def restart(self) -> None:
@@ -80,14 +91,16 @@ class TopologyKeeper:
 
     def look(self, run: Run) -> None:
         """Change the mesh of a run, or judge the last change, if it is time to."""
-        if not applies(run):
+        if not applies(run) or run.iteration == self._looked:
             return
+        self._looked = run.iteration
         if self._before is not None:
             if run.iteration - self._before.iteration >= _TRIAL:
                 self._judge(run)
             return
         found = self._candidates(run, _THIN, _SMALL)
-        lasting = [p for p in found if any(self._lasts(p, q, run) for q in self._seen)]
+        edge = median_edge(run.mesh)
+        lasting = [p for p in found if any(_lasts(p, q, edge) for q in self._seen)]
         self._seen = found
         if lasting:
             self._change(run, lasting)
@@ -118,6 +131,41 @@ class TopologyKeeper:
             self._judge(run)
         self._before = None
 
+    # ------------------------------------------------------------------------- checkpoints
+
+    def state(self) -> dict[str, np.ndarray]:
+        """What a checkpoint keeps."""
+        before = self._before
+        memory: dict[str, Any] = {k: _lists(getattr(self, f"_{k}")) for k in _PLACES}
+        memory |= {k: getattr(self, f"_{k}") for k in _MEMORY}
+        none = np.zeros(0)
+        arrays = dict.fromkeys(("vertices", "faces", "regions", *_ARRAYS), none)
+        if before is not None:
+            memory["before"] = {k: getattr(before, k) for k in _SCALARS}
+            memory["before"]["places"] = _lists(before.places)
+            mesh = before.mesh
+            arrays = {k: getattr(before, k) for k in _ARRAYS} | {
+                "vertices": mesh.vertices_numpy(),
+                "faces": mesh.faces,
+                "regions": mesh.regions,
+            }
+        return {"memory": np.array(json.dumps(memory)), **arrays}
+
+    def load(self, found: dict[str, np.ndarray]) -> None:
+        """Take over what a checkpoint has kept."""
+        memory = json.loads(str(found["memory"]))
+        for name in _PLACES:
+            setattr(self, f"_{name}", _places(memory[name]))
+        for name in _MEMORY:
+            setattr(self, f"_{name}", memory[name])
+        self._before = None
+        if "before" in memory:
+            before = memory["before"]
+            before["places"], before["events"] = _places(before["places"]), tuple(before["events"])
+            mesh = Mesh(found["vertices"], found["faces"], found["regions"])
+            before |= {k: found[k] for k in _ARRAYS}
+            self._before = _Before(mesh, **before)
+
     # ------------------------------------------------------------------------------ places
 
     def _candidates(self, run: Run, thin: float, small: float) -> list[ThinPlace]:
@@ -133,17 +181,17 @@ class TopologyKeeper:
                 found.append(place)
         return found
 
-    @staticmethod
-    def _lasts(now: ThinPlace, before: ThinPlace, run: Run) -> bool:
-        return _same(now, before, median_edge(run.mesh)) and now.width < _WIDENS * before.width
-
     # ----------------------------------------------------------------------------- changes
 
     def _change(self, run: Run, places: list[ThinPlace], tried: bool = False) -> bool:
+        places = sorted(places, key=lambda p: p.width)[: self._most]
         made = give_way(run.mesh, places, median_edge(run.mesh))
-        if made is None:
-            self._left_alone += places
+        self._left_alone += made.hopeless
+        if not made.events:
+            # Some spoil it for the others: fewer at the next look.
+            self._most = max(1, len(places) // 2)
             return False
+        self._most = _ALL
         self._before = _Before(
             run.mesh,
             run.adam.carried(),
@@ -222,6 +270,21 @@ def _renew(run: Run) -> None:
     run.window_start = np.zeros((0, 3))
     run.level.renew()
     run.hold()
+
+
+def _lists(places: list[ThinPlace]) -> list[list[Any]]:
+    return [
+        [[int(r) for r in p.regions], [int(s) for s in p.sides], p.points.tolist(), float(p.width)]
+        for p in places
+    ]
+
+
+def _places(lists: list[list[Any]]) -> list[ThinPlace]:
+    return [ThinPlace(tuple(r), tuple(s), np.array(p), w) for r, s, p, w in lists]
+
+
+def _lasts(now: ThinPlace, before: ThinPlace, edge: float) -> bool:
+    return _same(now, before, edge) and now.width < _WIDENS * before.width
 
 
 def _same(one: ThinPlace, other: ThinPlace, edge: float) -> bool:

@@ -215,7 +215,7 @@ def test_the_surface_over_time_is_closed_cell_by_cell():
 
 @pytest.mark.slow
 def test_a_growing_foam_that_changes_neighbours_and_divides():
-    tracking = pytest.importorskip("benchmarks.tracking")
+    tracking = pytest.importorskip("benchmarks.clusters.tracking")
     course = tracking.follow(tracking.movie())
     assert all(course.right)
     assert course.divided_at == tracking.DIVIDES_AT

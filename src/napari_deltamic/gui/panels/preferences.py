@@ -17,7 +17,6 @@ from ...optics_settings import MicroscopeOptics
 from ...scene.effects import Effects
 from ...settings import FitSettings
 from ..accuracy.accuracy_dial import STANDARD, usable_choice
-from ..optics.optics_panel import GAUSSIAN
 from ..running.composition import Panels
 from ..running.run_control import RunControl
 
@@ -50,7 +49,7 @@ class Preferences(BaseModel):
     preview_seeds: bool = True
     show_rendered: bool = False
     effects: Annotated[str, AfterValidator(_readable)] = "none"
-    psf: Literal["Gaussian", "from the objective"] = GAUSSIAN
+    psf: Literal["Gaussian", "from the objective"] = "Gaussian"
     modality: Modality = "confocal"
     na: Annotated[float, Field(gt=0, lt=2)] = 1.2
     immersion: str = "water"

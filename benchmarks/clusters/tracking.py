@@ -18,7 +18,7 @@ from napari_deltamic.geometry.voxel_labels import voxel_labels
 from napari_deltamic.inference.tracking import track
 from napari_deltamic.measure import surface_distance
 
-from .figure import Figure, Options, Row, at_least, at_most
+from ..figure import Figure, Options, Row, at_least, at_most
 
 VOXEL = 0.25  # um
 GRID = Grid((44, 48, 48), (VOXEL,) * 3)

@@ -1,6 +1,6 @@
 """Does the software see which effects a scene calls for? Simulated scenes, and real stacks.
 
-``python -m benchmarks.effects_choice --scenes 200 --results build/effects.jsonl`` simulates scenes
+``python -m benchmarks.effects.choice --scenes 200 --results build/effects.jsonl`` simulates scenes
 with effects drawn at random, asks for recommendations, and fits with no effects, with those
 recommended, with the true ones and with all. Each scene is a line of the results, so a run that was
 broken off goes on where it was. ``--real`` makes the table for real stacks.
@@ -40,7 +40,7 @@ from napari_deltamic.scene.effects import (
 )
 from napari_deltamic.settings import NEAR_LEVELS, FitSettings
 
-from .figure import Row, at_least, at_most, default_data_folder
+from ..figure import Row, at_least, at_most, default_data_folder
 
 SHAPE, VOXEL = (32, 48, 48), (0.3, 0.2, 0.2)
 SIGMA = (0.42, 0.25, 0.25)
@@ -326,7 +326,7 @@ def _read(results: Path) -> list[dict[str, Any]]:
 
 def main(argv: Sequence[str]) -> int:
     """Returns 1 if a figure falls short of what was asked."""
-    name = "python -m benchmarks.effects_choice"
+    name = "python -m benchmarks.effects.choice"
     parser = argparse.ArgumentParser(prog=name, description=__doc__)
     parser.add_argument("--scenes", type=int, default=200, metavar="N")
     parser.add_argument("--first", type=int, default=0, metavar="SEED")
@@ -336,10 +336,10 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--only", default="", metavar="NAME", help="of the real stacks")
     parser.add_argument("--data", type=Path, default=default_data_folder())
     chosen = parser.parse_args(argv)
-    from .__main__ import as_table
+    from ..__main__ import as_table
 
     if chosen.real:
-        from .effects_real import real_table
+        from .real import real_table
 
         print(real_table(chosen.data, chosen.only))
         return 0

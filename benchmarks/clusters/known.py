@@ -14,7 +14,7 @@ from napari_deltamic.geometry.joined_spheres import joined_spheres
 from napari_deltamic.measure import junction_angles, surface_distance
 from napari_deltamic.settings import FitSettings
 
-from .figure import Figure, MissingData, Options, Row, at_most
+from ..figure import Figure, MissingData, Options, Row, at_most
 
 LEVELS = (2.0, 1.35, 1.0)
 PHOTONS = 40.0  # at the peak, where there is noise

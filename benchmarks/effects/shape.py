@@ -26,7 +26,7 @@ from napari_deltamic.scene.effects import (
 )
 from napari_deltamic.settings import NEAR_LEVELS, FitSettings
 
-from .figure import Figure, Options, Row
+from ..figure import Figure, Options, Row
 
 PHOTONS, DARK = 40.0, 2.0  # at the peak, and of the background
 VOXEL = (0.4, 0.2, 0.2)
@@ -169,8 +169,3 @@ def shape_errors(options: Options) -> list[Row]:
 
 
 FIGURES: dict[str, Figure] = {"effects": shape_errors}
-
-
-if __name__ == "__main__":
-    for line in lines(outcomes()):
-        print(line, flush=True)

@@ -1,17 +1,8 @@
-"""Figures of the optics: PSF and shape fitted together, a measured PSF, a bead with its PSF.
-
-``python -m benchmarks.optics [--quick] [--json FILE]`` prints a table in Markdown; ``python -m
-benchmarks --only psf_joint psf_measured bead`` is the same within all figures.
-"""
+"""Figures of the optics: PSF and shape fitted together, a measured PSF, a bead with its PSF."""
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
-from collections.abc import Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,7 +17,7 @@ from napari_deltamic.optics import Optics
 from napari_deltamic.optics.measured import bead_transform
 from napari_deltamic.settings import FitSettings
 
-from .figure import Figure, MissingData, Options, Row, at_least, at_most, default_data_folder
+from ..figure import Figure, MissingData, Options, Row, at_least, at_most
 
 GRID = Grid((24, 40, 40), (0.2, 0.1, 0.1))
 CENTRE = (2.3, 1.95, 1.95)
@@ -219,31 +210,3 @@ def _read(options: Options, folder: str, name: str) -> NDArray:
 
 
 FIGURES: dict[str, Figure] = {"psf_joint": psf_joint, "psf_measured": psf_measured, "bead": bead}
-
-
-def main(argv: Sequence[str]) -> int:
-    """Print the table; save JSON where asked."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.optics", description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="fewer runs")
-    parser.add_argument("--only", nargs="+", choices=tuple(FIGURES))
-    parser.add_argument("--data", type=Path, default=default_data_folder())
-    parser.add_argument("--json", type=Path, metavar="FILE")
-    chosen = parser.parse_args(argv)
-    options = Options(chosen.quick, chosen.data)
-    rows: list[Row] = []
-    for name in chosen.only or FIGURES:
-        try:
-            rows += FIGURES[name](options)
-        except MissingData as missing:
-            rows.append(Row(name, "", float("nan"), "", None, str(missing)))
-    print("| figure | asked | measured | unit | passed | note |\n|---|---|---:|---|---|---|")
-    for r in rows:
-        passed = {True: "yes", False: "NO", None: ""}[r.passed]
-        print(f"| {r.figure} | {r.asked} | {r.measured:.4g} | {r.unit} | {passed} | {r.note} |")
-    if chosen.json:
-        chosen.json.write_text(json.dumps([asdict(r) for r in rows], indent=1) + "\n")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

@@ -18,9 +18,9 @@ from napari_deltamic.inference.evidence import Recommendation, analyse_residual,
 from napari_deltamic.measure import surface_distance
 from napari_deltamic.settings import NEAR_LEVELS, FitSettings
 
-from .figure import MissingData
+from ..figure import MissingData
 
-CENTRES = Path(__file__).parent / "data_points" / "vesicles_GUV.csv"
+CENTRES = Path(__file__).parents[1] / "data_points" / "vesicles_GUV.csv"
 GLANDS = ("gland_WT_2017-12-04_1a", "gland_WT_2018-04-10_2a")
 _HEADINGS = ("stack", "recommended", "evidence", "loss", "unexplained", "shape moved", "seconds")
 

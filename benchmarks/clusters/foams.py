@@ -14,7 +14,7 @@ from napari_deltamic.geometry.voxel_labels import voxel_labels
 from napari_deltamic.measure import surface_distance
 from napari_deltamic.settings import FitSettings
 
-from .figure import Figure, Options, Row, at_least, at_most
+from ..figure import Figure, Options, Row, at_least, at_most
 
 CELLS = (4, 8, 16, 32)
 SIDES = {4: 56, 8: 64, 16: 88, 32: 104}  # voxels of 1 um

@@ -1,6 +1,6 @@
 """Random motion and remeshing of a foam: do its surfaces ever cross, crack or lose a label?
 
-python -m benchmarks.random_motion [--steps 20000] [--cells 12] [--json FILE]
+python -m benchmarks.clusters.random_motion [--steps 20000] [--cells 12] [--rough] [--json FILE]
 """
 
 from __future__ import annotations
@@ -19,10 +19,12 @@ from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.remeshing import smallest_angles
 from napari_deltamic.inference.collisions import CollisionGuard
 
+from ..figure import Figure, Options, Row, at_least, at_most
+
 EDGE = 0.25  # um; the cells have radii of about 1 um
-# Shares of the edge length:
-_SWAY = 0.06  # by which a step moves the foam smoothly
-_SHAKE = 0.04  # by which it moves each vertex at random
+# Shares of the edge length by which a step moves the foam smoothly, and each vertex at random:
+GENTLE = (0.06, 0.04)
+ROUGH = (0.15, 0.05)  # presses cells into thin sheets, as the fit never does
 # Others:
 _PERIOD = 100  # steps in which the smooth motion goes and returns
 _TENSION = 0.1  # share of the way to the mean of its neighbours that a vertex goes
@@ -72,7 +74,8 @@ def start(cells: int, seed: int = 0) -> Mesh:
 class Motion:
     """The next place of each vertex of a foam that is swayed and shaken."""
 
-    def __init__(self, mesh: Mesh, seed: int = 1) -> None:
+    def __init__(self, mesh: Mesh, sizes: tuple[float, float], seed: int = 1) -> None:
+        self._sway, self._shake = sizes
         self._random = np.random.default_rng(seed)
         self._volumes = mesh.volumes()
         self._extent = float(np.ptp(mesh.vertices_numpy(), axis=0).max())
@@ -90,7 +93,7 @@ class Motion:
         places = mesh.vertices_numpy()
         sway = np.sin(places @ self._waves.T + self._phases) @ self._ways
         shake = self._random.normal(size=places.shape) / np.sqrt(3)
-        moved = EDGE * (_SWAY * pace * sway + _SHAKE * shake)
+        moved = EDGE * (self._sway * pace * sway + self._shake * shake)
         moved += _TENSION * (_neighbours_mean(mesh) - places) + self._pressed(mesh)
         return places + moved
 
@@ -123,9 +126,9 @@ def _neighbours_mean(mesh: Mesh) -> np.ndarray:
     return mean
 
 
-def shaken(mesh: Mesh, steps: int) -> tuple[Mesh, Outcome]:
+def shaken(mesh: Mesh, steps: int, sizes: tuple[float, float] = GENTLE) -> tuple[Mesh, Outcome]:
     """The mesh after a number of steps, and what was found on the way."""
-    motion, guard = Motion(mesh), CollisionGuard()
+    motion, guard = Motion(mesh, sizes), CollisionGuard()
     pairs, cells = mesh.interfaces()[0], len(mesh.region_ids())
     guard.watch(mesh)
     held = moves = crossings = cracks = labels = checks = 0
@@ -183,13 +186,32 @@ def intersects(mesh: Mesh) -> bool:
     return bool(ipctk.has_intersections(surface, places))
 
 
+def random_motion(options: Options) -> list[Row]:
+    """Checks that failed in 20,000 steps, and the worst angle."""
+    mesh = start(12)
+    _, o = shaken(mesh, 1000 if options.quick else 20_000)
+    name = f"{o.cells} cells, {o.steps} random steps with remeshing"
+    note = f"{o.faces} faces, {o.seconds:.0f} s"
+    return [
+        at_most(f"{name}, checks with crossings", 0, o.crossings, f"of {o.checks}", note),
+        at_most(f"{name}, checks with cracks", 0, o.cracks, f"of {o.checks}"),
+        at_most(f"{name}, checks with wrong labels", 0, o.labels, f"of {o.checks}"),
+        at_least(f"{name}, 1 % smallest angle, worst check", 25, o.angle, "degrees"),
+    ]
+
+
+FIGURES: dict[str, Figure] = {"random motion": random_motion}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=20_000)
     parser.add_argument("--cells", type=int, default=12)
+    parser.add_argument("--rough", action="store_true", help="a stronger motion")
     parser.add_argument("--json", help="where to write the outcome")
     arguments = parser.parse_args()
-    _, outcome = shaken(start(arguments.cells), arguments.steps)
+    sizes = ROUGH if arguments.rough else GENTLE
+    _, outcome = shaken(start(arguments.cells), arguments.steps, sizes)
     text = json.dumps(asdict(outcome), indent=1)
     if arguments.json:
         with open(arguments.json, "w", encoding="utf-8") as file:

@@ -23,7 +23,7 @@ from napari_deltamic.measure.image_similarity import image_similarity
 from napari_deltamic.picture import picture
 from napari_deltamic.settings import FitSettings
 
-from .figure import Figure, MissingData, Options, Row, at_least, at_most
+from ..figure import Figure, MissingData, Options, Row, at_least, at_most
 
 CLICKS = Path(__file__).parent / "data" / "celegans_clicks.csv"
 MOST_CLICKS = 10

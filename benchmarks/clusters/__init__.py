@@ -1,0 +1,1 @@
+"""Figures of clusters of cells: what ``docs/clusters.md`` shows."""

@@ -1,0 +1,1 @@
+"""Figures of optics and effects: what ``docs/effects.md`` shows."""
