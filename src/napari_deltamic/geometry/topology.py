@@ -111,9 +111,7 @@ class _Work:
         return self.voxels > _WORK
 
 
-def _opened(
-    mesh: Mesh, places: Sequence[ThinPlace], edge: float, work: _Work
-) -> Rearranged | None:
+def _opened(mesh: Mesh, places: Sequence[ThinPlace], edge: float, work: _Work) -> Rearranged | None:
     """All places at once, if that joins nothing else."""
     meant = {pair for place in places for pair in combinations(place.sides, 2)}
     for voxels, nodes in _FINENESS:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import pi
+
 import numpy as np
 
 from ..geometry.mesh import Mesh
@@ -57,8 +59,8 @@ class GrowthAlarm:
 
 
 def shrunken(mesh: Mesh, width: float) -> list[int]:
-    """Regions whose whole surface is smaller than a square as wide as the PSF, um: no more than
-    points, which say nothing about a shape."""
+    """Regions with less surface than a sphere as wide across as the PSF, um: no more than points,
+    which say nothing about a shape."""
     areas = mesh.areas()
     regions = (int(r) for r in np.unique(mesh.regions) if r)
-    return [r for r in regions if areas[(mesh.regions == r).any(1)].sum() < width**2]
+    return [r for r in regions if areas[(mesh.regions == r).any(1)].sum() < pi * width**2]

@@ -47,7 +47,9 @@ class ImageNoise:
     ) -> None:
         self.kind = kind
         sample = measured.reshape(-1)[:: max(1, measured.numel() // 200_000)]
-        low, high = (float(torch.quantile(sample.to(widest(sample.device)), q)) for q in (0.01, 0.999))
+        low, high = (
+            float(torch.quantile(sample.to(widest(sample.device)), q)) for q in (0.01, 0.999)
+        )
         self.dark = low
         self.floor = max(floor * (high - low), 1e-12 * max(abs(high), 1.0))
         if camera is not None:

@@ -24,9 +24,10 @@ def components(mesh: Mesh) -> np.ndarray:
     return connected_components(adjacency(mesh), directed=False)[1]
 
 
-# Weight of an edge that leaves a junction, where walls meet at an angle: a wall moves with its
-# junctions, but is not held straight across them. Lower ones leave slivers beside junctions.
-_ACROSS = 0.3
+# Weight of an edge that leaves a junction, where walls meet at an angle, once the surface is near:
+# a wall moves with its junctions, but is not held straight across them. Lower ones leave slivers
+# beside junctions; from afar, cells that do not move together swallow each other.
+NEAR_JUNCTIONS = 0.3
 
 
 def on_long_edges(smoothing: float, mesh: Mesh, width: float) -> float:
@@ -48,8 +49,8 @@ def on_long_edges(smoothing: float, mesh: Mesh, width: float) -> float:
 class Preconditioner:
     """Solves (I + lambda L) x = b with the uniform Laplacian L = degree - adjacency.
 
-    Where three or more faces meet in an edge, edges that leave the junction weigh less, or the kink
-    in an outer surface where a wall meets it would be rounded off for many iterations.
+    Edges that leave a junction, where three or more faces meet, can be made to weigh less, or the
+    kink in an outer surface where a wall meets it would be rounded off for many iterations.
 
     Applying it twice to a gradient is the preconditioner of B. Nicolet, A. Jacobson, W. Jakob,
     "Large steps in inverse rendering of geometry", ACM Trans. Graph. 40, 2021. Sparse Cholesky
@@ -63,13 +64,23 @@ class Preconditioner:
         lambda; 0 leaves the gradient as it is.
     held
         (V,) bool: vertices where x is zero; around them it falls to zero smoothly.
+    at_junctions
+        Weight of edges that leave a junction.
     """
 
-    def __init__(self, mesh: Mesh, smoothing: float, held: np.ndarray | None = None) -> None:
+    def __init__(
+        self,
+        mesh: Mesh,
+        smoothing: float,
+        held: np.ndarray | None = None,
+        at_junctions: float = 1.0,
+    ) -> None:
         self.smoothing = smoothing
         self._held = held
         n = len(mesh.vertices)
-        a = _across_junctions_less(adjacency(mesh), mesh)
+        a = adjacency(mesh)
+        if at_junctions != 1:
+            a = _at_junctions(a, mesh, at_junctions)
         degree = np.asarray(a.sum(1)).ravel()
         matrix = (sp.eye(n) + smoothing * (sp.diags(degree) - a)).tocoo()
         if held is not None:
@@ -89,7 +100,7 @@ class Preconditioner:
         return self._solve(np.ascontiguousarray(b, dtype=np.float64))
 
 
-def _across_junctions_less(a: sp.csr_matrix, mesh: Mesh) -> sp.csr_matrix:
+def _at_junctions(a: sp.csr_matrix, mesh: Mesh, weight: float) -> sp.csr_matrix:
     ends = np.sort(mesh.faces[:, [1, 2, 2, 0, 0, 1]].reshape(-1, 2), axis=1)
     edges, faces = np.unique(ends, axis=0, return_counts=True)
     junction = np.zeros(len(mesh.vertices), bool)
@@ -98,7 +109,7 @@ def _across_junctions_less(a: sp.csr_matrix, mesh: Mesh) -> sp.csr_matrix:
         return a
     a = a.tocoo()
     leaves = junction[a.row] != junction[a.col]
-    return sp.coo_matrix((np.where(leaves, _ACROSS, a.data), (a.row, a.col)), a.shape).tocsr()
+    return sp.coo_matrix((np.where(leaves, weight, a.data), (a.row, a.col)), a.shape).tocsr()
 
 
 def _cholesky(matrix: sp.coo_matrix):  # type: ignore[no-untyped-def]

@@ -23,7 +23,7 @@ from .imaging_step import Imaging, imaging_step
 from .level import Level
 from .likelihood import Match, match
 from .optimiser import AdamUniform
-from .preconditioner import Preconditioner, components
+from .preconditioner import NEAR_JUNCTIONS, Preconditioner, components
 from .second_view import Pixels, SecondTerm
 from .state import FitState
 from .topology import TopologyKeeper
@@ -133,10 +133,11 @@ class Run:
     def hold(self) -> None:
         """Smoothers of this level: of steps, which end at pinned vertices, and of the density."""
         smoothing = self.level.smoothing
-        self.smoother = Preconditioner(self.mesh, smoothing)
+        at_junctions = NEAR_JUNCTIONS if self.level.factor == 1 else 1.0
+        self.smoother = Preconditioner(self.mesh, smoothing, None, at_junctions)
         self.mover = self.smoother
         if self.pinned.any():
-            self.mover = Preconditioner(self.mesh, smoothing, held=self.pinned)
+            self.mover = Preconditioner(self.mesh, smoothing, self.pinned, at_junctions)
         self.guard.watch(self.mesh)
 
     def _take(self, change: Change) -> None:
