@@ -31,6 +31,7 @@ class Options:
 
     quick: bool = False  # fewer repeats, smaller problems
     data: Path = field(default_factory=default_data_folder)
+    pictures: Path | None = None  # where those that draw put their pictures
 
     @property
     def repeats(self) -> int:

@@ -5,6 +5,7 @@ import tempfile
 from pathlib import Path
 
 import pytest
+import torch
 
 # Costs that a user's machine has kept are no business of the tests, nor theirs of the user's.
 _CACHE = tempfile.TemporaryDirectory()
@@ -24,3 +25,12 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no real data at {folder} (set DELTAMIC_DATA to say where it is)")
     return folder
+
+
+@pytest.fixture(scope="module")
+def one_thread():
+    """For what is compared bit by bit: sums over several threads differ in their last bits."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)

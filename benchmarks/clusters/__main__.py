@@ -26,9 +26,10 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--only", nargs="+", choices=tuple(FIGURES), default=tuple(FIGURES))
     parser.add_argument("--quick", action="store_true", help="smaller problems")
     parser.add_argument("--data", type=Path, default=default_data_folder())
-    parser.add_argument("--write", action="store_true", help="put the table into docs/clusters.md")
+    parser.add_argument("--write", action="store_true", help="put table and pictures into docs/")
     given = parser.parse_args(argv)
-    options = Options(quick=given.quick, data=given.data)
+    pictures = PAGE.parent / "images" if given.write else None
+    options = Options(quick=given.quick, data=given.data, pictures=pictures)
     rows: list[Row] = []
     for name in given.only:
         print(f"{name} ...", file=sys.stderr, flush=True)

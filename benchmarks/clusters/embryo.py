@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from napari_deltamic import GaussianPSF, Grid, Mesh, fit, load_mesh, render
 from napari_deltamic.geometry import find_cells, mesh_from_labels
-from napari_deltamic.geometry.label_edits import correct_labels, read_clicks_csv
-from napari_deltamic.geometry.voxel_labels import voxel_labels
+from napari_deltamic.geometry.labels.edits import correct_labels, read_clicks_csv
+from napari_deltamic.geometry.labels.voxels import voxel_labels
 from napari_deltamic.images import read_image
 from napari_deltamic.measure import ridge_distance
 from napari_deltamic.measure.image_similarity import image_similarity
@@ -53,6 +53,9 @@ def embryo(options: Options) -> list[Row]:
     begun = time.perf_counter()
     *_, last = fit(image, grid, start, GaussianPSF(SIGMA), settings=SETTINGS)
     seconds = time.perf_counter() - begun
+    if options.pictures is not None:
+        drawn = picture(image, last.rendered(), last.mesh, grid)
+        drawn.save(options.pictures / "clusters_embryo.png")
     rows += [
         _distance("embryo, fit", last.mesh, image, bar=BAR_DISTANCE),
         at_most("embryo, fit", BAR_SECONDS, seconds, "s", last.message),
@@ -134,11 +137,6 @@ def _as_labels(meshes: list[Mesh], grid: Grid) -> NDArray[np.int32]:
     for number, mesh in enumerate(meshes, 1):
         labels[voxel_labels(mesh, grid.shape, grid.voxel_size) > 0] = number
     return labels
-
-
-def save_picture(mesh: Mesh, rendered: NDArray, image: NDArray, path: Path) -> None:
-    """Slices with contours."""
-    picture(image, rendered, mesh, Grid(image.shape, VOXEL_SIZE)).save(path)
 
 
 FIGURES: dict[str, Figure] = {"embryo": embryo}

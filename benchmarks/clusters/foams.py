@@ -10,13 +10,15 @@ from numpy.typing import NDArray
 
 from napari_deltamic import GaussianPSF, Grid, Mesh, fit, render
 from napari_deltamic.geometry.foam import foam
-from napari_deltamic.geometry.voxel_labels import voxel_labels
+from napari_deltamic.geometry.labels.voxels import voxel_labels
 from napari_deltamic.measure import surface_distance
+from napari_deltamic.picture import picture
 from napari_deltamic.settings import FitSettings
 
 from ..figure import Figure, Options, Row, at_least, at_most
 
 CELLS = (4, 8, 16, 32)
+SHOWN = 16  # in the picture
 SIDES = {4: 56, 8: 64, 16: 88, 32: 104}  # voxels of 1 um
 RADIUS, SIGMA, PHOTONS = 11.0, 1.5, 40.0
 SHIFT = 1.0  # um, standard deviation of the centres' shift along each axis
@@ -65,13 +67,16 @@ def contacts(mesh: Mesh) -> set[tuple[int, int]]:
     return {(int(a), int(b)) for a, b in mesh.interfaces()[0]}
 
 
-def foam_rows(cells: int) -> list[Row]:
+def foam_rows(cells: int, options: Options) -> list[Row]:
     """Cells found, error of the surface, contacts and overlap."""
     known = scene(cells)
     begun = time.perf_counter()
     *_, last = fit(known.image, known.grid, known.start, GaussianPSF(SIGMA), settings=SETTINGS)
     seconds = time.perf_counter() - begun
     found = last.mesh
+    if options.pictures is not None and cells == SHOWN:
+        drawn = picture(known.image, last.rendered(), found, known.grid)
+        drawn.save(options.pictures / "clusters_foam.png")
     here, there = (
         voxel_labels(mesh, known.grid.shape, known.grid.voxel_size) for mesh in (known.truth, found)
     )
@@ -116,7 +121,11 @@ def _areas(mesh: Mesh) -> NDArray[np.float64]:
 
 def foams(options: Options) -> list[Row]:
     """All sizes."""
-    return [row for cells in (CELLS[:2] if options.quick else CELLS) for row in foam_rows(cells)]
+    return [
+        row
+        for cells in (CELLS[:2] if options.quick else CELLS)
+        for row in foam_rows(cells, options)
+    ]
 
 
 FIGURES: dict[str, Figure] = {"foams": foams}

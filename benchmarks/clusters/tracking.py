@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from napari_deltamic import GaussianPSF, Grid, Mesh, render
 from napari_deltamic.geometry.foam import foam
-from napari_deltamic.geometry.voxel_labels import voxel_labels
+from napari_deltamic.geometry.labels.voxels import voxel_labels
 from napari_deltamic.inference.tracking import track
 from napari_deltamic.measure import surface_distance
 

@@ -72,7 +72,7 @@ def test_everything_is_written(series, tmp_path, run):
     assert TrackRun.from_toml(folder / "run.toml").track.time_step == 30
 
 
-def test_run_toml_runs_again_identically(series, tmp_path, run):
+def test_run_toml_runs_again_identically(series, tmp_path, run, one_thread):
     first = run(*arguments(series, "--frames", "1:3", "--no-divisions", "-o", tmp_path / "a"))
     second = run("track", "--settings", tmp_path / "a" / "run.toml", "-o", tmp_path / "b")
     assert first[0] == second[0] == 0, first[2] + second[2]

@@ -5,9 +5,9 @@ import pytest
 
 from napari_deltamic import Mesh
 from napari_deltamic.geometry import sphere
-from napari_deltamic.geometry.crossings import CrossingWalls, crosses, crossings
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.remeshing import can_remesh
+from napari_deltamic.geometry.topology.crossings import CrossingWalls, crosses, crossings
 
 pytestmark = pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.label_edits import Click, correct_labels, read_clicks_csv
+from napari_deltamic.geometry.labels.edits import Click, correct_labels, read_clicks_csv
 
 SIZE = (0.4, 0.2, 0.2)
 LEFT, RIGHT = (2.4, 3.0, 2.0), (2.4, 3.0, 5.0)

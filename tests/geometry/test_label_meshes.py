@@ -5,7 +5,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from napari_deltamic.errors import RepairWarning
-from napari_deltamic.geometry import label_meshes, mesh_from_labels
+from napari_deltamic.geometry import mesh_from_labels
+from napari_deltamic.geometry.labels import meshes as label_meshes
 from napari_deltamic.geometry.remeshing import can_remesh, edge_valences, smallest_angles
 
 pytestmark = pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from napari_deltamic import InputError
-from napari_deltamic.geometry.partition import partition_mesh, with_volumes
+from napari_deltamic.geometry.labels.partition import partition_mesh, with_volumes
 from napari_deltamic.geometry.remeshing import edge_valences
 
 ONE, ZERO = np.ones(3), np.zeros(3)

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from napari_deltamic.errors import InputError, RepairWarning
-from napari_deltamic.geometry import basins
-from napari_deltamic.geometry.label_meshes import mesh_from_labels
+from napari_deltamic.geometry.labels import basins
+from napari_deltamic.geometry.labels.meshes import mesh_from_labels
 from napari_deltamic.geometry.mesh import Mesh
 from napari_deltamic.geometry.seeds import (
     labels_from_points,

@@ -6,11 +6,11 @@ from numpy.testing import assert_allclose
 
 from napari_deltamic import InputError, Mesh
 from napari_deltamic.geometry import remesh, sphere, torus
-from napari_deltamic.geometry.crossings import crosses
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.remeshing import can_remesh, smallest_angles
-from napari_deltamic.geometry.thin_places import small_walls, thin_places
-from napari_deltamic.geometry.topology import give_way, untangled
+from napari_deltamic.geometry.topology.crossings import crosses
+from napari_deltamic.geometry.topology.rearranging import give_way, untangled
+from napari_deltamic.geometry.topology.thin_places import small_walls, thin_places
 from napari_deltamic.measure.surface_distance import distance_to_surface
 
 pytestmark = pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")

@@ -4,7 +4,7 @@ from test_mesh import two_cubes
 
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.foam import foam
-from napari_deltamic.geometry.voxel_labels import voxel_labels
+from napari_deltamic.geometry.labels.voxels import voxel_labels
 
 
 def test_voxels_of_two_cubes_that_share_a_wall():

@@ -23,7 +23,7 @@ from napari_deltamic.settings import NEAR_LEVELS
 from .conftest import CENTER, SHAPE, SIZE
 from .seeding import FRAME, MEMBRANE, PLACE, SPHERE, add_points, grid_of, taken, texts
 
-NAME = "napari_deltamic.geometry.find_cells"
+NAME = "napari_deltamic.geometry.labels.find_cells"
 
 
 @pytest.fixture

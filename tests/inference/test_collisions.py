@@ -6,8 +6,8 @@ from synthetic import CENTER, GRID, OPTICS, RADIUS, VOXEL, apart, measured
 
 from napari_deltamic import Change, Mesh, fit
 from napari_deltamic.geometry import sphere
-from napari_deltamic.geometry.crossings import crosses
 from napari_deltamic.geometry.remeshing import Remeshed, can_remesh
+from napari_deltamic.geometry.topology.crossings import crosses
 from napari_deltamic.inference import collisions as module
 from napari_deltamic.inference.collisions import CollisionGuard
 from napari_deltamic.inference.upkeep import Upkeep

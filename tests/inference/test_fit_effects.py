@@ -127,7 +127,7 @@ def test_missing_slices_are_left_out():
         assert apart(last.mesh) < 0.5 * apart(blind.mesh)
 
 
-def test_a_second_view_sees_what_the_first_does_not(tmp_path):
+def test_a_second_view_sees_what_the_first_does_not(tmp_path, one_thread):
     first, second = (0.3, 0.1, 0.1), (0.1, 0.1, 0.3)
     images = [measured(optics=GaussianPSF(s), noise=k) for k, s in enumerate((first, second))]
     alone = fitted(images[0], near(), optics=GaussianPSF(first), settings=NEAR)

@@ -166,7 +166,8 @@ def test_a_wall_is_not_held_straight_across_its_junctions():
     edges, faces = np.unique(ends, axis=0, return_counts=True)
     junction = np.zeros(len(mesh.vertices), bool)
     junction[edges[faces > 2]] = True
-    moved = Preconditioner(mesh, 10.0, at_junctions=0.3).solve(junction[:, None] * np.ones((1, 3)))[:, 0]
+    push = junction[:, None] * np.ones((1, 3))
+    moved = Preconditioner(mesh, 10.0, at_junctions=0.3).solve(push)[:, 0]
     a = adjacency(mesh)
     plain = sp.eye(len(moved)) + 10.0 * (sp.diags(np.asarray(a.sum(1)).ravel()) - a)
     uniform = spsolve(plain.tocsc(), junction.astype(float))

@@ -5,10 +5,10 @@ import pytest
 
 from napari_deltamic import Change, GaussianPSF, Grid, Mesh, fit, render
 from napari_deltamic.geometry import remesh, sphere, torus
-from napari_deltamic.geometry.crossings import crosses
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.remeshing import can_remesh
-from napari_deltamic.geometry.topology import Rearranged
+from napari_deltamic.geometry.topology.crossings import crosses
+from napari_deltamic.geometry.topology.rearranging import Rearranged
 from napari_deltamic.inference import topology as module
 from napari_deltamic.measure import surface_distance
 from napari_deltamic.settings import FitSettings

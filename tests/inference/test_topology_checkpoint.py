@@ -18,7 +18,7 @@ def balls(half, radius, edge):
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory):
+def whole(tmp_path_factory, one_thread):
     """The states of a fit in which two cells come to touch, its image and its checkpoints."""
     image = render(balls(0.5, 0.51, 0.1), GRID, OPTICS, 1e-4).numpy().astype(np.float64)
     folder = tmp_path_factory.mktemp("checkpoints")

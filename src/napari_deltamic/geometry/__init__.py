@@ -1,10 +1,10 @@
 """Meshes of cells: the Mesh itself, simple shapes, starting surfaces, repair, and files."""
 
 from napari_deltamic.geometry.files import load_mesh, save_mesh
-from napari_deltamic.geometry.find_cells import find_cells, suggest_size
-from napari_deltamic.geometry.label_edits import Click, correct_labels, read_clicks_csv
-from napari_deltamic.geometry.label_meshes import mesh_from_labels
-from napari_deltamic.geometry.label_repair import RepairedLabels, repair_labels
+from napari_deltamic.geometry.labels.edits import Click, correct_labels, read_clicks_csv
+from napari_deltamic.geometry.labels.find_cells import find_cells, suggest_size
+from napari_deltamic.geometry.labels.meshes import mesh_from_labels
+from napari_deltamic.geometry.labels.repair import RepairedLabels, repair_labels
 from napari_deltamic.geometry.mesh import OUTSIDE, Mesh
 from napari_deltamic.geometry.primitives import box, sphere, torus
 from napari_deltamic.geometry.remeshing import Remeshed, remesh

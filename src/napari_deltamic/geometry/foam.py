@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.label_meshes import mesh_from_labels
+from napari_deltamic.geometry.labels.meshes import mesh_from_labels
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
 from napari_deltamic.geometry.primitives import sphere
 from napari_deltamic.geometry.remeshing import can_remesh

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.crossings import crosses
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
 from napari_deltamic.geometry.native import native
+from napari_deltamic.geometry.topology.crossings import crosses
 
 _TOUCH = 1e-6  # of the wanted length: surfaces as near to each other touch
 _PASSES = 3  # bring any mesh of about the right edge length into shape

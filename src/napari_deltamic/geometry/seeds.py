@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.basins import label_basins
 from napari_deltamic.geometry.foam import foam
-from napari_deltamic.geometry.label_meshes import EDGE_IN_VOXELS, mesh_from_labels
+from napari_deltamic.geometry.labels.basins import label_basins
+from napari_deltamic.geometry.labels.meshes import EDGE_IN_VOXELS, mesh_from_labels
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
 
 Triple = Sequence[float]

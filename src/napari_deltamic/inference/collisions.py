@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ..geometry.crossings import CrossingWalls
 from ..geometry.mesh import Mesh
 from ..geometry.native import native
+from ..geometry.topology.crossings import CrossingWalls
 from .upkeep import median_edge
 
 # As shares of the median edge:

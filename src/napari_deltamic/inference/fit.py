@@ -13,9 +13,9 @@ from torch import Tensor
 from ..errors import InputError
 from ..fourier.devices import choose_device
 from ..fourier.plan import check_accuracy
-from ..geometry.crossings import crosses
 from ..geometry.mesh import Mesh
-from ..geometry.topology import untangled
+from ..geometry.topology.crossings import crosses
+from ..geometry.topology.rearranging import untangled
 from ..optics import Optics
 from ..scene import Grid
 from ..scene.effects import Effects, as_effects

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..geometry.mesh import Mesh
-from ..geometry.thin_places import ThinPlace, small_walls, thin_places
-from ..geometry.topology import give_way
+from ..geometry.topology.rearranging import give_way
+from ..geometry.topology.thin_places import ThinPlace, small_walls, thin_places
 from .upkeep import median_edge
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ import torch
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import Mesh
-from ..geometry.voxel_labels import voxel_labels
 from .grid import Grid
 from .noise import Bits, detected, intensities
 from .render import offset

@@ -46,7 +46,7 @@ def test_the_predicted_bias_is_that_of_a_fit(filled):
     assert of(found, "bulk").bias_nm == pytest.approx(1e3 * swelling, rel=0.8)
 
 
-def test_it_is_the_same_every_time(filled):
+def test_it_is_the_same_every_time(filled, one_thread):
     one, other = ask(*filled, ["bulk", "halo"]), ask(*filled, ["bulk", "halo"])
     assert one.evidence == other.evidence
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ...errors import InputError
 from ...fourier.cost import costs
 from ...geometry import Mesh, sphere
-from ...geometry.label_meshes import EDGE_IN_VOXELS
+from ...geometry.labels.meshes import EDGE_IN_VOXELS
 from ...inference.default_accuracy import image_noise
 from ...inference.forecast import Forecast, forecast
 from ...job import SeedKind, optics_of

@@ -153,7 +153,7 @@ def look(
 ) -> tuple[float, NDArray[np.int32]]:
     """The cell size used (um; None: estimated) and the labels (Z, Y, X)."""
     # Imported when it is first needed, and in the thread, as that takes a while.
-    from ...geometry.find_cells import find_cells, suggest_size
+    from ...geometry.labels.find_cells import find_cells, suggest_size
 
     used = float(suggest_size(image, voxel_size)) if size is None else size
     return used, np.asarray(find_cells(image, voxel_size, used), np.int32)

@@ -15,7 +15,7 @@ from qtpy.QtWidgets import QCheckBox, QWidget
 
 from ...errors import InputError
 from ...geometry import Mesh, seeds_from_points
-from ...geometry.label_meshes import EDGE_IN_VOXELS
+from ...geometry.labels.meshes import EDGE_IN_VOXELS
 from ...geometry.missing import filled
 from ...scene import Grid
 from ..background import Background

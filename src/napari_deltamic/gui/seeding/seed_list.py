@@ -103,9 +103,8 @@ def is_seeds(layer: Any) -> bool:
     """Whether a layer can give seeds."""
     kept = type(layer).__name__ in SEED_LAYERS and layer.ndim >= 3
     own = layer.metadata.get(OWN, {})
-    if type(layer).__name__ == "Surface" and layer.ndim > 3:
-        return False  # cells over time
-    return kept and not (own.get(PREVIEW) or own.get(PINS))
+    tracked = bool(own) and type(layer).__name__ == "Surface" and layer.ndim > 3
+    return kept and not (own.get(PREVIEW) or own.get(PINS) or tracked)
 
 
 def _state(ticked: bool) -> Qt.CheckState:

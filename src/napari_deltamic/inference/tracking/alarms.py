@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...geometry.labels.voxels import voxel_labels
 from ...geometry.mesh import OUTSIDE, Mesh
-from ...geometry.voxel_labels import voxel_labels
 from ...scene import Grid
 from ..health import shrunken
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from ...geometry.labels.voxels import voxel_labels
 from ...geometry.mesh import Mesh
-from ...geometry.voxel_labels import voxel_labels
 from ...scene import Grid
 from ..likelihood import voxel_noise
 from ..state import FitState

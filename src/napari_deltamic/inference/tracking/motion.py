@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.signal import fftconvolve
 
+from ...geometry.labels.voxels import voxel_labels
 from ...geometry.mesh import Mesh
-from ...geometry.voxel_labels import voxel_labels
 from ...optics import Optics
 from ...scene import Grid, render
 from ...settings import NEAR_LEVELS, WIDE_LEVELS
 from ..likelihood import match
-from ..preconditioner import Preconditioner
+from ..preconditioner import NEAR_JUNCTIONS, Preconditioner
 
 FloatArray = NDArray[np.float64]
 _BLUR = 2.0  # of the images that are compared, in widths of the PSF
@@ -108,7 +108,7 @@ def shifted(mesh: Mesh, shifts: Mapping[int, FloatArray]) -> Mesh:
     mean = total / np.maximum(weight, 1)[:, None]
     if not mean.any():
         return mesh
-    smooth = Preconditioner(mesh, _SMOOTHING).solve(mean)
+    smooth = Preconditioner(mesh, _SMOOTHING, at_junctions=NEAR_JUNCTIONS).solve(mean)
     return mesh.with_vertices(mesh.vertices_numpy() + smooth)
 
 

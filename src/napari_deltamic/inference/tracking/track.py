@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from ...errors import InputError
 from ...geometry.mesh import Mesh
-from ...geometry.region_edits import divide_region, remove_region
 from ...geometry.remeshing import can_remesh, remesh, smallest_angles
+from ...geometry.topology.region_edits import divide_region, remove_region
 from ...optics import Optics
 from ...scene import Grid
 from ...scene.effects import Effects, as_effects

@@ -12,17 +12,17 @@ from typing import Any
 import numpy as np
 
 from napari_deltamic.errors import InputError, RepairWarning
-from napari_deltamic.geometry.files_common import (
+from napari_deltamic.geometry.files.common import (
     read_stl,
     read_with_trimesh,
     write_off,
     write_ply,
     write_stl,
 )
-from napari_deltamic.geometry.files_obj import read_obj, write_obj
-from napari_deltamic.geometry.files_raw import RawMesh
-from napari_deltamic.geometry.files_rec import read_rec, write_rec
-from napari_deltamic.geometry.files_vtk import read_vtk, write_vtk
+from napari_deltamic.geometry.files.obj import read_obj, write_obj
+from napari_deltamic.geometry.files.raw import RawMesh
+from napari_deltamic.geometry.files.rec import read_rec, write_rec
+from napari_deltamic.geometry.files.vtk import read_vtk, write_vtk
 from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, IntArray, Mesh
 from napari_deltamic.geometry.repair import counted, repair
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.files_raw import RawMesh
+from napari_deltamic.geometry.files.raw import RawMesh
 from napari_deltamic.geometry.mesh import FloatArray, IntArray
 from napari_deltamic.geometry.repair import counted
 

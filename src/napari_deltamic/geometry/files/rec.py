@@ -12,7 +12,7 @@ import struct
 import numpy as np
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.files_raw import RawMesh
+from napari_deltamic.geometry.files.raw import RawMesh
 from napari_deltamic.geometry.mesh import FloatArray, IntArray
 from napari_deltamic.geometry.repair import counted
 

@@ -20,9 +20,9 @@ from skimage.graph import MCP_Geometric
 from skimage.segmentation import watershed
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.find_cells import _checked, _walls
+from napari_deltamic.geometry.labels.find_cells import _checked, _walls
+from napari_deltamic.geometry.labels.region_merging import Image, Labels
 from napari_deltamic.geometry.mesh import FloatArray
-from napari_deltamic.geometry.region_merging import Image, Labels
 
 Action = Literal["cell", "merge", "remove"]
 

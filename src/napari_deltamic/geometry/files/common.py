@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.files_raw import RawMesh
+from napari_deltamic.geometry.files.raw import RawMesh
 from napari_deltamic.geometry.mesh import FloatArray, IntArray
 
 

@@ -19,13 +19,13 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.crossings import crosses, crossings
+from napari_deltamic.geometry.labels.partition import partition_mesh
+from napari_deltamic.geometry.labels.voxels import voxel_labels, voxel_windings
 from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, IntArray, Mesh
-from napari_deltamic.geometry.partition import partition_mesh
-from napari_deltamic.geometry.projection import projected
 from napari_deltamic.geometry.remeshing import remesh
-from napari_deltamic.geometry.thin_places import ThinPlace
-from napari_deltamic.geometry.voxel_labels import voxel_labels, voxel_windings
+from napari_deltamic.geometry.topology.crossings import crosses, crossings
+from napari_deltamic.geometry.topology.projection import projected
+from napari_deltamic.geometry.topology.thin_places import ThinPlace
 
 Labels = NDArray[np.int32]
 

@@ -13,11 +13,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from napari_deltamic.errors import InputError, RepairWarning
-from napari_deltamic.geometry.label_repair import repair_labels, share_out_gaps
+from napari_deltamic.geometry.labels.partition import partition_mesh, with_volumes
+from napari_deltamic.geometry.labels.repair import repair_labels, share_out_gaps
+from napari_deltamic.geometry.labels.surface_nets import closed_surface
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
-from napari_deltamic.geometry.partition import partition_mesh, with_volumes
 from napari_deltamic.geometry.remeshing import can_remesh, remesh
-from napari_deltamic.geometry.surface_nets import closed_surface
 
 EDGE_IN_VOXELS = 3.0
 # Where planes are far apart, or cells many, edges of three voxels would make more faces than a fit

@@ -14,6 +14,7 @@ from napari_deltamic.scene.effects import Bulk, Effects
 SIZE = (0.3, 0.2, 0.2)
 SIGMA = ("--sigma", 0.42, 0.25, 0.25)
 SHORT = ("--levels", 1, "--max-iterations", 60)
+FEW = ("--candidates", "bulk,halo")
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +36,7 @@ def folder(tmp_path_factory):
 
 def test_a_table_says_what_to_take_and_why(run, folder):
     code, lines, err = run(
-        "effects", folder / "cell.tif", "--seeds", folder / "start.ply", *SIGMA, *SHORT
+        "effects", folder / "cell.tif", "--seeds", folder / "start.ply", *SIGMA, *SHORT, *FEW
     )
     assert code == 0, err
     assert lines[0].split()[:2] == ["effect", "score"]
@@ -47,6 +48,7 @@ def test_a_table_says_what_to_take_and_why(run, folder):
     assert "--effects bulk" in err
 
 
+@pytest.mark.slow
 def test_json_holds_all_of_it(run, folder):
     code, lines, err = run(
         *("effects", folder / "cell.tif", "--seeds", folder / "start.ply", *SIGMA, *SHORT),
@@ -61,6 +63,7 @@ def test_json_holds_all_of_it(run, folder):
     assert "sigma_z" in found["image"]
 
 
+@pytest.mark.slow
 def test_a_fit_takes_what_is_recommended_and_reports_it(run, folder, tmp_path):
     code, lines, err = run(
         *("fit", folder / "cell.tif", "--seeds", folder / "start.ply", *SIGMA, *SHORT),

@@ -18,10 +18,10 @@ from skimage.morphology import local_minima
 from skimage.segmentation import watershed
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.basins import BORDER_LIMIT, _border_area, _noise_after
+from napari_deltamic.geometry.labels.basins import BORDER_LIMIT, _border_area, _noise_after
+from napari_deltamic.geometry.labels.region_merging import Image, Labels, Regions, join_regions
 from napari_deltamic.geometry.mesh import FloatArray
 from napari_deltamic.geometry.missing import filled
-from napari_deltamic.geometry.region_merging import Image, Labels, Regions, join_regions
 
 Mask = NDArray[np.bool_]
 
