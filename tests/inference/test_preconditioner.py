@@ -152,7 +152,7 @@ def test_held_vertices_without_smoothing(mesh, gradient):
     assert_array_equal(step[3:], gradient[3:])
 
 
-@pytest.mark.parametrize(("width", "expected"), [(1.0, 10.0), (0.5, 10.0), (0.25, 2.5)])
+@pytest.mark.parametrize(("width", "expected"), [(1.0, 10.0), (0.5, 10.0), (0.25, 5.625)])
 def test_smoothing_reaches_as_far_on_long_edges(width, expected):
     vertices = np.array([(0, 0, 0), (1, 0, 0), (0.5, np.sqrt(3) / 2, 0)])
     triangle = Mesh(vertices, np.array([(0, 1, 2)]))
