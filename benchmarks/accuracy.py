@@ -31,6 +31,7 @@ from napari_deltamic.accuracy_chart import (
 from napari_deltamic.chart import Chart
 from napari_deltamic.fourier.calibration import calibrate
 from napari_deltamic.fourier.cost import Costs
+from napari_deltamic.fourier.cuda import missing
 from napari_deltamic.geometry import sphere
 from napari_deltamic.inference.default_accuracy import accuracy_for_image, image_noise
 from napari_deltamic.inference.forecast import forecast
@@ -201,7 +202,7 @@ def where(quick: bool) -> str:
     found = machine(None, quick)
     found["command"] = "python -m benchmarks.accuracy" + (" --quick" if quick else "")
     found["threads"] = str(torch.get_num_threads())
-    found["GPU"] = "none: this version computes on the CPU"
+    found["GPU"] = missing() or torch.cuda.get_device_name()
     return "\n".join(f"- {name}: `{value}`" for name, value in found.items())
 
 

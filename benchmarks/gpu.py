@@ -1,18 +1,23 @@
 """All that a GPU is asked for, in one table: ``python -m benchmarks.gpu``.
 
 Runs the GPU tests, then measures: rates of the closed form and its share of the chip's peak, an
-iteration of a fit, a whole fit. Without a GPU it says what is missing and ends.
+iteration of a fit, a whole fit. Each figure is printed, and put into the page, as soon as it is
+there. Without a GPU it says what is missing and ends; ``--dry`` goes through all of it on the CPU,
+with problems so small that the numbers mean nothing, to find out whether the script runs.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -20,15 +25,15 @@ from napari_deltamic import Mesh, fit, render
 from napari_deltamic.fourier import Band
 from napari_deltamic.fourier.closed_form import band_ft
 from napari_deltamic.fourier.cuda import compiler, missing
+from napari_deltamic.fourier.cuda.build import SINGLE
 from napari_deltamic.fourier.cuda.points import cufinufft
-from napari_deltamic.fourier.cuda.transform import SINGLE
 from napari_deltamic.geometry import sphere
+from napari_deltamic.inference.preconditioner import Preconditioner
 from napari_deltamic.measure import surface_distance
 from napari_deltamic.settings import FitSettings
 
 from .__main__ import as_table, measure
 from .figure import (
-    Figure,
     Options,
     Row,
     at_least,
@@ -45,19 +50,47 @@ from .page import put_between, table
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "benchmarks.md"
 MARK = "gpu"
-# Of a small triangle at one wavevector, multiplications and additions: those of small_value in
-# csrc/triangle_ft.h, two to place it on its line, and eight and six for the exponential's part.
-FLOPS_PER_PAIR = 46
+# Of a small triangle at one wavevector, multiplications and additions as the compiler leaves them:
+# those of small_value in csrc/triangle_ft.h, two to place it on its line, and eight and six for the
+# exponential's part.
+FLOPS_PER_PAIR = 43
 LANES = 128  # float units of a multiprocessor since compute capability 8.6, and of 9.0
 FEWER_LANES = {(7, 5): 64, (8, 0): 64}
 
 
-def seconds(function: Callable[[], object], repeats: int) -> float:
+@dataclass(frozen=True)
+class Place(Options):
+    """Where it is measured."""
+
+    dry: bool = False
+
+    @property
+    def device(self) -> str:
+        """Of torch."""
+        return "cpu" if self.dry else "cuda"
+
+    def size(self, voxels: int) -> int:
+        """Voxels along an axis."""
+        return max(24, voxels // 16) if self.dry else voxels
+
+    def now(self) -> float:
+        """Seconds, once the device has done all that it was told to."""
+        if not self.dry:
+            torch.cuda.synchronize()
+        return time.perf_counter()
+
+
+def seconds(function: Callable[[], object], place: Place) -> float:
     """Median by the device's own clock, after two calls to warm up."""
     for _ in range(2):
         function()
     found = []
-    for _ in range(repeats):
+    for _ in range(place.repeats):
+        if place.dry:
+            begun = place.now()
+            function()
+            found.append(place.now() - begun)
+            continue
         start, end = (torch.cuda.Event(enable_timing=True) for _ in range(2))
         start.record()  # type: ignore[no-untyped-call]
         function()
@@ -70,10 +103,14 @@ def seconds(function: Callable[[], object], repeats: int) -> float:
 # ------------------------------------------------------------------------------------- tests
 
 
-def tests(options: Options) -> list[Row]:
+def tests(place: Place) -> list[Row]:
     """The GPU tests, the stability bars among them: how many failed."""
-    command = [sys.executable, "-m", "pytest", "-q", str(ROOT / "tests" / "gpu")]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    command = [sys.executable, "-m", "pytest", "-q", "-x", str(ROOT / "tests" / "gpu")]
+    if not place.dry:
+        command.remove("-x")
+    stand_in = {"DELTAMIC_STAND_IN": "1"} if place.dry else {}
+    environment = {**os.environ, **stand_in}
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=environment)
     lines = done.stdout.strip().splitlines() or [done.stderr.strip()]
     failed = sum(line.startswith(("FAILED", "ERROR")) for line in lines)
     if done.returncode:
@@ -99,24 +136,27 @@ def _highest_clock() -> float:
     return 1e6 * float(subprocess.run(ask, capture_output=True, text=True).stdout.split()[0])
 
 
-def _closed_form(mesh: Mesh, band: Band, single: bool) -> tuple[Callable[[], Tensor], ...]:
-    v, f = (t.cuda() for t in tensors(mesh))
-    ones = torch.ones(len(f), dtype=torch.float64, device="cuda")
+def _closed_form(
+    mesh: Mesh, band: Band, single: bool, device: str
+) -> tuple[Callable[[], Tensor], ...]:
+    v, f = (t.to(device) for t in tensors(mesh))
+    ones = torch.ones(len(f), dtype=torch.float64, device=device)
     arguments = v, f, ones, band.rows, band.spacing, single
     grad = band_ft(*arguments)
     backward = torch.ops.deltamic.band_ft_backward
     return lambda: band_ft(*arguments), lambda: backward(grad, *arguments)
 
 
-def rates(options: Options) -> list[Row]:
+def rates(place: Place) -> list[Row]:
     """Pairs of a face and a wavevector per second; forward and backward, both types."""
-    rows = []
-    band = narrow_band(200)
-    scenes = {"small triangles": small_sphere(200, 28.0), "mixed sizes": cow(options, 200)}
+    rows: list[Row] = []
+    n = place.size(200)
+    band = narrow_band(n)
+    scenes = {"small triangles": small_sphere(n, 0.14 * n), "mixed sizes": _cow(place, n)}
     for name, mesh in scenes.items():
         for single in (True, False):
             forward, backward = (
-                seconds(f, options.repeats) for f in _closed_form(mesh, band, single)
+                seconds(f, place) for f in _closed_form(mesh, band, single, place.device)
             )
             pairs = band.count * len(mesh.faces)
             what = f"closed form, {name}, {'f32' if single else 'f64'}"
@@ -124,7 +164,8 @@ def rates(options: Options) -> list[Row]:
             rate, ratio = pairs / forward, backward / forward
             if name == "small triangles" and single:
                 rows.append(at_least(f"{what}, forward", 5e11, rate, "pairs/s", note))
-                share, counted = 100 * rate * FLOPS_PER_PAIR / peak(), f"{FLOPS_PER_PAIR} a pair"
+                most = 1e11 if place.dry else peak()
+                share, counted = 100 * rate * FLOPS_PER_PAIR / most, f"{FLOPS_PER_PAIR} a pair"
                 rows.append(at_least(f"{what}, of the f32 peak", 30, share, "%", counted))
                 rows.append(at_most(f"{what}, backward over forward", 2, ratio, "x"))
             else:
@@ -133,9 +174,14 @@ def rates(options: Options) -> list[Row]:
     return rows
 
 
-def first_use(options: Options) -> list[Row]:
+def _cow(place: Place, voxels: int) -> Mesh:
+    return sphere_of(600, voxels, 0.3 * voxels) if place.dry else cow(place, voxels)
+
+
+def first_use(place: Place) -> list[Row]:
     """How long the kernels take to compile."""
-    target = compiler.architecture(torch.cuda.get_device_capability())
+    capability = (9, 0) if place.dry else torch.cuda.get_device_capability()
+    target = compiler.architecture(capability)
     begun = time.perf_counter()
     compiler.compile_kernels(SINGLE, target)
     note = f"{target}, NVRTC {'.'.join(map(str, compiler.version()))}; once, then from disk"
@@ -147,53 +193,84 @@ def first_use(options: Options) -> list[Row]:
 # ---------------------------------------------------------------------------------------- fits
 
 
-def _iteration(mesh: Mesh, voxels: int, accuracy: float, iterations: int) -> tuple[float, str]:
-    """Seconds of an iteration of the last level on the GPU, the plan made; and the method."""
+def _iteration(
+    place: Place, mesh: Mesh, voxels: int, iterations: int, guard: bool = False
+) -> tuple[float, str]:
+    """Seconds of an iteration of the last level on the GPU, the plan made; and the method.
+
+    The mean of all but the first: numbers are read late, and some iterations look at the fit.
+    """
     grid, optics = scene(voxels)
-    placed = mesh.with_vertices(torch.tensor(mesh.vertices_numpy(), device="cuda"))
+    accuracy = 1e-3
+    placed = mesh.with_vertices(torch.tensor(mesh.vertices_numpy(), device=place.device))
     with torch.no_grad():
         image = render(placed, grid, optics, accuracy).cpu()
     start = mesh.with_vertices(mesh.vertices_numpy() + 0.3)
     settings = FitSettings(
-        device="cuda",
+        device=place.device,
         accuracy=accuracy,
         levels=(1.0,),
         remesh=False,
-        collisions=False,
+        collisions=guard,
+        tolerance=1e-12,
         max_iterations=iterations,
     )
     states = fit(image, grid, start, optics, settings=settings)
     next(states)
-    each = []
+    begun = place.now()
     for _ in range(iterations - 1):
-        torch.cuda.synchronize()
-        begun = time.perf_counter()
         next(states)
-        torch.cuda.synchronize()
-        each.append(time.perf_counter() - begun)
-    return sorted(each)[len(each) // 2], "cufinufft" if cufinufft() else "closed form"
+    each = (place.now() - begun) / (iterations - 1)
+    return each, "cufinufft" if cufinufft() else "closed form"
 
 
-def iterations(options: Options) -> list[Row]:
-    """One iteration of a fit, at two sizes."""
-    count = 10 if options.quick else 40
-    small, how = _iteration(cow(options, 200), 200, 1e-3, count)
-    rows = [at_most("cow, 200^3, 1e-3, one iteration of a fit", 10, 1e3 * small, "ms", how)]
-    large, how = _iteration(sphere_of(20_000, 500, 150.0), 500, 1e-3, count)
-    rows.append(at_most("500^3, 20,000 faces, an iteration", 100, 1e3 * large, "ms", how))
-    used = torch.cuda.max_memory_allocated() / 1e9
-    rows.append(Row("its peak memory, torch's own", "", used, "GB", None))
+def iterations(place: Place) -> list[Row]:
+    """One iteration of a fit, at two sizes; with the guard against collisions as well."""
+    count = 10 if place.quick else 41
+    meshes = {
+        "cow, 200^3, 1e-3, one iteration of a fit": (_cow(place, place.size(200)), 200, 10),
+        "500^3, 20,000 faces, an iteration": (_large(place), 500, 100),
+    }
+    rows = []
+    for name, (mesh, voxels, bar) in meshes.items():
+        given = place, mesh, place.size(voxels), count
+        spent, how = _iteration(*given)
+        rows.append(at_most(name, bar, 1e3 * spent, "ms", how))
+        spent, how = _iteration(*given, guard=True)
+        rows.append(Row(f"{name}, with the guard", "", 1e3 * spent, "ms", None, how))
+    used = 0.0 if place.dry else torch.cuda.max_memory_allocated() / 1e9
+    rows.append(Row("peak memory of all these, torch's own", "", used, "GB", None))
     return rows
 
 
-def sphere_to_cow(options: Options) -> list[Row]:
+def _large(place: Place) -> Mesh:
+    voxels = place.size(500)
+    return sphere_of(600 if place.dry else 20_000, voxels, 0.3 * voxels)
+
+
+def solver(place: Place) -> list[Row]:
+    """Smoothing a gradient of 10^4 vertices: where it is, or on the host and back."""
+    mesh, rows = _large(place), []
+    for where in (place.device, "cpu"):
+        smoother = Preconditioner(mesh, 10.0, device=torch.device(where))
+        b = torch.from_numpy(np.random.default_rng(0).normal(size=mesh.vertices.shape))
+        b = b.to(place.device)
+        spent = seconds(lambda smoother=smoother, b=b: smoother.solve(b), place)  # type: ignore[misc]
+        name = f"smoothing {len(b)} vertices, solved on {where}"
+        rows.append(Row(name, "", 1e3 * spent, "ms", None))
+    return rows
+
+
+def sphere_to_cow(place: Place) -> list[Row]:
     """A whole fit, until it is within 0.05 voxel."""
-    voxels = 200
-    truth, (grid, optics) = cow(options, voxels), scene(voxels)
+    voxels = place.size(200)
+    truth, (grid, optics) = _cow(place, voxels), scene(voxels)
     image = render(truth, grid, optics, 1e-3)
     middle = (voxels - 1) / 2
     start = sphere((middle,) * 3, 0.25 * voxels, edge_length=0.02 * voxels)
-    settings = FitSettings(device="cuda", accuracy=1e-3, collisions=False)
+    settings = FitSettings(device=place.device, accuracy=1e-3, collisions=False)
+    if place.dry:
+        settings = settings.model_copy(update={"max_iterations": 60})
     begun, looked, when, distance = time.perf_counter(), 0.0, float("nan"), float("nan")
     count = 0
     for state in fit(image, grid, start, optics, settings=settings):
@@ -212,12 +289,13 @@ def sphere_to_cow(options: Options) -> list[Row]:
     ]
 
 
-FIGURES: dict[str, Figure] = {
-    "tests": tests,
+FIGURES: dict[str, Callable[[Place], list[Row]]] = {
     "first-use": first_use,
     "rates": rates,
+    "solver": solver,
     "iterations": iterations,
     "sphere-to-cow": sphere_to_cow,
+    "tests": tests,
 }
 
 
@@ -228,21 +306,32 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--quick", action="store_true", help="fewer repeats")
     parser.add_argument("--data", type=Path, help="folder of meshes (DELTAMIC_DATA)")
     parser.add_argument("--markdown", type=Path, help=f"put the table into this page ({PAGE.name})")
+    parser.add_argument("--dry", action="store_true", help="on the CPU, to see whether it runs")
     given = parser.parse_args(arguments)
-    if reason := missing():
+    if not given.dry and (reason := missing()):
         print(f"nothing to measure: {reason}", file=sys.stderr)
         return 2
-    options = Options(given.quick, given.data) if given.data else Options(given.quick)
+    place = Place(given.quick or given.dry, dry=given.dry)
+    place = replace(place, data=given.data) if given.data else place
+    said = "a dry run on the CPU" if given.dry else _device()
     rows: list[Row] = []
     for name in given.only or FIGURES:
-        print(f"{name} ...", file=sys.stderr)
-        rows += measure(FIGURES[name], name, options)
-    p = torch.cuda.get_device_properties()
-    said = f"{p.name}, {p.multi_processor_count} multiprocessors, torch {torch.__version__}"
+        begun = time.perf_counter()
+        figure = FIGURES[name]
+        found = measure(lambda _, figure=figure: figure(place), name, place)
+        if given.dry:
+            found = [replace(row, passed=None) for row in found]
+        rows += found
+        print(f"{name}: {time.perf_counter() - begun:.0f} s\n{as_table(found)}\n", flush=True)
+        if given.markdown and not given.dry:
+            put_between(given.markdown, MARK, f"{said}\n\n{table(rows)}")
     print(f"{said}\n{as_table(rows)}")
-    if given.markdown:
-        put_between(given.markdown, MARK, f"{said}\n\n{table(rows)}")
     return int(any(row.passed is False for row in rows))
+
+
+def _device() -> str:
+    p = torch.cuda.get_device_properties()
+    return f"{p.name}, {p.multi_processor_count} multiprocessors, torch {torch.__version__}"
 
 
 if __name__ == "__main__":

@@ -145,7 +145,6 @@ def implementations() -> str:
                 for q in ("value", "gradient")
             ]
             rows.append([f"closed form, {told}, {level}", *cells])
-    rows.append(["on the GPU", *["no implementation yet"] * 4])
     heads = [f"{kind} {q}" for kind in KINDS for q in ("value", "gradient")]
     return table(["implementation", *heads], rows)
 

@@ -48,6 +48,9 @@ __device__ inline Real at_start(const Real* slope, const Segment& s) {
     return Real(s.kz) * slope[0] + Real(s.ky) * slope[1] + Real(s.kx) * slope[2];
 }
 
+// k steps on. The compiler may not leave out a product with zero by itself.
+__device__ inline Real along(Real first, Real slope, int k) { return k == 0 ? first : first + Real(k) * slope; }
+
 // The largest edge phase: edge phases are the differences of the centred ones.
 __device__ inline Real spread(Real alpha, Real beta) {
     const Real gamma = -(alpha + beta);
@@ -84,7 +87,7 @@ __device__ inline void add_face(const Face& f, const Segment& s, Complex<Real>* 
     if (all_small(f, a, b)) {
 #pragma unroll
         for (int k = 0; k < width; ++k, rotate(e, f)) {
-            add(sum[k], e, small_value(a + Real(k) * f.alpha[2], b + Real(k) * f.beta[2]));
+            add(sum[k], e, small_value(along(a, f.alpha[2], k), along(b, f.beta[2], k)));
         }
         return;
     }
@@ -93,7 +96,7 @@ __device__ inline void add_face(const Face& f, const Segment& s, Complex<Real>* 
     for (int k = 0; k < width; ++k, rotate(e, f)) {
         const Real x1 = d1 + Real(k) * f.edge[0][2], x2 = d2 + Real(k) * f.edge[1][2], x3 = d3 + Real(k) * f.edge[2][2];
         if (largest(x1, x2, x3) < Real(tau)) {
-            add(sum[k], e, small_value(a + Real(k) * f.alpha[2], b + Real(k) * f.beta[2]));
+            add(sum[k], e, small_value(along(a, f.alpha[2], k), along(b, f.beta[2], k)));
         } else {
             add(sum[k], e, large_value(x1, x2, x3));
         }
@@ -107,11 +110,12 @@ struct SegmentSums {
 
     __device__ void add(const Contracted<Real>& c, int place) {
         const Real each[3] = {c.by_alpha, c.by_beta, c.im};
-        v[0] += c.re;
+        // Places are known to the compiler: sums begin with what comes first, not with zero.
+        v[0] = place == 0 ? c.re : v[0] + c.re;
 #pragma unroll
         for (int i = 0; i < 3; ++i) {
-            v[1 + i] += each[i];
-            k[i] += Real(place) * each[i];
+            v[1 + i] = place == 0 ? each[i] : v[1 + i] + each[i];
+            if (place > 0) k[i] = place == 1 ? each[i] : k[i] + Real(place) * each[i];
         }
     }
     __device__ void into(Real* sums, const Segment& s) const {
@@ -140,7 +144,7 @@ __device__ inline void add_segment(const Face& f, const Real (*edges)[3], const 
 #pragma unroll
         for (int k = 0; k < width; ++k, rotate(e, f)) {
             const Complex<Real> t = conjugate_times(grad, k, e);
-            sum.add(small_contracted(a + Real(k) * f.alpha[2], b + Real(k) * f.beta[2], t), k);
+            sum.add(small_contracted(along(a, f.alpha[2], k), along(b, f.beta[2], k), t), k);
         }
     } else {
         const Real d1 = at_start(edges[0], s), d2 = at_start(edges[1], s), d3 = at_start(edges[2], s);
@@ -150,7 +154,7 @@ __device__ inline void add_segment(const Face& f, const Real (*edges)[3], const 
             const Real x1 = d1 + Real(k) * edges[0][2], x2 = d2 + Real(k) * edges[1][2],
                        x3 = d3 + Real(k) * edges[2][2];
             if (largest(x1, x2, x3) < Real(tau)) {
-                sum.add(small_contracted(a + Real(k) * f.alpha[2], b + Real(k) * f.beta[2], t), k);
+                sum.add(small_contracted(along(a, f.alpha[2], k), along(b, f.beta[2], k), t), k);
             } else {
                 sum.add(large_contracted(x1, x2, x3, t), k);
             }
@@ -189,7 +193,6 @@ __device__ inline Value<Real> value(const Phases& p) {
 }
 
 }  // namespace DELTAMIC_NAMESPACE
-
 using namespace DELTAMIC_NAMESPACE;
 
 // Registers for as many blocks at a time: enough for the loops to keep everything in registers, and

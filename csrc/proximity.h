@@ -47,6 +47,10 @@ public:
     // `end` becomes what each vertex may reach from `start`; how many were held back.
     std::int64_t limit(const std::vector<Vec>& start, std::vector<Vec>& end);
 
+    // Where each vertex may move at will; a negative radius: nowhere yet.
+    const std::vector<Vec>& centers() const { return center_; }
+    const std::vector<double>& radii() const { return radius_; }
+
     std::int64_t renewed = 0;  // balls made anew, in all
     std::int64_t work = 0;     // couples of boxes and distances looked at, in all
 

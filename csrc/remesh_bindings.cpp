@@ -124,6 +124,13 @@ NB_MODULE(_remesh, m) {
                  }
                  return nb::make_tuple(copied<double>(to.empty() ? nullptr : &to.data()->z, to.size(), 3), held);
              })
+        .def("balls",
+             [](const Guard& self) {
+                 const auto& c = self.centers();
+                 const auto& r = self.radii();
+                 return nb::make_tuple(copied<double>(c.empty() ? nullptr : &c.data()->z, c.size(), 3),
+                                       copied<double>(r.data(), r.size(), 1));
+             })
         .def_ro("renewed", &Guard::renewed)
         .def_ro("work", &Guard::work);
 }

@@ -139,8 +139,8 @@ struct Invariants {
 
 template <class T>
 DELTAMIC_FN Invariants<T> invariants(T alpha, T beta) {
-    const T gamma = -(alpha + beta);
-    return {alpha, beta, gamma, alpha * alpha - beta * gamma, alpha * beta * gamma};
+    const T gamma = -(alpha + beta), product = beta * gamma;
+    return {alpha, beta, gamma, alpha * alpha - product, alpha * product};
 }
 
 template <class T>

@@ -4,6 +4,9 @@ import os
 import tempfile
 from pathlib import Path
 
+# Tests run several at a time: a thread each, or they wait for one another. Before torch is loaded.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 import pytest
 import torch
 

@@ -38,7 +38,7 @@ def main(argv: Sequence[str]) -> int:
         return table(rows)
 
     parts: dict[str, Callable[[], str]] = {
-        "shape": lambda: rows_of(measure(shape.shape_errors, "shape", options)),
+        "shape": lambda: shape.shape_table(given.quick),
         "choice": lambda: _choice(given.scenes, given.results, rows_of),
         "real": lambda: real_table(given.data),
         "optics": lambda: rows_of(

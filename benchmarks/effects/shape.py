@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import sqrt
@@ -26,8 +27,6 @@ from napari_deltamic.scene.effects import (
 )
 from napari_deltamic.settings import NEAR_LEVELS, FitSettings
 
-from ..figure import Figure, Options, Row
-
 PHOTONS, DARK = 40.0, 2.0  # at the peak, and of the background
 VOXEL = (0.4, 0.2, 0.2)
 SIGMA = (0.5, 0.25, 0.25)
@@ -36,10 +35,11 @@ RIM = 1 / (sqrt(2 * np.pi) * float(np.prod(SIGMA)) ** (1 / 3))  # of a flat memb
 
 @dataclass(frozen=True)
 class Scene:
-    """Surfaces to be found, and the grid of their image."""
+    """Surfaces to be found, coarser ones to start from, and the grid of their image."""
 
     name: str
     truth: Mesh
+    coarse: Mesh
     grid: Grid
 
 
@@ -49,10 +49,15 @@ def scenes() -> list[Scene]:
     wide = Grid((26, 44, 60), VOXEL)
     middle = np.array([5.0, 4.3, 4.3])
     pair = np.array([[5.0, 4.3, 4.5], [5.0, 4.3, 7.3]])
+    radii = np.array([2.0, 2.0])
     return [
-        Scene("sphere", sphere(middle, 2.5, subdivisions=5), small),
-        Scene("ellipsoid", sphere(middle, (3.0, 2.0, 2.5), subdivisions=5), small),
-        Scene("two cells", foam(pair, np.array([2.0, 2.0]), 0.25), wide),
+        Scene("sphere", *(sphere(middle, 2.5, subdivisions=n) for n in (5, 3)), small),
+        Scene(
+            "ellipsoid",
+            *(sphere(middle, (3.0, 2.0, 2.5), subdivisions=n) for n in (5, 3)),
+            small,
+        ),
+        Scene("two cells", *(foam(pair, radii, edge) for edge in (0.25, 0.4)), wide),
     ]
 
 
@@ -115,8 +120,8 @@ def compare(
     """Fit without the effect, with its true numbers, and with its numbers fitted."""
     image = simulate(scene, effect, seed)
     settings = FitSettings(levels=NEAR_LEVELS, fit_psf=fit_psf)
-    v = scene.truth.vertices_numpy()
-    start = scene.truth.with_vertices(v.mean(0) + 0.93 * (v - v.mean(0)) + [0.15, 0.1, -0.1])
+    v = scene.coarse.vertices_numpy()
+    start = scene.coarse.with_vertices(v.mean(0) + 0.93 * (v - v.mean(0)) + [0.15, 0.1, -0.1])
     names = [value.name for value in effect.values()]
     errors, iterations = [], []
     last = None
@@ -148,24 +153,24 @@ def outcomes(quick: bool = False, seed: int | None = 0, fit_psf: bool = False) -
             yield compare(scene, case, effect, seed, fit_psf)
 
 
-def lines(found: Iterator[Outcome]) -> Iterator[str]:
-    """A table in Markdown; distances in nm."""
-    yield "| effect | scene | left out | true numbers | fitted | true | found | iterations |"
-    yield "|---|---|---|---|---|---|---|---|"
-    for o in found:
-        true, numbers = (" ".join(f"{v:.3g}" for v in d.values()) for d in (o.true, o.found))
-        errors = " | ".join(f"{1000 * e:.1f}" for e in (o.left_out, o.held, o.fitted))
-        spent = "/".join(map(str, o.iterations))
-        yield f"| {o.case} | {o.scene} | {errors} | {true} | {numbers} | {spent} |"
-
-
-def shape_errors(options: Options) -> list[Row]:
-    """Error of the shape with each effect fitted, relative to that with its true numbers."""
-    rows = []
-    for o in outcomes(options.quick):
-        note = f"left out {1000 * o.left_out:.1f} nm, known {1000 * o.held:.1f} nm"
-        rows.append(Row(f"{o.case}, {o.scene}", "", 1000 * o.fitted, "nm", None, note))
-    return rows
-
-
-FIGURES: dict[str, Figure] = {"effects": shape_errors}
+def shape_table(quick: bool = False) -> str:
+    """The table, as Markdown: distances in nm, left out / true numbers / fitted."""
+    names = [scene.name for scene in scenes()[: 1 if quick else None]]
+    rows = [
+        "| effect | " + " | ".join(names) + f" | true and found number, {names[-1]} |",
+        "|---" * (len(names) + 2) + "|",
+    ]
+    found: dict[str, list[Outcome]] = {}
+    for o in outcomes(quick):
+        print(o, file=sys.stderr, flush=True)
+        found.setdefault(o.case, []).append(o)
+    for case, each in found.items():
+        errors = [
+            " / ".join(f"{1000 * e:.1f}" for e in (o.left_out, o.held, o.fitted)) for o in each
+        ]
+        true, numbers = (
+            " ".join(f"{v:.3g}" for v in d.values()) for d in (each[-1].true, each[-1].found)
+        )
+        rows.append("| " + " | ".join([case, *errors, f"{true}; {numbers}"]) + " |")
+    note = "Left out / true numbers / fitted, nm; one draw of the noise."
+    return "\n".join([*rows, "", note])

@@ -24,6 +24,7 @@ from .gui.results.selection import ClickSelection
 from .gui.results.session import Parts, capture, restore
 from .gui.results.session_bar import SessionBar
 from .gui.running.composition import Live, Panels
+from .gui.running.course import Snapshot
 from .gui.running.run_control import RunControl
 from .gui.running.run_panel import RunPanel
 from .gui.running.worker import FitRun
@@ -66,7 +67,15 @@ class FitWidget(QWidget):
         self.results = ResultsPanel(lambda action: attempt(action, _warn), self)
         panels = Panels(self.image, self.seeds, self.settings, self.running, self.results)
         self._live = live = Live(panels=[self.image, self.seeds])
-        live.panels.append(ClickSelection(viewer, lambda: live.link, self.results.choose))
+        seeds = self.seeds
+        live.panels.append(
+            # A click that corrects labels chooses no cell.
+            ClickSelection(
+                viewer,
+                lambda: None if seeds.corrections.bar.tool else live.link,
+                self.results.choose,
+            )
+        )
         self.control = RunControl(viewer, panels, live, _tell, _warn, parent=self)
         self.interaction = Interaction(viewer, self.control, panels, live, self)
         self.forecast = AccuracyForecast(viewer, panels, live, self.control, self)
@@ -76,14 +85,16 @@ class FitWidget(QWidget):
         )
         self.checking = EffectsCheck(panels, live, self.control, self)
         live.panels += [self.forecast, self.measuring, self.tracking, self.checking]
-        live.panels.append(self.settings.optics)
-        self.parts = parts = Parts(viewer, panels, self.control, live)
+        live.panels += [self.settings.optics, self.settings.effects.second]
+        self.parts = parts = Parts(viewer, panels, self.control, live, self.tracking)
         self.sessions = SessionBar(partial(capture, parts), partial(restore, parts), _warn, self)
         self.commands = CommandCopy(self._folder, self._copied, self._not_copied)
         live.panels += [self.sessions, self.commands]
         # With its window the widget is deleted without a word to Python.
         self.destroyed.connect(self._live.close)
         self.running.copy_command.connect(self._copy_command)
+        self.control.shown.connect(self._show_psf)
+        self.control.ended.connect(self._show_last_psf)
         self.results.cell_chosen.connect(self._go_to)
         self.results.cells_chosen.connect(self._highlight)
         self.results.remarked.connect(_warn)
@@ -132,6 +143,14 @@ class FitWidget(QWidget):
 
     # ----------------------------------------------------------------------------------- inside
 
+    def _show_psf(self, snapshot: Snapshot) -> None:
+        self.settings.optics.picture.show_optics(snapshot.state.optics)
+
+    def _show_last_psf(self) -> None:
+        present = self.control.present()
+        if present is not None:
+            self.settings.optics.picture.show_optics(present.state.optics)
+
     def _go_to(self, center: tuple[float, float, float]) -> None:
         if self._live.link is not None:
             self._live.link.go_to(center)
@@ -148,7 +167,8 @@ class FitWidget(QWidget):
         seeds = self.seeds.seeds(frame)
         settings = self.run_settings(seeds)
         self.running.tell("putting the command together ...")
-        self.commands.copy(Wanted(settings, pixels, frame.grid(pixels.shape), seeds))
+        second = self.settings.effects.second.pixels()
+        self.commands.copy(Wanted(settings, pixels, frame.grid(pixels.shape), seeds, second))
 
     def _folder(self) -> str:
         self.running.tell("")

@@ -31,6 +31,7 @@ class FitInput:
 
     image : (Z, Y, X); NaN where missing.
     counted : (Z, Y, X) bool: voxels that may count; None for all.
+    second : (Z, Y, X) second view, where the settings have one; None for that of its file.
     """
 
     settings: RunSettings
@@ -39,6 +40,7 @@ class FitInput:
     mesh: Mesh
     optics: Optics
     counted: NDArray[np.bool_] | None
+    second: NDArray[Any] | None = None
 
     @property
     def has_missing(self) -> bool:
@@ -76,7 +78,12 @@ def scene_with(scene: SceneSettings, optics: Optics) -> SceneSettings:
 
 
 def assemble(
-    settings: RunSettings, image: NDArray[Any], grid: Grid, mesh: Mesh, kind: SeedKind
+    settings: RunSettings,
+    image: NDArray[Any],
+    grid: Grid,
+    mesh: Mesh,
+    kind: SeedKind,
+    second: NDArray[Any] | None = None,
 ) -> FitInput:
     """Everything that a fit needs; what the settings leave open follows from seeds and noise."""
     found: dict[str, Any] = {}
@@ -87,7 +94,7 @@ def assemble(
     settings = settings.model_copy(update={"fit": settings.fit.model_copy(update=found)})
     optics = optics_of(settings.scene)
     counted = counted_voxels(image, grid, mesh, optics) if kind == "image" else None
-    return FitInput(settings, image, grid, mesh, optics, counted)
+    return FitInput(settings, image, grid, mesh, optics, counted, second)
 
 
 def start(job: FitInput, resume: str | Path | None = None) -> Iterator[FitState]:
@@ -100,5 +107,6 @@ def start(job: FitInput, resume: str | Path | None = None) -> Iterator[FitState]
         settings=job.settings.fit,
         counted=job.counted,
         effects=job.settings.scene.effects,
+        second=job.second,
         resume=resume,
     )

@@ -218,7 +218,7 @@ def validated(model: type[Any], values: dict[str, Any]) -> Any:
         first = error.errors()[0]
         where = ".".join(str(p) for p in first["loc"])
         reason = str(first["msg"]).removeprefix("Value error, ")
-        raise InputError(f"{where}: {reason}") from None
+        raise InputError(f"{where}: {reason}" if where else reason) from None
 
 
 def _toml(value: Any) -> str:

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from napari_deltamic.cli import doctor
+from napari_deltamic.fourier.cuda import device
 
 
 @pytest.fixture
@@ -24,11 +25,15 @@ def test_a_gpu_that_is_used_is_named_with_its_engines(one_gpu, monkeypatch):
     one_gpu("")
     monkeypatch.setattr(doctor.compiler, "version", lambda: (13, 0))
     monkeypatch.setattr(doctor, "cufinufft", lambda: None)
+    monkeypatch.setattr(doctor, "driver_is_found", lambda: True)
     facts = doctor.examine()
     assert facts["devices"]["cuda:0"] == "NVIDIA H100 (used where nothing else is asked for)"
     assert "NVRTC 13.0, kept in" in facts["engines"]["closed form on the GPU"]
     assert "pip install 'napari-deltamic[gpu]'" in facts["engines"]["non-uniform on the GPU"]
+    assert facts["engines"]["smoothing of gradients"] == "cholespy, on the GPU"
     assert facts["problems"] == ["none found"]
+    monkeypatch.setattr(doctor, "driver_is_found", lambda: False)
+    assert "on the CPU: it does not" in doctor.examine()["engines"]["smoothing of gradients"]
 
 
 def test_what_a_gpu_lacks_is_a_problem_with_its_remedy(one_gpu):
@@ -40,7 +45,21 @@ def test_what_a_gpu_lacks_is_a_problem_with_its_remedy(one_gpu):
     assert "closed form on the GPU" not in facts["engines"]
 
 
+def test_a_torch_for_the_cpu_beside_an_nvidia_gpu_is_a_problem_with_its_remedy(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    monkeypatch.setattr(torch.version, "cuda", None)
+    for module in (device, doctor):
+        monkeypatch.setattr(module, "driver_version", lambda: (12, 8))
+    monkeypatch.setattr(doctor, "missing", device.missing.__wrapped__)
+    facts = doctor.examine()
+    remedy = "pip install -U torch --index-url https://download.pytorch.org/whl/cu126"
+    told = f"not used: this torch is built without CUDA, but there is an NVIDIA GPU: {remedy}"
+    assert facts["devices"]["cuda"] == f"an NVIDIA GPU, {told}"
+    assert facts["problems"] == [f"there is a GPU, but it is {told}"]
+
+
 def test_without_a_gpu_there_is_no_problem(monkeypatch):
+    monkeypatch.setattr(doctor, "driver_version", lambda: None)
     monkeypatch.setattr(doctor, "missing", lambda: "no NVIDIA GPU is found")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     facts = doctor.examine()

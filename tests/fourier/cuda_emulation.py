@@ -17,7 +17,7 @@ import pytest
 import torch
 
 from napari_deltamic.fourier.cuda import transform
-from napari_deltamic.fourier.cuda.transform import Build
+from napari_deltamic.fourier.cuda.build import Build
 
 HERE = Path(__file__).parent
 SOURCES = HERE.parents[1] / "csrc"

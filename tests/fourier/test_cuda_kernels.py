@@ -13,7 +13,7 @@ import napari_deltamic as nd
 from napari_deltamic.fourier import Band
 from napari_deltamic.fourier.closed_form import band_ft
 from napari_deltamic.fourier.cuda import transform
-from napari_deltamic.fourier.cuda.transform import DOUBLE, SINGLE
+from napari_deltamic.fourier.cuda.build import DOUBLE, SINGLE
 from napari_deltamic.geometry import sphere
 
 sys.path.append(str(Path(__file__).parents[1] / "stability"))
@@ -142,6 +142,30 @@ def test_the_build_of_the_gpu_runs_too():
         )
         gradients = transform.band_backward(kernels, expected, v, f, rho, band.rows, band.spacing)
         assert_same(gradients, by_cpu, BAR[single])
+
+
+@TYPES
+def test_any_layout_of_the_arrays(single):
+    """Strides, other types, and values that torch has yet to conjugate or to negate."""
+    kernels = Emulated(single)
+    v, f, rho = soup(20)
+    rows, spacing = (
+        torch.tensor(ROWS["segments that end early"], dtype=torch.int32),
+        (0.9, 0.7, 0.5),
+    )
+    u = transform.band_forward(kernels, v, f, rho, rows, spacing)
+    grad = torch.randn(len(u), dtype=torch.complex128, generator=torch.Generator().manual_seed(0))
+    gradients = transform.band_backward(kernels, grad, v, f, rho, rows, spacing)
+    strided = torch.stack([v, v], -1)[..., 0]
+    negative = torch.complex(rho, -rho).conj().imag  # a view whose sign is still to be turned
+    assert negative.is_neg()
+    assert not strided.is_contiguous()
+    others = strided, f.to(torch.int32).T.contiguous().T, negative
+    assert torch.equal(transform.band_forward(kernels, *others, rows, spacing), u)
+    conjugated = torch.stack([grad.conj().resolve_conj()] * 2, -1)[:, 0].conj()
+    assert conjugated.is_conj()
+    found = transform.band_backward(kernels, conjugated, *others, rows, spacing)
+    assert all(map(torch.equal, found, gradients))
 
 
 @TYPES

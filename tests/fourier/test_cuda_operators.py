@@ -1,5 +1,7 @@
 """The operators for GPUs, on tensors of the CPU: emulated kernels, and what happens without any."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import finufft
 import numpy as np
 import pytest
@@ -8,9 +10,11 @@ from cuda_emulation import Emulated
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.fourier import closed_form, make_plan
-from napari_deltamic.fourier.cuda import device, operators, points, transform
+from napari_deltamic.fourier.cuda import device, layout, operators, points, transform
+from napari_deltamic.fourier.cuda.build import OutOfMemoryWarning
 from napari_deltamic.fourier.cuda.device import NoGpuWarning
-from napari_deltamic.fourier.cuda.transform import OutOfMemoryWarning
+from napari_deltamic.fourier.cuda.driver import torch_for
+from napari_deltamic.fourier.cuda.kept import Kept, contents
 from napari_deltamic.fourier.devices import choose_device
 from napari_deltamic.fourier.nonuniform import _points_ft_backward, points_ft
 from napari_deltamic.geometry import sphere
@@ -106,7 +110,7 @@ def test_layouts_are_kept_and_follow_changes():
         changed = ROWS.clone()
         changed[0, 0] = other
         transform.band_forward(kernels, v, f, rho, changed, SPACING)
-    assert len(transform._layouts) <= 8
+    assert len(layout._layouts) <= 8
 
 
 # ----------------------------------------------------------------------------------- points
@@ -131,7 +135,7 @@ class FakeCufinufft:
 @pytest.mark.parametrize("single", [True, False])
 def test_points_agree_with_those_of_the_cpu(single, monkeypatch):
     monkeypatch.setattr(points, "cufinufft", FakeCufinufft)
-    monkeypatch.setattr(points, "_plans", points.OrderedDict())
+    monkeypatch.setattr(points, "_plans", Kept(4))
     rng = np.random.default_rng(1)
     x, w = torch.from_numpy(rng.normal(size=(50, 3))), torch.from_numpy(rng.uniform(1, 2, 50))
     arguments = x, w, (3, 4, 5), SPACING, 1e-5 if single else 1e-12, single
@@ -201,17 +205,92 @@ def test_auto_is_the_gpu_where_nothing_is_missing(monkeypatch):
 def test_missing_pieces_are_named_one_after_the_other(monkeypatch):
     missing = device.missing.__wrapped__
     monkeypatch.setattr(torch.version, "cuda", None)
-    assert "built without CUDA; for an NVIDIA GPU: pip install" in missing()
-    monkeypatch.setattr(torch.version, "cuda", "13.0")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    assert "no NVIDIA GPU" in missing()
+    monkeypatch.setattr(device, "driver_version", lambda: None)
+    assert missing() == "no NVIDIA GPU is found, or its driver is missing"
+    monkeypatch.setattr(device, "driver_version", lambda: (12, 8))
+    assert missing() == (
+        "this torch is built without CUDA, but there is an NVIDIA GPU: "
+        "pip install -U torch --index-url https://download.pytorch.org/whl/cu126"
+    )
+    monkeypatch.setattr(torch.version, "cuda", "13.0")
+    assert missing().startswith("torch for CUDA 13.0 does not run here: pip install -U torch")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "get_device_capability", lambda: (9, 0))
-
-    def absent():
-        raise device.CompilerError("the Python package cuda-bindings is missing")
-
-    monkeypatch.setattr(device.compiler, "nvrtc", absent)
+    monkeypatch.setattr(device.compiler, "architecture", lambda capability: "sm_90")
+    monkeypatch.setattr(device.compiler, "version", lambda: (13, 5))
     assert missing() == (
-        "the Python package cuda-bindings is missing: pip install 'napari-deltamic[gpu]'"
+        "the driver runs CUDA 12.8, the compiler NVRTC is of 13.5: "
+        "pip install 'cuda-bindings==13.*', or update the driver"
     )
+    monkeypatch.setattr(device, "driver_version", lambda: (13, 0))
+    assert missing() == ""
+
+    def absent(what):
+        def raised(*_):
+            raise device.CompilerError(what)
+
+        return raised
+
+    for what, remedy in {
+        "the Python package cuda-bindings is missing": "pip install 'napari-deltamic[gpu]'",
+        "the library NVRTC is missing (not found)": "pip install 'cuda-bindings==13.*'",
+        "the sources of the GPU kernels were not installed": "reinstall napari-deltamic",
+    }.items():
+        monkeypatch.setattr(device.compiler, "architecture", absent(what))
+        assert missing() == f"{what}: {remedy}"
+
+
+@pytest.mark.parametrize(
+    ("driver", "expected"),
+    [((13, 1), "/cu130"), ((12, 6), "/cu126"), ((11, 8), "update the NVIDIA driver")],
+)
+def test_the_torch_that_is_advised_runs_on_the_driver(driver, expected):
+    assert expected in torch_for(driver)
+
+
+def test_kernels_that_cannot_be_had_are_asked_for_once(monkeypatch):
+    asked = []
+
+    def refused(index, build):
+        asked.append(build)
+        raise device.CudaError("no more memory")
+
+    monkeypatch.setattr(device, "missing", lambda: "")
+    monkeypatch.setattr(device, "DeviceKernels", refused)
+    monkeypatch.setattr(device, "_modules", {})
+    device._tell.cache_clear()
+    with pytest.warns(NoGpuWarning, match="no more memory") as told:
+        found = [device.kernels(torch.device("cuda", 0), True) for _ in range(3)]
+    assert found == [None] * 3
+    assert len(told) == len(asked) == 1
+    device._tell.cache_clear()
+
+
+# ----------------------------------------------------------------------------------- what is kept
+
+
+def test_threads_share_what_is_kept():
+    kept, made = Kept(3), []
+
+    def ask(first):
+        for i in range(300):
+            key = (first + i // 50) % 5
+            assert kept.get(key, lambda key=key: made.append(key) or [key]) == [key]
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(ask, range(4)))
+    assert len(kept) == 3
+    assert len(made) < 1200
+
+
+def test_tensors_of_inference_mode_are_not_kept():
+    kernels = Emulated(True)
+    v, f, rho = mesh()
+    with torch.inference_mode():
+        rows = ROWS.clone()
+        first = transform.band_forward(kernels, v, f, rho, rows, SPACING)
+        rows[1, 0] = 1
+        second = transform.band_forward(kernels, v, f, rho, rows, SPACING)
+    assert not torch.equal(first, second)
+    assert contents(rows) is None

@@ -9,6 +9,8 @@ import torch
 from numpy.testing import assert_allclose
 
 import napari_deltamic as nd
+from napari_deltamic.fourier import solid
+from napari_deltamic.fourier.flux import flux_ft
 from napari_deltamic.fourier.solid import contrasts, solid_ft, solid_transform
 from napari_deltamic.geometry import Mesh, box, sphere
 from napari_deltamic.scene import Renderer
@@ -234,6 +236,32 @@ def test_both_ways_agree_in_value_and_gradients(shape):
     # What belongs to a face is a matter of taste; only that of a whole region is not.
     total = [float((parts[2] * contrast).sum()) for parts in (exact, plain)]
     assert total[0] == pytest.approx(total[1], rel=1e-6)
+
+
+def test_walls_between_cells_that_shine_alike_cost_nothing(monkeypatch):
+    mesh = two_cells()[0].translated((0.6, 0.7, 0.2))
+    renderer = Renderer(mesh, GRID, OPTICS, 1e-7, method="non-uniform")
+    alike = torch.tensor([1.0, 1.0], dtype=torch.float64)
+    contrast = contrasts(mesh.regions, mesh.region_ids(), alike)
+    counted = []
+
+    def counting(points, *rest):
+        counted.append(len(points))
+        return flux_ft(points, *rest)
+
+    monkeypatch.setattr(solid, "flux_ft", counting)
+    found = []
+    for jump in (contrast, contrast.clone().requires_grad_()):
+        v = torch.tensor(mesh.vertices_numpy(), requires_grad=True)
+        u = solid_transform(renderer.plan, v, torch.as_tensor(mesh.faces), jump)
+        image = renderer.image(u, renderer.otf(OPTICS))
+        (gradient,) = torch.autograd.grad((image**2).sum(), v)
+        found.append((image.detach(), gradient))
+    for without, with_walls in zip(*found, strict=True):
+        assert float((without - with_walls).norm() / with_walls.norm()) < 1e-6
+    walls = float((contrast == 0).double().mean())
+    assert walls > 0.05
+    assert counted[0] == pytest.approx((1 - walls) * counted[1], rel=0.05)
 
 
 def test_gradient_follows_from_finite_differences():

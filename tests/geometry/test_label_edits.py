@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.labels.edits import Click, correct_labels, read_clicks_csv
+from napari_deltamic.geometry.labels.edits import (
+    Click,
+    Corrector,
+    correct_labels,
+    read_clicks_csv,
+    write_clicks_csv,
+)
 
 SIZE = (0.4, 0.2, 0.2)
 LEFT, RIGHT = (2.4, 3.0, 2.0), (2.4, 3.0, 5.0)
@@ -62,6 +68,26 @@ def test_cells_are_merged_and_removed():
     assert np.array_equal(left, np.where(truth == 1, 1, 0))
 
 
+def test_a_later_step_sees_what_an_earlier_one_did():
+    image, truth = scene()
+    joined = (truth > 0).astype(np.int32)
+    back = [Click(LEFT, "merge", 1), Click(RIGHT, "merge", 1)]
+    merged = correct_labels(image, SIZE, joined, [Click(LEFT), *back])
+    assert set(np.unique(merged)) == {0, 2}
+    assert np.array_equal(merged > 0, joined > 0)
+
+
+def test_clicks_one_by_one_give_what_their_steps_give_at_once():
+    image, truth = scene()
+    labels = only = np.where(truth == 1, 4, 0)
+    clicks = [Click(RIGHT), Click(LEFT, "remove", 1), Click(LEFT, "cell", 2)]
+    corrector = Corrector(image, SIZE)
+    for click in clicks:
+        labels = corrector.corrected(labels, [click])
+    assert np.array_equal(labels, correct_labels(image, SIZE, only, clicks))
+    assert len(np.unique(labels)) == 3
+
+
 @pytest.mark.parametrize(
     ("clicks", "message"),
     [
@@ -93,9 +119,16 @@ def test_clicks_are_read_from_a_file(tmp_path):
     ]
 
 
+def test_clicks_that_are_written_are_read_again(tmp_path):
+    clicks = [Click((0.1, 2, 1 / 3)), Click((4, 5, 6), "merge", 1), Click((7, 8, 9), "merge", 1)]
+    write_clicks_csv(tmp_path / "clicks.csv", clicks)
+    assert read_clicks_csv(tmp_path / "clicks.csv") == clicks
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        ("z,y,x,action,step\n1,2,3,cell,two\n", "line 2"),
         ("z,y,x\n1,2,3\n", "first line"),
         ("z,y,x,action\n1,b,3,cell\n", "line 2"),
         ("z,y,x,action\n1,2,3,fly\n", "one of cell, merge, remove"),

@@ -14,8 +14,8 @@ import napari_deltamic as nd
 from napari_deltamic.fourier import Band
 from napari_deltamic.fourier.closed_form import band_ft
 from napari_deltamic.fourier.cuda import compiler
+from napari_deltamic.fourier.cuda.build import SINGLE, OutOfMemoryWarning
 from napari_deltamic.fourier.cuda.device import DeviceKernels, kernels
-from napari_deltamic.fourier.cuda.transform import SINGLE, OutOfMemoryWarning
 from napari_deltamic.geometry import sphere
 
 BAND = Band.within((40, 48, 36), (0.15, 0.125, 0.15), (12.0, 16.0, 14.0))
@@ -110,8 +110,8 @@ def test_a_whole_mesh_in_single_precision_has_the_gradient_of_double(gpu):
 
 
 @TYPES
-def test_same_bits_again_and_on_another_stream_and_thread(gpu, single):
-    mesh = ball(gpu)
+def test_same_bits_again_and_on_another_stream_and_thread(cuda_itself, single):
+    mesh = ball(cuda_itself)
     first = on_band(mesh, single)
     stream, by_thread = torch.cuda.Stream(), []
     stream.wait_stream(torch.cuda.current_stream())
@@ -159,29 +159,29 @@ def test_operators_are_registered_correctly(gpu):
         torch.library.opcheck(torch.ops.deltamic.band_ft, band)
 
 
-def test_short_memory_takes_fewer_pieces_and_says_so(gpu):
+def test_short_memory_takes_fewer_pieces_and_says_so(cuda_itself):
     """A limit that leaves room for the result and a few parts of it."""
-    mesh, band = ball(gpu, 4), Band.full((240, 240, 240), (0.1, 0.1, 0.1))
+    mesh, band = ball(cuda_itself, 4), Band.full((240, 240, 240), (0.1, 0.1, 0.1))
     u = band_ft(*mesh, band.rows, band.spacing, True)  # segments stay, the result goes
     expected, size = u[::1000].clone(), 8 * len(u)
     del u
     torch.cuda.empty_cache()
-    total = torch.cuda.get_device_properties(gpu).total_memory
+    total = torch.cuda.get_device_properties(cuda_itself).total_memory
     torch.cuda.set_per_process_memory_fraction(
-        (torch.cuda.memory_reserved() + 2.5 * size) / total, gpu
+        (torch.cuda.memory_reserved() + 2.5 * size) / total, cuda_itself
     )
     try:
         with warnings.catch_warnings(record=True) as told:
             warnings.simplefilter("always")
             found = band_ft(*mesh, band.rows, band.spacing, True)[::1000].clone()
     finally:
-        torch.cuda.set_per_process_memory_fraction(1.0, gpu)
+        torch.cuda.set_per_process_memory_fraction(1.0, cuda_itself)
     close([found], [expected], 1e-6)
     assert all(issubclass(w.category, OutOfMemoryWarning) for w in told)
 
 
-def test_kernels_come_from_disk_the_second_time(gpu, tmp_path, monkeypatch):
+def test_kernels_come_from_disk_the_second_time(cuda_itself, tmp_path, monkeypatch):
     monkeypatch.setenv("DELTAMIC_CACHE", str(tmp_path))
-    DeviceKernels(gpu.index, SINGLE)
+    DeviceKernels(cuda_itself.index, SINGLE)
     monkeypatch.setattr(compiler, "compile_kernels", None)
-    assert DeviceKernels(gpu.index, SINGLE).multiprocessors > 0
+    assert DeviceKernels(cuda_itself.index, SINGLE).multiprocessors > 0

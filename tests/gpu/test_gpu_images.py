@@ -88,7 +88,7 @@ def test_a_fit_with_psf_and_effects_runs(gpu):
     assert last.loss < 0.5
 
 
-def test_a_fit_that_does_not_fit_into_the_memory_goes_on_on_the_cpu(gpu, monkeypatch):
+def test_a_fit_that_does_not_fit_into_the_memory_goes_on_on_the_cpu(cuda_itself, monkeypatch):
     truth = sphere((2.0, 1.9, 2.1), 1.1, subdivisions=2)
     image = nd.render(truth, GRID, OPTICS)
 

@@ -33,16 +33,19 @@ with warnings.catch_warnings():
     from napari_deltamic.gui.panels import image_panel
     from napari_deltamic.gui.running import worker
     from napari_deltamic.gui.seeding import preview, seeds_panel
+    from napari_deltamic.gui.tracking import work as tracking_work
 
 import napari_deltamic as nd
 from napari_deltamic.fourier import calibration
 from napari_deltamic.fourier.cost import BUILT_IN
 from napari_deltamic.geometry import sphere
 from napari_deltamic.inference import fit
+from napari_deltamic.inference.tracking import track
 
 SIZE = (0.3, 0.2, 0.2)
 SHAPE = (20, 24, 24)
 CENTER = (2.9, 2.3, 2.3)
+STEP = np.array([0.0, 0.1, -0.1])  # um a frame, in the series
 
 
 @pytest.fixture(autouse=True)
@@ -131,7 +134,15 @@ def endless(monkeypatch):
     """Fits that go on until they are stopped; a change may be sent into them."""
 
     def states(job, resume=None):
-        states = fit(job.image, job.grid, job.mesh, job.optics, settings=job.settings.fit)
+        states = fit(
+            job.image,
+            job.grid,
+            job.mesh,
+            job.optics,
+            settings=job.settings.fit,
+            effects=job.settings.scene.effects,
+            second=job.second,
+        )
         change = None
         while True:
             state = states.send(change)
@@ -226,3 +237,84 @@ def held(monkeypatch):
     monkeypatch.setattr(preview, "find", slow)
     yield gate, calls
     gate.set()
+
+
+@pytest.fixture(scope="session")
+def series():
+    """Four frames of a cell that drifts."""
+    grid, optics = nd.Grid(SHAPE, SIZE), nd.GaussianPSF((0.36, 0.24, 0.24))
+    rng, frames = np.random.default_rng(0), []
+    for t in range(4):
+        cell = sphere(CENTER + t * STEP, (1.2, 1.1, 1.1), edge_length=0.3)
+        image = nd.render(cell, grid, optics).numpy()
+        frames.append(rng.poisson(100 + 400 * image / image.max()))
+    return np.array(frames, np.float32)
+
+
+@pytest.fixture
+def series_widget(app, viewer, series, spin):
+    """A widget with the series, and a sphere around a point as the seed."""
+    viewer.add_image(
+        series, scale=(5, *SIZE), translate=(0, 1, 2, 3), units=("s", *("um",) * 3), name="movie"
+    )
+    viewer.dims.set_current_step(0, 0)
+    widget = _widget.FitWidget(viewer)
+    widget.seeds.place.click()
+    seeds = viewer.layers["seeds"]
+    seeds.add(CENTER if seeds.ndim == 3 else (0, *CENTER))
+    widget.seeds.shape.setCurrentText("sphere around each point")
+    widget.seeds.radius.setValue(0.9)
+    yield widget
+    widget.close_links()
+    spin(seconds=0.05, must=False)
+    gc.collect()
+
+
+@pytest.fixture
+def slow_tracking(monkeypatch):
+    """Tracking that lets go of every frame only when it is told to."""
+    gate = []
+
+    def states(images, *arguments, **options):
+        for state in track(images, *arguments, **options):
+            while state.done is not None and state.done.frame >= len(gate):
+                yield replace(state, done=None)
+            yield state
+
+    monkeypatch.setattr(tracking_work, "track", states)
+    return gate
+
+
+@pytest.fixture
+def begun(seeded, with_image, spin, endless):
+    """A widget with a fit that runs, and is shown."""
+    with_image.dims.set_point(0, CENTER[0] + 1)
+    seeded.start()
+    spin(lambda: seeded.link.mesh is not None and len(seeded.run.history.loss) > 3)
+    return seeded
+
+
+@pytest.fixture
+def ended(begun, spin):
+    begun.stop()
+    spin(lambda: not begun.run.running)
+    return begun
+
+
+@pytest.fixture
+def reopened(app, spin):
+    """Opens a session in a widget of its own, in an empty viewer."""
+    made = []
+
+    def reopen(path):
+        viewer = napari.components.ViewerModel()
+        widget = _widget.FitWidget(viewer)
+        made.append(widget)
+        widget.sessions.open(str(path))
+        spin(lambda: not widget.sessions.busy and len(viewer.layers) > 0)
+        return viewer, widget
+
+    yield reopen
+    for widget in made:
+        widget.close_links()
+    made.clear()

@@ -8,6 +8,7 @@ import pytest
 
 from napari_deltamic.gui.effects import effects_check
 from napari_deltamic.gui.effects.effects_panel import EffectsPanel
+from napari_deltamic.gui.panels.image_panel import ImagePanel
 from napari_deltamic.inference.evidence import Evidence
 from napari_deltamic.inference.evidence.camera import Camera
 from napari_deltamic.inference.evidence.finding import Finding, unknown
@@ -30,8 +31,8 @@ def recommendation(*evidence):
 
 
 @pytest.fixture
-def panel(app):
-    return EffectsPanel()
+def panel(app, viewer):
+    return EffectsPanel(viewer, ImagePanel(viewer))
 
 
 @pytest.fixture

@@ -1,17 +1,12 @@
 """A session that is saved and opened in an empty viewer is the same, and goes on."""
 
-import os
-import warnings
-import weakref
-
 import napari.components
 import numpy as np
 import pytest
 from napari.layers import Labels, Surface
 
-from napari_deltamic import _reader, _widget
-from napari_deltamic.geometry import files, sphere
-from napari_deltamic.gui.results.session import capture, restore
+from napari_deltamic import _widget
+from napari_deltamic.geometry import sphere
 from napari_deltamic.gui.running import worker
 from napari_deltamic.images import write_image
 from napari_deltamic.inference import fit
@@ -20,76 +15,7 @@ from napari_deltamic.scene.effects import Attenuation, Effects
 from napari_deltamic.session_file import load_session
 
 from .conftest import CENTER
-
-
-def done(widget):
-    return lambda: widget.run is None or not widget.run.running
-
-
-def fitted(widget, spin):
-    """With other settings than by default, and a result."""
-    widget.settings.accuracy.setCurrentText("3e-3")
-    widget.settings.fit_psf.setChecked(True)
-    widget.settings.density.setCurrentText("smooth")
-    widget.settings.sigma.set_value((0.4, 0.25, 0.23))
-    widget.settings.max_iterations.setValue(12)
-    widget.start()
-    spin(done(widget))
-    return widget
-
-
-@pytest.fixture
-def reopened(app, spin):
-    """Opens a session in a widget of its own, in an empty viewer."""
-    made = []
-
-    def reopen(path):
-        viewer = napari.components.ViewerModel()
-        widget = _widget.FitWidget(viewer)
-        made.append(widget)
-        widget.sessions.open(str(path))
-        spin(lambda: not widget.sessions.busy and len(viewer.layers) > 0)
-        return viewer, widget
-
-    yield reopen
-    for widget in made:
-        widget.close_links()
-    made.clear()
-
-
-def save(widget, path, spin):
-    widget.sessions.save(str(path))
-    spin(lambda: path.exists() and not widget.sessions.busy)
-
-
-def cells(widget):
-    table = widget.results.table
-    return [
-        [table.item(r, c).text() for c in range(table.columnCount())]
-        for r in range(table.rowCount())
-    ]
-
-
-def shown(widget):
-    """What the panels say."""
-    running, seeds = widget.running, widget.seeds
-    return {
-        "fit": widget.settings.fit_settings(),
-        "scene": widget.settings.scene_settings(),
-        "start as": seeds.shape.currentText(),
-        "radius": seeds.radius.value(),
-        "cells": cells(widget),
-        "verdict": (running.verdict.text(), running.verdict.styleSheet()),
-        "psf": [running.psf.shown(row) for row in ("start", "now")],
-        "loss": [(line.x, line.y) for line in running.curve._lines],
-        "history": [
-            (m.iteration, m.loss, m.note, m.optics.sigma_um)
-            for m in widget.control.timeline.moments
-        ],
-        "slider": (running.history.slider.maximum(), running.history.slider.isEnabled()),
-        "boxes": (running.rendered.isChecked(), running.residual.isChecked()),
-        "can be saved": widget.results.isEnabled(),
-    }
+from .sessions import done, fitted, save, shown
 
 
 def test_psf_and_effects_come_back_with_what_was_fitted(seeded, spin, tmp_path, told, reopened):
@@ -286,118 +212,3 @@ def test_of_a_series_the_time_that_is_shown_is_saved(app, pixels, spin, tmp_path
     np.testing.assert_array_equal(after.layers["film"].data, pixels)
     np.testing.assert_array_equal(after.layers["seeds"].data, [[2, 2, 2]])
     assert tuple(after.layers["film"].scale) == (0.3, 0.2, 0.2)
-
-
-def test_a_result_of_another_image_is_left_out_and_told(seeded, with_image, spin, tmp_path, told):
-    fitted(seeded, spin)
-    with_image.add_image(np.random.default_rng(0).random((5, 6, 7)), name="other")
-    seeded.image.chooser.choose(with_image.layers["other"])
-    save(seeded, tmp_path / "a.deltamic", spin)
-    assert any("not in this session" in text for text in told)
-    assert load_session(tmp_path / "a.deltamic").result is None
-
-
-def test_no_image_and_bad_settings_are_told(app, seeded, with_image, tmp_path, told, monkeypatch):
-    name = str(tmp_path / "a")
-    monkeypatch.setattr("qtpy.QtWidgets.QFileDialog.getSaveFileName", lambda *a, **k: (name, ""))
-    seeded.settings.accuracy.setCurrentText("much")
-    seeded.sessions.save_button.click()
-    assert "accuracy" in told[-1]
-    del with_image.layers["cell"]
-    seeded.sessions.save_button.click()
-    assert "open a 3D image" in told[-1]
-    (tmp_path / "a.deltamic").touch()
-    seeded.sessions.save_button.click()
-    assert "is there already" in told[-1]
-    assert seeded.sessions.save_button.isEnabled()
-
-
-def test_a_full_disk_is_told_and_the_session_can_be_saved_elsewhere(
-    seeded, spin, tmp_path, told, monkeypatch
-):
-    fitted(seeded, spin)
-    verdict = seeded.running.verdict.text()
-
-    def fail(descriptor):
-        raise OSError(28, os.strerror(28))
-
-    with monkeypatch.context() as patch:
-        patch.setattr(files.os, "fsync", fail)
-        seeded.sessions.save(str(tmp_path / "a.deltamic"))
-        spin(lambda: not seeded.sessions.busy)
-        assert "No space left" in told[-1]
-        results = seeded.results
-        for write, name in (
-            (results.save_meshes, "a.ply"),
-            (results.save_table, "a.csv"),
-            (results.save_image, "a.ome.tif"),
-            (results.save_all, "all"),
-        ):
-            results._save(write, str(tmp_path / name))
-            assert "No space left" in told[-1], name
-            assert "Traceback" not in told[-1]
-    assert seeded.running.verdict.text() == verdict, "the fit did not fail"
-    save(seeded, tmp_path / "b.deltamic", spin)
-    assert load_session(tmp_path / "b.deltamic").result is not None
-    assert not (tmp_path / "a.deltamic").exists()
-
-
-def test_a_damaged_file_is_told_and_changes_nothing(seeded, with_image, spin, tmp_path, told):
-    (tmp_path / "a.deltamic").write_bytes(b"no session")
-    n = len(with_image.layers)
-    seeded.sessions.open(str(tmp_path / "a.deltamic"))
-    spin(lambda: not seeded.sessions.busy)
-    assert "not a deltaMic session" in told[-1]
-    assert len(with_image.layers) == n
-    assert seeded.sessions.open_button.isEnabled()
-
-
-def test_the_reader_opens_the_layers(seeded, with_image, spin, tmp_path):
-    save(fitted(seeded, spin), tmp_path / "a.deltamic", spin)
-    path = str(tmp_path / "a.deltamic")
-    viewer = napari.components.ViewerModel()
-    for data, options, kind in _reader.get_reader(path)(path):
-        getattr(viewer, f"add_{kind}")(data, **options)
-    assert [layer.name for layer in viewer.layers] == ["cell", "seeds", "cell cells"]
-    np.testing.assert_array_equal(viewer.layers["cell"].data, with_image.layers["cell"].data)
-    assert viewer.layers["cell cells"].units == with_image.layers["cell cells"].units
-    assert tuple(viewer.layers["cell cells"].translate) == (1, 2, 3)
-
-
-def test_closing_the_widget_while_a_session_is_saved(seeded, spin, tmp_path):
-    fitted(seeded, spin)
-    bar = weakref.ref(seeded.sessions)
-    seeded.sessions.save(str(tmp_path / "a.deltamic"))
-    seeded.close_links()
-    spin(lambda: (tmp_path / "a.deltamic").exists())
-    assert bar() is not None
-    assert load_session(tmp_path / "a.deltamic").result is not None
-
-
-def test_capture_shares_the_pixels(seeded, with_image, spin):
-    """A large image is not copied."""
-    fitted(seeded, spin)
-    session, remark = capture(seeded.parts)
-    assert remark == ""
-    assert np.shares_memory(session.image.pixels, with_image.layers["cell"].data)
-    viewer = napari.components.ViewerModel()
-    widget = _widget.FitWidget(viewer)
-    restore(widget.parts, session)
-    assert np.shares_memory(viewer.layers["cell"].data, session.image.pixels)
-    widget.close_links()
-
-
-def test_the_entry_of_the_menu_asks_in_the_widget(window, monkeypatch):
-    import npe2
-
-    from napari_deltamic._menu import open_session
-
-    asked = []
-    monkeypatch.setattr(
-        "qtpy.QtWidgets.QFileDialog.getOpenFileName", lambda *a: asked.append(a[0]) or ("", "")
-    )
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        npe2.PluginManager.instance().discover()
-        open_session(window)
-    assert [type(parent).__name__ for parent in asked] == ["SessionBar"]

@@ -2,70 +2,28 @@
 
 import gc
 import weakref
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-import napari_deltamic as nd
-from napari_deltamic import _widget
 from napari_deltamic._writer import write_surface
 from napari_deltamic.errors import InputError
-from napari_deltamic.geometry import sphere
 from napari_deltamic.gui.tracking import work
 from napari_deltamic.gui.viewing.frame import OWN
 from napari_deltamic.inference.tracking import track
 from napari_deltamic.track_report import read_results
 
-from .conftest import CENTER, SHAPE, SIZE
-
-STEP = np.array([0.0, 0.1, -0.1])  # um a frame
-
-
-@pytest.fixture(scope="module")
-def series():
-    """Four frames of a cell that drifts."""
-    grid, optics = nd.Grid(SHAPE, SIZE), nd.GaussianPSF((0.36, 0.24, 0.24))
-    rng, frames = np.random.default_rng(0), []
-    for t in range(4):
-        cell = sphere(CENTER + t * STEP, (1.2, 1.1, 1.1), edge_length=0.3)
-        image = nd.render(cell, grid, optics).numpy()
-        frames.append(rng.poisson(100 + 400 * image / image.max()))
-    return np.array(frames, np.float32)
+from .conftest import CENTER, SIZE, STEP
 
 
 @pytest.fixture
-def widget(app, viewer, series, spin):
-    """A widget with the series, and a sphere around a point as the seed."""
-    viewer.add_image(
-        series, scale=(5, *SIZE), translate=(0, 1, 2, 3), units=("s", *("um",) * 3), name="movie"
-    )
-    viewer.dims.set_current_step(0, 0)
-    widget = _widget.FitWidget(viewer)
-    widget.seeds.place.click()
-    seeds = viewer.layers["seeds"]
-    seeds.add(CENTER if seeds.ndim == 3 else (0, *CENTER))
-    widget.seeds.shape.setCurrentText("sphere around each point")
-    widget.seeds.radius.setValue(0.9)
-    yield widget
-    widget.close_links()
-    spin(seconds=0.05, must=False)
-    gc.collect()
+def widget(series_widget):
+    return series_widget
 
 
 @pytest.fixture
-def slow(monkeypatch):
-    """Tracking that lets go of every frame only when it is told to."""
-    gate = []
-
-    def states(images, *arguments, **options):
-        for state in track(images, *arguments, **options):
-            while state.done is not None and state.done.frame >= len(gate):
-                yield replace(state, done=None)
-            yield state
-
-    monkeypatch.setattr(work, "track", states)
-    return gate
+def slow(slow_tracking):
+    return slow_tracking
 
 
 def ended(widget):
@@ -227,3 +185,14 @@ def test_a_surface_of_several_times_is_no_mesh_file(tmp_path):
         write_surface(str(tmp_path / "a.ply"), (vertices, faces), {})
     vertices[:, 0] = 2
     assert write_surface(str(tmp_path / "a.ply"), (vertices, faces), {})
+
+
+def test_the_start_is_not_shown_again_over_what_was_tracked(widget, viewer, spin, soon):
+    widget.seeds.shape.setCurrentText("membrane around each point")
+    spin(lambda: any("start" in layer.name for layer in viewer.layers))
+    widget.tracking.start()
+    spin(ended(widget), 60)
+    for t in (1, 3):
+        viewer.dims.set_current_step(0, t)
+        spin(seconds=0.5, must=False)
+        assert not any("start" in layer.name for layer in viewer.layers)

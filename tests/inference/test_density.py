@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 import torch
 from numpy.testing import assert_allclose
-from synthetic import CENTER, GRID, RADIUS, TRUTH, apart, fitted, measured, start
+from synthetic import CENTER, GRID, OPTICS, RADIUS, TRUTH, VOXEL, apart, fitted, measured, start
 
-from napari_deltamic import Grid, Mesh
+from napari_deltamic import Grid, Mesh, fit
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.remeshing import can_remesh
@@ -59,6 +59,27 @@ def test_density_of_a_double_bubbles_wall_counts_its_two_membranes(noise):
     assert np.array_equal(found_names, names)
     found = np.array([last.density[found_of == k].mean() for k in range(3)])
     assert_allclose(found / found[0], given / given[0], rtol=0.05)
+
+
+def test_a_smooth_density_begins_with_the_brightness_of_the_image():
+    image = measured(density=one_sided(TRUTH))
+    near = sphere(CENTER, 0.95 * RADIUS, subdivisions=3)
+    settings = FitSettings(density="smooth", levels=(1.0,))
+    states = fit(image, GRID, near, OPTICS, settings=settings)
+    next(states)
+    second = next(states)
+    truth = one_sided(second.mesh)
+    assert np.corrcoef(second.density, truth)[0, 1] > 0.95
+    assert np.abs(second.density / truth - 1).mean() < 0.15
+
+
+def test_what_an_image_hardly_shows_begins_with_the_mean_density():
+    mesh, density = field("smooth")
+    density.faces(active=True)
+    assert density.unknown
+    density.estimate(np.full(len(mesh.vertices), 1e-9), Preconditioner(mesh, 1))
+    assert_allclose(density.faces_numpy(), 1)
+    assert not density.unknown
 
 
 def field(model, subdivisions=1):
@@ -118,3 +139,56 @@ def test_short_schedules_fit_the_density(levels):
     settings = FitSettings(density="smooth", levels=levels, max_iterations=80)
     last = fitted(measured(density=one_sided(TRUTH)), start(1), settings=settings)
     assert np.ptp(last.density) > 0.3
+
+
+# --------------------------------------------------------------------- how firmly the image holds
+
+
+def evened(mesh, log, sigma=(0.1, 0.1, 0.1)):
+    """(V,) what becomes of a gradient of ones."""
+    density = DensityField(mesh, np.zeros(len(mesh.vertices), int), "smooth")
+    density.log = log
+    density.faces(active=True)
+    vertices = torch.tensor(mesh.vertices_numpy())
+    return density.evened(torch.ones_like(vertices), vertices, sigma)[:, 0].numpy()
+
+
+def test_dim_places_are_held_less_firmly():
+    mesh = start(2)
+    x = mesh.vertices_numpy()[:, 2] - CENTER[2]
+    found = evened(mesh, np.where(x > 0, 0.0, -np.log(4)))
+    far = np.abs(x) > 0.5 * np.abs(x).max()
+    assert_allclose(found[far & (x < 0)].mean() / found[far & (x > 0)].mean(), 8, rtol=0.01)
+
+
+def test_places_across_the_blurred_axis_are_held_less_firmly():
+    mesh = sphere(CENTER, RADIUS, subdivisions=3)
+    found = evened(mesh, np.zeros(len(mesh.vertices)), sigma=(0.2, 0.1, 0.1))
+    z = np.abs(mesh.vertices_numpy()[:, 0] - CENTER[0]) / RADIUS
+    assert_allclose(found[z > 0.98].mean() / found[z < 0.1].mean(), 8, rtol=0.1)
+
+
+def test_no_place_is_moved_without_bounds():
+    mesh = start(2)
+    x = mesh.vertices_numpy()[:, 2] - CENTER[2]
+    found = evened(mesh, np.where(x > 0, 2.0, -2.0))
+    assert found.max() <= 20
+    assert found.min() >= 1 / 20
+
+
+def test_a_uniform_density_leaves_the_gradient_as_it_is():
+    mesh, density = field("uniform")
+    density.faces(active=True)
+    gradient = torch.ones(len(mesh.vertices), 3)
+    assert density.evened(gradient, torch.tensor(mesh.vertices_numpy()), (0.1,) * 3) is gradient
+
+
+def test_a_dim_side_arrives_as_soon_as_a_bright_one():
+    x = (TRUTH.vertices_numpy()[TRUTH.faces].mean(1)[:, 2] - CENTER[2]) / RADIUS
+    image = measured(density=np.exp(0.9 * x), noise=1)
+    small = sphere(CENTER, 0.9 * RADIUS, subdivisions=3)
+    settings = FitSettings(density="smooth", levels=(1.2, 1.0), max_iterations=80)
+    last = fitted(image, small, settings=settings)
+    places = last.mesh.vertices_numpy() - CENTER
+    off = np.abs(np.linalg.norm(places, axis=1) - RADIUS)
+    assert off[places[:, 2] < -0.7 * RADIUS].mean() < 0.1 * VOXEL

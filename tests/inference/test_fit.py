@@ -15,7 +15,7 @@ from synthetic import (
     start,
 )
 
-from napari_deltamic import GaussianPSF, Grid, InputError, Mesh, fit, load_mesh, render
+from napari_deltamic import GaussianPSF, Grid, InputError, Mesh, fit, render
 from napari_deltamic.geometry import sphere
 from napari_deltamic.inference.likelihood import match
 from napari_deltamic.settings import FitSettings
@@ -180,88 +180,6 @@ def test_one_and_two_threads_agree(states, image):
     )
 
 
-# -------------------------------------------------------------------------------- checkpoints
-
-
-def test_a_checkpoint_is_of_the_state_or_shortly_before(image, tmp_path):
-    path = tmp_path / "checkpoint.npz"
-    states = fit(image, GRID, start(2), OPTICS)
-    state = [next(states) for _ in range(33)][-1]
-    state.save(path)
-    again = next(fit(image, GRID, start(2), OPTICS, resume=path))
-    assert 0 <= state.iteration - again.iteration < 20
-    assert again.level == state.level
-    assert apart(again.mesh, state.mesh) < 0.5
-
-
-@pytest.mark.parametrize(
-    ("at", "settings"),
-    [
-        (33, FitSettings(levels=(2.0, 1.0))),
-        (55, FitSettings(levels=(1.5, 1.0), fit_psf=True)),
-        (55, FitSettings(levels=(1.5, 1.0), density="smooth")),
-    ],
-)
-def test_a_resumed_fit_ends_as_the_uninterrupted_one(image, tmp_path, at, settings):
-    optics = GaussianPSF(0.15)
-    path = tmp_path / "checkpoint.npz"
-    for state in fit(image, GRID, start(2), optics, settings=settings):
-        if state.iteration == at:
-            state.save(path)
-    resumed = fitted(image, start(2), optics=optics, settings=settings, resume=path)
-    assert resumed.iteration == state.iteration
-    np.testing.assert_allclose(
-        resumed.mesh.vertices_numpy(), state.mesh.vertices_numpy(), rtol=0, atol=1e-6
-    )
-
-
-@pytest.fixture
-def checkpoint(image, tmp_path):
-    path = tmp_path / "checkpoint.npz"
-    states = fit(image, GRID, start(1), OPTICS)
-    [next(states) for _ in range(30)][-1].save(path)
-    return path
-
-
-def resume(image, path, mesh=None, optics=OPTICS, **settings):
-    mesh = start(1) if mesh is None else mesh
-    return fit(image, GRID, mesh, optics, settings=FitSettings(**settings), resume=path)
-
-
-def test_refuses_the_checkpoint_of_another_fit(image, checkpoint):
-    with pytest.raises(InputError, match="another mesh"):
-        resume(image, checkpoint, start(2))
-    with pytest.raises(InputError, match="checkpoint"):
-        resume(image, checkpoint, levels=(1.0,))
-    with pytest.raises(InputError, match="checkpoint"):
-        resume(image, checkpoint, density="smooth")
-    with pytest.raises(InputError, match="checkpoint"):
-        resume(image, checkpoint, optics=GaussianPSF(covariance=np.eye(3) * 0.13**2))
-
-
-def test_refuses_a_file_that_is_no_checkpoint(image, checkpoint, tmp_path):
-    whole = checkpoint.read_bytes()
-    damaged = bytearray(whole)
-    damaged[len(whole) // 3 : len(whole) // 3 + 50] = bytes(50)
-    np.save(tmp_path / "array.npy", np.zeros(3))
-    np.savez(tmp_path / "archive.npz", vertices=start(1).vertices, level=0)
-    files = {
-        "empty": b"",
-        "text": b"z,y,x\n",
-        "half": whole[: len(whole) // 2],
-        "damaged": bytes(damaged),
-        "array": (tmp_path / "array.npy").read_bytes(),
-        "archive": (tmp_path / "archive.npz").read_bytes(),
-    }
-    for name, content in files.items():
-        path = tmp_path / name
-        path.write_bytes(content)
-        with pytest.raises(InputError, match="checkpoint"):
-            resume(image, path)
-    with pytest.raises(InputError, match="nowhere"):
-        resume(image, tmp_path / "nowhere")
-
-
 # ------------------------------------------------------------------------ what is in the image
 
 
@@ -372,33 +290,6 @@ def test_degenerate_faces_and_slivers(image):
 def test_a_mesh_without_area_is_refused(image):
     with pytest.raises(InputError, match="area"):
         fitted(image, Mesh([CENTER] * 3, [[0, 1, 2]]), settings=SHORT)
-
-
-@pytest.mark.filterwarnings("ignore::napari_deltamic.errors.RepairWarning")
-def test_hard_meshes(shared_data):
-    grid = Grid((24, 24, 24), GRID.voxel_size)
-    image = measured(grid, sphere((1.15, 1.15, 1.15), 0.7, subdivisions=4))
-    ran = 0
-    for path in sorted((shared_data / "meshes_hard").iterdir()):
-        try:
-            mesh = load_mesh(path)
-        except InputError:
-            continue
-        if len(mesh.faces) > 50_000:
-            continue
-        low, high = mesh.bounds()
-        mesh = mesh.translated(-(low + high) / 2).scaled(1.4 / (high - low).max())
-        last = fitted(
-            image,
-            mesh.translated((1.15, 1.15, 1.15)),
-            grid,
-            settings=FitSettings(max_iterations=10),
-        )
-        assert last.iteration == 10, path.name
-        assert np.isfinite(last.mesh.vertices_numpy()).all(), path.name
-        assert np.isfinite(last.loss), path.name
-        ran += 1
-    assert ran >= 5
 
 
 # ------------------------------------------------------------------------------------ gradient

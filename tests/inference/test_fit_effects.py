@@ -2,12 +2,25 @@
 
 import numpy as np
 import pytest
-from synthetic import CENTER, GRID, OPTICS, RADIUS, TRUTH, apart, fitted, measured, start
+from synthetic import (
+    CENTER,
+    GRID,
+    OPTICS,
+    RADIUS,
+    SHORT,
+    TRUTH,
+    VOXEL,
+    apart,
+    fitted,
+    measured,
+    start,
+)
 
 from napari_deltamic import Change, GaussianPSF, fit
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import sphere
 from napari_deltamic.images import write_image
+from napari_deltamic.inference.level import Level
 from napari_deltamic.scene import expected_image
 from napari_deltamic.scene.effects import (
     Attenuation,
@@ -94,11 +107,41 @@ def test_numbers_that_are_held_stay():
 
 
 def test_numbers_stay_within_their_bounds():
-    """A hollow cell looks as if its inside shone less than nothing."""
-    image = scene(background=0.0) - scene(Bulk(density=0.3), background=0.0)
-    image = scene() + 0.5 * image
+    """A PSF sharper than it is taken for looks as if there were less than no halo."""
+    wide, halo = GaussianPSF(0.15), Halo(fraction=0.0, width=0.4)
+    last = fitted(scene(), near(), optics=wide, settings=SHORT, effects=Effects.of(halo))
+    assert last.effects.halo.fraction == 0.0
+
+
+@pytest.mark.parametrize("density", [-0.3, -1.0])
+def test_an_inside_darker_than_the_medium_around_is_found(density):
+    image = scene(Bulk(density=density), background=40.0)
     last = fitted(image, near(), settings=NEAR, effects=("bulk",))
-    assert last.effects.bulk.density == 0.0
+    assert last.effects.bulk.density == pytest.approx(density, rel=0.05)
+    left_out = fitted(image, near(), settings=NEAR)
+    assert apart(last.mesh) < 0.5 * apart(left_out.mesh)
+
+
+def test_voxels_of_a_dark_inside_count(monkeypatch):
+    """Though the membrane's light, less that of the medium, is below that of no membrane there."""
+    counted, plain = [], Level.voxels
+
+    def voxels(level, *given):
+        counted.append(plain(level, *given))
+        return counted[-1]
+
+    monkeypatch.setattr(Level, "voxels", voxels)
+    dark = Bulk(density=-1.0)
+    image = scene(dark, background=40.0)
+    fitted(
+        image, near(), settings=SHORT, effects=Effects.of(dark.model_copy(update={"fit": False}))
+    )
+    places = np.stack(np.indices(GRID.shape), -1).reshape(-1, 3) * VOXEL
+    depth = 0.9 * RADIUS - np.linalg.norm(places - CENTER, axis=1)
+    inside = (depth > 1.0 * OPTICS.sigma_um[0]) & (depth < 2.5 * OPTICS.sigma_um[0])
+    found = np.zeros(len(places), bool)
+    found[counted[0].index.numpy()] = True
+    assert found[inside].all()
 
 
 def test_a_number_that_shows_nowhere_yet_is_no_obstacle():

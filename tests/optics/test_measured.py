@@ -103,3 +103,24 @@ def test_bad_stacks_are_refused(kind):
     image, reason = REFUSED[kind]
     with pytest.raises(InputError, match=reason):
         MeasuredPSF(image, VOXEL)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "told"),
+    [
+        (((200, 100, 100),), "voxel size along Z 200 um: did you mean 0.2"),
+        (((0.2, 100, 100),), "voxel size along Y 100 um: did you mean 0.1"),
+        ((VOXEL, 170.0), "diameter of the bead 170 um: did you mean 0.17"),
+    ],
+)
+def test_sizes_in_nanometres_are_told(sizes, told):
+    with pytest.raises(InputError, match=told):
+        MeasuredPSF(stack(), *sizes)
+
+
+def test_a_core_without_stain_is_taken_out_of_the_ball():
+    q = torch.linspace(0.01, 9, 50, dtype=torch.float64)
+    # The ball is its core and what is around it, by volume.
+    whole, core = bead_transform(q, "solid"), bead_transform(0.6 * q, "solid")
+    assert_allclose(whole, (1 - 0.6**3) * bead_transform(q, "solid", 0.6) + 0.6**3 * core)
+    assert_allclose(bead_transform(q, "solid", 0.999), bead_transform(q, "shell"), atol=2e-3)

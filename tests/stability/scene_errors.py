@@ -85,13 +85,13 @@ def _target(grid):
     return torch.from_numpy(smooth / np.abs(smooth).max())
 
 
-def image_and_gradient(mesh, grid, optics, accuracy, method):
+def image_and_gradient(mesh, grid, optics, accuracy, method, device="cpu"):
     """The image and the vertex gradient of its inner product with a smooth random image."""
-    v = torch.tensor(mesh.vertices_numpy(), requires_grad=True)
-    renderer = Renderer(mesh, grid, optics, accuracy, method=method)
+    v = torch.tensor(mesh.vertices_numpy(), device=device, requires_grad=True)
+    renderer = Renderer(mesh, grid, optics, accuracy, method=method, device=device)
     image = renderer.image(renderer.transform(v), renderer.otf(optics)).to(torch.float64)
-    (gradient,) = torch.autograd.grad((image * _target(grid)).sum(), v)
-    return image.detach(), gradient
+    (gradient,) = torch.autograd.grad((image * _target(grid).to(device)).sum(), v)
+    return image.detach().cpu(), gradient.cpu()
 
 
 @cache
@@ -100,8 +100,8 @@ def _exact(name):
 
 
 @cache
-def scene_errors(name, accuracy, method="non-uniform"):
+def scene_errors(name, accuracy, method="non-uniform", device="cpu"):
     """Relative errors of the image and of its gradient."""
     exact = _exact(name)
-    ours = image_and_gradient(*scenes()[name], accuracy, method)
+    ours = image_and_gradient(*scenes()[name], accuracy, method, device)
     return tuple(float((a - b).norm() / b.norm()) for a, b in zip(ours, exact, strict=True))

@@ -44,9 +44,3 @@ def test_a_psf_far_below_a_voxel_costs_no_more_points(sigma, method):
     assert renderer.plan.points < 200 * len(mesh.faces)
     image, exact = (nd.render(mesh, grid, optics, a, method=method) for a in (1e-3, 0))
     assert (image - exact).norm() < 1e-3 * exact.norm()
-
-
-@pytest.mark.gpu
-@pytest.mark.skip(reason="there is no implementation for the GPU to test")
-def test_on_the_gpu():
-    """The same families and scenes, once the loops run there."""

@@ -234,8 +234,8 @@ def fit_hard_mesh(path: Path, iterations: int = 50) -> HardMesh:
 # ---------------------------------------------------------------------------------------- threads
 
 THREADED = {
-    "in double precision": FitSettings(accuracy=1e-5, levels=(1.5, 1.0)),
     "at one level": FitSettings(levels=(1.0,)),
+    "in double precision": FitSettings(accuracy=1e-5, levels=(1.5, 1.0)),
     "from coarse to fine": FitSettings(),
     "with PSF and smooth density": FitSettings(fit_psf=True, density="smooth"),
 }

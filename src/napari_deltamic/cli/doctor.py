@@ -19,11 +19,13 @@ from ..fourier import native, simd_level
 from ..fourier.cost import costs, processor
 from ..fourier.cuda import compiler, missing
 from ..fourier.cuda.device import INSTALL_BINDINGS
+from ..fourier.cuda.driver import driver_version
 from ..fourier.cuda.points import cufinufft
 from ..fourier.devices import choose_device
 from ..fourier.native import threads
 from ..fourier.plan import Method
 from ..geometry import sphere
+from ..inference.factors import driver_is_found
 from ..optics import GaussianPSF
 from ..report import PACKAGES
 from ..scene import Grid, Renderer
@@ -97,6 +99,9 @@ def _devices(problems: list[str]) -> dict[str, str]:
             found[f"cuda:{i}"] = f"{torch.cuda.get_device_name(i)} ({used})"
         if reason:
             problems.append(f"there is a GPU, but it is not used: {reason}")
+    elif driver_version() is not None:
+        found["cuda"] = f"an NVIDIA GPU, not used: {reason}"
+        problems.append(f"there is a GPU, but it is not used: {reason}")
     else:
         found["cuda"] = f"none ({reason})"
     if torch.backends.mps.is_available():
@@ -113,6 +118,11 @@ def _engines(problems: list[str]) -> dict[str, str]:
         )
         found["non-uniform on the GPU"] = (
             "cufinufft" if cufinufft() else f"none: {INSTALL_BINDINGS}; the closed form stands in"
+        )
+        found["smoothing of gradients"] = (
+            "cholespy, on the GPU"
+            if driver_is_found()
+            else "cholespy, on the CPU: it does not find the driver under the name libcuda.so"
         )
     module = native()
     if module is None:

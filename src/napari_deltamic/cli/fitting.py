@@ -33,6 +33,7 @@ from .recommending import (
     verdict,
     with_recommended,
 )
+from .second_view import add_second_view, check_second_view
 
 CHECKPOINT = "checkpoint.npz"
 CHECKPOINT_EVERY = 5.0  # s
@@ -58,6 +59,7 @@ def add_parser(commands: Any) -> None:
         help="also write residual.tif: where the model does not explain the image, in standard "
         "deviations",
     )
+    add_second_view(parser)
     add_options(parser)
     parser.set_defaults(run=run)
 
@@ -113,6 +115,7 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
         raise InputError("--resume goes on with the effects of its run.toml; leave out 'auto'")
     try:
         job = gather(arguments, notes)
+        check_second_view(job.settings.scene)
         states = fit(
             job.image,
             job.grid,

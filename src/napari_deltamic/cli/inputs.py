@@ -20,6 +20,7 @@ from ..scene.effects import Effects
 from ..settings import RunSettings, validated
 from .messages import Notes
 from .optics_arguments import optics_values
+from .second_view import with_second_view
 
 MESHES = (".ply", ".obj", ".off", ".stl", ".rec", ".vtk")
 _FIT = (
@@ -125,6 +126,7 @@ def run_values(
         # Those that an image calls for are added once it was fitted without.
         text = "none" if arguments.effects == "auto" else arguments.effects
         values["scene"]["effects"] = Effects.from_text(text)
+    with_second_view(values["scene"], arguments)
     return values
 
 

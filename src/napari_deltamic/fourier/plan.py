@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from math import floor, log, log2, pi, sqrt
 from typing import Literal
 
@@ -84,27 +85,52 @@ class Plan:
         if self.method == "closed form":
             rows = band_ft(vertices, faces, density, self.band.rows, self.band.spacing, self.single)
             return self.band.to_box(rows)
-        points, weights = quadrature_points(vertices, faces, density, self.rules)
+        placed = self._placed.get(vertices.device)
+        if placed is None:
+            placed = self._placed[vertices.device] = _on(vertices.device, self.rules)
+        points, weights = _points_of(vertices, faces, density, placed)
         return points_ft(
             points, weights, self.band.half, self.band.spacing, self.tolerance, self.single
         )
+
+    @cached_property
+    def _placed(self) -> dict[torch.device, list[_Placed]]:
+        """The rules on each device that asked for them."""
+        return {}
+
+
+_Placed = tuple[Tensor, Tensor, Tensor]  # barycentric points, weights, faces
+
+
+def _on(device: torch.device, rules: list[tuple[Rule, np.ndarray]]) -> list[_Placed]:
+    return [
+        (
+            torch.from_numpy(rule.barycentric).to(device, torch.float64),
+            torch.from_numpy(rule.weights).to(device, torch.float64),
+            torch.from_numpy(where).to(device),
+        )
+        for rule, where in rules
+    ]
 
 
 def quadrature_points(
     vertices: Tensor, faces: Tensor, density: Tensor, rules: list[tuple[Rule, np.ndarray]]
 ) -> tuple[Tensor, Tensor]:
     """Points (M, 3) and weights (M,) = area x density x rule; differentiable."""
+    return _points_of(vertices, faces, density, _on(vertices.device, rules))
+
+
+def _points_of(
+    vertices: Tensor, faces: Tensor, density: Tensor, rules: list[_Placed]
+) -> tuple[Tensor, Tensor]:
     corners = vertices.to(torch.float64)[faces]
     # Half a cross product's norm; its gradient is zero, not NaN, where the area is.
     normal = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     mass = torch.linalg.vector_norm(normal, dim=1) / 2 * density
     points, weights = [], []
-    for rule, where in rules:
-        every = len(where) == len(faces)
-        chosen = torch.from_numpy(where).to(corners.device)
+    for b, w, chosen in rules:
+        every = len(chosen) == len(faces)
         own = corners if every else corners[chosen]
-        b = torch.from_numpy(rule.barycentric).to(corners)
-        w = torch.from_numpy(rule.weights).to(corners)
         points.append((b @ own).reshape(-1, 3))
         m = mass if every else mass[chosen]
         weights.append((m[:, None] * w).reshape(-1))

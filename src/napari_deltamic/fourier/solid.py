@@ -195,9 +195,12 @@ def _surface_points(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Points (M, 3), their shares of the faces' area vectors (M, 3), and contrasts (M,)."""
     vectors = _area_vectors(corners)
+    # Walls between regions that shine alike show nothing and are moved by nothing.
+    seen = contrast.detach().cpu().numpy() != 0
+    seen |= contrast.requires_grad
     points, areas, jump = [], [], []
     for rule, where in rules:
-        of = torch.from_numpy(where)
+        of = torch.from_numpy(where[seen[where]])
         b, w = torch.from_numpy(rule.barycentric), torch.from_numpy(rule.weights)
         points.append((b @ corners[of]).reshape(-1, 3))
         areas.append((vectors[of][:, None] * w[:, None]).reshape(-1, 3))

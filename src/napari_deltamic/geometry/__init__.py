@@ -1,7 +1,12 @@
 """Meshes of cells: the Mesh itself, simple shapes, starting surfaces, repair, and files."""
 
 from napari_deltamic.geometry.files import load_mesh, save_mesh
-from napari_deltamic.geometry.labels.edits import Click, correct_labels, read_clicks_csv
+from napari_deltamic.geometry.labels.edits import (
+    Click,
+    correct_labels,
+    read_clicks_csv,
+    write_clicks_csv,
+)
 from napari_deltamic.geometry.labels.find_cells import find_cells, suggest_size
 from napari_deltamic.geometry.labels.meshes import mesh_from_labels
 from napari_deltamic.geometry.labels.repair import RepairedLabels, repair_labels
@@ -39,4 +44,5 @@ __all__ = [
     "sphere",
     "suggest_size",
     "torus",
+    "write_clicks_csv",
 ]

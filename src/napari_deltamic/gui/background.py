@@ -1,8 +1,8 @@
-"""Work in a background thread of which only the latest counts."""
+"""Work in background threads: a function of which only the latest counts, or a generator."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from superqt.utils import create_worker
@@ -87,6 +87,97 @@ class Background:
             signal.disconnect(slot)
         self._slots = ()
         self._worker = None
+
+
+class BackgroundSteps:
+    """A generator in a thread: brings what it yields, and once what it returned.
+
+    It can be stopped where it yields. Made and used on the main thread, where all is called back;
+    nobody is after ``close``. Errors have to be caught in the generator: this library drops any
+    RuntimeError without a word.
+
+    Parameters
+    ----------
+    steps : the generator function; it must not know of any widget.
+    arguments : of it.
+    on_step : called with what it yields.
+    on_end : called with what it returned; None if it was stopped.
+    failed : makes what it would have returned where ``on_step`` raised; it is stopped then.
+    on_warning : called with a warning and its category.
+    """
+
+    def __init__(
+        self,
+        steps: Callable[..., Any],
+        arguments: Sequence[Any],
+        on_step: Callable[[Any], None],
+        on_end: Callable[[Any], None],
+        failed: Callable[[Exception], Any],
+        on_warning: Callable[[str, type[Warning]], None] | None = None,
+    ) -> None:
+        self._on_step, self._on_end, self._failed = on_step, on_end, failed
+        self._on_warning = on_warning
+        self._returned: Any = None
+        self._worker: Any = create_worker(
+            steps, *arguments, _start_thread=False, _ignore_errors=True
+        )
+        self._slots: tuple[tuple[Any, Callable[..., None]], ...] = (
+            (self._worker.yielded, self._step),
+            (self._worker.returned, self._note),
+            (self._worker.warned, self._warn),
+            (self._worker.finished, self._finish),
+        )
+        for signal, slot in self._slots:
+            signal.connect(slot)
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._worker.start()
+
+    @property
+    def running(self) -> bool:
+        """Whether it has been neither closed nor ended."""
+        return bool(self._slots)
+
+    @property
+    def stopping(self) -> bool:
+        """Whether it was asked to end."""
+        return bool(self._worker.abort_requested)
+
+    def stop(self) -> None:
+        """End it where it next yields."""
+        self._worker.quit()
+
+    def close(self) -> None:
+        """End it and call nobody any more."""
+        if self.running:
+            self._worker.quit()
+            self._disconnect()
+
+    def _step(self, step: Any) -> None:
+        if not self.running:
+            return
+        try:
+            self._on_step(step)
+        except Exception as error:  # what cannot be shown should not go on unseen
+            self._returned = self._failed(error)
+            self._worker.quit()
+
+    def _note(self, returned: Any) -> None:
+        self._returned = returned
+
+    def _warn(self, warning: tuple[Any, ...]) -> None:
+        if self._on_warning is not None:
+            self._on_warning(str(warning[0]), warning[1])
+
+    def _finish(self) -> None:
+        self._disconnect()
+        self._on_end(self._returned)
+
+    def _disconnect(self) -> None:
+        for signal, slot in self._slots:
+            signal.disconnect(slot)
+        self._slots = ()
 
 
 def _caught(work: Callable[[], Any]) -> tuple[Any, str]:

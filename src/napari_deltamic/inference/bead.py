@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from math import ceil, exp, log, pi
+from typing import Literal
 
 import numpy as np
 import torch
@@ -14,14 +16,18 @@ from torch import Tensor
 from ..errors import InputError
 from ..fourier import Band
 from ..optics import Optics
-from ..optics.measured import Bead, bead_transform, checked_stack
+from ..optics.measured import bead_transform, checked_sizes, checked_stack
 from ..scene import Grid
+from .bead_slices import Disturbance, Slices, Term, normal_equations
 from .evidence.camera import camera_from_image
 
+Staining = Literal["solid", "shell", "rim"]
 _DIFFERENCE = 1e-3  # of the PSF's parameters
 _PLACE_STEP = 1e-3  # um
-_FIRST_DIAMETER = 0.2  # um: where a search for it starts
+_LEAST_FIRST = 0.2  # um: the least diameter that a search for it starts from
+_HALF_WIDTH = 2.355  # full width at half maximum of a Gaussian of sigma 1
 _DIAMETERS = (1e-2, 50.0)  # um
+_FIRST_CORE, _CORES = 0.7, (0.02, 0.98)  # of the diameter of a bead stained at its rim
 _SETTLED = 1e-4  # relative fall of the residual
 _ACCURACY = 1e-3
 
@@ -40,8 +46,14 @@ class BeadFit:
         um, Z Y X, from the centre of the first voxel.
     bead_diameter
         um: as given, or as found.
+    core_diameter
+        um: of the middle that is not stained, of a bead stained at its rim; else 0.
     amplitude, background
-        Measured = amplitude * (PSF per voxel, of sum 1) + background.
+        Measured = amplitude * (PSF per voxel, of sum 1) + background; means over the slices.
+    slices
+        What was found of each disturbance, by its name: brightness relative to the mean and
+        background of each slice (Z,), drift (Z, 2: Y, X) and focus (Z,) in um, variances of the
+        motion (Z, 3: YY, XX, YX) in um^2, standard deviation of the axial blur in um.
     rendered, residual
         (Z, Y, X): the fitted image, and measured minus fitted.
     chi2
@@ -52,8 +64,10 @@ class BeadFit:
     errors: dict[str, float]
     centre: tuple[float, float, float]
     bead_diameter: float
+    core_diameter: float
     amplitude: float
     background: float
+    slices: dict[str, NDArray[np.float64]]
     rendered: NDArray[np.float64]
     residual: NDArray[np.float64]
     chi2: float
@@ -65,7 +79,8 @@ def fit_bead(
     optics: Optics,
     *,
     bead_diameter: float | None = 0.0,
-    bead: Bead = "solid",
+    bead: Staining = "solid",
+    disturbances: Collection[Disturbance] = (),
     pixel_integration: bool = True,
     variance: NDArray | None = None,
     iterations: int = 40,
@@ -85,6 +100,12 @@ def fit_bead(
         Where to start; its fitted parameters move.
     bead_diameter
         um; 0 for a point, None to fit it too.
+    bead
+        ``"solid"``, ``"shell"`` (stained on its surface), or ``"rim"``: solid but for a middle that
+        the stain has not reached, whose diameter is fitted.
+    disturbances
+        What of the acquisition is fitted too; see :class:`.bead_slices.Slices`. A still bead seen
+        by even steps needs none.
     pixel_integration
         Whether the pixels of the camera gather light over their size (across Z, not along it).
     variance
@@ -95,32 +116,30 @@ def fit_bead(
     Raises
     ------
     InputError
-        If the stack cannot be a bead (NaN, saturated, flat), or the PSF has nothing to fit.
+        If the stack cannot be a bead (NaN, saturated, flat), a size is in another unit, or the PSF
+        has nothing to fit.
     """
     pixels = checked_stack(image)
+    checked_sizes(voxel_size, bead_diameter or 0.0)
     if not len(optics.parameters()) and bead_diameter is not None:
         raise InputError("this PSF has no parameter to fit")
     if variance is None:
         variance = _variance(pixels)
     weight = torch.from_numpy(1 / np.maximum(np.asarray(variance, np.float64), 1e-12))
-    problem = _Problem(pixels, weight, voxel_size, optics, bead_diameter, bead, pixel_integration)
-    p = torch.cat([optics.parameters().detach(), problem.start()])
-    low, high = optics.limits()
+    problem = _Problem(
+        pixels, weight, voxel_size, optics, bead_diameter, bead, disturbances, pixel_integration
+    )
+    p = problem.start()
     damping, cost, linear = 1e-3, *problem.cost(p)
     for _ in range(iterations):
-        jacobian, residual = problem.linearised(p, linear)
-        normal, right = jacobian.T @ jacobian, jacobian.T @ residual
+        normal, right = problem.unblocked(p, *problem.normal(p, linear))
         fallen = 0.0
         while damping < 1e8:
             diagonal = torch.diagonal(normal)
             # What the image says nothing of stays where it is.
             least = 1e-12 * diagonal.max()
             damped = normal + torch.diag(damping * diagonal + least)
-            step = torch.linalg.solve(damped, right)[: len(p)]
-            moved = p + step
-            moved[: len(low)] = moved[: len(low)].clamp(low, high)
-            if bead_diameter is None:
-                moved[-1] = moved[-1].clamp(log(_DIAMETERS[0]), log(_DIAMETERS[1]))
+            moved = problem.bounded(p + torch.linalg.solve(damped, right)[: len(p)])
             new, new_linear = problem.cost(moved)
             if new < cost:
                 fallen = 1 - new / cost
@@ -134,7 +153,7 @@ def fit_bead(
 
 
 class _Problem:
-    """Image of the bead as a function of (PSF parameters, place)."""
+    """Image of the bead as a function of (PSF parameters, place, size, disturbances)."""
 
     def __init__(
         self,
@@ -143,7 +162,8 @@ class _Problem:
         voxel_size: tuple[float, float, float],
         optics: Optics,
         diameter: float | None,
-        bead: Bead,
+        bead: Staining,
+        disturbances: Collection[str],
         pixel_integration: bool,
     ) -> None:
         self.count = len(optics.parameters())
@@ -156,41 +176,76 @@ class _Problem:
             next_fast_len(n + ceil(r / d), real=True)
             for n, r, d in zip(pixels.shape, reach, voxel_size, strict=True)
         ]
-        self.band = Band.full((shape[0], shape[1], shape[2]), self.grid.voxel_size)
-        self.axes = self.band.axes()
+        band = Band.full((shape[0], shape[1], shape[2]), self.grid.voxel_size)
+        self.axes = band.axes()
+        self.slices = Slices(disturbances, band, self.grid.shape)
         z, y, x = self.axes
         self._wavenumber = torch.sqrt(z * z + y * y + x * x)
-        self._kind, self._diameter = bead, diameter
+        self._staining, self._diameter = bead, diameter
         self._pixel = torch.ones((), dtype=torch.float64)
         if pixel_integration:
             sides = [k * (d / (2 * pi)) for k, d in zip((y, x), voxel_size[1:], strict=True)]
             self._pixel = torch.sinc(sides[0]) * torch.sinc(sides[1])
         self.weight = weight
+        low, high = optics.limits()
+        bounds = [(-np.inf, np.inf)] * 3
+        if diameter is None:
+            bounds.append((log(_DIAMETERS[0]), log(_DIAMETERS[1])))
+        if bead == "rim":
+            bounds.append(_CORES)
+        self._low = torch.cat([low.detach(), torch.tensor([b[0] for b in bounds])]).double()
+        self._high = torch.cat([high.detach(), torch.tensor([b[1] for b in bounds])]).double()
 
     def start(self) -> Tensor:
-        """(3,) um: about where the bead is."""
+        """(P,) about where the bead is, and the PSF as given."""
         signal = self.pixels - self.pixels.median()
         weight = (signal - 0.5 * signal.max()).clamp(min=0)
         grids = torch.meshgrid(*(torch.arange(n) for n in signal.shape), indexing="ij")
         middle = [float((weight * g).sum() / weight.sum()) for g in grids]
-        place = [m * d for m, d in zip(middle, self.grid.voxel_size, strict=True)]
+        own = [m * d for m, d in zip(middle, self.grid.voxel_size, strict=True)]
         if self._diameter is None:
-            place.append(log(_FIRST_DIAMETER))
-        return torch.tensor(place, dtype=torch.float64)
+            own.append(log(self._apparent_diameter(signal)))
+        if self._staining == "rim":
+            own.append(_FIRST_CORE)
+        known = self.optics.parameters().detach()
+        return torch.cat([known, torch.tensor(own, dtype=torch.float64), self.slices.start()])
+
+    def _apparent_diameter(self, signal: Tensor) -> float:
+        """um: of a disc as large as what is brighter than half of the peak, less the PSF's own."""
+        pixel = self.grid.voxel_size[1] * self.grid.voxel_size[2]
+        bright = (signal > 0.5 * signal.max()).sum((1, 2)).max()
+        own = _HALF_WIDTH * float(np.mean(self.optics.width()[1:]))
+        squared = 4 / pi * float(bright) * pixel - own**2
+        return min(max(squared, _LEAST_FIRST**2), _DIAMETERS[1] ** 2 / 4) ** 0.5
+
+    def bounded(self, p: Tensor) -> Tensor:
+        """Parameters within their bounds."""
+        own = len(self._low)
+        return torch.cat([p[:own].clamp(self._low, self._high), self.slices.bounded(p[own:])])
 
     def diameter(self, p: Tensor) -> float:
         """um."""
-        return exp(float(p[-1])) if self._diameter is None else self._diameter
+        return exp(float(p[self.count + 3])) if self._diameter is None else self._diameter
 
-    def image(self, p: Tensor) -> Tensor:
-        """(Z, Y, X) per voxel, of sum 1 over all space."""
+    def core(self, p: Tensor) -> float:
+        """Of the diameter: what is not stained."""
+        return float(p[len(self._low) - 1]) if self._staining == "rim" else 0.0
+
+    def spectrum(self, p: Tensor) -> Tensor:
+        """Of the bead seen without disturbances, per voxel, of sum 1 over all space."""
         optics = self._optics(p)
-        bead = bead_transform(self._wavenumber * (self.diameter(p) / 2), self._kind)
+        kind: Literal["solid", "shell"] = "shell" if self._staining == "shell" else "solid"
+        radius = self.diameter(p) / 2
+        bead = bead_transform(self._wavenumber * radius, kind, self.core(p))
         spectrum = optics.otf(self.axes) * (bead * self._pixel)
         for k, place in zip(self.axes, p[self.count :][:3], strict=True):
             phase = k * place
             spectrum = spectrum * torch.complex(torch.cos(phase), -torch.sin(phase))
-        return self.band.to_image(spectrum, self.grid.shape)
+        return spectrum
+
+    def image(self, p: Tensor) -> Tensor:
+        """(Z, Y, X) per voxel, of sum 1 over all space."""
+        return self.slices.image(self.spectrum(p), p[len(self._low) :])
 
     def _optics(self, p: Tensor) -> Optics:
         own = p[: self.count]
@@ -199,51 +254,74 @@ class _Problem:
             self._last = (own.clone(), self.optics.with_parameters(own))
         return self._last[1]
 
-    def _scaled(self, image: Tensor) -> tuple[float, float]:
-        w, m, y = self.weight, image, self.pixels
-        total, mean, seen = w.sum(), (w * m).sum(), (w * y).sum()
-        a = ((w * m * y).sum() - mean * seen / total) / ((w * m * m).sum() - mean**2 / total)
-        return float(a), float((seen - a * mean) / total)
-
-    def cost(self, p: Tensor) -> tuple[float, tuple[float, float, Tensor]]:
-        """Weighted sum of squares; amplitude, background and image there."""
+    def cost(self, p: Tensor) -> tuple[float, tuple[Tensor, Tensor]]:
+        """Weighted sum of squares; amplitudes and backgrounds, and the image there."""
         with torch.no_grad():
             image = self.image(p)
-            a, b = self._scaled(image)
-            residual = self.pixels - a * image - b
-            return float((self.weight * residual**2).sum()), (a, b, image)
+            linear = self.slices.scaled(image, self.pixels, self.weight)
+            residual = self.pixels - self.slices.applied(image, linear)
+            unlikely = p[len(self._low) :] / self.slices.expected()
+            square = float((self.weight * residual**2).sum() + (unlikely**2).sum())
+            return square, (linear, image)
 
-    def linearised(self, p: Tensor, at: tuple[float, float, Tensor]) -> tuple[Tensor, Tensor]:
-        """Weighted Jacobian (voxels, parameters + 2) and residual."""
-        a, b, image = at
-        columns = []
+    def normal(self, p: Tensor, at: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
+        """Normal matrix and right side of the step of (parameters, linear parts)."""
+        linear, image = at
+        residual = self.pixels - self.slices.applied(image, linear)
+        terms = self.terms(p, at)
+        normal, right = normal_equations(terms, residual, self.weight)
+        own, end = len(self._low), len(p)
+        precision = 1 / self.slices.expected() ** 2
+        normal.diagonal()[own:end] += precision
+        right[own:end] -= precision * p[own:]
+        return normal, right
+
+    def unblocked(self, p: Tensor, normal: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
+        """The same without what would leave its bounds: the others step as if it were held."""
+        low = torch.cat([self._low, self.slices.lowest()])
+        high = torch.cat([self._high, torch.full((self.slices.count,), torch.inf)])
+        downhill = right[: len(p)]
+        blocked = torch.zeros(len(right), dtype=torch.bool)
+        blocked[: len(p)] = ((p <= low) & (downhill <= 0)) | ((p >= high) & (downhill >= 0))
+        normal, right = normal.clone(), right.clone()
+        normal[blocked], normal[:, blocked], right[blocked] = 0.0, 0.0, 0.0
+        normal.diagonal()[blocked] = 1.0
+        return normal, right
+
+    def terms(self, p: Tensor, at: tuple[Tensor, Tensor]) -> list[Term]:
+        """Derivatives of the stack by the parameters and by its linear parts."""
+        linear, image = at
+        gain = self.slices.brightness(linear)[:, None, None]
+        found: list[Term] = []
         with torch.no_grad():
-            for i in range(len(p)):
+            for i in range(len(self._low)):
                 change = torch.zeros_like(p)
                 change[i] = _DIFFERENCE if i < self.count else _PLACE_STEP
                 wide = self.image(p + change) - self.image(p - change)
-                columns.append(a * wide / (2 * float(change[i])))
-        columns += [image, torch.ones_like(image)]
-        root = torch.sqrt(self.weight).reshape(-1)
-        jacobian = torch.stack([c.reshape(-1) * root for c in columns], 1)
-        residual = (self.pixels - a * image - b).reshape(-1) * root
-        return jacobian, residual
+                found.append((wide / (2 * float(change[i])), self.slices.all))
+            found += self.slices.terms(self.spectrum(p), p[len(self._low) :])
+        return [(gain * t, share) for t, share in found] + self.slices.linear_terms(image)
 
-    def found(self, p: Tensor, at: tuple[float, float, Tensor]) -> BeadFit:
-        jacobian, _ = self.linearised(p, at)
-        covariance = torch.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
+    def found(self, p: Tensor, at: tuple[Tensor, Tensor]) -> BeadFit:
+        normal, _ = self.normal(p, at)
+        scale = torch.sqrt(torch.diagonal(normal).clamp(min=1e-300))
+        inverse = torch.linalg.pinv(normal / (scale[:, None] * scale), hermitian=True)
+        covariance = (inverse / (scale[:, None] * scale))[: self.count, : self.count]
         optics = self._optics(p)
-        a, b, image = at
-        rendered = (a * image + b).numpy()
+        linear, image = at
+        rendered = self.slices.applied(image, linear).numpy()
         residual = self.pixels.numpy() - rendered
         z, y, x = (float(c) for c in p[self.count :][:3])
+        described = self.slices.described(p[len(self._low) :], linear)
         return BeadFit(
             optics=optics,
-            errors=physical_errors(optics, covariance[: self.count, : self.count]),
+            errors=physical_errors(optics, covariance),
             centre=(z, y, x),
             bead_diameter=self.diameter(p),
-            amplitude=a,
-            background=b,
+            core_diameter=self.core(p) * self.diameter(p),
+            amplitude=float(self.slices.brightness(linear).mean()),
+            background=float(self.slices.background(linear).mean()),
+            slices={name: value.numpy() for name, value in described.items()},
             rendered=rendered,
             residual=residual,
             chi2=float((self.weight.numpy() * residual**2).mean()),

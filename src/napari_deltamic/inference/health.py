@@ -10,6 +10,7 @@ from ..geometry.mesh import Mesh
 
 _GROWTH = 2.5  # times the area that the region's typical face grew: more than a sphere needs to
 # become a cow (1.1), less than a cell that swallows a neighbour through a neck
+_EXPLAINS_NOTHING = 0.03  # of the image: no more, and nothing was found
 
 
 class GrowthAlarm:
@@ -64,3 +65,20 @@ def shrunken(mesh: Mesh, width: float) -> list[int]:
     areas = mesh.areas()
     regions = (int(r) for r in np.unique(mesh.regions) if r)
     return [r for r in regions if areas[(mesh.regions == r).any(1)].sum() < pi * width**2]
+
+
+def why_stuck(explained: float, bounded: bool, points: list[int]) -> str:
+    """What keeps a fit that has ended from being one, in plain words; empty where nothing does.
+
+    explained : share of the image. bounded : whether the amplitude wanted to be negative. points :
+    regions that are :func:`shrunken`.
+    """
+    if points:
+        listed = ", ".join(map(str, points))
+        return f"stuck: the surface of region {listed} has shrunk to a point; place it anew"
+    if bounded or explained < _EXPLAINS_NOTHING:
+        return (
+            f"stuck: {explained:.0%} of the measured image is explained; "
+            "do the seeds lie near bright membranes?"
+        )
+    return ""

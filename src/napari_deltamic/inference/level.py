@@ -9,23 +9,25 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, map_coordinates
 from torch import Tensor
 
 from ..errors import InputError
 from ..fourier.devices import choose_device, widest
-from ..geometry.mesh import Mesh
 from ..optics import GaussianPSF, Optics
 from ..optics.sharpest import Sharpest
 from ..scene import Grid, Renderer
 from ..scene.effects import Effects, VoxelEffect
 from ..scene.render import offset
 from ..settings import FitSettings
-from .likelihood import ImageNoise, solve_scale
+from .likelihood import ImageNoise, Match, solve_scale
+from .readings import late
+from .surface import Surface
 
 _REFRESH_EVERY = 10  # iterations between two looks at which voxels count
 _PLAN_EVERY = 20  # iterations: edges grow as the mesh moves
 FEWEST_VOXELS = 64
+_SEEN = 0.3  # of the median brightness of a surface: what is dimmer says nothing of its density
 _COARSE_ACCURACY = 1e-2  # of all levels but the last: they only have to point the right way
 
 
@@ -141,6 +143,9 @@ class Level:
         self._halo = None if effects.halo is None else halo
         self._renderer: Renderer | None = None
         self._planned_width: np.ndarray | None = None
+        self.far = 0.0  # um: how far a vertex has moved since the plan was made, when last read
+        # What it may move until that is read.
+        self._unread = late(self.device) * settings.step * self.width
         self._voxels: Voxels | None = None
         self._age = 0
 
@@ -191,13 +196,13 @@ class Level:
 
     # ------------------------------------------------------------------------------- rendering
 
-    def renderer(self, mesh: Mesh, optics: Optics) -> Renderer:
+    def renderer(self, surface: Surface, optics: Optics) -> Renderer:
         """The renderer, planned anew when the mesh or the PSF has left what it was planned for."""
         width = np.asarray(optics.sigma_um)
         stale = (
             self._renderer is None
             or self._age % _PLAN_EVERY == 0
-            or not self._renderer.holds_for(mesh.vertices_numpy())
+            or self.far + self._unread > self._renderer.margin
             or self._planned_width is None
             or bool((np.abs(np.log(width / self._planned_width)) > 0.1).any())
         )
@@ -207,8 +212,9 @@ class Level:
             sharper: Any = optics if not self.settings.fit_psf else optics.sharpened(0.9)
             if self._second is not None:
                 sharper = Sharpest(sharper, self._second)
+            self.far = 0.0
             self._renderer = Renderer(
-                mesh,
+                surface.mesh,
                 self.grid,
                 sharper,
                 self.accuracy,
@@ -227,12 +233,42 @@ class Level:
         return renderer.image(transform, otf) * self.volume_ratio
 
     def with_effects(
-        self, renderer: Renderer, transform: Tensor, optics: Optics, effects: Effects
+        self,
+        renderer: Renderer,
+        transform: Tensor,
+        again: Callable[[Renderer], Tensor],
+        optics: Optics,
+        effects: Effects,
     ) -> Tensor:
-        """The image of a transform with other effects than it was made with; no gradient."""
+        """The image with other effects than the transform was made with; no gradient.
+
+        ``again`` transforms the same mesh, which is needed where the bulk is another.
+        """
         with torch.no_grad():
             other = renderer.with_effects(effects)
-            return self.rendered(other, transform.detach(), other.otf(optics))
+            seen = transform.detach() if effects.bulk == self.effects.bulk else again(other)
+            return self.rendered(other, seen, other.otf(optics))
+
+    def heard(self, renderer: Renderer, far: float) -> None:
+        """Learn how far a vertex has moved since a plan was made, um, if it is the present one."""
+        if renderer is self._renderer:
+            self.far = far
+
+    def brightness(self, vertices: np.ndarray, rendered: Tensor, found: Match) -> np.ndarray:
+        """(V,) measured over rendered brightness at vertices (V, 3) um; 1 where hardly any shows.
+
+        Both without the background of the match.
+        """
+        at = ((vertices - np.asarray(self.grid.origin)) / np.asarray(self.grid.voxel_size)).T
+        index = torch.arange(self.target.numel(), device=self.target.device)
+        measured = self._measured(index).reshape(self.target.shape) - float(found.background)
+        shown = rendered.detach() * float(found.amplitude)
+        one, other = (
+            map_coordinates(image.cpu().numpy(), at, order=1, mode="nearest")
+            for image in (measured, shown)
+        )
+        seen = other > _SEEN * np.median(other)
+        return np.where(seen, one / np.where(seen, other, 1.0), 1.0)
 
     # ---------------------------------------------------------------------------------- voxels
 
@@ -240,16 +276,19 @@ class Level:
         """The voxels that count: near the surface, known, weighted by the likelihood.
 
         Looked at anew every few iterations, as the surface moves. ``plain`` renders the same with
-        other effects: a halo is seen everywhere, and would have everything count.
+        other effects: a halo is seen everywhere, and would have everything count; an inside darker
+        than the outside would leave out voxels just because they are dark.
         """
         self._age += 1
         if self._voxels is not None and self._age % _REFRESH_EVERY != 1:
             return self._voxels
-        if self._halo is None or plain is None:
+        hiding = self._hiding()
+        if not hiding or plain is None:
             near = rendered > self._image_at_reach()
         else:
-            near = plain(self.effects.without("halo")) > self._image_at_reach()
-            near = _dilated(near, [self._halo / d for d in self.grid.voxel_size])
+            near = plain(self.effects.without(*hiding)) > self._image_at_reach()
+            if self._halo is not None:
+                near = _dilated(near, [self._halo / d for d in self.grid.voxel_size])
         inside = near & self._counted
         index = torch.nonzero((inside if bool(inside.any()) else self._counted).reshape(-1))[:, 0]
         measured, model = self._measured(index), rendered.reshape(-1)[index]
@@ -265,6 +304,11 @@ class Level:
             raise InputError("the image is flat wherever the mesh reaches: start nearer to it")
         self._voxels = Voxels(index, measured, weights)
         return self._voxels
+
+    def _hiding(self) -> tuple[str, ...]:
+        """Effects that hide how far from the surface its own image reaches."""
+        dark = self.effects.bulk is not None and self.effects.bulk.density < 0
+        return ("halo",) * (self._halo is not None) + ("bulk",) * dark
 
     def reach_of(self, optics: Optics) -> None:
         """Take the reach of this PSF, where images are rendered by another level."""

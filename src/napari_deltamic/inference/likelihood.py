@@ -19,13 +19,13 @@ class Match:
     """Measured = amplitude * rendered + background, over the voxels that count.
 
     ``loss`` is the weighted residual relative to the weighted variance of the measured voxels, so
-    that 1 means that nothing is explained.
+    that 1 means that nothing is explained. All are 0-dim tensors on the device of the image.
     """
 
     loss: Tensor
-    amplitude: float
-    background: float
-    bounded: bool
+    amplitude: Tensor
+    background: Tensor
+    bounded: Tensor
 
 
 class ImageNoise:
@@ -102,21 +102,28 @@ def solve_scale(rendered: Tensor, measured: Tensor, weights: Tensor) -> tuple[fl
     A free amplitude turns negative near a bad start, and the mesh then runs away from the membrane:
     it stays above a small positive bound.
     """
+    amplitude, background, bounded = scale_on_device(rendered, measured, weights)
+    return float(amplitude), float(background), bool(bounded)
+
+
+def scale_on_device(
+    rendered: Tensor, measured: Tensor, weights: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """As :func:`solve_scale`, without waiting for the device: 0-dim tensors there."""
     wide = widest(rendered.device)
     tiny = 1e-300 if wide == torch.float64 else 1e-30
     w, m, y = (t.to(wide) for t in (weights, rendered, measured))
-    if not bool(torch.dot(w, (m - m.mean()) ** 2) > 0):
-        return 0.0, float(torch.dot(w, y) / w.sum().clamp(min=tiny)), True
+    varies = torch.dot(w, (m - m.mean()) ** 2) > 0
     total = w.sum().clamp(min=tiny)
     m, y = m - torch.dot(w, m) / total, y - torch.dot(w, y) / total
     wm = w * m
     var_m = torch.dot(wm, m).clamp(min=tiny)
     least = 0.05 * torch.sqrt(torch.dot(w * y, y) / var_m)
     amplitude = torch.dot(wm, y) / var_m
-    bounded = bool(amplitude < least)
-    amplitude = torch.maximum(amplitude, least)
+    bounded = (amplitude < least) | ~varies
+    amplitude = torch.where(varies, torch.maximum(amplitude, least), 0.0)
     means = torch.dot(w, measured.to(wide)), torch.dot(w, rendered.to(wide))
-    return float(amplitude), float((means[0] - amplitude * means[1]) / total), bounded
+    return amplitude, (means[0] - amplitude * means[1]) / total, bounded
 
 
 def match(rendered: Tensor, measured: Tensor, weights: Tensor) -> Match:
@@ -125,7 +132,7 @@ def match(rendered: Tensor, measured: Tensor, weights: Tensor) -> Match:
     Amplitude and background are at their optimum, where their own derivatives vanish, so they are
     held constant in the gradient.
     """
-    a, b, bounded = solve_scale(rendered.detach(), measured, weights)
+    a, b, bounded = scale_on_device(rendered.detach(), measured, weights)
     measured, weights = measured.to(rendered.dtype), weights.to(rendered.dtype)
     residual = a * rendered + (b - measured)
     total = weights.sum().clamp(min=1e-30)

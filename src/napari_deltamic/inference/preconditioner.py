@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
+import torch
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import splu
+from torch import Tensor
 
 from ..geometry.mesh import Mesh
+from .factors import Solve, on_device, on_host
 
 
 def adjacency(mesh: Mesh) -> sp.csr_matrix:
@@ -54,8 +56,8 @@ class Preconditioner:
     kink in an outer surface where a wall meets it would be rounded off for many iterations.
 
     Applying it twice to a gradient is the preconditioner of B. Nicolet, A. Jacobson, W. Jakob,
-    "Large steps in inverse rendering of geometry", ACM Trans. Graph. 40, 2021. Sparse Cholesky
-    (cholespy); SciPy's LU where that package is missing.
+    "Large steps in inverse rendering of geometry", ACM Trans. Graph. 40, 2021. The solver is that
+    of :mod:`.factors`.
 
     Parameters
     ----------
@@ -67,6 +69,8 @@ class Preconditioner:
         (V,) bool: vertices where x is zero; around them it falls to zero smoothly.
     at_junctions
         Weight of edges that leave a junction.
+    device
+        Where it is solved.
     """
 
     def __init__(
@@ -75,9 +79,11 @@ class Preconditioner:
         smoothing: float,
         held: np.ndarray | None = None,
         at_junctions: float = 1.0,
+        device: torch.device | str = "cpu",
     ) -> None:
         self.smoothing = smoothing
-        self._held = held
+        device = torch.device(device)
+        self._held = None if held is None else torch.tensor(held[:, None], device=device)
         n = len(mesh.vertices)
         a = adjacency(mesh)
         if at_junctions != 1:
@@ -90,15 +96,13 @@ class Preconditioner:
             matrix = sp.coo_matrix(
                 (matrix.data[free], (matrix.row[free], matrix.col[free])), shape=(n, n)
             )
-        self._solve = _cholesky(matrix) or splu(matrix.tocsc(), permc_spec="COLAMD").solve
+        self._solve: Solve = on_device(matrix, device) or on_host(matrix)
 
-    def solve(self, b: np.ndarray) -> np.ndarray:
+    def solve(self, b: Tensor) -> Tensor:
         """(V, C) -> (V, C), float64."""
         if self._held is not None:
-            b = np.where(self._held[:, None], 0.0, b)
-        if self.smoothing == 0:
-            return b
-        return self._solve(np.ascontiguousarray(b, dtype=np.float64))
+            b = torch.where(self._held, 0.0, b)
+        return b if self.smoothing == 0 else self._solve(b)
 
 
 def _at_junctions(a: sp.csr_matrix, mesh: Mesh, weight: float) -> sp.csr_matrix:
@@ -111,24 +115,3 @@ def _at_junctions(a: sp.csr_matrix, mesh: Mesh, weight: float) -> sp.csr_matrix:
     a = a.tocoo()
     leaves = junction[a.row] != junction[a.col]
     return sp.coo_matrix((np.where(leaves, weight, a.data), (a.row, a.col)), a.shape).tocsr()
-
-
-def _cholesky(matrix: sp.coo_matrix):  # type: ignore[no-untyped-def]
-    try:
-        from cholespy import CholeskySolverD, MatrixType
-    except ImportError:
-        return None
-    solver = CholeskySolverD(
-        matrix.shape[0],
-        matrix.row.astype(np.int32),
-        matrix.col.astype(np.int32),
-        matrix.data.astype(np.float64),
-        MatrixType.COO,
-    )
-
-    def solve(b: np.ndarray) -> np.ndarray:
-        x = np.zeros_like(b)
-        solver.solve(b, x)
-        return x
-
-    return solve

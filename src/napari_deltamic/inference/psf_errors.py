@@ -10,8 +10,9 @@ from ..errors import InputError
 from ..scene import Grid
 from ..scene.effects import Effects
 from .bead import physical_errors
-from .evidence.model import ImageModel, Scene
+from .evidence.model import ImageModel
 from .evidence.modes import ShapeModes, shape_modes
+from .evidence.scene import Scene
 from .state import FitState
 
 _ACCURACY = 1e-3

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
+from ..fourier.devices import for_objects
 from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..scene import Grid, expected_image
@@ -18,14 +20,16 @@ from . import checkpoint
 from .change import Change
 from .collisions import CollisionGuard
 from .density import DensityField
-from .health import GrowthAlarm, shrunken
+from .health import GrowthAlarm, shrunken, why_stuck
 from .imaging_step import Imaging, imaging_step
 from .level import Level
 from .likelihood import Match, match
 from .optimiser import AdamUniform
 from .preconditioner import NEAR_JUNCTIONS, Preconditioner, components
+from .readings import Readings, late
 from .second_view import Pixels, SecondTerm
 from .state import FitState
+from .surface import Surface
 from .topology import TopologyKeeper
 from .upkeep import Upkeep
 
@@ -36,7 +40,6 @@ _COARSE_GAIN, _COARSE_STILL = 0.05, 0.04
 _STILL = 0.02  # the same at the last level
 _SETTLE = 2  # times the last level halves its step before it counts as converged
 _PSF_EVERY = 5
-_EXPLAINS_NOTHING = 0.97  # loss at the end from which on nothing was found
 _LEFT_OPEN = ("accuracy", "smoothing", "levels")  # settings that the software may fill in
 _PSF_BELOW = 2.5  # blur, in widths of the PSF, from which on the PSF is fitted
 
@@ -75,13 +78,23 @@ class Run:
         self.level_number = 0
         self.step_factor = 1.0
         self.halvings = 0
-        self.losses: list[float] = []  # since the level or the present step began
+        self.losses: list[float] = []  # since the level or the present step began, when last read
+        self.readings = Readings()
         self.window_start = self.mesh.vertices_numpy()
         self.level_optics = self.optics  # of the blur: a fit of the PSF leaves it alone
-        self.bounded = False  # whether the amplitude wanted to be negative
+        self.bounded = torch.tensor(False)  # whether the amplitude wanted to be negative
         self.remark = ""  # for the first state
         self.pinned = np.zeros(len(mesh.vertices), bool)
         self.kept: dict[str, np.ndarray] = {}
+
+    @property
+    def mesh(self) -> Mesh:
+        """As it is now, on the host."""
+        return self.surface.mesh
+
+    @mesh.setter
+    def mesh(self, mesh: Mesh) -> None:
+        self.surface = Surface(mesh)
 
     # --------------------------------------------------------------------------- iterations
 
@@ -104,13 +117,13 @@ class Run:
                 over = self.iteration - self.changed_at >= self.settings.max_iterations
                 if finished and last and not over and self.topology.holds_up(self):
                     finished = False
-                    self._enter(number)
                 ends = (finished and last) or over
                 if ends:
+                    self._read()
                     state = self._verdict(state, finished and last, warning)
                 else:
                     told = (self.remark, self.guard.remark(), *state.events, warning)
-                    state = replace(state, message="; ".join(filter(None, told)))
+                    state = state.saying("; ".join(filter(None, told)))
                 self.remark = ""
                 change = yield state
                 if change is not None:
@@ -134,10 +147,11 @@ class Run:
         """Smoothers of this level: of steps, which end at pinned vertices, and of the density."""
         smoothing = self.level.smoothing
         at_junctions = NEAR_JUNCTIONS if self.level.factor == 1 else 1.0
-        self.smoother = Preconditioner(self.mesh, smoothing, None, at_junctions)
+        rest = at_junctions, for_objects(self.level.device)
+        self.smoother = Preconditioner(self.mesh, smoothing, None, *rest)
         self.mover = self.smoother
         if self.pinned.any():
-            self.mover = Preconditioner(self.mesh, smoothing, self.pinned, at_junctions)
+            self.mover = Preconditioner(self.mesh, smoothing, self.pinned, *rest)
         self.guard.watch(self.mesh)
 
     def _take(self, change: Change) -> None:
@@ -153,8 +167,9 @@ class Run:
             if change.mesh is None:
                 # They stay where they were seen, which is one step back.
                 vertices = self.mesh.vertices_numpy().copy()
-                vertices[self.pinned] = self.seen[self.pinned]
-                self.mesh = self.mesh.with_vertices(self.guard.limited(self.seen, vertices))
+                seen = self.seen.mesh.vertices_numpy()
+                vertices[self.pinned] = seen[self.pinned]
+                self.mesh = self.mesh.with_vertices(self.guard.limited(seen, vertices))
         if change.optics is not None:
             self.optics = self.first_optics = change.optics.detach()
         if change.settings is not None:
@@ -230,20 +245,11 @@ class Run:
 
     def _verdict(self, state: FitState, finished: bool, warning: str) -> FitState:
         """The last state, with what came of the fit in plain words."""
+        explained = 1 - min(state.loss, 1)
         points = shrunken(state.mesh, min(self.optics.sigma_um))
-        stuck = self.bounded or bool(points) or state.loss > _EXPLAINS_NOTHING
-        if finished and points:
-            listed = ", ".join(map(str, points))
-            message = f"stuck: the surface of region {listed} has shrunk to a point; place it anew"
-        elif finished and stuck:
-            message = (
-                f"stuck: {1 - min(state.loss, 1):.0%} of the measured image is explained; "
-                "do the seeds lie near bright membranes?"
-            )
-        elif finished:
-            message = "converged"
-        else:
-            message = f"stopped after {self.iteration} iterations, before it converged"
+        stuck = why_stuck(explained, bool(self.bounded), points) if finished else ""
+        message = stuck or ("converged" if finished else "")
+        message = message or f"stopped after {self.iteration} iterations, before it converged"
         message += f"; {warning}" if warning else ""
         return replace(state, converged=finished and not stuck, message=message)
 
@@ -253,67 +259,86 @@ class Run:
         self.step_factor = 1.0
         self.halvings = 0
         self.losses = []
+        self.readings.forget()
         self.window_start = self.mesh.vertices_numpy()
         self.adam.restart()
         self.density.restart()
 
     def _iterate(self) -> FitState:
-        level = self.level
+        level, steps = self.level, self.steps
         if level.renews:
+            self._read()
             if self.settings.remesh and not self.halvings and self.upkeep.wanted(self.mesh):
                 self._remesh()
             self.topology.look(self)
             self.kept = checkpoint.kept(self)
         kept = self.kept
-        vertices = torch.tensor(self.mesh.vertices_numpy(), requires_grad=True)
+        start = self.surface.on(level.device)
+        vertices = start.detach().requires_grad_()
         with_density = level.factor < self.levels[0] or len(self.levels) == 1
-        density = self.density.faces(active=with_density)
-        renderer = level.renderer(self.mesh, self.optics)
+        density = self.density.faces(with_density, vertices.device)
+        renderer = level.renderer(self.surface, self.optics)
         optics = self.optics
         otf = renderer.otf(optics)
         transform = renderer.transform(vertices, density)
         rendered = level.rendered(renderer, transform, otf)
-        given = renderer, transform, optics
+        fixed = vertices.detach(), None if density is None else density.detach()
+        given = renderer, transform, lambda other: other.transform(*fixed), optics
         voxels = level.voxels(rendered.detach(), lambda other: level.with_effects(*given, other))
         result = match(voxels.of(rendered), voxels.measured, voxels.weights)
         if self.other is not None:
             result = self.other.added_to(result, level, renderer, transform)
         result.loss.backward()
         assert vertices.grad is not None
-        gradient = self.mover.solve(vertices.grad.numpy())
+        gradient = self.mover.solve(vertices.grad)
+        gradient = self.density.evened(gradient, start, optics.sigma_um)
         step = self.mover.solve(self.adam.step(gradient))
         size = self.settings.step * level.width * self.step_factor
-        self.seen = self.mesh.vertices_numpy()
-        moved = self.guard.limited(self.seen, self.seen - size * step)
-        self.density.step(self.smoother, self.step_factor)
-        moved.setflags(write=False)  # states share it
+        self.seen = self.surface
+        moved = self.guard.kept_apart(start, start - size * step)
+        if self.density.unknown:
+            seen = level.brightness(self.mesh.vertices_numpy(), rendered, result)
+            self.density.estimate(seen, self.smoother)
+        else:
+            self.density.step(self.smoother, self.step_factor)
         self.bounded = result.bounded
-        loss = float(result.loss.detach())
-        if not np.isfinite(loss) or not np.isfinite(moved).all():
-            raise FloatingPointError("the fit met a number that is not finite")
+        self.readings.add(renderer, result.loss, renderer.moved(moved))
+        self._read(leave=late(level.device))
         state = self._state(level, result, kept)
         imaging = Imaging(self.optics, self.effects, self.settings.fit_psf)
-        due = level.factor <= _PSF_BELOW and len(self.losses) % _PSF_EVERY == _PSF_EVERY - 1
+        due = level.factor <= _PSF_BELOW and steps % _PSF_EVERY == _PSF_EVERY - 1
         if due and imaging.fitted:
-            fixed = None if density is None else density.detach()
             self.optics, self.effects = imaging_step(
                 level,
                 renderer,
                 imaging,
-                lambda other: other.transform(vertices.detach(), fixed),
+                lambda other: other.transform(*fixed),
                 voxels,
                 self.first_optics,
             )
             level.set_effects(self.effects)
-        self.mesh = self.mesh.with_vertices(moved)
+        self.surface = self.surface.moved(moved)
         self.iteration += 1
-        self.losses.append(loss)
         return state
+
+    @property
+    def steps(self) -> int:
+        """Iterations since the level or the present step began."""
+        return len(self.losses) + len(self.readings)
+
+    def _read(self, leave: int = 0) -> None:
+        """Take what all iterations but the last few have left on the device."""
+        for planned, (loss, far) in self.readings.read(leave):
+            if not np.isfinite([loss, far]).all():
+                raise FloatingPointError("the fit met a number that is not finite")
+            self.losses.append(loss)
+            self.level.heard(planned, far)
 
     def _settled(self, last: bool) -> bool:
         """Whether the level is done; at the last one the step is halved a few times before."""
-        if len(self.losses) % _WINDOW:
+        if self.steps % _WINDOW:
             return False
+        self._read()
         vertices = self.mesh.vertices_numpy()
         # Unknown across a remeshing.
         same = len(self.window_start) == len(vertices)
@@ -337,25 +362,25 @@ class Run:
     # ---------------------------------------------------------------------------- reporting
 
     def _state(self, level: Level, result: Match, kept: dict[str, np.ndarray]) -> FitState:
-        amplitude, background = result.amplitude, result.background
-        mesh, optics = self.mesh, self.optics
-        density = self.density.faces_numpy()
+        surface, optics, density = self.surface, self.optics, self.density.later()
         grid, accuracy, effects = self.grid, self.settings.image_accuracy, self.effects
 
-        def rendered() -> np.ndarray:
-            given = mesh, grid, optics, accuracy, amplitude, background
-            return expected_image(*given, density=density, effects=effects)
+        loss, *scale = (t.detach() for t in (result.loss, result.amplitude, result.background))
 
-        return FitState(
+        def values() -> dict[str, Any]:
+            numbers = {"amplitude": float(scale[0]), "background": float(scale[1])}
+            return {"mesh": surface.mesh, "density": density(), "loss": float(loss), **numbers}
+
+        def rendered() -> np.ndarray:
+            given = surface.mesh, grid, optics, accuracy, float(scale[0]), float(scale[1])
+            return expected_image(*given, density=density(), effects=effects)
+
+        return FitState.late(
+            values,
             iteration=self.iteration + 1,
             level=self.level_number + 1,
             levels=len(self.levels),
-            mesh=mesh,
             optics=optics,
-            density=density,
-            loss=float(result.loss.detach()),
-            amplitude=amplitude,
-            background=background,
             effects=effects,
             blur=level.factor,
             pinned=self.pinned if self.pinned.any() else None,

@@ -6,8 +6,9 @@ import io
 import zipfile
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -66,6 +67,37 @@ class FitState:
     _render: Callable[[], np.ndarray] = field(repr=False, default=lambda: np.zeros(0))
     _checkpoint: Callable[[], dict[str, np.ndarray]] = field(repr=False, default=dict)
 
+    @classmethod
+    def late(cls, values: Callable[[], dict[str, Any]], **ready: Any) -> FitState:
+        """A state of which some values stay on a device until one of them is asked for.
+
+        ``values()`` gives those fields by name.
+        """
+        state = object.__new__(cls)
+        for f in fields(cls):
+            if f.default is not MISSING:
+                state.__dict__[f.name] = f.default
+            elif f.default_factory is not MISSING:
+                state.__dict__[f.name] = f.default_factory()
+        state.__dict__.update(ready, _late=values)
+        return state
+
+    def saying(self, message: str) -> FitState:
+        """The same with another message."""
+        other = object.__new__(FitState)
+        other.__dict__.update(self.__dict__, message=message)
+        return other
+
+    def __getattr__(self, name: str) -> Any:
+        # Called for what is not there yet, by several threads maybe.
+        late = self.__dict__.get("_late")
+        if name not in _FIELDS or (late is None and name not in self.__dict__):
+            raise AttributeError(f"a FitState has no {name!r}")
+        if late is not None:
+            self.__dict__.update(late())
+            self.__dict__.pop("_late", None)
+        return self.__dict__[name]
+
     def rendered(self) -> np.ndarray:
         """(Z, Y, X) float32: what the microscope would show of this state; computed when asked."""
         return self._render()
@@ -75,6 +107,9 @@ class FitState:
         buffer = io.BytesIO()
         np.savez_compressed(buffer, **self._checkpoint())  # type: ignore[arg-type]
         write_atomically(path, buffer.getvalue())
+
+
+_FIELDS = frozenset(f.name for f in fields(FitState))
 
 
 def load_checkpoint(path: str | Path) -> dict[str, np.ndarray]:

@@ -11,7 +11,9 @@ from scipy.spatial import cKDTree
 
 from ..geometry.mesh import Mesh
 from ..geometry.topology.rearranging import give_way
-from ..geometry.topology.thin_places import ThinPlace, small_walls, thin_places
+from ..geometry.topology.small_pieces import small_pieces
+from ..geometry.topology.thin_places import ThinPlace, short_junctions, small_walls, thin_places
+from .local_misfit import local_misfit
 from .upkeep import median_edge
 
 if TYPE_CHECKING:
@@ -20,19 +22,28 @@ if TYPE_CHECKING:
 # As shares of the median edge:
 _THIN = 0.25  # what is thinner may give way
 _SMALL = 0.5  # walls smaller than this, of an edge length squared, may go
-# At the end of a fit, what is larger is tried too: necks and holes up to a width, walls to an area.
-_NARROW, _SMALL_AT_END = 1.6, 2.5
+# At the end of a fit, what is larger is tried too: necks and holes up to a width, walls to an area
+# and junctions to a length.
+_NARROW, _SMALL_AT_END = 1.6, 1.0
+_CLOSE = 0.5  # parts of a wall nearer to each other than this go together
 _SAME = 2.5  # places nearer to each other than this are the same place
 # Counts and others:
 _WIDENS = 1.2  # a place that has become this much wider since it was last seen is left alone
 _TRIAL = 18  # iterations after which a change is judged
 _MEAN = 4  # losses that are averaged before and after
 _WORSE = 1.002  # times the loss before: a change that leaves more is undone
-_BETTER = 0.998  # the same for a change that nothing but the loss speaks for
+# Nats: a change that is only tried stays where the image near it is explained better by more; a
+# piece smaller than the PSF vanishes unless that explains it worse by more. Noise makes about one.
+_DOUBT, _PIECE_DOUBT = 0.5, 6.0
+# Widths of the PSF: radius of such a piece, how far around it a change is judged, and how far apart
+# changes are that are judged together.
+_PIECE, _BEYOND, _ALONE = 2.0, 2.0, 3.0
 _SHARP = 2.0  # blur, in widths of the PSF, up to which images can tell what touches what
 _OFTEN = 3  # changes at one place in a fit
 _ALL = 10**6  # places at a time
-_LATE = 2  # times that a change puts off the end of a fit
+_SETTLED = 2  # halvings of the step after which the end of a fit is near
+_AT_REST = 23  # losses: with the next one, two windows in which nothing is gained
+_LATE = 3  # times that a change puts off the end of a fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,15 +59,16 @@ class _Before:
     level: int
     iteration: int
     places: list[ThinPlace]
+    misfits: np.ndarray
     events: tuple[str, ...]
     tried: bool
 
 
 # What a checkpoint keeps of the keeper and of what was before a change, by kind:
 _PLACES = ("seen", "past", "left_alone")
-_MEMORY = ("late", "most", "looked", "events")
+_MEMORY = ("late", "most", "looked", "loss", "events")
 _SCALARS = ("count", "loss", "level", "iteration", "events", "tried")
-_ARRAYS = ("carried", "log", "pinned")
+_ARRAYS = ("carried", "log", "pinned", "misfits")
 
 
 class TopologyKeeper:
@@ -64,8 +76,12 @@ class TopologyKeeper:
 
     A place counts that is seen twice, some iterations apart, and has not become wider: two
     surfaces that the guard against collisions keeps apart. A change stays if the loss, after some
-    iterations, is not larger than before; else it is undone, and the place is left alone. At the
-    end of a fit, narrow necks and holes and small walls are tried without.
+    iterations, is not larger than before; else it is undone, and the place is left alone.
+
+    When a fit has nearly settled, it tries what presses nowhere: the narrowest neck or hole goes,
+    neighbours are exchanged at small walls and short junctions, and pieces vanish that are smaller
+    than the PSF, such as gaps that cells enclose. All are tried at once, as far apart as the PSF
+    reaches, and each is judged by the likelihood of the image around it.
 
     Only meshes of several closed regions are changed; surfaces must be kept from crossing.
     """
@@ -78,6 +94,7 @@ class TopologyKeeper:
         self._late = 0
         self._most = _ALL
         self._looked = -1  # the last iteration in which it looked
+        self._loss = np.inf  # before the last change
         self._events: list[str] = []
 
     def restart(self) -> None:
@@ -94,15 +111,18 @@ class TopologyKeeper:
         if not applies(run) or run.iteration == self._looked:
             return
         self._looked = run.iteration
+        just: list[ThinPlace] = []
         if self._before is not None:
-            if run.iteration - self._before.iteration >= _TRIAL:
-                self._judge(run)
-            return
+            if run.iteration - self._before.iteration < _TRIAL:
+                return
+            just = self._before.places
+            self._judge(run)
         found = self._candidates(run, _THIN, _SMALL)
         edge = median_edge(run.mesh)
         lasting = [p for p in found if any(_lasts(p, q, edge) for q in self._seen)]
+        lasting = [p for p in lasting if not any(_meet(p, q, edge) for q in just)]
         self._seen = found
-        if lasting:
+        if not self._try(run, lasting, just) and lasting:
             self._change(run, lasting)
 
     def holds_up(self, run: Run) -> bool:
@@ -111,18 +131,21 @@ class TopologyKeeper:
             return False
         if self._before is not None:
             return self._judge(run)
-        if self._late >= _LATE:
+        return self._try(run, self._candidates(run, _THIN, _SMALL), [])
+
+    def _try(self, run: Run, others: list[ThinPlace], just: list[ThinPlace]) -> bool:
+        """Change what only a trial can tell, and others; whether it did.
+
+        Nothing where a trial has ``just`` been: the fit has not come to rest there.
+        """
+        if self._late >= _LATE or run.halvings < _SETTLED:
             return False
-        found, narrow = self._candidates(run, _THIN, _SMALL), []
-        if not found:
-            wide = self._candidates(run, _NARROW, _SMALL_AT_END)
-            alike = [p for p in wide if len(p.sides) == 1 or len(p.regions) == 2]
-            # The flanks of a neck look like a hole, not the other way round.
-            alike = [p for p in alike if p.regions[0]] or alike
-            narrow = sorted(alike, key=lambda p: p.width)[:1]
-        if not (found or narrow) or not self._change(run, found or narrow, tried=not found):
+        trial = self._worth_a_trial(run, [*others, *just])
+        places = others + trial
+        if not places or not self._change(run, places, tried=bool(trial)):
             return False
         self._late += 1
+        _settle_again(run, min(self._late, _SETTLED))
         return True
 
     def level_ends(self, run: Run) -> None:
@@ -170,10 +193,34 @@ class TopologyKeeper:
 
     def _candidates(self, run: Run, thin: float, small: float) -> list[ThinPlace]:
         edge = median_edge(run.mesh)
+        places = thin_places(run.mesh, thin * edge, apart=_SAME * edge)
+        if run.level.factor > 1:  # else the image tells, at the end
+            places += small_walls(run.mesh, small * edge**2)
+        return self._free(run, places)
+
+    def _worth_a_trial(self, run: Run, others: list[ThinPlace]) -> list[ThinPlace]:
+        """Where another shape might explain the image, none near others or each other."""
+        width, edge = float(max(run.optics.sigma_um)), median_edge(run.mesh)
+        size = max(_SMALL_AT_END * edge, width)
+        places = small_pieces(run.mesh, 4 / 3 * np.pi * (_PIECE * width) ** 3)
+        places += _narrowest(thin_places(run.mesh, _NARROW * edge, apart=_SAME * edge))
+        walls = small_walls(run.mesh, size**2, _CLOSE * edge)
+        places += sorted([*walls, *short_junctions(run.mesh, size)], key=lambda p: p.width)
+        chosen = others.copy()
+        for place in self._free(run, places):
+            if any(_reverts(place, q, edge) for q in self._past):
+                continue
+            near = (cKDTree(p.points).query(place.points)[0].min() for p in chosen)
+            if min(near, default=np.inf) > _ALONE * width:
+                chosen.append(place)
+        return chosen[len(others) :]
+
+    def _free(self, run: Run, places: list[ThinPlace]) -> list[ThinPlace]:
+        """Those that are neither pinned nor known to stay."""
+        edge = median_edge(run.mesh)
         pins = run.mesh.vertices_numpy()[run.pinned]
         found = []
-        places = thin_places(run.mesh, thin * edge, apart=_SAME * edge)
-        for place in [*places, *small_walls(run.mesh, small * edge**2)]:
+        for place in places:
             pinned = len(pins) and cKDTree(pins).query(place.points)[0].min() < _SAME * edge
             alone = any(_same(place, q, edge) for q in self._left_alone)
             again = sum(_meet(place, q, edge) for q in self._past) >= _OFTEN
@@ -187,7 +234,7 @@ class TopologyKeeper:
         places = sorted(places, key=lambda p: p.width)[: self._most]
         made = give_way(run.mesh, places, median_edge(run.mesh))
         self._left_alone += made.hopeless
-        if not made.events:
+        if made.mesh is run.mesh:
             # Some spoil it for the others: fewer at the next look.
             self._most = max(1, len(places) // 2)
             return False
@@ -198,10 +245,11 @@ class TopologyKeeper:
             run.adam.count,
             run.density.log,
             run.pinned,
-            float(np.mean(run.losses[-_MEAN:])) if run.losses else np.inf,
+            float(np.mean(run.losses[-_MEAN:])) if run.losses else self._loss,
             run.level_number,
             run.iteration,
             places,
+            _misfits(run, places) if tried else np.zeros(0),
             made.events,
             tried,
         )
@@ -212,26 +260,65 @@ class TopologyKeeper:
         return True
 
     def _judge(self, run: Run) -> bool:
-        """Undo the last change if it has made the fit worse; whether it was undone."""
+        """Undo the last change where it has made the fit worse; whether anything was undone."""
         before, self._before = self._before, None
         assert before is not None
+        self._loss = before.loss
         same_level = before.level == run.level_number
-        tried = run.iteration - before.iteration
-        if not same_level or tried < _TRIAL or len(run.losses) < _MEAN:
+        past = run.iteration - before.iteration
+        if not same_level or past < _TRIAL or len(run.losses) < _MEAN:
             return False
-        most = (_BETTER if before.tried else _WORSE) * before.loss
-        if float(np.mean(run.losses[-_MEAN:])) <= most:
+        worse = float(np.mean(run.losses[-_MEAN:])) > _WORSE * before.loss
+        kept = before.places
+        if len(before.misfits):
+            gain = before.misfits - _misfits(run, before.places)
+            least = [_least(place, before.tried) for place in before.places]
+            kept = [p for p, g, x in zip(before.places, gain, least, strict=True) if g >= x]
+        if not worse and len(kept) == len(before.places):
             self._events += before.events if before.tried else ()
             return False
-        self._left_alone += before.places
+        self._left_alone += before.places if worse else [p for p in before.places if p not in kept]
+        self._undo(run, before)
+        if kept and not worse:
+            made = give_way(run.mesh, kept, median_edge(run.mesh))
+            if made.mesh is not run.mesh:
+                _go_on(run, made.mesh)
+                self._events += made.events if before.tried else ()
+        elif not before.tried:
+            self._events.append("undone, as the image speaks against it")
+        if before.tried:
+            _settle_again(run, _SETTLED)
+            if not kept or worse:  # it had settled there
+                run.losses = [before.loss] * _AT_REST
+        return True
+
+    def _undo(self, run: Run, before: _Before) -> None:
         run.retriangulate(before.mesh, before.log if len(before.log) else None)
         run.adam.count = before.count
         run.adam.carry_on(run.pieces, before.carried)
         run.pinned = before.pinned
         _renew(run)
-        if not before.tried:
-            self._events.append("undone, as the image speaks against it")
-        return True
+
+
+def _misfits(run: Run, places: list[ThinPlace]) -> np.ndarray:
+    reach = _BEYOND * float(max(run.optics.sigma_um))
+    return local_misfit(run, [place.points for place in places], reach)
+
+
+def _least(place: ThinPlace, tried: bool) -> float:
+    """Nats by which the image near a change must be explained better.
+
+    Sides that press against each other say enough themselves.
+    """
+    if not tried or (place.is_thin and len(place.sides) > 1):
+        return -np.inf
+    return -_PIECE_DOUBT if place.volume else _DOUBT
+
+
+def _settle_again(run: Run, halvings: int) -> None:
+    """Put the end of the fit off; steps are not so large that they shake what has settled."""
+    run.halvings, run.step_factor, run.losses = halvings, 0.5 ** (halvings - 1), []
+    run.window_start = np.zeros((0, 3))
 
 
 def applies(run: Run) -> bool:
@@ -272,15 +359,23 @@ def _renew(run: Run) -> None:
     run.hold()
 
 
+def _narrowest(places: list[ThinPlace]) -> list[ThinPlace]:
+    """The narrowest neck or hole."""
+    alike = [p for p in places if len(p.sides) == 1]
+    # The flanks of a neck look like a hole, not the other way round.
+    alike = [p for p in alike if p.regions[0]] or alike
+    return sorted(alike, key=lambda p: p.width)[:1]
+
+
 def _lists(places: list[ThinPlace]) -> list[list[Any]]:
     return [
-        [[int(r) for r in p.regions], [int(s) for s in p.sides], p.points.tolist(), float(p.width)]
+        [list(map(int, p.regions)), list(map(int, p.sides)), p.points.tolist(), p.width, p.volume]
         for p in places
     ]
 
 
 def _places(lists: list[list[Any]]) -> list[ThinPlace]:
-    return [ThinPlace(tuple(r), tuple(s), np.array(p), w) for r, s, p, w in lists]
+    return [ThinPlace(tuple(r), tuple(s), np.array(p), *rest) for r, s, p, *rest in lists]
 
 
 def _lasts(now: ThinPlace, before: ThinPlace, edge: float) -> bool:
@@ -290,6 +385,12 @@ def _lasts(now: ThinPlace, before: ThinPlace, edge: float) -> bool:
 def _same(one: ThinPlace, other: ThinPlace, edge: float) -> bool:
     alike = one.regions == other.regions and one.sides == other.sides
     return alike and _meet(one, other, edge)
+
+
+def _reverts(now: ThinPlace, before: ThinPlace, edge: float) -> bool:
+    """Whether a flip would take back another."""
+    turned = set(now.regions) == set(before.sides) or set(now.sides) == set(before.regions)
+    return turned and len(now.regions) > 1 and _meet(now, before, edge)
 
 
 def _meet(one: ThinPlace, other: ThinPlace, edge: float) -> bool:

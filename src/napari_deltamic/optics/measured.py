@@ -13,6 +13,7 @@ from torch import Tensor
 
 from ..errors import InputError
 from .model import Axes, ParametricPSF
+from .parameters import Spec, check_unit
 from .table import l2_width
 
 Bead = Literal["solid", "shell"]
@@ -21,6 +22,7 @@ _BORDER = 0.25  # of the peak: brighter at the border, and the stack does not ho
 _TAPER_SHARE = 0.15  # of the half size, at every edge
 _ABOVE_NOISE = 4.0  # standard deviations: what counts as signal
 _SAFE = 0.3  # transform of the bead, relative to its volume: division by less would amplify noise
+_VOXELS, _DIAMETERS = (1e-3, 10.0), (1e-3, 20.0)  # um, of stacks and beads that show a PSF
 _SATURATED = 4  # voxels that share the highest value
 
 
@@ -60,11 +62,7 @@ class MeasuredPSF(ParametricPSF):
     ) -> None:
         super().__init__((), {}, ())
         pixels = checked_stack(image)
-        size = np.asarray(voxel_size, float)
-        if size.shape != (3,) or not (np.isfinite(size).all() and (size > 0).all()):
-            raise InputError(f"voxel size must be three positive numbers (um), not {voxel_size}")
-        if not 0 <= bead_diameter < np.inf:
-            raise InputError(f"the diameter of a bead must be 0 um or more, not {bead_diameter}")
+        size = checked_sizes(voxel_size, bead_diameter)
         if bead not in ("solid", "shell"):
             raise InputError(f"a bead is 'solid' or 'shell', not {bead!r}")
         self.voxel_size = (float(size[0]), float(size[1]), float(size[2]))
@@ -169,10 +167,19 @@ class MeasuredPSF(ParametricPSF):
         return f"MeasuredPSF(size={self.size}, sigma=({z:.4g}, {y:.4g}, {x:.4g}) um)"
 
 
-def bead_transform(q: Tensor, bead: Bead) -> Tensor:
-    """Transform of a bead of unit mass at wavevector length times radius."""
+def bead_transform(q: Tensor, bead: Bead, core: float = 0.0) -> Tensor:
+    """Transform of a bead of unit mass at wavevector length times radius.
+
+    core : diameter of the middle of a solid bead that is not stained, relative to the bead's.
+    """
     if bead == "shell":
         return torch.sinc(q / pi)
+    if core > 0:
+        return (_ball(q) - core**3 * _ball(core * q)) / (1 - core**3)
+    return _ball(q)
+
+
+def _ball(q: Tensor) -> Tensor:
     small = q < 0.05
     safe = torch.where(small, torch.ones_like(q), q)
     ball = 3 * (torch.sin(safe) - safe * torch.cos(safe)) / safe**3
@@ -180,6 +187,22 @@ def bead_transform(q: Tensor, bead: Bead) -> Tensor:
 
 
 # ------------------------------------------------------------------------------------ preparing
+
+
+def checked_sizes(
+    voxel_size: tuple[float, float, float], bead_diameter: float
+) -> NDArray[np.float64]:
+    """(3,) voxel size, um; InputError where it or the diameter is wrong or in another unit."""
+    size = np.asarray(voxel_size, float)
+    if size.shape != (3,) or not (np.isfinite(size).all() and (size > 0).all()):
+        raise InputError(f"voxel size must be three positive numbers (um), not {voxel_size}")
+    for axis, d in zip("ZYX", size, strict=True):
+        check_unit(Spec(f"voxel size along {axis}", "um", "", typical=_VOXELS), float(d))
+    if not 0 <= bead_diameter < np.inf:
+        raise InputError(f"the diameter of a bead must be 0 um or more, not {bead_diameter}")
+    if bead_diameter > 0:
+        check_unit(Spec("diameter of the bead", "um", "", typical=_DIAMETERS), bead_diameter)
+    return size
 
 
 def checked_stack(image: NDArray) -> NDArray[np.float64]:

@@ -80,8 +80,9 @@ class Formation:
         if self.effects.depth_psf is not None:
             seen = seen.sum(0)
         image = band.to_image(seen, self.grid.shape)
+        self._gains = [gain.to(image) for gain in self._gains]  # once: there they stay
         for gain in self._gains:
-            image = image * gain.to(image)
+            image = image * gain
         return image
 
 

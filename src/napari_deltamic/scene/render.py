@@ -79,6 +79,7 @@ class Renderer:
         self._membranes = torch.as_tensor(mesh.membranes(), dtype=torch.float64, device=there)
         self._origin = torch.tensor(grid.origin, dtype=torch.float64, device=there)
         self._start = mesh.vertices_numpy()
+        self._start_there = torch.tensor(self._start, device=there)
         width = np.hypot(optics.width(), blur)
         self._take(as_effects(effects))
         fft_shape = self._formation.fft_shape(self._start, optics, accuracy, margin)
@@ -112,6 +113,18 @@ class Renderer:
     def holds_for(self, vertices: np.ndarray) -> bool:
         """Whether the plan still holds for these vertices (V, 3)."""
         return bool(np.abs(vertices - self._start).max() <= self.margin)
+
+    def pads_enough_for(self, effects: Effects, optics: Optics) -> bool:
+        """Whether the plan is wide enough for other effects, which may reach further."""
+        formation = Formation(self.grid, self.frame, self.blur, effects)
+        needed = formation.fft_shape(self._start, optics, self.plan.accuracy, self.margin)
+        return all(n <= m for n, m in zip(needed, self.plan.band.fft_shape, strict=True))
+
+    def moved(self, vertices: Tensor) -> Tensor:
+        """um, 0-dim: how far a vertex is from where the plan was made, along an axis at most."""
+        if self._start_there.device != vertices.device:
+            self._start_there = self._start_there.to(vertices.device)
+        return (vertices.detach() - self._start_there).abs().amax()
 
     def transform(self, vertices: Tensor, density: Tensor | None = None) -> Tensor:
         """u_hat on the box of the band; densities (F,) multiply the membranes of each face.
@@ -221,7 +234,8 @@ def render(
     vertices = mesh.vertices if is_tensor(mesh.vertices) else torch.tensor(mesh.vertices_numpy())
     device = vertices.device
     renderer = Renderer(mesh, grid, optics, accuracy, effects=effects, method=method, device=device)
-    weight = None if density is None else torch.as_tensor(density)
+    # A copy of an array: torch warns of those that are read-only.
+    weight = torch.tensor(density) if isinstance(density, np.ndarray) else density
     return renderer.image(renderer.transform(vertices, weight), renderer.otf(optics))
 
 

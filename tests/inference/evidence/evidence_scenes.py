@@ -9,12 +9,12 @@ from napari_deltamic.scene.effects import Effects
 from napari_deltamic.settings import FitSettings
 
 VOXEL = (0.3, 0.2, 0.2)
-GRID = Grid((24, 34, 34), VOXEL)
+GRID = Grid((20, 28, 28), VOXEL)
 SIGMA = (0.42, 0.25, 0.25)
 OPTICS = GaussianPSF(SIGMA)
-CENTER = (3.45, 3.3, 3.3)
-TRUTH = sphere(CENTER, (1.9, 2.0, 2.1), edge_length=0.15)
-SETTINGS = FitSettings(levels=(1.0,), max_iterations=120)
+CENTER = (2.85, 2.7, 2.7)
+TRUTH = sphere(CENTER, (1.5, 1.6, 1.7), edge_length=0.2)
+SETTINGS = FitSettings(levels=(1.0,), max_iterations=80)
 
 
 def light(effects=None, peak=40.0, background=4.0):
@@ -32,7 +32,7 @@ def photons(effects=None, seed=0, **options):
 
 def fitted(image, effects=(), **settings):
     """The last state of a fit that starts near."""
-    start = sphere(CENTER, (1.8, 1.9, 2.0), edge_length=0.45)
+    start = sphere(CENTER, (1.4, 1.5, 1.6), edge_length=0.45)
     chosen = SETTINGS.model_copy(update=settings)
     *_, last = fit(image, GRID, start, OPTICS, settings=chosen, effects=effects)
     return last

@@ -1,12 +1,23 @@
 """Which effects an image calls for."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from evidence_scenes import GRID, OPTICS, SETTINGS, TRUTH, VOXEL, fitted, photons
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.inference.evidence import recommend
-from napari_deltamic.scene.effects import Attenuation, Bulk, Effects
+from napari_deltamic.inference.evidence import recommend, search
+from napari_deltamic.inference.evidence.candidates import beyond_bounds
+from napari_deltamic.inference.evidence.score import score
+from napari_deltamic.scene.effects import (
+    Attenuation,
+    Bulk,
+    Effects,
+    Halo,
+    Illumination,
+    PixelIntegration,
+)
 
 
 def ask(image, state, only=None, **options):
@@ -39,7 +50,7 @@ def test_light_from_inside_is_found_with_its_strength_bias_and_price(filled):
 
 def test_the_predicted_bias_is_that_of_a_fit(filled):
     image, state = filled
-    found = ask(image, state)
+    found = ask(image, state, ["bulk"])
     right = fitted(image, effects=Effects.of(Bulk(density=0.15)))
     size = [np.cbrt(m.volumes()[1] * 3 / (4 * np.pi)) for m in (state.mesh, right.mesh)]
     swelling = abs(size[0] - size[1])
@@ -47,8 +58,11 @@ def test_the_predicted_bias_is_that_of_a_fit(filled):
 
 
 def test_it_is_the_same_every_time(filled, one_thread):
-    one, other = ask(*filled, ["bulk", "halo"]), ask(*filled, ["bulk", "halo"])
-    assert one.evidence == other.evidence
+    one, other = (
+        [replace(e, cost_ms=0.0) for e in ask(*filled, ["bulk", "bleaching"]).evidence]
+        for _ in range(2)
+    )
+    assert one == other
 
 
 def test_an_effect_that_is_there_is_not_asked_for_again(filled):
@@ -99,3 +113,25 @@ def test_an_unknown_candidate_is_refused(plain):
         ask(*plain, ["ghosts"])
     with pytest.raises(InputError, match="no effect that an image can call for"):
         ask(*plain, ["camera"])
+    with pytest.raises(InputError, match="name its file"):
+        ask(*plain, ["second_view"])
+
+
+def test_what_ends_at_its_bound_passes_for_something_else():
+    assert beyond_bounds(Illumination(coefficients=(0.1, 2.0, 0, 0, 0)))
+    assert beyond_bounds(Halo(fraction=0.0))
+    assert not beyond_bounds(Bulk(density=0.1))
+    assert not beyond_bounds(PixelIntegration())
+
+
+def test_what_is_not_clear_beside_the_misfit_is_taken_out_again(filled, monkeypatch):
+    """As if the residual varied far more from one large block to the next than nearby."""
+
+    def hazy(*given):
+        found = score(*given)
+        return replace(found, z=found.z / 50)
+
+    monkeypatch.setattr(search, "score", hazy)
+    found = ask(*filled, ["bulk"])
+    assert found.recommended == ()
+    assert found.effects.bulk is None

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import norm
 
 from napari_deltamic.inference.evidence.refit import Linearised
-from napari_deltamic.inference.evidence.score import blocks_of, equivalent_z, score
+from napari_deltamic.inference.evidence.score import block_sizes, blocks_of, equivalent_z, score
 
 RNG = np.random.default_rng(0)
 N = 4000
@@ -19,7 +19,7 @@ def at(residual):
 
 def test_no_effect_scores_like_a_normal_number():
     columns = RNG.normal(size=(N, 1)) + FITTED[:, :1]
-    z = [score(at(RNG.normal(size=N)), columns, BLOCKS).z for _ in range(300)]
+    z = [score(at(RNG.normal(size=N)), columns, [BLOCKS]).z for _ in range(300)]
     assert abs(np.mean(z)) < 0.2
     assert 0.8 < np.std(z) < 1.1
 
@@ -27,7 +27,7 @@ def test_no_effect_scores_like_a_normal_number():
 def test_an_effect_is_estimated_whatever_the_fitted_numbers_took_of_it():
     columns = RNG.normal(size=(N, 1)) + FITTED[:, :1]
     residual = RNG.normal(size=N) + 0.2 * columns[:, 0] - FITTED @ np.array([0.2, 3, -2, 1, 0])
-    found = score(at(residual), columns, BLOCKS)
+    found = score(at(residual), columns, [BLOCKS])
     assert found.z == pytest.approx(0.2 * np.sqrt(N), rel=0.15)
     assert found.estimate[0] == pytest.approx(0.2, rel=0.15)
     # Left out, it moves the first mode by as much as the two have in common.
@@ -35,7 +35,7 @@ def test_an_effect_is_estimated_whatever_the_fitted_numbers_took_of_it():
 
 
 def test_what_shape_explains_wholly_is_hidden():
-    found = score(at(RNG.normal(size=N)), FITTED @ np.ones((5, 1)), BLOCKS)
+    found = score(at(RNG.normal(size=N)), FITTED @ np.ones((5, 1)), [BLOCKS])
     assert found.hidden
     assert found.z == 0
 
@@ -43,9 +43,25 @@ def test_what_shape_explains_wholly_is_hidden():
 def test_related_residuals_do_not_pass_for_evidence():
     columns = np.repeat(RNG.normal(size=(N // 100, 1)), 100, axis=0)
     z = [
-        score(at(np.repeat(RNG.normal(size=N // 100), 100)), columns, BLOCKS).z for _ in range(100)
+        score(at(np.repeat(RNG.normal(size=N // 100), 100)), columns, [BLOCKS]).z
+        for _ in range(100)
     ]
     assert np.std(z) < 1.6
+
+
+def test_residuals_that_are_related_far_and_wide_count_once():
+    far = np.arange(N) // 400
+    columns = np.repeat(RNG.normal(size=(N // 400, 1)), 400, axis=0)
+    residual = np.repeat(RNG.normal(size=N // 400), 400) + RNG.normal(size=N)
+    found = score(at(residual), columns, [BLOCKS, far])
+    assert abs(found.z) < 0.7 * abs(score(at(residual), columns, [BLOCKS]).z)
+    assert found.near == score(at(residual), columns, [BLOCKS]).z
+
+
+def test_blocks_grow_as_long_as_there_are_enough():
+    sizes = block_sizes(np.arange(40**3), (40, 40, 40), np.ones(3))
+    assert [b.max() + 1 for b in sizes] == [1000, 125, 27]
+    assert len(block_sizes(np.arange(12**3), (12, 12, 12), np.full(3, 2.0))) == 1
 
 
 def test_several_numbers_count_as_one_as_unlikely():

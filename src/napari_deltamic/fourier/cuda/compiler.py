@@ -12,7 +12,7 @@ from typing import Any
 from ...errors import InputError
 from ...geometry.files import write_atomically
 from ..cost import cache_file
-from .transform import Build
+from .build import Build
 
 SOURCE = "mesh_ft_cuda.cu"
 HEADERS = ("cuda_faces.h", "triangle_ft.h")
@@ -96,11 +96,11 @@ def architecture(capability: tuple[int, int]) -> str:
     return f"compute_{max(older)}"
 
 
-def kernels_for(build: Build, target: str) -> bytes:
+def kernels_for(build: Build, target: str, anew: bool = False) -> bytes:
     """A module for a target such as ``sm_90``, from disk where it was compiled before."""
     path = _kept_file(build, target)
     with suppress(OSError):
-        if code := path.read_bytes():
+        if not anew and (code := path.read_bytes()):
             return code
     code = compile_kernels(build, target).code
     with suppress(OSError, InputError):  # a folder that cannot be written to is no reason to fail

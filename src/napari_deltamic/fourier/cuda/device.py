@@ -12,11 +12,10 @@ from typing import Any
 import torch
 
 from . import compiler
+from .build import DOUBLE, SINGLE, Build
 from .compiler import CompilerError
-from .transform import DOUBLE, SINGLE, Build
+from .driver import driver_version, torch_for
 
-# What to type where something is missing.
-INSTALL_TORCH = "pip install -U torch --index-url https://download.pytorch.org/whl/cu130"
 INSTALL_BINDINGS = "pip install 'napari-deltamic[gpu]'"
 
 
@@ -27,16 +26,31 @@ class NoGpuWarning(UserWarning):
 @cache
 def missing() -> str:
     """What keeps the GPU from being used, in one sentence with the remedy; empty if nothing."""
-    if torch.version.cuda is None:
-        return f"this torch is built without CUDA; for an NVIDIA GPU: {INSTALL_TORCH}"
-    if not torch.cuda.is_available():
+    driver = driver_version()
+    if driver is None and not torch.cuda.is_available():
         return "no NVIDIA GPU is found, or its driver is missing"
+    if torch.version.cuda is None:
+        assert driver is not None
+        return f"this torch is built without CUDA, but there is an NVIDIA GPU: {torch_for(driver)}"
+    if not torch.cuda.is_available():
+        assert driver is not None
+        return f"torch for CUDA {torch.version.cuda} does not run here: {torch_for(driver)}"
+    own = f"pip install 'cuda-bindings=={torch.version.cuda.split('.')[0]}.*'"
     try:
         compiler.source_folder()
         compiler.architecture(torch.cuda.get_device_capability())
     except CompilerError as error:
-        remedy = "reinstall napari-deltamic" if "sources" in str(error) else INSTALL_BINDINGS
+        remedy = INSTALL_BINDINGS
+        if "sources" in str(error):
+            remedy = "reinstall napari-deltamic"
+        elif "library" in str(error):  # bindings of another CUDA than torch brings along
+            remedy = own
         return f"{error}: {remedy}"
+    # What a compiler of a newer CUDA makes, the driver does not load.
+    major, minor = compiler.version()
+    if driver is not None and major > driver[0]:
+        runs = f"the driver runs CUDA {driver[0]}.{driver[1]}"
+        return f"{runs}, the compiler NVRTC is of {major}.{minor}: {own}, or update the driver"
     return ""
 
 
@@ -52,22 +66,26 @@ def kernels(device: torch.device, single: bool) -> DeviceKernels | None:
     reason = missing()
     if not reason:
         index = device.index if device.index is not None else torch.cuda.current_device()
-        try:
-            return _loaded(index, single)
-        except (CompilerError, CudaError) as error:
-            reason = str(error)
+        found = _loaded(index, single)
+        if not isinstance(found, str):
+            return found
+        reason = found
     _tell(reason)
     return None
 
 
 _lock = threading.Lock()
-_modules: dict[tuple[int, bool], DeviceKernels] = {}
+_modules: dict[tuple[int, bool], DeviceKernels | str] = {}
 
 
-def _loaded(index: int, single: bool) -> DeviceKernels:
+def _loaded(index: int, single: bool) -> DeviceKernels | str:
+    """The kernels, or why they cannot be had: asked once, since compiling takes seconds."""
     with _lock:  # two threads would compile the same
         if (index, single) not in _modules:
-            _modules[index, single] = DeviceKernels(index, SINGLE if single else DOUBLE)
+            try:
+                _modules[index, single] = DeviceKernels(index, SINGLE if single else DOUBLE)
+            except (CompilerError, CudaError) as error:
+                _modules[index, single] = str(error)
         return _modules[index, single]
 
 
@@ -95,10 +113,14 @@ class DeviceKernels:
         properties = torch.cuda.get_device_properties(index)
         self.multiprocessors = int(properties.multi_processor_count)
         target = compiler.architecture((properties.major, properties.minor))
-        code = compiler.kernels_for(build, target)
         self._context = self._call(driver.cuDevicePrimaryCtxRetain, self._device())
         with self:
-            self._module = self._call(driver.cuModuleLoadData, code)
+            try:
+                code = compiler.kernels_for(build, target)
+                self._module = self._call(driver.cuModuleLoadData, code)
+            except CudaError:  # a file that was damaged on disk
+                code = compiler.kernels_for(build, target, anew=True)
+                self._module = self._call(driver.cuModuleLoadData, code)
         self._functions: dict[str, Any] = {}
 
     def _device(self) -> Any:

@@ -7,13 +7,13 @@ tensors go to the CPU and back: slow, and told once.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from torch import Tensor
 
 from ..closed_form import _band_ft_backward, _mesh_ft, _mesh_ft_backward, band_ft
 from . import transform
 from .device import kernels
+from .fallback import on_cpu
 
 
 @_mesh_ft.register_kernel("cuda")
@@ -22,7 +22,8 @@ def _mesh_ft_cuda(
 ) -> Tensor:
     k = kernels(vertices.device, single)
     if k is None:
-        return _on_cpu(_mesh_ft, vertices, faces, density, wavevectors, single).to(vertices.device)
+        given = vertices, faces, density, wavevectors, single
+        return on_cpu(_mesh_ft, *given, back_to=vertices.device)
     return transform.list_forward(k, vertices, faces, density, wavevectors)
 
 
@@ -37,8 +38,8 @@ def _mesh_ft_backward_cuda(
 ) -> tuple[Tensor, Tensor]:
     k = kernels(vertices.device, single)
     if k is None:
-        found = _on_cpu(_mesh_ft_backward, grad, vertices, faces, density, wavevectors, single)
-        return found[0].to(vertices.device), found[1].to(vertices.device)
+        given = grad, vertices, faces, density, wavevectors, single
+        return on_cpu(_mesh_ft_backward, *given, back_to=vertices.device)
     return transform.list_backward(k, grad, vertices, faces, density, wavevectors)
 
 
@@ -53,8 +54,8 @@ def _band_ft_cuda(
 ) -> Tensor:
     k = kernels(vertices.device, single)
     if k is None:
-        found = _on_cpu(band_ft, vertices, faces, density, rows, spacing, single)
-        return found.to(vertices.device)
+        given = vertices, faces, density, rows, spacing, single
+        return on_cpu(band_ft, *given, back_to=vertices.device)
     return transform.band_forward(k, vertices, faces, density, rows, spacing)
 
 
@@ -70,10 +71,6 @@ def _band_ft_backward_cuda(
 ) -> tuple[Tensor, Tensor]:
     k = kernels(vertices.device, single)
     if k is None:
-        found = _on_cpu(_band_ft_backward, grad, vertices, faces, density, rows, spacing, single)
-        return found[0].to(vertices.device), found[1].to(vertices.device)
+        given = grad, vertices, faces, density, rows, spacing, single
+        return on_cpu(_band_ft_backward, *given, back_to=vertices.device)
     return transform.band_backward(k, grad, vertices, faces, density, rows, spacing)
-
-
-def _on_cpu(operator: Any, *arguments: Any) -> Any:
-    return operator(*(a.detach().cpu() if isinstance(a, Tensor) else a for a in arguments))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import importlib
-from collections import OrderedDict
+import threading
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
@@ -16,7 +16,9 @@ import torch
 from torch import Tensor
 
 from ..nonuniform import _BATCH_AT_MOST, _points_ft_backward, points_ft
-from .transform import tell_out_of_memory
+from .build import tell_out_of_memory
+from .fallback import on_cpu
+from .kept import Kept, stream_of
 
 _KEPT = 4  # plans
 # Of CUDA 12, which the wheels of cufinufft are linked to; a torch of CUDA 13 brings others.
@@ -51,8 +53,8 @@ def _points_ft_cuda(
 ) -> Tensor:
     modes, kind = (2 * half[0] + 1, 2 * half[1] + 1, half[2] + 1), _kind(single)
     if cufinufft() is None:
-        found = points_ft(points.cpu(), weights.cpu(), half, spacing, eps, single)
-        return found.to(points.device)
+        given = points, weights, half, spacing, eps, single
+        return on_cpu(points_ft, *given, back_to=points.device)
     out = torch.zeros(modes, dtype=kind, device=points.device)
     if len(points):
         theta = _angles(points, spacing, single)
@@ -72,9 +74,8 @@ def _points_ft_backward_cuda(
     single: bool,
 ) -> tuple[Tensor, Tensor]:
     if cufinufft() is None:
-        given = grad.resolve_conj().cpu(), points.cpu(), weights.cpu()
-        by_point, by_weight = _points_ft_backward(*given, half, spacing, eps, single)
-        return by_point.to(points.device), by_weight.to(points.device)
+        given = grad, points, weights, half, spacing, eps, single
+        return on_cpu(_points_ft_backward, *given, back_to=points.device)
     kind, count = _kind(single), len(points)
     if not count:
         return torch.zeros_like(points), torch.zeros_like(weights)
@@ -131,11 +132,10 @@ def _kind(single: bool) -> torch.dtype:
 
 
 def _angles(points: Tensor, spacing: Sequence[float], single: bool) -> list[Tensor]:
-    theta = points.detach().to(torch.float64) * torch.tensor(
-        list(spacing), dtype=torch.float64, device=points.device
-    )
-    theta = theta - 2 * pi * torch.round(theta / (2 * pi))
-    return list(theta.to(torch.float32 if single else torch.float64).T.contiguous())
+    # One axis after the other: a number goes along with a kernel, an array would be copied.
+    each = [p * s for p, s in zip(points.detach().to(torch.float64).T, spacing, strict=True)]
+    each = [theta - 2 * pi * torch.round(theta / (2 * pi)) for theta in each]
+    return [theta.to(torch.float32 if single else torch.float64) for theta in each]
 
 
 def _shift(theta_x: Tensor, nx: int) -> Tensor:
@@ -146,7 +146,8 @@ def _shift(theta_x: Tensor, nx: int) -> Tensor:
 
 # --------------------------------------------------------------------------------------- plans
 
-_plans: OrderedDict[Any, Any] = OrderedDict()
+_plans: Kept[Any] = Kept(_KEPT)
+_lock = threading.Lock()  # of plans: points are set first, then it is executed
 
 
 def _execute(
@@ -160,9 +161,10 @@ def _execute(
     """One transform of type 1 or 2, or as many as the data holds, on the current stream."""
     count = data.shape[0] if data.ndim - (1 if kind == 1 else 3) else 1
     try:
-        plan = _plan(kind, modes, count, eps, data)
-        plan.setpts(*theta)
-        plan.execute(data, out=out)
+        with _lock:
+            plan = _plan(kind, modes, count, eps, data)
+            plan.setpts(*theta)
+            plan.execute(data, out=out)
     except (RuntimeError, MemoryError) as error:  # cufinufft tells no reason
         _plans.clear()
         raise torch.OutOfMemoryError(f"cufinufft: {error}") from None
@@ -170,14 +172,11 @@ def _execute(
 
 def _plan(kind: int, modes: tuple[int, int, int], count: int, eps: float, like: Tensor) -> Any:
     """The last few are kept: a plan holds the FFT's tables and grid."""
-    device = like.device.index or 0
-    stream = torch.cuda.current_stream(device).cuda_stream if like.is_cuda else 0
+    device, stream = like.device.index or 0, stream_of(like.device)
     single = like.dtype == torch.complex64
-    key = (kind, modes, count, eps, single, device, stream)
-    if key not in _plans:
-        while len(_plans) >= _KEPT:
-            _plans.popitem(last=False)
-        _plans[key] = cufinufft().Plan(
+    return _plans.get(
+        (kind, modes, count, eps, single, device, stream),
+        lambda: cufinufft().Plan(
             kind,
             modes,
             n_trans=count,
@@ -186,6 +185,5 @@ def _plan(kind: int, modes: tuple[int, int, int], count: int, eps: float, like: 
             dtype="complex64" if single else "complex128",
             gpu_device_id=device,
             gpu_stream=stream or None,
-        )
-    _plans.move_to_end(key)
-    return _plans[key]
+        ),
+    )

@@ -7,70 +7,19 @@ the vertices. On a GPU that is :mod:`.device`; the tests run the same code on th
 from __future__ import annotations
 
 import ctypes
-import warnings
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
-_SEGMENT = np.dtype([("kz", "i4"), ("ky", "i4"), ("kx", "i4"), ("length", "i4"), ("offset", "i8")])
+from .build import Kernels, tell_out_of_memory
+from .layout import Layout, corners_of_vertices, layout_of
+
 _SUMS = 10  # of a face: sums_per_face
 _TRIANGLE_BYTES = 104
 _WAVES = 4  # times all blocks that a device holds at once: evens out what blocks take
 _PARTIAL_BYTES = 1 << 29  # of partial sums, at most
-_KEPT = 8  # layouts
-
-
-class OutOfMemoryWarning(UserWarning):
-    """The device has less memory than was asked for; the work is cut into smaller pieces."""
-
-
-@dataclass(frozen=True)
-class Build:
-    """Numbers that the source is compiled with.
-
-    real : type of the inner loops. width : wavevectors in a segment. threads : in a block.
-    tile : faces or segments in shared memory. resident : blocks that a multiprocessor holds.
-    """
-
-    real: str
-    width: int
-    threads: int = 128
-    tile: int = 64
-    resident: int = 5
-
-    @property
-    def face_bytes(self) -> int:
-        """Size of what is kept of a face of a band."""
-        return 96 if self.real == "float" else 176
-
-    @property
-    def defines(self) -> list[str]:
-        """Options of the compiler."""
-        return [
-            f"-DDELTAMIC_REAL={self.real}",
-            f"-DDELTAMIC_WIDTH={self.width}",
-            f"-DDELTAMIC_THREADS={self.threads}",
-            f"-DDELTAMIC_TILE={self.tile}",
-            f"-DDELTAMIC_RESIDENT={self.resident}",
-        ]
-
-
-SINGLE, DOUBLE = Build("float", 8), Build("double", 4, resident=2)
-
-
-class Kernels(Protocol):
-    """Compiled kernels of one type on one device."""
-
-    build: Build
-    multiprocessors: int
-
-    def launch(self, name: str, grid: tuple[int, int], arguments: Sequence[Any]) -> None:
-        """Start a kernel on the current stream; the arguments are ctypes values."""
 
 
 # ------------------------------------------------------------------------------------- bands
@@ -85,7 +34,7 @@ def band_forward(
     spacing: Sequence[float],
 ) -> Tensor:
     """As ``deltamic::band_ft``."""
-    layout = _layout(rows, vertices.device, kernels.build.width)
+    layout = layout_of(rows, vertices.device, kernels.build.width)
     mesh = _Mesh(vertices, faces, density)
     if not mesh.count or not layout.wavevectors:
         return _new(kernels, mesh, layout.wavevectors).zero_()
@@ -120,7 +69,7 @@ def band_backward(
     spacing: Sequence[float],
 ) -> tuple[Tensor, Tensor]:
     """As ``deltamic::band_ft_backward``."""
-    layout = _layout(rows, vertices.device, kernels.build.width)
+    layout = layout_of(rows, vertices.device, kernels.build.width)
     mesh = _Mesh(vertices, faces, density)
     if not mesh.count or not layout.wavevectors:
         return torch.zeros_like(vertices), torch.zeros_like(density)
@@ -214,16 +163,16 @@ def list_backward(
     return _gradients(kernels, "list_face_gradient", mesh, arguments, vertices, density)
 
 
-# ------------------------------------------------------------------------ triangles and layouts
+# ------------------------------------------------------------------------------------ triangles
 
 
 class _Mesh:
     """Contiguous arrays in the types that the kernels take."""
 
     def __init__(self, vertices: Tensor, faces: Tensor, density: Tensor) -> None:
-        self.vertices = vertices.detach().to(torch.float64).contiguous()
+        self.vertices = vertices.detach().to(torch.float64).resolve_neg().contiguous()
         self.faces = faces.to(torch.int64).contiguous()
-        self.density = density.detach().to(torch.float64).contiguous()
+        self.density = density.detach().to(torch.float64).resolve_neg().contiguous()
         self.count = len(faces)
 
     @property
@@ -236,50 +185,8 @@ class _Mesh:
         ]
 
 
-@dataclass(frozen=True)
-class _Layout:
-    """A band cut into segments, on the device."""
-
-    table: Tensor
-    segments: int
-    wavevectors: int
-    largest: tuple[int, int, int]
-    source: Tensor  # keeps its memory from being given to another tensor
-
-
-_layouts: OrderedDict[Any, _Layout] = OrderedDict()
-
-
-def _layout(rows: Tensor, device: torch.device, width: int) -> _Layout:
-    """The segments of a band; the last few are kept, so that a fit does not make them anew."""
-    key = (rows.data_ptr(), rows._version, len(rows), device, width)
-    if key not in _layouts:
-        _layouts[key] = _cut(rows, device, width)
-        if len(_layouts) > _KEPT:
-            _layouts.popitem(last=False)
-    _layouts.move_to_end(key)
-    return _layouts[key]
-
-
-def _cut(rows: Tensor, device: torch.device, width: int) -> _Layout:
-    r = rows.detach().cpu().numpy().astype(np.int64)
-    pieces = -(-r[:, 2] // width)
-    row = np.repeat(np.arange(len(r)), pieces)
-    place = np.arange(len(row)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
-    start = np.cumsum(r[:, 2]) - r[:, 2]
-    table = np.zeros(len(row), _SEGMENT)
-    table["kz"], table["ky"], table["kx"] = r[row, 0], r[row, 1], place * width
-    table["length"] = np.minimum(r[row, 2] - place * width, width)
-    table["offset"] = start[row] + place * width
-    plain = torch.from_numpy(table.view(np.uint8).copy()).to(device)
-    largest = (0, 0, 0)
-    if len(r):
-        largest = (int(abs(r[:, 0]).max()), int(abs(r[:, 1]).max()), max(int(r[:, 2].max()) - 1, 0))
-    return _Layout(plain, len(row), int(r[:, 2].sum()), largest, rows)
-
-
 def _prepare_band(
-    kernels: Kernels, mesh: _Mesh, layout: _Layout, spacing: Sequence[float], backward: bool
+    kernels: Kernels, mesh: _Mesh, layout: Layout, spacing: Sequence[float], backward: bool
 ) -> Tensor:
     size = mesh.count * kernels.build.face_bytes
     out = torch.empty(size, dtype=torch.uint8, device=mesh.vertices.device)
@@ -363,7 +270,7 @@ def _gradients(
     blocks = _blocks(kernels, mesh.count)
     arguments = [*mesh.pointers, *sums, _pointer(corners), _pointer(by_density)]
     kernels.launch(name, (blocks, 1), arguments)
-    order, start = _corners_of_vertices(mesh.faces, number)
+    order, start = corners_of_vertices(mesh.faces, number)
     by_vertex = torch.empty(number, 3, dtype=torch.float64, device=device)
     arguments = [
         _pointer(corners),
@@ -376,28 +283,7 @@ def _gradients(
     return by_vertex.to(vertices.dtype), by_density.to(density.dtype)
 
 
-_incidences: OrderedDict[Any, tuple[Tensor, Tensor, Tensor]] = OrderedDict()
-
-
-def _corners_of_vertices(faces: Tensor, vertices: int) -> tuple[Tensor, Tensor]:
-    """Corners (3F,) in the order of their vertices, and where each vertex begins (V + 1,)."""
-    key = (faces.data_ptr(), faces._version, len(faces), faces.device, vertices)
-    if key not in _incidences:
-        ordered, order = torch.sort(faces.reshape(-1), stable=True)
-        every = torch.arange(vertices + 1, device=faces.device)
-        _incidences[key] = order, torch.searchsorted(ordered, every), faces
-        if len(_incidences) > _KEPT:
-            _incidences.popitem(last=False)
-    _incidences.move_to_end(key)
-    return _incidences[key][:2]
-
-
 # ------------------------------------------------------------------------------------- helpers
-
-
-def tell_out_of_memory(what: str) -> None:
-    """Warn that the device's memory is short and what is done about it."""
-    warnings.warn(f"the memory of the GPU is short: {what}", OutOfMemoryWarning, stacklevel=2)
 
 
 def _pointer(t: Tensor) -> ctypes.c_void_p:
@@ -415,7 +301,7 @@ def _new(kernels: Kernels, mesh: _Mesh, size: int) -> Tensor:
 
 def _incoming(kernels: Kernels, grad: Tensor) -> Tensor:
     kind = torch.complex64 if kernels.build.real == "float" else torch.complex128
-    return torch.view_as_real(grad.detach().to(kind).resolve_conj().contiguous())
+    return torch.view_as_real(grad.detach().to(kind).resolve_conj().resolve_neg().contiguous())
 
 
 def _blocks(kernels: Kernels, count: int) -> int:

@@ -8,6 +8,7 @@ says where, the image says how far: cells are divided and added by a watershed o
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,11 +21,15 @@ from skimage.graph import MCP_Geometric
 from skimage.segmentation import watershed
 
 from napari_deltamic.errors import InputError
+from napari_deltamic.geometry.files import write_atomically
 from napari_deltamic.geometry.labels.find_cells import _checked, _walls
 from napari_deltamic.geometry.labels.region_merging import Image, Labels
 from napari_deltamic.geometry.mesh import FloatArray
 
 Action = Literal["cell", "merge", "remove"]
+_COLUMNS = ("z", "y", "x", "action", "step")
+_Place = tuple[int, ...]
+_Clicks = list[tuple[int, _Place]]  # number from 0, voxel
 
 # In parts of the diameter of a typical cell:
 _MARKER = 0.08  # radius of what a click marks
@@ -45,10 +50,68 @@ class Click:
         cut off from the rest of it, or the label is divided among several clicks in it.
         "merge": the labels here and at the next "merge" click are one cell. "remove": the label
         here is no cell.
+    step : clicks of one step are looked at together, those of a later step see what it did.
     """
 
     place: tuple[float, float, float]
     action: Action = "cell"
+    step: int = 0
+
+
+class Corrector:
+    """Corrects labels of one image, click by click; its membranes are looked at once.
+
+    Parameters
+    ----------
+    image : (Z, Y, X), membranes bright; NaN where missing.
+    voxel_size, origin : um, Z, Y, X; origin is the centre of the first voxel.
+    """
+
+    def __init__(
+        self,
+        image: ArrayLike,
+        voxel_size: Sequence[float],
+        origin: Sequence[float] = (0.0, 0.0, 0.0),
+    ) -> None:
+        self._data, _, self._voxel = _checked(image, voxel_size)
+        self._origin = np.asarray(origin, np.float64)
+        self._size = 0.0  # um, of a typical cell of the first labels; 0 while there were none
+        self._found: Image | None = None
+
+    def corrected(self, labels: ArrayLike, clicks: Sequence[Click]) -> NDArray[np.int32]:
+        """Labels with the corrections that clicks ask for; see :func:`correct_labels`."""
+        result = np.array(labels, np.int32)
+        if result.shape != self._data.shape:
+            raise InputError(f"the labels have shape {result.shape}, the image {self._data.shape}")
+        if not clicks:
+            return result
+        places = _voxels(clicks, self._voxel, self._origin, result.shape)
+        self._size = self._size or _typical(result, self._voxel)
+        for step in sorted({click.step for click in clicks}):
+            numbered = [(k, c.action) for k, c in enumerate(clicks) if c.step == step]
+            removed, merged, new = (
+                [(k, places[k]) for k, action in numbered if action == name]
+                for name in ("remove", "merge", "cell")
+            )
+            _remove(result, removed)
+            _merge(result, merged, self._voxel, self._size)
+            self._cut_and_add(result, new)
+        return result
+
+    def _cut_and_add(self, labels: Labels, clicks: _Clicks) -> None:
+        if not clicks:
+            return
+        if self._found is None:
+            self._found = _walls(self._data, self._voxel, self._size)
+        # All of it is decided before anything is changed.
+        names = [int(labels[place]) for _, place in clicks]
+        for name in sorted(set(names)):
+            own = [click for click, n in zip(clicks, names, strict=True) if n == name]
+            if name:
+                _cut(labels, self._found, name, own, self._voxel)
+        missing = [click for click, n in zip(clicks, names, strict=True) if n == 0]
+        if missing:
+            _add(labels, self._found, missing, self._voxel, self._size)
 
 
 def correct_labels(
@@ -58,7 +121,9 @@ def correct_labels(
     clicks: Sequence[Click],
     origin: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> NDArray[np.int32]:
-    """Labels with the corrections that clicks ask for; removed first, then merged, then cut, added.
+    """Labels with the corrections that clicks ask for.
+
+    Steps follow each other; in each, labels are removed first, then merged, then cut, then added.
 
     Parameters
     ----------
@@ -77,38 +142,11 @@ def correct_labels(
         Labels and image differ in shape; a click lies outside the image or where its action means
         nothing; an odd number of "merge".
     """
-    data, _, voxel = _checked(image, voxel_size)
-    result = np.array(labels, np.int32)
-    if result.shape != data.shape:
-        raise InputError(f"the labels have shape {result.shape}, the image {data.shape}")
-    if not clicks:
-        return result
-    places = _voxels(clicks, voxel, np.asarray(origin, np.float64), result.shape)
-    size = _typical(result, voxel)
-    numbered = [(k, places[k], click.action) for k, click in enumerate(clicks)]
-    _remove(result, [(k, p) for k, p, action in numbered if action == "remove"])
-    _merge(result, [(k, p) for k, p, action in numbered if action == "merge"], voxel, size)
-    new = [(k, p) for k, p, action in numbered if action == "cell"]
-    if new:
-        walls = _walls(data, voxel, size)
-        # All of it is decided before anything is changed.
-        names = [int(result[place]) for _, place in new]
-        for name in sorted(set(names) - {0}):
-            _cut(
-                result,
-                walls,
-                name,
-                [c for c, n in zip(new, names, strict=True) if n == name],
-                voxel,
-            )
-        missing = [c for c, n in zip(new, names, strict=True) if n == 0]
-        if missing:
-            _add(result, walls, missing, voxel, size)
-    return result
+    return Corrector(image, voxel_size, origin).corrected(labels, clicks)
 
 
 def read_clicks_csv(path: str | Path) -> list[Click]:
-    """Read clicks: header `z,y,x,action`, um; an empty action is "cell".
+    """Read clicks: header `z,y,x,action` or `z,y,x,action,step`, um; an empty action is "cell".
 
     Raises
     ------
@@ -120,29 +158,38 @@ def read_clicks_csv(path: str | Path) -> list[Click]:
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot read clicks from {path}: {error}") from error
     rows = [[field.strip().lower() for field in row] for row in csv.reader(text.splitlines())]
-    if not rows or rows[0] != ["z", "y", "x", "action"]:
-        raise InputError(f"{path}: the first line must be z,y,x,action")
+    if not rows or tuple(rows[0]) not in (_COLUMNS[:4], _COLUMNS):
+        raise InputError(f"{path}: the first line must be z,y,x,action or z,y,x,action,step")
     clicks = []
     for number, row in enumerate(rows[1:], 2):
-        if not any(row):
-            continue
-        try:
-            z, y, x = (float(field) for field in row[:3])
-        except ValueError as error:
-            raise InputError(f"{path}, line {number}: {error}") from error
-        word = row[3] if len(row) > 3 and row[3] else "cell"
-        actions: tuple[Action, ...] = get_args(Action)
-        action = next((known for known in actions if known == word), None)
-        if action is None or not np.isfinite((z, y, x)).all():
-            raise InputError(f"{path}, line {number}: three numbers and one of cell, merge, remove")
-        clicks.append(Click((z, y, x), action))
+        if any(row):
+            try:
+                clicks.append(_click(row))
+            except (ValueError, InputError) as error:
+                raise InputError(f"{path}, line {number}: {error}") from error
     return clicks
 
 
-# Actions --------------------------------------------------------------------------------------
+def write_clicks_csv(path: str | Path, clicks: Sequence[Click]) -> None:
+    """Write what :func:`read_clicks_csv` reads. InputError if the file cannot be written."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(_COLUMNS)
+    writer.writerows([*map(repr, map(float, c.place)), c.action, c.step] for c in clicks)
+    write_atomically(Path(path), text.getvalue().encode())
 
-_Place = tuple[int, ...]
-_Clicks = list[tuple[int, _Place]]  # number from 0, voxel
+
+def _click(row: list[str]) -> Click:
+    z, y, x = (float(field) for field in row[:3])
+    word, step, *_ = *row[3:], "", ""
+    actions: tuple[Action, ...] = get_args(Action)
+    action = next((known for known in actions if known == (word or "cell")), None)
+    if action is None or not np.isfinite((z, y, x)).all():
+        raise InputError("three numbers and one of cell, merge, remove")
+    return Click((z, y, x), action, int(step or 0))
+
+
+# Actions --------------------------------------------------------------------------------------
 
 
 def _remove(labels: Labels, clicks: _Clicks) -> None:

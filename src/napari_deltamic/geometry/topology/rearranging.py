@@ -14,17 +14,22 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.labels.partition import partition_mesh
 from napari_deltamic.geometry.labels.voxels import voxel_labels, voxel_windings
-from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, IntArray, Mesh
+from napari_deltamic.geometry.mesh import FloatArray, Mesh
 from napari_deltamic.geometry.remeshing import remesh
 from napari_deltamic.geometry.topology.crossings import crosses, crossings
+from napari_deltamic.geometry.topology.events import (
+    change_events,
+    contacts,
+    untangled_events,
+)
+from napari_deltamic.geometry.topology.flips import flipped
 from napari_deltamic.geometry.topology.projection import projected
+from napari_deltamic.geometry.topology.small_pieces import absorbed
 from napari_deltamic.geometry.topology.thin_places import ThinPlace
 
 Labels = NDArray[np.int32]
@@ -41,7 +46,6 @@ _WINDOW = 1.5  # around a thin place in which it gives way
 _THICK = 1.0  # what is thinner gives way there,
 _WIDER = 1.4  # or what is less than this many times as wide as the place
 _NEW, _OLD = 1.5, 2.5  # nearer than the first to a change the surface is new, beyond the second old
-_CRUMB = 0.3  # edge lengths cubed: a piece not worth a word
 _SMALLEST_PIECE = 8.0  # edge lengths cubed: smaller pieces that come off are dropped
 
 
@@ -69,17 +73,38 @@ def give_way(mesh: Mesh, places: Sequence[ThinPlace], edge: float) -> Rearranged
     """The mesh after thin places have given way: what lay on their two sides meets there.
 
     A gap between two cells becomes a wall, a hole closes, a neck is pinched off, and where a cell
-    is thin between two others, these become neighbours.
+    is thin between two others, these become neighbours. A small wall goes, the cells at the ends
+    of a short junction come to touch, and a small piece goes to a neighbour: these change nothing
+    but the faces around them.
 
     Parameters
     ----------
     mesh
         Closed regions that do not cross.
     places
-        From :func:`thin_places`.
+        From :func:`thin_places`, :func:`small_walls`, :func:`short_junctions` and
+        :func:`small_pieces`.
     edge
         um: the edge length of the mesh.
     """
+    hopeless: list[ThinPlace] = []
+    changed: list[ThinPlace] = []
+    now = mesh
+    for place in places:
+        if place.is_thin:
+            continue
+        made = absorbed(now, place, edge) if place.volume else flipped(now, place, edge)
+        now = now if made is None else made
+        (hopeless if made is None else changed).append(place)
+    events = change_events(mesh, now, changed, [], edge) if changed else ()
+    rest = [place for place in places if place.is_thin]
+    if not rest:
+        return Rearranged(now, events, tuple(hopeless))
+    done = _thinned(now, rest, edge)
+    return Rearranged(done.mesh, events + done.events, (*hopeless, *done.hopeless))
+
+
+def _thinned(mesh: Mesh, places: Sequence[ThinPlace], edge: float) -> Rearranged:
     work = _Work()
     done = _opened(mesh, places, edge, work)
     if done is not None:
@@ -129,8 +154,8 @@ def _opened(mesh: Mesh, places: Sequence[ThinPlace], edge: float, work: _Work) -
         if not len(changed) or set(np.unique(labels)) != set(np.unique(before)):
             continue
         made = _extracted(mesh, labels, box, edge, changed)
-        if made is not None and _contacts(made) - _contacts(mesh) <= meant:
-            events = _events(mesh, made, places, dropped, edge)
+        if made is not None and contacts(made) - contacts(mesh) <= meant:
+            events = change_events(mesh, made, places, dropped, edge)
             return Rearranged(made, events) if events else None
     return None
 
@@ -171,7 +196,7 @@ def untangled(mesh: Mesh, edge: float | None = None) -> Rearranged:
     made = _extracted(mesh, labels, box, edge, changed)
     if made is None:
         raise InputError("surfaces cross in a way that cannot be repaired: start from other seeds")
-    return Rearranged(made, _untangled_events(mesh, made, found))
+    return Rearranged(made, untangled_events(mesh, made, found))
 
 
 # ------------------------------------------------------------------------------------ voxels
@@ -312,61 +337,3 @@ def _sound(mesh: Mesh, old: Mesh) -> bool:
         and min(mesh.volumes().values()) > 0
         and not crosses(mesh)
     )
-
-
-# ------------------------------------------------------------------------------- in words
-
-
-def _events(
-    old: Mesh,
-    new: Mesh,
-    places: Sequence[ThinPlace],
-    dropped: list[tuple[int, float]],
-    edge: float,
-) -> tuple[str, ...]:
-    lost, gained = _contacts(old) - _contacts(new), _contacts(new) - _contacts(old)
-    said = []
-    if lost and gained:
-        said.append(f"neighbours exchanged: {_listed(lost)} lost, {_listed(gained)} gained")
-    elif gained:
-        said += [f"cell {a} touches cell {b}" for a, b in sorted(gained)]
-    elif lost:
-        said += [f"cell {a} lets go of cell {b}" for a, b in sorted(lost)]
-    for cell in sorted({p.regions[0] or p.sides[0] for p in places if len(p.sides) == 1}):
-        (pieces, euler), (pieces_now, euler_now) = _shape(old, cell), _shape(new, cell)
-        if pieces_now > pieces:
-            said.append(f"cell {cell} was pinched off into {pieces_now} pieces")
-        elif euler_now > euler:
-            said.append(f"a hole in cell {cell} has closed")
-    for region, volume in dropped:
-        if region != OUTSIDE and volume > _CRUMB * edge**3:
-            said.append(f"a piece of cell {region} was pinched off and removed ({volume:.2g} um^3)")
-    if not said:
-        joined = {p.sides for p in places if len(p.sides) == 2 and p.regions == (OUTSIDE,)}
-        said += [f"cells {a} and {b} touch in another place" for a, b in sorted(joined) if a]
-    return tuple(dict.fromkeys(said))
-
-
-def _untangled_events(old: Mesh, new: Mesh, found: IntArray) -> tuple[str, ...]:
-    said = [
-        f"cells {a} and {b} overlapped and now share a wall"
-        for a, b in sorted(_contacts(new) - _contacts(old))
-    ]
-    where = f"{len(found)} crossing{'s' * (len(found) > 1)} of surfaces removed"
-    return tuple([where, *said])
-
-
-def _shape(mesh: Mesh, region: int) -> tuple[int, int]:
-    """Pieces of a region's surface, and its Euler characteristic."""
-    surface = mesh.region_surface(region)
-    edges, n = surface.edges(), len(surface.vertices)
-    graph = coo_matrix((np.ones(len(edges)), edges.T), shape=(n, n))
-    return int(connected_components(graph, directed=False)[0]), n - len(edges) + len(surface.faces)
-
-
-def _contacts(mesh: Mesh) -> set[tuple[int, int]]:
-    return {(int(min(p)), int(max(p))) for p in mesh.interfaces()[0] if min(p) != OUTSIDE}
-
-
-def _listed(pairs: set[tuple[int, int]]) -> str:
-    return ", ".join(f"{a}-{b}" for a, b in sorted(pairs))

@@ -24,19 +24,35 @@ class ThinPlace:
     Attributes
     ----------
     regions
-        The thin one, 0 for a gap between cells or a hole through one; or the two of a small wall.
+        The thin one, 0 for a gap between cells or a hole through one; the two of a small wall; the
+        three of a short junction.
     sides
-        What lies around, smaller numbers first; only one for a neck or a hole.
+        What lies around, smaller numbers first; only one for a neck or a hole; what lies at the
+        two ends of a short junction.
     points
         (n, 3) um: midway between the sides.
     width
-        um: the mean distance of the sides there.
+        um: the mean distance of the sides there; of a wall the root of its area, of a junction its
+        length, of a piece the third root of its volume.
+    volume
+        um^3: of a small piece that may vanish as a whole; 0 for all others.
     """
 
     regions: tuple[int, ...]
     sides: tuple[int, ...]
     points: FloatArray
     width: float
+    volume: float = 0.0
+
+    @property
+    def is_thin(self) -> bool:
+        """Whether a region is thin here: neither a small wall or junction nor a small piece."""
+        return len(self.regions) == 1 and not self.volume
+
+    @property
+    def is_gap(self) -> bool:
+        """Whether two cells nearly touch here."""
+        return self.is_thin and self.regions[0] == 0 and len(self.sides) == 2
 
     @property
     def center(self) -> FloatArray:
@@ -78,34 +94,71 @@ def thin_places(mesh: Mesh, reach: float, apart: float | None = None) -> list[Th
     return places
 
 
-def small_walls(mesh: Mesh, area: float) -> list[ThinPlace]:
-    """Pieces of walls between two cells that are smaller than ``area`` um^2."""
+def small_walls(mesh: Mesh, area: float, apart: float = 0.0) -> list[ThinPlace]:
+    """Pieces of walls between two cells that are smaller than ``area`` um^2.
+
+    Pieces between the same cells that share a vertex, or whose corners are no more than ``apart``
+    um from each other, are one place.
+    """
     pairs, wall = mesh.interfaces()
-    rows = np.flatnonzero((pairs[wall] > 0).all(1))
-    if not len(rows):
-        return []
-    edge = mesh.face_edges()[rows]
-    key = (wall[rows][:, None] * len(mesh.edges()) + edge).reshape(-1)
-    _, node = np.unique(key, return_inverse=True)
-    face, n = np.repeat(np.arange(len(rows)), 3), len(rows)
-    size = n + int(node.max()) + 1
-    graph = coo_matrix((np.ones(len(face)), (face, n + node.reshape(-1))), shape=(size, size))
-    piece = connected_components(graph, directed=False)[1][:n]
-    areas = np.bincount(piece, mesh.areas()[rows])
-    meet = _regions_at(mesh)
+    vertices, areas, meet = mesh.vertices_numpy(), mesh.areas(), _regions_at(mesh)
     places = []
-    for k in np.flatnonzero((areas < area) & (areas > 0)):
-        own = rows[piece == k]
-        one, other = (int(r) for r in pairs[wall[own[0]]])
-        corners = np.unique(mesh.faces[own])
-        around = np.flatnonzero(meet[corners].any(0)).tolist()
-        sides = tuple(sorted(set(around) - {one, other}))
-        if sides:
-            points = np.concatenate(
-                [mesh.vertices_numpy()[corners], mesh.vertices_numpy()[mesh.faces[own]].mean(1)]
-            )
-            places.append(ThinPlace((other, one), sides, points, float(np.sqrt(areas[k]))))
+    for row in np.flatnonzero((pairs > 0).all(1)):
+        own = np.flatnonzero(wall == row)
+        corners, corner = np.unique(mesh.faces[own], return_inverse=True)
+        piece = _pieces_of(corner.reshape(-1, 3), vertices[corners], apart)
+        size = np.bincount(piece, areas[own])
+        for k in np.flatnonzero((size < area) & (size > 0)):
+            faces = mesh.faces[own[piece == k]]
+            around = np.flatnonzero(meet[np.unique(faces)].any(0)).tolist()
+            one, other = (int(r) for r in pairs[row])
+            sides = tuple(sorted(set(around) - {one, other}))
+            if sides:
+                points = np.concatenate([vertices[np.unique(faces)], vertices[faces].mean(1)])
+                places.append(ThinPlace((other, one), sides, points, float(np.sqrt(size[k]))))
     return places
+
+
+def short_junctions(mesh: Mesh, length: float) -> list[ThinPlace]:
+    """Junctions of three regions shorter than ``length`` um between two that do not touch.
+
+    The three are the regions of such a place, the two at the ends of the junction its sides.
+    """
+    edges, face_edges = mesh.edges(), mesh.face_edges().reshape(-1)
+    rows = np.flatnonzero(np.bincount(face_edges, minlength=len(edges)) == 3)
+    around = np.zeros((len(edges), int(mesh.regions.max()) + 1), bool)
+    for side in (0, 1):
+        around[face_edges, np.repeat(mesh.regions[:, side], 3)] = True
+    triples, triple = np.unique(around[rows], axis=0, return_inverse=True)
+    vertices, meet = mesh.vertices_numpy(), _regions_at(mesh)
+    touching = {tuple(sorted(pair)) for pair in mesh.interfaces()[0].tolist()}
+    places = []
+    for k, three in enumerate(triples):
+        own = edges[rows[triple.reshape(-1) == k]]
+        corners, corner = np.unique(own, return_inverse=True)
+        corner = corner.reshape(-1, 2)
+        graph = coo_matrix((np.ones(len(own)), corner.T), shape=(len(corners),) * 2)
+        piece = connected_components(graph, directed=False)[1]
+        extent = np.linalg.norm(vertices[own[:, 1]] - vertices[own[:, 0]], axis=1)
+        extent = np.bincount(piece[corner[:, 0]], extent)
+        for p in np.flatnonzero(extent < length):
+            line = corners[piece == p]
+            ends = tuple(np.flatnonzero(meet[line].any(0) & ~three).tolist())
+            if len(ends) == 2 and ends not in touching:
+                points = np.concatenate([vertices[line], [vertices[line].mean(0)]])
+                regions = tuple(np.flatnonzero(three).tolist())
+                places.append(ThinPlace(regions, ends, points, float(extent[p])))
+    return places
+
+
+def _pieces_of(faces: IntArray, points: FloatArray, apart: float) -> IntArray:
+    """Piece of each face: faces that share a vertex, or whose corners are near to each other."""
+    links = np.concatenate([faces[:, :2], faces[:, 1:]])
+    if apart > 0:
+        links = np.concatenate([links, cKDTree(points).query_pairs(apart, output_type="ndarray")])
+    graph = coo_matrix((np.ones(len(links)), links.T), shape=(len(points),) * 2)
+    piece: IntArray = connected_components(graph, directed=False)[1][faces[:, 0]]
+    return piece
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from dataclasses import dataclass
 from typing import Any
 
 from qtpy.QtCore import QObject
-from superqt.utils import create_worker
 
 from ...cli.messages import failure
 from ...errors import InputError
 from ...fourier.cost import costs
 from ...inference.default_accuracy import image_noise
 from ...scene.tradeoff import Way, measure_ways
+from ..background import BackgroundSteps
 from ..running.composition import Live, Panels
+from ..running.inquiry import Inquiry
 from ..running.run_control import RunControl
 from .accuracy_dial import accuracy_of
 from .accuracy_forecast import AccuracyForecast
@@ -33,51 +34,7 @@ class Step:
     of: int
 
 
-class Measuring:
-    """One measurement in a thread. Made and used on the main thread, where it calls back.
-
-    Parameters
-    ----------
-    scene : what to measure.
-    on_step : called after each way.
-    on_end : called once with a reason why it failed, '' for none; never after ``close``.
-    """
-
-    def __init__(
-        self, scene: SceneNow, on_step: Callable[[Step], None], on_end: Callable[[str], None]
-    ) -> None:
-        self._on_step, self._on_end = on_step, on_end
-        self._reason = ""
-        self._worker: Any = create_worker(_steps, scene, _start_thread=False, _ignore_errors=True)
-        self._slots: tuple[tuple[Any, Callable[..., None]], ...] = (
-            (self._worker.yielded, self._step),
-            (self._worker.returned, self._returned),
-            (self._worker.finished, self._finished),
-        )
-        for signal, slot in self._slots:
-            signal.connect(slot)
-        self._worker.start()
-
-    def close(self) -> None:
-        """End it after the way that is under way, and call nobody any more."""
-        self._worker.quit()
-        for signal, slot in self._slots:
-            signal.disconnect(slot)
-        self._slots = ()
-
-    def _step(self, step: Step) -> None:
-        self._on_step(step)
-
-    def _returned(self, reason: str) -> None:
-        self._reason = reason or ""
-
-    def _finished(self) -> None:
-        if self._slots:
-            self.close()
-            self._on_end(self._reason)
-
-
-class MeasureControl(QObject):
+class MeasureControl(Inquiry):
     """Starts and ends measurements, and hands what they find to the view.
 
     Parameters
@@ -98,21 +55,15 @@ class MeasureControl(QObject):
         forecast: AccuracyForecast,
         parent: QObject | None = None,
     ) -> None:
-        super().__init__(parent)
-        self._viewer, self._panels, self._live = viewer, panels, live
-        self._measuring: Measuring | None = None
-        self._ways: list[Way] = []
-        self._open = True
-        self._of: tuple[Any, ...] = ()  # what was measured
         self._view = view = panels.settings.tradeoff
+        self._measuring: BackgroundSteps | None = None
+        self._ways: list[Way] = []
+        super().__init__(panels, live, control, view.allow, parent)
+        self._viewer = viewer
         view.start.connect(self.start)
         view.stop.connect(self.stop)
         view.chosen.connect(self._chosen)
         forecast.number_changed.connect(view.show_accuracy)
-        for signal in (panels.image.changed, panels.settings.changed):
-            signal.connect(self._look)
-        control.started.connect(self._run_started)
-        control.ended.connect(self._run_ended)
 
     @property
     def busy(self) -> bool:
@@ -121,8 +72,7 @@ class MeasureControl(QObject):
 
     def start(self) -> None:
         """Measure the scene that is shown."""
-        run = self._live.run
-        if not self._open or self.busy or (run is not None and run.running):
+        if not self.possible:
             return
         try:
             scene = scene_now(self._viewer, self._panels, self._live)
@@ -130,11 +80,13 @@ class MeasureControl(QObject):
         except InputError as error:
             self._view.progress.say(str(error))
             return
-        self._ways, self._of = [], self._key()
+        self._ways = []
+        self.note_asked()
         self._view.clear()
         self._view.set_measuring(True)
         self._view.progress.say("preparing ...")
-        self._measuring = Measuring(scene, self._step, self._end)
+        self._measuring = BackgroundSteps(_steps, (scene,), self._step, self._end, _reason)
+        self._measuring.start()
 
     def stop(self, why: str = "stopped") -> None:
         """End what is under way; what was measured stays."""
@@ -146,7 +98,7 @@ class MeasureControl(QObject):
 
     def close_links(self) -> None:
         """End what is under way; the view is not touched."""
-        self._open = False
+        super().close_links()
         if self._measuring is not None:
             self._measuring.close()
             self._measuring = None
@@ -156,36 +108,28 @@ class MeasureControl(QObject):
         self._view.show_ways(self._ways)
         self._view.progress.say(f"{step.done} of {step.of} ways measured ...")
 
-    def _end(self, reason: str) -> None:
+    def _end(self, reason: str | None) -> None:
         self._measuring = None
         self._view.set_measuring(False)
         slow = sum(not way.measured for way in self._ways)
         left_out = f"{slow} of {len(self._ways)} ways take longer than {BUDGET:g} s: left out"
         self._view.progress.say(f"not measured: {reason}" if reason else left_out if slow else "")
 
-    def _look(self) -> None:
+    def look(self) -> None:
         """Something was edited: is the chart still of what is shown?"""
-        if self._open and self._view.ways and not self.busy:
-            stale = self._of != self._key()
+        if self._view.ways and not self.busy:
+            stale = self.stale
             if stale or self._view.progress.text() == _STALE:
                 self._view.progress.say(_STALE if stale else "")
-
-    def _key(self) -> tuple[Any, ...]:
-        layer, settings = self._panels.image.layer, self._panels.settings
-        size = self._panels.image.voxel_size.value()
-        return id(layer), size, settings.optics.key()
 
     def _chosen(self, accuracy: float) -> None:
         settings = self._panels.settings
         settings.accuracy.show_accuracy(accuracy)
         settings.changed.emit()
 
-    def _run_started(self) -> None:
-        self.stop("ended as a fit started")
-        self._view.allow(False)
 
-    def _run_ended(self) -> None:
-        self._view.allow(True)
+def _reason(error: Exception) -> str:
+    return str(error if isinstance(error, InputError) else failure(error))
 
 
 def _steps(scene: SceneNow) -> Generator[Step, None, str]:

@@ -51,6 +51,7 @@ class Sculptor(QObject):
         self._bar.tool_chosen.connect(self._tool_chosen)
         self._bar.free_all.connect(self._free_all)
         panels.seeds.place.clicked.connect(self._lay_down)
+        panels.seeds.corrections.bar.tool_chosen.connect(self._other_tool)
         control.began.connect(self._began)
         edits.changed.connect(self._show_pins)
         self._view_changed()
@@ -78,6 +79,10 @@ class Sculptor(QObject):
 
     def _lay_down(self, checked: bool = False) -> None:
         self._bar.use(None)
+
+    def _other_tool(self, tool: object) -> None:
+        if tool is not None:
+            self._bar.use(None)
 
     def _began(self, fresh: bool) -> None:
         present, link = self._control.present(), self._live.link

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
 
 from qtpy.QtCore import QObject, QTimer
 
@@ -17,6 +16,7 @@ from ...job import FitInput, assemble, optics_of, start
 from ...settings import NEAR_LEVELS, RunSettings
 from ..background import Background
 from ..running.composition import Live, Panels
+from ..running.inquiry import Inquiry
 from ..running.run_control import RunControl
 
 _STALE = "this was of another image or PSF: check again"
@@ -50,7 +50,7 @@ class Question:
     steps: Steps = field(default_factory=Steps)
 
 
-class EffectsCheck(QObject):
+class EffectsCheck(Inquiry):
     """Starts and ends checks, and hands what they find to the panel.
 
     Parameters
@@ -63,22 +63,16 @@ class EffectsCheck(QObject):
     def __init__(
         self, panels: Panels, live: Live, control: RunControl, parent: QObject | None = None
     ) -> None:
-        super().__init__(parent)
-        self._panels, self._live, self._control = panels, live, control
         self._view = view = panels.settings.effects
-        self._background = Background(self._show, self._fail)
         self._question: Question | None = None
-        self._of: tuple[Any, ...] = ()  # what was checked
-        self._open = True
+        super().__init__(panels, live, control, view.allow, parent)
+        self._control = control
+        self._background = Background(self._show, self._fail)
         self._timer = QTimer(self)
         self._timer.setInterval(_POLL)
         self._timer.timeout.connect(self._look_in)
         view.check.connect(self.start)
         view.stop.connect(self.stop)
-        for signal in (panels.image.changed, panels.settings.changed):
-            signal.connect(self._look)
-        control.started.connect(self._run_started)
-        control.ended.connect(self._run_ended)
 
     @property
     def busy(self) -> bool:
@@ -87,15 +81,14 @@ class EffectsCheck(QObject):
 
     def start(self) -> None:
         """Check the image that is chosen."""
-        run = self._live.run
-        if not self._open or self.busy or (run is not None and run.running):
+        if not self.possible:
             return
         try:
             question = self._question = self._asked()
         except InputError as error:
             self._view.progress.say(str(error))
             return
-        self._of = self._key()
+        self.note_asked()
         self._view.show_found(None)
         self._view.set_checking(True)
         self._look_in()
@@ -112,7 +105,7 @@ class EffectsCheck(QObject):
 
     def close_links(self) -> None:
         """End what is under way; the view is not touched."""
-        self._open = False
+        super().close_links()
         self._timer.stop()
         if self._question is not None:
             self._question.steps.stopped = True
@@ -134,11 +127,12 @@ class EffectsCheck(QObject):
         ):
             seeds = self._panels.seeds.seeds(frame)
             run, pixels = self._control.run_settings(seeds), image.stack()
-            grid = frame.grid(pixels.shape)
+            grid, second = frame.grid(pixels.shape), self._view.second.pixels()
 
             def prepare() -> FitInput:
                 check_image(pixels, grid)
-                return assemble(run, pixels, grid, seeds.mesh(pixels, grid), seeds.kind)
+                start = seeds.mesh(pixels, grid)
+                return assemble(run, pixels, grid, start, seeds.kind, second)
 
             return Question(prepare, None)
         state, job = last[:2]
@@ -153,6 +147,7 @@ class EffectsCheck(QObject):
             return Question(lambda: job, state)
         fit = job.settings.fit.model_copy(update={"levels": NEAR_LEVELS})
         changed = job.settings.model_copy(update={"scene": scene, "fit": fit})
+        job = replace(job, second=self._view.second.pixels())
         return Question(partial(_from_there, job, state, changed), None)
 
     def _look_in(self) -> None:
@@ -162,7 +157,7 @@ class EffectsCheck(QObject):
     def _show(self, found: Recommendation) -> None:
         self._finish()
         self._view.show_found(found)
-        self._look()
+        self.look()
 
     def _fail(self, message: str) -> None:
         self._finish()
@@ -173,25 +168,14 @@ class EffectsCheck(QObject):
         self._timer.stop()
         self._view.set_checking(False)
 
-    def _look(self) -> None:
+    def look(self) -> None:
         """Something was edited: is the evidence still of what is shown?"""
-        if not self._open or self._view.found is None or self.busy:
+        if self._view.found is None or self.busy:
             return
-        if self._of != self._key():
+        if self.stale:
             self._view.progress.say(_STALE)
         elif self._view.progress.text() == _STALE:
             self._view.show_found(self._view.found)
-
-    def _key(self) -> tuple[Any, ...]:
-        image, optics = self._panels.image, self._panels.settings.optics
-        return id(image.layer), image.voxel_size.value(), optics.key()
-
-    def _run_started(self) -> None:
-        self.stop("ended as a fit started")
-        self._view.allow(False)
-
-    def _run_ended(self) -> None:
-        self._view.allow(True)
 
 
 def _from_there(job: FitInput, state: FitState, settings: RunSettings) -> FitInput:

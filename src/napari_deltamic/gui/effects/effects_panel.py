@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from qtpy.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
 from ...errors import InputError
@@ -12,6 +14,7 @@ from ...scene.effects import KINDS, Effects
 from ..panels.note import Note
 from ..qt import Signal
 from .effects_table import EffectsTable, spoken
+from .second_view_fields import SecondViewFields
 
 _START, _STOP = "Check effects", "Stop checking"
 _TIP = (
@@ -30,9 +33,9 @@ class EffectsPanel(QWidget):
     check = Signal()
     stop = Signal()
 
-    def __init__(self, parent: QWidget | None = None) -> None:
+    def __init__(self, viewer: Any, image_panel: Any, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._effects = Effects()
+        self._effects = Effects()  # without the second view, which is chosen by its layer
         self._checking = False
         self.found: Recommendation | None = None
         self.button = QPushButton(_START, self)
@@ -40,31 +43,39 @@ class EffectsPanel(QWidget):
         self.take_button.setToolTip("Tick the effects that are recommended.")
         self.progress, self.reason, self.remarks = Note(self), Note(self), Note(self)
         self.table = EffectsTable(CONSIDERED, self)
+        self.second = SecondViewFields(viewer, image_panel, self)
         buttons = QHBoxLayout()
         for button in (self.button, self.take_button):
             buttons.addWidget(button)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.addLayout(buttons)
-        for widget in (self.progress, self.table, self.reason, self.remarks):
+        for widget in (self.progress, self.table, self.reason, self.remarks, self.second):
             layout.addWidget(widget)
         self.button.clicked.connect(self._pressed)
         self.take_button.clicked.connect(self.take_recommended)
         self.table.ticked.connect(self._ticked)
         self.table.looked_at.connect(self._explain)
+        self.second.edited.connect(self._second_edited)
         self.allow(True)
         self._show_outcome()
 
     # -------------------------------------------------------------------------------- effects
 
     def effects(self) -> Effects:
-        """Those ticked, with their numbers."""
-        return self._effects
+        """Those ticked, with their numbers, and the second view.
+
+        Raises
+        ------
+        InputError
+            If the layer of the second view cannot be used.
+        """
+        return self._effects.replace(second_view=self.second.view())
 
     def show_effects(self, effects: Effects) -> None:
-        """Tick effects, without a signal."""
-        self._effects = effects
-        self.table.show_present(effects.names)
+        """Tick effects, without a signal; the second view, which is a layer, stays as it is."""
+        self._effects = effects.without("second_view")
+        self.table.show_present(self._effects.names)
         self._show_outcome()
 
     def take_recommended(self) -> None:
@@ -74,7 +85,8 @@ class EffectsPanel(QWidget):
 
     def summary(self) -> str:
         """The present choice in a few words."""
-        names = ", ".join(spoken(name) for name in self._effects.names)
+        chosen = [*self._effects.names, *(["second view"] if self.second.layer else [])]
+        names = ", ".join(spoken(name) for name in chosen)
         more = self._open_recommendations()
         if more:
             recommended = spoken(more[0]) if len(more) == 1 else str(len(more))
@@ -122,6 +134,10 @@ class EffectsPanel(QWidget):
                 else "the image calls for no other effects"
             )
         self.described.emit()
+
+    def _second_edited(self) -> None:
+        self.described.emit()
+        self.changed.emit()
 
     def _pressed(self) -> None:
         (self.stop if self._checking else self.check).emit()

@@ -94,8 +94,12 @@ class MeasuredFields(QWidget):
         """Show settings, without a signal."""
         blocked = self.blockSignals(True)
         self._show_file(settings.file)
-        if settings.voxel_size is not None:
-            self.voxel_size.set_value(settings.voxel_size)
+        try:
+            size = settings.voxel_size or _noted_size(settings.file)
+        except InputError:
+            size = None  # the file is gone: building the PSF says so
+        if size is not None:
+            self.voxel_size.set_value(size)
         self.diameter.setValue(settings.bead_diameter)
         self.bead.setCurrentText(settings.bead)
         self.blockSignals(blocked)
@@ -106,7 +110,7 @@ class MeasuredFields(QWidget):
 
     def take_file(self, path: str) -> None:
         """Take the image of a bead. InputError if its voxel size cannot be read."""
-        size = read_voxel_size(path) if Path(path).suffix.lower() != ".npy" else None
+        size = _noted_size(path)
         self._show_file(path)
         if size is not None:
             self.voxel_size.set_value(size)
@@ -176,3 +180,8 @@ class MeasuredFields(QWidget):
 
     def _changed(self, value: Any = None) -> None:
         self.edited.emit()
+
+
+def _noted_size(path: str) -> tuple[float, float, float] | None:
+    """The voxel size that a file notes, um. InputError if it cannot be read."""
+    return read_voxel_size(path) if Path(path).suffix.lower() != ".npy" else None

@@ -10,6 +10,7 @@ from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QComboBox, QFormLayout, QVBoxLayout, QWidget
 
 from ...errors import InputError
+from ...optics import GaussianPSF
 from ...optics_settings import MeasuredOptics, MicroscopeOptics
 from ..background import Background
 from ..panels.fields import TripleField
@@ -17,6 +18,7 @@ from ..panels.note import Note
 from ..qt import Signal
 from .measured_fields import MeasuredFields
 from .objective_fields import ObjectiveFields
+from .psf_picture import PsfPicture
 
 GAUSSIAN, OBJECTIVE, MEASURED, GIVEN = "Gaussian", "from the objective", "measured", "as given"
 _WAIT = 250  # ms without a change before the PSF is computed
@@ -53,6 +55,7 @@ class OpticsPanel(QWidget):
         self.objective = ObjectiveFields(self)
         self.measured = MeasuredFields(viewer, self)
         self.width_note = Note(self)
+        self.picture = PsfPicture(self)
         self._wrong = False
         self._pages: dict[str, QWidget] = {
             GAUSSIAN: self.sigma,
@@ -67,6 +70,7 @@ class OpticsPanel(QWidget):
         for page in self._pages.values():
             layout.addWidget(page)
         layout.addWidget(self.width_note)
+        layout.addWidget(self.picture)
         self._background = Background(self._show_width, self._complain)
         self._timer = QTimer(self)
         self._timer.setSingleShot(True)
@@ -76,6 +80,7 @@ class OpticsPanel(QWidget):
         for fields in (self.objective, self.measured, self.sigma):
             fields.edited.connect(self._edited)
         self._show_page()
+        self._show_gaussian()
 
     @property
     def busy(self) -> bool:
@@ -152,6 +157,7 @@ class OpticsPanel(QWidget):
     def show_sigma(self, sigma: Sequence[float]) -> None:
         """Show the widths of a Gaussian (um), without a signal."""
         self.sigma.set_value(sigma)
+        self._show_gaussian()
         self.described.emit()
 
     def close_links(self) -> None:
@@ -159,6 +165,7 @@ class OpticsPanel(QWidget):
         self._open = False
         self._timer.stop()
         self._background.close()
+        self.picture.close_links()
         self.measured.forget()
 
     # ----------------------------------------------------------------------------------- inside
@@ -175,9 +182,14 @@ class OpticsPanel(QWidget):
         self._background.drop()  # of what was shown before
         if self.kind.currentText() == GAUSSIAN:
             self._timer.stop()
+            self._show_gaussian()
         elif self._open:
             self._timer.start()
         self.described.emit()
+
+    def _show_gaussian(self) -> None:
+        if self._open and self.kind.currentText() == GAUSSIAN:
+            self.picture.show_optics(GaussianPSF(self.sigma.value()))
 
     def _show_page(self) -> None:
         for kind, page in self._pages.items():
@@ -190,9 +202,11 @@ class OpticsPanel(QWidget):
             self._complain(str(error))
             return
         if settings is not None:
-            self._background.ask(partial(_width_of, settings))
+            self._background.ask(partial(_built, settings))
 
-    def _show_width(self, sigma: tuple[float, float, float]) -> None:
+    def _show_width(self, optics: Any) -> None:
+        sigma = optics.sigma_um
+        self.picture.show_optics(optics)
         z, y, x = (1000 * s for s in sigma)
         across = f"{y:.0f} nm" if abs(y - x) < 0.5 else f"{y:.0f} and {x:.0f} nm"
         self._width = f"{_triple(sigma)} um"
@@ -203,6 +217,8 @@ class OpticsPanel(QWidget):
 
     def _complain(self, message: str) -> None:
         self._wrong = bool(message)
+        if message:
+            self.picture.clear()
         self.objective.complain(message if self.kind.currentText() == OBJECTIVE else "")
         self.measured.complain(message if self.kind.currentText() == MEASURED else "")
         if self.kind.currentText() == GIVEN:
@@ -210,9 +226,11 @@ class OpticsPanel(QWidget):
         self.described.emit()
 
 
-def _width_of(settings: Any) -> tuple[float, float, float]:
-    sigma: tuple[float, float, float] = settings.build().sigma_um
-    return sigma
+def _built(settings: Any) -> Any:
+    """The PSF, whose width, which it keeps, takes a while too."""
+    optics = settings.build()
+    assert optics.sigma_um
+    return optics
 
 
 def _triple(sigma: tuple[float, float, float]) -> str:

@@ -86,15 +86,27 @@ class Number(QDoubleSpinBox):
 
 
 class LayerChooser(QComboBox):
-    """The layers of a viewer that can be used for something; ``chosen`` says that it is another."""
+    """The layers of a viewer that can be used for something; ``chosen`` says that it is another.
+
+    Parameters
+    ----------
+    viewer : a napari viewer or its model.
+    accepts : whether a layer can be used.
+    nothing : the first entry, for no layer; then none is chosen but by the user. '' for no such.
+    """
 
     chosen = Signal()
 
     def __init__(
-        self, viewer: Any, accepts: Callable[[Any], bool], parent: QWidget | None = None
+        self,
+        viewer: Any,
+        accepts: Callable[[Any], bool],
+        parent: QWidget | None = None,
+        *,
+        nothing: str = "",
     ) -> None:
         super().__init__(parent)
-        self._viewer, self._accepts = viewer, accepts
+        self._viewer, self._accepts, self._nothing = viewer, accepts, nothing
         self._layers: list[Any] = []
         self._last: Any = None
         # Long layer names must not widen a narrow dock.
@@ -124,10 +136,15 @@ class LayerChooser(QComboBox):
         before = self.layer()
         blocker = QSignalBlocker(self)
         self._layers = [layer for layer in self._viewer.layers if self._accepts(layer)]
+        names = [layer.name for layer in self._layers]
+        if self._nothing:
+            self._layers, names = [None, *self._layers], [self._nothing, *names]
         self.clear()
-        self.addItems([layer.name for layer in self._layers])
+        self.addItems(names)
         if before in self._layers:
             self.setCurrentIndex(self._layers.index(before))
+        elif self._nothing:
+            self.setCurrentIndex(0)
         else:
             # The layers that a fit adds are only used where someone chooses them.
             others = [k for k, layer in enumerate(self._layers) if not made_by_fit(layer)]

@@ -54,11 +54,15 @@ class ImagePanel(QGroupBox):
             raise InputError("open a 3D image first")
         return Frame.of(self.layer)
 
-    def stack(self) -> NDArray[Any]:
-        """The 3D image chosen (the present time point of a 4D one), float if it has gaps."""
-        if self.layer is None:
+    def stack(self, layer: Any = None) -> NDArray[Any]:
+        """The 3D image chosen (the present time point of a 4D one), float if it has gaps.
+
+        layer : another one, of which the same is wanted.
+        """
+        chosen = self.layer if layer is None else layer
+        if chosen is None:
             raise InputError("open a 3D image first")
-        data = stack_of(self.layer, tuple(self._viewer.dims.current_step))
+        data = stack_of(chosen, tuple(self._viewer.dims.current_step))
         if np.issubdtype(data.dtype, np.floating) and not np.isfinite(data).all():
             return np.where(np.isfinite(data), data, np.nan)
         return data
@@ -68,13 +72,7 @@ class ImagePanel(QGroupBox):
 
         The pixels may have been edited since: see :func:`napari_deltamic.images.holds_image`.
         """
-        layer = self.layer
-        path = layer.source.path if layer is not None else None
-        if not path or layer.ndim != 3 or Path(path).suffix.lower() not in EXTENSIONS:
-            return ""
-        if stored_shape(path) != stack_of(layer, ()).shape:
-            return ""  # a crop, a channel, a time point
-        return str(Path(path).absolute())
+        return "" if self.layer is None else file_of(self.layer)
 
     def close_links(self) -> None:
         """Listen to the viewer no more."""
@@ -159,3 +157,16 @@ class ImagePanel(QGroupBox):
         self._scaled = layer
         if layer is not None:
             layer.events.scale.connect(self._show_size)
+
+
+def file_of(layer: Any) -> str:
+    """The file that a 3D image layer was opened from, if an image of its shape is in it; else ''.
+
+    The pixels may have been edited since: see :func:`napari_deltamic.images.holds_image`.
+    """
+    path = layer.source.path
+    if not path or layer.ndim != 3 or Path(path).suffix.lower() not in EXTENSIONS:
+        return ""
+    if stored_shape(path) != stack_of(layer, ()).shape:
+        return ""  # a crop, a channel, a time point
+    return str(Path(path).absolute())

@@ -55,7 +55,7 @@ class SettingsPanel(QGroupBox):
         self.sigma = self.optics.sigma
         self.switches = {name: QCheckBox(text, self) for name, text in _SWITCHES.items()}
         self.fit_psf = self.switches["fit_psf"]
-        self.effects = EffectsPanel(self)
+        self.effects = EffectsPanel(viewer, image_panel, self)
         self.accuracy = AccuracyDial(lambda: image_noise(image_panel.stack()), self)
         self.accuracy_number = QLabel(self)  # what the dial stands for
         self.outlook, self.pace = Note(self), Note(self)  # predicted, and measured, times

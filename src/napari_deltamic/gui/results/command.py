@@ -45,12 +45,28 @@ def command(settings: RunSettings, output: str, *, missing: bool = False) -> str
 
 
 def needs_folder(settings: RunSettings) -> bool:
-    """Whether image or seeds live only in the viewer, so that they must be saved first."""
-    return not (settings.image and settings.seeds)
+    """Whether an image or seeds live only in the viewer, so that they must be saved first."""
+    view = settings.scene.effects.second_view
+    return not (settings.image and settings.seeds and (view is None or view.image))
+
+
+def with_second_file(settings: RunSettings, path: str) -> RunSettings:
+    """The settings with another file of the second view that they have."""
+    scene = settings.scene
+    view = scene.effects.second_view
+    assert view is not None, "the settings have a second view"
+    effects = scene.effects.replace(second_view=view.model_copy(update={"image": path}))
+    scene = scene.model_copy(update={"effects": effects})
+    return settings.model_copy(update={"scene": scene})
 
 
 def with_files(
-    settings: RunSettings, image: NDArray[Any], grid: Grid, seeds: Seeds, folder: Path
+    settings: RunSettings,
+    image: NDArray[Any],
+    grid: Grid,
+    seeds: Seeds,
+    folder: Path,
+    second: NDArray[Any] | None = None,
 ) -> RunSettings:
     """The settings with files for what has none; InputError if they cannot be written."""
     files = {"image": settings.image, "seeds": settings.seeds}
@@ -65,7 +81,13 @@ def with_files(
             # A mesh file does not tell that its surfaces already lie on the membranes.
             fit = settings.fit.model_copy(update={"levels": NEAR_LEVELS})
             settings = settings.model_copy(update={"fit": fit})
-    return settings.model_copy(update=files)
+    settings = settings.model_copy(update=files)
+    view = settings.scene.effects.second_view
+    if view is not None and not view.image and second is not None:
+        path = _unused(folder / "second.tif")
+        write_image(path, second, grid.voxel_size)
+        settings = with_second_file(settings, str(path.absolute()))
+    return settings
 
 
 def _unused(path: Path) -> Path:

@@ -16,17 +16,18 @@ from ...scene import Grid
 from ...settings import RunSettings
 from ..background import Background
 from ..seeding.seeds import Seeds
-from .command import command, needs_folder, with_files
+from .command import command, needs_folder, with_files, with_second_file
 
 
 @dataclass(frozen=True, eq=False)
 class Wanted:
-    """A run that a command is to repeat."""
+    """A run that a command is to repeat; ``second`` is the image of its second view, if any."""
 
     settings: RunSettings
     pixels: NDArray[Any]
     grid: Grid
     seeds: Seeds
+    second: NDArray[Any] | None = None
 
 
 class CommandCopy:
@@ -75,18 +76,23 @@ class CommandCopy:
 
 
 def checked(wanted: Wanted) -> Wanted:
-    """The same, without the image file if its image was edited since it was opened."""
-    path = wanted.settings.image
-    if not path or holds_image(path, wanted.pixels):
-        return wanted
-    return replace(wanted, settings=wanted.settings.model_copy(update={"image": ""}))
+    """The same, without the files of images that were edited since they were opened."""
+    settings, view = wanted.settings, wanted.settings.scene.effects.second_view
+    if settings.image and not holds_image(settings.image, wanted.pixels):
+        settings = settings.model_copy(update={"image": ""})
+    second = wanted.second
+    if view and view.image and second is not None and not holds_image(view.image, second):
+        settings = with_second_file(settings, "")
+    return replace(wanted, settings=settings)
 
 
 def written(wanted: Wanted, folder: str) -> str:
     """The command; what is in no file yet is written into the folder."""
     settings, pixels = wanted.settings, wanted.pixels
     if folder:
-        settings = with_files(settings, pixels, wanted.grid, wanted.seeds, Path(folder))
+        settings = with_files(
+            settings, pixels, wanted.grid, wanted.seeds, Path(folder), wanted.second
+        )
     output = str(Path(settings.seeds).with_name("result"))
     missing = bool(np.isnan(pixels).any()) if pixels.dtype.kind == "f" else False
     return command(settings, output, missing=missing)

@@ -14,6 +14,7 @@ from ...settings import RunSettings
 from ..accuracy.accuracy_dial import usable_choice
 from ..running.composition import Live, Panels
 from ..running.run_control import RunControl
+from ..tracking.control import TrackControl
 from ..viewing.frame import Frame
 from .session_layers import image_layer, save_image, save_layer, seed_layer
 
@@ -26,6 +27,7 @@ class Parts:
     panels: Panels
     control: RunControl
     live: Live
+    tracking: TrackControl
 
 
 def capture(parts: Parts) -> tuple[Session, str]:
@@ -60,7 +62,10 @@ def capture(parts: Parts) -> tuple[Session, str]:
             "shown": _images_shown(panels),
             "view": _view(dims),
             "accuracy": panels.settings.accuracy.choice,
+            "result_time": parts.live.link.time if result and parts.live.link else [],
         },
+        second=_second(panels, frame, result[1] if result else None),
+        tracks=parts.tracking.saved(),
     )
     return session, left_out
 
@@ -76,8 +81,10 @@ def restore(parts: Parts, session: Session) -> None:
     panels, viewer, live = parts.panels, parts.viewer, parts.live
     if live.run is not None and live.run.running:
         raise InputError("a fit is running: stop it before you open a session")
+    if parts.tracking.running:
+        raise InputError("cells are being tracked: stop that before you open a session")
     empty = not viewer.layers
-    image = image_layer(session.image)
+    image = image_layer(session.image, session.tracks)
     seeds = [seed_layer(seed) for seed in session.seeds]  # before anything is changed
     for seed in panels.seeds.chooser.ticked():
         panels.seeds.chooser.choose(seed, False)
@@ -85,15 +92,22 @@ def restore(parts: Parts, session: Session) -> None:
     panels.image.chooser.choose(image)
     panels.settings.show_settings(session.settings.fit)
     panels.settings.show_scene(session.settings.scene)
+    _show_second(parts, session)
     _show_accuracy(panels, session.panels.get("accuracy"))
     # Before the layers: sizes of points follow these fields.
     _show_seeds(panels, session.panels.get("seeds", {}))
     for seed in seeds:
         viewer.add_layer(seed)
         panels.seeds.chooser.choose(seed)
-    if session.result is not None:
+    if session.result is not None or session.tracks is not None:
         panels.seeds.finish_placing()  # no preview of the start over its result
-        _show_result(parts, session.result, session.image)
+    if session.tracks is not None:
+        parts.tracking.reopen(session.tracks)
+        # The surface of a fit belongs to the time that is shown when it comes.
+        for axis, step in enumerate(session.panels.get("result_time", ())):
+            viewer.dims.set_current_step(axis, int(step))
+    if session.result is not None:
+        _show_result(parts, session.result, session)
     shown = session.panels.get("shown", {})
     for name in ("rendered", "residual"):
         getattr(panels.running, name).setChecked(bool(shown.get(name)))
@@ -138,8 +152,29 @@ def _result(parts: Parts, frame: Frame) -> tuple[tuple[SavedResult, FitInput] | 
     return (saved, job), ""
 
 
-def _show_result(parts: Parts, result: SavedResult, image: SavedImage) -> None:
+def _second(panels: Panels, frame: Frame, job: FitInput | None) -> SavedImage | None:
+    """The layer of the second view, with the pixels that the result was fitted to."""
+    fields = panels.settings.effects.second
+    layer, pixels = fields.layer, fields.pixels()
+    if layer is None or pixels is None:
+        return None
+    if job is not None and job.second is not None:
+        pixels = job.second
+    return save_image(layer, pixels, frame)
+
+
+def _show_second(parts: Parts, session: Session) -> None:
+    view = session.settings.scene.effects.second_view
+    if session.second is not None and view is not None:
+        layer = image_layer(session.second)
+        parts.viewer.add_layer(layer)
+        parts.panels.settings.effects.second.show_view(layer, view.sigma)
+
+
+def _show_result(parts: Parts, result: SavedResult, session: Session) -> None:
     running, state, history = parts.panels.running, result.state, result.history
+    image, second = session.image, session.second
+    has_second = result.settings.scene.effects.second_view is not None
     job = FitInput(
         settings=result.settings,
         image=image.pixels,
@@ -147,6 +182,7 @@ def _show_result(parts: Parts, result: SavedResult, image: SavedImage) -> None:
         mesh=result.start or state.mesh,
         optics=optics_of(result.settings.scene),
         counted=result.counted,
+        second=second.pixels if second is not None and has_second else None,
     )
     parts.panels.results.choose(OUTSIDE)
     parts.control.reopen(state, job, history, result.seconds, result.moments)
@@ -196,7 +232,11 @@ def _images_shown(panels: Panels) -> dict[str, Any]:
 
 
 def _view(dims: Any) -> dict[str, Any]:
-    return {"ndisplay": int(dims.ndisplay), "point": [float(p) for p in dims.point[-3:]]}
+    return {
+        "ndisplay": int(dims.ndisplay),
+        "point": [float(p) for p in dims.point[-3:]],
+        "time": [float(p) for p in dims.point[:-3]],
+    }
 
 
 def _show_view(viewer: Any, shown: dict[str, Any], *, fit_camera: bool) -> None:
@@ -205,5 +245,7 @@ def _show_view(viewer: Any, shown: dict[str, Any], *, fit_camera: bool) -> None:
     if "point" in shown:
         n = viewer.dims.ndim
         viewer.dims.set_point(range(n - 3, n), [float(p) for p in shown["point"]])
+    if len(shown.get("time", ())) == viewer.dims.ndim - 3 > 0:
+        viewer.dims.set_point(range(viewer.dims.ndim - 3), [float(p) for p in shown["time"]])
     if fit_camera:
         viewer.reset_view()

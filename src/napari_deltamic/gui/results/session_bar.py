@@ -47,7 +47,8 @@ class SessionBar(QWidget):
         self.save_button = QPushButton(self)
         self.save_button.setToolTip(
             "<qt>Save image, seeds, settings, meshes and history in one file. Of a 4D image, the "
-            "time that is fitted. A large image takes seconds; you can go on meanwhile.</qt>"
+            "time that is fitted; all of it where cells were tracked. A large image takes seconds; "
+            "you can go on meanwhile.</qt>"
         )
         self._saving = Background(self._saved, self._not_saved)
         self._opening = Background(self._opened, self._not_opened)

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from ...errors import InputError
 from ...geometry import Mesh
-from ...session_file import SavedImage, SavedLayer
+from ...session_file import SavedImage, SavedLayer, SavedTracks
+from ..seeding.label_clicks import undo_arrays, with_undo
 from ..seeding.seeds import at_time
 from ..viewing.colours import LIMITS, region_colormap, side_values
 from ..viewing.frame import OWN, Frame, stack_of
@@ -45,9 +46,14 @@ def save_image(layer: Any, pixels: NDArray[Any], frame: Frame) -> SavedImage:
     )
 
 
-def image_layer(saved: SavedImage) -> Image:
-    """The layer again; it shares the pixels."""
-    return Image(saved.pixels, metadata={OWN: {}}, **_options(saved, saved.display))
+def image_layer(saved: SavedImage, tracks: SavedTracks | None = None) -> Image:
+    """The layer again; it shares the pixels. With tracks, the layer of their series."""
+    options = _options(saved, saved.display)
+    if tracks is None:
+        return Image(saved.pixels, metadata={OWN: {}}, **options)
+    for name, first in zip(("scale", "translate", "units"), tracks.time, strict=True):
+        options[name] = (first, *options[name])
+    return Image(tracks.pixels, metadata={OWN: {}}, **options)
 
 
 def save_layer(layer: Any, step: tuple[int, ...], point: tuple[float, ...]) -> SavedLayer:
@@ -80,7 +86,7 @@ def seed_layer(saved: SavedLayer) -> Layer:
         more = {name: arrays[name] for name in _OF_POINTS}
         return Points(arrays["data"], metadata={OWN: own}, **more, **options)
     if saved.kind == "labels":
-        return Labels(arrays["data"], metadata={OWN: own}, **options)
+        return Labels(arrays["data"], metadata={OWN: with_undo(own, arrays)}, **options)
     if saved.kind != "surface":
         raise InputError(f"a layer of an unknown kind: {saved.kind}")
     if "regions" in arrays:
@@ -111,7 +117,7 @@ def _points(layer: Any, step: tuple[int, ...], point: tuple[float, ...]) -> dict
 
 
 def _labels(layer: Any, step: tuple[int, ...], point: tuple[float, ...]) -> dict[str, NDArray[Any]]:
-    return {"data": stack_of(layer, step)}
+    return {"data": stack_of(layer, step), **undo_arrays(layer)}
 
 
 def _surface(

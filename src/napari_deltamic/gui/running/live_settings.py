@@ -19,7 +19,7 @@ from .run_control import RunControl
 
 # Of a fit: its schedule is what it is on.
 _FIXED = ("levels",)
-_SCENE = {"voxel_size": "voxel size", "origin": "origin"}
+_SCENE = {"voxel_size": "voxel size", "origin": "origin", "second_view": "second view"}
 _YES_NO = {
     "fit_psf": ("the PSF is fitted too", "the PSF is held"),
     "remesh": ("slivers are remeshed", "nothing is remeshed"),
@@ -95,7 +95,8 @@ class LiveSettings(QObject):
     def _hand_over(self) -> None:
         settings = self._panels.settings
         fit, scene, psf = settings.fit_settings(), settings.scene_settings(), settings.optics.key()
-        shown = scene.effects
+        # The fit has the image of its second view, or has none.
+        shown = scene.effects.replace(second_view=self._effects.second_view)
         assert self._fit is not None
         changed = {
             name: getattr(fit, name)
@@ -166,8 +167,12 @@ class LiveSettings(QObject):
         blocker.unblock()
 
 
-def _scene(settings: Any) -> dict[str, Any]:
-    return {name: getattr(settings, name) for name in _SCENE}
+def _scene(settings: SceneSettings) -> dict[str, Any]:
+    return {
+        "voxel_size": settings.voxel_size,
+        "origin": settings.origin,
+        "second_view": settings.effects.second_view,
+    }
 
 
 def _words(name: str, value: Any) -> str:

@@ -221,12 +221,13 @@ class RunControl(QObject):
         frame = image.frame()
         seeds = self._panels.seeds.seeds(frame)
         settings = self.run_settings(seeds)
-        pixels = image.stack()
+        pixels, second = image.stack(), self._panels.settings.effects.second.pixels()
         grid = frame.grid(pixels.shape)
 
         def prepare() -> FitInput:
             check_image(pixels, grid)  # which takes a while where the image is large
-            return assemble(settings, pixels, grid, seeds.mesh(pixels, grid), seeds.kind)
+            start = seeds.mesh(pixels, grid)
+            return assemble(settings, pixels, grid, start, seeds.kind, second)
 
         self._link_to(frame)
         self._panels.seeds.finish_placing(keep_preview=True)

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from qtpy.QtCore import QTimer
-from superqt.utils import create_worker
 
 from ...cli.messages import failure
 from ...errors import InputError, RepairWarning
@@ -24,6 +23,7 @@ from ...report import History
 from ...scene.effects import Effects
 from ...settings import FitSettings, SceneSettings
 from ..accuracy.renewed_forecast import RenewedForecast
+from ..background import BackgroundSteps
 from .course import Clock, Course, Forecaster, Outcome, Snapshot, Verdict
 from .waiting import usable
 
@@ -58,29 +58,18 @@ class FitRun:
             self._course.waiting.add(first)
         self._on_snapshot, self._on_end = on_snapshot, on_end
         self._on_note, self._on_refusal = on_note, on_refusal
-        self._outcome: Outcome | None = None
-        self._open = True
-        # Errors are caught in the thread: this library drops any RuntimeError without a word.
-        self._worker: Any = create_worker(
-            _steps, prepare, forecaster, self._course, _start_thread=False, _ignore_errors=True
-        )
-        self._slots: tuple[tuple[Any, Callable[..., None]], ...] = (
-            (self._worker.yielded, self._show),
-            (self._worker.returned, self._note_outcome),
-            (self._worker.warned, self._warn),
-            (self._worker.finished, self._finish),
-        )
-        for signal, slot in self._slots:
-            signal.connect(slot)
+        given = (prepare, forecaster, self._course)
+        failed = partial(_failed, course=self._course)
+        self._thread = BackgroundSteps(_steps, given, self._show, self._finish, failed, self._warn)
 
     def start(self) -> None:
         """Start the thread."""
-        self._worker.start()
+        self._thread.start()
 
     @property
     def running(self) -> bool:
         """Whether it has been neither closed nor ended."""
-        return self._open
+        return self._thread.running
 
     @property
     def paused(self) -> bool:
@@ -151,21 +140,18 @@ class FitRun:
     @property
     def stopping(self) -> bool:
         """Whether it was asked to end."""
-        return bool(self._worker.abort_requested)
+        return self._thread.stopping
 
     def stop(self) -> None:
         """End the fit after its present iteration; ``on_end`` brings what it reached."""
-        self._worker.quit()
+        self._thread.stop()
 
     def close(self) -> None:
         """End the fit and call nobody any more."""
-        if self._open:
-            self._open = False
-            self._worker.quit()
-            self._disconnect()
+        self._thread.close()
 
     def _show(self, snapshot: Snapshot | str | None) -> None:
-        if snapshot is None or not self._open:
+        if snapshot is None:
             return
         if isinstance(snapshot, str):
             self._on_refusal(snapshot)
@@ -173,37 +159,24 @@ class FitRun:
         began = time.monotonic()
         try:
             self._on_snapshot(snapshot)
-        except Exception as error:  # a fit that cannot be shown should not go on unseen
-            self._outcome = _failed(error, self._course)
-            self._worker.quit()
-        # Fires when the viewer has drawn what it was given.
-        QTimer.singleShot(0, partial(self._course.drawn, began))
+        finally:
+            # Fires when the viewer has drawn what it was given.
+            QTimer.singleShot(0, partial(self._course.drawn, began))
 
-    def _note_outcome(self, outcome: Outcome) -> None:
-        self._outcome = outcome
-
-    def _warn(self, warning: tuple[Any, ...]) -> None:
-        message, category = warning[:2]
+    def _warn(self, message: str, category: type[Warning]) -> None:
         if issubclass(category, (RepairWarning, SlowPathWarning)):
-            self._on_note(str(message))
+            self._on_note(message)
 
-    def _finish(self) -> None:
+    def _finish(self, outcome: Outcome | None) -> None:
         course = self._course
-        outcome = self._outcome or Outcome(
+        outcome = outcome or Outcome(
             "stopped",
             "stopped by you" if course.state else "stopped before the first iteration",
             course.state,
             course.job,
             course.seconds,
         )
-        self._open = False
-        self._disconnect()
         self._on_end(outcome)
-
-    def _disconnect(self) -> None:
-        for signal, slot in self._slots:
-            signal.disconnect(slot)
-        self._slots = ()
 
 
 def expected(job: FitInput) -> Forecaster | None:

@@ -17,6 +17,7 @@ from ..background import Background
 from ..qt import Signal
 from ..viewing.colours import label_colormap
 from ..viewing.frame import Frame
+from .label_clicks import forget
 
 NAME = "found cells"
 
@@ -35,9 +36,9 @@ class FindCells(QPushButton):
         self._viewer, self._image = viewer, image_panel
         self.setToolTip(
             "<qt>Finds the cells of a membrane image by itself and adds them as a Labels layer, "
-            "which can be corrected with napari's brush, eraser and bucket. Takes seconds to "
-            "minutes in the background, by the size of the image. Pressing again starts anew and "
-            "replaces what was found, corrections too.</qt>"
+            "which can be corrected by clicks, or with napari's brush, eraser and bucket. Takes "
+            "seconds to minutes in the background, by the size of the image. Pressing again starts "
+            "anew and replaces what was found, corrections too.</qt>"
         )
         self.cell_size = QLabeledDoubleSlider(Qt.Orientation.Horizontal, parent)
         self.cell_size.setToolTip(
@@ -124,6 +125,7 @@ class FindCells(QPushButton):
             and np.allclose(old.translate, options["translate"])
         ):
             old.data = labels
+            forget(old)
             old.visible = True
             return old
         self._layer = Labels(labels, name=NAME, opacity=0.4, colormap=label_colormap(), **options)

@@ -23,6 +23,7 @@ from ..connections import Connections
 from ..panels.fields import note_label, show_row
 from ..qt import Signal
 from ..viewing.frame import Frame, made_by_fit
+from .corrections import Corrections
 from .find_cells_panel import FindCells
 from .mesh_files import MeshFiles
 from .preview import Preview, Wanted
@@ -47,6 +48,7 @@ class SeedsPanel(QGroupBox):
         self._connections, self._of_layers = Connections(), Connections()
         self._time: tuple[int, ...] = ()
         self._open = True
+        self._used = False  # whether a result that started from them is shown
         self._make_fields()
         self._lay_out()
         self._drawing = SphereDrawing(
@@ -81,12 +83,15 @@ class SeedsPanel(QGroupBox):
                 self.note.setText(str(error))
                 return
             self._viewer.add_layer(layer)
+        self.corrections.lay_down()
         self._viewer.dims.ndisplay = 2
         self._viewer.layers.selection = {layer}
+        layer.visible = True
         layer.mode = "add"
 
     def finish_placing(self, *, keep_preview: bool = False) -> None:
         """Clicks move the view again; the preview goes, or stays until there is room to be made."""
+        self.corrections.lay_down()
         for layer in self._viewer.layers:
             if isinstance(layer, Points) and str(layer.mode) == "add":
                 layer.mode = "pan_zoom"
@@ -96,9 +101,13 @@ class SeedsPanel(QGroupBox):
         self._show()
 
     def make_room(self) -> None:
-        """The meshes of a fit are there: hide what would cover them."""
+        """The meshes of a fit are there: hide what would cover them, until seeds are edited."""
+        self._used = True
         self.preview.clear()
         self.find_cells.hide_found()
+        if self.spheres:  # as large as the cells
+            for layer in self._sources.points_layers():
+                layer.visible = False
 
     def use_file(self, *paths: str) -> None:
         """Add mesh files as Surface layers, which are seeds like others."""
@@ -112,7 +121,13 @@ class SeedsPanel(QGroupBox):
         """End what is under way, and listen to the viewer no more; it is not touched."""
         self._open = False
         self._drawing.attach([])
-        for part in (self.chooser, self.preview, self.find_cells, self.open_file):
+        for part in (
+            self.chooser,
+            self.corrections,
+            self.preview,
+            self.find_cells,
+            self.open_file,
+        ):
             part.close_links()
         self._connections.undo()
         self._of_layers.undo()
@@ -123,6 +138,7 @@ class SeedsPanel(QGroupBox):
     def _make_fields(self) -> None:
         self.chooser = SeedList(self._viewer, self)
         self._sources = SeedSources(self._viewer, self._image, self.chooser)
+        self.corrections = Corrections(self._viewer, self._image, self.chooser.ticked, self)
         self.place = QPushButton("Place seeds", self)
         self.place.setToolTip(
             "<qt>Then click inside each cell, on any slice or in 3D (there, points lie at the "
@@ -161,6 +177,7 @@ class SeedsPanel(QGroupBox):
         layout.addRow(buttons)
         layout.addRow("cell size, um", self.find_cells.cell_size)
         layout.addRow(self.chooser)
+        layout.addRow(self.corrections.bar)
         layout.addRow("start as", self.shape)
         layout.addRow("radius, um", self.radius)
         layout.addRow("", self.preview)
@@ -174,6 +191,7 @@ class SeedsPanel(QGroupBox):
             part.told.connect(self._show)
         self.find_cells.found.connect(self.chooser.choose)
         self.chooser.chosen.connect(self._layers_chosen)
+        self.corrections.edited.connect(self._show_soon)
         self.shape.currentTextChanged.connect(self._shape_chosen)
         self.radius.valueChanged.connect(self._resize)
         self.preview.changed.connect(self._show_remarks)
@@ -198,6 +216,7 @@ class SeedsPanel(QGroupBox):
     # ------------------------------------------------------------------------------- what changes
 
     def _image_changed(self) -> None:
+        self.corrections.forget()
         shape = self._sources.shape()
         if shape is None:
             self.find_cells.forget()
@@ -226,7 +245,8 @@ class SeedsPanel(QGroupBox):
         time = tuple(self._viewer.dims.current_step[:-3])
         if time != self._time:  # other points, and another image
             self._time = time
-            self._show_soon()
+            if self._open and not self._used:
+                self._later.start()
 
     def _shape_chosen(self, text: str) -> None:
         self._resize()
@@ -234,6 +254,7 @@ class SeedsPanel(QGroupBox):
         self._show_soon()
 
     def _show_soon(self, event: Any = None) -> None:
+        self._used = False
         if self._open:
             self._later.start()
 
@@ -292,6 +313,7 @@ class SeedsPanel(QGroupBox):
 
     def _show(self) -> None:
         layers, points = self.chooser.ticked(), self._sources.points_layers()
+        self.corrections.renew()
         shown = bool(points) or not layers
         show_row(self._form, self.find_cells.cell_size, self.find_cells.tried)
         show_row(self._form, self.shape, shown)

@@ -11,16 +11,19 @@ from qtpy.QtCore import QObject
 from ...errors import InputError
 from ...inference.tracking import FrameResult, TrackSettings
 from ...inference.tracking.settings import TrackRun
-from ...job import assemble
+from ...job import FitInput, assemble, optics_of
 from ...scene import Grid
+from ...session_file import SavedTracks
+from ...settings import validated
 from ...track_report import write_frame, write_tracks
 from ..attempt import attempt
 from ..running.composition import Live, Panels
 from ..running.run_control import RunControl
 from ..seeding.seeds import Seeds
+from ..viewing.frame import Frame
 from .layers import TrackLayers
 from .panel import TrackPanel
-from .work import Frames, Progress, TrackJob, TrackOutcome, TrackWork
+from .work import Frames, Progress, Tracked, TrackJob, TrackOutcome, TrackWork
 
 
 class TrackControl(QObject):
@@ -51,6 +54,7 @@ class TrackControl(QObject):
         self._control, self._tell, self._warn = control, tell, warn
         self.work: TrackWork | None = None
         self.layers: TrackLayers | None = None
+        self._kept = Tracked()  # of a session that was opened
         self._again: tuple[Callable[[], TrackJob], range] | None = None  # to go on
         self._frames = range(0)
         self._seeds: list[Any] = []  # layers that the run started from
@@ -71,7 +75,13 @@ class TrackControl(QObject):
     @property
     def results(self) -> list[FrameResult]:
         """The frames that are done."""
-        return [] if self.work is None else self.work.results
+        return list(self.tracked.results)
+
+    @property
+    def tracked(self) -> Tracked:
+        """What the last run has reached, or that of a session."""
+        work = self.work
+        return self._kept if work is None else Tracked(work.job, tuple(work.results), work.seconds)
 
     def start(self) -> None:
         """Track from the frame shown; says in plain words what is missing."""
@@ -95,6 +105,37 @@ class TrackControl(QObject):
     def save(self, folder: str) -> None:
         """Write what the command line would."""
         attempt(partial(self._save, folder), self._warn)
+
+    def saved(self) -> SavedTracks | None:
+        """What a session keeps of the series that is chosen; None where it was not tracked."""
+        tracked, layers = self.tracked, self.layers
+        if layers is None or tracked.job is None or not tracked.results:
+            return None
+        layer = self._panels.image.layer
+        if layers.image_layer is not layer:
+            return None
+        return SavedTracks(
+            pixels=layer.data[0] if layer.multiscale else layer.data,
+            time=(float(layer.scale[-4]), float(layer.translate[-4]), str(layer.units[-4])),
+            results=tracked.results,
+            settings=tracked.job.settings,
+            seconds=tracked.seconds,
+            shared_ground=tracked.job.shared_ground,
+        )
+
+    def reopen(self, tracks: SavedTracks) -> None:
+        """Show what a session kept, of the image chosen, as if it had just been tracked."""
+        image = self._panels.image
+        frame, frames = image.frame(), Frames(tracks.pixels)
+        self._kept = Tracked(_reopened(tracks, frame, frames), tracks.results, tracks.seconds)
+        self.work = None
+        self._show_in(image.layer, frame)
+        self._frames = range(tracks.settings.track.first, len(frames))
+        self._again = (partial(_same, self._kept.job), self._frames)
+        self.panel.divisions.setChecked(tracks.settings.track.divisions)
+        if self.layers is not None:
+            self.layers.show(tracks.results)
+        self._end("done", f"{len(tracks.results)} frames tracked")
 
     def close_links(self) -> None:
         """End what runs, and let the viewer go."""
@@ -125,10 +166,7 @@ class TrackControl(QObject):
         seeds = self._panels.seeds.seeds(frame)
         settings = self._settings(seeds, first, float(layer.scale[-4]))
         frames, grid = Frames(data), frame.grid(data.shape[-3:])
-        if self.layers is not None:
-            self.layers.close()
-            self._remove_layers(self.layers)
-        self.layers = TrackLayers(self._viewer, layer, frame, self._show_frame)
+        self._show_in(layer, frame)
         self._panels.seeds.finish_placing(keep_preview=True)
         self._seeds = self._panels.seeds.chooser.ticked()
         prepare = partial(_prepared, settings, frames, grid, seeds)
@@ -141,13 +179,15 @@ class TrackControl(QObject):
             divisions=self.panel.divisions.isChecked(),
             time_step=scale if scale > 0 else 1.0,
         )
-        return TrackRun(
-            image=str(getattr(self._panels.image.layer.source, "path", None) or ""),
-            seeds=run.seeds,
-            scene=run.scene,
-            fit=run.fit,
-            track=tracking,
-        )
+        values = {
+            "image": str(getattr(self._panels.image.layer.source, "path", None) or ""),
+            "seeds": run.seeds,
+            "scene": run.scene,
+            "fit": run.fit,
+            "track": tracking,
+        }
+        settings: TrackRun = validated(TrackRun, values)
+        return settings
 
     def _launch(
         self, prepare: Callable[[], TrackJob], frames: range, done: Sequence[FrameResult]
@@ -159,11 +199,15 @@ class TrackControl(QObject):
         self._panels.running.run_button.setEnabled(False)
         self.work.start()
 
-    def _remove_layers(self, old: TrackLayers) -> None:
-        """Those of an earlier run give way, or two surfaces would lie on each other."""
-        for layer in (old.surface, old.tracks, old.contours.layer):
-            if layer is not None and layer in self._viewer.layers:
-                self._viewer.layers.remove(layer)
+    def _show_in(self, image_layer: Any, frame: Frame) -> None:
+        """Layers of an earlier run give way, or two surfaces would lie on each other."""
+        old = self.layers
+        if old is not None:
+            old.close()
+            for layer in (old.surface, old.tracks, old.contours.layer):
+                if layer is not None and layer in self._viewer.layers:
+                    self._viewer.layers.remove(layer)
+        self.layers = TrackLayers(self._viewer, image_layer, frame, self._show_frame)
 
     def _progress(self, progress: Progress) -> None:
         self.panel.show_progress(progress, self._frames.start, self._frames.stop)
@@ -180,29 +224,32 @@ class TrackControl(QObject):
         self._show_frame()
 
     def _ended(self, outcome: TrackOutcome) -> None:
-        results = self.results
+        self._end(outcome.verdict, outcome.message)
+        self._panels.running.run_button.setEnabled(True)
+        if outcome.verdict == "failed":
+            self._warn(outcome.message)
+
+    def _end(self, verdict: str, text: str) -> None:
+        """Show how it ended, and whether it can go on."""
+        results, seconds = self.results, self.tracked.seconds
         last = results[-1].frame if results else -1
         left = bool(results) and last < self._frames.stop - 1
         self.panel.set_running(False, can_go_on=left)
         self.panel.say("")
-        text = outcome.message
-        if results and self.work is not None:
-            kept = "" if outcome.verdict == "done" else f"{len(results)} frames are kept, "
-            text += f" ({kept}{self.work.seconds:.1f} s)"
-        self.panel.show_verdict(outcome.verdict, text)
-        self._panels.running.run_button.setEnabled(True)
-        if outcome.verdict == "failed":
-            self._warn(outcome.message)
+        if results:
+            kept = "" if verdict == "done" else f"{len(results)} frames are kept, "
+            text += f" ({kept}{seconds:.1f} s)"
+        self.panel.show_verdict(verdict, text)
         self._show_frame()
 
     def _save(self, folder: str) -> None:
-        work = self.work
-        if work is None or work.job is None or not work.results:
+        tracked = self.tracked
+        job = tracked.job
+        if job is None or not tracked.results:
             raise InputError("there are no frames to save")
-        for result in work.results:
+        for result in tracked.results:
             write_frame(folder, result)
-        job = work.job
-        write_tracks(folder, work.results, job.first.grid, job.settings, work.seconds)
+        write_tracks(folder, tracked.results, job.first.grid, job.settings, tracked.seconds)
         self._tell(f"saved {folder}")
 
     # ------------------------------------------------------------------------------- the panel
@@ -220,6 +267,25 @@ class TrackControl(QObject):
     def _complain(self, message: str) -> None:
         self.panel.show_verdict("failed", message)
         self._warn(message)
+
+
+def _same(job: TrackJob | None) -> TrackJob:
+    """The job of a session, which needs no preparation."""
+    if job is None:
+        raise InputError("no frame of it has a mesh to go on from")
+    return job
+
+
+def _reopened(tracks: SavedTracks, frame: Frame, frames: Frames) -> TrackJob | None:
+    """The job of a session; None if no frame has a mesh."""
+    mesh = next((r.mesh for r in tracks.results if r.mesh is not None), None)
+    if mesh is None:
+        return None
+    settings = tracks.settings
+    image = frames[settings.track.first]
+    optics = optics_of(settings.scene)
+    first = FitInput(settings, image, frame.grid(image.shape), mesh, optics, None)
+    return TrackJob(first, frames, settings, tracks.shared_ground)
 
 
 def _prepared(settings: TrackRun, frames: Frames, grid: Grid, seeds: Seeds) -> TrackJob:

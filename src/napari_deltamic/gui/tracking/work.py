@@ -9,13 +9,13 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from superqt.utils import create_worker
 
 from ...cli.messages import failure
 from ...errors import InputError
 from ...inference.tracking import FrameResult, track
 from ...inference.tracking.settings import TrackRun
 from ...job import FitInput
+from ..background import BackgroundSteps
 
 _INTERVAL = 0.15  # s between two reports of progress
 
@@ -44,6 +44,18 @@ class TrackJob:
     frames: Frames
     settings: TrackRun
     shared_ground: bool
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """What a run has reached; of ``seconds`` s.
+
+    job : None while it is prepared.
+    """
+
+    job: TrackJob | None = None
+    results: tuple[FrameResult, ...] = ()
+    seconds: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -96,28 +108,17 @@ class TrackWork:
     ) -> None:
         self._course = _Course(results=list(done))
         self._on_progress, self._on_frame, self._on_end = on_progress, on_frame, on_end
-        self._outcome: TrackOutcome | None = None
-        self._open = True
-        # Errors are caught in the thread: this library drops any RuntimeError without a word.
-        self._worker: Any = create_worker(
-            _steps, prepare, list(done), self._course, _start_thread=False, _ignore_errors=True
-        )
-        self._slots: tuple[tuple[Any, Callable[..., None]], ...] = (
-            (self._worker.yielded, self._show),
-            (self._worker.returned, self._note_outcome),
-            (self._worker.finished, self._finish),
-        )
-        for signal, slot in self._slots:
-            signal.connect(slot)
+        given = (prepare, list(done), self._course)
+        self._thread = BackgroundSteps(_steps, given, self._show, self._finish, _failed)
 
     def start(self) -> None:
         """Start the thread."""
-        self._worker.start()
+        self._thread.start()
 
     @property
     def running(self) -> bool:
         """Whether it has been neither closed nor ended."""
-        return self._open
+        return self._thread.running
 
     @property
     def job(self) -> TrackJob | None:
@@ -136,39 +137,20 @@ class TrackWork:
 
     def stop(self) -> None:
         """End it after the present iteration; the frames that are done are kept."""
-        self._worker.quit()
+        self._thread.stop()
 
     def close(self) -> None:
         """End it and call nobody any more."""
-        if self._open:
-            self._open = False
-            self._worker.quit()
-            self._disconnect()
+        self._thread.close()
 
     def _show(self, report: Progress | FrameResult | None) -> None:
-        if report is None or not self._open:
-            return
-        try:
-            if isinstance(report, Progress):
-                self._on_progress(report)
-            else:
-                self._on_frame(report)
-        except Exception as error:  # what cannot be shown should not go on unseen
-            self._outcome = _failed(error)
-            self._worker.quit()
+        if isinstance(report, Progress):
+            self._on_progress(report)
+        elif report is not None:
+            self._on_frame(report)
 
-    def _note_outcome(self, outcome: TrackOutcome) -> None:
-        self._outcome = outcome
-
-    def _finish(self) -> None:
-        self._open = False
-        self._disconnect()
-        self._on_end(self._outcome or TrackOutcome("stopped", "stopped by you"))
-
-    def _disconnect(self) -> None:
-        for signal, slot in self._slots:
-            signal.disconnect(slot)
-        self._slots = ()
+    def _finish(self, outcome: TrackOutcome | None) -> None:
+        self._on_end(outcome or TrackOutcome("stopped", "stopped by you"))
 
 
 def _steps(prepare: Callable[[], TrackJob], done: list[FrameResult], course: _Course) -> Any:

@@ -14,6 +14,7 @@ from ...geometry import Mesh
 from ...picture import COLOURS
 
 _DIM, _GREY = 0.75, 0.42  # a cell that is not chosen: so much of this grey in its colour
+_SHADES = ((0.0, 0.0), (0.45, 1.0), (0.5, 0.0))  # as they are, lighter, darker: part of this grey
 _OPAQUE = np.ones((len(COLOURS), 1))
 _TABLE = np.hstack([np.array(COLOURS) / 255, _OPAQUE])
 _DIMMED = np.hstack([(1 - _DIM) * _TABLE[:, :3] + _DIM * _GREY, _OPAQUE])
@@ -43,8 +44,12 @@ def region_colormap() -> Colormap:
 
 
 def label_colormap() -> CyclicLabelColormap:
-    """For Labels layers: each label has the colour of the region that it becomes."""
-    return CyclicLabelColormap(np.vstack([np.zeros(4), _TABLE]), name="deltamic labels")
+    """For Labels layers: each label has the colour of the region that it becomes, in a shade.
+
+    Labels lie side by side without a contour, so two of one colour should not look like one cell.
+    """
+    shades = [np.hstack([(1 - part) * _TABLE[:, :3] + part * to, _OPAQUE]) for part, to in _SHADES]
+    return CyclicLabelColormap(np.vstack([np.zeros(4), *shades]), name="deltamic labels")
 
 
 def vertex_values(mesh: Mesh, chosen: Collection[int] = ()) -> NDArray[np.float32]:

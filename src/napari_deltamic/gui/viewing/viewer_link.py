@@ -46,6 +46,8 @@ class ViewerLink:
         self._on_lost: Callable[[str], None] | None = on_lost
         self._seen_in_3d = True
         self._placed = True  # whether the surface belongs to what is shown: 3D, at its time
+        self._images_wanted = (False, False)  # rendered and residual
+        self._images_placed = True  # whether they belong to the time that is shown
         self._late = False  # whether the hidden surface is another than what is to be seen
         self._time: tuple[int, ...] = ()  # of the image, that is fitted; () where it has none
         self.take_time()
@@ -57,6 +59,11 @@ class ViewerLink:
         for emitter in (dims.current_step, dims.order, dims.ndisplay):
             self._connections.connect(emitter, self._slice_changed)
         self._connections.connect(viewer.layers.events.removed, self._layer_removed)
+
+    @property
+    def time(self) -> tuple[int, ...]:
+        """Step of the time point that is fitted, of a 4D image; () where it has none."""
+        return tuple(int(step) for step in self._time)
 
     def take_time(self) -> None:
         """From now on the meshes are those of the time point that is shown, of a 4D image."""
@@ -127,9 +134,8 @@ class ViewerLink:
 
     def show_layers(self, rendered: bool, residual: bool) -> None:
         """Whether the images that a fit adds are visible."""
-        for layer, visible in ((self.rendered, rendered), (self.residual, residual)):
-            if layer is not None:
-                layer.visible = visible
+        self._images_wanted = (rendered, residual)
+        self._place_images()
 
     def face_of(self, drawn: int) -> int | None:
         """The face of the mesh shown that one of the surface layer is; None where there is none."""
@@ -240,6 +246,8 @@ class ViewerLink:
 
     def _slice_changed(self, event: Any = None) -> None:
         self._place_surface()
+        if self.at_time != self._images_placed:
+            self._place_images()
         if self.contours.layer in self.viewer.layers:
             self.contours.update(self.shown if self.at_time else None, self.viewer.dims)
 
@@ -262,6 +270,13 @@ class ViewerLink:
             self._seen_in_3d = self.surface.visible
         self._placed = not self._placed
         self.surface.visible = self._placed and self._seen_in_3d
+
+    def _place_images(self) -> None:
+        """Show the images that are wanted at the time that they belong to, and nowhere else."""
+        self._images_placed = self.at_time
+        for layer, wanted in zip((self.rendered, self.residual), self._images_wanted, strict=True):
+            if layer is not None:
+                layer.visible = wanted and self._images_placed
 
     def _layer_removed(self, event: Any) -> None:
         if self._on_lost is None:

@@ -14,7 +14,7 @@ from ...scene.effects.base import VoxelEffect
 
 # A halo's width is not told by its derivative where it holds no light, so several are tried.
 _HALO_WIDTHS = (3.0, 6.0, 12.0)  # of the PSF in the plane
-_NEEDS_MORE = ("second_view",)  # than the image
+_NEEDS_MORE = ("second_view",)  # it is data: whether there is a second image, none can tell
 CONSIDERED = tuple(
     name
     for name, kind in KINDS.items()
@@ -31,6 +31,11 @@ def chosen_candidates(names: Sequence[str] | None, present: Effects) -> tuple[st
         If one is unknown, or cannot be judged by one image.
     """
     for name in names or ():
+        if name in _NEEDS_MORE:
+            raise InputError(
+                f"{name} is data, which no single image can call for: name its file among the "
+                "effects of the fit"
+            )
         if name not in CONSIDERED:
             raise InputError(
                 f"'{name}' is no effect that an image can call for: choose from "
@@ -69,6 +74,13 @@ def points_inwards(effect: Effect, estimate: np.ndarray) -> bool:
     after = effect.with_parameters(effect.parameters() + _tensor(estimate)).parameters().numpy()
     told = estimate != 0
     return bool(((after - before)[told] * estimate[told] > 0).any())
+
+
+def beyond_bounds(effect: Effect) -> bool:
+    """Whether a number ended at its bound: the effect then stands for something else."""
+    if not effect.bounds:
+        return False
+    return any(bool(at.any()) for at in effect.at_bounds())
 
 
 def at_estimate(effect: Effect, estimate: np.ndarray) -> Effect:

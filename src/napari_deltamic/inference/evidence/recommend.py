@@ -14,16 +14,18 @@ from ...scene.effects import Camera as CameraEffect
 from ...scene.effects import Effect, Effects, Missing, as_effects
 from ...settings import FitSettings
 from ..checks import check_image, hot_voxels
+from ..default_accuracy import accuracy_for_image
 from ..fit import fit
 from ..likelihood import voxel_noise
 from ..state import FitState
 from .camera import Camera, camera_from_image, failed_slices
 from .candidates import chosen_candidates, points_inwards
-from .model import Scene
 from .noise import voxel_variance
-from .price import milliseconds
+from .price import Prices
+from .scene import Scene
 from .search import Judged, Search
 
+_MISFIT = 1.3  # of the variance of noise: worth a remark
 NEGLIGIBLE = 0.02  # voxels: an effect that moves the surface by less is not worth its price
 
 
@@ -41,7 +43,8 @@ class Evidence:
         Root mean square distance by which the surface is off without it, as predicted; voxels by
         their smallest side.
     cost_ms
-        What an iteration takes longer with it, as predicted.
+        What an iteration at full resolution takes longer with it, as predicted from what it states
+        and from the time that a rendering of the scene took.
     recommended
         Whether to take it.
     reason
@@ -103,11 +106,14 @@ def recommend(
     fitted: FitState | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Recommendation:
-    """Decide which effects an image calls for; deterministic, in seconds.
+    """Decide which effects an image calls for.
 
     The scene is fitted without them. The candidate with the largest score above the threshold is
     added, the scene refitted, and so on, one at a time, because effects pass for one another. What
-    moves the surface by less than 0.02 voxel is left out in the end.
+    in the end is not clear beside all the misfit that is left, or moves the surface by less than
+    0.02 voxel, is left out. All but the prices is deterministic.
+
+    A second view is data, not a choice that one image could tell, and so is no candidate.
 
     Parameters
     ----------
@@ -154,12 +160,20 @@ def recommend(
         len(names),
     )
     search.run(names, tell)
-    found = _outcome(search, names, present, camera)
+    accuracy = settings.accuracy
+    if accuracy is None:
+        accuracy = accuracy_for_image(pixels, known)
+    prices = Prices(fitted.mesh, grid, fitted.optics.detach(), present, accuracy)
+    found = _outcome(search, names, present, camera, prices)
     return with_detection(found, search, pixels, known)
 
 
 def _outcome(
-    search: Search, names: tuple[str, ...], present: Effects, camera: Camera
+    search: Search,
+    names: tuple[str, ...],
+    present: Effects,
+    camera: Camera,
+    prices: Prices,
 ) -> Recommendation:
     voxel = min(search.part.grid.voxel_size)
     evidence = []
@@ -173,7 +187,7 @@ def _outcome(
                 judged.score.z,
                 1e3 * bias,
                 bias / voxel,
-                milliseconds(judged.effect, search.model.plan, search.part.grid),
+                prices.milliseconds(judged.effect),
                 judged.chosen and clear and bias >= NEGLIGIBLE * voxel,
                 _reason(judged, bias, voxel, search),
             )
@@ -241,6 +255,11 @@ def _remarks(search: Search, voxel: float) -> tuple[str, ...]:
     part = search.part
     if len(part.cells) < part.of:
         found.append(f"judged by {len(part.cells)} of {part.of} cells, around the middle")
+    misfit = search.misfit()
+    if misfit > _MISFIT:
+        found.append(
+            f"what is left varies {misfit:.1f} times as much as noise: scores are relative to it"
+        )
     density = search.density()
     if density is not None and abs(density.z) > search.threshold:
         bias = search.refit.modes.size(density.shape)
@@ -268,6 +287,8 @@ def _reason(judged: Judged, bias: float, voxel: float, search: Search) -> str:
     others = [n for n in effect.contradicts if n in search.scene.effects.names]
     if others and abs(score.z) > search.threshold:
         return f"{others[0]} explains the same"
+    if abs(score.z) > search.threshold and effect.name in search.dropped:
+        return f"{seen}, but {search.dropped[effect.name]}"
     if abs(score.z) > search.threshold and not points_inwards(effect, score.estimate):
         return f"{seen}, but for less than nothing of it"
     if abs(score.z) > search.threshold:

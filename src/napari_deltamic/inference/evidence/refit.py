@@ -8,14 +8,17 @@ early the rest of the way, which the score of an effect would otherwise be mista
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
+from scipy.linalg import lu_factor, lu_solve
 
 from ..likelihood import solve_scale
-from .model import ImageModel, Scene, parameters_of, with_changed
+from .model import ImageModel, parameters_of, with_changed
 from .modes import ShapeModes
 from .noise import Variance
+from .scene import Scene
 
 _LARGEST_PSF = 0.15  # of one step, in the PSF's own numbers
 _PRIOR = 2.0  # widths of the PSF: standard deviation of what a mode may be
@@ -23,7 +26,11 @@ _PRIOR_DENSITY = 1.0  # of the logarithm
 _HALVINGS = 4
 _MOST_STEPS = 6
 _ENOUGH = 2e-5  # of the loss: steps that gain less are the last
-_STALE = 0.15  # widths of the PSF: beyond it derivatives in the shape are computed anew
+_LITTLE = 1e-2  # of the loss: after a step that gains less the next has the same derivatives
+# Derivatives in the surface hold while it moves by so many widths of the PSF at most, and the image
+# changes by such a share of itself.
+_NEAR = 0.3, 0.15
+_FRESH = 0.03, 0.01
 
 
 @dataclass(frozen=True)
@@ -53,19 +60,71 @@ class Linearised:
     density: int
     prior: np.ndarray
 
+    @cached_property
+    def gram(self) -> np.ndarray:
+        """(K, K) products of the columns."""
+        found: np.ndarray = self.columns.T @ self.columns
+        return found
+
+    @cached_property
+    def _factors(self) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+        """Sizes of the columns, and the normal equations of columns of size 1, factorised."""
+        scale = np.sqrt(np.diag(self.gram))
+        scale[scale == 0] = 1.0
+        normal = self.gram / np.outer(scale, scale) + np.diag(self.prior / scale**2 + 1e-9)
+        return scale, lu_factor(normal)
+
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Coefficients of the columns that explain a weighted image (N,) or several (N, P) best."""
-        scale = np.linalg.norm(self.columns, axis=0)
-        scale[scale == 0] = 1.0
-        a = self.columns / scale
-        normal = a.T @ a + np.diag(self.prior / scale**2 + 1e-9)
-        solved: np.ndarray = np.linalg.solve(normal, a.T @ right)
+        scale, factors = self._factors
+        solved: np.ndarray = lu_solve(factors, ((self.columns.T @ right).T / scale).T)
         return (solved.T / scale).T
 
     def left(self, right: np.ndarray) -> np.ndarray:
         """A weighted image (N,), or several (N, P), less what the columns explain of it."""
         rest: np.ndarray = right - self.columns @ self.solve(right)
         return rest
+
+    @cached_property
+    def rest(self) -> np.ndarray:
+        """(N,) the residual less what the columns explain of it."""
+        return self.left(self.residual)
+
+    def without(self, own: np.ndarray, residual: np.ndarray) -> Linearised:
+        """With another residual, and without some of the columns of effects."""
+        kept = np.setdiff1d(np.arange(self.columns.shape[1]), own)
+        found = replace(
+            self,
+            columns=self.columns[:, kept],
+            residual=residual,
+            effects=self.effects - len(own),
+            prior=self.prior[kept],
+        )
+        found.__dict__["gram"] = self.gram[np.ix_(kept, kept)]  # what it would compute
+        return found
+
+    def with_residual(self, residual: np.ndarray) -> Linearised:
+        """The same columns, with what has been computed of them."""
+        found = replace(self, residual=residual)
+        found.__dict__.update(gram=self.gram, _factors=self._factors)
+        return found
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """Derivatives in the shape and the density, and where they were computed."""
+
+    scene: Scene
+    image: np.ndarray
+    shape: np.ndarray
+    density: np.ndarray
+
+    def hold_for(self, scene: Scene, image: np.ndarray, moved: float, changed: float) -> bool:
+        """Whether the surface is within some widths of the PSF, the image within a share of it."""
+        apart = self.scene.mesh.vertices_numpy() - scene.mesh.vertices_numpy()
+        near = float(np.sqrt((apart**2).sum(1).mean())) <= moved * min(scene.optics.sigma_um)
+        by = float(np.linalg.norm(image - self.image))
+        return near and by <= changed * float(np.linalg.norm(self.image))
 
 
 class Refit:
@@ -98,25 +157,33 @@ class Refit:
     ) -> None:
         self.model, self.measured, self.variance = model, measured, variance
         self.modes, self.fit_psf, self.density = modes, fit_psf, density
+        self._held: _Surface | None = None
 
-    def _surface_columns(self, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-        return (
-            self.model.shape_columns(scene, self.modes),
-            self.model.density_columns(scene, self.density),
-        )
+    def _surface_columns(self, scene: Scene, image: np.ndarray, fresh: bool) -> _Surface:
+        """Derivatives in shape and density, by far the dearest: kept while little has changed."""
+        held = self._held
+        limits = _FRESH if fresh else _NEAR
+        if held is None or not held.hold_for(scene, image, *limits):
+            shape = self.model.shape_columns(scene, self.modes)
+            density = self.model.density_columns(scene, self.density)
+            self._held = held = _Surface(scene, image, shape, density)
+        return held
 
-    def linearised(
-        self, scene: Scene, surface: tuple[np.ndarray, np.ndarray] | None = None
-    ) -> Linearised:
-        """Derivatives and residual at a scene; those of the surface may be taken from nearby."""
+    def linearised(self, scene: Scene, fresh: bool = True) -> Linearised:
+        """Derivatives and residual at a scene.
+
+        Those of the surface may be taken from nearby: for a step from further away than where they
+        have to be ``fresh``, since it only has to point the right way.
+        """
         rendered = self.model.rendered(scene)
         expected = self.model.measured(rendered, scene)
         root = 1 / np.sqrt(self.variance(expected))
-        shape, density = surface or self._surface_columns(scene)
-        psf = self.model.psf_columns(scene) if self.fit_psf else np.zeros((len(rendered), 0))
+        surface = self._surface_columns(scene, scene.amplitude * rendered, fresh)
+        shape, density = surface.shape, surface.density
+        psf = self.model.psf_columns(scene) if self.fit_psf else np.zeros((0, len(rendered))).T
         effects = [self.model.effect_columns(scene, e) for e, _ in parameters_of(scene.effects)]
-        others = [rendered[:, None], np.ones((len(rendered), 1)), psf, *effects, density]
-        columns = np.concatenate([shape, *others], axis=1)
+        linear = np.array([rendered, np.ones(len(rendered))]).T
+        columns = np.concatenate([shape, linear, psf, *effects, density], axis=1)
         columns *= root[:, None]
         prior = np.zeros(columns.shape[1])
         prior[: len(self.modes)] = 1 / (_PRIOR * min(scene.optics.sigma_um)) ** 2
@@ -179,29 +246,18 @@ class Refit:
         return np.asarray(held * np.exp(np.clip(change @ self.density, -1, 1)))
 
     def settled(self, scene: Scene) -> tuple[Scene, Linearised]:
-        """The scene after steps as long as they lower the loss, and its derivatives there.
-
-        Derivatives in the shape are by far the dearest. They are kept while the surface stays
-        within a share of the PSF's width: a step only has to point the right way.
-        """
-        surface = self._surface_columns(scene)
-        at = self.linearised(scene, surface)
+        """The scene after steps as long as they lower the loss, and its derivatives there."""
+        at = self.linearised(scene, fresh=False)
         for _ in range(_MOST_STEPS):
-            before = scene
             scene, gain = self.step(scene, at)
-            if gain == 0:
-                break
-            if self._apart(before, scene) > _STALE * min(scene.optics.sigma_um):
-                surface = self._surface_columns(scene)
-            at = self.linearised(scene, surface)
             if gain < _ENOUGH:
                 break
-        return scene, at
-
-    @staticmethod
-    def _apart(one: Scene, other: Scene) -> float:
-        apart = one.mesh.vertices_numpy() - other.mesh.vertices_numpy()
-        return float(np.sqrt((apart**2).sum(1).mean()))
+            if gain > _LITTLE:
+                at = self.linearised(scene, fresh=False)
+            else:
+                expected = self.model.expected(scene)
+                at = at.with_residual((self.measured - expected) * at.root)
+        return scene, self.linearised(scene)
 
     def scaled(self, scene: Scene) -> Scene:
         """The scene with the amplitude and background that suit it best."""

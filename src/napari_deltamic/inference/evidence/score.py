@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,8 @@ from .refit import Linearised
 
 _HIDDEN = 0.02  # of a column, left beside shape and the rest: less cannot be told from them
 _LARGEST_Z = 99.0
+_BLOCKS = 4.0, 8.0, 16.0, 32.0  # widths of the PSF; the noise of nearer voxels is related by it
+_FEWEST_BLOCKS = 12  # fewer do not tell a variance
 
 
 @dataclass(frozen=True)
@@ -22,6 +25,9 @@ class Score:
     ----------
     z
         Standard deviations: of one number with its sign, of several those that are as unlikely.
+        Relative to all that the residual varies by, near and far.
+    near
+        The same relative to what it varies by from one small block to the next.
     estimate
         (P,) the effect's numbers, in the units of the columns.
     shape
@@ -31,18 +37,20 @@ class Score:
     """
 
     z: float
+    near: float
     estimate: np.ndarray
     shape: np.ndarray
     hidden: bool = False
 
 
-def score(at: Linearised, columns: np.ndarray, blocks: np.ndarray) -> Score:
+def score(at: Linearised, columns: np.ndarray, blocks: Sequence[np.ndarray]) -> Score:
     """The score of an effect that is not in the scene.
 
     ``z = g'W(y - I) / sqrt(g'Wg)``, g being the columns less all that the fitted numbers explain of
     them (C. R. Rao's efficient score). Where the residual of neighbouring voxels is related,
     because the model is not all there is to the image, g'Wg is too small a variance: that of the
-    sums over blocks takes its place (the sandwich of P. Huber and H. White).
+    sums over blocks takes its place (the sandwich of P. Huber and H. White). How far residuals are
+    related is not known, so that several sizes of blocks are tried and the largest variance counts.
 
     Parameters
     ----------
@@ -51,7 +59,7 @@ def score(at: Linearised, columns: np.ndarray, blocks: np.ndarray) -> Score:
     columns
         (N, P) derivatives of the expected image in the effect's numbers.
     blocks
-        (N,) number of the block that each voxel lies in, from 0 on.
+        (N,) numbers of the blocks that each voxel lies in, from 0 on; from small blocks to large.
     """
     g = columns * at.root[:, None]
     size = np.linalg.norm(g, axis=0)
@@ -60,20 +68,20 @@ def score(at: Linearised, columns: np.ndarray, blocks: np.ndarray) -> Score:
     told = left > _HIDDEN * np.maximum(size, 1e-300)
     nothing = np.zeros(columns.shape[1])
     if not told.any() or not size.any():
-        return Score(0.0, nothing, np.zeros(at.modes), hidden=True)
+        return Score(0.0, 0.0, nothing, np.zeros(at.modes), hidden=True)
     estimate = nothing.copy()
     free, unit = free[:, told] / left[told], left[told]
-    residual = at.left(at.residual)
+    residual = at.rest
     information = free.T @ free
     sums = free.T @ residual
     found = np.linalg.lstsq(information, sums, rcond=1e-6)[0]
     estimate[told] = found / unit
-    excess = _excess(free, residual - free @ found, information, blocks)
-    surprise = float(sums @ found) / excess
-    z = equivalent_z(surprise, int(told.sum()))
+    surprise = float(sums @ found)
+    excess = [_excess(free, residual - free @ found, information, own) for own in blocks]
+    z, near = (equivalent_z(surprise / e, int(told.sum())) for e in (max(excess), excess[0]))
     if columns.shape[1] == 1:
-        z = float(np.copysign(z, found[0]))
-    return Score(z, estimate, at.solve(g @ estimate)[: at.modes])
+        z, near = (float(np.copysign(v, found[0])) for v in (z, near))
+    return Score(z, near, estimate, at.solve(g @ estimate)[: at.modes])
 
 
 def _excess(
@@ -95,6 +103,19 @@ def equivalent_z(surprise: float, numbers: int) -> float:
     if not np.isfinite(log_tail) or log_tail < -4000:
         return min(float(np.sqrt(surprise)), _LARGEST_Z)
     return min(max(float(-ndtri_exp(log_tail - np.log(2))), 0.0), _LARGEST_Z)
+
+
+def block_sizes(
+    index: np.ndarray, shape: tuple[int, int, int], width: np.ndarray
+) -> list[np.ndarray]:
+    """Blocks from a few widths of the PSF (3,) voxels on, as long as there are enough of them."""
+    found: list[np.ndarray] = []
+    for size in _BLOCKS:
+        blocks = blocks_of(index, shape, np.maximum(np.rint(size * width), 3))
+        if found and blocks.max() + 1 < _FEWEST_BLOCKS:
+            break
+        found.append(blocks)
+    return found
 
 
 def blocks_of(index: np.ndarray, shape: tuple[int, int, int], side: np.ndarray) -> np.ndarray:

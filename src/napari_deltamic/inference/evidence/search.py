@@ -12,17 +12,20 @@ from ...scene import Grid
 from ...scene.effects import Effect, Effects
 from ...settings import FitSettings
 from ..state import FitState
-from .candidates import allowed, at_estimate, points_inwards, variants
-from .model import ImageModel, Scene, parameters_of
+from .candidates import allowed, at_estimate, beyond_bounds, points_inwards, variants
+from .model import ImageModel, parameters_of
 from .modes import density_fields, shape_modes
 from .noise import Variance
 from .part import part_of
 from .refit import Refit
-from .score import Score, blocks_of, score
+from .scene import Scene
+from .score import Score, block_sizes, score
 
-_BLOCK = 4.0  # widths: residuals further apart are not related
 _ACCURACY = 1e-3  # of the images, or finer: small effects are judged by them
 _MOST_ROUNDS = 10
+_EXPLAINED = "the others explain it"
+_UNCLEAR = "not clear beside the misfit that is left"
+_AT_BOUND = "only a number at its bound would explain it: it passes for something else"
 
 
 @dataclass(frozen=True)
@@ -72,8 +75,7 @@ class Search:
         width = np.asarray(fitted.optics.sigma_um)
         self.part = part = part_of(usable, grid, fitted.mesh, density, width)
         index = part.index
-        voxels = np.maximum(np.rint(_BLOCK * width / np.asarray(grid.voxel_size)), 3)
-        self.blocks = blocks_of(index, part.grid.shape, voxels)
+        self.blocks = block_sizes(index, part.grid.shape, width / np.asarray(grid.voxel_size))
         scene = Scene(
             part.mesh,
             fitted.optics.detach(),
@@ -83,6 +85,7 @@ class Search:
             part.density,
         )
         self.held = effects.names
+        self.dropped: dict[str, str] = {}  # name -> why; they are not taken twice
         self.frame, self.image = grid, image
         self.model = ImageModel(scene, part.grid, index, _ACCURACY, frame=grid)
         measured = image[part.box].reshape(-1)[index].astype(np.float64)
@@ -91,48 +94,73 @@ class Search:
         self.refit = Refit(self.model, measured, variance, modes, settings.fit_psf, fields)
         # The criterion of G. Schwarz for one more number, with a share for each that is tried.
         self.threshold = sqrt(log(len(index)) + 2 * log(max(candidates, 1)))
+        self._settle(scene)
+
+    def _settle(self, scene: Scene) -> None:
         self.scene, self.at = self.refit.settled(self.refit.scaled(scene))
+        self._judged: dict[str, Judged] = {}
 
     def run(self, names: tuple[str, ...], tell: Callable[[str], None]) -> None:
-        """Add the clearest effect and refit until none is left above the threshold."""
+        """Add the clearest effect and refit until none is left above the threshold.
+
+        What is still missing of an image passes for misfit far and wide. So effects are added by
+        what they explain beside the misfit nearby, and in the end only those stay that are clear
+        beside all the misfit that is left.
+        """
         for _ in range(_MOST_ROUNDS):
-            found = [self.judged(n) for n in names if n not in self.scene.effects.names]
+            left = (n for n in names if n not in {*self.dropped, *self.scene.effects.names})
+            found = [self.judged(n) for n in left]
             clear = [
                 j
                 for j in found
-                if abs(j.score.z) > self.threshold
+                if abs(j.score.near) > self.threshold
                 and allowed(j.effect, self.scene.effects)
                 and points_inwards(j.effect, j.score.estimate)
             ]
             if not clear:
-                return
-            best = max(clear, key=lambda j: abs(j.score.z))
-            tell(f"{best.effect.name}: z = {best.score.z:.1f}")
+                break
+            best = max(clear, key=lambda j: abs(j.score.near))
+            tell(f"{best.effect.name}: z = {best.score.near:.1f}")
             self._take(best)
-            self._drop_faded()
+            self._drop_least(lambda s: abs(s.near), _EXPLAINED)
+        while (name := self._drop_least(lambda s: abs(s.z), _UNCLEAR)) is not None:
+            tell(f"{name} left out: {self.dropped[name]}")
 
     def _take(self, best: Judged) -> None:
         effect = at_estimate(best.effect, best.score.estimate)
         effects = self.scene.effects.replace(**{effect.name: effect})
-        scene = self.refit.scaled(replace(self.scene, effects=effects))
-        self.scene, self.at = self.refit.settled(scene)
+        self._settle(replace(self.scene, effects=effects))
 
-    def _drop_faded(self) -> None:
-        """Take out what a later effect has explained."""
+    def _drop_least(self, size: Callable[[Score], float], why: str) -> str | None:
+        """Take out the effect of the smallest score if it is not above the threshold.
+
+        One with a number at its bound stands for something else, and is not told.
+        """
         chosen = [n for n in self.scene.effects.names if n not in self.held]
-        if len(chosen) < 2:
-            return
-        judged = [self.judged(n) for n in chosen]
-        least = min(judged, key=lambda j: abs(j.score.z))
-        if abs(least.score.z) > self.threshold:
-            return
-        effects = self.scene.effects.without(least.effect.name)
-        self.scene, self.at = self.refit.settled(
-            self.refit.scaled(replace(self.scene, effects=effects))
-        )
+        if not chosen:
+            return None
+
+        def told(judged: Judged) -> float:
+            # One without numbers that the image wants less than nothing of is not there.
+            unwanted = not judged.effect.bounds and judged.score.z < 0
+            odd = unwanted or beyond_bounds(judged.effect)
+            return 0.0 if odd else size(judged.score)
+
+        least = min((self.judged(n) for n in chosen), key=told)
+        if told(least) > self.threshold:
+            return None
+        name = least.effect.name
+        self.dropped[name] = _AT_BOUND if beyond_bounds(least.effect) else why
+        self._settle(replace(self.scene, effects=self.scene.effects.without(name)))
+        return name
 
     def judged(self, name: str) -> Judged:
         """The score of an effect beside all that are chosen, itself left out if it is."""
+        if name not in self._judged:
+            self._judged[name] = self._judge(name)
+        return self._judged[name]
+
+    def _judge(self, name: str) -> Judged:
         present = getattr(self.scene.effects, name)
         if present is not None:
             return Judged(present, self._without(present), True)
@@ -141,6 +169,10 @@ class Search:
             columns = self._columns(effect)
             found.append(Judged(effect, score(self.at, columns, self.blocks), False))
         return max(found, key=lambda j: abs(j.score.z))
+
+    def misfit(self) -> float:
+        """Mean square of what is left, in variances of noise: 1 where the scene explains all."""
+        return float((self.at.rest**2).mean())
 
     def density(self) -> Score | None:
         """The score of a density that varies smoothly; None where one is fitted already."""
@@ -168,14 +200,7 @@ class Search:
                 change[1] = 0.0
         else:
             change = np.ones(1)
-        kept = np.setdiff1d(np.arange(at.columns.shape[1]), own)
-        without = replace(
-            at,
-            columns=at.columns[:, kept],
-            prior=at.prior[kept],
-            effects=at.effects - len(own),
-            residual=at.residual + (columns @ change) * at.root,
-        )
+        without = at.without(own, at.residual + (columns @ change) * at.root)
         return score(without, columns, self.blocks)
 
     def _own_columns(self, effect: Effect) -> np.ndarray:

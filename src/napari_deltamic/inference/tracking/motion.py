@@ -108,7 +108,8 @@ def shifted(mesh: Mesh, shifts: Mapping[int, FloatArray]) -> Mesh:
     mean = total / np.maximum(weight, 1)[:, None]
     if not mean.any():
         return mesh
-    smooth = Preconditioner(mesh, _SMOOTHING, at_junctions=NEAR_JUNCTIONS).solve(mean)
+    smoother = Preconditioner(mesh, _SMOOTHING, at_junctions=NEAR_JUNCTIONS)
+    smooth = smoother.solve(torch.from_numpy(mean)).numpy()
     return mesh.with_vertices(mesh.vertices_numpy() + smooth)
 
 

@@ -48,3 +48,9 @@ class TrackRun(RunSettings):
 
     image: str = Field(description="image file of a series, or a folder or pattern of 3D images")
     track: TrackSettings = TrackSettings()
+
+    @model_validator(mode="after")
+    def _one_view(self) -> TrackRun:
+        if self.scene.effects.second_view is not None:
+            raise ValueError("a second view cannot be tracked: leave it out")
+        return self

@@ -12,21 +12,25 @@ from .base import Bounds, Cost, Effect, Where
 
 
 class Bulk(Effect):
-    """Fluorophores inside the regions: cytoplasm, nuclei, or a dye that is not only membrane."""
+    """Fluorophores inside the regions: cytoplasm, nuclei, or a dye that is not only membrane.
+
+    What counts is the difference to the outside. It is negative where the medium around shines more
+    than the inside; the level outside is then that of the background.
+    """
 
     name: ClassVar[str] = "bulk"
     where: ClassVar[Where] = "object"
     help: ClassVar[str] = (
-        "the inside of the cells shines; left out, at a tenth of the rim's brightness, surfaces "
-        "shift by a hundred nm"
+        "the inside of the cells shines, or (negative) is darker than the medium around; left out, "
+        "at a tenth of the rim's brightness, surfaces shift by a hundred nm"
     )
     cost: ClassVar[Cost] = Cost(transforms=1, closed_form=6)
-    bounds: ClassVar[dict[str, Bounds]] = {"density": Bounds("1/um", 0.0, 100.0, 0.1)}
+    bounds: ClassVar[dict[str, Bounds]] = {"density": Bounds("1/um", -100.0, 100.0, 0.1)}
 
-    density: Annotated[float, Field(ge=0, le=100)] = Field(
+    density: Annotated[float, Field(ge=-100, le=100)] = Field(
         default=0.0,
-        description="fluorophores per um^3 inside, for one per um^2 of membrane; the same in all "
-        "cells",
+        description="fluorophores per um^3 that the inside has more than the outside, for one per "
+        "um^2 of membrane; the same in all cells",
     )
     regions: dict[int, Annotated[float, Field(ge=0, le=100)]] = Field(
         default={}, description="region -> factor on the density; 1 where not given"

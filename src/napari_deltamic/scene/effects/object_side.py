@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -69,25 +70,71 @@ def object_transform(
     Complex tensor of the shape ``plan.band.box_shape``; with a PSF that changes with depth two of
     them, for the PSF in the first and in the last slice.
     """
-    origin = torch.tensor(grid.origin, dtype=vertices.dtype)
-    centroids = vertices[surfaces.faces].mean(1)
-    for effect in effects.present():
-        if isinstance(effect, FaceEffect):
-            weight = weight * effect.face_weights(centroids, frame)
-    seen = plan.transform(vertices - origin, surfaces.faces, weight)
-    inside = None
-    if effects.bulk is not None:
-        contrast = contrasts(
-            surfaces.regions, surfaces.ids, _densities(effects, surfaces, centroids, frame)
-        )
-        inside = solid_transform(plan, vertices - origin, surfaces.faces, contrast)
-    if effects.depth_psf is None:
+    side = ObjectSide(plan, vertices, surfaces, weight, effects, grid, frame)
+    deep = None if effects.depth_psf is None else side.deep()
+    inside = None if effects.bulk is None else side.inside()
+    return assembled(side.seen(), deep, inside)
+
+
+@dataclass(frozen=True)
+class ObjectSide:
+    """The parts that an object's transform is made of; see :func:`object_transform`."""
+
+    plan: Plan
+    vertices: Tensor
+    surfaces: Surfaces
+    weight: Tensor
+    effects: Effects
+    grid: Grid
+    frame: Grid
+
+    @cached_property
+    def _placed(self) -> Tensor:
+        return self.vertices - torch.tensor(self.grid.origin, dtype=self.vertices.dtype)
+
+    @cached_property
+    def _centroids(self) -> Tensor:
+        return self.vertices[self.surfaces.faces].mean(1)
+
+    @cached_property
+    def _bright(self) -> Tensor:
+        """(F,) weight with what effects make of it."""
+        weight = self.weight
+        for effect in self.effects.present():
+            if isinstance(effect, FaceEffect):
+                weight = weight * effect.face_weights(self._centroids, self.frame)
+        return weight
+
+    def seen(self) -> Tensor:
+        """The surface."""
+        return self.plan.transform(self._placed, self.surfaces.faces, self._bright)
+
+    def deep(self) -> Tensor:
+        """The surface times its relative depth, for the PSF in the last slice."""
+        assert self.effects.depth_psf is not None
+        depths = self.effects.depth_psf.depths(self._centroids, self.frame)
+        return self.plan.transform(self._placed, self.surfaces.faces, self._bright * depths)
+
+    def inside(self) -> Tensor:
+        """The solids."""
+        return solid_transform(self.plan, self._placed, self.surfaces.faces, self.contrast())
+
+    def contrast(self) -> Tensor:
+        """(F,) bulk density behind each face minus that in front of it."""
+        s = self.surfaces
+        densities = _densities(self.effects, s, self._centroids, self.frame)
+        return contrasts(s.regions, s.ids, densities)
+
+
+def assembled(seen: Tensor, deep: Tensor | None, inside: Tensor | None) -> Tensor:
+    """One transform of the parts; two, for the first and the last slice, where there is a deep one.
+
+    A solid has no depth of its own: it is seen half through either PSF.
+    """
+    if deep is None:
         return seen if inside is None else seen + inside
-    depths = effects.depth_psf.depths(centroids, frame)
-    last = plan.transform(vertices - origin, surfaces.faces, weight * depths)
-    first = seen - last
+    first, last = seen - deep, deep
     if inside is not None:
-        # A solid has no depth of its own: it is seen half through either.
         first, last = first + inside / 2, last + inside / 2
     return torch.stack([first, last])
 

@@ -1,0 +1,71 @@
+"""The arguments by which ``fit`` takes a second image of the same scene."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from ..images import TIFF, read_voxel_size
+from ..scene.effects import Effects, SecondView
+from ..settings import SceneSettings, validated
+from .optics_arguments import TRIPLE
+
+
+def add_second_view(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    group = parser.add_argument_group(
+        "second view", "the same scene through another PSF, registered to IMAGE, on its voxels"
+    )
+    add = group.add_argument
+    add("--second-view", metavar="FILE", help="image of the second view, .tif or .npy")
+    add(
+        "--second-sigma",
+        nargs=3,
+        type=float,
+        metavar=TRIPLE,
+        help="um; standard deviations of its PSF, which is held",
+    )
+
+
+def with_second_view(scene: dict[str, Any], arguments: argparse.Namespace) -> None:
+    """Add the second view that the arguments give, if any, to the values of a scene.
+
+    Raises
+    ------
+    InputError
+        If the file or the PSF is missing, or the PSF cannot be.
+    """
+    file = getattr(arguments, "second_view", None)
+    sigma = getattr(arguments, "second_sigma", None)
+    if file is None and sigma is None:
+        return
+    if file is None:
+        raise InputError("--second-sigma belongs to --second-view FILE")
+    if sigma is None:
+        raise InputError("--second-view needs --second-sigma Z Y X (um), the widths of its PSF")
+    if not Path(file).is_file():
+        raise InputError(f"--second-view: there is no file {file}")
+    view = validated(SecondView, {"sigma": tuple(sigma), "image": str(Path(file).absolute())})
+    present = scene.get("effects") or Effects()
+    if not isinstance(present, Effects):  # plain values, of a run.toml
+        present = validated(Effects, present)
+    scene["effects"] = present.replace(second_view=view)
+
+
+def check_second_view(scene: SceneSettings) -> None:
+    """InputError if a second view's file notes another voxel size than that of the image."""
+    view = scene.effects.second_view
+    path = None if view is None or not view.image else Path(view.image)
+    if path is None or path.suffix.lower() not in TIFF or not path.is_file():
+        return  # where there is no such file, the fit says so
+    found = read_voxel_size(path)
+    if found is not None and not np.allclose(found, scene.voxel_size, rtol=0.01):
+        own, other = (" ".join(f"{d:.4g}" for d in size) for size in (found, scene.voxel_size))
+        raise InputError(
+            f"second view: {path.name} says that its voxels are {own} um (Z Y X), those of the "
+            f"image are {other}: resample it on the image's voxels first"
+        )

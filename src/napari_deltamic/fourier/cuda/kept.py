@@ -1,0 +1,57 @@
+"""The last few results of something that a fit asks for at every iteration."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from typing import Generic, TypeVar
+
+import torch
+from torch import Tensor
+
+T = TypeVar("T")
+
+
+class Kept(Generic[T]):
+    """Results by key, the last few of them; several threads may ask at a time."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._found: OrderedDict[Hashable, T] = OrderedDict()
+        self._lock = threading.RLock()
+
+    def __len__(self) -> int:
+        return len(self._found)
+
+    def get(self, key: Hashable | None, make: Callable[[], T]) -> T:
+        """What was made for a key, or is made now; for None it is made and not kept."""
+        if key is None:
+            return make()
+        with self._lock:
+            if key not in self._found:
+                while len(self._found) >= self._most:
+                    self._found.popitem(last=False)
+                self._found[key] = make()
+            self._found.move_to_end(key)
+            return self._found[key]
+
+    def clear(self) -> None:
+        """Keep nothing."""
+        with self._lock:
+            self._found.clear()
+
+
+def contents(t: Tensor) -> Hashable | None:
+    """Stands for the contents of a tensor, as long as that is alive; None where nothing can.
+
+    Tensors of ``torch.inference_mode`` do not count their changes.
+    """
+    if t.is_inference():
+        return None
+    return t.data_ptr(), t._version, tuple(t.shape), t.stride(), t.dtype, t.device
+
+
+def stream_of(device: torch.device) -> int:
+    """Handle of torch's current stream: what was made on one is not yet there on another."""
+    return int(torch.cuda.current_stream(device).cuda_stream) if device.type == "cuda" else 0

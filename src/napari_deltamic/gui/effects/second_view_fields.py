@@ -1,0 +1,158 @@
+"""The layer that shows the same scene through another PSF, and that PSF's widths."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from qtpy.QtCore import QSignalBlocker
+from qtpy.QtWidgets import QFormLayout, QVBoxLayout, QWidget
+
+from ...errors import InputError
+from ...job import SIGMA_IN_VOXELS
+from ...scene.effects import SecondView
+from ..panels.fields import LayerChooser, TripleField, show_row
+from ..panels.image_panel import file_of
+from ..panels.note import Note
+from ..qt import Signal
+from ..viewing.frame import Frame, is_stack
+
+_NONE = "none"
+
+
+class SecondViewFields(QWidget):
+    """Choice of a second view; ``edited`` comes from the user.
+
+    Parameters
+    ----------
+    viewer : a napari viewer or its model.
+    image_panel : of the first view, on whose voxels the second has to lie.
+    """
+
+    edited = Signal()
+
+    def __init__(self, viewer: Any, image_panel: Any, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._viewer, self._image = viewer, image_panel
+        self.chooser = LayerChooser(viewer, self._accepts, self, nothing=_NONE)
+        helped = SecondView.help
+        self.chooser.setToolTip(f"<qt>{helped[0].upper()}{helped[1:]}.</qt>")
+        self.sigma = TripleField(
+            "Standard deviations of the second view's PSF, um: known, or measured on a bead. "
+            "They are held during a fit.",
+            self,
+        )
+        self.note = Note(self, wrong=True)
+        form = QFormLayout()
+        form.setContentsMargins(0, 0, 0, 0)
+        form.addRow("second view", self.chooser)
+        form.addRow("its PSF, um", self.sigma)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.addLayout(form)
+        layout.addWidget(self.note)  # a form would cut a text of several lines
+        self._form = form
+        self._sigma_given = False
+        self._blocked = False
+        self.chooser.chosen.connect(self._chosen)
+        self.sigma.edited.connect(self._sized)
+        image_panel.changed.connect(self._image_changed)
+        self._show()
+
+    @property
+    def layer(self) -> Any:
+        """The layer chosen; None for no second view."""
+        return self.chooser.layer()
+
+    def view(self) -> SecondView | None:
+        """The effect, or None for no second view.
+
+        Raises
+        ------
+        InputError
+            If the layer does not lie on the voxels of the image.
+        """
+        layer, image = self.layer, self._image.layer
+        if layer is None or image is None:
+            return None
+        _check_on_voxels(layer, image, self._pixels(layer).shape, self._image.stack().shape)
+        return SecondView(sigma=self.sigma.value(), image=file_of(layer))
+
+    def pixels(self) -> NDArray[Any] | None:
+        """(Z, Y, X) of the layer, at the time shown; None for no second view."""
+        return None if self.layer is None else self._pixels(self.layer)
+
+    def show_view(self, layer: Any, sigma: tuple[float, float, float]) -> None:
+        """Show a choice, without a signal."""
+        self._blocked = True
+        self.chooser.choose(layer)
+        self.sigma.set_value(sigma)
+        self._sigma_given = True
+        self._blocked = False
+        self._show()
+
+    def close_links(self) -> None:
+        """Listen to the viewer no more."""
+        self.chooser.close_links()
+
+    # ----------------------------------------------------------------------------------- inside
+
+    def _accepts(self, layer: Any) -> bool:
+        return is_stack(layer) and layer is not self._image.layer
+
+    def _pixels(self, layer: Any) -> NDArray[Any]:
+        pixels: NDArray[Any] = self._image.stack(layer)
+        return pixels
+
+    def _image_changed(self) -> None:
+        before = self.layer
+        blocker = QSignalBlocker(self.chooser)
+        self.chooser.refresh()
+        blocker.unblock()
+        if not self._sigma_given and self._image.layer is not None:
+            self.sigma.set_value([SIGMA_IN_VOXELS * d for d in self._image.voxel_size.value()])
+        self._show()
+        if self.layer is not before:
+            self.edited.emit()
+
+    def _chosen(self) -> None:
+        self._show()
+        if not self._blocked:
+            self.edited.emit()
+
+    def _sized(self) -> None:
+        self._sigma_given = True
+        self.edited.emit()
+
+    def _show(self) -> None:
+        show_row(self._form, self.sigma, self.layer is not None)
+        try:
+            self.view()
+        except InputError as error:
+            self.note.say(str(error))
+        else:
+            self.note.say("")
+
+
+def _check_on_voxels(
+    layer: Any, image: Any, shape: tuple[int, ...], of_image: tuple[int, ...]
+) -> None:
+    """InputError, with what to do, unless both layers have the same voxels."""
+    advice = "register it to the image and resample it on the image's voxels first"
+    if shape != of_image:
+        mine, theirs = (" x ".join(map(str, s)) for s in (shape, of_image))
+        raise InputError(
+            f"second view: '{layer.name}' has {mine} voxels, the image {theirs}: {advice}"
+        )
+    try:
+        own, first = Frame.of(layer), Frame.of(image)
+    except InputError as error:
+        raise InputError(f"second view: {error}: {advice}") from None
+    shift = np.abs(first.to_um(own.translate))
+    same = np.allclose(own.voxel_size, first.voxel_size, rtol=1e-3)
+    if not same or (shift > 0.01 * np.array(first.voxel_size)).any():
+        raise InputError(
+            f"second view: '{layer.name}' does not lie on the voxels of the image: {advice}, "
+            "then give both layers the same scale and translation"
+        )

@@ -1,0 +1,132 @@
+"""One row of tools that correct labels by clicks."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from qtpy.QtWidgets import QFileDialog, QHBoxLayout, QMenu, QPushButton, QVBoxLayout, QWidget
+
+from ..panels.note import Note
+from ..qt import Signal
+
+Tool = Literal["split", "merge", "remove"]
+_TITLES: dict[Tool, str] = {"split": "Split / add", "merge": "Merge", "remove": "Remove"}
+_HINTS: dict[Tool, str] = {
+    "split": "Click in the middle of a cell: one that is part of a larger label is cut off, "
+    "one that was missed is added.",
+    "merge": "Click into two cells that are one, one after the other.",
+    "remove": "Click on what is no cell.",
+}
+_IN_3D = " Cells that were missed are added on slices only."
+_KIND = "Clicks (*.csv)"
+
+
+class CorrectBar(QWidget):
+    """Buttons for the tools, of which one or none is in use; undo; clicks in files."""
+
+    tool_chosen = Signal(object)  # a tool, or None
+    undo = Signal()
+    load = Signal(str)
+    save = Signal(str)
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._ndisplay = 2
+        self.buttons: dict[Tool, QPushButton] = {}
+        row = QHBoxLayout()
+        row.setContentsMargins(0, 0, 0, 0)
+        row.setSpacing(4)
+        for tool, title in _TITLES.items():
+            button = QPushButton(title, self)
+            button.setCheckable(True)
+            button.setToolTip(f"<qt>{_HINTS[tool]} Dragging still moves the view.</qt>")
+            button.clicked.connect(self._clicked)
+            row.addWidget(button, 1)
+            self.buttons[tool] = button
+        self.undo_button = QPushButton("↶", self)
+        self.undo_button.setToolTip("Undo the last correction (Ctrl+Z while a tool is in use).")
+        self.undo_button.setFixedWidth(30)
+        self.undo_button.setStyleSheet("padding: 2px; font-size: 15px;")
+        self.files = QPushButton("Clicks", self)
+        self.files.setToolTip(
+            "<qt>Save the clicks to a file, to repeat them on the labels that they were made on; "
+            "or make those of a file.</qt>"
+        )
+        menu = QMenu(self.files)
+        self.load_action = menu.addAction("Load clicks...")
+        self.save_action = menu.addAction("Save clicks...")
+        self.files.setMenu(menu)
+        row.addWidget(self.undo_button)
+        row.addWidget(self.files)
+        self.hint, self.count = Note(self), Note(self)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(2)
+        layout.addLayout(row)
+        layout.addWidget(self.hint)
+        layout.addWidget(self.count)
+        self.undo_button.clicked.connect(self.undo)
+        for action, slot in (
+            (self.load_action, self._ask_load),
+            (self.save_action, self._ask_save),
+        ):
+            if action is not None:
+                action.triggered.connect(slot)
+
+    @property
+    def tool(self) -> Tool | None:
+        """The tool in use."""
+        return next((tool for tool, button in self.buttons.items() if button.isChecked()), None)
+
+    def use(self, tool: Tool | None) -> None:
+        """Take up a tool, or lay it down."""
+        if tool != self.tool:
+            for name, button in self.buttons.items():
+                button.setChecked(name == tool)
+            self._told()
+
+    def show_dimensions(self, ndisplay: int) -> None:
+        """Whether the view is 2D or 3D."""
+        self._ndisplay = ndisplay
+        self.explain()
+
+    def show_count(self, cells: int, corrections: int, *, can_undo: bool) -> None:
+        """How many cells there are, after how many clicks."""
+        text = f"{cells} {'cell' if cells == 1 else 'cells'}"
+        if corrections:
+            text += f", {corrections} {'click' if corrections == 1 else 'clicks'}"
+        self.count.say(text if corrections or self.tool is not None else "")
+        self.undo_button.setEnabled(can_undo)
+        if self.save_action is not None:
+            self.save_action.setEnabled(corrections > 0)
+
+    def say(self, text: str) -> None:
+        """What a click did not do, or what it waits for."""
+        self.hint.say(text)
+
+    def explain(self) -> None:
+        """What the tool in use does."""
+        tool = self.tool
+        text = "" if tool is None else _HINTS[tool]
+        self.hint.say(text + _IN_3D * (tool == "split" and self._ndisplay == 3))
+
+    def _clicked(self, checked: bool) -> None:
+        sender = self.sender()
+        for button in self.buttons.values():
+            if button is not sender:
+                button.setChecked(False)
+        self._told()
+
+    def _told(self) -> None:
+        self.explain()
+        self.tool_chosen.emit(self.tool)
+
+    def _ask_load(self) -> None:
+        path, _ = QFileDialog.getOpenFileName(self, "Load clicks", "", _KIND)
+        if path:
+            self.load.emit(path)
+
+    def _ask_save(self) -> None:
+        path, _ = QFileDialog.getSaveFileName(self, "Save clicks", "clicks.csv", _KIND)
+        if path:
+            self.save.emit(path)

@@ -1,0 +1,28 @@
+"""What the tests of a fit that is changed by hand share."""
+
+import numpy as np
+
+from .conftest import CENTER
+from .mouse import Mouse
+
+ALONG_X = np.array([0.0, 0.0, 1.0])
+
+
+def vertices(widget):
+    return widget.link.shown.vertices_numpy()
+
+
+def use(widget, tool, radius=0.8):
+    widget.running.edit.use(tool)
+    widget.running.edit.radius.setValue(radius)
+    return Mouse(widget.link.viewer, widget.link)
+
+
+def right_end(widget):
+    """The point of the mesh that lies farthest along X in the slice through its centre."""
+    v = vertices(widget)
+    return np.array([CENTER[0], CENTER[1], v[:, 2].max()])
+
+
+def notes(widget):
+    return [m.note for m in widget.control.timeline.moments if m.note]

@@ -1,0 +1,52 @@
+"""What the tests of sessions share."""
+
+
+def done(widget):
+    return lambda: widget.run is None or not widget.run.running
+
+
+def fitted(widget, spin):
+    """With other settings than by default, and a result."""
+    widget.settings.accuracy.setCurrentText("3e-3")
+    widget.settings.fit_psf.setChecked(True)
+    widget.settings.density.setCurrentText("smooth")
+    widget.settings.sigma.set_value((0.4, 0.25, 0.23))
+    widget.settings.max_iterations.setValue(12)
+    widget.start()
+    spin(done(widget))
+    return widget
+
+
+def save(widget, path, spin):
+    widget.sessions.save(str(path))
+    spin(lambda: path.exists() and not widget.sessions.busy)
+
+
+def cells(widget):
+    table = widget.results.table
+    return [
+        [table.item(r, c).text() for c in range(table.columnCount())]
+        for r in range(table.rowCount())
+    ]
+
+
+def shown(widget):
+    """What the panels say."""
+    running, seeds = widget.running, widget.seeds
+    return {
+        "fit": widget.settings.fit_settings(),
+        "scene": widget.settings.scene_settings(),
+        "start as": seeds.shape.currentText(),
+        "radius": seeds.radius.value(),
+        "cells": cells(widget),
+        "verdict": (running.verdict.text(), running.verdict.styleSheet()),
+        "psf": [running.psf.shown(row) for row in ("start", "now")],
+        "loss": [(line.x, line.y) for line in running.curve._lines],
+        "history": [
+            (m.iteration, m.loss, m.note, m.optics.sigma_um)
+            for m in widget.control.timeline.moments
+        ],
+        "slider": (running.history.slider.maximum(), running.history.slider.isEnabled()),
+        "boxes": (running.rendered.isChecked(), running.residual.isChecked()),
+        "can be saved": widget.results.isEnabled(),
+    }

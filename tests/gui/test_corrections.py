@@ -1,0 +1,281 @@
+"""Cells corrected by clicks: split, added, merged, removed; undone, saved, kept in a session."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from napari_deltamic.errors import InputError
+from napari_deltamic.geometry import correct_labels, read_clicks_csv
+from napari_deltamic.gui.panels.image_panel import ImagePanel
+from napari_deltamic.gui.results.session_layers import save_layer, seed_layer
+from napari_deltamic.gui.seeding.seeds_panel import SeedsPanel
+
+from .mouse import Mouse
+
+SIZE = (0.4, 0.2, 0.2)
+LEFT, RIGHT, BESIDE = (2.4, 3.0, 2.0), (2.4, 3.0, 5.0), (0.4, 0.4, 6.8)
+PLACE = {"scale": SIZE, "translate": (1, 2, 3), "units": ("um",) * 3}
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """An image of two cells with a wall between them, and which is where."""
+    z, y, x = np.indices((13, 31, 36)) * np.reshape(SIZE, (3, 1, 1, 1))
+    truth = np.zeros(z.shape, np.int32)
+    inside = (abs(z - 2.4) < 1.6) & (abs(y - 3.0) < 1.8)
+    truth[inside & (x > 0.6) & (x < 3.4)] = 1
+    truth[inside & (x >= 3.4) & (x < 6.4)] = 2
+    hull = np.maximum(np.maximum(abs(z - 2.4) - 1.6, abs(y - 3.0) - 1.8), abs(x - 3.5) - 2.9)
+    image = np.exp(-((hull / 0.2) ** 2)) + np.exp(-(((x - 3.4) / 0.2) ** 2)) * (hull < 0)
+    return image.astype(np.float32), truth
+
+
+@pytest.fixture
+def seeds(app, viewer, scene):
+    """The panel of seeds with the image, and a way to give it labels and click into them."""
+    viewer.add_image(scene[0], name="two", **PLACE)
+    image = ImagePanel(viewer)
+    panel = SeedsPanel(viewer, image)
+    yield panel
+    for part in (panel, image):
+        part.close_links()
+
+
+@pytest.fixture
+def joined(seeds, viewer, scene):
+    """Labels in which both cells are one."""
+    return viewer.add_labels((scene[1] > 0).astype(np.int32), name="labels", **PLACE)
+
+
+@pytest.fixture
+def apart(seeds, viewer, scene):
+    return viewer.add_labels(scene[1].copy(), name="labels", **PLACE)
+
+
+@pytest.fixture
+def click(seeds, viewer, spin):
+    """Use a tool at places, um, and wait until it has done its work."""
+
+    def click(tool, *places, **options):
+        seeds.corrections.bar.use(tool)
+        mouse = Mouse(viewer, SimpleNamespace(frame=seeds._image.frame()))
+        for place in places:
+            viewer.dims.set_point(0, 1 + place[0])
+            mouse.drag(place, **options)
+        spin(lambda: not seeds.corrections.busy)
+
+    return click
+
+
+def numbers(layer):
+    return sorted(set(np.unique(layer.data)) - {0})
+
+
+def told(seeds):
+    bar = seeds.corrections.bar
+    return bar.hint.text(), bar.count.text()
+
+
+def test_the_tools_are_there_for_labels_only(seeds, viewer, scene):
+    bar = seeds.corrections.bar
+    assert bar.isHidden()
+    layer = viewer.add_labels(scene[1], name="labels", **PLACE)
+    assert not bar.isHidden()
+    seeds.chooser.choose(layer, False)
+    assert bar.isHidden()
+
+
+def test_a_click_splits_a_cell(seeds, joined, click, scene):
+    click("split", LEFT)
+    assert numbers(joined) == [1, 2]
+    both = (joined.data == 2) & (scene[1] == 1)
+    assert both.sum() > 0.9 * (scene[1] == 1).sum()
+    assert told(seeds)[1] == "2 cells, 1 click"
+
+
+def test_a_click_adds_a_cell_that_was_missed(seeds, apart, click, scene):
+    apart.data = np.where(scene[1] == 1, 1, 0)
+    click("split", RIGHT)
+    assert numbers(apart) == [1, 2]
+    assert ((apart.data == 2) & (scene[1] == 2)).sum() > 0.7 * (scene[1] == 2).sum()
+    assert not ((apart.data == 2) & (scene[1] == 1)).any()
+
+
+def test_two_clicks_merge_and_one_removes(seeds, apart, click):
+    click("merge", LEFT)
+    assert numbers(apart) == [1, 2]
+    assert "Now click into" in told(seeds)[0]
+    click("merge", RIGHT)
+    assert numbers(apart) == [1]
+    click("remove", LEFT)
+    assert numbers(apart) == []
+    assert told(seeds)[1] == "0 cells, 3 clicks"
+
+
+def test_seeds_are_the_corrected_labels(seeds, joined, click):
+    click("split", LEFT)
+    seed = seeds.seeds(seeds._image.frame())
+    np.testing.assert_array_equal(seed.labels, joined.data)
+
+
+def test_clicks_in_3d_cut_and_do_not_add(seeds, viewer, joined, click, scene):
+    seeds.corrections.bar.use("split")
+    viewer.dims.ndisplay = 3
+    # From above, through the middle of the left cell.
+    mouse = Mouse(viewer, SimpleNamespace(frame=seeds._image.frame()))
+    assert "on slices only" in told(seeds)[0]
+    mouse.drag((-5.0, *BESIDE[1:]), direction=(1.0, 0.0, 0.0))
+    assert numbers(joined) == [1]
+    assert "In 3D, click on a cell" in told(seeds)[0]
+    click("split", (-5.0, *LEFT[1:]), direction=(1.0, 0.0, 0.0))
+    assert numbers(joined) == [1, 2]
+
+
+def test_a_drag_moves_the_view(seeds, viewer, joined, click):
+    seeds.corrections.bar.use("split")
+    mouse = Mouse(viewer, SimpleNamespace(frame=seeds._image.frame()))
+    mouse.drag(LEFT, (2.4, 4.0, 2.0))
+    assert not seeds.corrections.busy
+    assert numbers(joined) == [1]
+
+
+def test_the_brush_of_the_layer_takes_over(seeds, joined, click):
+    seeds.corrections.bar.use("split")
+    joined.mode = "paint"
+    click("split", LEFT)
+    assert numbers(joined) == [1]
+    assert seeds.corrections.bar.tool is None
+
+
+def test_undo_goes_back_click_by_click_and_keeps_what_was_painted(seeds, joined, click):
+    first = joined.data.copy()
+    click("split", LEFT)
+    click("remove", RIGHT)
+    joined.data[0, 0, 0] = 9  # painted
+    for left in (1, 0):
+        seeds.corrections.bar.undo_button.click()
+        assert told(seeds)[1].endswith("1 click" if left else "cells")
+    assert joined.data[0, 0, 0] == 9
+    joined.data[0, 0, 0] = 0
+    np.testing.assert_array_equal(joined.data, first)
+    assert not seeds.corrections.bar.undo_button.isEnabled()
+
+
+def test_the_key_undoes_while_a_tool_is_in_use(seeds, viewer, joined, click):
+    click("split", LEFT)
+    assert viewer.layers.selection.active is joined
+    next(f for key, f in joined.keymap.items() if "Z" in str(key))(joined)
+    assert numbers(joined) == [1]
+    seeds.corrections.lay_down()
+    assert not [key for key in joined.keymap if "Z" in str(key)]
+
+
+def test_the_first_of_two_clicks_can_be_taken_back(seeds, apart, click):
+    click("merge", LEFT)
+    seeds.corrections.undo()
+    assert "Click into two cells" in told(seeds)[0]
+    click("merge", LEFT, RIGHT)
+    assert numbers(apart) == [1]
+
+
+def test_what_a_click_cannot_do_is_told_without_numbers(seeds, apart, click):
+    click("remove", BESIDE)
+    assert told(seeds)[0] == "that click lies in no cell"
+    click("merge", LEFT, LEFT)
+    assert told(seeds)[0] == "both clicks lie in the same cell already"
+    assert numbers(apart) == [1, 2]
+    assert told(seeds)[1] == "2 cells"
+
+
+def test_labels_off_the_voxels_are_refused_in_words(seeds, joined, click):
+    joined.translate = (0, 0, 0)
+    click("split", LEFT)
+    assert "does not lie on the voxels" in told(seeds)[0]
+
+
+def test_labels_of_small_numbers_can_be_split(seeds, viewer, scene, click):
+    layer = viewer.add_labels(np.where(scene[1] > 0, 255, 0).astype(np.uint8), name="b", **PLACE)
+    click("split", LEFT)
+    assert numbers(layer) == [255, 256]
+
+
+def test_saved_clicks_repeat_the_corrections(seeds, viewer, scene, joined, click, spin, tmp_path):
+    first = joined.data.copy()
+    click("split", LEFT)
+    click("merge", LEFT, RIGHT)
+    click("split", RIGHT)
+    path = tmp_path / "clicks.csv"
+    seeds.corrections.bar.save.emit(str(path))
+    clicks = read_clicks_csv(path)
+    assert len(clicks) == 4
+    np.testing.assert_array_equal(correct_labels(scene[0], SIZE, first, clicks), joined.data)
+    again = viewer.add_labels(first, name="again", **PLACE)
+    viewer.layers.selection = {again}
+    seeds.corrections.bar.load.emit(str(path))
+    spin(lambda: not seeds.corrections.busy)
+    np.testing.assert_array_equal(again.data, joined.data)
+    seeds.corrections.undo()  # all of the file
+    assert numbers(again) == [1]
+
+
+def test_files_that_cannot_be_used_are_told(seeds, joined, click, spin, tmp_path):
+    bar = seeds.corrections.bar
+    with pytest.raises(InputError, match="no clicks to save"):
+        seeds.corrections.save(str(tmp_path / "a.csv"))
+    bad = tmp_path / "bad.csv"
+    bad.write_text("z,y,x,action\n0,0,0,remove\n")
+    bar.load.emit(str(bad))
+    spin(lambda: not seeds.corrections.busy)
+    assert told(seeds)[0] == "click 1 lies in no cell"
+    bad.write_text("nothing")
+    bar.load.emit(str(bad))
+    assert "the first line must be" in told(seeds)[0]
+
+
+def test_a_session_keeps_clicks_and_their_undo(seeds, viewer, joined, click):
+    first = joined.data.copy()
+    click("split", LEFT)
+    click("remove", RIGHT)
+    saved = save_layer(joined, (0, 0, 0), (0.0, 0.0, 0.0))
+    viewer.layers.clear()
+    viewer.add_image(np.zeros(first.shape), name="two", **PLACE)
+    layer = viewer.add_layer(seed_layer(saved))
+    assert numbers(layer) == [2]
+    assert told(seeds)[1] == "1 cell, 2 clicks"
+    for _ in range(2):
+        seeds.corrections.undo()
+    np.testing.assert_array_equal(layer.data, first)
+
+
+def test_cells_found_anew_have_no_corrections(seeds, joined, click):
+    click("split", LEFT)
+    panel = seeds.find_cells
+    panel._layer = joined
+    panel._layer_for(seeds._image.frame(), np.ones(joined.data.shape, np.int32))
+    seeds.corrections.renew()
+    assert told(seeds)[1] == "1 cell"
+
+
+def test_one_tool_of_all_is_in_use(make_widget, with_image, ball_labels, pixels):
+    with_image.add_labels(
+        ball_labels, scale=(0.3, 0.2, 0.2), translate=(1, 2, 3), units=("um",) * 3
+    )
+    widget = make_widget()
+    correcting, sculpting = widget.seeds.corrections.bar, widget.running.edit
+    correcting.use("merge")
+    sculpting.use("push")
+    assert correcting.tool is None
+    correcting.use("merge")
+    assert sculpting.tool is None
+    widget.seeds.place_seeds()
+    assert correcting.tool is None
+
+
+def test_closing_leaves_no_connection(seeds, viewer, joined):
+    before = len(viewer.mouse_drag_callbacks)
+    seeds.corrections.bar.use("split")
+    assert len(viewer.mouse_drag_callbacks) == before + 1
+    seeds.close_links()
+    assert len(viewer.mouse_drag_callbacks) == before
+    assert not [key for key in joined.keymap if "Z" in str(key)]

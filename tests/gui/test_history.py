@@ -1,0 +1,157 @@
+"""Earlier moments of a fit, undo, what is left of it, and its images."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from napari_deltamic.gui.running.run_panel import duration, progress_text
+
+from .interacting import notes, right_end, use, vertices
+
+
+def test_looking_back_while_the_fit_goes_on(begun, spin):
+    spin(lambda: len(begun.control.timeline.moments) > 8)
+    bar = begun.running.history
+    bar.slider.setValue(1)
+    moment = bar.chosen
+    assert begun.link.shown is moment.mesh
+    assert f"iteration {moment.iteration}" in bar.note.text()
+    n = len(begun.run.history.loss)
+    spin(lambda: len(begun.run.history.loss) > n + 10)
+    assert begun.link.shown is moment.mesh
+    assert bar.chosen is moment
+    assert not use(begun, "push").drag(right_end(begun))  # that is not the present surface
+    bar.live_button.click()
+    assert begun.link.shown is begun.link.mesh is not moment.mesh
+
+
+def test_going_on_from_an_earlier_moment(begun, spin):
+    spin(lambda: len(begun.control.timeline.moments) > 8)
+    bar = begun.running.history
+    bar.slider.setValue(0)
+    first = bar.chosen.mesh.vertices_numpy()
+    bar.go_on_button.click()
+    spin(lambda: "back to iteration 1" in notes(begun))
+    moment = next(m for m in begun.control.timeline.moments if m.note)
+    np.testing.assert_array_equal(moment.mesh.vertices_numpy(), first)
+    assert bar.chosen is None
+    assert begun.link.shown is begun.link.mesh
+    begun.running.pause_button.click()
+    spin(seconds=0.2, must=False)
+    bar.undo_button.click()
+    spin(lambda: notes(begun)[-1].startswith("undo"))
+    assert not np.array_equal(vertices(begun), first)
+
+
+def test_a_fit_that_has_ended_goes_on_from_a_moment(ended, spin):
+    bar, timeline = ended.running.history, ended.control.timeline
+    bar.slider.setValue(0)
+    first, n = bar.chosen.mesh.vertices_numpy(), timeline.moments[-1].iteration
+    bar.go_on_button.click()
+    spin(lambda: ended.run.running and len(ended.run.history.loss) > 3)
+    assert ended.run.job.settings.fit.levels[0] < 2
+    spin(lambda: timeline.moments[-1].iteration > n)
+    later = next(m for m in timeline.moments if m.iteration > n)
+    assert np.abs(later.mesh.vertices_numpy() - first).max() < 0.5
+    ended.stop()
+    spin(lambda: not ended.run.running)
+    bar.undo_button.click()
+    assert not np.array_equal(vertices(ended), first)
+
+
+def test_undo_and_redo(ended):
+    bar = ended.running.history
+    start = vertices(ended)
+    use(ended, "push").drag(right_end(ended))
+    pushed = vertices(ended)
+    use(ended, "pin", 0.4).drag(right_end(ended))
+    assert bar.undo_button.toolTip() == "Undo: pin"
+    bar.undo_button.click()
+    assert not ended.interaction.edits.pinned.any()
+    bar.undo_button.click()
+    np.testing.assert_array_equal(vertices(ended), start)
+    assert not bar.undo_button.isEnabled()
+    bar.redo_button.click()
+    np.testing.assert_array_equal(vertices(ended), pushed)
+    bar.redo_button.click()
+    assert ended.interaction.edits.pinned.any()
+    assert not bar.redo_button.isEnabled()
+
+
+def test_undo_of_settings_shows_them_again(begun, spin):
+    before = begun.settings.fit_settings().density
+    begun.settings.density.setCurrentText("smooth")
+    spin(lambda: begun.run.job.settings.fit.density == "smooth")
+    begun.running.history.undo_button.click()
+    spin(lambda: begun.run.job.settings.fit.density == before)
+    assert begun.settings.density.currentText() == before
+    assert begun.interaction.edits.redo_note == "density smooth"
+
+
+def test_a_new_run_forgets_the_old_one(ended, spin):
+    use(ended, "pin", 0.4).drag(right_end(ended))
+    old = ended.control.timeline
+    ended.start()
+    spin(lambda: ended.control.timeline is not old)
+    assert not ended.interaction.edits.pinned.any()
+    assert not ended.interaction.edits.undo_note
+
+
+def test_a_failed_start_keeps_the_last_result(ended, with_image, spin, told):
+    timeline, state = ended.control.timeline, ended.results.last[0]
+    with_image.layers["seeds"].data = [[50, 50, 50]]
+    ended.seeds.shape.setCurrentIndex(0)
+    ended.start()
+    spin(lambda: not ended.run.running)
+    assert ended.control.timeline is timeline
+    assert ended.results.last[0] is state
+    use(ended, "push").drag(right_end(ended))
+    assert notes(ended)[-1] == "push"
+
+
+def test_remaining_time_is_told_where_it_is_known(begun, spin):
+    spin(lambda: begun.running.message.text().endswith("left"))
+    begun.stop()
+    spin(lambda: not begun.run.running)
+    for left, text in ((42.0, "about 42 s left"), (None, "a second")):
+        begun.control._forecaster = lambda job, left=left: SimpleNamespace(
+            remaining_seconds=lambda history, state, elapsed: left
+        )
+        begun.start()
+        spin(lambda text=text: begun.running.message.text().endswith(text))
+        begun.stop()
+        spin(lambda: not begun.run.running)
+    assert "left" not in progress_text(10, 3.0, None)
+    assert progress_text(10, 0.25, None).endswith("0.2 a second")
+    assert [duration(s) for s in (1, 20, 100, 4000, 9000)] == [
+        "a second",
+        "about 20 s",
+        "about 2 min",
+        "about 67 min",
+        "about 2 h",
+    ]
+
+
+def test_the_rendered_image_follows_the_result(ended, with_image, spin):
+    ended.running.rendered.setChecked(True)
+    spin(lambda: "cell rendered" in with_image.layers)
+    layer = with_image.layers["cell rendered"]
+    assert layer.visible
+    before = layer.data.copy()
+    use(ended, "push").drag(right_end(ended))
+    spin(lambda: not np.array_equal(layer.data, before))
+    np.testing.assert_allclose(layer.data, ended.results.last[0].rendered())
+    ended.running.rendered.setChecked(False)
+    assert not layer.visible
+
+
+def test_a_surface_that_was_hidden_is_the_newest_when_it_is_shown(begun, with_image, spin):
+    layer = begun.link.surface
+    assert not layer.visible
+    n = len(begun.run.history.loss)
+    spin(lambda: len(begun.run.history.loss) > n + 10)
+    begun.running.pause_button.click()
+    spin(seconds=0.2, must=False)
+    assert not np.allclose(layer.data[0], vertices(begun), atol=1e-4)  # saved the time
+    with_image.dims.ndisplay = 3
+    np.testing.assert_allclose(layer.data[0], vertices(begun), atol=1e-6)

@@ -1,0 +1,95 @@
+"""Settings that are changed while a fit runs."""
+
+import numpy as np
+import pytest
+
+from napari_deltamic.errors import InputError
+from napari_deltamic.inference import Change
+from napari_deltamic.scene.effects import Effects
+
+from .interacting import notes, vertices
+
+
+def test_settings_are_taken_over(begun, spin):
+    begun.settings.accuracy.setCurrentText("1e-4")
+    begun.settings.accuracy.lineEdit().editingFinished.emit()
+    spin(lambda: begun.run.job.settings.fit.accuracy == 1e-4)
+    spin(lambda: "accuracy" in begun.running.note.text())
+    assert begun.running.note.text().startswith("accuracy 1e-4 from iteration")
+    begun.settings.fit_psf.setChecked(True)
+    begun.settings.likelihood.setCurrentText("gaussian")
+    spin(lambda: "likelihood gaussian" in " ".join(notes(begun)))
+    fit_settings = begun.run.job.settings.fit
+    assert (fit_settings.fit_psf, fit_settings.likelihood) == (True, "gaussian")
+    begun.stop()
+    spin(lambda: not begun.run.running)
+    assert begun.results.last[1].settings.fit.accuracy == 1e-4
+
+
+def test_the_psf_is_taken_over(begun, spin):
+    begun.settings.sigma._boxes[0].setValue(0.5)
+    spin(lambda: begun.run.state.optics.sigma_um[0] == pytest.approx(0.5))
+    spin(lambda: begun.running.psf.shown("now")[0] == "0.500")
+    spin(lambda: begun.running.sigmas.isVisibleTo(begun.running))
+
+
+def test_effects_are_taken_over_and_taken_back(begun, spin):
+    panel = begun.settings
+    panel.show_effects(Effects.of("attenuation"))
+    panel.changed.emit()
+    spin(lambda: begun.run.state.effects.names == ("attenuation",))
+    spin(lambda: "effects attenuation" in " ".join(notes(begun)))
+    panel.effects.table.tick("pixel_integration")
+    spin(lambda: begun.run.state.effects.names == ("pixel_integration", "attenuation"))
+    assert begun.run.job.settings.scene.effects.names == ("pixel_integration", "attenuation")
+    assert panel.effects_fold.title == "Effects: pixel integration, attenuation"
+    for left in (("attenuation",), ()):
+        begun.interaction.edits.undo()
+        spin(lambda left=left: begun.run.state.effects.names == left)
+        assert panel.scene_settings().effects.names == left
+
+
+def test_what_cannot_be_used_is_told_and_the_fit_goes_on(begun, spin):
+    begun.settings.accuracy.setCurrentText("much")
+    begun.settings.accuracy.lineEdit().editingFinished.emit()
+    assert "accuracy" in begun.running.note.text()
+    n = len(begun.run.history.loss)
+    spin(lambda: len(begun.run.history.loss) > n + 3)
+
+
+def test_the_voxel_size_is_for_the_next_run(begun, spin):
+    sigma = begun.run.state.optics.sigma_um
+    begun.image.voxel_size._boxes[0].setValue(0.4)
+    assert "voxel size: from the next run on" in begun.running.note.text()
+    n = len(begun.run.history.loss)
+    spin(lambda: len(begun.run.history.loss) > n + 3)
+    assert begun.run.state.optics.sigma_um == sigma
+
+
+def test_another_image_is_for_the_next_run(begun, with_image, pixels, spin):
+    begun.image.chooser.choose(with_image.add_image(pixels.max() - pixels, name="other"))
+    assert "goes on with 'cell'; the next run takes 'other'" in begun.running.note.text()
+    n = len(begun.run.history.loss)
+    spin(lambda: len(begun.run.history.loss) > n + 3)
+    assert begun.link.image_layer.name == "cell"
+
+
+def test_a_tool_that_fails_says_why_and_keeps_the_verdict(ended, told):
+    verdict = ended.running.verdict.text()
+    edits = ended.interaction.edits
+    ended.control.tried(lambda: edits.shift(np.full_like(vertices(ended), 500.0), "nudge"))
+    assert "outside the image" in told[-1]
+    assert "outside the image" in ended.running.note.text()
+    assert ended.running.verdict.text() == verdict
+    assert not edits.undo_note
+
+
+def test_a_change_that_the_fit_refuses_does_not_end_it(begun, spin, told):
+    away = begun.link.mesh.translated((500, 500, 500))
+    with pytest.raises(InputError, match="outside"):
+        begun.interaction.edits.change(Change(mesh=away), "nudge")
+    begun.run.change(Change(mesh=away))  # past the first check
+    spin(lambda: bool(told))
+    assert "not changed" in told[-1]
+    n = len(begun.run.history.loss)
+    spin(lambda: len(begun.run.history.loss) > n + 3)

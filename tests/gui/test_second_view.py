@@ -1,0 +1,142 @@
+"""A second view: a layer with the same scene through another PSF."""
+
+import shlex
+
+import numpy as np
+import pytest
+
+from napari_deltamic.cli import main
+from napari_deltamic.gui.results import session
+from napari_deltamic.gui.running import worker
+from napari_deltamic.session_file import load_session, save_session
+from napari_deltamic.settings import RunSettings
+
+from .conftest import SHAPE, SIZE
+
+PLACE = {"scale": SIZE, "translate": (1, 2, 3), "units": ("um",) * 3}
+SIGMA = (0.2, 0.2, 0.3)
+
+pytestmark = pytest.mark.usefixtures("soon")
+
+
+@pytest.fixture
+def second(with_image, pixels, seeded):
+    """A layer, chosen as the second view of the widget."""
+    layer = with_image.add_image(pixels[:, ::-1].copy(), name="side", **PLACE)
+    fields = seeded.settings.effects.second
+    fields.chooser.choose(layer)
+    fields.sigma.set_value(SIGMA)
+    return fields
+
+
+def done(widget):
+    return lambda: widget.run is not None and not widget.run.running
+
+
+def test_none_is_chosen_but_by_the_user(seeded, with_image, pixels):
+    fields = seeded.settings.effects.second
+    with_image.add_image(pixels, name="side", **PLACE)
+    assert fields.layer is None
+    assert fields.sigma.isHidden()
+    names = [fields.chooser.itemText(k) for k in range(fields.chooser.count())]
+    assert names == ["none", "side"], "the image itself is no second view"
+
+
+def test_it_is_an_effect_of_the_run(seeded, second):
+    view = seeded.run_settings().scene.effects.second_view
+    assert view is not None
+    assert view.sigma == SIGMA
+    assert "second view" in seeded.settings.effects_fold.title
+    second.chooser.setCurrentIndex(0)
+    assert seeded.run_settings().scene.effects.second_view is None
+
+
+def test_its_image_reaches_the_fit(seeded, second, spin, monkeypatch, pixels):
+    jobs, start = [], worker.start
+
+    def noted(job, resume=None):
+        jobs.append(job)
+        return start(job, resume)
+
+    monkeypatch.setattr(worker, "start", noted)
+    seeded.settings.max_iterations.setValue(3)
+    seeded.start()
+    spin(done(seeded))
+    np.testing.assert_array_equal(jobs[0].second, pixels[:, ::-1])
+    assert seeded.run.state.effects.second_view is not None
+    assert "failed" not in seeded.running.last_verdict
+
+
+@pytest.mark.parametrize(
+    ("shape", "change", "says"),
+    [
+        ((5, 6, 7), {}, "has 5 x 6 x 7 voxels"),
+        (SHAPE, {"scale": (0.2, 0.2, 0.2)}, "does not lie on the voxels"),
+        (SHAPE, {"translate": (1, 2, 4)}, "does not lie on the voxels"),
+        (SHAPE, {"rotate": 10}, "rotated"),
+    ],
+)
+def test_a_layer_off_the_voxels_is_refused_in_words(seeded, with_image, told, shape, change, says):
+    layer = with_image.add_image(np.random.default_rng(0).random(shape), **{**PLACE, **change})
+    fields = seeded.settings.effects.second
+    fields.chooser.choose(layer)
+    assert says in fields.note.text()
+    assert "resample it on the image's voxels first" in fields.note.text()
+    seeded.start()
+    assert says in told[-1]
+    assert seeded.run is None
+
+
+def test_a_fit_under_way_keeps_the_second_view_that_it_has(seeded, second, spin, endless):
+    seeded.start()
+    spin(lambda: seeded.link is not None and seeded.link.mesh is not None)
+    second.chooser.setCurrentIndex(0)
+    assert "second view: from the next run on" in seeded.running.note.text()
+    seeded.settings.effects.table.tick("bulk")
+    spin(lambda: "bulk" in seeded.run.state.effects.names)
+    assert seeded.run.state.effects.second_view is not None
+    seeded.stop()
+    spin(done(seeded))
+
+
+def test_the_command_repeats_it(seeded, second, spin, tmp_path, monkeypatch):
+    texts = []
+    monkeypatch.setattr(seeded, "_folder", lambda: str(tmp_path))
+    seeded.commands._ask_folder = lambda: str(tmp_path)
+    monkeypatch.setattr("napari_deltamic._widget.show_info", texts.append)
+    seeded.settings.max_iterations.setValue(2)
+    seeded._copy()
+    spin(lambda: texts)
+    words = shlex.split(texts[-1].removeprefix("copied: "))
+    assert str(tmp_path / "second.tif") in texts[-1]
+    assert main(words[1:]) == 0
+    settings = RunSettings.from_toml(tmp_path / "result" / "run.toml")
+    assert settings.scene.effects.second_view.sigma == SIGMA
+
+
+def test_a_session_keeps_it(seeded, second, spin, tmp_path, with_image, pixels):
+    seeded.settings.max_iterations.setValue(2)
+    seeded.start()
+    spin(done(seeded))
+    found, _ = session.capture(seeded.parts)
+    save_session(tmp_path / "a.deltamic", found)
+    second.chooser.setCurrentIndex(0)
+    with_image.layers.remove("side")
+    session.restore(seeded.parts, load_session(tmp_path / "a.deltamic"))
+    assert second.layer is not None
+    assert second.layer.name == "side"
+    assert second.sigma.value() == SIGMA
+    np.testing.assert_array_equal(second.pixels(), pixels[:, ::-1])
+    np.testing.assert_array_equal(seeded.results.last[1].second, pixels[:, ::-1])
+    seeded.control.go_on_from(seeded.results.last[0].mesh, seeded.results.last[0].optics, None)
+    spin(done(seeded))
+    assert seeded.run.state.effects.second_view is not None
+
+
+def test_series_are_tracked_without_it(seeded, second, with_image, pixels, told):
+    movie = with_image.add_image(np.stack([pixels, pixels]), scale=(1, *SIZE), name="movie")
+    seeded.image.chooser.choose(movie)
+    side = with_image.add_image(pixels, scale=SIZE, name="other")
+    second.chooser.choose(side)
+    seeded.tracking.start()
+    assert "a second view cannot be tracked" in told[-1]

@@ -1,0 +1,127 @@
+"""Tracked cells in a session: what was tracked is there again, and goes on."""
+
+import numpy as np
+import pytest
+
+from napari_deltamic import _widget
+from napari_deltamic.errors import InputError
+from napari_deltamic.gui.results import session
+from napari_deltamic.session_file import load_session, save_session
+from napari_deltamic.track_report import read_results
+
+from .test_tracking import ended
+
+
+@pytest.fixture
+def widget(series_widget):
+    return series_widget
+
+
+@pytest.fixture
+def slow(slow_tracking):
+    return slow_tracking
+
+
+@pytest.fixture
+def reopened_here(app, viewer, spin, tmp_path):
+    """Save a session, and show it in an empty viewer and a new widget."""
+    made = []
+
+    def reopened_here(widget):
+        found, _ = session.capture(widget.parts)
+        save_session(tmp_path / "a.deltamic", found)
+        widget.close_links()
+        viewer.layers.clear()
+        other = _widget.FitWidget(viewer)
+        made.append(other)
+        session.restore(other.parts, load_session(tmp_path / "a.deltamic"))
+        return other
+
+    yield reopened_here
+    for other in made:
+        other.close_links()
+
+
+def test_frames_come_back_as_they_were(widget, viewer, series, spin, reopened_here, tmp_path):
+    widget.tracking.start()
+    spin(ended(widget), 60)
+    before = widget.tracking.results
+    surface = viewer.layers["movie tracked cells"].data
+    paths = viewer.layers["movie tracks"].data
+    viewer.dims.set_current_step(0, 1)
+    other = reopened_here(widget)
+    for old, new in zip(before, other.tracking.results, strict=True):
+        assert (old.frame, old.time, old.loss, old.sigma_um) == (
+            (new.frame, new.time, new.loss, new.sigma_um)
+        )
+        np.testing.assert_array_equal(old.mesh.vertices, new.mesh.vertices)
+    np.testing.assert_array_equal(viewer.layers["movie"].data, series)
+    assert tuple(viewer.layers["movie"].scale) == (5, 0.3, 0.2, 0.2)
+    for part, again in zip(surface, viewer.layers["movie tracked cells"].data, strict=True):
+        np.testing.assert_array_equal(part, again)
+    np.testing.assert_array_equal(viewer.layers["movie tracks"].data, paths)
+    assert viewer.dims.current_step[0] == 1
+    assert other.track_panel.frame.text().startswith("time 1: 1 cell")
+    assert "4 frames tracked" in other.track_panel.verdict.text()
+    other.tracking.save(str(tmp_path))
+    assert [r.frame for r in read_results(tmp_path)] == [0, 1, 2, 3]
+
+
+def test_what_was_stopped_goes_on_after_reopening(widget, spin, slow, reopened_here):
+    widget.tracking.start()
+    slow += [1, 1]
+    spin(lambda: len(widget.tracking.results) == 2, 60)
+    widget.track_panel.stop_button.click()
+    spin(ended(widget))
+    other = reopened_here(widget)
+    assert other.track_panel.go_on_button.isVisibleTo(other.track_panel)
+    slow += [1] * 4
+    other.track_panel.go_on_button.click()
+    spin(ended(other), 60)
+    assert [r.frame for r in other.tracking.results] == [0, 1, 2, 3]
+    assert other.track_panel.verdict.text().startswith("4 frames tracked")
+
+
+def test_a_fit_of_one_time_comes_back_at_its_time(widget, viewer, spin, reopened_here):
+    viewer.dims.set_current_step(0, 2)
+    widget.tracking.start()
+    spin(ended(widget), 60)
+    viewer.dims.set_current_step(0, 1)
+    widget.settings.max_iterations.setValue(3)
+    widget.running.rendered.setChecked(True)
+    widget.start()
+    spin(lambda: widget.run is not None and not widget.run.running, 60)
+    viewer.dims.set_current_step(0, 3)
+    other = reopened_here(widget)
+    spin(lambda: other.link.rendered is not None, 60)
+    assert other.link.time == (1,)
+    assert viewer.dims.current_step[0] == 3
+    assert not viewer.layers["movie rendered"].visible
+    viewer.dims.set_current_step(0, 1)
+    assert viewer.layers["movie rendered"].visible
+
+
+def test_no_session_is_opened_while_cells_are_tracked(widget, spin, slow):
+    found, _ = session.capture(widget.parts)
+    widget.tracking.start()
+    with pytest.raises(InputError, match="being tracked"):
+        session.restore(widget.parts, found)
+    widget.tracking.stop()
+
+
+def test_the_rendered_image_is_there_at_its_time_only(widget, viewer, spin):
+    viewer.dims.set_current_step(0, 1)
+    widget.settings.max_iterations.setValue(3)
+    widget.running.rendered.setChecked(True)
+    widget.start()
+    spin(lambda: widget.run is not None and not widget.run.running, 60)
+    spin(lambda: widget.link.rendered is not None)
+    rendered = viewer.layers["movie rendered"]
+    assert rendered.visible
+    viewer.dims.set_current_step(0, 2)
+    assert not rendered.visible
+    widget.running.rendered.setChecked(False)
+    viewer.dims.set_current_step(0, 1)
+    assert not rendered.visible
+    widget.running.rendered.setChecked(True)
+    assert rendered.visible

@@ -1,0 +1,130 @@
+"""Sessions that cannot be saved or opened, and what happens meanwhile."""
+
+import os
+import warnings
+import weakref
+
+import napari.components
+import numpy as np
+
+from napari_deltamic import _reader, _widget
+from napari_deltamic.geometry import files
+from napari_deltamic.gui.results.session import capture, restore
+from napari_deltamic.session_file import load_session
+
+from .sessions import fitted, save
+
+
+def test_a_result_of_another_image_is_left_out_and_told(seeded, with_image, spin, tmp_path, told):
+    fitted(seeded, spin)
+    with_image.add_image(np.random.default_rng(0).random((5, 6, 7)), name="other")
+    seeded.image.chooser.choose(with_image.layers["other"])
+    save(seeded, tmp_path / "a.deltamic", spin)
+    assert any("not in this session" in text for text in told)
+    assert load_session(tmp_path / "a.deltamic").result is None
+
+
+def test_no_image_and_bad_settings_are_told(app, seeded, with_image, tmp_path, told, monkeypatch):
+    name = str(tmp_path / "a")
+    monkeypatch.setattr("qtpy.QtWidgets.QFileDialog.getSaveFileName", lambda *a, **k: (name, ""))
+    seeded.settings.accuracy.setCurrentText("much")
+    seeded.sessions.save_button.click()
+    assert "accuracy" in told[-1]
+    del with_image.layers["cell"]
+    seeded.sessions.save_button.click()
+    assert "open a 3D image" in told[-1]
+    (tmp_path / "a.deltamic").touch()
+    seeded.sessions.save_button.click()
+    assert "is there already" in told[-1]
+    assert seeded.sessions.save_button.isEnabled()
+
+
+def test_a_full_disk_is_told_and_the_session_can_be_saved_elsewhere(
+    seeded, spin, tmp_path, told, monkeypatch
+):
+    fitted(seeded, spin)
+    verdict = seeded.running.verdict.text()
+
+    def fail(descriptor):
+        raise OSError(28, os.strerror(28))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(files.os, "fsync", fail)
+        seeded.sessions.save(str(tmp_path / "a.deltamic"))
+        spin(lambda: not seeded.sessions.busy)
+        assert "No space left" in told[-1]
+        results = seeded.results
+        for write, name in (
+            (results.save_meshes, "a.ply"),
+            (results.save_table, "a.csv"),
+            (results.save_image, "a.ome.tif"),
+            (results.save_all, "all"),
+        ):
+            results._save(write, str(tmp_path / name))
+            assert "No space left" in told[-1], name
+            assert "Traceback" not in told[-1]
+    assert seeded.running.verdict.text() == verdict, "the fit did not fail"
+    save(seeded, tmp_path / "b.deltamic", spin)
+    assert load_session(tmp_path / "b.deltamic").result is not None
+    assert not (tmp_path / "a.deltamic").exists()
+
+
+def test_a_damaged_file_is_told_and_changes_nothing(seeded, with_image, spin, tmp_path, told):
+    (tmp_path / "a.deltamic").write_bytes(b"no session")
+    n = len(with_image.layers)
+    seeded.sessions.open(str(tmp_path / "a.deltamic"))
+    spin(lambda: not seeded.sessions.busy)
+    assert "not a deltaMic session" in told[-1]
+    assert len(with_image.layers) == n
+    assert seeded.sessions.open_button.isEnabled()
+
+
+def test_the_reader_opens_the_layers(seeded, with_image, spin, tmp_path):
+    save(fitted(seeded, spin), tmp_path / "a.deltamic", spin)
+    path = str(tmp_path / "a.deltamic")
+    viewer = napari.components.ViewerModel()
+    for data, options, kind in _reader.get_reader(path)(path):
+        getattr(viewer, f"add_{kind}")(data, **options)
+    assert [layer.name for layer in viewer.layers] == ["cell", "seeds", "cell cells"]
+    np.testing.assert_array_equal(viewer.layers["cell"].data, with_image.layers["cell"].data)
+    assert viewer.layers["cell cells"].units == with_image.layers["cell cells"].units
+    assert tuple(viewer.layers["cell cells"].translate) == (1, 2, 3)
+
+
+def test_closing_the_widget_while_a_session_is_saved(seeded, spin, tmp_path):
+    fitted(seeded, spin)
+    bar = weakref.ref(seeded.sessions)
+    seeded.sessions.save(str(tmp_path / "a.deltamic"))
+    seeded.close_links()
+    spin(lambda: (tmp_path / "a.deltamic").exists())
+    assert bar() is not None
+    assert load_session(tmp_path / "a.deltamic").result is not None
+
+
+def test_capture_shares_the_pixels(seeded, with_image, spin):
+    """A large image is not copied."""
+    fitted(seeded, spin)
+    session, remark = capture(seeded.parts)
+    assert remark == ""
+    assert np.shares_memory(session.image.pixels, with_image.layers["cell"].data)
+    viewer = napari.components.ViewerModel()
+    widget = _widget.FitWidget(viewer)
+    restore(widget.parts, session)
+    assert np.shares_memory(viewer.layers["cell"].data, session.image.pixels)
+    widget.close_links()
+
+
+def test_the_entry_of_the_menu_asks_in_the_widget(window, monkeypatch):
+    import npe2
+
+    from napari_deltamic._menu import open_session
+
+    asked = []
+    monkeypatch.setattr(
+        "qtpy.QtWidgets.QFileDialog.getOpenFileName", lambda *a: asked.append(a[0]) or ("", "")
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        npe2.PluginManager.instance().discover()
+        open_session(window)
+    assert [type(parent).__name__ for parent in asked] == ["SessionBar"]

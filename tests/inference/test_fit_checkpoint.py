@@ -1,0 +1,92 @@
+"""Checkpoints of fits: written, resumed, refused."""
+
+import numpy as np
+import pytest
+from synthetic import GRID, OPTICS, apart, fitted, measured, start
+
+from napari_deltamic import GaussianPSF, InputError, fit
+from napari_deltamic.settings import FitSettings
+
+
+@pytest.fixture(scope="module")
+def image():
+    return measured()
+
+
+def test_a_checkpoint_is_of_the_state_or_shortly_before(image, tmp_path):
+    path = tmp_path / "checkpoint.npz"
+    states = fit(image, GRID, start(2), OPTICS)
+    state = [next(states) for _ in range(33)][-1]
+    state.save(path)
+    again = next(fit(image, GRID, start(2), OPTICS, resume=path))
+    assert 0 <= state.iteration - again.iteration < 20
+    assert again.level == state.level
+    assert apart(again.mesh, state.mesh) < 0.5
+
+
+@pytest.mark.parametrize(
+    ("at", "settings"),
+    [
+        (33, FitSettings(levels=(2.0, 1.0))),
+        (55, FitSettings(levels=(1.5, 1.0), fit_psf=True)),
+        (55, FitSettings(levels=(1.5, 1.0), density="smooth")),
+    ],
+)
+def test_a_resumed_fit_ends_as_the_uninterrupted_one(image, tmp_path, at, settings):
+    optics = GaussianPSF(0.15)
+    path = tmp_path / "checkpoint.npz"
+    for state in fit(image, GRID, start(2), optics, settings=settings):
+        if state.iteration == at:
+            state.save(path)
+    resumed = fitted(image, start(2), optics=optics, settings=settings, resume=path)
+    assert resumed.iteration == state.iteration
+    np.testing.assert_allclose(
+        resumed.mesh.vertices_numpy(), state.mesh.vertices_numpy(), rtol=0, atol=1e-5
+    )
+
+
+@pytest.fixture
+def checkpoint(image, tmp_path):
+    path = tmp_path / "checkpoint.npz"
+    states = fit(image, GRID, start(1), OPTICS)
+    [next(states) for _ in range(30)][-1].save(path)
+    return path
+
+
+def resume(image, path, mesh=None, optics=OPTICS, **settings):
+    mesh = start(1) if mesh is None else mesh
+    return fit(image, GRID, mesh, optics, settings=FitSettings(**settings), resume=path)
+
+
+def test_refuses_the_checkpoint_of_another_fit(image, checkpoint):
+    with pytest.raises(InputError, match="another mesh"):
+        resume(image, checkpoint, start(2))
+    with pytest.raises(InputError, match="checkpoint"):
+        resume(image, checkpoint, levels=(1.0,))
+    with pytest.raises(InputError, match="checkpoint"):
+        resume(image, checkpoint, density="smooth")
+    with pytest.raises(InputError, match="checkpoint"):
+        resume(image, checkpoint, optics=GaussianPSF(covariance=np.eye(3) * 0.13**2))
+
+
+def test_refuses_a_file_that_is_no_checkpoint(image, checkpoint, tmp_path):
+    whole = checkpoint.read_bytes()
+    damaged = bytearray(whole)
+    damaged[len(whole) // 3 : len(whole) // 3 + 50] = bytes(50)
+    np.save(tmp_path / "array.npy", np.zeros(3))
+    np.savez(tmp_path / "archive.npz", vertices=start(1).vertices, level=0)
+    files = {
+        "empty": b"",
+        "text": b"z,y,x\n",
+        "half": whole[: len(whole) // 2],
+        "damaged": bytes(damaged),
+        "array": (tmp_path / "array.npy").read_bytes(),
+        "archive": (tmp_path / "archive.npz").read_bytes(),
+    }
+    for name, content in files.items():
+        path = tmp_path / name
+        path.write_bytes(content)
+        with pytest.raises(InputError, match="checkpoint"):
+            resume(image, path)
+    with pytest.raises(InputError, match="nowhere"):
+        resume(image, tmp_path / "nowhere")

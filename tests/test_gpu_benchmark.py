@@ -1,0 +1,29 @@
+"""The script that measures a GPU runs through without one, so that a lent GPU is not wasted."""
+
+import pytest
+
+gpu = pytest.importorskip("benchmarks.gpu")
+
+
+def rows_of(capsys, *figures):
+    assert gpu.main(["--dry", "--only", *figures]) == 0
+    return capsys.readouterr().out.split("a dry run on the CPU")[1]
+
+
+def test_fits_and_solver(capsys):
+    told = rows_of(capsys, "solver", "iterations")
+    for figure in ("cow, 200^3, 1e-3, one iteration", "500^3, 20,000 faces", "smoothing"):
+        assert figure in told
+
+
+@pytest.mark.slow
+def test_all_the_rest(capsys):
+    told = rows_of(capsys, "first-use", "rates", "sphere-to-cow", "tests")
+    assert "GPU tests that fail                                       <= 0         0" in told
+    assert "closed form, small triangles, f32, forward" in told
+
+
+def test_without_a_gpu_it_says_what_is_missing(capsys, monkeypatch):
+    monkeypatch.setattr(gpu, "missing", lambda: "no NVIDIA GPU is found")
+    assert gpu.main([]) == 2
+    assert "nothing to measure: no NVIDIA GPU is found" in capsys.readouterr().err
