@@ -1,10 +1,13 @@
 """The README is also the page of the package: what it shows must be found from there."""
 
 import re
+import shlex
 import tomllib
 from pathlib import Path
 
 import pytest
+
+from napari_deltamic.cli import build_parser
 
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
@@ -44,3 +47,28 @@ def test_links_to_files_lead_somewhere():
     for link in re.findall(r"(?<!!)\[[^\]]*\]\(([^)\s]+)\)", README.read_text()):
         if "://" not in link and not link.startswith("#"):
             assert (ROOT / link.partition("#")[0]).exists(), link
+
+
+PAGES = [README, *sorted((ROOT / "docs").glob("*.md"))]
+
+
+def commands(text):
+    """The calls of the command line in a page, as words; those that are only named are left out."""
+    blocks = re.findall(r"```\w*\n(.*?)```", text, re.S)
+    lines = "\n".join(blocks).replace("\\\n", " ").splitlines() + re.findall(r"`([^`\n]+)`", text)
+    calls = [shlex.split(line, comments=True) for line in lines if "napari-deltamic " in line]
+    return [call[1:] for call in calls if call[0] == "napari-deltamic" and len(call) > 2]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_commands_that_are_shown_are_understood(page):
+    if not page.exists():
+        pytest.skip("not in a source tree")
+    for call in commands(page.read_text()):
+        build_parser().parse_args(call)
+
+
+def test_pages_show_commands():
+    if not README.exists():
+        pytest.skip("not in a source tree")
+    assert len([call for page in PAGES for call in commands(page.read_text())]) > 8

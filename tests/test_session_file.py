@@ -14,12 +14,15 @@ import pytest
 import napari_deltamic as nd
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import files, sphere
+from napari_deltamic.inference.tracking import FrameResult, TrackSettings
+from napari_deltamic.inference.tracking.settings import TrackRun
 from napari_deltamic.report import History
 from napari_deltamic.scene.effects import Effects, Halo
 from napari_deltamic.session_file import (
     SavedImage,
     SavedLayer,
     SavedResult,
+    SavedTracks,
     Session,
     load_session,
     save_session,
@@ -244,6 +247,7 @@ def huge(name, data):
     [
         (of_json(version=99, written_by="napari-deltamic 7.1"), "newer version .napari-deltamic 7"),
         (of_json(format="something"), "not a deltaMic session"),
+        (of_json(version=float("inf")), "not a deltaMic session"),
         (of_json(seeds=None), "not a deltaMic session"),
         (of_json(image={}), "not a deltaMic session"),
         (without("session.json"), "has no session.json"),
@@ -342,3 +346,16 @@ def test_no_window_library_is_loaded():
         "assert not {'napari', 'qtpy'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize(("first", "frame"), [(2, 0.0), (0, 7.0), (0, np.nan)])
+def test_tracks_of_frames_that_the_series_does_not_have(tmp_path, first, frame):
+    own = settings()
+    run = TrackRun(
+        scene=own.scene, fit=own.fit, track=TrackSettings(first=first), image="", seeds=""
+    )
+    one = FrameResult(frame, 0.0, None, message="left out")
+    tracks = SavedTracks(np.zeros((2, *SHAPE), np.uint8), (1.0, 0.0, "second"), (one,), run)
+    save_session(tmp_path / "a.deltamic", replace(session(), result=None, tracks=tracks))
+    with pytest.raises(InputError, match="damaged"):
+        load_session(tmp_path / "a.deltamic")

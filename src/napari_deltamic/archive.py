@@ -24,6 +24,16 @@ from .errors import InputError
 from .geometry import Mesh
 from .geometry.files import write_atomically
 
+# What reading content that is not as it should be may raise.
+_WRONG = (
+    ArithmeticError,
+    AttributeError,
+    EOFError,
+    LookupError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+)
 _PIECE = 1 << 22  # bytes read at a time
 _LEVEL = 1  # of the compression: higher ones take five times as long for a few per cent
 
@@ -118,7 +128,7 @@ def opened(path: str | os.PathLike[str], what: str) -> Iterator[ArchiveReader]:
         raise InputError(f"{path}: not {what}, or a damaged one") from error
     except InputError as error:
         raise InputError(f"{path}: not {what}, or a damaged one ({error})") from error
-    except (ValueError, KeyError, TypeError, EOFError, NotImplementedError, RuntimeError) as error:
+    except _WRONG as error:
         raise InputError(f"{path}: not {what}, or a damaged one ({_line(error)})") from error
     except zlib.error as error:
         raise InputError(f"{path}: a damaged file ({_line(error)})") from error

@@ -54,6 +54,9 @@ def saved_tracks(archive: ArchiveReader, facts: Mapping[str, Any]) -> SavedTrack
         raise InputError("its series does not belong to its tracks")
     settings: Any = validated(TrackRun, tomllib.loads(archive.text("tracks.toml")))
     settings = with_bead(archive, "tracks/bead", settings)
+    there = (numbers[:, 0] >= 0) & (numbers[:, 0] < len(pixels))
+    if not 0 <= settings.track.first < len(pixels) or not there.all():
+        raise InputError("its tracks are of frames that its series does not have")
     meshes = MeshReader(archive)
     scale, translate, unit = facts["time"]
     return SavedTracks(

@@ -208,6 +208,9 @@ def test_missing_pieces_are_named_one_after_the_other(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     monkeypatch.setattr(device, "driver_version", lambda: None)
     assert missing() == "no NVIDIA GPU is found, or its driver is missing"
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)  # as a torch for AMD says
+    assert missing() == "no NVIDIA GPU is found, or its driver is missing"
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     monkeypatch.setattr(device, "driver_version", lambda: (12, 8))
     assert missing() == (
         "this torch is built without CUDA, but there is an NVIDIA GPU: "

@@ -134,3 +134,5 @@ def test_a_fragment_of_a_cell_vanishes():
     done = absorbed(mesh, piece, 0.3)
     assert len(done.faces) == len(ball.faces)
     assert done.region_ids().tolist() == [1]
+    told = give_way(mesh, [piece], 0.3).events
+    assert told == ("a piece of cell 1 has vanished",)

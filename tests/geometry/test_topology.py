@@ -50,6 +50,17 @@ def test_a_thin_gap_is_found_and_becomes_a_wall():
     assert done.events == ("cell 1 touches cell 2",)
 
 
+def test_other_gaps_that_are_as_narrow_do_not_stand_in_the_way():
+    # Voxels cannot keep them open: one of a pair had to stay because the other would close too.
+    pair = flattened(0.005)
+    mesh = Mesh.merge([pair, pair.translated((0, 3, 0))])
+    place = thin_places(mesh, 0.3 * EDGE)[0]
+    done = give_way(mesh, [place], EDGE)
+    assert not done.hopeless
+    assert sound(done.mesh)
+    assert place.sides in contacts(done.mesh)
+
+
 def test_what_lies_far_from_a_change_stays_on_the_old_surface():
     mesh = flattened(0.05)
     done = give_way(mesh, thin_places(mesh, 0.3 * EDGE), EDGE).mesh

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from qtpy.QtCore import Qt
+from qtpy.QtWidgets import QAbstractSpinBox, QCheckBox, QComboBox, QPushButton, QSlider, QWidget
 
 from napari_deltamic import _widget
 from napari_deltamic.gui.viewing.colours import label_colormap, region_colours
@@ -89,3 +91,16 @@ def test_found_cells_make_room_and_have_the_colours_of_the_result(
     spin(lambda: widget.link is not None and widget.link.mesh is not None)
     assert not layer.visible
     assert other.visible  # the user's own
+
+
+def test_every_field_has_a_tooltip_and_takes_the_keyboard(make_widget):
+    widget = make_widget()
+    kinds = (QPushButton, QCheckBox, QComboBox, QAbstractSpinBox, QSlider)
+    fields = [field for field in widget.findChildren(QWidget) if isinstance(field, kinds)]
+    assert len(fields) > 60
+    for field in fields:
+        around = [field]
+        while around[-1] is not widget:
+            around.append(around[-1].parentWidget())
+        assert any(one.toolTip() for one in around), field
+        assert field.focusPolicy() != Qt.FocusPolicy.NoFocus, field

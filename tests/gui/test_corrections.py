@@ -279,3 +279,82 @@ def test_closing_leaves_no_connection(seeds, viewer, joined):
     seeds.close_links()
     assert len(viewer.mouse_drag_callbacks) == before
     assert not [key for key in joined.keymap if "Z" in str(key)]
+
+
+@pytest.mark.parametrize("kind", [np.uint64, np.int64])
+def test_labels_are_counted_whatever_their_numbers(seeds, viewer, scene, click, kind):
+    """Large numbers ask for no more memory, unsigned ones for no other kind."""
+    viewer.add_labels(scene[1].astype(kind) * (2**31 - 2), name="labels", **PLACE)
+    seeds.corrections.bar.use("split")
+    assert "2 cells" in told(seeds)[1]
+    viewer.layers["labels"].data = scene[1].astype(kind)
+    seeds.corrections.renew()
+    assert "2 cells" in told(seeds)[1]
+
+
+def test_pyramids_of_labels_take_no_clicks(seeds, viewer, scene):
+    viewer.add_labels([scene[1], scene[1][::2, ::2, ::2]], multiscale=True, name="labels", **PLACE)
+    assert seeds.corrections.layer is None
+    assert seeds.corrections.bar.isHidden()
+
+
+def test_clicks_that_wait_are_made_in_the_layer_that_was_clicked(seeds, viewer, apart, spin, scene):
+    other = viewer.add_labels(scene[1].copy(), name="other", **PLACE)
+    viewer.layers.selection = {apart}
+    corrections = seeds.corrections
+    corrections.bar.use("remove")
+    for place in (LEFT, RIGHT):
+        corrections.click(np.array(place))
+    viewer.layers.selection = {other}
+    spin(lambda: not corrections.busy)
+    assert numbers(apart) == []
+    assert numbers(other) == [1, 2]
+
+
+def test_cells_of_two_layers_are_not_merged(seeds, viewer, apart, click, scene):
+    click("merge", LEFT)
+    viewer.add_labels(scene[1].copy(), name="other", **PLACE)
+    seeds.corrections.renew()
+    assert "Click into two cells" in told(seeds)[0]
+    click("merge", RIGHT)
+    assert numbers(apart) == numbers(viewer.layers["other"]) == [1, 2]
+
+
+def test_labels_that_were_replaced_have_nothing_to_undo(seeds, joined, click):
+    click("split", LEFT)
+    joined.data = np.ones((2, 3, 4), np.int32)
+    seeds.corrections.undo()
+    assert (joined.data == 1).all()
+    assert not seeds.corrections.bar.undo_button.isEnabled()
+
+
+def test_labels_replaced_under_a_click_stay_as_they_are(seeds, joined, spin, scene):
+    corrections = seeds.corrections
+    corrections.bar.use("remove")
+    corrections.click(np.array(LEFT))
+    joined.data = scene[1].copy()
+    spin(lambda: not corrections.busy)
+    assert numbers(joined) == [1, 2]
+    assert "working" not in told(seeds)[0]
+
+
+def test_another_image_ends_what_is_said_of_the_work(seeds, viewer, joined, scene):
+    corrections = seeds.corrections
+    corrections.bar.use("remove")
+    corrections.click(np.array(LEFT))
+    assert "working" in told(seeds)[0]
+    seeds._image.chooser.choose(viewer.add_image(scene[0], name="again", **PLACE))
+    assert "working" not in told(seeds)[0]
+
+
+def test_selecting_another_layer_starts_a_merge_anew(seeds, viewer, apart, scene, spin):
+    other = viewer.add_labels(scene[1].copy(), name="other", **PLACE)
+    viewer.layers.selection = {apart}
+    corrections = seeds.corrections
+    corrections.bar.use("merge")
+    corrections.click(np.array(LEFT))
+    viewer.layers.selection = {other}
+    corrections.click(np.array(RIGHT))
+    spin(lambda: not corrections.busy)
+    assert numbers(other) == [1, 2]
+    assert "Control-Z" in {str(key).replace("Ctrl+", "Control-") for key in other.keymap}

@@ -1,6 +1,7 @@
 """A second view: a layer with the same scene through another PSF."""
 
 import shlex
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -140,3 +141,25 @@ def test_series_are_tracked_without_it(seeded, second, with_image, pixels, told)
     second.chooser.choose(side)
     seeded.tracking.start()
     assert "a second view cannot be tracked" in told[-1]
+
+
+def test_a_session_without_one_has_none(seeded, second, with_image):
+    found, _ = session.capture(seeded.parts)
+    effects = found.settings.scene.effects.without("second_view")
+    scene = found.settings.scene.model_copy(update={"effects": effects})
+    settings = found.settings.model_copy(update={"scene": scene})
+    session.restore(seeded.parts, replace(found, settings=settings, second=None))
+    assert second.layer is None
+    assert seeded.run_settings().scene.effects.second_view is None
+
+
+def test_what_is_wrong_is_no_more_said_once_it_is_right(seeded, second):
+    second.layer.translate = (1, 2, 4)
+    assert "does not lie on the voxels" in second.note.text()
+    second.layer.translate = PLACE["translate"]
+    assert second.note.text() == ""
+
+
+def test_its_voxels_are_not_read_to_know_how_many_there_are(seeded, second, monkeypatch):
+    monkeypatch.setattr(seeded.image, "stack", lambda layer=None: pytest.fail("read"))
+    assert second.view() is not None

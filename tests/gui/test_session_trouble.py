@@ -3,13 +3,16 @@
 import os
 import warnings
 import weakref
+from dataclasses import replace
 
 import napari.components
 import numpy as np
+import pytest
 
 from napari_deltamic import _reader, _widget
 from napari_deltamic.geometry import files
 from napari_deltamic.gui.results.session import capture, restore
+from napari_deltamic.gui.results.session_layers import save_layer
 from napari_deltamic.session_file import load_session
 
 from .sessions import fitted, save
@@ -128,3 +131,28 @@ def test_the_entry_of_the_menu_asks_in_the_widget(window, monkeypatch):
         npe2.PluginManager.instance().discover()
         open_session(window)
     assert [type(parent).__name__ for parent in asked] == ["SessionBar"]
+
+
+@pytest.mark.parametrize("part", ["image", "seeds"])
+def test_layers_that_napari_cannot_make_are_told_and_change_nothing(seeded, with_image, told, part):
+    found, _ = capture(seeded.parts)
+    if part == "image":
+        wrong = replace(found.image, display={**found.image.display, "blending": "no such"})
+        found = replace(found, image=wrong)
+    else:
+        wrong = replace(found.seeds[0], options={**found.seeds[0].options, "colour": "no such"})
+        found = replace(found, seeds=(wrong,))
+    before = list(with_image.layers)
+    seeded.sessions._opened(found)
+    assert "damaged" in told[-1]
+    assert list(with_image.layers) == before
+
+
+def test_damaged_clicks_are_told(seeded, with_image, told):
+    labels = with_image.add_labels(np.ones(with_image.layers["cell"].data.shape, int))
+    saved = save_layer(labels, (), ())
+    known = {"clicks": [[1.0, 2.0]]}
+    found, _ = capture(seeded.parts)
+    wrong = replace(saved, options={**saved.options, "known": known})
+    seeded.sessions._opened(replace(found, seeds=(wrong,)))
+    assert "damaged" in told[-1]

@@ -83,6 +83,23 @@ def test_a_device_that_stands_apart_is_asked_for_vertices_only_where_one_leaves_
     assert (len(looked) < 5) == (step < 0.01)
 
 
+def test_each_vertex_has_a_ball_of_its_own(monkeypatch):
+    """Where some may hardly move, the others may move as far as before without a look."""
+    monkeypatch.setattr(readings, "has_own_memory", lambda device: True)
+    pair = balls((0, 0, 0), (0, 0, 2.02), subdivisions=2)
+    guard = guarded(pair)
+    place = torch.from_numpy(pair.vertices_numpy().copy())
+    place = guard.kept_apart(place, place + 1e-6)
+    radius = guard._guard.balls()[1]
+    free = torch.from_numpy(radius[:, 0] > 2 * radius.min())
+    assert free.any()
+    assert not free.all()
+    end = place.clone()
+    end[free, 0] += 1.5 * float(radius.min())
+    monkeypatch.setattr(guard, "limited", None)
+    assert guard.kept_apart(place, end) is end
+
+
 def test_a_vertex_stops_at_the_opposite_wall_of_its_own_cell():
     ball = sphere((0, 0, 0), 1.0, subdivisions=3)
     top = int(ball.vertices_numpy()[:, 0].argmax())

@@ -4,12 +4,15 @@ import torch
 from numpy.testing import assert_allclose
 from synthetic import CENTER, GRID, OPTICS, RADIUS, TRUTH, VOXEL, apart, fitted, measured, start
 
-from napari_deltamic import Grid, Mesh, fit
+from napari_deltamic import Grid, Mesh, fit, render
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.remeshing import can_remesh
 from napari_deltamic.inference.density import DensityField
+from napari_deltamic.inference.level import Level
+from napari_deltamic.inference.likelihood import Match
 from napari_deltamic.inference.preconditioner import Preconditioner
+from napari_deltamic.scene.effects import Bulk, Effects, as_effects
 from napari_deltamic.settings import FitSettings
 
 
@@ -85,6 +88,41 @@ def test_what_an_image_hardly_shows_begins_with_the_mean_density():
 def field(model, subdivisions=1):
     mesh = start(subdivisions)
     return mesh, DensityField(mesh, np.zeros(len(mesh.vertices), int), model)
+
+
+@pytest.mark.parametrize("model", ["smooth", "interface"])
+def test_what_is_asked_for_later_stays_where_it_was(model):
+    _, density = field(model)
+    density.log = np.linspace(-1, 1, len(density.log)) + 0.1
+    before, later = density.faces_numpy(), density.later()
+    density.faces(active=True, device="meta")  # a device with which no number of the CPU goes
+    assert_allclose(later(), before)
+
+
+def brightness(counted, effects=()):
+    """(V,) of a level's start at the truth, where the image is twice as bright."""
+    mesh, settings = sphere(CENTER, RADIUS, subdivisions=3), FitSettings(accuracy=1e-3)
+    shown = render(mesh, GRID, OPTICS, 1e-4, density=one_sided(mesh), effects=effects)
+    image = np.where(counted, 2 * shown.numpy(), 0).astype(np.float32)
+    level = Level(image, counted, GRID, OPTICS, settings, as_effects(effects), 1.0)
+    found = Match(*map(torch.tensor, (0.1, 1.0, 0.0, False)))
+    return mesh, level.brightness(mesh.vertices_numpy(), shown, found)
+
+
+def test_a_density_begins_with_the_mean_where_voxels_are_missing():
+    counted = np.ones(GRID.shape, bool)
+    counted[:, :, :16] = False
+    mesh, found = brightness(counted)
+    x = mesh.vertices_numpy()[:, 2] / VOXEL
+    assert_allclose(found[x < 14.9], 1)
+    assert_allclose(found[x > 15.1], 2, rtol=1e-3)
+
+
+def test_a_density_begins_with_the_mean_where_a_dark_inside_leaves_less_than_nothing():
+    mesh, found = brightness(np.ones(GRID.shape, bool), Effects.of(Bulk(density=-9.0)))
+    x = mesh.vertices_numpy()[:, 2] - CENTER[2]
+    assert_allclose(found[x < 0.55 * RADIUS], 1)
+    assert_allclose(found[x > 0.8 * RADIUS], 2, rtol=1e-3)
 
 
 def test_a_uniform_density_costs_nothing():

@@ -12,6 +12,7 @@ from napari_deltamic.geometry.remeshing import can_remesh
 from napari_deltamic.geometry.topology.flips import flipped
 from napari_deltamic.geometry.topology.small_pieces import absorbed, small_pieces
 from napari_deltamic.geometry.topology.thin_places import short_junctions, small_walls
+from napari_deltamic.inference.topology import TopologyKeeper
 from napari_deltamic.settings import FitSettings
 
 pytestmark = pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
@@ -102,3 +103,10 @@ def test_a_gap_that_is_in_the_image_stays():
     states, told = fitted(truth, remesh(truth, EDGE).mesh)
     assert small_pieces(states[-1].mesh, 0.5)
     assert "closed" not in told
+
+
+def test_losses_of_another_level_do_not_count():
+    keeper = TopologyKeeper()
+    keeper.forgets([0.1] * 4)
+    keeper.level_ends(None)
+    assert keeper._loss == np.inf

@@ -35,6 +35,21 @@ _MEASURED = ("psf_voxel_size", "bead_diameter")
 OPTICS_ARGUMENTS = ("optics", "psf", *_MEASURED, *_MICROSCOPE)
 
 
+def add_grid_and_optics(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of a grid and a PSF, where no image gives any."""
+    add = parser.add_argument
+    add("--shape", nargs=3, type=int, metavar=TRIPLE, required=True, help="voxels")
+    add("--voxel-size", nargs=3, type=float, metavar=TRIPLE, required=True, help="um")
+    add(
+        "--sigma",
+        nargs=3,
+        type=float,
+        metavar=TRIPLE,
+        help="um; standard deviations of the PSF",
+    )
+    add_optics(parser)
+
+
 def add_optics(parser: Any) -> None:
     """Add the arguments, all but --sigma, which every command words itself."""
     group = parser.add_argument_group(

@@ -13,9 +13,7 @@ from ..images import EXTENSIONS, write_image
 from ..inference.checks import check_mesh
 from ..scene import Grid, render
 from .messages import Notes, failure
-from .optics_arguments import add_optics, optics_from_arguments
-
-TRIPLE = ("Z", "Y", "X")
+from .optics_arguments import add_grid_and_optics, optics_from_arguments
 
 
 def add_parser(commands: Any) -> None:
@@ -27,16 +25,7 @@ def add_parser(commands: Any) -> None:
     )
     add = parser.add_argument
     add("mesh", metavar="MESH", help=".ply, .obj, .off, .stl, .rec or .vtk; x, y, z in um")
-    add("--shape", nargs=3, type=int, metavar=TRIPLE, required=True, help="voxels")
-    add("--voxel-size", nargs=3, type=float, metavar=TRIPLE, required=True, help="um")
-    add(
-        "--sigma",
-        nargs=3,
-        type=float,
-        metavar=TRIPLE,
-        help="um; standard deviations of the PSF",
-    )
-    add_optics(parser)
+    add_grid_and_optics(parser)
     add(
         "--accuracy",
         type=float,

@@ -20,9 +20,8 @@ from ..scene.random_cells import Kind
 from ..simulation_files import FILES, write_simulation
 from .folders import check_folder
 from .messages import Notes, failure
-from .optics_arguments import add_optics, optics_from_arguments, optics_values
+from .optics_arguments import add_grid_and_optics, optics_from_arguments, optics_values
 
-TRIPLE = ("Z", "Y", "X")
 _MOST = 100_000  # images of one set
 
 
@@ -39,16 +38,7 @@ def add_parser(commands: Any) -> None:
     add("mesh", nargs="?", metavar="MESH", help=".ply, .obj, .off, .stl, .rec or .vtk; um")
     add("--cells", type=int, metavar="N", help="so many random cells instead of a mesh")
     add("--kind", choices=get_args(Kind), help="of random cells (default: foam)")
-    add("--shape", nargs=3, type=int, metavar=TRIPLE, required=True, help="voxels")
-    add("--voxel-size", nargs=3, type=float, metavar=TRIPLE, required=True, help="um")
-    add(
-        "--sigma",
-        nargs=3,
-        type=float,
-        metavar=TRIPLE,
-        help="um; standard deviations of the PSF",
-    )
-    add_optics(parser)
+    add_grid_and_optics(parser)
     add(
         "--effects",
         default="none",

@@ -180,6 +180,34 @@ class BackgroundSteps:
         self._slots = ()
 
 
+class BackgroundRun:
+    """What a ``BackgroundSteps`` does for those that watch it: it is started, stopped and ended."""
+
+    _thread: BackgroundSteps
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    @property
+    def running(self) -> bool:
+        """Whether it has been neither closed nor ended."""
+        return self._thread.running
+
+    @property
+    def stopping(self) -> bool:
+        """Whether it was asked to end."""
+        return self._thread.stopping
+
+    def stop(self) -> None:
+        """End it after the present iteration; what it reached is kept."""
+        self._thread.stop()
+
+    def close(self) -> None:
+        """End it and call nobody any more."""
+        self._thread.close()
+
+
 def _caught(work: Callable[[], Any]) -> tuple[Any, str]:
     """What the function returns and '', or None and what went wrong."""
     try:

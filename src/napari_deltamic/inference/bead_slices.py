@@ -59,9 +59,10 @@ class Slices:
         self.disturbances = tuple(name for name in known if name in disturbances)
         self.shape = shape
         self.kinds = [
-            (kind, spread)
+            (kind, _EXPECTED[name][1])
             for name in self.disturbances
-            for kind, spread in [(k, _EXPECTED[name][1]) for k in _EXPECTED.get(name, ((), 0))[0]]
+            if name in _EXPECTED
+            for kind in _EXPECTED[name][0]
         ]
         self.axial = "axial blur" in self.disturbances
         self.count = shape[0] * len(self.kinds) + self.axial

@@ -122,7 +122,7 @@ class CollisionGuard:
         """Whether all vertices stay in the balls in which they move at will."""
         if self._balls is None:
             center, radius = self._guard.balls()
-            self._balls = torch.tensor(center).to(end), torch.tensor(radius).to(end)
+            self._balls = torch.tensor(center).to(end), torch.tensor(radius[:, 0]).to(end)
         center, radius = self._balls
         away = torch.maximum(*((t - center).norm(dim=1) for t in (start, end)))
         return bool((away <= radius).all())

@@ -50,9 +50,12 @@ class DensityField:
         self._leaf: Tensor | None = None
 
     def _per_face(self, log: Tensor) -> Tensor:
-        if self.model == "smooth":
-            return torch.exp(log[self._faces].mean(1))
-        return torch.exp(log[self._interface])
+        return _density(log, self._rows)
+
+    @property
+    def _rows(self) -> Tensor:
+        """Those of the log density that each face has: (F, 3) corners, or (F,) interfaces."""
+        return self._faces if self.model == "smooth" else self._interface
 
     @property
     def log(self) -> np.ndarray:
@@ -95,8 +98,8 @@ class DensityField:
         """As :meth:`faces_numpy` is now, computed when it is asked for."""
         if self.model == "uniform":
             return lambda: np.ones(len(self._faces))
-        log = self._log
-        return lambda: self._per_face(log).cpu().numpy()
+        log, rows = self._log, self._rows  # both of where they are now
+        return lambda: _density(log, rows).cpu().numpy()
 
     @property
     def unknown(self) -> bool:
@@ -183,3 +186,9 @@ class DensityField:
         """Take over what a checkpoint kept."""
         self.log = state["log"]
         self._adam.load(state)
+
+
+def _density(log: Tensor, rows: Tensor) -> Tensor:
+    """(F,) from the logarithm at each face's interface (F,), or the mean of its corners (F, 3)."""
+    found = log[rows]
+    return torch.exp(found.mean(1) if rows.ndim == 2 else found)

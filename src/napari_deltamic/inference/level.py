@@ -28,6 +28,7 @@ _REFRESH_EVERY = 10  # iterations between two looks at which voxels count
 _PLAN_EVERY = 20  # iterations: edges grow as the mesh moves
 FEWEST_VOXELS = 64
 _SEEN = 0.3  # of the median brightness of a surface: what is dimmer says nothing of its density
+_ANY = 1e-3  # of the weights of a blur: what rests on less is not known
 _COARSE_ACCURACY = 1e-2  # of all levels but the last: they only have to point the right way
 
 
@@ -132,7 +133,7 @@ class Level:
                 counted = counted & ~effect.missing(image)
         self.device = choose_device(settings.device)
         blurred = self._blurred(image, counted, grid)
-        self.target, self._counted = (t.to(self.device) for t in blurred)
+        self.target, self._counted, self._known = (t.to(self.device) for t in blurred)
         # Where the blur is wider than the field of view, hardly a voxel is left to go by.
         self.usable = int(self._counted.sum()) >= FEWEST_VOXELS
         if self.usable:
@@ -149,20 +150,20 @@ class Level:
         self._voxels: Voxels | None = None
         self._age = 0
 
-    def _blurred(self, image: np.ndarray, counted: np.ndarray, grid: Grid) -> tuple[Tensor, Tensor]:
-        """Blurred image and the voxels whose blur rests mostly on counted ones."""
+    def _blurred(self, image: np.ndarray, counted: np.ndarray, grid: Grid) -> tuple[Tensor, ...]:
+        """Blurred image, and the voxels whose blur rests mostly, and at all, on counted ones."""
         if self.factor == 1:
-            y, inside = image, counted
+            y, inside, any_inside = image, counted, counted
         else:
             sigma = np.asarray(self.blur) / np.asarray(grid.voxel_size)
             known = counted.astype(np.float32)
             share = gaussian_filter(known, sigma, mode="constant", truncate=3.5)
             y = gaussian_filter(image * known, sigma, mode="constant", truncate=3.5)
             y = y / np.maximum(share, 1e-6)
-            inside = (share > 0.6) & counted
+            inside, any_inside = (share > 0.6) & counted, share > _ANY
         return (
             torch.from_numpy(np.ascontiguousarray(y[self._sample], dtype=np.float32)),
-            torch.from_numpy(np.ascontiguousarray(inside[self._sample])),
+            *(torch.from_numpy(np.array(m[self._sample], order="C")) for m in (inside, any_inside)),
         )
 
     @property
@@ -255,19 +256,23 @@ class Level:
             self.far = far
 
     def brightness(self, vertices: np.ndarray, rendered: Tensor, found: Match) -> np.ndarray:
-        """(V,) measured over rendered brightness at vertices (V, 3) um; 1 where hardly any shows.
+        """(V,) measured over rendered brightness at vertices (V, 3) um.
 
-        Both without the background of the match.
+        Both without the background of the match; 1 where hardly any shows, or nothing is known.
         """
         at = ((vertices - np.asarray(self.grid.origin)) / np.asarray(self.grid.voxel_size)).T
         index = torch.arange(self.target.numel(), device=self.target.device)
         measured = self._measured(index).reshape(self.target.shape) - float(found.background)
         shown = rendered.detach() * float(found.amplitude)
-        one, other = (
+        known = self._known.to(measured.dtype)
+        one, other, share = (
             map_coordinates(image.cpu().numpy(), at, order=1, mode="nearest")
-            for image in (measured, shown)
+            for image in (measured * known, shown * known, known)
         )
-        seen = other > _SEEN * np.median(other)
+        if not share.any():
+            return np.ones(len(vertices))
+        # An inside darker than the outside may leave less than nothing on the surface.
+        seen = other > _SEEN * max(float(np.median(other[share > 0])), 0.0)
         return np.where(seen, one / np.where(seen, other, 1.0), 1.0)
 
     # ---------------------------------------------------------------------------------- voxels

@@ -81,7 +81,7 @@ def _weights(run: Run, measured: Tensor, counted: np.ndarray) -> Tensor:
 def _sum_near(image: np.ndarray, run: Run, points: np.ndarray, reach: float) -> float:
     origin, size = np.asarray(run.grid.origin), np.asarray(run.grid.voxel_size)
     low = np.floor((points.min(0) - reach - origin) / size).astype(int).clip(0)
-    high = np.ceil((points.max(0) + reach - origin) / size).astype(int) + 1
+    high = np.ceil((points.max(0) + reach - origin) / size).astype(int).clip(-1) + 1
     cut = image[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
     at = origin + size * (low + np.argwhere(np.ones(cut.shape, bool)))
     if not len(at):

@@ -164,6 +164,7 @@ class Run:
             self.topology.restart()
         if change.pinned is not None:
             self.pinned = np.array(change.pinned, bool)
+            self.topology.restart()  # to undo a change of it would bring back the pins of then
             if change.mesh is None:
                 # They stay where they were seen, which is one step back.
                 vertices = self.mesh.vertices_numpy().copy()
@@ -179,6 +180,7 @@ class Run:
         blurred_for = self.level_optics
         self._enter(self.level_number)
         if (change.optics, change.settings, change.effects) != (None, None, None):
+            self.topology.restart()  # the loss is another
             self._make_level()
             if not self.level.usable:
                 # The blur that goes with the new PSF is wider than the image.
@@ -265,14 +267,14 @@ class Run:
         self.density.restart()
 
     def _iterate(self) -> FitState:
-        level, steps = self.level, self.steps
+        level = self.level
         if level.renews:
             self._read()
             if self.settings.remesh and not self.halvings and self.upkeep.wanted(self.mesh):
                 self._remesh()
             self.topology.look(self)
             self.kept = checkpoint.kept(self)
-        kept = self.kept
+        kept, steps = self.kept, self.steps
         start = self.surface.on(level.device)
         vertices = start.detach().requires_grad_()
         with_density = level.factor < self.levels[0] or len(self.levels) == 1
@@ -356,6 +358,7 @@ class Run:
             return True
         self.halvings += 1
         self.step_factor /= 2
+        self.topology.forgets(self.losses)
         self.losses = []
         return self.halvings > _SETTLE
 

@@ -38,7 +38,7 @@ class Surface:
 
     @cached_property
     def mesh(self) -> Mesh:
-        """On the host; read-only."""
+        """On the host."""
         assert self._vertices is not None
         return self._like.with_vertices(on_host(self._vertices))
 

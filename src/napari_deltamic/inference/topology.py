@@ -94,12 +94,16 @@ class TopologyKeeper:
         self._late = 0
         self._most = _ALL
         self._looked = -1  # the last iteration in which it looked
-        self._loss = np.inf  # before the last change
+        self._loss = np.inf  # before the last change, or the last halving of the step
         self._events: list[str] = []
 
     def restart(self) -> None:
         """Go on with a mesh that was changed from outside."""
         self._seen, self._before = [], None
+
+    def forgets(self, losses: list[float]) -> None:
+        """The losses that a fit is about to forget: a change right then is compared with them."""
+        self._loss = float(np.mean(losses[-_MEAN:]))
 
     def events(self) -> tuple[str, ...]:
         """What has happened since this was last asked."""
@@ -127,10 +131,8 @@ class TopologyKeeper:
 
     def holds_up(self, run: Run) -> bool:
         """Whether a fit that is about to end goes on from a change instead."""
-        if not applies(run):
+        if not applies(run) or self._before is not None:
             return False
-        if self._before is not None:
-            return self._judge(run)
         return self._try(run, self._candidates(run, _THIN, _SMALL), [])
 
     def _try(self, run: Run, others: list[ThinPlace], just: list[ThinPlace]) -> bool:
@@ -153,6 +155,7 @@ class TopologyKeeper:
         if self._before is not None and run.iteration - self._before.iteration >= _TRIAL:
             self._judge(run)
         self._before = None
+        self._loss = np.inf  # images of the next level have other losses
 
     # ------------------------------------------------------------------------- checkpoints
 
@@ -161,8 +164,7 @@ class TopologyKeeper:
         before = self._before
         memory: dict[str, Any] = {k: _lists(getattr(self, f"_{k}")) for k in _PLACES}
         memory |= {k: getattr(self, f"_{k}") for k in _MEMORY}
-        none = np.zeros(0)
-        arrays = dict.fromkeys(("vertices", "faces", "regions", *_ARRAYS), none)
+        arrays = dict.fromkeys(("vertices", "faces", "regions", *_ARRAYS), np.zeros(0))
         if before is not None:
             memory["before"] = {k: getattr(before, k) for k in _SCALARS}
             memory["before"]["places"] = _lists(before.places)

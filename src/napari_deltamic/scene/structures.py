@@ -133,9 +133,11 @@ class Surface:
         _check(self.density, len(self.mesh.faces), "density", "face")
 
     def positions(self) -> FloatArray:
+        """See ``Structure``."""
         return self.mesh.vertices_numpy()
 
     def planned(self, site: Site) -> Transform:
+        """See ``Structure``."""
         plan = _mesh_plan(self.mesh, site)
         surfaces = Surfaces.of(self.mesh)
         vertices = _tensor(self.mesh.vertices)
@@ -190,9 +192,11 @@ class Solid:
         return torch.as_tensor(self.density, dtype=torch.float64).expand(len(ids))
 
     def positions(self) -> FloatArray:
+        """See ``Structure``."""
         return self.mesh.vertices_numpy()
 
     def planned(self, site: Site) -> Transform:
+        """See ``Structure``."""
         plan = _mesh_plan(self.mesh, site)
         surfaces = Surfaces.of(self.mesh)
         vertices = _tensor(self.mesh.vertices)
@@ -239,9 +243,11 @@ class Filament:
         return np.asarray(self.segments, np.int64)
 
     def positions(self) -> FloatArray:
+        """See ``Structure``."""
         return _positions(self.vertices, "vertices")
 
     def planned(self, site: Site) -> Transform:
+        """See ``Structure``."""
         vertices, segments = _tensor(self.vertices), self.joined()
         return _line(vertices, segments, _each(self.density, len(segments)), site)
 
@@ -268,9 +274,11 @@ class Points:
         _check(self.weight, n, "weight", "point")
 
     def positions(self) -> FloatArray:
+        """See ``Structure``."""
         return _positions(self.places, "points")
 
     def planned(self, site: Site) -> Transform:
+        """See ``Structure``."""
         places = _tensor(self.places)
         every = np.arange(len(places))[:, None]
         return _line(places, every, _each(self.weight, len(places)), site)

@@ -13,7 +13,7 @@ from napari_deltamic.inference.evidence.modes import shape_modes
 from napari_deltamic.inference.evidence.scene import Scene
 from napari_deltamic.inference.evidence.transforms import Transforms
 from napari_deltamic.scene import Renderer
-from napari_deltamic.scene.effects import Attenuation, Bulk, DepthPSF, Effects
+from napari_deltamic.scene.effects import Attenuation, Bulk, DepthPSF, Effects, Halo
 
 GRID = Grid((14, 18, 30), (0.3, 0.2, 0.2))
 OPTICS = GaussianPSF((0.42, 0.25, 0.25))
@@ -51,6 +51,16 @@ def test_what_an_effect_leaves_as_it_is_is_computed_once(monkeypatch):
     for names in ((), ("bleaching",), ("pixel_integration",), ("illumination",)):
         model.expected(replace(own, effects=Effects.of(*names)))
     assert len(made) == 1
+
+
+def test_a_plan_for_a_wider_psf_does_not_serve_a_narrower_one():
+    """Nor that of effects which need a plan of their own."""
+    hazy = Effects.of(Halo(fraction=0.3, width=1.5))
+    own = scene(hazy)
+    model = ImageModel(scene(Effects()), GRID, INDEX, 1e-4)
+    model.expected(replace(own, optics=GaussianPSF((0.84, 0.5, 0.5))))
+    found, fresh = model.expected(own), ImageModel(own, GRID, INDEX, 1e-4).expected(own)
+    assert np.abs(found - fresh).max() < 1e-3 * np.ptp(fresh)
 
 
 @pytest.mark.parametrize("effects", [Effects(), ALL], ids=["plain", "effects"])

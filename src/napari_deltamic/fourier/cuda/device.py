@@ -27,7 +27,8 @@ class NoGpuWarning(UserWarning):
 def missing() -> str:
     """What keeps the GPU from being used, in one sentence with the remedy; empty if nothing."""
     driver = driver_version()
-    if driver is None and not torch.cuda.is_available():
+    # A torch for GPUs of AMD says that CUDA is available.
+    if driver is None and (torch.version.cuda is None or not torch.cuda.is_available()):
         return "no NVIDIA GPU is found, or its driver is missing"
     if torch.version.cuda is None:
         assert driver is not None

@@ -75,7 +75,7 @@ class Corrector:
     ) -> None:
         self._data, _, self._voxel = _checked(image, voxel_size)
         self._origin = np.asarray(origin, np.float64)
-        self._size = 0.0  # um, of a typical cell of the first labels; 0 while there were none
+        self._size = 0.0  # um, of a typical cell of the first labels; 0 before there are any
         self._found: Image | None = None
 
     def corrected(self, labels: ArrayLike, clicks: Sequence[Click]) -> NDArray[np.int32]:

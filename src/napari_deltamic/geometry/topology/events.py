@@ -44,9 +44,10 @@ def change_events(
             said.append(f"a piece of cell {region} was pinched off and removed ({volume:.2g} um^3)")
     for place in places:
         if place.volume:
-            around = ", ".join(map(str, place.sides))
+            around = ", ".join(str(s) for s in place.sides if s != OUTSIDE)
             what = f"a piece of cell {place.regions[0]}" if place.regions[0] else "a gap"
-            said.append(f"{what} between cells {around} has closed")
+            gone = f"between cells {around} has closed" if around else "has vanished"
+            said.append(f"{what} {gone}")
     if not said:
         parted = {p.regions for p in places if len(p.regions) == 2}
         said += [f"cells {a} and {b} part in one place" for b, a in sorted(parted)]

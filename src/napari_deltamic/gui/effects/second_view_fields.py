@@ -12,11 +12,12 @@ from qtpy.QtWidgets import QFormLayout, QVBoxLayout, QWidget
 from ...errors import InputError
 from ...job import SIGMA_IN_VOXELS
 from ...scene.effects import SecondView
+from ..connections import Connections
 from ..panels.fields import LayerChooser, TripleField, show_row
 from ..panels.image_panel import file_of
 from ..panels.note import Note
 from ..qt import Signal
-from ..viewing.frame import Frame, is_stack
+from ..viewing.frame import Frame, is_stack, shape_of
 
 _NONE = "none"
 
@@ -55,6 +56,7 @@ class SecondViewFields(QWidget):
         self._form = form
         self._sigma_given = False
         self._blocked = False
+        self._of_layers = Connections()  # where the two layers lie
         self.chooser.chosen.connect(self._chosen)
         self.sigma.edited.connect(self._sized)
         image_panel.changed.connect(self._image_changed)
@@ -76,34 +78,35 @@ class SecondViewFields(QWidget):
         layer, image = self.layer, self._image.layer
         if layer is None or image is None:
             return None
-        _check_on_voxels(layer, image, self._pixels(layer).shape, self._image.stack().shape)
+        _check_on_voxels(layer, image)
         return SecondView(sigma=self.sigma.value(), image=file_of(layer))
 
     def pixels(self) -> NDArray[Any] | None:
         """(Z, Y, X) of the layer, at the time shown; None for no second view."""
-        return None if self.layer is None else self._pixels(self.layer)
+        if self.layer is None:
+            return None
+        pixels: NDArray[Any] = self._image.stack(self.layer)
+        return pixels
 
-    def show_view(self, layer: Any, sigma: tuple[float, float, float]) -> None:
-        """Show a choice, without a signal."""
+    def show_view(self, layer: Any, sigma: tuple[float, float, float] | None = None) -> None:
+        """Show a choice, without a signal; None for no second view."""
         self._blocked = True
         self.chooser.choose(layer)
-        self.sigma.set_value(sigma)
-        self._sigma_given = True
+        if sigma is not None:
+            self.sigma.set_value(sigma)
+            self._sigma_given = True
         self._blocked = False
         self._show()
 
     def close_links(self) -> None:
         """Listen to the viewer no more."""
+        self._of_layers.undo()
         self.chooser.close_links()
 
     # ----------------------------------------------------------------------------------- inside
 
     def _accepts(self, layer: Any) -> bool:
         return is_stack(layer) and layer is not self._image.layer
-
-    def _pixels(self, layer: Any) -> NDArray[Any]:
-        pixels: NDArray[Any] = self._image.stack(layer)
-        return pixels
 
     def _image_changed(self) -> None:
         before = self.layer
@@ -126,6 +129,15 @@ class SecondViewFields(QWidget):
         self.edited.emit()
 
     def _show(self) -> None:
+        self._of_layers.undo()
+        if self.layer is not None and self._image.layer is not None:
+            for layer in (self.layer, self._image.layer):
+                for moved in (layer.events.scale, layer.events.translate):
+                    self._of_layers.connect(moved, self._check)
+        self._check()
+
+    def _check(self, event: Any = None) -> None:
+        """Say what is wrong with the layer, if anything."""
         show_row(self._form, self.sigma, self.layer is not None)
         try:
             self.view()
@@ -135,11 +147,10 @@ class SecondViewFields(QWidget):
             self.note.say("")
 
 
-def _check_on_voxels(
-    layer: Any, image: Any, shape: tuple[int, ...], of_image: tuple[int, ...]
-) -> None:
+def _check_on_voxels(layer: Any, image: Any) -> None:
     """InputError, with what to do, unless both layers have the same voxels."""
     advice = "register it to the image and resample it on the image's voxels first"
+    shape, of_image = shape_of(layer), shape_of(image)
     if shape != of_image:
         mine, theirs = (" x ".join(map(str, s)) for s in (shape, of_image))
         raise InputError(

@@ -84,15 +84,14 @@ def restore(parts: Parts, session: Session) -> None:
     if parts.tracking.running:
         raise InputError("cells are being tracked: stop that before you open a session")
     empty = not viewer.layers
-    image = image_layer(session.image, session.tracks)
-    seeds = [seed_layer(seed) for seed in session.seeds]  # before anything is changed
+    image, seeds, second = _layers(session)  # before anything is changed
     for seed in panels.seeds.chooser.ticked():
         panels.seeds.chooser.choose(seed, False)
     viewer.add_layer(image)
     panels.image.chooser.choose(image)
     panels.settings.show_settings(session.settings.fit)
     panels.settings.show_scene(session.settings.scene)
-    _show_second(parts, session)
+    _show_second(parts, session, second)
     _show_accuracy(panels, session.panels.get("accuracy"))
     # Before the layers: sizes of points follow these fields.
     _show_seeds(panels, session.panels.get("seeds", {}))
@@ -113,6 +112,20 @@ def restore(parts: Parts, session: Session) -> None:
         getattr(panels.running, name).setChecked(bool(shown.get(name)))
     viewer.layers.selection = {image}
     _show_view(viewer, session.panels.get("view", {}), fit_camera=empty)
+
+
+def _layers(session: Session) -> tuple[Any, list[Any], Any]:
+    """Those of the image, the seeds and the second view. InputError if they cannot be made."""
+    try:
+        image = image_layer(session.image, session.tracks)
+        seeds = [seed_layer(seed) for seed in session.seeds]
+        second = image_layer(session.second) if session.second is not None else None
+    except InputError:
+        raise
+    except Exception as error:  # napari's, of options that it does not know
+        reason = " ".join(str(error).split())[:200]
+        raise InputError(f"the session is damaged, nothing was opened: {reason}") from error
+    return image, seeds, second
 
 
 # ---- results -------------------------------------------------------------------------------------
@@ -163,12 +176,13 @@ def _second(panels: Panels, frame: Frame, job: FitInput | None) -> SavedImage | 
     return save_image(layer, pixels, frame)
 
 
-def _show_second(parts: Parts, session: Session) -> None:
+def _show_second(parts: Parts, session: Session, layer: Any) -> None:
     view = session.settings.scene.effects.second_view
-    if session.second is not None and view is not None:
-        layer = image_layer(session.second)
+    if layer is not None and view is not None:
         parts.viewer.add_layer(layer)
         parts.panels.settings.effects.second.show_view(layer, view.sigma)
+    else:  # not that of the image before
+        parts.panels.settings.effects.second.show_view(None)
 
 
 def _show_result(parts: Parts, result: SavedResult, session: Session) -> None:

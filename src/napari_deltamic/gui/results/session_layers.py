@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ...errors import InputError
 from ...geometry import Mesh
 from ...session_file import SavedImage, SavedLayer, SavedTracks
-from ..seeding.label_clicks import undo_arrays, with_undo
+from ..seeding.label_clicks import clicks_of, undo_arrays, with_undo
 from ..seeding.seeds import at_time
 from ..viewing.colours import LIMITS, region_colormap, side_values
 from ..viewing.frame import OWN, Frame, stack_of
@@ -86,7 +86,9 @@ def seed_layer(saved: SavedLayer) -> Layer:
         more = {name: arrays[name] for name in _OF_POINTS}
         return Points(arrays["data"], metadata={OWN: own}, **more, **options)
     if saved.kind == "labels":
-        return Labels(arrays["data"], metadata={OWN: with_undo(own, arrays)}, **options)
+        labels = Labels(arrays["data"], metadata={OWN: with_undo(own, arrays)}, **options)
+        clicks_of(labels)  # which fails where they are damaged
+        return labels
     if saved.kind != "surface":
         raise InputError(f"a layer of an unknown kind: {saved.kind}")
     if "regions" in arrays:

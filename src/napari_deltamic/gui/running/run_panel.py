@@ -41,7 +41,9 @@ class RunPanel(QGroupBox):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__("Run", parent)
         self.run_button = QPushButton("Run", self)
+        self.run_button.setToolTip("Fit from the seeds that are ticked, with the settings above.")
         self.pause_button = QPushButton("Pause", self)
+        self.pause_button.setToolTip("Let the fit wait, and go on; it can be edited meanwhile.")
         self.pause_button.setCheckable(True)
         self.stop_button = QPushButton("Stop", self)
         self.stop_button.setToolTip("End the fit; what it reached is kept.")

@@ -23,12 +23,12 @@ from ...report import History
 from ...scene.effects import Effects
 from ...settings import FitSettings, SceneSettings
 from ..accuracy.renewed_forecast import RenewedForecast
-from ..background import BackgroundSteps
+from ..background import BackgroundRun, BackgroundSteps
 from .course import Clock, Course, Forecaster, Outcome, Snapshot, Verdict
 from .waiting import usable
 
 
-class FitRun:
+class FitRun(BackgroundRun):
     """One run of a fit, from its start to its outcome. Made and used on the main thread.
 
     Parameters
@@ -61,15 +61,6 @@ class FitRun:
         given = (prepare, forecaster, self._course)
         failed = partial(_failed, course=self._course)
         self._thread = BackgroundSteps(_steps, given, self._show, self._finish, failed, self._warn)
-
-    def start(self) -> None:
-        """Start the thread."""
-        self._thread.start()
-
-    @property
-    def running(self) -> bool:
-        """Whether it has been neither closed nor ended."""
-        return self._thread.running
 
     @property
     def paused(self) -> bool:
@@ -136,19 +127,6 @@ class FitRun:
     def update_every(self, seconds: float) -> None:
         """How often snapshots come, at most; s."""
         self._course.interval = seconds
-
-    @property
-    def stopping(self) -> bool:
-        """Whether it was asked to end."""
-        return self._thread.stopping
-
-    def stop(self) -> None:
-        """End the fit after its present iteration; ``on_end`` brings what it reached."""
-        self._thread.stop()
-
-    def close(self) -> None:
-        """End the fit and call nobody any more."""
-        self._thread.close()
 
     def _show(self, snapshot: Snapshot | str | None) -> None:
         if snapshot is None:

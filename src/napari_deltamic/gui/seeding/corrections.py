@@ -36,6 +36,7 @@ _BESIDE = "In 3D, click on a cell; what was missed is added on the slices."
 class _Wanted:
     """Clicks that are to be made, in one step that can be undone."""
 
+    layer: Any  # that is corrected
     clicks: Sequence[Click]
     from_file: bool = False
 
@@ -65,6 +66,7 @@ class Corrections(QObject):
         self.bar = bar = CorrectBar(parent)
         self._first: Click | None = None  # of the two that are to be merged
         self._waiting: list[_Wanted] = []
+        # What is under way: the array of the layer, its labels, and what is to be done.
         self._asked: tuple[Any, NDArray[np.int32], _Wanted] | None = None
         self._corrector: Corrector | None = None
         self._corrector_of: tuple[Any, ...] = ()
@@ -82,7 +84,7 @@ class Corrections(QObject):
     @property
     def layer(self) -> Any:
         """The layer that clicks correct, or None."""
-        layers = [x for x in self._layers() if isinstance(x, Labels) and x.ndim == 3]
+        layers = [x for x in self._layers() if _can_be_corrected(x)]
         active = self._viewer.layers.selection.active
         return active if active in layers else layers[-1] if layers else None
 
@@ -104,27 +106,28 @@ class Corrections(QObject):
             return
         if self.bar.tool is not None and layer is not self._bound:
             self._listen(layer)
-        values = np.asarray(layer.data).ravel()
-        cells = int((np.bincount(values.clip(0))[1:] > 0).sum()) if values.size else 0
-        waits = self._first is not None
+            self.bar.explain()
+        cells, waits = _cells(np.asarray(layer.data)), self._first is not None
         self.bar.show_count(cells, len(clicks_of(layer)), can_undo=waits or can_undo(layer))
 
     def click(self, place: FloatArray) -> None:
         """Use the tool at a place, um in the image's frame."""
-        tool = self.bar.tool
-        if tool is None:
+        tool, layer = self.bar.tool, self.layer
+        if tool is None or layer is None:
             return
+        if layer is not self._bound:  # another one was selected
+            self._listen(layer)
         z, y, x = (float(p) for p in place)
         click = Click((z, y, x), _ACTIONS[tool])
         if tool != "merge":
-            self._want(_Wanted([click]))
+            self._want(_Wanted(layer, [click]))
         elif self._first is None:
             self._first = click
             self.bar.say("Now click into the cell that is one with it.")
             self.renew()
         else:
             first, self._first = self._first, None
-            self._want(_Wanted([first, click]))
+            self._want(_Wanted(layer, [first, click]))
 
     def undo(self, layer: Any = None) -> None:
         """Undo the last correction, or the first click of two."""
@@ -141,7 +144,7 @@ class Corrections(QObject):
 
     def load(self, path: str) -> None:
         """Make the clicks of a file. InputError if it cannot be read."""
-        self._want(_Wanted(read_clicks_csv(path), from_file=True))
+        self._want(_Wanted(self.layer, read_clicks_csv(path), from_file=True))
 
     def save(self, path: str) -> None:
         """Save the clicks that were made. InputError if there are none, or they cannot be saved."""
@@ -156,6 +159,7 @@ class Corrections(QObject):
         """Another image: what is under way is given up."""
         self._waiting, self._asked, self._corrector, self._first = [], None, None, None
         self._background.drop()
+        self.bar.explain()
 
     def close_links(self) -> None:
         """End what is under way, and let the viewer go."""
@@ -173,7 +177,6 @@ class Corrections(QObject):
     # ------------------------------------------------------------------------------------ mouse
 
     def _tool_chosen(self, tool: Tool | None) -> None:
-        self._first = None
         layer = self.layer if tool is not None else None
         self._listen(layer)
         if layer is not None:
@@ -186,6 +189,7 @@ class Corrections(QObject):
 
     def _listen(self, layer: Any) -> None:
         """To the mouse, and to Ctrl+Z on a layer; to nothing for None."""
+        self._first = None  # two clicks merge cells of one layer
         callbacks = self._viewer.mouse_drag_callbacks
         if self._callback in callbacks:
             callbacks.remove(self._callback)
@@ -247,8 +251,8 @@ class Corrections(QObject):
                 self.bar.say(str(error))
 
     def _start(self, wanted: _Wanted) -> None:
-        layer, frame = self.layer, self._image.frame()
-        if layer is None:
+        layer, frame = wanted.layer, self._image.frame()
+        if layer is None or layer not in self._layers():
             raise InputError("tick the Labels layer that is to be corrected")
         seeds = seeds_from_layer(layer, frame, (), spheres=False)
         assert isinstance(seeds, LabelSeeds)
@@ -256,7 +260,7 @@ class Corrections(QObject):
         step = made[-1].step + 1 if made else 0
         clicks = [replace(click, step=click.step + step) for click in wanted.clicks]
         work = partial(self._corrector_for(frame).corrected, seeds.labels, clicks)
-        self._asked = (layer, seeds.labels, replace(wanted, clicks=clicks))
+        self._asked = (layer.data, seeds.labels, replace(wanted, clicks=clicks))
         self.bar.say("working ...")
         self._background.ask(work)
 
@@ -271,12 +275,13 @@ class Corrections(QObject):
     def _show(self, labels: NDArray[np.int32]) -> None:
         if self._asked is None:
             return
-        (layer, before, wanted), self._asked = self._asked, None
-        if layer in self._viewer.layers and layer.data.shape == labels.shape:
+        (data, before, wanted), self._asked = self._asked, None
+        layer = wanted.layer
+        self.bar.explain()
+        if layer in self._viewer.layers and layer.data is data:  # not replaced meanwhile
             places = np.flatnonzero(labels != before)
             old = put(layer, places, labels.ravel()[places].astype(np.int64))
             note(layer, wanted.clicks, Before(len(wanted.clicks), places, old))
-            self.bar.explain()
             self.edited.emit()
         self.renew()
         self._next()
@@ -287,6 +292,18 @@ class Corrections(QObject):
         self.bar.say(_without_numbers(message) if plain else message)
         self.renew()
         self._next()
+
+
+def _can_be_corrected(layer: Any) -> bool:
+    return isinstance(layer, Labels) and layer.ndim == 3 and not layer.multiscale
+
+
+def _cells(labels: NDArray[Any]) -> int:
+    """How many labels there are, however large their numbers."""
+    if labels.max(initial=0) > labels.size:
+        return int((np.unique(labels) > 0).sum())
+    # Which is faster, but takes memory by the largest number.
+    return int((np.bincount(labels.ravel().clip(0).astype(np.intp))[1:] > 0).sum())
 
 
 def middle_on_ray(layer: Any, event: Any, frame: Frame) -> FloatArray | None:

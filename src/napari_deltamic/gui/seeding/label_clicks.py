@@ -72,6 +72,9 @@ def undo(layer: Any) -> None:
     """Undo the last correction; what was painted elsewhere since stays."""
     own = layer.metadata[OWN]
     *rest, last = own[_BEFORE]
+    if last.places.max(initial=-1) >= layer.data.size:
+        forget(layer)  # its array was replaced by another one
+        return
     put(layer, last.places, last.values)
     own[_BEFORE] = rest
     own[_CLICKS] = own[_CLICKS][: len(own[_CLICKS]) - last.clicks]

@@ -8,7 +8,7 @@ import numpy as np
 from napari.layers import Labels, Points
 
 from ...errors import InputError
-from ..viewing.frame import Frame, stack_of
+from ..viewing.frame import Frame, shape_of, stack_of
 from .preview import Problem, Wanted
 from .seed_checks import PointSet, Remark, all_remarks
 from .seeds import PointSeeds, Seeds, at_time, is_empty, mixed, seeds_from_layer
@@ -38,9 +38,7 @@ class SeedSources:
         """Of the 3D image; None where there is none that can be used: its panel says why."""
         if self._frame() is None:
             return None
-        layer = self._image.layer
-        data = layer.data[0] if layer.multiscale else layer.data
-        return tuple(data.shape[-3:])
+        return shape_of(self._image.layer)
 
     def preview(self) -> Wanted | None:
         """What a preview of the points is made of; None where there is nothing to show."""

@@ -15,7 +15,7 @@ from ...errors import InputError
 from ...inference.tracking import FrameResult, track
 from ...inference.tracking.settings import TrackRun
 from ...job import FitInput
-from ..background import BackgroundSteps
+from ..background import BackgroundRun, BackgroundSteps
 
 _INTERVAL = 0.15  # s between two reports of progress
 
@@ -86,7 +86,7 @@ class _Course:
     results: list[FrameResult] = field(default_factory=list)
 
 
-class TrackWork:
+class TrackWork(BackgroundRun):
     """One run of tracking. Made and used on the main thread.
 
     Parameters
@@ -111,15 +111,6 @@ class TrackWork:
         given = (prepare, list(done), self._course)
         self._thread = BackgroundSteps(_steps, given, self._show, self._finish, _failed)
 
-    def start(self) -> None:
-        """Start the thread."""
-        self._thread.start()
-
-    @property
-    def running(self) -> bool:
-        """Whether it has been neither closed nor ended."""
-        return self._thread.running
-
     @property
     def job(self) -> TrackJob | None:
         """What is tracked; None while it is prepared."""
@@ -134,14 +125,6 @@ class TrackWork:
     def seconds(self) -> float:
         """s; how long it has taken."""
         return self._course.seconds
-
-    def stop(self) -> None:
-        """End it after the present iteration; the frames that are done are kept."""
-        self._thread.stop()
-
-    def close(self) -> None:
-        """End it and call nobody any more."""
-        self._thread.close()
 
     def _show(self, report: Progress | FrameResult | None) -> None:
         if isinstance(report, Progress):

@@ -113,6 +113,12 @@ def stack_of(layer: Any, step: tuple[int, ...]) -> NDArray[Any]:
     return np.asarray(data)
 
 
+def shape_of(layer: Any) -> tuple[int, ...]:
+    """The shape of what ``stack_of`` gives, without reading it."""
+    data = layer.data[0] if getattr(layer, "multiscale", False) else layer.data
+    return tuple(data.shape[-3:])
+
+
 def _check_straight(layer: Any) -> None:
     rotate = np.asarray(layer.rotate, float)
     turned = not np.allclose(rotate, np.eye(len(rotate)), atol=1e-9)

@@ -220,9 +220,9 @@ class ViewerLink:
         )
         selected = set(self.viewer.layers.selection)
         self.viewer.add_layer(layer)
-        # Under the meshes, which it would hide.
-        index = self.viewer.layers.index(self.image_layer)
-        self.viewer.layers.move(len(self.viewer.layers) - 1, index + 1)
+        if self.image_layer in self.viewer.layers:  # under the meshes, which it would hide
+            index = self.viewer.layers.index(self.image_layer)
+            self.viewer.layers.move(len(self.viewer.layers) - 1, index + 1)
         self.viewer.layers.selection = selected
         return layer
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,23 @@ _PSF_CHANGE = 1e-2
 _CHANGE = 0.05  # of an effect's scale
 _MARGIN = 2.0  # widths that vertices may move before a renderer is planned anew
 _NARROWED = 0.95  # of the PSF: a narrower one has a wider band
+
+
+@dataclass(frozen=True)
+class _Planned:
+    """A renderer, and the widths (3,) um of the PSF that its band is for."""
+
+    renderer: Renderer
+    width: np.ndarray
+
+    def holds_for(self, scene: Scene) -> bool:
+        """Whether neither its mesh has moved too far nor its PSF become too narrow."""
+        wide = (np.asarray(scene.optics.width()) >= _NARROWED * self.width).all()
+        return bool(wide) and self.renderer.holds_for(scene.mesh.vertices_numpy())
+
+    def pads_enough_for(self, scene: Scene) -> bool:
+        """Whether no copy of the mesh is seen with its effects."""
+        return self.renderer.pads_enough_for(scene.effects, scene.optics)
 
 
 class ImageModel:
@@ -55,12 +72,11 @@ class ImageModel:
         self._plan_for(scene)
 
     def _plan_for(self, scene: Scene) -> None:
-        self._renderer = self._planned(scene)
-        self._band_of = np.asarray(scene.optics.width())
-        self._padded: dict[tuple[str, ...], Renderer] = {}
+        self._planned = self._plan(scene)
+        self._padded: dict[tuple[str, ...], _Planned] = {}
 
-    def _planned(self, scene: Scene) -> Renderer:
-        return Renderer(
+    def _plan(self, scene: Scene) -> _Planned:
+        renderer = Renderer(
             scene.mesh,
             self.grid,
             scene.optics,
@@ -69,24 +85,24 @@ class ImageModel:
             frame=self.frame,
             margin=_MARGIN * self._width,
         )
+        return _Planned(renderer, np.asarray(scene.optics.width()))
 
     @property
     def plan(self) -> Plan:
         """Of the images."""
-        return self._renderer.plan
+        return self._planned.renderer.plan
 
     def _renderer_for(self, scene: Scene) -> Renderer:
         """One plan for all scenes near each other, but for effects that need a wider padding."""
-        narrowed = np.asarray(scene.optics.width()) < _NARROWED * self._band_of
-        if narrowed.any() or not self._renderer.holds_for(scene.mesh.vertices_numpy()):
+        if not self._planned.holds_for(scene):
             self._plan_for(scene)
-        if self._renderer.pads_enough_for(scene.effects, scene.optics):
-            return self._renderer.with_effects(scene.effects)
+        if self._planned.pads_enough_for(scene):
+            return self._planned.renderer.with_effects(scene.effects)
         names = scene.effects.names
         held = self._padded.get(names)
-        if held is None or not held.pads_enough_for(scene.effects, scene.optics):
-            held = self._padded[names] = self._planned(scene)
-        return held.with_effects(scene.effects)
+        if held is None or not (held.holds_for(scene) and held.pads_enough_for(scene)):
+            held = self._padded[names] = self._plan(scene)
+        return held.renderer.with_effects(scene.effects)
 
     def _voxels(self, image: Tensor) -> np.ndarray:
         found: np.ndarray = image.reshape(-1)[self._index].to(torch.float64).numpy()

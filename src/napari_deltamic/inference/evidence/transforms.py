@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from ...fourier.cuda.kept import Kept
 from ...scene import Renderer
 from ...scene.effects import Effects, FaceEffect
 from ...scene.effects.object_side import ObjectSide, Surfaces, assembled
+from .scene import Scene
 
 _KEPT = 12  # parts; those of a scene and of its candidates are asked for again and again
 
@@ -24,11 +25,11 @@ class Transforms:
     """
 
     def __init__(self) -> None:
-        self._kept: OrderedDict[tuple[Any, ...], tuple[Tensor, Any]] = OrderedDict()
+        self._kept: Kept[tuple[Tensor, tuple[Any, ...]]] = Kept(_KEPT)
 
-    def of(self, renderer: Renderer, scene: Any) -> Tensor:
+    def of(self, renderer: Renderer, scene: Scene) -> Tensor:
         """As :meth:`napari_deltamic.scene.Renderer.transform` of the scene's mesh and density."""
-        effects: Effects = scene.effects
+        effects = scene.effects
         whose = renderer.plan, scene.mesh, scene.density
         on_faces = repr([e for e in effects.present() if isinstance(e, FaceEffect)])
 
@@ -62,11 +63,5 @@ class Transforms:
     def _part(
         self, whose: tuple[Any, ...], what: tuple[str, ...], make: Callable[[], Tensor]
     ) -> Tensor:
-        key = (*(id(w) for w in whose), *what)
-        if key not in self._kept:
-            # What it belongs to is kept too, lest its place be taken by another.
-            self._kept[key] = make(), whose
-            if len(self._kept) > _KEPT:
-                self._kept.popitem(last=False)
-        self._kept.move_to_end(key)
-        return self._kept[key][0]
+        # What it belongs to is kept too, lest its place be taken by another.
+        return self._kept.get((*map(id, whose), *what), lambda: (make(), whose))[0]
