@@ -11,6 +11,7 @@ from ..__main__ import measure
 from ..figure import Options, Row, default_data_folder
 from ..page import put_between, table
 from . import choice, optics, shape
+from .pictures import effects_picture
 from .real import real_table
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -51,6 +52,8 @@ def main(argv: Sequence[str]) -> int:
         print(f"{text}\n", flush=True)
         if given.write:
             put_between(PAGE, name, text)
+        if given.write and name == "shape":
+            effects_picture(PAGE.parent / "images" / "effects.png")
     return int(failed)
 
 

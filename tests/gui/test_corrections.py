@@ -358,3 +358,13 @@ def test_selecting_another_layer_starts_a_merge_anew(seeds, viewer, apart, scene
     spin(lambda: not corrections.busy)
     assert numbers(other) == [1, 2]
     assert "Control-Z" in {str(key).replace("Ctrl+", "Control-") for key in other.keymap}
+
+
+def test_labels_that_are_replaced_have_cells_of_another_size(seeds, joined, click, scene):
+    click("split", LEFT)
+    first = seeds.corrections._corrector
+    click("split", RIGHT)
+    assert seeds.corrections._corrector is first  # the membranes are looked at once
+    joined.data = (scene[1] > 0).astype(np.int32)
+    click("split", LEFT)
+    assert seeds.corrections._corrector is not first

@@ -70,6 +70,7 @@ class Corrections(QObject):
         self._asked: tuple[Any, NDArray[np.int32], _Wanted] | None = None
         self._corrector: Corrector | None = None
         self._corrector_of: tuple[Any, ...] = ()
+        self._corrector_data: Any = None
         self._bound: Any = None  # the layer that takes Ctrl+Z
         self._background = Background(self._show, self._fail)
         self._callback = self._pressed  # one object, so that it can be taken out again
@@ -259,17 +260,20 @@ class Corrections(QObject):
         made = clicks_of(layer)
         step = made[-1].step + 1 if made else 0
         clicks = [replace(click, step=click.step + step) for click in wanted.clicks]
-        work = partial(self._corrector_for(frame).corrected, seeds.labels, clicks)
+        work = partial(self._corrector_for(frame, layer.data).corrected, seeds.labels, clicks)
         self._asked = (layer.data, seeds.labels, replace(wanted, clicks=clicks))
         self.bar.say("working ...")
         self._background.ask(work)
 
-    def _corrector_for(self, frame: Frame) -> Corrector:
+    def _corrector_for(self, frame: Frame, data: Any) -> Corrector:
         step = tuple(self._viewer.dims.current_step[:-3])
         of = (self._image.layer, frame, step)
-        if self._corrector is None or of != self._corrector_of:
+        # Cells that were found anew have another size; clicks change an array in place.
+        anew = data is not self._corrector_data
+        if self._corrector is None or anew or of != self._corrector_of:
             pixels = self._image.stack()
             self._corrector, self._corrector_of = Corrector(pixels, frame.voxel_size), of
+            self._corrector_data = data
         return self._corrector
 
     def _show(self, labels: NDArray[np.int32]) -> None:
