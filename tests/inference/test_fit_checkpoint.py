@@ -25,14 +25,15 @@ def test_a_checkpoint_is_of_the_state_or_shortly_before(image, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("at", "settings"),
+    ("at", "settings", "within"),
     [
-        (33, FitSettings(levels=(2.0, 1.0))),
-        (55, FitSettings(levels=(1.5, 1.0), fit_psf=True)),
-        (55, FitSettings(levels=(1.5, 1.0), density="smooth")),
+        (33, FitSettings(levels=(2.0, 1.0)), 1e-6),
+        (55, FitSettings(levels=(1.5, 1.0), fit_psf=True), 1e-6),
+        # The plan is made anew at another iteration, in single precision: up to 6e-6 um apart.
+        (55, FitSettings(levels=(1.5, 1.0), density="smooth"), 1e-5),
     ],
 )
-def test_a_resumed_fit_ends_as_the_uninterrupted_one(image, tmp_path, at, settings):
+def test_a_resumed_fit_ends_as_the_uninterrupted_one(image, tmp_path, at, settings, within):
     optics = GaussianPSF(0.15)
     path = tmp_path / "checkpoint.npz"
     for state in fit(image, GRID, start(2), optics, settings=settings):
@@ -41,7 +42,7 @@ def test_a_resumed_fit_ends_as_the_uninterrupted_one(image, tmp_path, at, settin
     resumed = fitted(image, start(2), optics=optics, settings=settings, resume=path)
     assert resumed.iteration == state.iteration
     np.testing.assert_allclose(
-        resumed.mesh.vertices_numpy(), state.mesh.vertices_numpy(), rtol=0, atol=1e-5
+        resumed.mesh.vertices_numpy(), state.mesh.vertices_numpy(), rtol=0, atol=within
     )
 
 
