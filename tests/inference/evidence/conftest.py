@@ -16,5 +16,5 @@ def plain():
 @pytest.fixture(scope="session")
 def filled():
     """An image of a cell whose inside shines, and a fit without bulk."""
-    image = photons(Effects.of(Bulk(density=0.15)), seed=1, peak=60.0)
+    image = photons(Effects.of(Bulk(density=0.15)), seed=1)
     return image, fitted(image)

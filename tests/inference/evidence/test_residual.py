@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
-from evidence_scenes import CENTER, GRID, light
+from evidence_scenes import CENTER, GRID, fitted, light, photons
 from scipy.ndimage import gaussian_filter
 
 from napari_deltamic import Grid
 from napari_deltamic.errors import InputError
 from napari_deltamic.inference.evidence import analyse_residual
 from napari_deltamic.inference.evidence.residual import smoothed
+from napari_deltamic.scene.effects import Bulk, Effects
 
 
 def test_an_image_that_is_explained_leaves_noise(plain):
@@ -36,9 +37,10 @@ def test_a_spot_that_no_surface_explains_is_found_where_it_is(plain):
     assert brightest.region == 1
 
 
-def test_light_from_inside_is_left_unexplained(filled):
-    image, state = filled
-    found = analyse_residual(image, GRID, state)
+def test_light_from_inside_is_left_unexplained():
+    # Brighter than the other scenes: the cell is so small that 40 photons leave it at 4.3 of the 5.
+    image = photons(Effects.of(Bulk(density=0.15)), seed=1, peak=60.0)
+    found = analyse_residual(image, GRID, fitted(image))
     inside = tuple(int(c / d) for c, d in zip(CENTER, GRID.voxel_size, strict=True))
     assert found.map[inside] > 3
     assert found.cells[0].z > 5
