@@ -8,7 +8,7 @@ SIDE_BY_SIDE := -n auto --maxprocesses 4 --dist loadfile
 
 .PHONY: demo test test-slow stability clusters effects benchmark lint clean
 demo: $(STAMP)
-	$(BIN)/python -m napari_deltamic.demo
+	$(BIN)/napari-deltamic demo
 
 test: $(STAMP)
 	$(BIN)/ruff check src tests benchmarks

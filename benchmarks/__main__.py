@@ -24,7 +24,7 @@ from .page import HEADINGS, cells, table
 
 # Each exposes FIGURES: dict[str, Callable[[Options], list[Row]]].
 MODULES = ("engine", "rendering", "fits", "vesicles", "event_loop")
-LIBRARIES = ("napari-deltamic", "torch", "finufft", "numpy", "scipy")
+LIBRARIES = ("napari-deltamic", "torch", "numpy", "scipy")
 
 
 def find_figures() -> dict[str, Figure]:

@@ -148,19 +148,24 @@ def wavevectors(band: Band) -> NDArray[np.float64]:
     return index * np.asarray(band.spacing)
 
 
-def cow(options: Options, voxels: int = VOXELS) -> Mesh:
-    """The paper's cow, 5856 faces, over 70 % of the cube, in its middle.
+def target(data: Path, name: str, grid: Grid, length: float) -> Mesh:
+    """A mesh of the paper, ``length`` um long, in the middle of a grid.
 
     Raises MissingData where the mesh is not at hand.
     """
-    path = options.data / "meshes" / "cow.obj"
+    path = data / "meshes" / f"{name}.obj"
     if not path.is_file():
         raise MissingData(f"no {path.name} in {path.parent} (DELTAMIC_DATA names the folder)")
     mesh = load_mesh(path)
     v = mesh.vertices_numpy()
-    low, high = v.min(0), v.max(0)
-    v = (v - (low + high) / 2) * (0.7 * voxels / (high - low).max()) + (voxels - 1) / 2
-    return Mesh(v, mesh.faces)
+    v = v - (v.min(0) + v.max(0)) / 2
+    middle = np.mean(grid.extent, axis=0)
+    return mesh.with_vertices(v * length / np.ptp(v, axis=0).max() + middle)
+
+
+def cow(options: Options, voxels: int = VOXELS) -> Mesh:
+    """The paper's cow, 5856 faces, over 70 % of the cube of :func:`scene`, in its middle."""
+    return target(options.data, "cow", scene(voxels)[0], 0.7 * voxels)
 
 
 def small_sphere(voxels: int = VOXELS, radius: float = 14.0) -> Mesh:

@@ -6,27 +6,25 @@ import time
 
 import numpy as np
 
-from napari_deltamic import FitState, GaussianPSF, Grid, Mesh, fit, load_mesh, render
+from napari_deltamic import FitState, GaussianPSF, Grid, Mesh, fit, render
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure import surface_distance
 from napari_deltamic.settings import FitSettings
 
-from .figure import Figure, MissingData, Options, Row, at_most
+from .figure import Figure, Options, Row, at_most, target
 
 GRID = Grid((100, 100, 100), (1.0, 1.0, 1.0))
 SIGMA = 1.5
 BAR_DISTANCE, BAR_SECONDS = 0.05, 15.0
 
 
-def target(options: Options, name: str) -> Mesh:
-    """A mesh of the paper, 80 voxels long, in the middle of the grid."""
-    path = options.data / "meshes" / f"{name}.obj"
-    if not path.is_file():
-        raise MissingData(f"no {path.name} at {path.parent}")
-    mesh = load_mesh(path)
-    v = mesh.vertices_numpy()
-    v = v - (v.min(0) + v.max(0)) / 2
-    return mesh.with_vertices(v * 80 / np.ptp(v, axis=0).max() + 49.5)
+LENGTH = 80.0  # voxels, of the target
+RADIUS = 25.0  # voxels, of the sphere in the middle of the grid that is the start
+
+
+def begin() -> Mesh:
+    """The sphere."""
+    return sphere(np.mean(GRID.extent, axis=0), RADIUS, subdivisions=5)
 
 
 def follow(truth: Mesh, sigma: float, settings: FitSettings) -> tuple[FitState, float, float]:
@@ -35,11 +33,10 @@ def follow(truth: Mesh, sigma: float, settings: FitSettings) -> tuple[FitState, 
     The clock stands still while the distance to the truth is measured.
     """
     image = render(truth, GRID, GaussianPSF(SIGMA), 1e-5).float().numpy()
-    start = sphere((49.5, 49.5, 49.5), 25.0, subdivisions=5)
     seconds, reached = 0.0, float("nan")
     last = None
     began = time.perf_counter()
-    for state in fit(image, GRID, start, GaussianPSF(sigma), settings=settings):
+    for state in fit(image, GRID, begin(), GaussianPSF(sigma), settings=settings):
         seconds += time.perf_counter() - began
         last = state
         near_end = state.level >= state.levels - 1
@@ -53,7 +50,7 @@ def follow(truth: Mesh, sigma: float, settings: FitSettings) -> tuple[FitState, 
 
 def sphere_to(options: Options, name: str) -> list[Row]:
     """A sphere becomes the target."""
-    truth = target(options, name)
+    truth = target(options.data, name, GRID, LENGTH)
     last, seconds, reached = follow(truth, SIGMA, FitSettings())
     found = surface_distance(last.mesh, truth)
     note = f"{last.iteration} iterations; {last.message}; largest distance {found.max:.2f}"
@@ -71,7 +68,7 @@ def wrong_psf(options: Options) -> list[Row]:
     rows = []
     for factor in (1.5,) if options.quick else (1.5, 0.5):
         for name in ("cow",) if options.quick else ("cow", "fish"):
-            truth = target(options, name)
+            truth = target(options.data, name, GRID, LENGTH)
             last, seconds, _ = follow(truth, SIGMA * factor, FitSettings(fit_psf=True))
             worst = max(abs(s / SIGMA - 1) for s in last.optics.sigma_um)
             mean = surface_distance(last.mesh, truth).mean

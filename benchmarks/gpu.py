@@ -26,10 +26,10 @@ from napari_deltamic.fourier import Band
 from napari_deltamic.fourier.closed_form import band_ft
 from napari_deltamic.fourier.cuda import compiler, missing
 from napari_deltamic.fourier.cuda.build import SINGLE
-from napari_deltamic.fourier.cuda.points import cufinufft
 from napari_deltamic.geometry import sphere
 from napari_deltamic.inference.preconditioner import Preconditioner
 from napari_deltamic.measure import surface_distance
+from napari_deltamic.scene import Renderer
 from napari_deltamic.settings import FitSettings
 
 from .__main__ import as_table, measure
@@ -221,7 +221,7 @@ def _iteration(
     for _ in range(iterations - 1):
         next(states)
     each = (place.now() - begun) / (iterations - 1)
-    return each, "cufinufft" if cufinufft() else "closed form"
+    return each, Renderer(start, grid, optics, accuracy, device=place.device).plan.method
 
 
 def iterations(place: Place) -> list[Row]:

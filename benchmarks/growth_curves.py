@@ -21,7 +21,7 @@ from napari_deltamic.scene.tradeoff import duration
 from . import paper_scheme
 from .figure import NARROW, SIGMA, timed, wavevectors
 
-ACCURACY = 1e-3  # of the non-uniform way
+ACCURACY = 1e-3  # of the particle-mesh
 LONGEST = 12.0  # s: what takes longer is reckoned from a part of it
 PAPER_SAMPLE = 4_000_000  # pairs that the paper's scheme is timed on
 Draw = Callable[[str, Chart], str]  # writes a picture under a name; what shows it on the page
@@ -121,10 +121,10 @@ def closed(threshold: float) -> Callable[[Mesh, int], Point]:
     return way
 
 
-def nonuniform(mesh: Mesh, side: int) -> Point:
-    """The non-uniform way at the accuracy of the curves, value and gradient."""
+def particle_mesh(mesh: Mesh, side: int) -> Point:
+    """The particle-mesh at the accuracy of the curves, value and gradient."""
     grid, optics = Grid((side,) * 3, (1.0,) * 3), GaussianPSF(SIGMA)
-    renderer = Renderer(mesh, grid, optics, ACCURACY, method="non-uniform")
+    renderer = Renderer(mesh, grid, optics, ACCURACY, method="particle-mesh")
     v = torch.from_numpy(mesh.vertices_numpy().copy()).requires_grad_()
 
     def both() -> None:
@@ -138,7 +138,7 @@ WAYS: dict[str, Callable[[Mesh, int], Point]] = {
     "paper's scheme, |OTF| > 1 %": paper,
     "closed form, full grid": closed(0.0),
     "closed form, |OTF| > 1 %": closed(NARROW),
-    f"non-uniform, accuracy {short(ACCURACY)}": nonuniform,
+    f"particle-mesh, accuracy {short(ACCURACY)}": particle_mesh,
 }
 
 

@@ -50,7 +50,7 @@ def render_and_gradient(options: Options) -> list[Row]:
 
     whole, again, image = timed_together([once, both, forward], 3 * options.repeats)
     exact, how = (
-        render(Mesh(v, mesh.faces), grid, optics, 1e-8, method="non-uniform"),
+        render(Mesh(v, mesh.faces), grid, optics, 1e-8, method="particle-mesh"),
         "itself, 1e-8",
     )
     slow = torch.autograd.grad(exact, v, target.to(exact.dtype))[0]
@@ -77,7 +77,7 @@ def growth(options: Options) -> list[Row]:
     """Exponents: time over faces, time over voxels."""
     rows = []
     counts = [5_000 * 2**i for i in (range(0, 5, 2) if options.quick else range(6))]
-    for method, voxels in (("closed form", 48), ("non-uniform", 64)):
+    for method, voxels in (("closed form", 48), ("particle-mesh", 64)):
         faces, timings = [], []
         for count in counts:
             mesh = sphere_of(count, voxels, 0.3 * voxels)
@@ -94,7 +94,7 @@ def growth(options: Options) -> list[Row]:
     timings, work = [], []
     for side in sides:
         mesh = sphere_of(5_000, side, 20.0)
-        renderer = Renderer(mesh, *scene(side), 1e-3, method="non-uniform")
+        renderer = Renderer(mesh, *scene(side), 1e-3, method="particle-mesh")
         v = tensors(mesh)[0].requires_grad_()
         timings.append(timed(_one_rendering(renderer, v, scene(side)[1]), 3))
         work.append(side**3 * np.log2(side**3))

@@ -19,19 +19,18 @@ from statistics import median
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_deltamic import Change, FitState, GaussianPSF, Grid, Mesh, fit, load_mesh, render
+from napari_deltamic import Change, FitState, GaussianPSF, Grid, Mesh, fit, render
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure import surface_distance
 from napari_deltamic.settings import FitSettings
 
-from .figure import MissingData, default_data_folder
+from .figure import default_data_folder, target
 from .page import put_between
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "stability.md"
 PICTURE = "images/robustness.png"
 TARGETS = ("cow", "fish")
 GRID, SIGMA, LENGTH = Grid((48, 48, 48), (1.0, 1.0, 1.0)), 1.2, 30.0
-CENTER = np.full(3, 23.5)
 SCALES = (0.4, 0.6, 0.8, 1.0, 1.25, 1.6, 2.0)
 SHIFTS = (0.1, 0.2, 0.3, 0.4, 0.5)
 DIRECTIONS = ((0.0, 1.0, 0.0), (0.577, 0.577, -0.577))
@@ -70,19 +69,24 @@ class Trial:
     @property
     def succeeded(self) -> bool:
         """Whether the surface was found."""
-        bar = SUCCESS_IN_NOISE if self.experiment == "noise" else SUCCESS
-        return self.distance <= bar
+        return self.distance <= bar(self.experiment)
 
 
-def target(folder: Path, name: str) -> Mesh:
-    """A mesh of the paper, in the middle of the grid."""
-    path = folder / "meshes" / f"{name}.obj"
-    if not path.is_file():
-        raise MissingData(f"no {path.name} at {path.parent}")
-    mesh = load_mesh(path)
-    v = mesh.vertices_numpy()
-    v = v - (v.min(0) + v.max(0)) / 2
-    return mesh.with_vertices(v * LENGTH / np.ptp(v, axis=0).max() + CENTER)
+def bar(experiment: str) -> float:
+    """Voxels: a surface that ends within this mean distance of the truth was found."""
+    return SUCCESS_IN_NOISE if experiment == "noise" else SUCCESS
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a fit begins: the experiment, what is varied, image and truth."""
+
+    experiment: str
+    value: float
+    target: str
+    truth: Mesh
+    mesh: Mesh
+    image: NDArray[np.float32]
 
 
 def size(mesh: Mesh) -> tuple[NDArray[np.float64], float]:
@@ -94,45 +98,48 @@ def size(mesh: Mesh) -> tuple[NDArray[np.float64], float]:
     return center, float(np.sqrt(np.average(square, weights=areas)))
 
 
-def trials(folder: Path, names: Sequence[str], quick: bool) -> Iterable[Trial]:
-    """Every experiment with every method."""
+def starts(
+    folder: Path, names: Sequence[str], quick: bool = False, seed: int = 0
+) -> Iterable[Start]:
+    """Every experiment; the seed is of the noise."""
     for name in names:
-        truth = target(folder, name)
+        truth = target(folder, name, GRID, LENGTH)
         center, radius = size(truth)
         clean = render(truth, GRID, GaussianPSF(SIGMA), 1e-5).float().numpy()
         begin = sphere(center, 0.8 * radius, subdivisions=4)
         for scale in SCALES[::3] if quick else SCALES:
-            start = sphere(center, scale * radius, subdivisions=4)
-            yield from _both("scale", scale, name, truth, start, clean)
+            mesh = sphere(center, scale * radius, subdivisions=4)
+            yield Start("scale", scale, name, truth, mesh, clean)
         for shift in SHIFTS[1::3] if quick else SHIFTS:
             for direction in DIRECTIONS[:1] if quick else DIRECTIONS:
-                start = begin.translated(shift * LENGTH * np.asarray(direction))
-                yield from _both("shift", shift, name, truth, start, clean)
+                mesh = begin.translated(shift * LENGTH * np.asarray(direction))
+                yield Start("shift", shift, name, truth, mesh, clean)
         for peak in PEAKS[1::3] if quick else PEAKS:
-            noise = np.random.default_rng(int(peak)).normal(size=GRID.shape)
+            noise = np.random.default_rng(seed + int(peak)).normal(size=GRID.shape)
             image = clean + noise.astype(np.float32) * clean.max() / peak
-            yield from _both("noise", peak, name, truth, begin, image)
+            yield Start("noise", peak, name, truth, begin, image)
 
 
-def _both(
-    experiment: str,
-    value: float,
-    name: str,
-    truth: Mesh,
-    start: Mesh,
-    image: NDArray[np.float32],
-) -> Iterable[Trial]:
-    for method, settings in METHODS.items():
-        began = time.perf_counter()
-        distance, iterations = np.inf, 0
-        try:
-            last = _last(image, start, settings, 0 if settings.levels is None else PATIENCE)
-            iterations, message = last.iteration, last.message
-            distance = surface_distance(last.mesh, truth, samples=10000).mean
-        except Exception as error:  # a fit that breaks down is a result too
-            message = f"{type(error).__name__}: {error}"
-        seconds = time.perf_counter() - began
-        yield Trial(experiment, value, name, method, distance, iterations, seconds, message)
+def trials(folder: Path, names: Sequence[str], quick: bool) -> Iterable[Trial]:
+    """Every experiment with every method."""
+    for start in starts(folder, names, quick):
+        for method, settings in METHODS.items():
+            yield _tried(start, method, settings)
+
+
+def _tried(start: Start, method: str, settings: FitSettings) -> Trial:
+    began = time.perf_counter()
+    distance, iterations = np.inf, 0
+    try:
+        patience = 0 if settings.levels is None else PATIENCE
+        last = _last(start.image, start.mesh, settings, patience)
+        iterations, message = last.iteration, last.message
+        distance = surface_distance(last.mesh, start.truth, samples=10000).mean
+    except Exception as error:  # a fit that breaks down is a result too
+        message = f"{type(error).__name__}: {error}"
+    seconds = time.perf_counter() - began
+    what = start.experiment, start.value, start.target
+    return Trial(*what, method, distance, iterations, seconds, message)
 
 
 def _last(
@@ -204,8 +211,7 @@ def picture(found: Sequence[Trial], path: Path) -> None:
             middle = [median(min(t.distance, 30) for t in own if t.value == v) for v in values]
             axis.semilogy([place[v] for v in values], middle, "-", color=colour, label=method)
             axis.set_xticks(range(len(values)), [f"{v:g}" for v in values])
-        bar = SUCCESS_IN_NOISE if experiment == "noise" else SUCCESS
-        axis.axhline(bar, color="grey", lw=0.8, ls="--")
+        axis.axhline(bar(experiment), color="grey", lw=0.8, ls="--")
         axis.set_xlabel(title)
     axes[0].set_ylabel("mean surface distance, voxels")
     axes[0].legend(frameon=False)

@@ -170,7 +170,7 @@ def by_family() -> str:
 
 
 def hard_scenes() -> str:
-    """Errors of image and gradient of the non-uniform way, over the accuracy asked for."""
+    """Errors of image and gradient of the particle-mesh, over the accuracy asked for."""
     rows: list[Sequence[str]] = []
     for name in scenes.scenes():
         cells = []
@@ -187,7 +187,7 @@ def hard_scenes() -> str:
 def whole_gradients() -> str:
     """Gradients of the loss against finite differences."""
     rows: list[Sequence[str]] = []
-    for method, accuracy in (("closed form", 0.0), ("closed form", 1e-6), ("non-uniform", 1e-9)):
+    for method, accuracy in (("closed form", 0.0), ("closed form", 1e-6), ("particle-mesh", 1e-9)):
         for likelihood in ("poisson", "gaussian", "paper"):
             found = whole.gradient_errors(method, accuracy, likelihood)
             rows.append(
@@ -199,11 +199,11 @@ def whole_gradients() -> str:
 def long_fits(iterations: int) -> str:
     """Fits to noise."""
     rows: list[Sequence[str]] = []
-    for halving, seed in ((True, 0), (True, 1), (False, 0)):
-        found = whole.fit_to_noise(iterations, halving, seed)
+    for ends, seed in ((True, 0), (True, 1), (False, 0)):
+        found = whole.fit_to_noise(iterations, ends, seed)
         rows.append(
             [
-                f"step {'halved when the loss stays' if halving else 'kept'}, noise {seed}",
+                f"{'ends by itself' if ends else 'never ends'}, noise {seed}",
                 str(found.iterations),
                 "yes" if found.finite else "NO",
                 f"x{found.area:.2f}",
@@ -324,7 +324,7 @@ def main(argv: Sequence[str]) -> int:
         else:
             put_between(chosen.page, name, parts[name]())
     where = machine(None, False)
-    kept = ("date", "processor", "cores", "system", "torch", "finufft", "numpy")
+    kept = ("date", "processor", "cores", "system", "torch", "numpy")
     lines = "\n".join(f"- {key}: `{where[key]}`" for key in kept)
     if chosen.only is None:
         put_between(chosen.page, "machine", lines)

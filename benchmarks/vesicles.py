@@ -23,23 +23,16 @@ VOXEL_SIZE = (0.34, 0.133, 0.133)
 WORDS = ["--density", "smooth", "--fit-psf", "--overwrite"]
 
 
+def words(image: Path, centres: Path) -> list[str]:
+    """The command, but for where the results go."""
+    size = [str(d) for d in VOXEL_SIZE]
+    return ["fit", str(image), "--voxel-size", *size, "--seeds", str(centres), *WORDS]
+
+
 def run(image: Path, centres: Path, folder: Path) -> tuple[Mesh, float, dict]:
     """Mesh, seconds of the whole command, and its report."""
-    size = [str(d) for d in VOXEL_SIZE]
     started = time.perf_counter()
-    code = main(
-        [
-            "fit",
-            str(image),
-            "--voxel-size",
-            *size,
-            "--seeds",
-            str(centres),
-            *WORDS,
-            "-o",
-            str(folder),
-        ]
-    )
+    code = main([*words(image, centres), "-o", str(folder)])
     seconds = time.perf_counter() - started
     if code != 0:
         raise RuntimeError(f"the fit ended with code {code}")
@@ -80,11 +73,17 @@ def write(path: Path, points: np.ndarray) -> Path:
     return path
 
 
-def vesicles(options: Options) -> list[Row]:
-    """Distance to the membrane ridge, leaks, time, and the same from shifted centres."""
+def stack(options: Options) -> Path:
+    """The image; MissingData where it is not at hand."""
     path = options.data / "images" / "vesicles_GUV.tif"
     if not path.is_file():
         raise MissingData(f"no {path.name} at {path.parent}")
+    return path
+
+
+def vesicles(options: Options) -> list[Row]:
+    """Distance to the membrane ridge, leaks, time, and the same from shifted centres."""
+    path = stack(options)
     image = read_image(path)[0].astype(np.float32)
     points, _ = read_points_csv(CENTRES)
     with tempfile.TemporaryDirectory() as folder:

@@ -15,80 +15,21 @@
 #include <thread>
 #include <vector>
 
+#if defined(_MSC_VER) && (defined(_M_X64) || defined(_M_IX86))
+#include <intrin.h>
+#endif
+
 #include "mesh_ft.h"
+#include "particle_mesh_bindings.h"
+#include "simd_levels.h"
 
 namespace nb = nanobind;
 using namespace deltamic_api;
-
-#define DECLARE_LOOPS(name)                 \
-    namespace deltamic_##name {             \
-    extern const Loops<float> loops_f32;    \
-    extern const Loops<double> loops_f64;   \
-    }
-DECLARE_LOOPS(generic)
-#ifdef DELTAMIC_HAS_avx2
-DECLARE_LOOPS(avx2)
-#endif
-#ifdef DELTAMIC_HAS_avx512
-DECLARE_LOOPS(avx512)
-#endif
 
 namespace {
 
 template <class T>
 using Array = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
-
-struct Level {
-    std::string name;
-    const Loops<float>* f32;
-    const Loops<double>* f64;
-};
-
-#if defined(_MSC_VER) && (defined(_M_X64) || defined(_M_IX86))
-#include <intrin.h>
-bool cpu_has_avx2() {
-    int r[4];
-    __cpuid(r, 1);
-    const bool os = (r[2] & (1 << 27)) && (r[2] & (1 << 12));  // OSXSAVE, FMA
-    if (!os || (_xgetbv(0) & 6) != 6) return false;
-    __cpuidex(r, 7, 0);
-    return (r[1] & (1 << 5)) != 0;
-}
-#elif defined(__x86_64__)
-bool cpu_has_avx2() { return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma"); }
-#else
-bool cpu_has_avx2() { return false; }
-#endif
-
-// Instruction sets that this build has and this processor runs, slowest first.
-std::vector<Level> find_levels() {
-    std::vector<Level> v = {{"generic", &deltamic_generic::loops_f32, &deltamic_generic::loops_f64}};
-#ifdef DELTAMIC_HAS_avx2
-    if (cpu_has_avx2()) v.push_back({"avx2", &deltamic_avx2::loops_f32, &deltamic_avx2::loops_f64});
-#endif
-#ifdef DELTAMIC_HAS_avx512
-    if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
-        __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512bw"))
-        v.push_back({"avx512", &deltamic_avx512::loops_f32, &deltamic_avx512::loops_f64});
-#endif
-    return v;
-}
-
-const std::vector<Level>& levels() {
-    static const std::vector<Level> found = find_levels();
-    return found;
-}
-
-template <class T>
-const Loops<T>& loops(const std::string& name) {
-    for (const Level& l : levels()) {
-        if (l.name == name) {
-            if constexpr (sizeof(T) == 4) return *l.f32;
-            else return *l.f64;
-        }
-    }
-    throw std::invalid_argument("this processor or build has no instruction set '" + name + "'");
-}
 
 // ------------------------------------------------------------------------------------- geometry
 
@@ -231,7 +172,7 @@ void bind(nb::module_& m, const char* suffix) {
               std::vector<std::int32_t> columns;
               const Band band = band_of(rows, offset, spacing, columns);
               const Triangles tri = g.triangles(false);
-              const Loops<T>& l = loops<T>(simd);
+              const Loops<T>& l = loops_of<T>(simd);
               run(threads, [&](const Share& share) { l.band_forward(tri, band, out.data(), share); });
           });
     m.def(("band_backward_" + s).c_str(),
@@ -242,7 +183,7 @@ void bind(nb::module_& m, const char* suffix) {
               std::vector<std::int32_t> columns;
               const Band band = band_of(rows, offset, spacing, columns);
               const Triangles tri = g.triangles(true);
-              const Loops<T>& l = loops<T>(simd);
+              const Loops<T>& l = loops_of<T>(simd);
               std::vector<double> sums(tri.count * sums_per_triangle);
               run(threads, [&](const Share& share) { l.band_backward(tri, band, grad.data(), sums.data(), share); });
               scatter(g, sums, faces.data(), density.data(), grad_v.data(), grad_density.data());
@@ -252,7 +193,7 @@ void bind(nb::module_& m, const char* suffix) {
              Array<const double> xi, Array<T> out, int threads, const std::string& simd) {
               const Geometry g(v, faces, density);
               const Triangles tri = g.triangles(false);
-              const Loops<T>& l = loops<T>(simd);
+              const Loops<T>& l = loops_of<T>(simd);
               run(threads, [&](const Share& share) { l.list_forward(tri, xi.shape(0), xi.data(), out.data(), share); });
           });
     m.def(("list_backward_" + s).c_str(),
@@ -261,7 +202,7 @@ void bind(nb::module_& m, const char* suffix) {
              const std::string& simd) {
               const Geometry g(v, faces, density);
               const Triangles tri = g.triangles(true);
-              const Loops<T>& l = loops<T>(simd);
+              const Loops<T>& l = loops_of<T>(simd);
               std::vector<double> sums(tri.count * sums_per_triangle);
               run(threads, [&](const Share& share) {
                   l.list_backward(tri, xi.shape(0), xi.data(), grad.data(), sums.data(), share);
@@ -281,4 +222,6 @@ NB_MODULE(_mesh_ft, m) {
     }, "Instruction sets that this build has and this processor runs, slowest first.");
     bind<float>(m, "f32");
     bind<double>(m, "f64");
+    bind_particle_mesh(m);
+    bind_spectra(m);
 }

@@ -83,7 +83,7 @@ public:
     }
     void take_out(std::int32_t face) {
         const auto f = static_cast<std::size_t>(face);
-        if (!in_[f]) return;
+        if (f >= in_.size() || !in_[f]) return;
         in_[f] = 0;
         for_cells(box_[f], [&](std::size_t cell) {
             auto& own = cells_[cell];

@@ -61,6 +61,8 @@ protected:
         return edges > 0 ? 2 * std::sqrt(3.0) * norm(cross(u, v)) / edges : 0;
     }
 
+    bool is_sealed(std::int32_t a, std::int32_t b) const { return s_.fixed[a] == sealed && s_.fixed[b] == sealed; }
+
     // Faces of an edge, into shared_.
     void find_shared(std::int32_t a, std::int32_t b) {
         shared_.clear();
@@ -131,7 +133,10 @@ protected:
         for (std::size_t f = 0; f < s_.face.size(); ++f) renew(static_cast<std::int32_t>(f));
     }
     void renew(std::int32_t f) {
-        if (grid_) grid_->put(f, placed(f).box(near_ / 2));
+        if (!grid_) return;
+        const Face& c = s_.face[f];
+        if (s_.guard[c[0]] || s_.guard[c[1]] || s_.guard[c[2]]) grid_->put(f, placed(f).box(near_ / 2));
+        else grid_->take_out(f);
     }
 
     void forget(std::int32_t f) {
@@ -156,7 +161,7 @@ protected:
     }
     // The same if a and b both lie at p and the faces that have both are gone.
     bool stays_apart(std::int32_t a, std::int32_t b, Vec p) {
-        if (!grid_) return true;
+        if (!grid_ || (s_.guard[a] != guarded && s_.guard[b] != guarded)) return true;
         std::vector<Placed> planned;
         for (std::int32_t v : {a, b}) {
             for (std::int32_t f : faces_of_[v]) {
@@ -170,9 +175,10 @@ protected:
         return stays_apart(a, b, planned);
     }
 
-    // Whether two new faces cross none but those that they replace.
-    bool may_flip(std::int32_t f, std::int32_t g, const Placed& one, const Placed& other) const {
-        if (!grid_) return true;
+    // Whether two new faces cross none but those at the edge a, b that they replace.
+    bool may_flip(std::int32_t f, std::int32_t g, std::int32_t a, std::int32_t b, const Placed& one,
+                  const Placed& other) const {
+        if (!grid_ || (s_.guard[a] != guarded && s_.guard[b] != guarded)) return true;
         for (const Placed* planned : {&one, &other})
             if (grid_->any(planned->box(near_ / 2), [&](std::int32_t h) {
                     return h != f && h != g && planned->crosses(placed(h), near_);
@@ -191,12 +197,14 @@ protected:
             s_.position[n] = s_.position[v];
             s_.length[n] = s_.length[v];
             s_.fixed[n] = s_.fixed[v];
+            s_.origin[n] = s_.origin[v];
             for (std::size_t k = 0; k < s_.columns; ++k) s_.carried[n * s_.columns + k] = s_.carried[v * s_.columns + k];
             ++n;
         }
         s_.position.resize(n);
         s_.length.resize(n);
         s_.fixed.resize(n);
+        s_.origin.resize(n);
         s_.carried.resize(n * s_.columns);
         std::size_t m = 0;
         for (std::size_t f = 0; f < s_.face.size(); ++f) {

@@ -42,7 +42,8 @@ private:
     void split_all() {
         std::vector<Edge> found = edges([&](const Edge& e) { return e.length > too_long * wanted_length(e.a, e.b); });
         std::sort(found.begin(), found.end(), [](const Edge& p, const Edge& q) { return p.length > q.length; });
-        for (const Edge& e : found) split(e.a, e.b);
+        for (const Edge& e : found)
+            if (!is_sealed(e.a, e.b)) split(e.a, e.b);
     }
 
     void split(std::int32_t a, std::int32_t b) {
@@ -51,7 +52,9 @@ private:
         const auto m = static_cast<std::int32_t>(s_.position.size());
         s_.position.push_back(0.5 * (at(a) + at(b)));
         s_.length.push_back(wanted_length(a, b));
-        s_.fixed.push_back(s_.fixed[a] && s_.fixed[b]);
+        s_.fixed.push_back(s_.fixed[a] && s_.fixed[b] ? held : loose);
+        s_.origin.push_back(-1);
+        s_.guard.push_back(std::max(s_.guard[a], s_.guard[b]));
         for (std::size_t k = 0; k < s_.columns; ++k)
             s_.carried.push_back((s_.carried[a * s_.columns + k] + s_.carried[b * s_.columns + k]) / 2);
         alive_.push_back(1);
@@ -203,6 +206,7 @@ private:
     }
 
     void flip(std::int32_t a, std::int32_t b) {
+        if (is_sealed(a, b)) return;
         find_shared(a, b);
         if (is_junction()) return;
         std::int32_t f = shared_[0], g = shared_[1];
@@ -225,7 +229,7 @@ private:
         bool joined = false;
         for (std::int32_t h : faces_of_[c]) joined = joined || has(h, d);
         if (joined) return;
-        if (!may_flip(f, g, {{a, d, c}, {pa, pd, pc}}, {{d, b, c}, {pd, pb, pc}})) return;
+        if (!may_flip(f, g, a, b, {{a, d, c}, {pa, pd, pc}}, {{d, b, c}, {pd, pb, pc}})) return;
         s_.face[f] = {a, d, c};
         s_.face[g] = {d, b, c};
         drop(b, f);

@@ -22,10 +22,19 @@ struct Surface {
     std::vector<std::array<std::int32_t, 3>> face;    // vertices
     std::vector<std::array<std::int32_t, 2>> region;  // the two sides of each face
     std::vector<double> length;                       // wanted edge length at each vertex
-    std::vector<char> fixed;                          // vertices that neither move nor vanish
+    std::vector<char> fixed;                          // vertices that neither move nor vanish; see Fixed
     std::size_t columns = 0;                          // numbers that each vertex carries along
     std::vector<double> carried;                      // (V, columns)
+    std::vector<std::int32_t> origin;                 // the given vertex that each one is; -1: new
+    std::vector<char> guard;                          // how near each vertex is to what may cross
 };
+
+// Of Surface::fixed; edges between two sealed vertices stay as they are.
+enum Fixed : char { loose, held, sealed };
+
+// Of Surface::guard: nothing is looked at; faces are looked at where others change; changes are
+// looked at before they are made.
+enum Guarded : char { away, seen, guarded };
 
 struct Counts {
     std::int64_t splits = 0, collapses = 0, flips = 0;
@@ -33,8 +42,8 @@ struct Counts {
 
 // Each pass splits, collapses, flips and moves. Vertices and faces that are not used any more are
 // gone from the surface afterwards; regions are written larger number first.
-// apart: if above 0, no operation is done that makes an edge run through a face or come as near to
-// one; the surface must be free of such places before.
+// apart: if above 0, no operation at a guarded vertex is done that makes an edge run through a face
+// or come as near to one; the surface must be free of such places before.
 Counts remesh(Surface& surface, int passes, bool smooth, double apart);
 
 }  // namespace deltamic_remesh

@@ -3,7 +3,10 @@
 #include <nanobind/ndarray.h>
 
 #include <cstdint>
+#include <numeric>
 
+#include "bending.h"
+#include "connectivity.h"
 #include "proximity.h"
 #include "remesh.h"
 
@@ -25,7 +28,8 @@ nb::ndarray<nb::numpy, T> copied(const S* data, std::size_t rows, std::size_t co
 }
 
 Surface surface_of(Array<double> vertices, Array<std::int64_t> faces, Array<std::int64_t> regions,
-                   Array<double> length, Array<std::uint8_t> fixed, Array<double> carried) {
+                   Array<double> length, Array<std::uint8_t> fixed, Array<double> carried,
+                   Array<std::uint8_t> guard) {
     Surface s;
     const std::size_t n = vertices.shape(0), m = faces.shape(0);
     const double* v = vertices.data();
@@ -41,6 +45,9 @@ Surface surface_of(Array<double> vertices, Array<std::int64_t> faces, Array<std:
     s.fixed.assign(fixed.data(), fixed.data() + n);
     s.columns = carried.shape(1);
     s.carried.assign(carried.data(), carried.data() + n * s.columns);
+    s.guard.assign(guard.data(), guard.data() + n);
+    s.origin.resize(n);
+    std::iota(s.origin.begin(), s.origin.end(), 0);
     return s;
 }
 
@@ -64,9 +71,9 @@ std::vector<std::array<std::int32_t, n>> rows_of(Array<std::int64_t> numbers) {
 NB_MODULE(_remesh, m) {
     m.doc() = "The remesher and the guard against crossings; use napari_deltamic.geometry instead.";
     m.def("remesh", [](Array<double> vertices, Array<std::int64_t> faces, Array<std::int64_t> regions,
-                       Array<double> length, Array<std::uint8_t> fixed, Array<double> carried, int passes, bool smooth,
-                       double apart) {
-        Surface s = surface_of(vertices, faces, regions, length, fixed, carried);
+                       Array<double> length, Array<std::uint8_t> fixed, Array<double> carried,
+                       Array<std::uint8_t> guard, int passes, bool smooth, double apart) {
+        Surface s = surface_of(vertices, faces, regions, length, fixed, carried, guard);
         Counts c;
         {
             nb::gil_scoped_release others_may_run;
@@ -77,9 +84,10 @@ NB_MODULE(_remesh, m) {
             copied<double>(n ? &s.position.data()->z : nullptr, n, 3),
             copied<std::int64_t>(m ? s.face.data()->data() : nullptr, m, 3),
             copied<std::int64_t>(m ? s.region.data()->data() : nullptr, m, 2), copied<std::uint8_t>(s.fixed.data(), n, 1),
-            copied<double>(s.carried.data(), n, s.columns), nb::make_tuple(c.splits, c.collapses, c.flips));
+            copied<double>(s.carried.data(), n, s.columns), copied<std::int64_t>(s.origin.data(), n, 1),
+            nb::make_tuple(c.splits, c.collapses, c.flips));
     }, nb::arg("vertices"), nb::arg("faces"), nb::arg("regions"), nb::arg("length"), nb::arg("fixed"), nb::arg("carried"),
-          nb::arg("passes"), nb::arg("smooth"), nb::arg("apart") = 0.0);
+          nb::arg("guard"), nb::arg("passes"), nb::arg("smooth"), nb::arg("apart"));
     m.def("crossings", [](Array<double> vertices, Array<std::int64_t> edges, Array<std::int64_t> faces, double near) {
         const auto places = places_of(vertices);
         const auto lines = rows_of<2>(edges);
@@ -104,6 +112,20 @@ NB_MODULE(_remesh, m) {
         for (const Near& n : found) pairs.push_back({n.point, n.face}), points.push_back(n.place);
         return nb::make_tuple(copied<std::int64_t>(pairs.empty() ? nullptr : pairs.data()->data(), pairs.size(), 2),
                               copied<double>(points.empty() ? nullptr : &points.data()->z, points.size(), 3));
+    });
+    m.def("bending", [](Array<double> vertices, Array<std::int64_t> faces, Array<double> smooth) {
+        const std::int64_t n = static_cast<std::int64_t>(vertices.shape(0)), f = static_cast<std::int64_t>(faces.shape(0));
+        std::vector<double> gradient(3 * n);
+        double energy = 0;
+        {
+            nb::gil_scoped_release others_may_run;
+            energy = deltamic_bending::bending(vertices.data(), n, faces.data(), f, smooth.data(), gradient.data());
+        }
+        return nb::make_tuple(energy, copied<double>(gradient.data(), n, 3));
+    });
+    m.def("region_pieces", [](Array<std::int64_t> face_edges, Array<std::int64_t> regions, std::size_t edges) {
+        const auto pieces = region_pieces(rows_of<3>(face_edges), rows_of<2>(regions), edges);
+        return copied<std::int64_t>(pieces.data(), pieces.size() / 2, 2);
     });
     nb::class_<Guard>(m, "Guard")
         .def("__init__",

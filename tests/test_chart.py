@@ -110,8 +110,8 @@ WAYS = with_front(
             memory=3_000_000, reference=True),
         Way("closed form", 1e-2, "", "float32", forward=1, gradient=2, error=1e-3,
             gradient_error=1e-2),
-        Way("non-uniform", 1e-2, "degree 2", "float32", accuracy=1e-2, forward=0.01, gradient=0.02,
-            error=2e-3, gradient_error=3e-2, in_use=True),
+        Way("particle-mesh", 1e-2, "degree 2", "float32", accuracy=1e-2, forward=0.01,
+            gradient=0.02, error=2e-3, gradient_error=3e-2, in_use=True),
         Way("closed form", 1e-4, "", "float64", note="not measured: about 2 h"),
     ]
 )  # fmt: skip

@@ -5,11 +5,12 @@ import json
 import pytest
 
 from napari_deltamic import demo
+from napari_deltamic.cli import demonstrating, main
 from napari_deltamic.settings import RunSettings
 
 
 def test_it_fits_writes_and_says_how_good(tmp_path, capsys):
-    assert demo.main(["--headless", "-o", str(tmp_path)]) == 0
+    assert main(["demo", "--headless", "-o", str(tmp_path)]) == 0
     out = capsys.readouterr().out
     assert "converged" in out
     assert str(tmp_path) in out
@@ -30,3 +31,31 @@ def test_it_opens_a_window_only_where_there_is_a_display(monkeypatch):
     assert not demo.has_display()
     monkeypatch.setenv("DISPLAY", ":0")
     assert demo.has_display()
+
+
+@pytest.fixture
+def shown(monkeypatch):
+    """Which of the two ways a demonstration takes."""
+    found = []
+    monkeypatch.setattr(demonstrating, "dividing_cell_sample", lambda: None)
+    monkeypatch.setattr(demonstrating, "has_display", lambda: True)
+    monkeypatch.setattr(demonstrating, "run_headless", lambda sample, folder: found.append(folder))
+    return found
+
+
+def test_without_napari_it_says_so_and_writes(shown, monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr(demonstrating, "find_spec", lambda name: None)
+    assert main(["demo", "-o", str(tmp_path)]) == 0
+    assert shown == [tmp_path]
+    assert "napari is not installed" in capsys.readouterr().err
+
+
+def test_it_keeps_results_that_are_not_its_own(shown, monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    for folder in ("mine", "demo-output"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "report.json").write_text("precious")
+    assert main(["demo", "--headless", "-o", "mine"]) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert main(["demo", "--headless"]) == 0
+    assert [folder.name for folder in shown] == ["demo-output"]

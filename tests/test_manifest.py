@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import napari_deltamic
+from napari_deltamic.choices import MESH_FILES
 
 MANIFEST = Path(napari_deltamic.__file__).with_name("napari.yaml")
 npe2 = pytest.importorskip("npe2")
@@ -65,7 +66,28 @@ def test_menus_are_some_that_plugins_may_add_to(manifest):
 
 def test_a_session_can_be_dropped_into_napari(manifest):
     patterns = {p for reader in manifest.contributions.readers for p in reader.filename_patterns}
-    assert {"*.deltamic", "*.ply", "*.stl", "*.rec"} <= patterns
+    assert "*.deltamic" in patterns
+    assert patterns - {"*.deltamic"} == {f"*{suffix}" for suffix in MESH_FILES}
+
+
+def test_every_mesh_file_can_be_written(manifest):
+    assert set(manifest.contributions.writers[0].filename_extensions) == set(MESH_FILES)
+
+
+@pytest.fixture(scope="module")
+def layer():
+    layers = pytest.importorskip("napari.layers")
+    return layers.Layer.create
+
+
+def test_every_sample_has_axes_and_units(manifest, layer):
+    commands = {c.id: c.python_name for c in manifest.contributions.commands}
+    for sample in manifest.contributions.sample_data:
+        make = npe2.manifest.utils.import_python_name(commands[sample.command])
+        for made in map(layer, *zip(*make(), strict=True)):
+            assert made.axis_labels == ("z", "y", "x"), sample.key
+            assert {str(unit) for unit in made.units} == {"micrometer"}
+            assert made.name
 
 
 def test_the_root_of_the_repository_shows_the_same_manifest():

@@ -28,7 +28,7 @@ def round_trip(run, folder):
     [
         {},
         {"levels": (3.5, 1.0), "smoothing": 0.0, "density": "smooth", "fit_psf": True},
-        {"accuracy": 0, "tolerance": 1e-12, "step": 1e300, "likelihood": "paper"},
+        {"accuracy": 0, "tolerance": 1e-12, "bending": 1e300, "likelihood": "paper"},
     ],
 )
 def test_toml_round_trip(tmp_path, fit):
@@ -103,7 +103,7 @@ def test_refuses_in_one_line(tmp_path, text, message):
     refused(tmp_path, text, message)
 
 
-@pytest.mark.parametrize("name", ["step", "reach", "tolerance", "smoothing"])
+@pytest.mark.parametrize("name", ["bending", "reach", "tolerance", "smoothing"])
 @pytest.mark.parametrize("value", [-1, float("nan"), float("inf")])
 def test_numbers_of_the_fit_are_positive_and_finite(name, value):
     with pytest.raises(InputError, match=name):

@@ -38,12 +38,12 @@ BAR_DISTANCE, BAR_SECONDS = 0.5, 180.0
 
 def embryo(options: Options) -> list[Row]:
     """Cells matched, distance to the membranes, time, and the same for LimeSeg's meshes."""
-    image, others = _stack(options), _limeseg(options)
+    image, others = stack(options), limeseg(options)
     grid = Grid(image.shape, VOXEL_SIZE)
-    found = find_cells(image, VOXEL_SIZE, CELL)
+    found = cells(image)
     clicks = read_clicks_csv(CLICKS)
-    labels = correct_labels(image, VOXEL_SIZE, found, clicks)
-    theirs = _as_labels(others, grid)
+    labels = corrected(image, found)
+    theirs = as_labels(others, grid)
     rows = [
         Row("embryo, cells found", "", matched(found, theirs), f"of {len(others)}", None),
         at_most("embryo, clicks", MOST_CLICKS, len(clicks), ""),
@@ -119,21 +119,35 @@ def _distance(name: str, mesh: Mesh, image: NDArray, bar: float | None) -> Row:
     return at_most(figure, bar, mean, "voxel", note)
 
 
-def _stack(options: Options) -> NDArray[np.float32]:
+def cells(image: NDArray[np.float32]) -> NDArray[np.int32]:
+    """Labels of the cells as they are found."""
+    return find_cells(image, VOXEL_SIZE, CELL)
+
+
+def corrected(image: NDArray[np.float32], found: NDArray[np.int32]) -> NDArray[np.int32]:
+    """The cells found, corrected by the clicks."""
+    labels: NDArray[np.int32] = correct_labels(image, VOXEL_SIZE, found, read_clicks_csv(CLICKS))
+    return labels
+
+
+def stack(options: Options) -> NDArray[np.float32]:
+    """The image; MissingData where it is not at hand."""
     path = options.data / "images" / "celegans_tp33half_bgsub.tif"
     if not path.is_file():
         raise MissingData(f"no {path.name} at {path.parent}")
     return read_image(path)[0].astype(np.float32)
 
 
-def _limeseg(options: Options) -> list[Mesh]:
+def limeseg(options: Options) -> list[Mesh]:
+    """Its meshes; MissingData where they are not at hand."""
     paths = sorted((options.data / "images" / "celegans_meshes_T19").glob("*.ply"))
     if not paths:
         raise MissingData(f"no celegans_meshes_T19 at {options.data / 'images'}")
     return [load_mesh(path) for path in paths]
 
 
-def _as_labels(meshes: list[Mesh], grid: Grid) -> NDArray[np.int32]:
+def as_labels(meshes: list[Mesh], grid: Grid) -> NDArray[np.int32]:
+    """Their voxels, k for the k-th mesh."""
     labels = np.zeros(grid.shape, np.int32)
     for number, mesh in enumerate(meshes, 1):
         labels[voxel_labels(mesh, grid.shape, grid.voxel_size) > 0] = number

@@ -15,6 +15,7 @@ from napari_deltamic.measure import surface_distance
 from napari_deltamic.picture import picture
 from napari_deltamic.settings import FitSettings
 
+from ..contacts import wall_areas
 from ..figure import Figure, Options, Row, at_least, at_most
 
 CELLS = (4, 8, 16, 32)
@@ -62,11 +63,6 @@ def clump(cells: int, side: int, seed: int) -> NDArray[np.float64]:
     return np.asarray(centers - centers.mean(0) + (side - 1) / 2)
 
 
-def contacts(mesh: Mesh) -> set[tuple[int, int]]:
-    """Pairs of regions that share a wall."""
-    return {(int(a), int(b)) for a, b in mesh.interfaces()[0]}
-
-
 def foam_rows(cells: int, options: Options) -> list[Row]:
     """Cells found, error of the surface, contacts and overlap."""
     known = scene(cells)
@@ -86,14 +82,9 @@ def foam_rows(cells: int, options: Options) -> list[Row]:
         2 * ((here == k) & (there == k)).sum() / ((here == k).sum() + (there == k).sum())
         for k in names
     ]
-    missing, extra = (
-        contacts(known.truth) - contacts(found),
-        contacts(found) - contacts(known.truth),
-    )
+    areas, own = wall_areas(known.truth), wall_areas(found)
+    missing, extra = areas.keys() - own.keys(), own.keys() - areas.keys()
     name, note = f"foam of {cells}", f"{last.iteration} iterations, {seconds:.0f} s; {last.message}"
-    areas = dict(
-        zip(map(tuple, known.truth.interfaces()[0].tolist()), _areas(known.truth), strict=True)
-    )
     small = ", ".join(f"{areas[pair]:.0f}" for pair in sorted(missing)) or "none"
     return [
         at_least(f"{name}, cells found", cells, int((np.array(dice) > 0.5).sum()), ""),
@@ -113,10 +104,6 @@ def foam_rows(cells: int, options: Options) -> list[Row]:
         ),
         at_least(f"{name}, mean Dice", 0.98, float(np.mean(dice)), "", f"least {np.min(dice):.4f}"),
     ]
-
-
-def _areas(mesh: Mesh) -> NDArray[np.float64]:
-    return np.bincount(mesh.interfaces()[1], mesh.areas())
 
 
 def foams(options: Options) -> list[Row]:

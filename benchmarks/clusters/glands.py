@@ -62,14 +62,20 @@ def eroded(labels: NDArray) -> NDArray:
     return result
 
 
-def gland(options: Options, name: str) -> list[Row]:
-    """Error of seeds, of a watershed from them, and of the fit."""
-    image, truth = _stack(options, name)
+def seeded(image: NDArray, truth: NDArray) -> tuple[NDArray, NDArray]:
+    """Eroded labels, and what a watershed from them finds."""
     seeds = eroded(truth)
     outside = ndimage.distance_transform_edt(truth == 0, VOXEL_SIZE) > ERODED * VOXEL_SIZE[1]
     markers = np.where(outside, truth.max() + 1, seeds)
     flooded = watershed(ndimage.gaussian_filter(image, 0.7), markers)
     flooded[flooded == truth.max() + 1] = 0
+    return seeds, flooded
+
+
+def gland(options: Options, name: str) -> list[Row]:
+    """Error of seeds, of a watershed from them, and of the fit."""
+    image, truth = stack(options, name)
+    seeds, flooded = seeded(image, truth)
     grid = Grid(image.shape, VOXEL_SIZE)
     # Seeds two voxels inside thin cells are nearer to a neighbour's membrane than to their own:
     # the fit starts where they have grown to.
@@ -92,7 +98,8 @@ def gland(options: Options, name: str) -> list[Row]:
     return [*rows, at_most(f"{name}, fit, boundary error", bar, error, "um", note)]
 
 
-def _stack(options: Options, name: str) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+def stack(options: Options, name: str) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Image and labels, numbered from 1; MissingData where they are not at hand."""
     folder = options.data / "images"
     paths = folder / f"{name}.tif", folder / f"{name}_labels.tif"
     for path in paths:

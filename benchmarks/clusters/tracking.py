@@ -6,6 +6,7 @@ Six cells; their truth is a power diagram, so that every frame's regions and con
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +19,7 @@ from napari_deltamic.geometry.labels.voxels import voxel_labels
 from napari_deltamic.inference.tracking import track
 from napari_deltamic.measure import surface_distance
 
+from ..contacts import SEEN, contact_errors, contacts
 from ..figure import Figure, Options, Row, at_least, at_most
 
 VOXEL = 0.25  # um
@@ -26,7 +28,6 @@ OPTICS = GaussianPSF(1.3 * VOXEL)
 FRAMES, PHOTONS, BACKGROUND = 10, 40.0, 2.0
 DIVIDES_AT, MOTHER = 6, 6  # frame; cell
 _EDGE = 2.0 * VOXEL
-_REAL = 10.0  # voxel areas: a smaller contact is none that an image could tell
 BAR_DISTANCE = 0.15  # voxel
 
 
@@ -99,25 +100,20 @@ def matched(mesh: Mesh, truth: TrueFrame) -> dict[int, int]:
     }
 
 
-def contacts(mesh: Mesh, names: dict[int, int]) -> dict[tuple[int, int], float]:
-    """Area of the wall of each pair of cells, in voxel areas."""
-    pairs, index = mesh.interfaces()
-    areas = np.bincount(index, mesh.areas(), len(pairs)) / VOXEL**2
+def named_contacts(mesh: Mesh, names: dict[int, int]) -> dict[tuple[int, int], float]:
+    """Area of the wall of each pair of cells, um^2."""
     found: dict[tuple[int, int], float] = {}
-    for (a, b), area in zip(pairs.tolist(), areas, strict=True):
-        if a and b:
-            one, other = sorted((names.get(a, -a), names.get(b, -b)))
-            found[one, other] = found.get((one, other), 0.0) + float(area)
+    for (a, b), area in contacts(mesh).items():
+        one, other = sorted((names.get(a, -a), names.get(b, -b)))
+        found[one, other] = found.get((one, other), 0.0) + area
     return found
 
 
 def wrong_contacts(mesh: Mesh, names: dict[int, int], truth: TrueFrame) -> int:
     """Contacts that are lost or made up; those too small to be seen do not count."""
-    own = contacts(mesh, names)
-    true = contacts(truth.mesh, dict(enumerate(truth.cells, 1)))
-    lost = [pair for pair, area in true.items() if area > _REAL and own.get(pair, 0) == 0]
-    made_up = [pair for pair, area in own.items() if area > _REAL and true.get(pair, 0) == 0]
-    return len(lost) + len(made_up)
+    own = named_contacts(mesh, names)
+    true = named_contacts(truth.mesh, dict(enumerate(truth.cells, 1)))
+    return contact_errors(own, true, SEEN * VOXEL**2).wrong
 
 
 @dataclass
@@ -129,7 +125,6 @@ class Course:
     wrong: list[int]  # contacts
     divided_at: int | None
     seconds: float
-    results: list[Any]
 
 
 def follow(frames: list[TrueFrame], **options: Any) -> Course:
@@ -141,7 +136,12 @@ def follow(frames: list[TrueFrame], **options: Any) -> Course:
         if state.done is not None:
             results.append(state.done)
     seconds = time.perf_counter() - began
-    course = Course([], [], [], None, seconds, results)
+    return judged(frames, results, seconds)
+
+
+def judged(frames: list[TrueFrame], results: Sequence[Any], seconds: float) -> Course:
+    """What came of each frame: results have a frame, a mesh or None, and events."""
+    course = Course([], [], [], None, seconds)
     names = {cell: cell for cell in range(1, MOTHER + 1)}
     for truth, result in zip(frames, results, strict=True):
         if result.mesh is None:
@@ -160,7 +160,7 @@ def follow(frames: list[TrueFrame], **options: Any) -> Course:
 
 
 def _name_daughters(
-    names: dict[int, int], found: dict[int, int], results: list[Any], frame: int
+    names: dict[int, int], found: dict[int, int], results: Sequence[Any], frame: int
 ) -> None:
     """The daughters get the numbers of those that they lie on, at their birth and for good."""
     for event in results[frame].events:

@@ -234,7 +234,7 @@ def _without_noise(scene: Simulated) -> np.ndarray:
 # ------------------------------------------------------------------------------------- figures
 
 
-def _grouped(names: Iterable[str]) -> set[str]:
+def grouped(names: Iterable[str]) -> set[str]:
     return {GROUPS.get(n, n) for n in names}
 
 
@@ -242,9 +242,9 @@ def rows(scenes: Sequence[dict[str, Any]]) -> list[Row]:
     """The figures of the scenes measured."""
     matter = found = absent = alarms = 0
     for s in scenes:
-        true, told = _grouped(s["true"]), _grouped(s["recommended"])
-        every = _grouped(e[0] for e in s["evidence"])
-        heavy = _grouped(n for n, b in s["bias"].items() if b > MATTERS)
+        true, told = grouped(s["true"]), grouped(s["recommended"])
+        every = grouped(e[0] for e in s["evidence"])
+        heavy = grouped(n for n, b in s["bias"].items() if b > MATTERS)
         matter += len(heavy)
         found += len(heavy & told)
         absent += len(every - true)
@@ -280,9 +280,9 @@ def by_effect(scenes: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     names = sorted({GROUPS.get(e[0], e[0]) for s in scenes for e in s["evidence"]})
     table = []
     for name in names:
-        has = [s for s in scenes if name in _grouped(s["true"])]
-        heavy = [s for s in has if name in _grouped(n for n, b in s["bias"].items() if b > MATTERS)]
-        told = [s for s in scenes if name in _grouped(s["recommended"])]
+        has = [s for s in scenes if name in grouped(s["true"])]
+        heavy = [s for s in has if name in grouped(n for n, b in s["bias"].items() if b > MATTERS)]
+        told = [s for s in scenes if name in grouped(s["recommended"])]
         table.append(
             {
                 "effect": name,

@@ -8,9 +8,10 @@ from typing import Any
 
 from napari.utils.notifications import show_info, show_warning
 
+from .choices import MESH_FILES
 from .gui.results.session_layers import image_layer, mesh_layer, seed_layer
 from .gui.viewing.frame import ORIGIN, OWN, Frame
-from .gui.viewing.mesh_layer import SUFFIXES, load_meshes, surface_layer
+from .gui.viewing.mesh_layer import load_meshes, surface_layer
 from .session_file import EXTENSION, load_session
 
 LayerData = tuple[Any, dict[str, Any], str]
@@ -22,7 +23,7 @@ def get_reader(path: str | Sequence[str]) -> Callable[..., list[LayerData]] | No
     kinds = {Path(p).suffix.lower() for p in _paths(path)}
     if kinds == {EXTENSION}:
         return read_sessions
-    return read_meshes if kinds and kinds <= set(SUFFIXES) else None
+    return read_meshes if kinds and kinds <= set(MESH_FILES) else None
 
 
 def read_meshes(path: str | Sequence[str]) -> list[LayerData]:

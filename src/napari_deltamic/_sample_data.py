@@ -103,6 +103,7 @@ def _layers(sample: Sample) -> list[LayerData]:
         "name": sample.name,
         "scale": sample.grid.voxel_size,
         "units": ("um",) * 3,
+        "axis_labels": ("z", "y", "x"),
     }
     return [(sample.image, options, "image")]
 

@@ -1,8 +1,8 @@
-"""How idle threads wait; must be imported before torch and FINUFFT.
+"""How idle threads wait; must be imported before torch.
 
-Each brings an OpenMP runtime of its own, whose idle threads by default spin and so keep the cores
-from the other's: measured 3 to 10 times slower while another program runs. An environment that sets
-OMP_WAIT_POLICY itself is left alone.
+Those of torch's OpenMP by default spin, and so keep the cores from our own loops: measured 3 to 10
+times slower while another program runs. An environment that sets OMP_WAIT_POLICY itself is left
+alone.
 """
 
 import os

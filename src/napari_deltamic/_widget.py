@@ -18,6 +18,7 @@ from .gui.effects.effects_check import EffectsCheck
 from .gui.panels.image_panel import ImagePanel
 from .gui.panels.preferences import read_preferences
 from .gui.panels.settings_panel import SettingsPanel
+from .gui.plain import unwrapped
 from .gui.results.command_copy import CommandCopy, Wanted
 from .gui.results.results_panel import ResultsPanel
 from .gui.results.selection import ClickSelection
@@ -57,7 +58,7 @@ class FitWidget(QWidget):
 
     def __init__(self, napari_viewer: Any, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        viewer = napari_viewer  # napari knows the parameter by this name
+        viewer = unwrapped(napari_viewer)  # napari knows the parameter by this name
         self._docked = False
         self.image = ImagePanel(viewer, self)
         self.seeds = SeedsPanel(viewer, self.image, self)
@@ -95,6 +96,7 @@ class FitWidget(QWidget):
         self.running.copy_command.connect(self._copy_command)
         self.control.shown.connect(self._show_psf)
         self.control.ended.connect(self._show_last_psf)
+        self.image.changed.connect(self._show_own_psf)
         self.results.cell_chosen.connect(self._go_to)
         self.results.cells_chosen.connect(self._highlight)
         self.results.remarked.connect(_warn)
@@ -150,6 +152,11 @@ class FitWidget(QWidget):
         present = self.control.present()
         if present is not None:
             self.settings.optics.picture.show_optics(present.state.optics)
+
+    def _show_own_psf(self) -> None:
+        link = self._live.link
+        if link is not None and link.image_layer is not self.image.layer:
+            self.settings.optics.show_own()
 
     def _go_to(self, center: tuple[float, float, float]) -> None:
         if self._live.link is not None:

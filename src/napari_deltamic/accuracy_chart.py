@@ -80,8 +80,8 @@ def ways_chart(ways: Sequence[Way], title: str) -> Chart:
     groups = {
         "closed form, float64": (0, "square"),
         "closed form, float32": (4, "square"),
-        "non-uniform, one rule, float64": (1, "triangle"),
-        "non-uniform, one rule, float32": (6, "triangle"),
+        "particle-mesh, one rule, float64": (1, "triangle"),
+        "particle-mesh, one rule, float32": (6, "triangle"),
         "as planned for an accuracy": (2, "circle"),
     }
     series = []
@@ -110,7 +110,7 @@ def ways_chart(ways: Sequence[Way], title: str) -> Chart:
 def _group(way: Way) -> str:
     if way.accuracy:
         return "as planned for an accuracy"
-    rule = ", one rule" if way.method == "non-uniform" else ""
+    rule = ", one rule" if way.method == "particle-mesh" else ""
     return f"{way.method}{rule}, {way.precision}"
 
 

@@ -1,19 +1,13 @@
-"""A demonstration: fits a dividing cell whose true surface is known.
-
-With a display it opens napari and shows the fit as it runs; without one, or with ``--headless``, it
-writes the results and says how far they are from the truth.
-"""
+"""A demonstration: a dividing cell whose true surface is known, and the fit of it."""
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
-from ._sample_data import Sample, dividing_cell_sample
+from ._sample_data import Sample
 from .geometry import Mesh, save_mesh, sphere
 from .geometry.files import write_atomically
 from .images import write_image
@@ -23,25 +17,8 @@ from .optics import GaussianPSF
 from .report import History, make_folder, write_results
 from .settings import FitSettings, RunSettings, SceneSettings
 
-OUTPUT = "demo-output"
 START_RADIUS = 2.6  # um
 SIGMA_ERROR = 1.3  # the fit starts with a PSF that is this many times too wide, and mends it
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the demonstration; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m napari_deltamic.demo", description=__doc__)
-    parser.add_argument("--headless", action="store_true", help="open no window, write files")
-    parser.add_argument("-o", "--output", default=OUTPUT, metavar="DIR", help="where to write them")
-    arguments = parser.parse_args(argv)
-    sample = dividing_cell_sample()
-    if arguments.headless or not has_display():
-        run_headless(sample, Path(arguments.output))
-        return 0
-    from .gui.live_demo import show  # needs Qt and napari, which the rest does without
-
-    show(sample, start_mesh(sample), demo_settings(sample))
-    return 0
 
 
 def has_display() -> bool:
@@ -57,7 +34,7 @@ def start_mesh(sample: Sample) -> Mesh:
     return Mesh.merge([sphere(center, START_RADIUS, edge_length=edge) for center in sample.centers])
 
 
-def demo_settings(sample: Sample, folder: Path = Path(OUTPUT)) -> RunSettings:
+def demo_settings(sample: Sample, folder: Path) -> RunSettings:
     """The run that the demonstration shows, with the files that it would read."""
     z, y, x = (SIGMA_ERROR * s for s in sample.optics.sigma_um)
     return RunSettings(
@@ -106,7 +83,3 @@ def summary(sample: Sample, state: FitState, seconds: float) -> list[str]:
         f"{distance.p95 / voxel:.3f} at 95 % ({voxel:g} um voxels)",
         f"PSF widths: {psf[0]} um (Z Y X); the truth is {psf[1]}",
     ]
-
-
-if __name__ == "__main__":
-    sys.exit(main())

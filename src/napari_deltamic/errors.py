@@ -10,3 +10,7 @@ class InputError(ValueError):
 
 class RepairWarning(UserWarning):
     """Input was usable only after a repair; the message says what was changed."""
+
+
+class SlowPathWarning(UserWarning):
+    """The compiled extension is missing; results are the same, but slower."""

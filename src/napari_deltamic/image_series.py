@@ -13,8 +13,9 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
+from .choices import IMAGE_FILES, TIFF
 from .errors import InputError
-from .images import EXTENSIONS, TIFF, VoxelSize, read_image, read_voxel_size, stored_shape
+from .images import VoxelSize, read_image, read_voxel_size, stored_shape
 from .images import tiff_voxel_size as _size_in
 
 _LETTERS = re.compile(r"(\d+)")
@@ -65,15 +66,15 @@ def open_series(path: str | os.PathLike[str]) -> ImageSeries:
     """
     text = os.fspath(path)
     if os.path.isdir(text):
-        files = [str(p) for p in Path(text).iterdir() if p.suffix.lower() in EXTENSIONS]
+        files = [str(p) for p in Path(text).iterdir() if p.suffix.lower() in IMAGE_FILES]
         return _of_files(text, files)
     if not os.path.exists(text) and glob.has_magic(text):
         return _of_files(text, glob.glob(text, recursive=True))
     kind = Path(text).suffix.lower()
     if not os.path.exists(text):
         raise InputError(f"{text}: there is no such file")
-    if kind not in EXTENSIONS:
-        known = ", ".join(EXTENSIONS)
+    if kind not in IMAGE_FILES:
+        known = ", ".join(IMAGE_FILES)
         raise InputError(f"{text}: unknown image extension '{kind}'; known are {known}")
     try:
         return _of_tiff(text) if kind in TIFF else _of_npy(text)
@@ -85,9 +86,9 @@ def open_series(path: str | os.PathLike[str]) -> ImageSeries:
 
 
 def _of_files(text: str, files: list[str]) -> ImageSeries:
-    files = sorted((f for f in files if Path(f).suffix.lower() in EXTENSIONS), key=_by_numbers)
+    files = sorted((f for f in files if Path(f).suffix.lower() in IMAGE_FILES), key=_by_numbers)
     if not files:
-        raise InputError(f"{text}: no {', '.join(EXTENSIONS)} files are there")
+        raise InputError(f"{text}: no {', '.join(IMAGE_FILES)} files are there")
     shapes = [stored_shape(f) for f in files]
     first = next((s for s in shapes if s is not None), None)
     if first is None:

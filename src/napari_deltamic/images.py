@@ -17,6 +17,7 @@ import numpy as np
 import tifffile
 from numpy.typing import ArrayLike, NDArray
 
+from .choices import IMAGE_FILES, TIFF
 from .errors import InputError
 from .geometry.files import write_atomically
 
@@ -25,8 +26,6 @@ VoxelSize = tuple[float, float, float]
 _Stored = tuple[NDArray[Any], str, VoxelSize | None]
 _Reader = Callable[[Path], _Stored]
 
-TIFF = (".tif", ".tiff")
-EXTENSIONS = (*TIFF, ".npy")
 # A voxel side outside of this range (um) is no microscope's: the metadata is wrong.
 _PLAUSIBLE = (1e-4, 1e4)
 _UNITS_UM = {
@@ -95,8 +94,8 @@ def read_voxel_size(path: str | os.PathLike[str]) -> VoxelSize | None:
 
 def _read(path: str | os.PathLike[str], tiff: _Reader, npy: _Reader) -> _Stored:
     path = Path(path)
-    if path.suffix.lower() not in EXTENSIONS:
-        known = ", ".join(EXTENSIONS)
+    if path.suffix.lower() not in IMAGE_FILES:
+        known = ", ".join(IMAGE_FILES)
         raise InputError(f"{path}: unknown image extension '{path.suffix}'; known are {known}")
     with _naming(path):
         if path.stat().st_size == 0:
@@ -147,7 +146,7 @@ def write_image(
         raise InputError(f"voxel size must be three positive numbers (um), not {(z, y, x)}")
     buffer = io.BytesIO()
     kind = path.suffix.lower()
-    if kind not in EXTENSIONS:
+    if kind not in IMAGE_FILES:
         raise InputError(f"{path}: unknown image extension '{path.suffix}'; use .tif")
     if kind == ".npy":
         np.save(buffer, array)

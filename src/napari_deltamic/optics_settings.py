@@ -1,27 +1,22 @@
-"""The PSF as settings: what ``run.toml`` holds and the command line parses of it."""
+"""The PSF as settings: what ``run.toml`` holds and the command line parses of it.
+
+The engine is loaded where a PSF is built.
+"""
 
 from __future__ import annotations
 
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
+from .choices import Bead, Modality, PSFModel
 from .errors import InputError
-from .images import read_image
-from .optics import (
-    GaussianMixturePSF,
-    GaussianPSF,
-    MeasuredPSF,
-    Optics,
-    Parameter,
-    microscope,
-)
-from .optics.measured import Bead
-from .optics.microscope import Modality, PSFModel
+
+if TYPE_CHECKING:
+    from .optics import Optics, Parameter
 
 Triple = tuple[float, float, float]
 
@@ -43,6 +38,8 @@ class GaussianOptics(_Optics):
 
     def build(self) -> Optics:
         """The PSF. InputError where a number cannot be."""
+        from .optics import GaussianPSF
+
         return GaussianPSF(self.sigma, None if self.covariance is None else list(self.covariance))
 
 
@@ -56,6 +53,8 @@ class MixtureOptics(_Optics):
 
     def build(self) -> Optics:
         """The PSF. InputError where a number cannot be."""
+        from .optics import GaussianMixturePSF
+
         return GaussianMixturePSF(self.sigmas, self.masses, fitted=self.fitted)
 
     def moved(self, parameters: Sequence[Parameter]) -> Self:
@@ -91,6 +90,8 @@ class MicroscopeOptics(_Optics):
 
     def build(self) -> Optics:
         """The PSF. InputError where a number cannot be."""
+        from .optics import microscope
+
         return microscope(**self.model_dump(exclude={"kind"}))
 
     def moved(self, parameters: Sequence[Parameter]) -> Self:
@@ -117,6 +118,9 @@ class MeasuredOptics(_Optics):
 
     def build(self) -> Optics:
         """The PSF. InputError where the file cannot be one."""
+        from .images import read_image
+        from .optics import MeasuredPSF
+
         image, found = read_image(self.file)
         size = self.voxel_size or found
         if size is None:
@@ -124,7 +128,7 @@ class MeasuredOptics(_Optics):
                 f"{Path(self.file).name} does not say its voxel size: give it with the PSF (um)"
             )
         try:
-            return MeasuredPSF(np.asarray(image), size, self.bead_diameter, self.bead)
+            return MeasuredPSF(image, size, self.bead_diameter, self.bead)
         except InputError as error:
             raise InputError(f"{self.file}: {error}") from None
 

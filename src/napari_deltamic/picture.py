@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from .colouring import colour_indices, colour_of
 from .errors import InputError
 from .geometry import Mesh
 from .measure import section
@@ -21,17 +22,6 @@ MIN_WIDTH, MAX_WIDTH, MAX_HEIGHT = 920, 2600, 2000
 _GAP, _TITLE = 6, 22
 _FINE = 2  # panels are drawn this many times larger and reduced: smooth lines
 _LINE = 4  # px before that
-# Bright on grey, and far from each other also for the colour-blind.
-COLOURS = (
-    (255, 176, 0),
-    (86, 180, 233),
-    (255, 97, 136),
-    (0, 214, 143),
-    (240, 228, 66),
-    (178, 132, 255),
-    (255, 120, 40),
-    (120, 255, 255),
-)
 _MISSING = (50, 0, 60)
 _TEXT = (235, 235, 235)
 
@@ -158,9 +148,9 @@ def _draw_contours(panel: Image.Image, cut: _Slice, grid: Grid, mesh: Mesh) -> N
     voxels = (segments - np.asarray(grid.origin)[others]) / size + 0.5
     places = voxels / shape * (panel.height, panel.width)
     regions = mesh.regions[faces].max(axis=1)
-    draw = ImageDraw.Draw(panel)
+    draw, indices = ImageDraw.Draw(panel), colour_indices(mesh)
     for ends, region in zip(places.tolist(), regions.tolist(), strict=True):
-        colour = COLOURS[(region - 1) % len(COLOURS)]
+        colour = colour_of(region, indices)
         draw.line([(x, y) for y, x in ends], fill=colour, width=_LINE)
 
 

@@ -37,7 +37,7 @@ FILES = (
     "report.json",
     "picture.png",
 )
-PACKAGES = ("napari-deltamic", "torch", "finufft", "numpy", "scipy", "scikit-image", "cholespy")
+PACKAGES = ("napari-deltamic", "torch", "numpy", "scipy", "scikit-image", "cholespy")
 
 
 @dataclass
@@ -204,9 +204,7 @@ def effects_found(start: Effects, end: Effects) -> list[dict[str, Any]]:
 def engine_used(state: FitState, grid: Grid, accuracy: float, device: torch.device) -> str:
     """What computes the images of a state at the last level, in words."""
     method = Renderer(state.mesh, grid, state.optics, accuracy, device=device).plan.method
-    package = "cufinufft" if device.type == "cuda" else "finufft"
-    library = f" ({package} {version_of(package)})" if method == "non-uniform" else ""
-    return f"{device.type}, {method}{library}, {threads()} threads"
+    return f"{device.type}, {method}, {threads()} threads"
 
 
 def make_folder(folder: str | os.PathLike[str]) -> None:

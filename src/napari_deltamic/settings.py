@@ -8,121 +8,25 @@ from __future__ import annotations
 
 import json
 import tomllib
-from itertools import pairwise
 from math import isfinite
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    ValidationError,
-    field_serializer,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, field_serializer, field_validator, model_validator
 
 from .errors import InputError
-from .fourier.devices import DeviceChoice
+from .fit_settings import NEAR_LEVELS as NEAR_LEVELS
+from .fit_settings import WIDE_LEVELS as WIDE_LEVELS
+from .fit_settings import FitSettings as FitSettings
+from .fit_settings import Settings
+from .fit_settings import validated as validated
 from .optics_settings import OpticsSettings
-from .scene.effects import KINDS, Effects
+from .scene.effects import Effects
 
-Likelihood = Literal["poisson", "gaussian", "paper"]
-DensityModel = Literal["uniform", "interface", "smooth"]
 Triple = tuple[float, float, float]
-# Coarse-to-fine schedules. A first blur wider than the gap between objects makes them attract each
-# other's mesh, so seeds that already lie on the membranes start near.
-WIDE_LEVELS = (5.0, 3.2, 2.0, 1.35, 1.0)
-NEAR_LEVELS = (1.5, 1.0)
-EFFECTS: tuple[str, ...] = tuple(KINDS)
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class FitSettings(_Model):
-    """How a mesh is fitted to an image."""
-
-    model_config = ConfigDict(allow_inf_nan=False)
-
-    accuracy: Annotated[float, Field(ge=0, lt=1)] | None = Field(
-        default=None,
-        description="requested relative L2 error of the rendered image; 0 is the closed form; "
-        "where not given, it follows from the noise of the image",
-    )
-    fit_psf: bool = Field(default=False, description="also fit the widths of the PSF")
-    density: DensityModel = Field(
-        default="uniform",
-        description="fluorophores per um^2: the same everywhere, one per interface, or smooth over "
-        "the surface",
-    )
-    likelihood: Likelihood = Field(default="poisson", description="how voxels are weighted")
-    levels: tuple[Annotated[float, Field(ge=1)], ...] | None = Field(
-        default=None,
-        description="blur of both images at each level, in widths of the PSF; the last is 1; "
-        "None: wide for seeds of any kind, near for seeds taken from the image or from labels",
-    )
-    smoothing: Annotated[float, Field(ge=0)] | None = Field(
-        default=None,
-        description="lambda of the preconditioner at the last level; grows with the blur; None: "
-        "from the noise of the image",
-    )
-    step: Annotated[float, Field(gt=0)] = Field(
-        default=0.3, description="first step of a level, in widths of the blurred PSF"
-    )
-    reach: Annotated[float, Field(gt=0)] = Field(
-        default=3.5, description="voxels count up to this many widths from the surface"
-    )
-    tolerance: Annotated[float, Field(gt=0)] = Field(
-        default=1e-2,
-        description="the last level ends when its loss falls by less than this over a dozen "
-        "iterations (or its vertices lie still)",
-    )
-    remesh: bool = Field(
-        default=True,
-        description="remesh where triangles become slivers, at the edge length of the start",
-    )
-    collisions: bool = Field(
-        default=True,
-        description="no surface comes to cross itself or another: vertices stop before that",
-    )
-    topology: bool = Field(
-        default=True,
-        description="cells may come to touch, part and exchange neighbours while the fit runs, and "
-        "surfaces that cross at the start are repaired; needs collisions",
-    )
-    max_iterations: Annotated[int, Field(ge=1)] = Field(
-        default=3000, description="the fit gives up after this many iterations"
-    )
-    device: DeviceChoice = Field(
-        default="auto",
-        description="what computes: cpu, cuda (an NVIDIA GPU), mps (the GPU of a Mac); auto: an "
-        "NVIDIA GPU that can be used, else the CPU",
-    )
-
-    @property
-    def image_accuracy(self) -> float:
-        """``accuracy``, or that of a rendering without an image where it is left to the noise."""
-        return 1e-3 if self.accuracy is None else self.accuracy
-
-    @field_validator("accuracy", mode="before")
-    @classmethod
-    def _auto(cls, accuracy: Any) -> Any:
-        return None if accuracy == "auto" else accuracy
-
-    @field_validator("levels")
-    @classmethod
-    def _ends_at_one(cls, levels: tuple[float, ...] | None) -> tuple[float, ...] | None:
-        if levels is None:
-            return None
-        if not levels or levels[-1] != 1 or any(a <= b for a, b in pairwise(levels)):
-            raise ValueError("levels must decrease and end at 1")
-        return levels
-
-
-class SceneSettings(_Model):
+class SceneSettings(Settings):
     """How the image was formed."""
 
     voxel_size: Triple = Field(description="um, Z Y X")
@@ -178,7 +82,7 @@ class SceneSettings(_Model):
         return effects.to_dict()
 
 
-class RunSettings(_Model):
+class RunSettings(Settings):
     """A whole run: what is fitted to what, and how. ``run.toml`` holds one."""
 
     image: str = Field(description="image file")
@@ -208,17 +112,6 @@ class RunSettings(_Model):
             return validated(cls, tomllib.loads(Path(path).read_text(encoding="utf-8")))
         except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
             raise InputError(f"cannot read settings from {path}: {error}") from None
-
-
-def validated(model: type[Any], values: dict[str, Any]) -> Any:
-    """A settings object from plain values; InputError in one line where they are wrong."""
-    try:
-        return model(**values)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(p) for p in first["loc"])
-        reason = str(first["msg"]).removeprefix("Value error, ")
-        raise InputError(f"{where}: {reason}" if where else reason) from None
 
 
 def _toml(value: Any) -> str:

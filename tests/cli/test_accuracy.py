@@ -51,6 +51,23 @@ def test_a_mesh(data, tmp_path, run):
     assert "--overwrite" in run("accuracy", *scene, "-o", folder)[2]
 
 
+@pytest.mark.parametrize(
+    ("lacks", "says"),
+    [
+        ("no NVIDIA GPU is found", "measured on the CPU: no NVIDIA GPU is found"),
+        ("", "measured on the CPU: fits use the GPU, whose times are not measured here"),
+    ],
+)
+def test_it_says_what_was_measured_where_there_is_a_gpu_or_none(
+    data, run, monkeypatch, lacks, says
+):
+    monkeypatch.setattr("napari_deltamic.cli.accuracy.missing", lambda: lacks)
+    scene = (data / "start.ply", *SHAPE, *VOXELS, *SIGMA)
+    code, out, err = run("accuracy", *scene, "--budget", "0.05")
+    assert code == 0, err
+    assert says in out
+
+
 def test_an_image_with_seeds(data, run):
     code, out, err = run("accuracy", data / "cell.tif", "--seeds", data / "points.csv", *SIGMA)
     assert code == 0, err

@@ -65,10 +65,10 @@ def test_small_triangles_take_the_small_branch():
 
 
 def test_points_are_those_of_the_plan():
-    plan = renderer(method="non-uniform").plan
+    plan = renderer(method="particle-mesh").plan
     assert plan.work.points == plan.points > 0
     assert plan.work.small_pairs == plan.work.large_pairs == 0
-    finer = renderer(method="non-uniform", accuracy=1e-4).plan
+    finer = renderer(method="particle-mesh", accuracy=1e-4).plan
     assert finer.work.kernel / finer.points > plan.work.kernel / plan.points
     assert finer.work.cells > plan.work.cells
 
@@ -99,7 +99,7 @@ def test_calibration_measures_every_cost():
         assert all(np.isfinite(n) and n >= 0 for n in numbers), f.name
     # A gradient costs more than an image alone; four transforms, a transform.
     for single in (True, False):
-        work = renderer(accuracy=1e-2 if single else 1e-6, method="non-uniform").plan.work
+        work = renderer(accuracy=1e-2 if single else 1e-6, method="particle-mesh").plan.work
         assert found.seconds(work, single, True) > 1.2 * found.seconds(work, single, False)
 
 
@@ -119,7 +119,7 @@ def test_the_method_does_not_depend_on_the_machine(monkeypatch):
     v, f = MESH.vertices_numpy(), MESH.faces
     arguments = v, f, (30,) * 3, (0.1,) * 3, (0.15,) * 3, 1e-2
     usual = make_plan(*arguments).method
-    assert usual == "non-uniform"
+    assert usual == "particle-mesh"
     free = replace(BUILT_IN, single_gradient=Rates(0, 0, 0, 0, 1, 1, 1, 0))
     monkeypatch.setattr("napari_deltamic.fourier.plan.costs", lambda: free)
     assert make_plan(*arguments).method == usual

@@ -2,7 +2,6 @@
 
 from concurrent.futures import ThreadPoolExecutor
 
-import finufft
 import numpy as np
 import pytest
 import torch
@@ -10,13 +9,12 @@ from cuda_emulation import Emulated
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.fourier import closed_form, make_plan
-from napari_deltamic.fourier.cuda import device, layout, operators, points, transform
+from napari_deltamic.fourier.cuda import device, layout, operators, transform
 from napari_deltamic.fourier.cuda.build import OutOfMemoryWarning
 from napari_deltamic.fourier.cuda.device import NoGpuWarning
 from napari_deltamic.fourier.cuda.driver import torch_for
 from napari_deltamic.fourier.cuda.kept import Kept, contents
 from napari_deltamic.fourier.devices import choose_device
-from napari_deltamic.fourier.nonuniform import _points_ft_backward, points_ft
 from napari_deltamic.geometry import sphere
 
 ROWS = torch.tensor([[-1, 0, 3], [0, 0, 9], [2, -1, 1]], dtype=torch.int32)
@@ -70,7 +68,7 @@ def test_operators_agree_with_those_of_the_cpu(without_gpu):
 
 
 def test_operators_are_registered_for_cuda():
-    for name in ("mesh_ft", "band_ft", "points_ft"):
+    for name in ("mesh_ft", "band_ft"):
         for way in (name, f"{name}_backward"):
             assert torch._C._dispatch_has_kernel_for_dispatch_key(f"deltamic::{way}", "CUDA")
 
@@ -113,71 +111,12 @@ def test_layouts_are_kept_and_follow_changes():
     assert len(layout._layouts) <= 8
 
 
-# ----------------------------------------------------------------------------------- points
-
-
-class FakeCufinufft:
-    """cufinufft's plan, by FINUFFT: it takes torch tensors and writes into ``out``."""
-
-    class Plan:
-        def __init__(self, kind, modes, n_trans, eps, isign, dtype, gpu_device_id, gpu_stream):
-            self._plan = finufft.Plan(kind, modes, n_trans, eps, isign, dtype=dtype)
-
-        def setpts(self, *theta):
-            self._plan.setpts(*(t.numpy() for t in theta))
-
-        def execute(self, data, out):
-            assert data.is_contiguous()
-            assert data.dtype == out.dtype
-            out.copy_(torch.from_numpy(self._plan.execute(data.resolve_conj().numpy())))
-
-
-@pytest.mark.parametrize("single", [True, False])
-def test_points_agree_with_those_of_the_cpu(single, monkeypatch):
-    monkeypatch.setattr(points, "cufinufft", FakeCufinufft)
-    monkeypatch.setattr(points, "_plans", Kept(4))
-    rng = np.random.default_rng(1)
-    x, w = torch.from_numpy(rng.normal(size=(50, 3))), torch.from_numpy(rng.uniform(1, 2, 50))
-    arguments = x, w, (3, 4, 5), SPACING, 1e-5 if single else 1e-12, single
-    u = points_ft(*arguments)
-    bar = 1e-4 if single else 1e-10
-    close([points._points_ft_cuda(*arguments)], [u], bar)
-    expected = _points_ft_backward(u, *arguments)
-    close(points._points_ft_backward_cuda(u, *arguments), expected, bar)
-    # Where memory is short for the four transforms of the gradient at once.
-    fields = points._fields
-
-    def short(*given):
-        if given[-1] == 4:
-            raise torch.OutOfMemoryError("no more")
-        return fields(*given)
-
-    monkeypatch.setattr(points, "_fields", short)
-    with pytest.warns(OutOfMemoryWarning, match="one by one"):
-        close(points._points_ft_backward_cuda(u, *arguments), expected, bar)
-
-
-def test_points_without_cufinufft_go_to_the_cpu(monkeypatch):
-    monkeypatch.setattr(points, "cufinufft", lambda: None)
-    x, w = torch.rand(5, 3, dtype=torch.float64), torch.rand(5, dtype=torch.float64)
-    arguments = x, w, (3, 4, 5), SPACING, 1e-5, True
-    u = points_ft(*arguments)
-    assert torch.equal(points._points_ft_cuda(*arguments), u)
-    found = points._points_ft_backward_cuda(u, *arguments)
-    assert all(map(torch.equal, found, _points_ft_backward(u, *arguments)))
-
-
 # ----------------------------------------------------------------------------------- choices
 
 
-def test_the_plan_for_a_gpu_takes_the_closed_form_where_cufinufft_is_missing(monkeypatch):
+def test_the_plan_for_a_gpu_is_made_with_its_costs():
     ball = sphere((5.0, 5.0, 5.0), 3.0, subdivisions=4)
     arguments = ball.vertices_numpy(), ball.faces, (100,) * 3, (0.1,) * 3, (0.15,) * 3, 1e-3
-    module = "napari_deltamic.fourier.plan.cufinufft"
-    monkeypatch.setattr(module, lambda: None)
-    assert make_plan(*arguments, device="cuda").method == "closed form"
-    assert make_plan(*arguments).method == "non-uniform"
-    monkeypatch.setattr(module, lambda: FakeCufinufft)
     plan = make_plan(*arguments, device="cuda")
     assert plan.device == "cuda"
     assert plan.expected_seconds < make_plan(*arguments).expected_seconds

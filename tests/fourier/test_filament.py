@@ -103,7 +103,7 @@ def test_both_ways_agree_on_a_band(accuracy, length):
     v = np.array([[1.0, 1.2, 1.1], [1.0, 1.2, 1.1]]) + length * np.array([[0, 0, 0], [0.1, 0.2, 1]])
     segments = path_segments(2)
     boxes = []
-    for method in ("closed form", "non-uniform"):
+    for method in ("closed form", "particle-mesh"):
         plan = make_line_plan(v, segments, *GRID, accuracy, method)
         boxes.append(plan.transform(torch.tensor(v), torch.tensor(segments), torch.ones(1)))
     z, y, x = plan.band.axes()

@@ -1,4 +1,4 @@
-"""Bands, quadrature, the non-uniform FFT, and the plan that keeps what an accuracy promises."""
+"""Bands, quadrature, and the plan that keeps what an accuracy promises."""
 
 import warnings
 from functools import cache
@@ -15,13 +15,11 @@ from napari_deltamic.errors import RepairWarning
 from napari_deltamic.fourier import Band, make_plan
 from napari_deltamic.fourier.band import band_error, threshold_for
 from napari_deltamic.fourier.closed_form import band_ft
-from napari_deltamic.fourier.nonuniform import points_ft
-from napari_deltamic.fourier.plan import quadrature_points
 from napari_deltamic.fourier.quadrature import DEGREES, choose_rules, rule
 from napari_deltamic.geometry import box, sphere
 from napari_deltamic.scene import Renderer
 
-METHODS = (None, "closed form", "non-uniform")
+METHODS = (None, "closed form", "particle-mesh")
 ACCURACIES = (1e-2, 1e-3, 1e-4, 1e-5)
 
 # ------------------------------------------------------------------------- what accuracy promises
@@ -141,7 +139,7 @@ def test_accuracy_at_the_ends_of_its_range(accuracy):
 def test_margin_makes_rules_finer():
     mesh = SHAPES["large triangles"]
     args = mesh.vertices, mesh.faces, (40, 40, 40), (0.1, 0.1, 0.1), (0.15, 0.15, 0.15), 1e-3
-    plain, wide = (make_plan(*args, "non-uniform", margin=m) for m in (1.0, 1.5))
+    plain, wide = (make_plan(*args, "particle-mesh", margin=m) for m in (1.0, 1.5))
     assert plain.points < wide.points
 
 
@@ -283,93 +281,3 @@ def test_rules_cover_every_face_once_and_divide_large_ones():
     # A face ten times longer needs a hundred times the points.
     assert points[7] / points[5] == pytest.approx(9, rel=0.2)
     assert choose_rules(np.zeros(0), 1e-3, 1e-4) == []
-
-
-def test_quadrature_points_carry_the_mass():
-    mesh = SHAPES["large triangles"]
-    v, f = torch.from_numpy(mesh.vertices), torch.from_numpy(mesh.faces)
-    rho = torch.linspace(1, 2, len(f), dtype=torch.float64)
-    rules = [(rule(4, 2), np.arange(50)), (rule(1), np.arange(50, 80))]
-    points, weights = quadrature_points(v, f, rho, rules)
-    mass = torch.from_numpy(mesh.areas()) * rho
-    assert len(points) == len(weights) == 50 * 24 + 30
-    assert_allclose(weights.sum(), mass.sum(), rtol=1e-13)
-    assert_allclose(
-        (weights[:, None] * points).sum(0), (mass[:, None] * v[f].mean(1)).sum(0), atol=1e-13
-    )
-
-
-@pytest.mark.parametrize("corners", [[0, 0, 1], [0, 1, 0], [1, 0, 0], [1, 1, 1]])
-def test_a_face_without_area_has_no_gradient(corners):
-    v = torch.tensor([[0.3, 0.7, 5.0], [1.1, -2.0, 4.0]], dtype=torch.float64)[corners]
-    v.requires_grad_()
-    _, w = quadrature_points(v, torch.tensor([[0, 1, 2]]), torch.ones(1), [(rule(2), np.arange(1))])
-    (gradient,) = torch.autograd.grad(w.sum(), v)
-    assert not gradient.any()
-
-
-# ---------------------------------------------------------------------------- non-uniform FFT
-
-
-def some_points(n=9):
-    rng = np.random.default_rng(6)
-    points = torch.from_numpy(rng.uniform(-3, 40, (n, 3))).requires_grad_()
-    return points, torch.from_numpy(rng.normal(size=n)).requires_grad_()
-
-
-def direct_sum(points, weights, half, spacing):
-    axes = [torch.arange(-half[0], half[0] + 1), torch.arange(-half[1], half[1] + 1)]
-    axes.append(torch.arange(half[2] + 1))
-    k = torch.stack(torch.meshgrid(*axes, indexing="ij"), -1).double() * torch.tensor(
-        spacing, dtype=torch.float64
-    )
-    return (torch.exp(-1j * (k @ points.T)) * weights).sum(-1)
-
-
-HALVES = [(3, 2, 4), (2, 3, 5), (0, 2, 3), (2, 0, 3), (2, 3, 0), (0, 0, 0)]
-
-
-@pytest.mark.parametrize("count", [9, 1, 0])
-@pytest.mark.parametrize("half", HALVES)
-def test_points_ft_is_the_sum_and_its_gradient(half, count):
-    points, weights = some_points(count)
-    spacing = (0.31, 0.27, 0.4)
-    results = []
-    for transform in (lambda *a: points_ft(*a, 1e-13, False), direct_sum):
-        u = transform(points, weights, half, spacing)
-        g = torch.from_numpy(
-            np.random.default_rng(2).normal(size=(*u.shape, 2)).view(complex)[..., 0]
-        )
-        loss = (u * g.conj()).real.sum()
-        results.append((u, *torch.autograd.grad(loss, (points, weights))))
-    for ours, reference in zip(*results, strict=True):
-        assert ours.shape == reference.shape
-        assert_allclose(ours.detach().numpy(), reference.detach().numpy(), atol=1e-10)
-
-
-@pytest.mark.parametrize("eps", [1e-2, 1e-4, 1e-6])
-def test_points_ft_keeps_its_tolerance_in_single_precision(eps):
-    points, weights = some_points(400)
-    args = points, weights, (8, 9, 7), (0.31, 0.27, 0.4)
-    u, exact = points_ft(*args, eps, True), direct_sum(*args)
-    assert u.dtype == torch.complex64
-    assert (u - exact).norm() < 2 * eps * exact.norm()
-
-
-def test_points_ft_adjoint():
-    """<g, A w> = <A' g, w>: what the optimiser relies on."""
-    points, weights = some_points(50)
-    u = points_ft(points, weights, (6, 7, 5), (0.31, 0.27, 0.4), 1e-12, False)
-    g = torch.from_numpy(np.random.default_rng(2).normal(size=(*u.shape, 2)).view(complex)[..., 0])
-    (back,) = torch.autograd.grad((u * g.conj()).real.sum(), weights)
-    assert (back * weights).sum().item() == pytest.approx(
-        (u * g.conj()).real.sum().item(), rel=1e-10
-    )
-
-
-def test_points_ft_is_registered_correctly():
-    points, weights = some_points()
-    ops, rest = torch.ops.deltamic, ((3, 2, 4), (0.31, 0.27, 0.4), 1e-12, False)
-    torch.library.opcheck(ops.points_ft, (points, weights, *rest))
-    grad = torch.ones(7, 5, 5, dtype=torch.complex128)
-    torch.library.opcheck(ops.points_ft_backward, (grad, points.detach(), weights.detach(), *rest))

@@ -10,9 +10,8 @@ from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.remeshing import can_remesh
 from napari_deltamic.geometry.topology.crossings import crosses
-from napari_deltamic.geometry.topology.flips import flipped
 from napari_deltamic.geometry.topology.rearranging import give_way
-from napari_deltamic.geometry.topology.small_pieces import absorbed, small_pieces
+from napari_deltamic.geometry.topology.small_pieces import small_pieces
 from napari_deltamic.geometry.topology.thin_places import short_junctions, small_walls
 
 pytestmark = pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
@@ -53,7 +52,7 @@ def test_cells_part_at_a_small_wall():
     assert (1, 2) in contacts(mesh)
     (wall,) = [p for p in small_walls(mesh, 1.0) if p.regions == (1, 2)]
     assert wall.sides == (3, 4, 5)
-    done = flipped(mesh, wall, EDGE)
+    done = give_way(mesh, [wall], EDGE).mesh
     assert sound(done)
     assert contacts(done) == contacts(mesh) - {(1, 2)}
     assert stayed(mesh, done, wall)
@@ -64,7 +63,7 @@ def test_cells_at_the_ends_of_a_short_junction_come_to_touch():
     assert (1, 2) not in contacts(mesh)
     (line,) = [p for p in short_junctions(mesh, 1.0) if p.sides == (1, 2)]
     assert line.regions == (3, 4, 5)
-    done = flipped(mesh, line, EDGE)
+    done = give_way(mesh, [line], EDGE).mesh
     assert sound(done)
     assert contacts(done) == contacts(mesh) | {(1, 2)}
     assert stayed(mesh, done, line)
@@ -73,9 +72,9 @@ def test_cells_at_the_ends_of_a_short_junction_come_to_touch():
 def test_a_flip_there_and_back_leaves_the_contacts():
     mesh = ring_of_three(1.15)
     (line,) = [p for p in short_junctions(mesh, 1.0) if p.sides == (1, 2)]
-    there = flipped(mesh, line, EDGE)
+    there = give_way(mesh, [line], EDGE).mesh
     (wall,) = [p for p in small_walls(there, 1.0) if p.regions == (1, 2)]
-    back = flipped(there, wall, EDGE)
+    back = give_way(there, [wall], EDGE).mesh
     assert sound(back)
     assert contacts(back) == contacts(mesh)
 
@@ -90,8 +89,9 @@ def test_a_place_that_is_gone_cannot_flip():
     mesh = ring_of_three(0.9)
     (wall,) = [p for p in small_walls(mesh, 1.0) if p.regions == (1, 2)]
     moved = mesh.translated((0.5, 0, 0))
-    assert flipped(moved, wall, EDGE) is None
-    assert give_way(moved, [wall], EDGE).hopeless == (wall,)
+    done = give_way(moved, [wall], EDGE)
+    assert done.mesh is moved
+    assert done.hopeless == (wall,)
 
 
 def enclosed():
@@ -131,7 +131,7 @@ def test_a_fragment_of_a_cell_vanishes():
     mesh = Mesh(places, np.concatenate([ball.faces, crumb.faces + len(ball.vertices)]))
     (piece,) = small_pieces(mesh, 0.1)
     assert (piece.regions, piece.sides) == ((1,), (0,))
-    done = absorbed(mesh, piece, 0.3)
+    done = give_way(mesh, [piece], 0.3).mesh
     assert len(done.faces) == len(ball.faces)
     assert done.region_ids().tolist() == [1]
     told = give_way(mesh, [piece], 0.3).events

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from napari_deltamic._sample_data import foam_sample
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.labels.edits import (
     Click,
@@ -11,6 +12,7 @@ from napari_deltamic.geometry.labels.edits import (
     read_clicks_csv,
     write_clicks_csv,
 )
+from napari_deltamic.geometry.labels.find_cells import find_cells
 
 SIZE = (0.4, 0.2, 0.2)
 LEFT, RIGHT = (2.4, 3.0, 2.0), (2.4, 3.0, 5.0)
@@ -142,3 +144,14 @@ def test_a_damaged_file_is_told_with_its_line(tmp_path, text, message):
         read_clicks_csv(path)
     with pytest.raises(InputError, match="cannot read"):
         read_clicks_csv(tmp_path / "none.csv")
+
+
+def test_a_crumb_of_a_sound_cell_is_not_cut_off():
+    """A fit could make no cell of it; the labels stay as they are."""
+    sample = foam_sample()
+    labels = np.asarray(find_cells(sample.image, sample.grid.voxel_size, 5.0))
+    corrector = Corrector(sample.image, sample.grid.voxel_size)
+    for place in ((29, 32, 22), (27, 31, 27), (32, 65, 48)):  # near walls: 29 to 83 voxels
+        click = Click(tuple(np.multiply(place, sample.grid.voxel_size)))
+        with pytest.raises(InputError, match="cuts nothing off"):
+            corrector.corrected(labels, [click])

@@ -17,7 +17,7 @@ from membranes import (
     sausage,
 )
 
-from napari_deltamic.errors import InputError
+from napari_deltamic.errors import InputError, RepairWarning
 from napari_deltamic.geometry.seeds import labels_from_points
 
 
@@ -91,8 +91,10 @@ def test_a_weak_wall_divides_only_if_asked() -> None:
     right = coordinates()[..., 2] > 4.7
     assert overlap(labels == 1, (tube < 0) & ~right) > 0.9
     assert overlap(labels == 2, (tube < 0) & right) > 0.9
-    with pytest.raises(InputError, match="points 1 and 2 lie in the same region"):
-        labels_from_points(np.maximum(membrane(tube), 0.3 * wall), SIZE, halves)
+    with pytest.warns(RepairWarning, match="points 1 and 2 lie in the same region"):
+        labels = labels_from_points(np.maximum(membrane(tube), 0.3 * wall), SIZE, halves)
+    assert overlap(labels == 1, tube < 0) > 0.9
+    assert labels.max() == 1
 
 
 def test_object_cut_by_the_border_is_kept() -> None:
@@ -112,15 +114,11 @@ def test_bright_debris_inside_and_outside() -> None:
 @pytest.mark.parametrize(
     ("points", "message"),
     [
-        ([CENTER, (5.0, 4.7, 20.0)], r"point 2 \(5, 4.7, 20 um\) lies outside the image"),
         ([(-0.5, 1.0, 1.0)], "point 1 .* outside the image"),
-        ([CENTER, (5.0, 5.5, 5.5)], "points 1 and 2 lie in the same region"),
-        ([CENTER, CENTER], "points 1 and 2 lie in the same region"),
-        ([CENTER, (1.0, 1.0, 1.0)], "point 2 lies in no closed region"),
         ([(5.0, 4.7, 7.3)], "point 1 lies in no closed region"),
         ([(5.0, 4.7)], "points must be"),
         (np.zeros((0, 3)), "points must be"),
-        ([(np.nan, 0.0, 0.0)], "points must be"),
+        ([(np.nan, 0.0, 0.0)], "point 1 .* a coordinate is not finite"),
     ],
 )
 def test_points_that_cannot_be_used(points: object, message: str) -> None:
@@ -128,6 +126,24 @@ def test_points_that_cannot_be_used(points: object, message: str) -> None:
     with pytest.raises(InputError, match=message) as caught:
         labels_from_points(image, SIZE, points)  # type: ignore[arg-type]
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("point", "message"),
+    [
+        ((5.0, 4.7, 20.0), r"point 2 \(5, 4.7, 20 um\) lies outside the image"),
+        ((5.0, 5.5, 5.5), "points 1 and 2 lie in the same region"),
+        (CENTER, "points 1 and 2 lie in the same region"),
+        ((1.0, 1.0, 1.0), "point 2 lies in no closed region"),
+    ],
+)
+def test_a_point_that_cannot_be_used_leaves_the_others_as_they_are(
+    point: tuple[float, ...], message: str
+) -> None:
+    image = noisy(membrane(ball(CENTER, 2.5)))
+    with pytest.warns(RepairWarning, match=f"1 of 2 points is left out: {message}"):
+        labels = labels_from_points(image, SIZE, [CENTER, point])
+    assert np.array_equal(labels, labels_from_points(image, SIZE, [CENTER]))
 
 
 @pytest.mark.parametrize(

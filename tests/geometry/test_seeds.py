@@ -154,12 +154,57 @@ def test_all_radii_need_no_membranes() -> None:
 def test_seed_errors_name_the_point_as_given() -> None:
     image = noisy(membrane(ball(CENTER, 2.5)))
     points = [(5, 4.7, 8.5), CENTER, (1.0, 1.0, 1.0)]
-    with pytest.raises(InputError, match="point 3 lies in no closed region"):
-        seeds_from_points(image, SIZE, points, [0.5, 0, 0])
-    with pytest.raises(InputError, match="point 2: radius -1"):
-        seeds_from_points(image, SIZE, points, [0.5, -1, 0])
+    with pytest.warns(RepairWarning) as caught:
+        mesh = seeds_from_points(image, SIZE, points, [0.5, 0, 0])
+    assert str(caught[0].message).startswith(
+        "1 of 3 points is left out: point 3 lies in no closed region"
+    )
+    assert mesh.region_ids().tolist() == [1, 2]
     with pytest.raises(InputError, match="3 points need as many radii, not 2"):
         seeds_from_points(image, SIZE, points, [0.5, 1])
+
+
+def test_all_bad_points_are_named_at_once_and_the_rest_go_on() -> None:
+    centers = [(5.0, 4.7, 2.5), (5.0, 4.7, 7.0)]
+    image = noisy(sum(membrane(ball(center, 1.9)) for center in centers))
+    points = [
+        (5, 4.7, 30), centers[0], (np.nan, 1, 1), (5, 4.7, 2.9), (1, 1, 1), centers[1],
+        (5, 4.7, 6.8), (5, 4.7, 6.9),
+    ]  # fmt: skip
+    radii = [np.nan, np.nan, np.nan, np.nan, np.nan, 1.5, 0.3, -1]
+    with pytest.warns(RepairWarning) as caught:
+        mesh = seeds_from_points(image, SIZE, points, radii)
+    assert mesh.region_ids().tolist() == [2, 6]
+    assert len(caught) == 1
+    told = str(caught[0].message)
+    assert "\n" not in told
+    assert told.startswith("6 of 8 points are left out: point 1 (5, 4.7, 30 um) lies outside the")
+    reasons = [
+        "point 3 (nan, 1, 1 um): a coordinate is not finite",
+        "points 2 and 4 lie in the same region",
+        "point 5 lies in no closed region",
+        "the sphere of point 7 lies wholly inside others",
+        "point 8: radius -1 is not a length",
+    ]
+    assert [told.count(reason) for reason in reasons] == [1] * 5
+
+
+def test_points_of_which_none_can_be_used_are_all_named() -> None:
+    image = noisy(membrane(ball(CENTER, 2.5)))
+    with pytest.raises(InputError, match=r"^point 1 .* outside the image; point 2 lies in no clos"):
+        seeds_from_points(image, SIZE, [(5, 4.7, 30), (1, 1, 1)])
+
+
+def test_all_small_labels_are_named_at_once_and_the_rest_go_on() -> None:
+    labels = (ball(CENTER, 2.5) < 0).astype(int) * 3
+    labels[:2, :2, :2], labels[:2, :2, -2:] = 7, 9
+    with pytest.warns(RepairWarning) as caught:
+        mesh = mesh_from_labels(labels, SIZE, edge_length=0.8)
+    assert mesh.region_ids().tolist() == [3]
+    assert [str(w.message) for w in caught] == [
+        "2 of 3 labels are left out: label 7 is too small for edges of 0.8 um; "
+        "label 9 is too small for edges of 0.8 um"
+    ]
 
 
 def test_read_points(tmp_path: Path) -> None:
@@ -185,6 +230,7 @@ def test_read_points(tmp_path: Path) -> None:
         ("z,y,x\n1,2\n", "line 2: 2 fields instead of 3"),
         ("z,y,x\n1,2,three\n", "line 2: .*three"),
         ("z,y,x\n1,2,nan\n", "line 2: a coordinate is not finite"),
+        ("z,y,x\n1,2\n1,2,3\n\n1,2,inf\n", "line 2: 2 fields .*; line 5: a coordinate is not"),
     ],
 )
 def test_bad_point_files(tmp_path: Path, text: str, message: str) -> None:

@@ -4,15 +4,13 @@ import pytest
 import torch
 
 import napari_deltamic as nd
-from napari_deltamic.fourier.cuda.points import cufinufft
-from napari_deltamic.fourier.nonuniform import points_ft
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure import surface_distance
 from napari_deltamic.scene import Renderer
 from napari_deltamic.settings import FitSettings
 
 GRID, OPTICS = nd.Grid((40, 40, 40), (0.1, 0.1, 0.1)), nd.GaussianPSF(0.15)
-METHODS = ("closed form", "non-uniform")
+METHODS = ("closed form", "particle-mesh")
 
 
 def image_and_gradient(device, method, accuracy, effects=()):
@@ -42,24 +40,6 @@ def test_render_follows_the_device_of_the_vertices(gpu):
     assert image.device == gpu
     expected = nd.render(mesh, GRID, OPTICS)
     assert (image.cpu() - expected).norm() <= 1e-3 * expected.norm()
-
-
-@pytest.mark.parametrize("single", [True, False])
-def test_cufinufft_is_right(gpu, single):
-    if cufinufft() is None:
-        pytest.skip("cufinufft is not installed: pip install 'napari-deltamic[gpu]'")
-    generator = torch.Generator().manual_seed(0)
-    x = torch.randn(500, 3, dtype=torch.float64, generator=generator)
-    w = torch.rand(500, dtype=torch.float64, generator=generator)
-    eps = 1e-5 if single else 1e-12
-    results = []
-    for device in ("cpu", gpu):
-        a, b = x.to(device).requires_grad_(), w.to(device).requires_grad_()
-        u = points_ft(a, b, (9, 11, 13), (0.3, 0.2, 0.25), eps, single)
-        gradients = torch.autograd.grad(u.abs().square().sum(), (a, b))
-        results.append([t.detach().cpu() for t in (u, *gradients)])
-    for ours, theirs in zip(*reversed(results), strict=True):
-        assert (ours - theirs).norm() <= 20 * eps * theirs.norm()
 
 
 def test_a_fit_ends_where_that_of_the_cpu_does(gpu):
@@ -96,8 +76,7 @@ def test_a_fit_that_does_not_fit_into_the_memory_goes_on_on_the_cpu(cuda_itself,
         raise torch.OutOfMemoryError("no more")
 
     monkeypatch.setattr("napari_deltamic.fourier.cuda.transform.band_forward", short)
-    monkeypatch.setattr("napari_deltamic.fourier.cuda.points._points_ft_cuda", short)
-    monkeypatch.setattr("napari_deltamic.fourier.cuda.points._execute", short)
+    monkeypatch.setattr("napari_deltamic.fourier.torch_mesh.spread", short)
     settings = FitSettings(device="cuda", accuracy=1e-2, max_iterations=3)
     start = sphere((2.1, 2.0, 2.0), 0.9, subdivisions=2)
     states = list(nd.fit(image, GRID, start, OPTICS, settings=settings))

@@ -4,7 +4,7 @@ import pytest
 from scene_errors import ACCURACIES, scene_errors, scenes
 
 
-@pytest.mark.parametrize("method", ["non-uniform", "closed form"])
+@pytest.mark.parametrize("method", ["particle-mesh", "closed form"])
 @pytest.mark.parametrize("accuracy", ACCURACIES)
 @pytest.mark.parametrize("name", scenes())
 def test_image_and_gradient_keep_to_the_accuracy(gpu, name, accuracy, method):

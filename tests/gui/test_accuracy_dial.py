@@ -227,7 +227,7 @@ def held_costs(monkeypatch, tmp_path, costs):
 # ------------------------------------------------------------------------- during a run
 
 LEVELS = tuple(
-    LevelForecast(n, 1.0, SHAPE, "non-uniform", 1e-2, 0.01 * n, 40, 0.0) for n in range(1, 6)
+    LevelForecast(n, 1.0, SHAPE, "particle-mesh", 1e-2, 0.01 * n, 40, 0.0) for n in range(1, 6)
 )
 
 

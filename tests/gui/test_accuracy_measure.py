@@ -24,7 +24,7 @@ pytestmark = pytest.mark.usefixtures("soon")
 
 def way(accuracy, seconds, error):
     return Way(
-        "non-uniform",
+        "particle-mesh",
         1e-4,
         "",
         "float32",

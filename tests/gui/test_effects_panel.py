@@ -188,3 +188,47 @@ def test_the_residual_is_in_standard_deviations_and_cells_are_judged(seeded, wit
     assert "of what varies near the surfaces is explained" in seeded.running.note.text()
     seeded.running.residual.setChecked(False)
     assert table.isColumnHidden(4)
+
+
+def test_the_time_shown_is_checked(series_widget, viewer, series, spin):
+    """Not that of the last fit."""
+    series_widget.settings.max_iterations.setValue(2)
+    series_widget.start()
+    spin(lambda: not series_widget.run.running)
+    assert series_widget.checking._asked().prepare().image.shape == series[0].shape
+    np.testing.assert_array_equal(series_widget.checking._asked().prepare().image, series[0])
+    series_widget.checking.note_asked()
+    viewer.dims.set_current_step(0, 2)
+    if viewer.layers["seeds"].ndim == 4:
+        viewer.layers["seeds"].add((2, *viewer.layers["seeds"].data[0][-3:]))
+    np.testing.assert_array_equal(series_widget.checking._asked().prepare().image, series[2])
+    assert series_widget.checking.stale
+
+
+def test_an_image_is_read_in_the_thread(seeded, with_image, spin, asked):
+    """Of a lazy one that takes long, nothing is read before the button is let go."""
+    layer, main = with_image.layers["cell"], threading.get_ident()
+
+    class Lazy:
+        shape, dtype, ndim, size = layer.data.shape, layer.data.dtype, 3, layer.data.size
+
+        def __init__(self, data):
+            self.data, self.readers = data, []
+
+        def __getitem__(self, index):
+            return self.data[index]
+
+        def __array__(self, *arguments, **options):
+            self.readers.append(threading.get_ident())
+            return np.asarray(self.data, *arguments)
+
+    lazy = Lazy(layer.data)
+    layer._data = lazy
+    spin(lambda: not seeded.forecast.busy)
+    lazy.readers.clear()
+    seeded.checking.start()
+    assert main not in lazy.readers
+    asked[0].release(9)
+    spin(lambda: not seeded.checking.busy)
+    assert lazy.readers
+    assert main not in lazy.readers

@@ -176,7 +176,7 @@ def test_an_error_of_the_engine_is_told_in_words(seeded, spin, monkeypatch, told
     assert seeded.running.run_button.isEnabled()
 
 
-def test_a_remark_on_the_way_is_part_of_the_verdict(seeded, spin, monkeypatch):
+def test_a_remark_on_the_way_stands_behind_the_verdict(seeded, spin, monkeypatch):
     def states(job, resume=None):
         for state in fit(job.image, job.grid, job.mesh, job.optics, settings=job.settings.fit):
             yield replace(state, message="it leaks") if state.iteration == 3 else state
@@ -184,7 +184,8 @@ def test_a_remark_on_the_way_is_part_of_the_verdict(seeded, spin, monkeypatch):
     monkeypatch.setattr(worker, "start", states)
     seeded.running.run_button.click()
     spin(lambda: not running(seeded))
-    assert "converged; it leaks" in seeded.running.verdict.text() + seeded.running.message.text()
+    assert seeded.running.verdict.text().startswith("converged")
+    assert seeded.running.remarks.label.text() == "it leaks"
 
 
 def test_an_error_before_the_first_iteration(seeded, with_image, spin, told):
@@ -286,3 +287,26 @@ def _no_seeds():
         path = ""
 
     return Nothing()
+
+
+def test_the_verdict_is_one_line_with_a_list_behind(seeded, spin, monkeypatch):
+    def states(job, resume=None):
+        for state in fit(job.image, job.grid, job.mesh, job.optics, settings=job.settings.fit):
+            k = state.iteration
+            yield replace(state, message=f"cells {k} and 9 meet") if k in (2, 3, 4) else state
+
+    monkeypatch.setattr(worker, "start", states)
+    seeded.settings.max_iterations.setValue(8)
+    seeded.start()
+    spin(lambda: not running(seeded))
+    panel = seeded.running
+    assert "meet" not in panel.verdict.text()
+    assert "(8 iterations" in panel.verdict.text()
+    assert panel.remarks.title == "3 remarks"
+    assert panel.remarks.content.isHidden()
+    assert panel.remarks.label.text().split("\n") == [f"cells {k} and 9 meet" for k in (2, 3, 4)]
+    verdict = panel.last_verdict
+    panel.show_verdict("", "")
+    assert panel.remarks.isHidden()
+    panel.show_verdict(*verdict)  # as a session does
+    assert panel.remarks.title == "3 remarks"

@@ -12,7 +12,7 @@ from napari_deltamic import Grid, save_mesh
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import read_points_csv, sphere
 from napari_deltamic.gui.background import Background
-from napari_deltamic.gui.seeding.preview import SMALL, coarsening, coarser, find, named
+from napari_deltamic.gui.seeding.preview import SMALL, coarsening, coarser, find
 from napari_deltamic.gui.seeding.seed_checks import PointSet, in_one_sphere, of_engine, outside
 from napari_deltamic.gui.seeding.seeds import (
     LabelSeeds,
@@ -154,12 +154,6 @@ def test_what_the_engine_says_names_the_points_of_the_layers():
     border = of_engine(sets, "the region of point 1 lies mostly on the border of the image", [1])
     assert border.text == "The region of point 8 lies mostly on the border of the image"
     assert of_engine(sets, "the image has the same value everywhere", []).points == ()
-
-
-def test_the_points_that_a_message_names():
-    assert named("points 3 and 12 lie in the same region") == [3, 12]
-    assert named("the region of point 5 lies mostly on the border") == [5]
-    assert named("the image has the same value everywhere") == []
 
 
 # Preview --------------------------------------------------------------------------------------

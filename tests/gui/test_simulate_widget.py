@@ -45,6 +45,7 @@ def test_image_and_labels_lie_on_each_other(app):
     assert image.data.dtype == np.uint16
     assert set(np.unique(labels.data)) == {0, 1, 2}
     assert [str(u) for u in image.units] == ["micrometer"] * 3
+    assert image.axis_labels == labels.axis_labels == ("z", "y", "x")
     again, *_ = layers(app, seed=3)
     np.testing.assert_array_equal(image.data, again.data)
 

@@ -49,7 +49,7 @@ def test_goes_on_from_moved_vertices(image):
 
 def test_goes_on_with_other_triangles(image):
     settings = QUICK.model_copy(update={"density": "smooth"})
-    states, state = begun(image, 40, settings)
+    states, state = begun(image, 20, settings)
     finer = remesh(state.mesh, 0.6 * median_edge(state.mesh)).mesh
     pinned = np.arange(len(finer.vertices)) == 0
     after = states.send(Change(mesh=finer, pinned=pinned))

@@ -8,7 +8,7 @@ from napari_deltamic import Grid, Mesh, fit, render
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.remeshing import can_remesh
-from napari_deltamic.inference.density import DensityField
+from napari_deltamic.inference.density import LIMIT, Density
 from napari_deltamic.inference.level import Level
 from napari_deltamic.inference.likelihood import Match
 from napari_deltamic.inference.preconditioner import Preconditioner
@@ -76,27 +76,15 @@ def test_a_smooth_density_begins_with_the_brightness_of_the_image():
     assert np.abs(second.density / truth - 1).mean() < 0.15
 
 
+def field(model, subdivisions=1, width=0.13):
+    mesh = start(subdivisions)
+    return mesh, Density(mesh, model, width)
+
+
 def test_what_an_image_hardly_shows_begins_with_the_mean_density():
     mesh, density = field("smooth")
-    density.faces(active=True)
-    assert density.unknown
-    density.estimate(np.full(len(mesh.vertices), 1e-9), Preconditioner(mesh, 1))
-    assert_allclose(density.faces_numpy(), 1)
-    assert not density.unknown
-
-
-def field(model, subdivisions=1):
-    mesh = start(subdivisions)
-    return mesh, DensityField(mesh, np.zeros(len(mesh.vertices), int), model)
-
-
-@pytest.mark.parametrize("model", ["smooth", "interface"])
-def test_what_is_asked_for_later_stays_where_it_was(model):
-    _, density = field(model)
-    density.log = np.linspace(-1, 1, len(density.log)) + 0.1
-    before, later = density.faces_numpy(), density.later()
-    density.faces(active=True, device="meta")  # a device with which no number of the CPU goes
-    assert_allclose(later(), before)
+    log = density.estimate(np.full(len(mesh.vertices), 1e-9), Preconditioner(mesh, 1))
+    assert_allclose(density.faces_numpy(log), 1)
 
 
 def brightness(counted, effects=()):
@@ -105,8 +93,9 @@ def brightness(counted, effects=()):
     shown = render(mesh, GRID, OPTICS, 1e-4, density=one_sided(mesh), effects=effects)
     image = np.where(counted, 2 * shown.numpy(), 0).astype(np.float32)
     level = Level(image, counted, GRID, OPTICS, settings, as_effects(effects), 1.0)
-    found = Match(*map(torch.tensor, (0.1, 1.0, 0.0, False)))
-    return mesh, level.brightness(mesh.vertices_numpy(), shown, found)
+    found = Match(1.0, 0.1, 1.0, 0.0, False)
+    given = mesh.vertices_numpy(), shown, found, as_effects(effects)
+    return mesh, level.brightness(*given)
 
 
 def test_a_density_begins_with_the_mean_where_voxels_are_missing():
@@ -125,51 +114,70 @@ def test_a_density_begins_with_the_mean_where_a_dark_inside_leaves_less_than_not
     assert_allclose(found[x > 0.8 * RADIUS], 2, rtol=1e-3)
 
 
-def test_a_uniform_density_costs_nothing():
+def test_a_uniform_density_has_no_numbers():
     mesh, density = field("uniform")
-    assert density.faces(active=True) is None
-    density.step(Preconditioner(mesh, 1), 1.0)
-    assert_allclose(density.faces_numpy(), np.ones(len(mesh.faces)))
-
-
-def test_a_smooth_density_waits_and_that_of_interfaces_does_not():
-    assert field("smooth")[1].faces(active=False) is None
-    assert field("interface")[1].faces(active=False).requires_grad
+    nothing = np.zeros(len(density))
+    assert len(nothing) == 0
+    assert density.faces(torch.from_numpy(nothing)) is None
+    assert_allclose(density.faces_numpy(nothing), np.ones(len(mesh.faces)))
+    value, gradient = density.prior(nothing)
+    assert (value, len(gradient)) == (0, 0)
+    assert len(density.bounded(nothing)) == 0
 
 
 @pytest.mark.parametrize("model", ["smooth", "interface"])
-def test_a_density_starts_uniform(model):
+def test_numbers_of_zero_are_the_mean(model):
     _, density = field(model)
-    faces = density.faces(active=True)
+    log = torch.zeros(len(density), dtype=torch.float64, requires_grad=True)
+    faces = density.faces(log)
     assert faces.requires_grad
     assert_allclose(faces.detach(), 1)
+    value, gradient = density.prior(np.zeros(len(density)))
+    assert value == 0
+    assert_allclose(gradient, 0)
 
 
-def descend(density, mesh, gradient, n=1):
-    for _ in range(n):
-        (density.faces(active=True) * gradient).sum().backward()
-        density.step(Preconditioner(mesh, 1), 1.0)
+@pytest.mark.parametrize("model", ["smooth", "interface"])
+def test_the_gradient_of_the_prior(model):
+    centers = [(0.95, 1.15, 1.1), (0.95, 1.15, 3.2)]
+    mesh = Mesh.merge([sphere(c, 0.6, subdivisions=1) for c in centers])
+    density = Density(mesh, model, 0.13)
+    rng = np.random.default_rng(0)
+    log, way = rng.normal(size=(2, len(density)))
+    value, gradient = density.prior(log)
+    assert value > 0
+    step = 1e-4
+    slope = (density.prior(log + step * way)[0] - density.prior(log - step * way)[0]) / (2 * step)
+    assert_allclose(gradient @ way, slope, rtol=1e-8)
 
 
-def test_a_step_keeps_the_mean_and_stays_bounded():
-    mesh, density = field("smooth")
-    gradient = torch.from_numpy(one_sided(mesh) - 1)
-    descend(density, mesh, gradient)
-    assert_allclose(np.average(density.faces_numpy(), weights=mesh.areas()), 1, rtol=1e-6)
-    assert np.corrcoef(density.faces_numpy(), one_sided(mesh))[0, 1] < -0.9
-    descend(density, mesh, gradient, 100)
-    assert np.abs(density.log).max() <= 2
+def test_the_prior_hardly_depends_on_how_fine_the_mesh_is():
+    values = []
+    for subdivisions in (3, 4):
+        mesh = sphere(CENTER, RADIUS, subdivisions=subdivisions)
+        log = (mesh.vertices_numpy()[:, 2] - CENTER[2]) / RADIUS
+        values.append(Density(mesh, "smooth", 0.13).prior(log)[0])
+    assert_allclose(values[1], values[0], rtol=0.05)
 
 
-def test_state_round_trip():
-    mesh, one = field("smooth")
-    _, other = field("smooth")
-    gradient = torch.from_numpy(one_sided(mesh) - 1)
-    descend(one, mesh, gradient, 3)
-    other.load(one.state())
-    descend(one, mesh, gradient)
-    descend(other, mesh, gradient)
-    assert_allclose(one.log, other.log, rtol=1e-12)
+@pytest.mark.parametrize("model", ["smooth", "interface"])
+def test_bounded_densities_have_the_mean_one_and_a_limit(model):
+    centers = [(0.95, 1.15, 1.1), (0.95, 1.15, 3.2)]
+    mesh = Mesh.merge([sphere(c, 0.6, subdivisions=2) for c in centers])
+    density = Density(mesh, model, 0.13)
+    log = np.random.default_rng(0).normal(size=len(density)) + 0.7
+    mean = np.average(density.faces_numpy(density.bounded(log)), weights=mesh.areas())
+    assert_allclose(mean, 1, rtol=1e-6 if np.abs(density.bounded(log)).max() < LIMIT else 0.1)
+    assert np.abs(density.bounded(30 * log)).max() <= LIMIT
+
+
+@pytest.mark.parametrize("model", ["smooth", "interface"])
+def test_a_smooth_density_waits_for_the_first_shape_and_that_of_interfaces_does_not(model):
+    settings = FitSettings(density=model, levels=(1.5, 1.0), max_iterations=40)
+    mesh = Mesh.merge([start(2), sphere((1.15, 0.5, 1.55), 0.2, subdivisions=1)])
+    states = list(fit(measured(), GRID, mesh, OPTICS, settings=settings))
+    first = [np.ptp(s.density) for s in states if s.level == 1]
+    assert (max(first) == 0) == (model == "smooth")
 
 
 @pytest.mark.parametrize("levels", [(1.0,), (1.2, 1.0)])
@@ -177,48 +185,6 @@ def test_short_schedules_fit_the_density(levels):
     settings = FitSettings(density="smooth", levels=levels, max_iterations=80)
     last = fitted(measured(density=one_sided(TRUTH)), start(1), settings=settings)
     assert np.ptp(last.density) > 0.3
-
-
-# --------------------------------------------------------------------- how firmly the image holds
-
-
-def evened(mesh, log, sigma=(0.1, 0.1, 0.1)):
-    """(V,) what becomes of a gradient of ones."""
-    density = DensityField(mesh, np.zeros(len(mesh.vertices), int), "smooth")
-    density.log = log
-    density.faces(active=True)
-    vertices = torch.tensor(mesh.vertices_numpy())
-    return density.evened(torch.ones_like(vertices), vertices, sigma)[:, 0].numpy()
-
-
-def test_dim_places_are_held_less_firmly():
-    mesh = start(2)
-    x = mesh.vertices_numpy()[:, 2] - CENTER[2]
-    found = evened(mesh, np.where(x > 0, 0.0, -np.log(4)))
-    far = np.abs(x) > 0.5 * np.abs(x).max()
-    assert_allclose(found[far & (x < 0)].mean() / found[far & (x > 0)].mean(), 8, rtol=0.01)
-
-
-def test_places_across_the_blurred_axis_are_held_less_firmly():
-    mesh = sphere(CENTER, RADIUS, subdivisions=3)
-    found = evened(mesh, np.zeros(len(mesh.vertices)), sigma=(0.2, 0.1, 0.1))
-    z = np.abs(mesh.vertices_numpy()[:, 0] - CENTER[0]) / RADIUS
-    assert_allclose(found[z > 0.98].mean() / found[z < 0.1].mean(), 8, rtol=0.1)
-
-
-def test_no_place_is_moved_without_bounds():
-    mesh = start(2)
-    x = mesh.vertices_numpy()[:, 2] - CENTER[2]
-    found = evened(mesh, np.where(x > 0, 2.0, -2.0))
-    assert found.max() <= 20
-    assert found.min() >= 1 / 20
-
-
-def test_a_uniform_density_leaves_the_gradient_as_it_is():
-    mesh, density = field("uniform")
-    density.faces(active=True)
-    gradient = torch.ones(len(mesh.vertices), 3)
-    assert density.evened(gradient, torch.tensor(mesh.vertices_numpy()), (0.1,) * 3) is gradient
 
 
 def test_a_dim_side_arrives_as_soon_as_a_bright_one():

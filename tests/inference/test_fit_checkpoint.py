@@ -27,10 +27,9 @@ def test_a_checkpoint_is_of_the_state_or_shortly_before(image, tmp_path):
 @pytest.mark.parametrize(
     ("at", "settings", "within"),
     [
-        (33, FitSettings(levels=(2.0, 1.0)), 1e-6),
-        (55, FitSettings(levels=(1.5, 1.0), fit_psf=True), 1e-6),
-        # The plan is made anew at another iteration, in single precision: up to 6e-6 um apart.
-        (55, FitSettings(levels=(1.5, 1.0), density="smooth"), 1e-5),
+        (25, FitSettings(levels=(2.0, 1.0)), 1e-6),
+        (45, FitSettings(levels=(1.5, 1.0), fit_psf=True), 1e-6),
+        (20, FitSettings(levels=(1.5, 1.0), density="smooth"), 1e-6),
     ],
 )
 def test_a_resumed_fit_ends_as_the_uninterrupted_one(image, tmp_path, at, settings, within):

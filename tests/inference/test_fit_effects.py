@@ -110,7 +110,8 @@ def test_numbers_stay_within_their_bounds():
     """A PSF sharper than it is taken for looks as if there were less than no halo."""
     wide, halo = GaussianPSF(0.15), Halo(fraction=0.0, width=0.4)
     last = fitted(scene(), near(), optics=wide, settings=SHORT, effects=Effects.of(halo))
-    assert last.effects.halo.fraction == 0.0
+    assert last.effects.halo.fraction < 0.05
+    assert last.effects.halo.width >= 0.05
 
 
 @pytest.mark.parametrize("density", [-0.3, -1.0])

@@ -3,7 +3,7 @@ import pytest
 
 from napari_deltamic import Mesh
 from napari_deltamic.geometry import sphere
-from napari_deltamic.inference.health import GrowthAlarm, shrunken
+from napari_deltamic.inference.health import GrowthAlarm, shrunken, told_shrunken, why_stuck
 
 
 @pytest.fixture
@@ -55,3 +55,11 @@ def test_regions_that_are_only_points_are_told():
     mesh = Mesh.merge([sphere((0, 0, 0), 1.0, subdivisions=2), sphere((5, 0, 0), 0.02)])
     assert shrunken(mesh, 0.2) == [2]
     assert shrunken(mesh, 0.01) == []
+
+
+def test_only_where_every_cell_is_a_point_the_fit_is_stuck():
+    assert why_stuck(0.9, False, [7], 37) == ""
+    assert told_shrunken([7, 9]).startswith("the surface of region 7, 9 has shrunk to a point")
+    assert told_shrunken([]) == ""
+    assert why_stuck(0.9, False, [1, 2], 2).startswith("stuck: the surface of region 1, 2")
+    assert why_stuck(0.01, False, [], 37).startswith("stuck")

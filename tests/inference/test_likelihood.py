@@ -10,7 +10,6 @@ from napari_deltamic.inference.likelihood import (
     ImageNoise,
     match,
     noise_ratio,
-    smoothing_for,
     solve_scale,
 )
 
@@ -53,49 +52,60 @@ def test_gradient_of_the_match(rng, sign):
     rendered, measured, weights = tensors(rng, 30)
     measured = sign * measured
     leaf = rendered.clone().requires_grad_()
-    result = match(leaf, measured, weights)
-    result.loss.backward()
+    squares, found = match(leaf, measured, weights)
+    squares.backward()
+    assert found.bounded == (sign == -1)
     way = torch.from_numpy(rng.normal(size=30))
     step = 1e-6
 
-    def loss(image):
+    def value(image):
         # Where the bound holds, the amplitude is held by design: the gradient is that.
         if sign == 1:
-            return match(image, measured, weights).loss
-        residual = result.amplitude * image + result.background - measured
-        centred = measured - (weights @ measured) / weights.sum()
-        return weights @ residual**2 / (weights @ centred**2)
+            return match(image, measured, weights)[0]
+        return weights @ (found.amplitude * image + found.background - measured) ** 2
 
-    slope = (loss(rendered + step * way) - loss(rendered - step * way)) / (2 * step)
+    slope = (value(rendered + step * way) - value(rendered - step * way)) / (2 * step)
     assert_allclose(float(leaf.grad @ way), float(slope), rtol=1e-6)
+
+
+def test_squares_are_those_of_the_weighted_residuals(rng):
+    rendered, measured, weights = tensors(rng)
+    squares, found = match(rendered, measured, weights)
+    residual = found.amplitude * rendered + found.background - measured
+    assert_allclose(float(squares), float(weights @ residual**2), rtol=1e-12)
+    assert found.squares == float(squares)
+    mean = (weights @ measured) / weights.sum()
+    assert_allclose(found.loss, float(squares / (weights @ (measured - mean) ** 2)), rtol=1e-12)
+    assert type(found.amplitude) is type(found.background) is float
+    assert found.bounded is False
 
 
 def test_loss_is_one_where_nothing_is_explained(rng):
     rendered, measured, weights = tensors(rng)
-    assert_allclose(float(match(0 * rendered, measured, weights).loss), 1)
-    assert float(match(measured, measured, weights).loss) < 1e-20
+    assert_allclose(match(0 * rendered, measured, weights)[1].loss, 1)
+    assert match(measured, measured, weights)[1].loss < 1e-20
 
 
 def test_loss_does_not_depend_on_gain_and_offset(rng):
     rendered, measured, weights = tensors(rng)
-    one = match(rendered, measured, weights).loss
-    assert_allclose(match(rendered, 100 * measured + 1000, weights).loss, one)
+    one = match(rendered, measured, weights)[1].loss
+    assert_allclose(match(rendered, 100 * measured + 1000, weights)[1].loss, one)
 
 
 def test_a_region_without_contrast_gives_no_nan():
     flat = torch.zeros(100, dtype=torch.float32)
     rendered = torch.linspace(0, 1, 100).requires_grad_()
-    result = match(rendered, flat, torch.ones(100))
-    result.loss.backward()
-    assert torch.isfinite(result.loss)
+    squares, found = match(rendered, flat, torch.ones(100))
+    squares.backward()
+    assert np.isfinite([found.squares, found.loss]).all()
     assert torch.isfinite(rendered.grad).all()
 
 
 def test_mixed_precision(rng):
     rendered, measured, weights = tensors(rng)
-    expected = match(rendered, measured, weights).loss
-    result = match(rendered, measured.float(), weights.float())
-    assert_allclose(float(result.loss), float(expected), rtol=1e-4)
+    expected = match(rendered, measured, weights)[1].loss
+    found = match(rendered, measured.float(), weights.float())[1]
+    assert_allclose(found.loss, expected, rtol=1e-4)
 
 
 # --------------------------------------------------------------------------------- weights
@@ -176,9 +186,3 @@ def test_noise_ratio_ignores_missing_voxels(rng):
     image[:5] = 1e6
     assert_allclose(noise_ratio(image, known), one, rtol=0.1)
     assert noise_ratio(image, np.zeros(image.shape, bool)) == 0
-
-
-def test_smoothing_grows_with_the_noise():
-    assert smoothing_for(0) == 2
-    assert smoothing_for(0.005) == 6
-    assert smoothing_for(0.01) == smoothing_for(1) == 10

@@ -16,7 +16,6 @@ from napari_deltamic.inference.preconditioner import (
     Preconditioner,
     adjacency,
     components,
-    on_long_edges,
 )
 
 
@@ -151,13 +150,6 @@ def test_held_vertices_without_smoothing(mesh, gradient):
     step = Preconditioner(mesh, 0, held=held).solve(gradient)
     assert_array_equal(step[:3], 0)
     assert_array_equal(step[3:], gradient[3:])
-
-
-@pytest.mark.parametrize(("width", "expected"), [(1.0, 10.0), (0.5, 10.0), (0.25, 5.625)])
-def test_smoothing_reaches_as_far_on_long_edges(width, expected):
-    vertices = np.array([(0, 0, 0), (1, 0, 0), (0.5, np.sqrt(3) / 2, 0)])
-    triangle = Mesh(vertices, np.array([(0, 1, 2)]))
-    assert on_long_edges(10.0, triangle, width) == pytest.approx(expected)
 
 
 @pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")

@@ -9,8 +9,10 @@ from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.remeshing import can_remesh
 from napari_deltamic.geometry.topology.crossings import crosses
 from napari_deltamic.geometry.topology.rearranging import Rearranged
-from napari_deltamic.inference import topology as module
+from napari_deltamic.geometry.topology.thin_places import ThinPlace
+from napari_deltamic.inference import run as module
 from napari_deltamic.inference.run import Run
+from napari_deltamic.inference.topology import TopologyPolicy
 from napari_deltamic.measure import surface_distance
 from napari_deltamic.settings import FitSettings
 
@@ -122,68 +124,55 @@ def test_neighbours_stay_where_that_is_wanted():
     assert told == ""
 
 
-def test_a_change_that_the_image_speaks_against_is_undone(monkeypatch):
-    truth = four(0.6, 0.12)
-    start = four(0.6, 0.2, radius=0.7)
-    crushed = sphere((0, 0, 0), 0.3, 0.2)
-    wrong = Mesh.merge([crushed.translated((0, 0, 2.0 * k)) for k in range(4)])
-    tried = []
+def changed_once(monkeypatch, start, look):
+    """Fits change all of a mesh into four small balls, once, when ``look`` finds places."""
+    balls = Mesh.merge([sphere((0, 0, 2.0 * k), 0.3, 0.2) for k in range(4)])
+    place, told = ThinPlace((1,), (2, 3), start.vertices_numpy(), 0.1), ("cells fell apart",)
+    monkeypatch.setattr(module, "give_way", lambda mesh, places, edge: Rearranged(balls, told))
+    places = [[place]]
 
-    def look(self, run):
-        if run.iteration == 40 and not tried:
-            tried.append(run.mesh)
-            self._change(run, [])
-        elif self._before is not None and run.iteration >= 60:
-            self._judge(run)
+    def found(self, *rest):
+        now = places.pop() if places else []
+        return now if look == "worth_a_trial" else (self, now)
 
-    changed = Rearranged(wrong, ("cells fell apart",))
-    monkeypatch.setattr(module, "give_way", lambda mesh, places, edge: changed)
-    monkeypatch.setattr(module.TopologyKeeper, "look", look)
-    settings = SETTINGS.model_copy(update={"levels": (1.0,), "max_iterations": 70})
-    image, grid = photographed(truth, start)
-    states = list(fit(image, grid, start, OPTICS, settings=settings))
-    told = [e for s in states for e in s.events]
-    assert told == ["cells fell apart", "undone, as the image speaks against it"]
-    assert len(states[-1].mesh.vertices) == len(tried[0].vertices)
+    for name in ("pressing", "worth_a_trial"):
+        nothing = [] if name == "worth_a_trial" else None
+        way = found if name == look else lambda self, *rest, n=nothing: n if n == [] else (self, [])
+        monkeypatch.setattr(TopologyPolicy, name, way)
+    return balls
 
 
-def test_a_change_at_the_end_of_a_fit_is_compared_with_the_loss_before_it(monkeypatch):
+@pytest.mark.parametrize("look", ["pressing", "worth_a_trial"])
+def test_a_change_that_the_image_speaks_against_is_undone(look, monkeypatch):
     start = four(0.6, 0.2, radius=0.7)
     image, grid = photographed(four(0.6, 0.12), start)
-    crushed = Mesh.merge([sphere((0, 0, 2.0 * k), 0.3, 0.2) for k in range(4)])
-    changed = Rearranged(crushed, ("cells fell apart",))
-
-    def holds_up(self, run):
-        return self._before is None and self._change(run, [])
-
-    def look(self, run):
-        if self._before is not None and run.iteration - self._before.iteration >= module._TRIAL:
-            self._judge(run)
-
-    monkeypatch.setattr(module, "give_way", lambda mesh, places, edge: changed)
-    monkeypatch.setattr(module.TopologyKeeper, "holds_up", holds_up)
-    monkeypatch.setattr(module.TopologyKeeper, "look", look)
-    settings = SETTINGS.model_copy(
-        update={"levels": (1.0,), "tolerance": 0.5, "max_iterations": 110}
-    )
-    told = [e for s in fit(image, grid, start, OPTICS, settings=settings) for e in s.events]
-    assert told[:2] == ["cells fell apart", "undone, as the image speaks against it"]
+    balls = changed_once(monkeypatch, start, look)
+    settings = SETTINGS.model_copy(update={"levels": (1.0,), "remesh": False})
+    states = list(fit(image, grid, start, OPTICS, settings=settings))
+    counts = [len(s.mesh.vertices) for s in states]
+    assert len(balls.vertices) in counts
+    assert counts[-1] == len(start.vertices)
+    assert states[-1].converged
+    told = [e for s in states for e in s.events]
+    # What was only tried is not told of where nothing came of it.
+    undone = ["cells fell apart", "undone, as the image speaks against it"]
+    assert told == (undone if look == "pressing" else [])
 
 
 @pytest.mark.parametrize("kind", ["pinned", "optics"])
 def test_what_changes_from_outside_is_not_undone_with_the_topology(kind, monkeypatch):
     start = four(0.6, 0.2, radius=0.7)
     image, grid = photographed(four(0.6, 0.12), start)
-    open_changes = []
+    place, open_changes = ThinPlace((1,), (2, 3), start.vertices_numpy(), 0.1), []
 
-    def look(self, run):
-        if not run.iteration:
-            self._change(run, [])
-        open_changes.append(self._before)
+    def look(self):
+        if not self.iteration:
+            self._change([place], tried=False)
+        open_changes.append(self.trial)
 
     changed = Rearranged(start.translated((0, 0, 0)), ("nothing to speak of",))
     monkeypatch.setattr(module, "give_way", lambda mesh, places, edge: changed)
-    monkeypatch.setattr(module.TopologyKeeper, "look", look)
+    monkeypatch.setattr(Run, "_look_at_topology", look)
     settings = SETTINGS.model_copy(update={"levels": (1.0,), "max_iterations": 3})
     states = fit(image, grid, start, OPTICS, settings=settings)
     next(states)
@@ -191,26 +180,6 @@ def test_what_changes_from_outside_is_not_undone_with_the_topology(kind, monkeyp
     states.send(Change(pinned=pinned) if kind == "pinned" else Change(optics=GaussianPSF(0.14)))
     assert open_changes[0] is not None
     assert open_changes[1:] == [None]
-
-
-def test_a_fit_of_the_psf_counts_its_steps_from_where_a_change_has_it_settle_again(monkeypatch):
-    """As a fit does that is resumed from the checkpoint made there."""
-    start = four(0.6, 0.2, radius=0.7)
-    image, grid = photographed(four(0.6, 0.12), start)
-
-    def look(self, run):
-        if run.iteration == 0:
-            run.losses = 4 * [1.0]
-        elif run.iteration == 20:
-            module._settle_again(run, 1)
-
-    monkeypatch.setattr(module.TopologyKeeper, "look", look)
-    monkeypatch.setattr(Run, "_settled", lambda self, last: False)
-    settings = SETTINGS.model_copy(update={"levels": (1.0,), "max_iterations": 27, "fit_psf": True})
-    widths = [s.optics.sigma_um for s in fit(image, grid, start, OPTICS, settings=settings)]
-    moved = [k for k in range(1, len(widths)) if widths[k] != widths[k - 1]]
-    # Every fifth moves it, as the state after it shows; four had passed at the beginning.
-    assert moved == [1, 6, 11, 16, 25]
 
 
 def test_pinned_places_do_not_change():

@@ -9,6 +9,7 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 import napari_deltamic as nd
+from napari_deltamic.fourier import particle_mesh
 from napari_deltamic.geometry import sphere
 from napari_deltamic.inference import level
 from napari_deltamic.scene import Renderer
@@ -59,7 +60,7 @@ class Plain(Renderer):
         return otf
 
     def image(self, transform, otf):
-        return self.plan.band.to_image(transform * otf, self.grid.shape)
+        return self.plan.band.to_image(transform, self.grid.shape, otf)
 
 
 class Operations(TorchDispatchMode):
@@ -93,7 +94,7 @@ def rendered(renderer):
     return image.detach(), vertices.grad
 
 
-@pytest.mark.parametrize("method", ["closed form", "non-uniform"])
+@pytest.mark.parametrize("method", ["closed form", "particle-mesh"])
 def test_absent_effects_change_no_bit_of_an_image(method, one_thread):
     for own, plain in zip(
         *(rendered(r(BALL, GRID, OPTICS, 1e-3, method=method)) for r in (Renderer, Plain)),
@@ -134,24 +135,40 @@ def test_absent_effects_change_no_bit_of_a_fit(monkeypatch, one_thread):
 
 def passes(operations, size):
     """Elements that elementwise operations make, in passes over something so large."""
-    other = ("view", "slice", "fft", "expand", "_to_copy", "detach", "select", "points_ft")
+    other = ("view", "slice", "fft", "expand", "_to_copy", "detach", "select")
     return sum(n for name, n in operations.done if not any(o in name for o in other)) / size
+
+
+class Transforms:
+    """Counts how often points are spread."""
+
+    def __enter__(self):
+        self.count, self._spread = 0, particle_mesh.spread
+
+        def counted(*given, **named):
+            self.count += 1
+            return self._spread(*given, **named)
+
+        particle_mesh.spread = counted
+        return self
+
+    def __exit__(self, *_):
+        particle_mesh.spread = self._spread
 
 
 def work(effects):
     """Passes over the band for the OTF, over the image, and mesh transforms of one rendering."""
-    renderer = Renderer(BALL, GRID, OPTICS, 1e-3, effects=effects, method="non-uniform")
+    renderer = Renderer(BALL, GRID, OPTICS, 1e-3, effects=effects, method="particle-mesh")
     vertices = torch.tensor(BALL.vertices_numpy())
     with torch.no_grad():
         with Operations() as of_otf:
             otf = renderer.otf(OPTICS)
-        with Operations() as of_mesh:
+        with Transforms() as of_mesh:
             transform = renderer.transform(vertices)
         with Operations() as of_image:
             image = renderer.image(transform, otf)
-    transforms = sum("points_ft" in name for name, _ in of_mesh.done)
     multiplied = sum("mul" in name and n == image.numel() for name, n in of_image.done)
-    return passes(of_otf, int(np.prod(otf.shape[-3:]))), multiplied, transforms
+    return passes(of_otf, int(np.prod(otf.shape[-3:]))), multiplied, of_mesh.count
 
 
 @pytest.mark.parametrize("name", [n for n in KNOWN if n != "bulk"])
@@ -180,7 +197,7 @@ def ratio(effects, method, mesh, grid):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["closed form", "non-uniform"])
+@pytest.mark.parametrize("method", ["closed form", "particle-mesh"])
 @pytest.mark.parametrize("name", [n for n in KNOWN if KINDS[n].cost.transforms])
 def test_present_effects_take_the_time_that_they_state(name, method, one_thread):
     """Where the transform of the mesh is nearly all there is, as in every real scene."""

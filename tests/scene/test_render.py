@@ -16,7 +16,7 @@ SIGMA = (0.3, 0.22, 0.25)
 GRID = nd.Grid((20, 27, 24), (0.2, 0.11, 0.13), origin=(-2.1, 3.0, 10.0))
 CENTRE = np.array([-0.2, 4.4, 11.5])
 BALL = sphere(CENTRE, (0.6, 0.5, 0.7), subdivisions=1)
-METHODS = ("closed form", "non-uniform")
+METHODS = ("closed form", "particle-mesh")
 EFFECT = {True: ("pixel_integration",), False: ()}
 
 

@@ -46,7 +46,7 @@ def scene_of(name, optics=OPTICS, **more):
 # --------------------------------------------------------------------------- what accuracy promises
 
 
-@pytest.mark.parametrize("method", [None, "closed form", "non-uniform"])
+@pytest.mark.parametrize("method", [None, "closed form", "particle-mesh"])
 @pytest.mark.parametrize("accuracy", [1e-2, 1e-3, 1e-4, 1e-5])
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_image_is_as_accurate_as_asked(name, accuracy, method):
@@ -135,7 +135,7 @@ def test_gradients_of_positions_and_weights(name):
         ends = [[start, weights], [start, weights]]
         ends[0][k], ends[1][k] = ends[0][k] + step, ends[1][k] - step
         changes.append(float(loss(*ends[0], 0, None) - loss(*ends[1], 0, None)) / 2e-4)
-    for method in ("closed form", "non-uniform"):
+    for method in ("closed form", "particle-mesh"):
         p, w = (t.clone().requires_grad_() for t in (start, weights))
         found = torch.autograd.grad(loss(p, w, 1e-6, method), (p, w))
         for gradient, move, change in zip(found, moves, changes, strict=True):

@@ -91,7 +91,7 @@ def test_the_one_in_use_is_marked(ways):
 
 
 def test_what_takes_too_long_is_listed_with_its_time():
-    """With pairs a million times dearer, only the non-uniform ways remain."""
+    """With pairs a million times dearer, only the particle-meshs remain."""
     rates = {
         name: Rates(**{**vars(getattr(BUILT_IN, name)), "lines": 1e-2})
         for name in ("single_gradient", "double_gradient")
@@ -99,14 +99,14 @@ def test_what_takes_too_long_is_listed_with_its_time():
     found = list(measure_ways(MESH, GRID, OPTICS, IN_USE, costs=replace(BUILT_IN, **rates)))
     first = found[0]
     assert first.reference
-    assert first.method == "non-uniform"
+    assert first.method == "particle-mesh"
     assert first.accuracy < min(PLANNED)
     closed = [w for w in found if w.method == "closed form"]
     assert len([w for w in closed if w.accuracy is None]) == 10
     for way in closed:
         assert not way.measured
         assert way.note == f"not measured: about {duration(way.expected)}"
-    rest = [w for w in found if w.method == "non-uniform"]
+    rest = [w for w in found if w.method == "particle-mesh"]
     assert all(w.measured for w in rest)
     assert only(found, rule="degree 8", precision="float64", accuracy=None).error < 1e-4
 
@@ -185,8 +185,8 @@ def test_twins_are_both_on_the_front():
 
 def test_names():
     assert way(1, 1).name == "closed form, |OTF| > 1e-01, float32"
-    full = Way("non-uniform", 0, "degree 2", "float64")
-    assert full.name == "non-uniform, full grid, degree 2, float64"
+    full = Way("particle-mesh", 0, "degree 2", "float64")
+    assert full.name == "particle-mesh, full grid, degree 2, float64"
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Errors of rendered images and their gradients by the non-uniform way, on scenes that strain it.
+"""Errors of rendered images and their gradients by the particle-mesh, on scenes that strain it.
 
 Against the closed form in double precision at every wavevector, which is checked on its own. The
 error of an image is the relative L2 error that ``accuracy`` bounds; that of a gradient, of the
@@ -100,7 +100,7 @@ def _exact(name):
 
 
 @cache
-def scene_errors(name, accuracy, method="non-uniform", device="cpu"):
+def scene_errors(name, accuracy, method="particle-mesh", device="cpu"):
     """Relative errors of the image and of its gradient."""
     exact = _exact(name)
     ours = image_and_gradient(*scenes()[name], accuracy, method, device)

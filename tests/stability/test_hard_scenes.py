@@ -1,4 +1,4 @@
-"""The non-uniform way at its stated accuracy, on scenes that strain it; see :mod:`scene_errors`."""
+"""The particle-mesh at its stated accuracy, on scenes that strain it; see :mod:`scene_errors`."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ import napari_deltamic as nd
 from napari_deltamic.geometry import sphere
 from napari_deltamic.scene import Renderer
 
-METHODS = ("non-uniform", "closed form")
+METHODS = ("particle-mesh", "closed form")
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -17,8 +17,8 @@ UNITS = [1e3, 1e-6, 1e-9, 1e6]  # um told in nm, in m, and beyond
 RENDERINGS = {  # method, accuracy, how much of the image may change
     "closed form": ("closed form", 0, 1e-11),
     "closed form, f32": ("closed form", 5e-5, 5e-5),
-    "non-uniform": ("non-uniform", 1e-8, 1e-8),
-    "non-uniform, f32": ("non-uniform", 5e-5, 5e-5),
+    "particle-mesh": ("particle-mesh", 1e-8, 1e-8),
+    "particle-mesh, f32": ("particle-mesh", 5e-5, 5e-5),
 }
 
 

@@ -11,14 +11,13 @@ import os
 import sys
 import traceback
 from collections.abc import Sequence
+from importlib import import_module
 from typing import NoReturn
 
 from .. import __version__
 from ..errors import InputError
-from . import accuracy, doctor, effects, fitting, rendering, simulating, tracking
+from .arguments import COMMANDS
 from .messages import PROGRAM, Failure, Notes, failure, one_line
-
-COMMANDS = (rendering, fitting, effects, tracking, accuracy, simulating, doctor)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -33,8 +32,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     notes = Notes()
     try:
         arguments = build_parser().parse_args(argv)
+        arguments.check(arguments)
         with notes.catching_warnings():
-            return int(arguments.run(arguments, notes))
+            command = import_module(f".{arguments.module}", __package__)  # loads the engine
+            return int(command.run(arguments, notes))
     except SystemExit as stop:  # after --help and --version
         return int(stop.code or 0)
     except InputError as error:
@@ -50,13 +51,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def build_parser() -> argparse.ArgumentParser:
-    """The parser of all commands; each sets `run` to what takes the arguments and the notes."""
+    """The parser of all commands; each sets `module`, and `check` if it can refuse arguments."""
     parser = _Parser(
         prog=PROGRAM,
         description="Cell shapes in 3D, as meshes, straight from a fluorescence stack.",
         epilog="Lengths are um, in the order Z Y X.",
     )
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
+    parser.set_defaults(check=lambda arguments: None)
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for command in COMMANDS:
         command.add_parser(commands)

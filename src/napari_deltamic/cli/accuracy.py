@@ -12,7 +12,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from tqdm import tqdm
 
 from .. import __version__
@@ -26,12 +25,12 @@ from ..accuracy_chart import (
     ways_chart,
     ways_table,
 )
-from ..errors import InputError
+from ..choices import MESH_FILES
 from ..fourier.cost import costs
+from ..fourier.cuda import missing
 from ..fourier.native import simd_level, threads
 from ..geometry import Mesh, load_mesh
 from ..geometry.files import write_atomically
-from ..images import EXTENSIONS
 from ..inference import fit
 from ..inference.checks import check_mesh
 from ..inference.default_accuracy import accuracy_for, image_noise
@@ -42,60 +41,11 @@ from ..optics import Optics
 from ..report import make_folder
 from ..scene import Grid
 from ..scene.tradeoff import Way, duration, measure_ways, with_front
-from .folders import check_folder
-from .inputs import MESHES, gather
+from .inputs import gather
 from .messages import Notes, failure
-from .optics_arguments import OPTICS_ARGUMENTS, add_optics, optics_from_arguments
+from .optics_arguments import OPTICS_ARGUMENTS, optics_from_arguments
 
-TRIPLE = ("Z", "Y", "X")
 _RENDERED = 1e-3  # accuracy of a scene without an image, as that of `render`
-_FILES = ("accuracy.json", "accuracy.png", "shape.png")
-
-
-def add_parser(commands: Any) -> None:
-    """Add the command to the parser of all."""
-    parser = commands.add_parser(
-        "accuracy",
-        help="what accuracy costs in time, on your scene and machine",
-        description="Time every way to render a scene and compare it with the exact one. The scene "
-        "is a mesh with --shape, --voxel-size and a PSF, or an image with --seeds.",
-    )
-    add = parser.add_argument
-    add("scene", metavar="MESH or IMAGE", help=f"{', '.join(MESHES)}; or .tif, .npy")
-    add("--shape", nargs=3, type=int, metavar=TRIPLE, help="voxels (with a mesh)")
-    add("--seeds", metavar="FILE", help="mesh, label image, or CSV of points (with an image)")
-    add("--voxel-size", nargs=3, type=float, metavar=TRIPLE, help="um")
-    add("--sigma", nargs=3, type=float, metavar=TRIPLE, help="um; standard deviations of the PSF")
-    add_optics(parser)
-    add(
-        "--accuracy",
-        type=float,
-        metavar="A",
-        help="the one in use (default: 1e-3 for a mesh, from the noise for an image)",
-    )
-    add(
-        "--budget",
-        type=float,
-        default=10.0,
-        metavar="S",
-        help="ways that would take longer are listed but not measured (default: %(default)g s)",
-    )
-    add(
-        "--shape-error",
-        action="store_true",
-        help="also fit simulated images at several accuracies: the error of the surface",
-    )
-    add(
-        "--photons",
-        type=float,
-        metavar="P",
-        help="at the peak of the simulated images (with a mesh)",
-    )
-    add("--draws", type=int, default=DRAWS, metavar="N", help="of the noise (default: %(default)d)")
-    add("--missing-nan", action="store_true", help="leave out voxels that are NaN or infinite")
-    add("--overwrite", action="store_true", help="replace the results in DIR")
-    add("-o", "--output", metavar="DIR", help="folder for accuracy.json and the pictures")
-    parser.set_defaults(run=run)
 
 
 @dataclass(frozen=True)
@@ -120,12 +70,6 @@ class _Scene:
 def run(arguments: argparse.Namespace, notes: Notes) -> int:
     """Measure, print the table, and write what was asked for."""
     folder = Path(arguments.output) if arguments.output else None
-    if folder is not None:
-        check_folder(folder, _FILES, overwrite=arguments.overwrite)
-    if not arguments.budget > 0:
-        raise InputError(f"budget must be a positive number of seconds, not {arguments.budget:g}")
-    if arguments.draws < 1:
-        raise InputError("--draws must be 1 or more")
     scene = _read(arguments, notes)
     if folder is not None:
         make_folder(folder)
@@ -157,28 +101,17 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
 
 
 def _read(arguments: argparse.Namespace, notes: Notes) -> _Scene:
-    kind = Path(arguments.scene).suffix.lower()
-    if kind in MESHES:
+    if Path(arguments.scene).suffix.lower() in MESH_FILES:
         return _from_mesh(arguments)
-    if kind in EXTENSIONS:
-        return _from_image(arguments, notes)
-    known = ", ".join((*MESHES, *EXTENSIONS))
-    raise InputError(f"{arguments.scene}: unknown extension '{kind}'; known are {known}")
+    return _from_image(arguments, notes)
 
 
 def _from_mesh(arguments: argparse.Namespace) -> _Scene:
-    for name in ("shape", "voxel_size"):
-        if getattr(arguments, name) is None:
-            raise InputError(f"a mesh needs --{name.replace('_', '-')} Z Y X")
-    if arguments.seeds is not None:
-        raise InputError("--seeds goes with an image, not with a mesh")
-    if arguments.shape_error and not (arguments.photons and arguments.photons > 0):
-        raise InputError("--shape-error with a mesh needs --photons P, at the peak of the images")
     grid = Grid(tuple(arguments.shape), tuple(arguments.voxel_size))
     optics = optics_from_arguments(arguments)
     mesh = load_mesh(arguments.scene)
     check_mesh(mesh, grid)
-    accuracy = _RENDERED if arguments.accuracy is None else _checked(arguments.accuracy)
+    accuracy = _RENDERED if arguments.accuracy is None else arguments.accuracy
     return _Scene(Path(arguments.scene).name, mesh, grid, optics, accuracy)
 
 
@@ -190,28 +123,16 @@ class _Blank(argparse.Namespace):
 
 
 def _from_image(arguments: argparse.Namespace, notes: Notes) -> _Scene:
-    if arguments.shape is not None:
-        raise InputError("--shape goes with a mesh; an image has its own")
-    if arguments.photons is not None:
-        raise InputError("--photons goes with a mesh; an image has its own noise")
-    if arguments.seeds is None:
-        raise InputError("an image needs --seeds FILE")
     given = ("seeds", "voxel_size", "sigma", "missing_nan", *OPTICS_ARGUMENTS)
     asked = {name: getattr(arguments, name) for name in given}
     job = gather(_Blank(image=arguments.scene, **asked), notes)
     noise = image_noise(job.image)
-    accuracy = accuracy_for(noise) if arguments.accuracy is None else _checked(arguments.accuracy)
+    accuracy = accuracy_for(noise) if arguments.accuracy is None else arguments.accuracy
     fit_settings = job.settings.fit.model_copy(update={"accuracy": accuracy})
     settings = job.settings.model_copy(update={"fit": fit_settings})
     job = FitInput(**{**vars(job), "settings": settings})
     name = Path(arguments.scene).name
     return _Scene(name, job.mesh, job.grid, job.optics, accuracy, noise, job)
-
-
-def _checked(accuracy: float) -> float:
-    if not 0 <= accuracy < 1:
-        raise InputError(f"accuracy must be at least 0 and below 1, not {accuracy:g}")
-    return accuracy
 
 
 # ---------------------------------------------------------------------------------- measuring
@@ -261,7 +182,7 @@ def _shapes(scene: _Scene, arguments: argparse.Namespace) -> list[ShapeError]:
             optics,
             photons,
             settings=settings,
-            draws=arguments.draws,
+            draws=arguments.draws or DRAWS,
             progress=progress,
         )
         return list(found)
@@ -283,8 +204,9 @@ def _say(scene: _Scene, ways: list[Way], expected: Forecast | None) -> None:
     print(f"\n{ways_table(ways)}")
     if all(way.memory is None for way in ways):
         print("\nmemory: this system does not say how much a piece of work takes at its peak")
-    if not np.any([way.device == "cuda" for way in ways]):
-        print("\nmeasured on the CPU; this version does not use a GPU")
+    if not any(way.device == "cuda" for way in ways):
+        why = missing() or "fits use the GPU, whose times are not measured here"
+        print(f"\nmeasured on the CPU: {why}")
 
 
 def _write(

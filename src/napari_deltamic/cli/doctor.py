@@ -18,32 +18,19 @@ from ..errors import InputError
 from ..fourier import native, simd_level
 from ..fourier.cost import costs, processor
 from ..fourier.cuda import compiler, missing
-from ..fourier.cuda.device import INSTALL_BINDINGS
 from ..fourier.cuda.driver import driver_version
-from ..fourier.cuda.points import cufinufft
 from ..fourier.devices import choose_device
 from ..fourier.native import threads
 from ..fourier.plan import Method
 from ..geometry import sphere
-from ..inference.factors import driver_is_found
+from ..inference.factors import DRIVER, driver_is_found
 from ..optics import GaussianPSF
 from ..report import PACKAGES
 from ..scene import Grid, Renderer
 from .messages import Notes
 
-EXTRAS = ("trimesh", "tifffile", "pydantic", "napari", "PyQt6", "cuda-bindings", "cufinufft")
+EXTRAS = ("trimesh", "tifffile", "pydantic", "napari", "PyQt6", "cuda-bindings")
 VARIABLES = ("DELTAMIC_SIMD", "OMP_NUM_THREADS", "OMP_WAIT_POLICY", "MKL_NUM_THREADS")
-
-
-def add_parser(commands: Any) -> None:
-    """Add the command to the parser of all."""
-    parser = commands.add_parser(
-        "doctor",
-        help="devices, engines, threads, versions; what would be used and why",
-        description="Say what this machine offers, and what would be used and why.",
-    )
-    parser.add_argument("--json", action="store_true", help="the same as JSON")
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace, notes: Notes) -> int:
@@ -110,26 +97,25 @@ def _devices(problems: list[str]) -> dict[str, str]:
 
 
 def _engines(problems: list[str]) -> dict[str, str]:
-    found = {"non-uniform": "FINUFFT, on the CPU"}
+    found: dict[str, str] = {}
     if not missing():
         major, minor = compiler.version()
         found["closed form on the GPU"] = (
             f"compiled at first use by NVRTC {major}.{minor}, kept in {compiler.kept_folder()}"
         )
-        found["non-uniform on the GPU"] = (
-            "cufinufft" if cufinufft() else f"none: {INSTALL_BINDINGS}; the closed form stands in"
-        )
+        found["particle-mesh on the GPU"] = "torch"
         found["smoothing of gradients"] = (
             "cholespy, on the GPU"
             if driver_is_found()
-            else "cholespy, on the CPU: it does not find the driver under the name libcuda.so"
+            else f"cholespy, on the CPU: it does not find the driver under the name {DRIVER}"
         )
     module = native()
     if module is None:
-        found["closed form"] = "torch: the compiled extension is missing"
+        found["closed form"] = found["particle-mesh"] = "torch: the compiled extension is missing"
         problems.append(
-            "the compiled extension is missing: the closed form runs in torch, several hundred "
-            "times slower; reinstall with a C++ compiler to get it back"
+            "the compiled extension is missing: images are computed in torch, 11 to 16 times "
+            "slower by the particle-mesh, several hundred times by the closed form; to get it "
+            "back, reinstall with a C++ compiler and --no-cache-dir"
         )
         return found
     levels = list(module.simd_levels())
@@ -141,6 +127,7 @@ def _engines(problems: list[str]) -> dict[str, str]:
         return found
     why = "DELTAMIC_SIMD" if os.environ.get("DELTAMIC_SIMD") else "the best one here"
     found["closed form"] = f"compiled; of {', '.join(levels)} it uses {level} ({why})"
+    found["particle-mesh"] = "compiled, as the closed form"
     return found
 
 
@@ -165,7 +152,7 @@ def _used() -> dict[str, str]:
     where = where if device.type == "cpu" else "on a data-centre GPU, as is estimated"
     for accuracy in (1e-2, 1e-3, 1e-5):
         plan = Renderer(mesh, grid, optics, accuracy, device=device).plan
-        other: Method = "closed form" if plan.method == "non-uniform" else "non-uniform"
+        other: Method = "closed form" if plan.method == "particle-mesh" else "particle-mesh"
         rest = Renderer(mesh, grid, optics, accuracy, method=other, device=device).plan
         found[f"accuracy {accuracy:g}"] = (
             f"{plan.method}: about {_time(plan.expected_seconds)} an iteration {where}; "

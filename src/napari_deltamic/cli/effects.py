@@ -7,47 +7,26 @@ import json
 import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from ..errors import InputError
 from ..geometry.files import write_atomically
 from ..inference.evidence import Recommendation
 from ..inference.evidence.camera import Camera
-from ..inference.evidence.candidates import CONSIDERED, chosen_candidates
+from ..inference.evidence.candidates import chosen_candidates
 from ..inference.evidence.finding import Finding
 from ..inference.evidence.first_sigma import first_sigma
 from ..inference.evidence.slices import drift, fading
 from ..job import FitInput
 from ..report import plain_values
 from ..scene.effects import Effects
-from .fitting import add_fit_options
 from .inputs import gather
 from .messages import Notes, failure
 from .recommending import as_plain, as_table, recommendation_for
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command to the parser of all."""
-    parser = commands.add_parser(
-        "effects",
-        help="which effects an image calls for",
-        description="Fit an image without further effects and say which it calls for: the "
-        "evidence, by how much the surface is off without, and what it costs. Changes nothing.",
-    )
-    add = parser.add_argument
-    add("image", nargs="?", metavar="IMAGE", help=".tif or .npy; not needed with --settings")
-    add_fit_options(parser)
-    add("--candidates", metavar="E", help=f"only these, of {', '.join(CONSIDERED)}")
-    add("--json", metavar="FILE", help="write everything found as JSON; - for stdout")
-    parser.set_defaults(run=run)
-
-
 def run(arguments: argparse.Namespace, notes: Notes) -> int:
     """Read, fit, judge; prints a table."""
-    if arguments.effects == "auto":
-        raise InputError("--effects names those that are in the scene already; leave out 'auto'")
     only = None
     if arguments.candidates is not None:
         only = [n.strip().replace("-", "_") for n in arguments.candidates.split(",") if n.strip()]

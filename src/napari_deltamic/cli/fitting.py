@@ -9,23 +9,20 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from tqdm import tqdm
 
 from ..errors import InputError
-from ..fourier.devices import DeviceChoice
 from ..geometry.files import write_atomically
 from ..images import write_image
 from ..inference import FitState, fit
 from ..inference.evidence import analyse_residual
 from ..job import FitInput, start
 from ..report import History, make_folder, write_results
-from ..settings import EFFECTS, DensityModel, FitSettings, Likelihood
-from .folders import check_folder
+from .arguments.fit import CHECKPOINT
 from .inputs import gather
 from .messages import PROGRAM, Notes, failure
-from .optics_arguments import add_optics
 from .recommending import (
     as_plain,
     recommendation_for,
@@ -33,86 +30,15 @@ from .recommending import (
     verdict,
     with_recommended,
 )
-from .second_view import add_second_view, check_second_view
+from .second_view import check_second_view
 
-CHECKPOINT = "checkpoint.npz"
 CHECKPOINT_EVERY = 5.0  # s
-TRIPLE = ("Z", "Y", "X")
-# What one would not want to lose; the other results belong to them.
-_PRECIOUS = ("report.json", "mesh.ply", "mesh.rec", CHECKPOINT)
-
-
-def add_parser(commands: Any) -> None:
-    """Add the command to the parser of all."""
-    parser = commands.add_parser(
-        "fit",
-        help="fit meshes, and the PSF, to an image",
-        description="Fit meshes to an image. Writes mesh.ply, mesh.rec, rendered.tif, "
-        "measurements.csv, run.toml, report.json and picture.png.",
-    )
-    add = parser.add_argument
-    add("image", nargs="?", metavar="IMAGE", help=".tif or .npy; not needed with --settings")
-    add("--resume", metavar="CHECKPOINT", help="go on from a checkpoint of the same fit")
-    add(
-        "--residual",
-        action="store_true",
-        help="also write residual.tif: where the model does not explain the image, in standard "
-        "deviations",
-    )
-    add_second_view(parser)
-    add_options(parser)
-    parser.set_defaults(run=run)
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add what every command that fits takes: seeds, scene, settings of a fit, and the folder."""
-    add_fit_options(parser)
-    add = parser.add_argument
-    add("--overwrite", action="store_true", help="replace the results in DIR")
-    add("-o", "--output", required=True, metavar="DIR", help="folder for the results")
-
-
-def add_fit_options(parser: argparse.ArgumentParser) -> None:
-    """Add what describes a fit: seeds, scene and settings."""
-    add = parser.add_argument
-    add("--seeds", metavar="FILE", help="mesh, label image, or CSV (z,y,x or z,y,x,radius; um)")
-    add("--voxel-size", nargs=3, type=float, metavar=TRIPLE, help="um; else from the image file")
-    add(
-        "--sigma",
-        nargs=3,
-        type=float,
-        metavar=TRIPLE,
-        help="um; standard deviations of the PSF (default: 1.2 voxels)",
-    )
-    add_optics(parser)
-    add("--fit-psf", action=argparse.BooleanOptionalAction, default=None, help=_help("fit_psf"))
-    add("--accuracy", type=float, metavar="A", help=_help("accuracy"))
-    names = ", ".join(EFFECTS)
-    add("--effects", metavar="E", help=f"auto, none, or some of {names}, with commas between")
-    add("--density", choices=get_args(DensityModel), help=_help("density"))
-    for name in ("remesh", "collisions", "topology"):
-        add(f"--{name}", action=argparse.BooleanOptionalAction, default=None, help=_help(name))
-    add("--likelihood", choices=get_args(Likelihood), help=_help("likelihood"))
-    add("--levels", nargs="+", type=float, metavar="B", help=_help("levels"))
-    add("--max-iterations", type=int, metavar="N", help=_help("max_iterations"))
-    add("--device", choices=get_args(DeviceChoice), help=_help("device"))
-    add("--settings", metavar="run.toml", help="settings of a former run; other options prevail")
-    add("--missing-nan", action="store_true", help="leave out voxels that are NaN or infinite")
-
-
-def _help(name: str) -> str:
-    field = FitSettings.model_fields[name]
-    default = "" if field.default is None else f" (default: {field.default})"
-    return f"{field.description}{default}".replace("%", "%%")
 
 
 def run(arguments: argparse.Namespace, notes: Notes) -> int:
     """Read, fit, write; prints the path of each result."""
     folder = Path(arguments.output)
-    check_folder(folder, _PRECIOUS, overwrite=arguments.overwrite, but=arguments.resume)
     auto = arguments.effects == "auto"
-    if auto and arguments.resume:
-        raise InputError("--resume goes on with the effects of its run.toml; leave out 'auto'")
     try:
         job = gather(arguments, notes)
         check_second_view(job.settings.scene)

@@ -9,32 +9,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..choices import IMAGE_FILES, MESH_FILES
 from ..errors import InputError
 from ..geometry import Mesh, load_mesh, mesh_from_labels, read_points_csv, seeds_from_points
 from ..geometry.missing import filled
-from ..images import EXTENSIONS, VoxelSize, read_image
+from ..images import VoxelSize, read_image
 from ..inference.checks import check_image
 from ..job import SIGMA_IN_VOXELS, FitInput, SeedKind, assemble
 from ..scene import Grid
 from ..scene.effects import Effects
 from ..settings import RunSettings, validated
+from .arguments.fit import FIT_OPTIONS
 from .messages import Notes
 from .optics_arguments import optics_values
 from .second_view import with_second_view
-
-MESHES = (".ply", ".obj", ".off", ".stl", ".rec", ".vtk")
-_FIT = (
-    "accuracy",
-    "fit_psf",
-    "density",
-    "likelihood",
-    "levels",
-    "remesh",
-    "collisions",
-    "topology",
-    "max_iterations",
-    "device",
-)
 
 
 def gather(arguments: argparse.Namespace, notes: Notes) -> FitInput:
@@ -67,9 +55,9 @@ def load_seeds(path: str, image: NDArray[Any], grid: Grid) -> tuple[Mesh, SeedKi
     point would then attract it). Raises InputError as the readers do.
     """
     kind = Path(path).suffix.lower()
-    if kind in MESHES:
+    if kind in MESH_FILES:
         return load_mesh(path), "rough"
-    if kind in EXTENSIONS:
+    if kind in IMAGE_FILES:
         labels, _ = read_image(path)
         if labels.shape != grid.shape:
             raise InputError(f"{path}: labels of shape {labels.shape}, the image {grid.shape}")
@@ -80,7 +68,7 @@ def load_seeds(path: str, image: NDArray[Any], grid: Grid) -> tuple[Mesh, SeedKi
         mesh = _naming(path, seeds_from_points, whole, grid.voxel_size, points, radii, grid.origin)
         spheres = radii is not None and bool((np.nan_to_num(radii) > 0).any())
         return mesh, "rough" if spheres else "image"
-    known = ", ".join((*MESHES, *EXTENSIONS, ".csv"))
+    known = ", ".join((*MESH_FILES, *IMAGE_FILES, ".csv"))
     raise InputError(f"{path}: unknown extension '{kind}' for seeds; known are {known}")
 
 
@@ -105,13 +93,7 @@ def run_values(
         if given is not None:
             # Absolute, so that run.toml can be used from any folder.
             values[name] = str(Path(given).absolute())
-        elif name not in values:
-            wanted = "IMAGE" if name == "image" else "--seeds FILE"
-            command = "fit" if model is RunSettings else "track"
-            raise InputError(
-                f"{command} needs {wanted}, or --settings with a run.toml that names it"
-            )
-    for part, names in (("fit", _FIT), ("scene", ("voxel_size", "sigma"))):
+    for part, names in (("fit", FIT_OPTIONS), ("scene", ("voxel_size", "sigma"))):
         for name in names:
             if getattr(arguments, name) is not None:
                 values[part][name] = getattr(arguments, name)

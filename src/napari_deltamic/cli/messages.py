@@ -12,8 +12,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from ..errors import RepairWarning
-from ..fourier import SlowPathWarning
+from ..errors import RepairWarning, SlowPathWarning
 
 PROGRAM = "napari-deltamic"
 _BYTES_PER_VOXEL = 60  # roughly, at the peak of a fit: images, spectra and weights

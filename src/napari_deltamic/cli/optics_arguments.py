@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
+from ..choices import IMMERSIONS, Modality, PSFModel
 from ..errors import InputError
-from ..optics import Optics
-from ..optics.microscope import IMMERSIONS, Modality, PSFModel
 from ..optics_settings import (
     GaussianOptics,
     MeasuredOptics,
@@ -16,8 +15,11 @@ from ..optics_settings import (
     optics_from_toml,
     optics_from_values,
 )
+from .arguments.common import TRIPLE, help_of
 
-TRIPLE = ("Z", "Y", "X")
+if TYPE_CHECKING:
+    from ..optics import Optics
+
 # Argument -> field of MicroscopeOptics.
 _MICROSCOPE = {
     "na": "na",
@@ -59,16 +61,16 @@ def add_optics(parser: Any) -> None:
     add("--optics", metavar="FILE.toml", help="settings of a PSF")
     add("--psf", metavar="FILE", help="image of one bead, .tif or .npy")
     add("--psf-voxel-size", nargs=3, type=float, metavar=TRIPLE, help="um; else from its file")
-    add("--bead-diameter", type=float, metavar="D", help=_help(MeasuredOptics, "bead_diameter"))
+    add("--bead-diameter", type=float, metavar="D", help=help_of(MeasuredOptics, "bead_diameter"))
     for name in ("na", "wavelength"):
-        add(f"--{name}", type=float, metavar=name.upper(), help=_help(MicroscopeOptics, name))
-    add("--modality", choices=get_args(Modality), help=_help(MicroscopeOptics, "modality"))
+        add(f"--{name}", type=float, metavar=name.upper(), help=help_of(MicroscopeOptics, name))
+    add("--modality", choices=get_args(Modality), help=help_of(MicroscopeOptics, "modality"))
     known = ", ".join(IMMERSIONS)
     add("--immersion", type=_immersion, metavar="M", help=f"{known}, or a refractive index")
     for name in ("excitation", "pinhole", "sheet", "sample_index", "depth"):
         option = f"--{name.replace('_', '-')}"
-        add(option, type=float, metavar="X", help=_help(MicroscopeOptics, name))
-    add("--psf-model", choices=get_args(PSFModel), help=_help(MicroscopeOptics, "model"))
+        add(option, type=float, metavar="X", help=help_of(MicroscopeOptics, name))
+    add("--psf-model", choices=get_args(PSFModel), help=help_of(MicroscopeOptics, "model"))
 
 
 def optics_values(arguments: argparse.Namespace) -> dict[str, Any] | None:
@@ -157,9 +159,3 @@ def _immersion(text: str) -> str | float:
         return float(text)
     except ValueError:
         return text
-
-
-def _help(model: Any, name: str) -> str:
-    field = model.model_fields[name]
-    default = "" if field.default is None or field.is_required() else f" (default: {field.default})"
-    return f"{field.description}{default}".replace("%", "%%")

@@ -8,27 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from ..choices import TIFF
 from ..errors import InputError
-from ..images import TIFF, read_voxel_size
+from ..images import read_voxel_size
 from ..scene.effects import Effects, SecondView
 from ..settings import SceneSettings, validated
-from .optics_arguments import TRIPLE
-
-
-def add_second_view(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments."""
-    group = parser.add_argument_group(
-        "second view", "the same scene through another PSF, registered to IMAGE, on its voxels"
-    )
-    add = group.add_argument
-    add("--second-view", metavar="FILE", help="image of the second view, .tif or .npy")
-    add(
-        "--second-sigma",
-        nargs=3,
-        type=float,
-        metavar=TRIPLE,
-        help="um; standard deviations of its PSF, which is held",
-    )
 
 
 def with_second_view(scene: dict[str, Any], arguments: argparse.Namespace) -> None:

@@ -15,55 +15,19 @@ from tqdm import tqdm
 
 from ..errors import InputError
 from ..image_series import ImageSeries, open_series
-from ..inference.tracking import FrameResult, TrackSettings, track
+from ..inference.tracking import FrameResult, track
 from ..inference.tracking.settings import TrackRun
 from ..job import SIGMA_IN_VOXELS, FitInput, assemble
 from ..report import make_folder
 from ..scene import Grid
 from ..settings import validated
 from ..track_report import FILES, mesh_name, read_results, write_frame, write_tracks
-from .fitting import add_options
+from .arguments.track import track_values
 from .folders import check_folder
 from .inputs import load_seeds, run_values, voxel_size_of
 from .messages import PROGRAM, Notes, failure
 
 _PRECIOUS = (*FILES, mesh_name(0))
-
-
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command to the parser of all."""
-    parser = commands.add_parser(
-        "track",
-        help="track cells through a series of images",
-        description="Fit every frame of a series from the one before; cells keep their numbers, "
-        "divide, and end. Writes mesh_t000.ply and .vtk for each frame, tracks.csv, surface.npz, "
-        "run.toml and report.json.",
-    )
-    add = parser.add_argument
-    add(
-        "image",
-        nargs="?",
-        metavar="IMAGE4D",
-        help="a .tif or .npy file (T, Z, Y, X), a folder of 3D files, or a pattern in quotes, such "
-        "as 'movie/t*.tif'; not needed with --settings",
-    )
-    add("--frames", metavar="A:B", help="from frame A, to which the seeds belong, to before B")
-    add("--time-step", type=float, metavar="S", help=_help("time_step"))
-    add(
-        "--divisions",
-        action=argparse.BooleanOptionalAction,
-        default=None,
-        help=_help("divisions"),
-    )
-    add("--velocity", type=float, metavar="V", help=_help("velocity"))
-    add("--resume", metavar="DIR", help="go on after the frames that a former run wrote to DIR")
-    add_options(parser)
-    parser.set_defaults(run=run)
-
-
-def _help(name: str) -> str:
-    field = TrackSettings.model_fields[name]
-    return f"{field.description} (default: {field.default})".replace("%", "%%")
 
 
 def run(arguments: argparse.Namespace, notes: Notes) -> int:
@@ -107,7 +71,7 @@ def _gather(arguments: argparse.Namespace, notes: Notes) -> _Job:
     scene["voxel_size"] = voxel_size_of(
         scene.get("voxel_size"), images.voxel_size, values["image"], notes
     )
-    values["track"] = {**values.get("track", {}), **_track_values(arguments, len(images))}
+    values["track"] = {**values.get("track", {}), **track_values(arguments)}
     settings: TrackRun = validated(TrackRun, values)
     if settings.scene.sigma is None and settings.scene.optics is None:
         scene["sigma"] = [SIGMA_IN_VOXELS * d for d in settings.scene.voxel_size]
@@ -126,21 +90,6 @@ def _gather(arguments: argparse.Namespace, notes: Notes) -> _Job:
     done = read_results(arguments.resume) if arguments.resume is not None else []
     whole = settings.model_copy(update={"fit": job.settings.fit})
     return _Job(whole, images, job, kind == "image", done, arguments.missing_nan)
-
-
-def _track_values(arguments: argparse.Namespace, count: int) -> dict[str, object]:
-    names = ("time_step", "divisions", "velocity")
-    values = {n: getattr(arguments, n) for n in names if getattr(arguments, n) is not None}
-    if arguments.frames is None:
-        return values
-    first, colon, stop = arguments.frames.partition(":")
-    try:
-        numbers = [int(word) if word else None for word in (first, stop)]
-    except ValueError:
-        numbers = []
-    if not colon or len(numbers) != 2:
-        raise InputError(f"--frames must be A:B, such as 0:{count}, not '{arguments.frames}'")
-    return {**values, "first": numbers[0] or 0, "stop": numbers[1]}
 
 
 def _seeded(

@@ -9,10 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache, cached_property
 from math import exp, floor, log, pi, sqrt
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
+
+from .real_fft import RealFFT
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,33 +132,47 @@ class Band:
         """``row_index`` on each device that asked for it."""
         return {self.row_index.device: self.row_index}
 
-    def to_image(self, box: Tensor, shape: tuple[int, int, int]) -> Tensor:
+    def to_image(
+        self, box: Tensor, shape: tuple[int, int, int], otf: Tensor | None = None
+    ) -> Tensor:
         """Inverse transform of a box, cropped to ``shape`` voxels from the origin on.
 
-        One axis at a time, so that the zeros between the band and the full grid are never
-        transformed where that can be avoided. The box is the transform of a density per um^3 ; the
+        The box, times the OTF where one is given, is the transform of a density per um^3 ; the
         result is what falls into each voxel.
         """
-        n = self.fft_shape
-        for axis in (0, 1):
-            box = torch.fft.ifft(_unfold(box, axis, self.half[axis], n[axis]), dim=axis)
-            box = box.narrow(axis, 0, shape[axis])
-        return torch.fft.irfft(box, n=n[2], dim=2).narrow(2, 0, shape[2])
+        if shape not in self._inverse:
+            self._inverse[shape] = self._inverse_to(shape)
+        if otf is not None and (otf.requires_grad or otf.is_complex() or otf.shape != box.shape):
+            box, otf = box * otf, None
+        return _Image.apply(box, otf, self._inverse[shape])
 
-
-def _unfold(box: Tensor, axis: int, half: int, n: int) -> Tensor:
-    """Indices -half..half along an axis -> FFT order 0..n-1."""
-    positive, negative = box.narrow(axis, half, half + 1), box.narrow(axis, 0, half)
-    if (
-        2 * half == n
-    ):  # +n/2 and -n/2 are one wavevector of the grid: their mean, as an image is real
-        last = (box.narrow(axis, 0, 1) + box.narrow(axis, 2 * half, 1)) / 2
-        return torch.cat(
-            [box.narrow(axis, half, half), last, box.narrow(axis, 1, half - 1)], dim=axis
+    def _inverse_to(self, shape: tuple[int, int, int]) -> RealFFT:
+        # On an even axis +n/2 and -n/2 are one wavevector: their mean counts, as an image is real.
+        z, y = (
+            np.where(2 * np.abs(np.arange(-k, k + 1)) == n, 0.5, 1.0) / n
+            for k, n in zip(self.half[:2], self.fft_shape[:2], strict=True)
         )
-    gap = list(box.shape)
-    gap[axis] = n - 2 * half - 1
-    return torch.cat([positive, box.new_zeros(gap), negative], dim=axis)
+        n, k = self.fft_shape[2], np.arange(self.half[2] + 1)
+        x = np.full(len(k), 1 / n)
+        mirrored = np.where((k == 0) | (2 * k == n), x, 2 * x)
+        return RealFFT(self.fft_shape, self.half, shape, (z, y, mirrored), (z, y, x))
+
+    @cached_property
+    def _inverse(self) -> dict[tuple[int, int, int], RealFFT]:
+        """By the shape of the image."""
+        return {}
+
+
+class _Image(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, box: Tensor, otf: Tensor | None, fft: RealFFT) -> Tensor:
+        ctx.fft, ctx.otf = fft, otf
+        return fft.to_real(box, otf)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None]:
+        return ctx.fft.to_box(grad, ctx.otf), None, None
 
 
 def band_error(threshold: float, area: float, thin: bool) -> float:

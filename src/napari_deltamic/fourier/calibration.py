@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import astuple, dataclass, fields
+from math import log, sqrt
 from statistics import median
 
 import numpy as np
@@ -20,9 +21,11 @@ from ..geometry.primitives import sphere
 from .band import Band
 from .closed_form import band_ft
 from .cost import BUILT_IN, Costs, Rates, Work, count_work
-from .nonuniform import points_ft
-from .plan import _edge_phases, make_plan, quadrature_points
+from .particle_mesh import elements_ft
+from .plan import _edge_phases, make_plan
+from .points import Points
 from .quadrature import rule
+from .spreading import choose_spreading, gaussian
 
 _BUDGET = 0.8  # s, after which no further round is begun
 _ROUNDS = 5
@@ -110,10 +113,10 @@ def _trials(single: bool) -> list[_Trial]:
         _closed(2, 0.05, 9, single),
         _closed(1, 0.01, 61, single),
         _closed(1, 0.3, 31, single),
-        _nonuniform(0, 13, 2e-3, single),
-        _nonuniform(3, 15, 2e-2, single),
-        _nonuniform(3, 15, 2e-5, single),
-        _nonuniform(1, 51, 2e-3, single),
+        _particle_mesh(0, 13, 2e-3, single),
+        _particle_mesh(3, 15, 2e-2, single),
+        _particle_mesh(3, 15, 2e-5, single),
+        _particle_mesh(1, 51, 2e-3, single),
         _image(15, 32, kind),
         _image(31, 60, kind),
     ]
@@ -136,7 +139,7 @@ def _closed(subdivisions: int, radius: float, side: int, single: bool) -> _Trial
     f, ones = torch.as_tensor(mesh.faces), torch.ones(len(mesh.faces), dtype=torch.float64)
     assert band.radius is not None
     phases = _edge_phases(mesh.vertices_numpy(), mesh.faces, band.radius, True)
-    work = count_work("closed form", band, len(f), phases, [], 0.0)
+    work = count_work("closed form", band, len(f), phases, [], None)
 
     def forward() -> Tensor:
         return band_ft(v, f, ones, band.rows, band.spacing, single)
@@ -144,16 +147,20 @@ def _closed(subdivisions: int, radius: float, side: int, single: bool) -> _Trial
     return _Trial(_without_pixels(work), forward, v)
 
 
-def _nonuniform(subdivisions: int, side: int, tolerance: float, single: bool) -> _Trial:
+def _particle_mesh(subdivisions: int, side: int, tolerance: float, single: bool) -> _Trial:
     mesh, band = _ball(subdivisions), _cube(side)
     v = torch.tensor(mesh.vertices_numpy(), requires_grad=True)
     f, ones = torch.as_tensor(mesh.faces), torch.ones(len(mesh.faces), dtype=torch.float64)
     rules = [(rule(4), np.arange(len(f)))]
-    work = count_work("non-uniform", band, len(f), np.zeros(0), rules, tolerance)
+    points = Points(rules, len(f))
+    reach = band.half[0] * band.spacing[0]
+    # Of a Gaussian OTF that has fallen to 1e-3 at the edge of the band.
+    transfer = gaussian((sqrt(2 * log(1e3)) / reach,) * 3)
+    spreading = choose_spreading(band.half, band.spacing, transfer, tolerance, points.count, single)
+    work = count_work("particle-mesh", band, len(f), np.zeros(0), rules, spreading)
 
     def forward() -> Tensor:
-        points, weights = quadrature_points(v, f, ones, rules)
-        return points_ft(points, weights, band.half, band.spacing, tolerance, single)
+        return elements_ft(v, f, ones, points, spreading, single)
 
     return _Trial(_without_pixels(work), forward, v)
 
@@ -161,7 +168,7 @@ def _nonuniform(subdivisions: int, side: int, tolerance: float, single: bool) ->
 def _image(side: int, fft: int, kind: torch.dtype) -> _Trial:
     band = _cube(side, fft)
     u = torch.ones(band.box_shape, dtype=kind, requires_grad=True)
-    work = count_work("non-uniform", band, 0, np.zeros(0), [], 1e-3)
+    work = count_work("particle-mesh", band, 0, np.zeros(0), [], None)
     return _Trial(work, lambda: band.to_image(u * 0.5, band.fft_shape), u)
 
 

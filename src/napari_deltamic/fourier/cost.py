@@ -14,7 +14,7 @@ import platform
 import sys
 from dataclasses import asdict, astuple, dataclass, fields
 from functools import cache
-from math import ceil, log, log2, pi, prod, sqrt
+from math import log2, prod
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,10 +24,10 @@ from ..errors import InputError
 from ..geometry.files import write_atomically
 from .band import Band
 from .native import native, simd_level, threads
-from .nonuniform import _grid_size, _upsampling
 from .quadrature import Rule
+from .spreading import NODE, POINT, ROW, Spreading
 
-_FORMAT = 1  # of the file; a change of what is measured raises it
+_FORMAT = 2  # of the file; a change of what is measured raises it
 # rad: below 2 a triangle takes the series (csrc/triangle_ft.h), but a block of wavevectors with
 # phases on either side takes both branches.
 _SMALL_PHASE = 1.2
@@ -41,8 +41,8 @@ class Work:
     lines : of a face and a row of wavevectors, for the closed form.
     small_pairs, large_pairs : of a face and a wavevector, by the branch of the closed form.
     points : of the quadrature.
-    kernel : points x rows of cells that the non-uniform FFT spreads each over.
-    cells : of the non-uniform FFT's grid, x log2 of their number.
+    kernel : points x rows of nodes that each is spread over.
+    cells : nodes of the grid of the particle-mesh, x log2 of their number.
     pixels : of the FFTs along each axis from the band to the image, x log2 of their length.
     """
 
@@ -118,19 +118,19 @@ class Costs:
 
 
 def count_work(
-    method: Literal["closed form", "non-uniform"],
+    method: Literal["closed form", "particle-mesh"],
     band: Band,
     faces: int,
     phases: np.ndarray,
     rules: list[tuple[Rule, np.ndarray]],
-    tolerance: float,
+    spreading: Spreading | None,
     shape: tuple[int, int, int] | None = None,
 ) -> Work:
     """The work of one rendering.
 
     Parameters
     ----------
-    band, rules, tolerance
+    band, rules, spreading
         Of the plan.
     phases
         (F,) largest phase along an edge of each face in the band (any number of faces' will do: it
@@ -148,15 +148,14 @@ def count_work(
         lines = float(len(band.rows)) * faces
         return Work(lines, small * pairs, (1 - small) * pairs, pixels=pixels)
     points = sum(len(r.weights) * len(where) for r, where in rules)
-    if not points:
+    if not points or spreading is None:
         return Work(pixels=pixels)
-    modes = band.box_shape
-    # As in nonuniform._plan, and FINUFFT's own rule for the width of its kernel.
-    upsampling = _upsampling(modes, tolerance, 1 << round(log2(points)))
-    width = ceil(log(2 / tolerance) / (pi * sqrt(1 - 1 / upsampling)))
-    cells = prod(_grid_size(max(ceil(upsampling * n), 2 * width)) for n in modes)
+    nodes = prod(spreading.shape)
     return Work(
-        points=points, kernel=points * width**2, cells=cells * log2(cells + 1), pixels=pixels
+        points=points,
+        kernel=points * spreading.rows,
+        cells=nodes * log2(nodes + 1),
+        pixels=pixels,
     )
 
 
@@ -298,17 +297,17 @@ def _write(path: Path, found: Costs) -> None:
 # One core of 2024, measured with `calibrate`. The choice between the methods is always made with
 # these: the same settings then give the same image on every machine, measured or not.
 BUILT_IN = Costs(
-    single_forward=Rates(6.8e-4, 1e-8, 1e-10, 3e-9, 1e-7, 2.4e-9, 6.4e-10, 1.7e-10),
-    single_gradient=Rates(1.4e-3, 3.8e-8, 5e-10, 6.1e-9, 2.4e-7, 2e-8, 2.3e-9, 4.4e-10),
-    double_forward=Rates(7.9e-4, 2.4e-8, 2e-10, 4.4e-9, 8e-8, 4.4e-9, 1.3e-9, 2.6e-10),
-    double_gradient=Rates(1.6e-3, 5.6e-8, 1.9e-9, 1.2e-8, 1.6e-7, 2.7e-8, 5.5e-9, 6.5e-10),
+    single_forward=Rates(2.5e-4, 1e-8, 1e-10, 3e-9, 3e-8, 6e-10, 9e-11, 1.9e-10),
+    single_gradient=Rates(6e-4, 3.8e-8, 5e-10, 6.1e-9, POINT, ROW, NODE, 3.5e-10),
+    double_forward=Rates(2.5e-4, 2.4e-8, 2e-10, 4.4e-9, 3.5e-8, 1.2e-9, 2.2e-10, 4e-10),
+    double_gradient=Rates(6e-4, 5.6e-8, 1.9e-9, 1.2e-8, 7e-8, 3e-9, 4.4e-10, 8e-10),
     vertex=7.8e-8,
     voxel=1.2e-8,
     face=3.8e-7,
     tap=3.4e-10,
 )
 # A data-centre GPU: estimates from the instructions that the kernels take and from what is written
-# of cufinufft and cuFFT, not measured.
+# of cuFFT, not measured.
 _BUILT_IN_CUDA = Costs(
     single_forward=Rates(1e-4, 0.0, 2e-12, 8e-12, 1e-9, 5e-11, 4e-13, 4e-13),
     single_gradient=Rates(4e-4, 0.0, 6e-12, 2.4e-11, 3e-9, 3e-10, 2e-12, 8e-13),

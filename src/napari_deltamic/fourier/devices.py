@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import torch
 
+from ..choices import DeviceChoice
 from ..errors import InputError
 from .cuda import missing
-
-DeviceChoice = Literal["auto", "cpu", "cuda", "mps"]
 
 
 def choose_device(asked: DeviceChoice = "auto") -> torch.device:

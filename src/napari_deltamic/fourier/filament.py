@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
-from math import ceil, pi
+from math import ceil, inf, pi
 
 import numpy as np
 import torch
@@ -20,17 +20,19 @@ from ..errors import InputError
 from .band import Band
 from .closed_form import row_wavevectors
 from .cost import Work, costs, count_work
-from .nonuniform import points_ft
+from .particle_mesh import elements_ft
 from .plan import (
     EXACT_BELOW,
-    METHODS,
-    RULE_SHARE,
     Cutoff,
     Method,
     check_accuracy,
+    checked_method,
     choose_band,
+    spreading_for,
 )
+from .points import Points
 from .quadrature import Rule
+from .spreading import Spreading, Transfer, gaussian
 from .triangle import sinc
 
 _PAIRS_AT_ONCE = 1 << 20  # bounds the memory of the closed forms
@@ -123,7 +125,7 @@ class LinePlan:
     rules
         Of the segments, each with theirs; empty for points, and for the closed form.
     work
-        What one rendering by the non-uniform FFT computes; the closed form, which is for checking,
+        What one rendering by the particle-mesh computes; the closed form, which is for checking,
         takes a sine, a cosine and about ten passes over each pair of an element and a wavevector.
     """
 
@@ -131,13 +133,13 @@ class LinePlan:
     band: Band
     accuracy: float
     single: bool
-    tolerance: float
+    spreading: Spreading | None
     rules: list[tuple[Rule, np.ndarray]] = field(repr=False)
     work: Work
 
     @property
     def expected_seconds(self) -> float:
-        """Of one rendering with its gradient, by the non-uniform FFT."""
+        """Of one rendering with its gradient, by the particle-mesh."""
         return costs().seconds(self.work, self.single)
 
     def transform(self, vertices: Tensor, elements: Tensor, weights: Tensor) -> Tensor:
@@ -153,7 +155,7 @@ class LinePlan:
             (S,) signal per um, or (P,) signal.
         """
         v, w = vertices.to(torch.float64), weights.to(torch.float64)
-        if self.method == "closed form":
+        if self.spreading is None:
             xi = row_wavevectors(self.band.rows, self.band.spacing)
             is_points = elements.shape[1] == 1
             rows = (
@@ -162,10 +164,9 @@ class LinePlan:
                 else _in_chunks(_segments_part, v[elements[:, 0]], v[elements[:, 1]], w, xi)
             )
             return self.band.to_box(rows.to(torch.complex64 if self.single else torch.complex128))
-        points, strengths = _line_points(v, elements, w, self.rules)
-        return points_ft(
-            points, strengths, self.band.half, self.band.spacing, self.tolerance, self.single
-        )
+        assert self.spreading is not None
+        points = Points(self.rules, len(elements))
+        return elements_ft(v, elements, w, points, self.spreading, self.single)
 
 
 def make_line_plan(
@@ -178,11 +179,12 @@ def make_line_plan(
     method: Method | None = None,
     aligned: bool = True,
     cutoff: Cutoff | None = None,
+    transfer: Transfer | None = None,
 ) -> LinePlan:
     """Choose band and rules for segments (S, 2) or points (P, 1); as :func:`make_plan`.
 
     The power of a line falls more slowly with the wavevector than that of a surface, that of a
-    point not at all, so that the band is a little larger. The non-uniform FFT is taken unless the
+    point not at all, so that the band is a little larger. The particle-mesh is taken unless the
     closed form is forced, or the accuracy is below what it can reach.
 
     Raises
@@ -191,22 +193,22 @@ def make_line_plan(
         If the accuracy is negative, not a number, or 1 or more.
     """
     check_accuracy(accuracy)
-    if method is not None and method not in METHODS:
-        raise InputError(f"method must be 'closed form' or 'non-uniform', not {method!r}")
+    method = checked_method(method)
     if accuracy < EXACT_BELOW:
         return LinePlan(
-            "closed form", Band.full(fft_shape, voxel_size), accuracy, False, 0.0, [], Work()
+            "closed form", Band.full(fft_shape, voxel_size), accuracy, False, None, [], Work()
         )
     c = choose_band(1.0, True, fft_shape, voxel_size, width, accuracy, aligned, cutoff)
     rules: list[tuple[Rule, np.ndarray]] = [(_POINT, np.arange(len(elements)))]
     if elements.shape[1] == 2:
         along = np.abs(vertices[elements[:, 1]] - vertices[elements[:, 0]]) * np.asarray(c.held)
         phases = np.linalg.norm(along, axis=1) if c.round else along.sum(1)
-        rules = _choose_line_rules(phases, c.at_edge, RULE_SHARE * accuracy)
-    work = count_work("non-uniform", c.band, 0, np.zeros(0), rules, c.tolerance)
+        rules = _choose_line_rules(phases, c.at_edge, c.quadrature)
+    spreading = spreading_for(c, rules, width, transfer or gaussian(width), inf)
+    work = count_work("particle-mesh", c.band, 0, np.zeros(0), rules, spreading)
     if method == "closed form":
-        rules = []
-    return LinePlan(method or "non-uniform", c.band, accuracy, c.single, c.tolerance, rules, work)
+        return LinePlan(method, c.band, accuracy, c.single, None, [], work)
+    return LinePlan("particle-mesh", c.band, accuracy, c.single, spreading, rules, work)
 
 
 # ------------------------------------------------------------------------------------- quadrature
@@ -262,22 +264,6 @@ def _choose_line_rules(
         parts = [(n, max(1, ceil(phase / limit))) for n, limit in choices]
         by_rule.setdefault(min(parts, key=lambda p: p[0] * p[1]), []).append(k)
     return [(_line_rule(*key), np.array(where)) for key, where in by_rule.items()]
-
-
-def _line_points(
-    vertices: Tensor, elements: Tensor, weights: Tensor, rules: list[tuple[Rule, np.ndarray]]
-) -> tuple[Tensor, Tensor]:
-    """Points (M, 3) and strengths (M,) = length x weight x rule; differentiable."""
-    corners = vertices[elements]
-    if elements.shape[1] == 2:
-        weights = weights * torch.linalg.vector_norm(corners[:, 1] - corners[:, 0], dim=1)
-    points, strengths = [vertices.new_zeros(0, 3)], [vertices.new_zeros(0)]
-    for rule, where in rules:
-        of = torch.from_numpy(where)
-        b, w = torch.from_numpy(rule.barycentric), torch.from_numpy(rule.weights)
-        points.append((b @ corners[of]).reshape(-1, 3))
-        strengths.append((weights[of][:, None] * w).reshape(-1))
-    return torch.cat(points), torch.cat(strengths)
 
 
 # ----------------------------------------------------------------------------------- closed forms

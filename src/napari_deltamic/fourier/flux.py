@@ -1,18 +1,21 @@
-"""Flux of weighted area vectors, by the non-uniform FFT: what solids are made of.
+"""Flux of weighted area vectors, by the particle-mesh: what solids are made of.
 
-Registered with torch as ``deltamic::flux_ft``; see :mod:`napari_deltamic.fourier.solid` for the
-formulas.
+See :mod:`napari_deltamic.fourier.solid` for the formulas.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from .nonuniform import from_points, to_points
+from .particle_mesh import field_of, gather, spread
+from .points import Points
+from .spreading import Spreading
 
 
 def within(half: Sequence[int], of: Sequence[int]) -> tuple[slice, slice, slice]:
@@ -34,100 +37,96 @@ def inverse_square(half: Sequence[int], spacing: Sequence[float]) -> np.ndarray:
     return np.divide(1.0, squared, out=np.zeros(np.shape(squared)), where=squared > 0)
 
 
-@torch.library.custom_op("deltamic::flux_ft", mutates_args=(), device_types="cpu")
+@lru_cache(maxsize=4)
+def _weights(
+    half: tuple[int, int, int],
+    spacing: tuple[float, float, float],
+    low: tuple[int, int, int],
+    real: torch.dtype,
+) -> list[Tensor]:
+    """``xi / |xi|^2`` along each axis on the box of a band, 0 within the low box."""
+    found = []
+    inverse = inverse_square(half, spacing)
+    inverse[within(low, half)] = 0
+    for along in box_axes(half, spacing):
+        found.append(torch.from_numpy(along * inverse).to(real))
+    return found
+
+
 def flux_ft(
-    points: Tensor,
+    vertices: Tensor,
+    faces: Tensor,
     areas: Tensor,
     contrast: Tensor,
-    half: Sequence[int],
-    spacing: Sequence[float],
-    low: Sequence[int],
-    eps: float,
+    points: Points,
+    spreading: Spreading,
+    low: tuple[int, int, int],
     single: bool,
 ) -> Tensor:
-    """``(i / |xi|^2) xi . sum_j contrast_j areas_j exp(-i xi.points_j)``, 0 within the low box.
+    """``(i / |xi|^2) xi . sum over faces of contrast areas exp(-i xi.x)``, 0 within the low box.
 
-    The gradient in the points, of a closed surface, is that of the solid: at every wavevector, the
-    low ones included, and with what the area vectors change. So neither the areas nor the shells
-    of the low box need any.
+    The gradient in the vertices, of a closed surface, is that of the solid: at every wavevector,
+    the low ones included, and with what the area vectors change. So neither the areas nor the
+    shells of the low box need any.
+
+    Parameters
+    ----------
+    vertices, faces
+        (V, 3) um, (F, 3) int64.
+    areas, contrast
+        (F, 3) area vectors, um^2; (F,) see :func:`napari_deltamic.fourier.solid.contrasts`.
+    points, spreading
+        Rules of the faces; grid and kernels.
+    low
+        Half the low box.
+    single
+        complex64 rather than complex128.
     """
-    flux = from_points(points, (contrast.detach()[:, None] * areas).T, half, spacing, eps, single)
-    along = [a.astype(flux.real.dtype) for a in box_axes(half, spacing)]
-    box = along[0] * flux[0] + along[1] * flux[1] + along[2] * flux[2]
-    box *= 1j * inverse_square(half, spacing).astype(flux.real.dtype)
-    box[within(low, half)] = 0
-    return torch.from_numpy(box)
+    return _Flux.apply(vertices, contrast, faces, areas, points, spreading, low, single)
 
 
-@flux_ft.register_fake
-def _(
-    points: Tensor,
-    areas: Tensor,
-    contrast: Tensor,
-    half: Sequence[int],
-    spacing: Sequence[float],
-    low: Sequence[int],
-    eps: float,
-    single: bool,
-) -> Tensor:
-    modes = (2 * half[0] + 1, 2 * half[1] + 1, half[2] + 1)
-    return points.new_empty(modes, dtype=torch.complex64 if single else torch.complex128)
+class _Flux(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, vertices: Tensor, contrast: Tensor, *rest: Any) -> Tensor:
+        faces, areas, points, spreading, low, single = rest
+        ctx.save_for_backward(vertices, contrast)
+        ctx.rest = rest
+        given = vertices, faces, contrast, points, spreading, single, vertices.device
+        grids = spread(*given, factors=areas)
+        weights = _weights(spreading.half, spreading.spacing, low, grids.dtype)
+        total: Tensor | None = None
+        for grid, weight in zip(grids, weights, strict=True):
+            box = spreading.fft.to_box(grid, weight)
+            total = box if total is None else total.add_(box)
+        assert total is not None
+        return total.mul_(1j)
 
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
+        vertices, contrast = ctx.saved_tensors
+        faces, areas, points, spreading, low, single = ctx.rest
+        by_vertex = by_contrast = None
 
-@torch.library.custom_op("deltamic::flux_ft_backward", mutates_args=(), device_types="cpu")
-def flux_backward(
-    grad: Tensor,
-    points: Tensor,
-    areas: Tensor,
-    contrast: Tensor,
-    half: Sequence[int],
-    spacing: Sequence[float],
-    low: Sequence[int],
-    eps: float,
-    single: bool,
-    of_points: bool,
-    of_contrast: bool,
-) -> tuple[Tensor, Tensor]:
-    grad_points, grad_contrast = torch.zeros_like(points), torch.zeros_like(contrast)
-    g = grad.detach().resolve_conj().numpy()
-    if of_points:
-        swept = to_points(points, g, half, spacing, eps, single)
-        grad_points = (swept * contrast)[:, None] * areas
-    if of_contrast:
-        beyond = -1j * inverse_square(half, spacing) * g
-        beyond[within(low, half)] = 0
-        boxes = np.stack([beyond * a for a in box_axes(half, spacing)])
-        fields = to_points(points, boxes, half, spacing, eps, single)
-        grad_contrast = (fields.T * areas).sum(1)
-    return grad_points, grad_contrast
+        def gathered(box: Tensor) -> Tensor:
+            field = field_of(box, spreading, single)
+            found = gather(vertices, faces, points, spreading, single, field)
+            return found.to(torch.float64)
 
-
-@flux_backward.register_fake
-def _(
-    grad: Tensor,
-    points: Tensor,
-    areas: Tensor,
-    contrast: Tensor,
-    half: Sequence[int],
-    spacing: Sequence[float],
-    low: Sequence[int],
-    eps: float,
-    single: bool,
-    of_points: bool,
-    of_contrast: bool,
-) -> tuple[Tensor, Tensor]:
-    return torch.empty_like(points), torch.empty_like(contrast)
-
-
-def _save(ctx, inputs, output) -> None:  # type: ignore[no-untyped-def]
-    ctx.save_for_backward(*inputs[:3])
-    ctx.rest = inputs[3:]
-
-
-def _grad(ctx, grad):  # type: ignore[no-untyped-def]
-    asked = (ctx.needs_input_grad[0], ctx.needs_input_grad[2])
-    points, contrast = flux_backward(grad, *ctx.saved_tensors, *ctx.rest, *asked)
-    return points, None, contrast, None, None, None, None, None
-
-
-flux_ft.register_autograd(_grad, setup_context=_save)
+        if ctx.needs_input_grad[0]:
+            swept = gathered(grad)[..., None] * (contrast[:, None] * areas)[:, None]
+            by_vertex = torch.zeros_like(vertices, dtype=torch.float64)
+            by_vertex.index_add_(0, faces.reshape(-1), swept.reshape(-1, 3))
+            by_vertex = by_vertex.to(vertices.dtype)
+        if ctx.needs_input_grad[1]:
+            turned = grad * -1j
+            parts = [
+                gathered(turned * weight).sum(1) * area
+                for weight, area in zip(
+                    _weights(spreading.half, spreading.spacing, low, grad.real.dtype),
+                    areas.unbind(1),
+                    strict=True,
+                )
+            ]
+            by_contrast = sum(parts).to(contrast.dtype)
+        return by_vertex, by_contrast, None, None, None, None, None, None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from math import floor, log, log2, pi, sqrt
+from math import floor, inf, log, log2, pi, sqrt
 from typing import Literal
 
 import numpy as np
@@ -16,20 +16,23 @@ from ..errors import InputError
 from .band import Band, band_error, threshold_for
 from .closed_form import band_ft
 from .cost import Work, built_in, costs, count_work
-from .cuda.points import cufinufft
-from .nonuniform import points_ft
+from .particle_mesh import elements_ft
+from .points import Points
 from .quadrature import Rule, choose_rules
-from .triangle import cross
+from .spreading import Spreading, Transfer, choose_spreading, gaussian
 
-Method = Literal["closed form", "non-uniform"]
+Method = Literal["closed form", "particle-mesh"]
 # Error, area and thinness (as of :func:`band_error`) -> half axes of the band (rad/um), and the
 # largest |OTF| beyond.
 Cutoff = Callable[[float, float, bool], tuple[tuple[float, float, float], float]]
-METHODS: tuple[Method, ...] = ("closed form", "non-uniform")
+METHODS: tuple[Method, ...] = ("closed form", "particle-mesh")
+_OLD_NAMES: dict[str, Method] = {"non-uniform": "particle-mesh"}  # in files of earlier versions
 
-# Shares of the accuracy: the errors of band, quadrature and transform are independent and add in
-# squares, so that together they use 95 % of it at most.
-_BAND_SHARE, RULE_SHARE, _TRANSFORM_SHARE = 0.7, 0.6, 0.2
+# Shares of the accuracy: the errors of band, quadrature and aliases are independent and add in
+# squares, so that together they use 97 % of it at most.
+_BAND_SHARE, RULE_SHARE, _ALIAS_SHARE = 0.7, 0.6, 0.3
+# Times the shares of the other two where the grid itself ends the band, so that nothing is cut.
+_WHOLE = sqrt(1 + _BAND_SHARE**2 / (RULE_SHARE**2 + _ALIAS_SHARE**2))
 _FLAT = 0.1  # |OTF| at the edge of a band that no Gaussian describes: a flat one, to be safe
 # Below this accuracy rounding in single precision would show.
 _SINGLE_ABOVE = 3e-5
@@ -44,11 +47,13 @@ class Plan:
     Attributes
     ----------
     method
-        ``"closed form"`` or ``"non-uniform"``.
+        ``"closed form"`` or ``"particle-mesh"``.
     accuracy
         Requested relative L2 error of the rendered image; 0 is the closed form at every wavevector.
     expected_error
         What the plan expects of one rendering.
+    spreading
+        Grid and kernels of the particle-mesh; None for the closed form.
     work
         What one rendering computes.
     device
@@ -60,7 +65,7 @@ class Plan:
     accuracy: float
     threshold: float
     single: bool
-    tolerance: float
+    spreading: Spreading | None
     rules: list[tuple[Rule, np.ndarray]] = field(repr=False)
     expected_error: float
     work: Work
@@ -73,70 +78,54 @@ class Plan:
         return known.seconds(self.work, self.single)
 
     @property
+    def tolerance(self) -> float:
+        """Relative L2 error that aliases may cause; 0 for the closed form."""
+        return 0.0 if self.spreading is None else self.spreading.error
+
+    @property
     def points(self) -> int:
         """Quadrature points; 0 for the closed form."""
         return sum(len(r.weights) * len(f) for r, f in self.rules)
 
-    def transform(self, vertices: Tensor, faces: Tensor, density: Tensor) -> Tensor:
+    def transform(
+        self,
+        vertices: Tensor,
+        faces: Tensor,
+        density: Tensor,
+        device: torch.device | None = None,
+    ) -> Tensor:
         """u_hat on the box of the band, differentiable in vertices and density.
 
-        ``vertices`` (V, 3) um relative to the centre of the grid's first voxel.
+        Parameters
+        ----------
+        vertices
+            (V, 3) um relative to the centre of the grid's first voxel.
+        faces, density
+            (F, 3) int64; (F,) fluorophores per um^2.
+        device
+            Where the result is to be; by default where the vertices are.
+
+        Raises
+        ------
+        ValueError
+            If a vertex is not finite, or a face names a vertex that is not there.
         """
-        if self.method == "closed form":
+        there = vertices.device if device is None else device
+        if self.spreading is None:
             rows = band_ft(vertices, faces, density, self.band.rows, self.band.spacing, self.single)
-            return self.band.to_box(rows)
-        placed = self._placed.get(vertices.device)
-        if placed is None:
-            placed = self._placed[vertices.device] = _on(vertices.device, self.rules)
-        points, weights = _points_of(vertices, faces, density, placed)
-        return points_ft(
-            points, weights, self.band.half, self.band.spacing, self.tolerance, self.single
-        )
+            return self.band.to_box(rows).to(there)
+        given = self.quadrature_of(len(faces)), self.spreading, self.single, there
+        return elements_ft(vertices, faces, density, *given)
+
+    def quadrature_of(self, faces: int) -> Points:
+        """The rules for a mesh of as many faces as the plan was made for."""
+        if faces not in self._points:
+            self._points[faces] = Points(self.rules, faces)
+        return self._points[faces]
 
     @cached_property
-    def _placed(self) -> dict[torch.device, list[_Placed]]:
-        """The rules on each device that asked for them."""
+    def _points(self) -> dict[int, Points]:
         return {}
-
-
-_Placed = tuple[Tensor, Tensor, Tensor]  # barycentric points, weights, faces
-
-
-def _on(device: torch.device, rules: list[tuple[Rule, np.ndarray]]) -> list[_Placed]:
-    return [
-        (
-            torch.from_numpy(rule.barycentric).to(device, torch.float64),
-            torch.from_numpy(rule.weights).to(device, torch.float64),
-            torch.from_numpy(where).to(device),
-        )
-        for rule, where in rules
-    ]
-
-
-def quadrature_points(
-    vertices: Tensor, faces: Tensor, density: Tensor, rules: list[tuple[Rule, np.ndarray]]
-) -> tuple[Tensor, Tensor]:
-    """Points (M, 3) and weights (M,) = area x density x rule; differentiable."""
-    return _points_of(vertices, faces, density, _on(vertices.device, rules))
-
-
-def _points_of(
-    vertices: Tensor, faces: Tensor, density: Tensor, rules: list[_Placed]
-) -> tuple[Tensor, Tensor]:
-    corners = vertices.to(torch.float64)[faces]
-    # Half a cross product's norm; its gradient is zero, not NaN, where the area is.
-    normal = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    mass = torch.linalg.vector_norm(normal, dim=1) / 2 * density
-    points, weights = [], []
-    for b, w, chosen in rules:
-        every = len(chosen) == len(faces)
-        own = corners if every else corners[chosen]
-        points.append((b @ own).reshape(-1, 3))
-        m = mass if every else mass[chosen]
-        weights.append((m[:, None] * w).reshape(-1))
-    if len(points) == 1:
-        return points[0], weights[0]
-    return torch.cat(points), torch.cat(weights)
 
 
 def make_plan(
@@ -151,8 +140,9 @@ def make_plan(
     aligned: bool = True,
     cutoff: Cutoff | None = None,
     device: str = "cpu",
+    transfer: Transfer | None = None,
 ) -> Plan:
-    """Choose band, method and rules for an accuracy.
+    """Choose band, method, rules and kernels for an accuracy.
 
     Parameters
     ----------
@@ -175,6 +165,9 @@ def make_plan(
         Where the OTF ends, for a PSF that is not Gaussian.
     device
         Type of the device that computes: which method is cheaper depends on it.
+    transfer
+        |OTF| with everything that acts on it, whose aliases choose grid and kernels; by default
+        that of a Gaussian of this width.
 
     Raises
     ------
@@ -182,39 +175,59 @@ def make_plan(
         If the accuracy is negative, not a number, or 1 or more.
     """
     check_accuracy(accuracy)
-    if method not in (None, "closed form", "non-uniform"):
-        raise InputError(f"method must be 'closed form' or 'non-uniform', not {method!r}")
+    method = checked_method(method)
     if accuracy < EXACT_BELOW:
         band = Band.full(fft_shape, voxel_size)
         phases = _edge_phases(vertices, faces, tuple(pi / d for d in voxel_size), aligned=False)
-        work = count_work("closed form", band, len(faces), phases, [], 0.0)
-        return Plan("closed form", band, accuracy, 0.0, False, 0.0, [], 0.0, work, device)
+        work = count_work("closed form", band, len(faces), phases, [], None)
+        return Plan("closed form", band, accuracy, 0.0, False, None, [], 0.0, work, device)
     area, thin = _size(vertices / np.asarray(width), faces)
     c = choose_band(area, thin, fft_shape, voxel_size, width, accuracy, aligned, cutoff)
-    band, threshold, single, tolerance = c.band, c.threshold, c.single, c.tolerance
-    held, at_edge = c.held, c.at_edge
-    phases = _edge_phases(vertices, faces, held, c.round)
-    rules = choose_rules(margin * phases, at_edge, RULE_SHARE * accuracy)
+    phases = _edge_phases(vertices, faces, c.held, c.round)
+    rules = choose_rules(margin * phases, c.at_edge, c.quadrature)
+    spreading = spreading_for(c, rules, width, transfer or gaussian(width), inf if thin else area)
     works: dict[Method, Work] = {
-        m: count_work(m, band, len(faces), phases, rules, tolerance) for m in METHODS
+        m: count_work(m, c.band, len(faces), phases, rules, spreading) for m in METHODS
     }
     # Not with the costs of this machine: settings give one image, wherever they are used.
-    there = METHODS if device != "cuda" or cufinufft() is not None else ("closed form",)
-    cheapest: Method = min(there, key=lambda m: built_in(device).seconds(works[m], single))
+    cheapest: Method = min(METHODS, key=lambda m: built_in(device).seconds(works[m], c.single))
     chosen = method if method is not None else cheapest
     # The law of the band is that of a smooth surface; corners and edges were seen to add a sixth.
     error = min(accuracy, 1.2 * c.error)
-    work = works[chosen]
+    work, rest = works[chosen], (c.band, accuracy, c.threshold, c.single)
     if chosen == "closed form":
-        return Plan(chosen, band, accuracy, threshold, single, 0.0, [], error, work, device)
-    error = min(accuracy, float(np.hypot(np.hypot(error, RULE_SHARE * accuracy), tolerance)))
-    return Plan(chosen, band, accuracy, threshold, single, tolerance, rules, error, work, device)
+        return Plan(chosen, *rest, None, [], error, work, device)
+    error = min(accuracy, float(np.hypot(np.hypot(error, c.quadrature), c.tolerance)))
+    return Plan(chosen, *rest, spreading, rules, error, work, device)
+
+
+def checked_method(method: str | None) -> Method | None:
+    """A method by its name, or by the one that it had in earlier versions; raises InputError."""
+    named = _OLD_NAMES.get(method, method) if method is not None else None
+    if named is not None and named not in METHODS:
+        raise InputError(f"method must be 'closed form' or 'particle-mesh', not {method!r}")
+    return named
+
+
+def spreading_for(
+    c: BandChoice,
+    rules: list[tuple[Rule, np.ndarray]],
+    width: tuple[float, float, float],
+    transfer: Transfer,
+    area: float,
+) -> Spreading:
+    """Grid and kernels for a band; ``area`` in squared widths, infinite for something thin."""
+    points = sum(len(r.weights) * len(of) for r, of in rules)
+    turn = inf if area == inf else sqrt(2 * pi / area)
+    given = c.band.half, c.band.spacing, transfer, c.tolerance, points, c.single
+    return choose_spreading(*given, turn, width)
 
 
 @dataclass(frozen=True)
 class BandChoice:
     """Band and precision that an accuracy asks for, whatever is in the scene.
 
+    tolerance, quadrature : relative L2 errors that aliases and quadrature may cause.
     held, at_edge : half axes (rad/um) of what the grid holds of the band, and |OTF| at its edge.
     round : whether that is an ellipsoid; otherwise it has corners.
     error : expected of leaving out what is beyond it.
@@ -224,6 +237,7 @@ class BandChoice:
     threshold: float
     single: bool
     tolerance: float
+    quadrature: float
     held: tuple[float, ...]
     at_edge: float
     round: bool
@@ -250,13 +264,18 @@ def choose_band(
         error = band_error(threshold, area, thin)
     band = Band.within(fft_shape, voxel_size, radius, aligned)
     single = accuracy >= _SINGLE_ABOVE
-    tolerance = max(_TRANSFORM_SHARE * accuracy, 1e-6 if single else 1e-14)
+    whole = all(2 * (k + 1) > n for k, n in zip(band.half, fft_shape, strict=True))
+    more = accuracy * (_WHOLE if whole else 1.0)
+    tolerance = max(_ALIAS_SHARE * more, 1e-6 if single else 1e-13)
     held, at_edge = _held(radius, voxel_size, threshold)
     if cutoff is not None:
         at_edge = _FLAT
     # What is cut off at the grid's own edge has corners.
     is_round = aligned and held == radius
-    return BandChoice(band, threshold, single, tolerance, held, at_edge, is_round, error)
+    quadrature = RULE_SHARE * more
+    return BandChoice(
+        band, threshold, single, tolerance, quadrature, held, at_edge, is_round, error
+    )
 
 
 def check_accuracy(accuracy: float) -> None:

@@ -32,15 +32,18 @@ from ..errors import InputError
 from .band import Band
 from .closed_form import as_mesh_tensors, band_ft, mesh_ft, row_wavevectors
 from .flux import flux_ft, inverse_square, within
-from .nonuniform import points_ft
+from .particle_mesh import elements_ft
 from .plan import RULE_SHARE, Plan
+from .points import Points
 from .quadrature import Rule, choose_rules
+from .spreading import Spreading, choose_spreading, flat
 from .triangle import cross, triangle_transform
 
 # Shells are taken where each component of xi is at most this over R.
 _NEAR = 1.0
 _LARGEST_PHASE = sqrt(3) * _NEAR  # of a point relative to the centre, there
 _EXACT = 1e-15
+_POINT = Rule(0, 1, np.ones((1, 1)), np.ones(1))
 _THICK = 10.0  # flux that cancels up to this factor leaves the plan's errors below what was asked
 
 
@@ -152,18 +155,10 @@ def solid_transform(plan: Plan, vertices: Tensor, faces: Tensor, contrast: Tenso
     if plan.method == "closed form":
         return _closed_form(plan, low, x, faces, contrast, centre)
     corners = x[faces]
-    rules, tolerance, single = _means(plan, corners, contrast)
-    points, areas, jump = _surface_points(corners, contrast, rules)
-    box = plan.band.half, plan.band.spacing
-    far = flux_ft(points, areas.detach(), jump, *box, low.half, tolerance, single)
-    few = _low_rules(corners, reach, plan.accuracy)
-    points, areas, jump = _surface_points(corners.detach(), contrast, few)
-    arms = points - centre
-    volumes = (arms * areas).sum(1) * jump
-    t, weight = (torch.from_numpy(a) for a in _nodes(plan.tolerance))
-    shells = (centre + t[:, None, None] * arms).reshape(-1, 3)
-    strengths = (weight[:, None] * volumes).reshape(-1)
-    near = points_ft(shells, strengths, low.half, plan.band.spacing, plan.tolerance, plan.single)
+    points, spreading, single = _means(plan, corners, contrast)
+    areas = _area_vectors(corners.detach())
+    far = flux_ft(x, faces, areas, contrast, points, spreading, low.half, single)
+    near = _low_shells(plan, low, corners.detach(), contrast, centre, reach)
     return far.to(near.dtype) + _embedded(near, low.half, plan.band.half)
 
 
@@ -190,35 +185,13 @@ def _normals(vertices: Tensor, faces: Tensor) -> Tensor:
     return area / torch.where(size > 0, size, 1.0)
 
 
-def _surface_points(
-    corners: Tensor, contrast: Tensor, rules: list[tuple[Rule, np.ndarray]]
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Points (M, 3), their shares of the faces' area vectors (M, 3), and contrasts (M,)."""
-    vectors = _area_vectors(corners)
-    # Walls between regions that shine alike show nothing and are moved by nothing.
-    seen = contrast.detach().cpu().numpy() != 0
-    seen |= contrast.requires_grad
-    points, areas, jump = [], [], []
-    for rule, where in rules:
-        of = torch.from_numpy(where[seen[where]])
-        b, w = torch.from_numpy(rule.barycentric), torch.from_numpy(rule.weights)
-        points.append((b @ corners[of]).reshape(-1, 3))
-        areas.append((vectors[of][:, None] * w[:, None]).reshape(-1, 3))
-        jump.append(contrast[of].to(torch.float64).repeat_interleave(len(w)))
-    if not points:
-        none = corners.new_zeros(0, 3)
-        return none, none, none[:, 0]
-    return torch.cat(points), torch.cat(areas), torch.cat(jump)
-
-
-def _means(
-    plan: Plan, corners: Tensor, contrast: Tensor
-) -> tuple[list[tuple[Rule, np.ndarray]], float, bool]:
-    """Rules, tolerance and precision of the flux: those of the plan unless the solid is thin.
+def _means(plan: Plan, corners: Tensor, contrast: Tensor) -> tuple[Points, Spreading, bool]:
+    """Points, grid and precision of the flux: those of the plan unless the solid is thin.
 
     The flux through opposite faces cancels but for their distance: errors relative to the surface
     are as many times larger relative to what lies inside.
     """
+    assert plan.spreading is not None
     with torch.no_grad():
         vectors = _area_vectors(corners)
         middle = corners.reshape(-1, 3).mean(0) if len(corners) else corners.new_zeros(3)
@@ -228,13 +201,18 @@ def _means(
     # At a third of the radius of the band; beyond the cap nothing is inside.
     cancelled = min(area / max(volume * sum(reach) / 9, 1e-300), 1e8)
     if cancelled < _THICK or not area:
-        return plan.rules, plan.tolerance, plan.single
-    tolerance = max(plan.tolerance / cancelled, 1e-14)
+        return plan.quadrature_of(len(corners)), plan.spreading, plan.single
+    tolerance = max(plan.tolerance / cancelled, 1e-13)
+    single = plan.single and tolerance > 5e-6
     edges = (corners - corners.roll(1, 1)).detach().abs() * torch.tensor(reach)
     phases = edges.norm(dim=2).amax(1).numpy()
-    # As if the OTF were flat over the band: finer rules than need be.
+    # As if the OTF were flat over the band: finer rules and wider kernels than need be.
     rules = choose_rules(phases, 1.0, max(RULE_SHARE * plan.accuracy / cancelled, 1e-12))
-    return rules, tolerance, plan.single and tolerance > 5e-6
+    points = Points(rules, len(corners))
+    spreading = choose_spreading(
+        plan.band.half, plan.band.spacing, flat, tolerance, points.count, single
+    )
+    return points, spreading, single
 
 
 # -------------------------------------------------------------------------------- near zero
@@ -266,6 +244,37 @@ def _low_band(band: Band, reach: float) -> Band:
         for k, s in zip(band.half, band.spacing, strict=True)
     )
     return Band(band.fft_shape, band.voxel_size, half)  # type: ignore[arg-type]
+
+
+def _low_shells(
+    plan: Plan, low: Band, corners: Tensor, contrast: Tensor, centre: Tensor, reach: float
+) -> Tensor:
+    """u_hat on the low box by shells of points; differentiable in the contrast alone."""
+    kind = torch.complex64 if plan.single else torch.complex128
+    points, volumes = [], []
+    vectors = _area_vectors(corners)
+    # Walls between regions that shine alike show nothing.
+    seen = contrast.detach().numpy() != 0
+    seen |= contrast.requires_grad
+    for r, where in _low_rules(corners, reach, plan.accuracy):
+        of = torch.from_numpy(where[seen[where]])
+        arms = torch.from_numpy(r.barycentric) @ (corners[of] - centre)
+        share = (arms * vectors[of][:, None]).sum(2) * torch.from_numpy(r.weights)
+        points.append(arms.reshape(-1, 3))
+        volumes.append((share * contrast[of].to(torch.float64)[:, None]).reshape(-1))
+    if not points:
+        return torch.zeros(low.box_shape, dtype=kind)
+    t, weight = (torch.from_numpy(a) for a in _nodes(plan.tolerance))
+    strengths = (weight[:, None] * torch.cat(volumes)).reshape(-1)
+    if low.half == (0, 0, 0):
+        return strengths.sum().reshape(1, 1, 1).to(kind)
+    shells = (centre + t[:, None, None] * torch.cat(points)).reshape(-1, 3)
+    each = torch.arange(len(shells))[:, None]
+    one = Points([(_POINT, np.arange(len(shells)))], len(shells))
+    spreading = choose_spreading(
+        low.half, low.spacing, flat, plan.tolerance, len(shells), plan.single
+    )
+    return elements_ft(shells, each, strengths, one, spreading, plan.single)
 
 
 def _low_rules(corners: Tensor, reach: float, accuracy: float) -> list[tuple[Rule, np.ndarray]]:

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.labels.meshes import mesh_from_labels
+from napari_deltamic.geometry.labels.meshes import surfaces_of_labels
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
 from napari_deltamic.geometry.primitives import sphere
 from napari_deltamic.geometry.remeshing import can_remesh
@@ -36,18 +36,32 @@ def foam(centers: FloatArray, radii: FloatArray, edge_length: float) -> Mesh:
     InputError
         If a sphere lies so deep in others that nothing is left of it.
     """
-    parts = []
+    parts, lost = spheres_of_foam(centers, radii, edge_length)
+    for number, reason in lost.items():
+        raise InputError(f"sphere {number} {reason}")
+    return Mesh.merge(parts)
+
+
+def spheres_of_foam(
+    centers: FloatArray, radii: FloatArray, edge_length: float
+) -> tuple[list[Mesh], dict[int, str]]:
+    """The work of `foam`: a mesh of each cluster, and what is wrong with spheres without one."""
+    parts: list[Mesh] = []
+    lost: dict[int, str] = {}
     for group in _overlapping(centers, radii):
         if len(group) == 1 or not can_remesh():
             for k in group:
                 ball = sphere(centers[k], float(radii[k]), edge_length)
                 parts.append(_numbered(ball, k + 1))
         else:
-            parts.append(_cluster(centers, radii, group, edge_length))
-    return Mesh.merge(parts)
+            parts += _cluster(centers, radii, group, edge_length, lost)
+    return parts, lost
 
 
-def _cluster(centers: FloatArray, radii: FloatArray, group: IntArray, edge: float) -> Mesh:
+def _cluster(
+    centers: FloatArray, radii: FloatArray, group: IntArray, edge: float, lost: dict[int, str]
+) -> list[Mesh]:
+    """Meshes of spheres that overlap; those of which nothing is left are added to the lost."""
     spacing = edge / _VOXELS_PER_EDGE
     own, reach = centers[group], radii[group, None]
     low, high = (own - reach).min(0) - 2 * spacing, (own + reach).max(0) + 2 * spacing
@@ -59,14 +73,19 @@ def _cluster(centers: FloatArray, radii: FloatArray, group: IntArray, edge: floa
     axes = [a + spacing * np.arange(n) for a, n in zip(low, shape, strict=True)]
     for k in group:
         away = [axis - c for axis, c in zip(axes, centers[k], strict=True)]
-        own_power = sum(x**2 for x in np.ix_(*away)) - radii[k] ** 2
-        nearer = own_power < power
-        labels[nearer] = k + 1
-        power[nearer] = own_power[nearer]
-    lost = np.setdiff1d(group + 1, labels)
-    if len(lost):
-        raise InputError(f"sphere {lost[0]} lies wholly inside others: move it, or make it larger")
-    return mesh_from_labels(labels, (spacing,) * 3, tuple(low), edge, gap=0)
+        # Its power is negative within the sphere only.
+        box = tuple(slice(*np.searchsorted(x, (-radii[k], radii[k]))) for x in away)
+        own_power = sum(x**2 for x in np.ix_(*(x[b] for x, b in zip(away, box, strict=True))))
+        own_power = own_power - radii[k] ** 2
+        nearer = own_power < power[box]
+        labels[box][nearer] = k + 1
+        power[box][nearer] = own_power[nearer]
+    found = surfaces_of_labels(labels, (spacing,) * 3, tuple(low), edge, gap=0)
+    for k in np.setdiff1d(group + 1, labels).tolist():
+        lost[k] = "lies wholly inside others: move it, or make it larger"
+    for k in found.too_small:
+        lost[k] = f"is too small for edges of {edge:g} um"
+    return found.meshes
 
 
 def _overlapping(centers: FloatArray, radii: FloatArray) -> list[IntArray]:

@@ -7,13 +7,17 @@ from math import ceil, log2
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
 from napari_deltamic.geometry.native import native
-from napari_deltamic.geometry.topology.crossings import crosses
+from napari_deltamic.geometry.topology.crossings import crosses, crossings
 
 _TOUCH = 1e-6  # of the wanted length: surfaces as near to each other touch
+# Of the longest edge, around what has come to cross: operations are looked at, and faces with which
+# they might collide. Less than two edges around a vertex change with it.
+_GUARDED, _SEEN = 3.0, 5.0
 _PASSES = 3  # bring any mesh of about the right edge length into shape
 
 
@@ -29,6 +33,9 @@ class Remeshed:
         (V, C): the numbers given for each vertex; means of those that were merged or split.
     fixed
         (V,) bool: the vertices that were to stay.
+    origin
+        (V,) the given vertex that each one is, moved or not; -1 for those that are new. What is
+        left of the given ones keeps their order.
     splits, collapses, flips
         How many edges were split, collapsed and flipped.
     """
@@ -36,6 +43,7 @@ class Remeshed:
     mesh: Mesh
     carried: FloatArray
     fixed: np.ndarray
+    origin: IntArray
     splits: int
     collapses: int
     flips: int
@@ -53,6 +61,7 @@ def remesh(
     *,
     carried: ArrayLike | None = None,
     fixed: ArrayLike | None = None,
+    sealed: ArrayLike | None = None,
     smooth: bool = True,
     apart: bool = False,
 ) -> Remeshed:
@@ -76,6 +85,9 @@ def remesh(
         (V, C) or (V,) numbers that vertices take along.
     fixed
         (V,) bool: vertices that neither move nor vanish.
+    sealed
+        (V,) bool: vertices that are fixed, and edges between two of them stay: the border along
+        which a part was cut out of a mesh.
     smooth
         Whether vertices may move at all.
     apart
@@ -96,23 +108,58 @@ def remesh(
     loads = np.zeros((n, 0)) if carried is None else np.asarray(carried, np.float64)
     if loads.ndim not in (1, 2) or len(loads) != n:
         raise InputError(f"carried must have a row for each of the {n} vertices")
-    held = np.zeros(n, bool) if fixed is None else np.asarray(fixed, bool)
-    if held.shape != (n,):
-        raise InputError(f"fixed must have one value for each of the {n} vertices")
+    held = np.zeros(n, np.uint8)
+    for value, name, given in ((1, "fixed", fixed), (2, "sealed", sealed)):
+        if given is not None:
+            if np.shape(given) != (n,):
+                raise InputError(f"{name} must have one value for each of the {n} vertices")
+            held[np.asarray(given, bool)] = value
     if passes is None:
         longest = float(
             np.linalg.norm(np.diff(mesh.vertices_numpy()[mesh.edges()], axis=1), axis=2).max()
         )
         passes = _PASSES + max(0, ceil(log2(longest / float(length.min()))))
-    given = mesh, length, passes, loads, held, smooth
-    done = _remeshed(*given)
+    wanted = mesh, length, passes, loads, held, smooth
+    done = _remeshed(*wanted, np.zeros(n, np.uint8), 0.0)
+    return _kept_apart(done, *wanted) if apart else done
+
+
+def _kept_apart(
+    done: Remeshed,
+    mesh: Mesh,
+    length: FloatArray,
+    passes: int,
+    loads: FloatArray,
+    held: np.ndarray,
+    smooth: bool,
+) -> Remeshed:
+    """Remeshed once more where surfaces have come to cross, each operation looked at there."""
     near = _TOUCH * float(length.min())
-    if not apart or not crosses(done.mesh, near) or crosses(mesh):
+    trouble = _crossing_corners(done.mesh, near)
+    if not len(trouble) or crosses(mesh):
         return done
-    done = _remeshed(*given, apart=near)  # several times as slow
-    if crosses(done.mesh):  # by rounding
-        return Remeshed(mesh, loads, held, 0, 0, 0)
-    return done
+    vertices = mesh.vertices_numpy()
+    ends = vertices[mesh.edges()]
+    longest = float(max(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).max(), length.max()))
+    for last in (False, False, True):
+        away = cKDTree(trouble).query(vertices)[0] / longest
+        guard = np.where(away < _GUARDED, 2, np.where(away < _SEEN, 1, 0)).astype(np.uint8)
+        if last:
+            guard[:] = 2
+        done = _remeshed(mesh, length, passes, loads, held, smooth, guard, near)
+        found = _crossing_corners(done.mesh, 0.0)
+        if not len(found):
+            return done
+        trouble = np.concatenate([trouble, found])
+    # By rounding.
+    return Remeshed(mesh, loads, held > 0, np.arange(len(vertices)), 0, 0, 0)
+
+
+def _crossing_corners(mesh: Mesh, near: float) -> FloatArray:
+    """(n, 3) um: the corners of edges and faces that cross."""
+    found = crossings(mesh, near)
+    corners = np.concatenate([mesh.edges()[found[:, 0]], mesh.faces[found[:, 1]]], axis=1)
+    return mesh.vertices_numpy()[np.unique(corners)]
 
 
 def _remeshed(
@@ -122,24 +169,30 @@ def _remeshed(
     loads: FloatArray,
     held: np.ndarray,
     smooth: bool,
-    apart: float = 0.0,
+    guard: np.ndarray,
+    apart: float,
 ) -> Remeshed:
     library = native()
     assert library is not None
-    vertices, faces, regions, held_now, loads_now, counts = library.remesh(
+    vertices, faces, regions, held_now, loads_now, origin, counts = library.remesh(
         np.ascontiguousarray(mesh.vertices_numpy(), np.float64),
         np.ascontiguousarray(mesh.faces, np.int64),
         np.ascontiguousarray(mesh.regions, np.int64),
         np.ascontiguousarray(length),
-        np.ascontiguousarray(held, np.uint8),
+        held,
         np.ascontiguousarray(loads.reshape(len(length), -1)),
+        guard,
         int(passes),
         bool(smooth),
         float(apart),
     )
     shape = (len(vertices), *loads.shape[1:])
     return Remeshed(
-        Mesh(vertices, faces, regions), loads_now.reshape(shape), held_now[:, 0] > 0, *counts
+        Mesh(vertices, faces, regions),
+        loads_now.reshape(shape),
+        held_now[:, 0] > 0,
+        origin[:, 0],
+        *counts,
     )
 
 

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import csv
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.foam import foam
+from napari_deltamic.errors import InputError, RepairWarning
+from napari_deltamic.geometry.foam import spheres_of_foam
 from napari_deltamic.geometry.labels.basins import label_basins
-from napari_deltamic.geometry.labels.meshes import EDGE_IN_VOXELS, mesh_from_labels
+from napari_deltamic.geometry.labels.meshes import EDGE_IN_VOXELS, surfaces_of_labels
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
+from napari_deltamic.geometry.refused import Refused, told
 
 Triple = Sequence[float]
 
@@ -42,17 +44,23 @@ def labels_from_points(
     (Z, Y, X) int32: k for the object of the k-th point (from 1), 0 elsewhere. Objects without a
     point and the outside stay 0.
 
+    Points that lie outside the image, on a membrane or in no closed region, in the region of an
+    earlier point, or in one that is too small or lies mostly on the border of the image, are left
+    out; one RepairWarning names them all.
+
     Raises
     ------
     InputError
-        The image is not a finite 3D array; a point lies outside the image, on a membrane or in no
-        closed region; two points lie in the same region; a region is too small or lies mostly on
-        the border of the image.
+        The image is not a finite 3D array; the points are no (n, 3) numbers; none of them can be
+        used.
     """
     data, centres = _checked_image(image), _checked_points(points)
     size, start = _triple(voxel_size, "voxel size"), _triple(origin, "origin", positive=False)
-    voxels = _point_voxels(centres, size, start, data.shape)
-    return label_basins(data, size, voxels, list(range(1, len(voxels) + 1)), smoothing)
+    voxels, refused = _point_voxels(centres, size, start, data.shape)
+    names = sorted(voxels)
+    labels, more = label_basins(data, size, _rows(voxels, names), names, smoothing)
+    _tell([*refused, *more], len(centres))
+    return labels
 
 
 def seeds_from_points(
@@ -67,29 +75,56 @@ def seeds_from_points(
 
     Where `radii` (um, one a point; nan or 0 = not known) gives a radius the surface is a sphere;
     spheres that overlap become cells that share walls, see `foam`. Elsewhere it follows the
-    membrane around the point, see `labels_from_points`.
+    membrane around the point, see `labels_from_points`. Points that cannot be used, as told there,
+    for a radius that is no length, or because their sphere lies within others, are left out; one
+    RepairWarning names them all.
 
     Raises
     ------
     InputError
-        As `labels_from_points`, a negative or infinite radius, or not one radius a point.
+        As `labels_from_points`, or not one radius a point.
     """
+    parts, refused = surfaces_of_points(image, voxel_size, points, radii, origin, edge_length)
+    _tell(refused, len(np.asarray(points)))
+    return Mesh.merge(parts)
+
+
+def surfaces_of_points(
+    image: ArrayLike,
+    voxel_size: Triple,
+    points: ArrayLike,
+    radii: ArrayLike | None = None,
+    origin: Triple = (0.0, 0.0, 0.0),
+    edge_length: float | None = None,
+) -> tuple[list[Mesh], list[Refused]]:
+    """The work of `seeds_from_points`: meshes, which may be none, and the points left out."""
     data, centres = _checked_image(image), _checked_points(points)
     size, start = _triple(voxel_size, "voxel size"), _triple(origin, "origin", positive=False)
     edge = EDGE_IN_VOXELS * float(size.min()) if edge_length is None else float(edge_length)
-    radius = np.zeros(len(centres)) if radii is None else np.nan_to_num(_radii(radii, centres))
-    voxels = _point_voxels(centres, size, start, data.shape)
+    radius, refused = _known_radii(radii, centres)
+    voxels, outside = _point_voxels(centres, size, start, data.shape)
+    refused += outside
+    left_out = {one.points[-1] for one in refused}
     parts: list[Mesh] = []
-    free = np.flatnonzero(radius == 0)
-    if len(free):
-        labels = label_basins(data, size, voxels[free], (free + 1).tolist(), None)
-        parts.append(mesh_from_labels(labels, voxel_size, origin, edge))
-    round_ = np.flatnonzero(radius > 0)
-    if len(round_):
-        balls = foam(centres[round_], radius[round_], edge)
-        numbers = np.concatenate([[0], round_ + 1])
-        parts.append(Mesh(balls.vertices, balls.faces, numbers[balls.regions]))
-    return Mesh.merge(parts)
+    free = [k for k in sorted(voxels) if k not in left_out and radius[k - 1] == 0]
+    if free:
+        labels, more = label_basins(data, size, _rows(voxels, free), free, None)
+        refused += more
+        if labels.any():
+            found = surfaces_of_labels(labels, voxel_size, origin, edge)
+            parts += found.meshes
+            reason = f"is too small for edges of {edge:g} um"
+            refused += [Refused(f"the region of point {k} {reason}", (k,)) for k in found.too_small]
+    spheres = [k for k in sorted(voxels) if k not in left_out and radius[k - 1] > 0]
+    if spheres:
+        rows = np.array(spheres) - 1
+        balls, lost = spheres_of_foam(centres[rows], radius[rows], edge)
+        numbers = np.array([0, *spheres])
+        parts += [Mesh(b.vertices, b.faces, numbers[b.regions]) for b in balls]
+        for k, reason in lost.items():
+            number = spheres[k - 1]
+            refused.append(Refused(f"the sphere of point {number} {reason}", (number,)))
+    return parts, refused
 
 
 def read_points_csv(path: str | Path) -> tuple[FloatArray, FloatArray | None]:
@@ -100,7 +135,8 @@ def read_points_csv(path: str | Path) -> tuple[FloatArray, FloatArray | None]:
     Raises
     ------
     InputError
-        The file cannot be read, has another header, no points, or a field that is not a number.
+        The file cannot be read, has another header, no points, or lines without numbers, all of
+        which are named.
     """
     try:
         text = Path(path).read_text(encoding="utf-8-sig")
@@ -111,18 +147,16 @@ def read_points_csv(path: str | Path) -> tuple[FloatArray, FloatArray | None]:
     if header not in (["z", "y", "x"], ["z", "y", "x", "radius"]):
         raise InputError(f"{path}: the first line must be z,y,x or z,y,x,radius")
     table: list[list[float]] = []
+    wrong: list[str] = []
     for number, row in enumerate(rows[1:], 2):
         if not any(row):
             continue
-        if len(row) != len(header):
-            raise InputError(f"{path}, line {number}: {len(row)} fields instead of {len(header)}")
-        filled = row[:3] + [field or "nan" for field in row[3:]]
         try:
-            table.append([float(field) for field in filled])
+            table.append(_numbers(row, len(header)))
         except ValueError as error:
-            raise InputError(f"{path}, line {number}: {error}") from error
-        if not np.isfinite(table[-1][:3]).all():
-            raise InputError(f"{path}, line {number}: a coordinate is not finite")
+            wrong.append(f"line {number}: {error}")
+    if wrong:  # the numbers of the others would not be those of their lines
+        raise InputError(f"{path}, {'; '.join(wrong)}")
     if not table:
         raise InputError(f"{path}: no points")
     values = np.array(table)
@@ -150,26 +184,59 @@ def _checked_image(image: ArrayLike) -> FloatArray:
 
 def _checked_points(points: ArrayLike) -> FloatArray:
     array = np.asarray(points, np.float64)
-    if array.ndim != 2 or array.shape[1] != 3 or not len(array) or not np.isfinite(array).all():
-        raise InputError("points must be a finite (n, 3) array with at least one row (um, Z, Y, X)")
+    if array.ndim != 2 or array.shape[1] != 3 or not len(array):
+        raise InputError("points must be an (n, 3) array with at least one row (um, Z, Y, X)")
     return array
 
 
-def _radii(radii: ArrayLike, points: FloatArray) -> FloatArray:
+def _numbers(row: Sequence[str], columns: int) -> list[float]:
+    """A line of a table of points; ValueError says what is wrong with it."""
+    if len(row) != columns:
+        raise ValueError(f"{len(row)} fields instead of {columns}")
+    values = [float(field) for field in (*row[:3], *(field or "nan" for field in row[3:]))]
+    if not np.isfinite(values[:3]).all():
+        raise ValueError("a coordinate is not finite")
+    return values
+
+
+def _known_radii(radii: ArrayLike | None, points: FloatArray) -> tuple[FloatArray, list[Refused]]:
+    """(n,) um, 0 = not known; and the points whose radius is no length."""
+    if radii is None:
+        return np.zeros(len(points)), []
     array = np.asarray(radii, np.float64)
     if array.shape != (len(points),):
         raise InputError(f"{len(points)} points need as many radii, not {array.size}")
-    for k in np.flatnonzero((array < 0) | np.isinf(array)):
-        raise InputError(f"point {k + 1}: radius {array[k]:g} is not a length")
-    return array
+    wrong = np.flatnonzero((array < 0) | np.isinf(array)).tolist()
+    texts = {k + 1: f"point {k + 1}: radius {array[k]:g} is not a length" for k in wrong}
+    return np.nan_to_num(array), [Refused(text, (k,)) for k, text in texts.items()]
 
 
 def _point_voxels(
     points: FloatArray, size: FloatArray, origin: FloatArray, shape: tuple[int, ...]
-) -> IntArray:
-    voxels = np.floor((points - origin) / size + 0.5).astype(np.int64)
-    outside = ((voxels < 0) | (voxels >= np.array(shape))).any(axis=1)
-    for k in np.flatnonzero(outside):
-        where = ", ".join(f"{value:g}" for value in points[k])
-        raise InputError(f"point {k + 1} ({where} um) lies outside the image")
-    return voxels
+) -> tuple[dict[int, IntArray], list[Refused]]:
+    """The voxel of each point that lies in the image, by its number; and the other points."""
+    voxels: dict[int, IntArray] = {}
+    refused = []
+    for number, point in enumerate(points, 1):
+        place = np.floor((point - origin) / size + 0.5)
+        where = ", ".join(f"{value:g}" for value in point)
+        if not np.isfinite(point).all():
+            text = f"point {number} ({where} um): a coordinate is not finite"
+            refused.append(Refused(text, (number,)))
+        elif ((place < 0) | (place >= np.array(shape))).any():
+            text = f"point {number} ({where} um) lies outside the image"
+            refused.append(Refused(text, (number,)))
+        else:
+            voxels[number] = place.astype(np.int64)
+    return voxels, refused
+
+
+def _rows(voxels: dict[int, IntArray], names: Sequence[int]) -> IntArray:
+    return np.array([voxels[name] for name in names], np.int64).reshape(-1, 3)
+
+
+def _tell(refused: Sequence[Refused], count: int) -> None:
+    if refused:
+        one_each = {one.points[-1]: one.text for one in refused}
+        text = told([one_each[k] for k in sorted(one_each)], count, "point")
+        warnings.warn(text, RepairWarning, stacklevel=3)

@@ -7,8 +7,7 @@ from typing import Any
 
 from superqt.utils import create_worker
 
-from ..cli.messages import failure
-from ..errors import InputError
+from .attempt import words_of
 
 
 class Background:
@@ -212,7 +211,5 @@ def _caught(work: Callable[[], Any]) -> tuple[Any, str]:
     """What the function returns and '', or None and what went wrong."""
     try:
         return work(), ""
-    except InputError as error:
-        return None, str(error)
-    except Exception as error:  # a bug, but no reason to frighten a user
-        return None, str(failure(error))
+    except Exception as error:
+        return None, words_of(error)

@@ -12,9 +12,9 @@ class Connections:
     def __init__(self) -> None:
         self._made: list[tuple[Any, Callable[..., None]]] = []
 
-    def connect(self, emitter: Any, slot: Callable[..., None]) -> None:
-        """Connect a slot to an emitter of events."""
-        emitter.connect(slot)
+    def connect(self, emitter: Any, slot: Callable[..., None], **how: Any) -> None:
+        """Connect a slot to an emitter of events; ``how`` is for the emitter."""
+        emitter.connect(slot, **how)
         self._made.append((emitter, slot))
 
     def undo(self) -> None:

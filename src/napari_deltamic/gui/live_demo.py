@@ -22,9 +22,13 @@ def open_demo(
     viewer: napari.Viewer, sample: Sample, start: Mesh, settings: RunSettings
 ) -> FitWidget:
     """Put the sample and the widget in a viewer, and start."""
-    units = ("um",) * 3
+    units, axes = ("um",) * 3, ("z", "y", "x")
     image = viewer.add_image(
-        sample.image, name=sample.name, scale=sample.grid.voxel_size, units=units
+        sample.image,
+        name=sample.name,
+        scale=sample.grid.voxel_size,
+        units=units,
+        axis_labels=axes,
     )
     image.contrast_limits = (float(sample.image.min()), float(sample.image.max()))
     widget = FitWidget(viewer)
@@ -35,6 +39,7 @@ def open_demo(
         colormap=region_colormap(),
         contrast_limits=LIMITS,
         units=units,
+        axis_labels=axes,
         visible=False,
     )
     widget.seeds.chooser.choose(seeds)

@@ -100,6 +100,7 @@ def _tend(widget: Any) -> None:
     show(widget.psf.value)
 
 
+AXES = ("z", "y", "x")
 simulate_widget = magic_factory(simulate_cells, widget_init=_tend, call_button="Simulate")
 
 
@@ -109,6 +110,7 @@ def layers_of(made: Simulation, name: str) -> list[Any]:
         "scale": made.grid.voxel_size,
         "translate": made.grid.origin,
         "units": ("um",) * 3,
+        "axis_labels": AXES,
     }
     labels = {**options, "name": f"{name}: labels", "opacity": 0.3, "visible": False}
     labels["metadata"] = {OWN: {TRUTH: True}}
@@ -126,6 +128,7 @@ def _true_surface(mesh: Mesh, name: str) -> Any:
     options = {
         "name": name,
         "units": ("um",) * 3,
+        "axis_labels": AXES,
         "colormap": region_colormap(),
         "contrast_limits": LIMITS,
         "shading": "smooth",

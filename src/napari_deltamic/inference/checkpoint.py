@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import zlib
+from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,75 +13,73 @@ import torch
 from ..errors import InputError
 from ..geometry.mesh import Mesh
 from ..scene.effects import Effects
-from .density import DensityField
 from .health import GrowthAlarm
-from .optimiser import AdamUniform
-from .preconditioner import components
+from .schedule import Progress
+from .shape import Shape
+from .topology import TopologyPolicy
 
 if TYPE_CHECKING:
     from .run import Run
 
+_COUNTS = ("iteration", "evaluations", "level_number")
+
 
 def kept(run: Run) -> dict[str, np.ndarray]:
-    """What a checkpoint keeps of a run."""
+    """What a checkpoint keeps of a run whose objective is about to be posed."""
+    shape = run.shape
+    log = shape.log_density
+    plain = {
+        **{name: getattr(run, name) for name in _COUNTS},
+        "slivers": run.upkeep.left,
+        "effects": run.effects.to_dict(),
+        "progress": asdict(run.progress),
+        "policy": run.policy.to_dict(),
+        "density": shape.model,
+        "density_known": log is not None,
+    }
     return {
-        "vertices": run.mesh.vertices_numpy(),
-        "faces": run.mesh.faces,
-        "regions": run.mesh.regions,
         "seed": run.seed,
-        "slivers": np.array(run.upkeep.left),
-        "optics": run.optics.parameters().numpy(),
-        "level_optics": run.level_optics.parameters().numpy(),
-        "window_start": run.window_start,
-        "pinned": run.pinned,
-        "effects": np.array(json.dumps(run.effects.to_dict())),
+        "vertices": shape.mesh.vertices_numpy(),
+        "faces": shape.mesh.faces,
+        "regions": shape.mesh.regions,
+        "pinned": shape.pinned,
+        "log_density": np.zeros(0) if log is None else log,
+        "optics": run.optics.parameters().detach().numpy(),
+        "level_optics": run.level_optics.parameters().detach().numpy(),
         "levels": np.array(run.levels),
-        "iteration": np.array(run.iteration),
-        "level": np.array(run.level_number),
-        "step_factor": np.array(run.step_factor),
-        "halvings": np.array(run.halvings),
-        "losses": np.array(run.losses),
-        **{f"adam_{k}": np.copy(v) for k, v in run.adam.state().items()},
-        **{f"density_{k}": np.copy(v) for k, v in run.density.state().items()},
-        **{f"topology_{k}": np.copy(v) for k, v in run.topology.state().items()},
+        "run": np.array(json.dumps(plain)),
     }
 
 
 def take_over(run: Run, found: dict[str, np.ndarray]) -> None:
-    """Go on from a checkpoint; raises InputError if it belongs to another mesh."""
-    own = kept(run)
+    """Go on from a checkpoint; raises InputError if it belongs to another mesh or fit."""
     if not np.array_equal(found.get("seed", 0), run.seed):
         raise InputError("the checkpoint belongs to another mesh")
-    if set(found) != set(own) or not np.array_equal(found["levels"], own["levels"]):
-        raise InputError("the checkpoint belongs to a fit with other settings")
-    run.mesh = Mesh(found["vertices"], found["faces"], found["regions"])
-    run.pieces = components(run.mesh)
-    run.adam = AdamUniform(run.pieces, 3)
-    run.density = DensityField(run.mesh, run.pieces, run.settings.density)
-    run.window_start, run.pinned = found["window_start"], found["pinned"]
-    run.upkeep.left = float(found["slivers"])
-    run.growth = GrowthAlarm(run.mesh)
-    own = kept(run)
-    effects = Effects(**json.loads(str(found["effects"])))
-    fixed = [name for name in own if name != "losses" and not name.startswith("topology_")]
-    changed = any(found[name].shape != own[name].shape for name in fixed)
-    if changed or effects.names != run.effects.names:
-        raise InputError("the checkpoint belongs to a fit with other settings")
-    run.effects = effects
+    other = InputError("the checkpoint belongs to a fit with other settings")
+    if not np.array_equal(found["levels"], np.array(run.levels)):
+        raise other
+    if found["optics"].shape != tuple(run.optics.parameters().shape):
+        raise other
+    mesh = Mesh(found["vertices"], found["faces"], found["regions"])
     run.optics = run.optics.with_parameters(torch.from_numpy(found["optics"]))
+    shape = Shape.begun(mesh, run.settings.density).with_pins(found["pinned"])
+    if "run" not in found:  # of an earlier version: its optimiser starts anew
+        run.shape = shape
+        return
+    plain = json.loads(str(found["run"]))
+    effects = Effects(**plain["effects"])
+    if effects.names != run.effects.names or plain["density"] != run.settings.density:
+        raise other
+    if plain["density_known"]:
+        shape = shape.moved(mesh.vertices_numpy(), found["log_density"])
+    run.shape, run.effects, run.growth = shape, effects, GrowthAlarm(mesh)
     run.level_optics = run.optics.with_parameters(torch.from_numpy(found["level_optics"]))
-    run.iteration = int(found["iteration"])
-    run.level_number = int(found["level"])
-    run.step_factor = float(found["step_factor"])
-    run.halvings = int(found["halvings"])
-    run.losses = list(found["losses"])
-    run.adam.load({k.removeprefix("adam_"): v for k, v in found.items() if k.startswith("adam_")})
-    run.density.load(
-        {k.removeprefix("density_"): v for k, v in found.items() if k.startswith("density_")}
-    )
-    run.topology.load(
-        {k.removeprefix("topology_"): v for k, v in found.items() if k.startswith("topology_")}
-    )
+    for name in _COUNTS:
+        setattr(run, name, int(plain[name]))
+    run.upkeep.left = float(plain["slivers"])
+    progress = plain["progress"]
+    run.progress = Progress(**{**progress, "values": tuple(progress["values"])})
+    run.policy = TopologyPolicy.from_dict(plain["policy"])
 
 
 def seed(mesh: Mesh) -> np.ndarray:

@@ -11,6 +11,8 @@ from ..geometry.mesh import Mesh
 from ..scene import Grid
 from .likelihood import voxel_noise
 
+FEWEST_VOXELS = 64  # that a fit needs
+
 
 def check_image(image: np.ndarray | Tensor, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
     """Float32 image without NaN, and where it is known.

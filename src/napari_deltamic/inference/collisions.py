@@ -6,14 +6,10 @@ from math import ceil
 from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from ..geometry.mesh import Mesh
 from ..geometry.native import native
 from ..geometry.topology.crossings import CrossingWalls
-from .readings import late
-from .surface import on_host
 from .upkeep import median_edge
 
 # As shares of the median edge:
@@ -61,7 +57,6 @@ class CollisionGuard:
             return
         self._steps = 0
         self._mesh = mesh
-        self._balls: tuple[Tensor, Tensor] | None = None
         self._edge = max(median_edge(mesh), 1e-9)
         self._crossing = CrossingWalls(mesh)
         self._guard = self._library.Guard(
@@ -95,37 +90,6 @@ class CollisionGuard:
         if self._library is None:
             return True
         return CrossingWalls(mesh).regions <= self._crossing.regions
-
-    def kept_apart(self, start: Tensor, end: Tensor) -> Tensor:
-        """As :meth:`limited`, where the vertices are.
-
-        Those of a GPU come to the host only if one of them leaves the ball in which it moves at
-        will; to know that is one number.
-        """
-        if self._library is None:
-            return end
-        if late(start.device) and not self._due and self._stay(start, end):
-            self._steps += 1
-            self.held[:] = 0
-            return end
-        before, after = on_host(start), on_host(end)
-        reached = self.limited(before, after)
-        self._balls = None
-        return end if reached is after else torch.tensor(reached, device=end.device)
-
-    @property
-    def _due(self) -> bool:
-        """Whether it is to be asked anew, at this step, which surfaces cross."""
-        return bool(self._crossing) and (self._steps + 1) % _AGAIN == 0
-
-    def _stay(self, start: Tensor, end: Tensor) -> bool:
-        """Whether all vertices stay in the balls in which they move at will."""
-        if self._balls is None:
-            center, radius = self._guard.balls()
-            self._balls = torch.tensor(center).to(end), torch.tensor(radius[:, 0]).to(end)
-        center, radius = self._balls
-        away = torch.maximum(*((t - center).norm(dim=1) for t in (start, end)))
-        return bool((away <= radius).all())
 
     def limited(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
         """As near to the end as each vertex may go from the start.

@@ -15,7 +15,7 @@ from ..fourier.devices import choose_device
 from ..fourier.plan import check_accuracy
 from ..geometry.mesh import Mesh
 from ..geometry.topology.crossings import crosses
-from ..geometry.topology.rearranging import untangled
+from ..geometry.topology.untangling import untangled
 from ..optics import Optics
 from ..scene import Grid
 from ..scene.effects import Effects, as_effects
@@ -23,9 +23,8 @@ from ..settings import WIDE_LEVELS, FitSettings
 from .change import Change
 from .checks import check_image, check_mesh, hot_voxels
 from .default_accuracy import accuracy_for_image
-from .level import FEWEST_VOXELS
-from .likelihood import noise_ratio, smoothing_for
-from .preconditioner import on_long_edges
+from .paper import as_in_the_paper
+from .problem import Problem
 from .run import Run
 from .second_view import Pixels
 from .state import FitState, load_checkpoint
@@ -94,17 +93,19 @@ def fit(
         known = known & (np.asarray(counted) != 0)
     hot = hot_voxels(pixels, known)
     known = known & ~hot
-    if known.sum() < FEWEST_VOXELS:
-        raise InputError(f"only {known.sum()} voxels count; a fit needs {FEWEST_VOXELS}")
     check_mesh(mesh, grid)
-    settings = _completed(settings, pixels, known, mesh, optics)
+    settings = _completed(settings, pixels, known)
+    if settings.as_in_the_paper:
+        return as_in_the_paper(Problem(pixels, known, grid), mesh, optics, settings, effects)
     mesh, repairs = _apart(mesh, settings)
     view = None
     if effects.second_view is not None:
         view = Pixels(second, grid, effects.second_view)
         if counted is not None:
             view.restricted(counted)
-    run = Run(pixels, known, grid, mesh, optics, settings, effects, view)
+    problem = Problem(pixels, known, grid, view)
+    problem.counted_with(effects)  # refuses what leaves too few
+    run = Run(problem, mesh, optics, settings, effects)
     if resume is not None:
         run.load(load_checkpoint(resume))
     remarks = list(repairs)
@@ -138,14 +139,9 @@ def _apart(mesh: Mesh, settings: FitSettings) -> tuple[Mesh, tuple[str, ...]]:
     return done.mesh, done.events
 
 
-def _completed(
-    settings: FitSettings, pixels: np.ndarray, known: np.ndarray, mesh: Mesh, optics: Optics
-) -> FitSettings:
+def _completed(settings: FitSettings, pixels: np.ndarray, known: np.ndarray) -> FitSettings:
     """The settings with what was left to the software filled in."""
     found: dict[str, Any] = {"levels": settings.levels or WIDE_LEVELS}
-    if settings.smoothing is None:
-        smoothing = smoothing_for(noise_ratio(pixels, known))
-        found["smoothing"] = on_long_edges(smoothing, mesh, min(optics.sigma_um))
     if settings.accuracy is None:
         found["accuracy"] = accuracy_for_image(pixels, known)
     return settings.model_copy(update=found)

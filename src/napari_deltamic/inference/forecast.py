@@ -17,20 +17,18 @@ from ..optics import Optics
 from ..scene import Grid, Renderer
 from ..scene.effects import Effects, as_effects
 from ..settings import WIDE_LEVELS, FitSettings
+from .checks import FEWEST_VOXELS
 from .default_accuracy import accuracy_for_image
 from .evidence.price import milliseconds
-from .level import FEWEST_VOXELS, LevelShape, level_shape
+from .level import LevelShape, level_shape
 
-# Iterations of a level, from measured fits with other settings by default. Seeds near the
-# membranes, levels 1.5 and 1: the three samples from points, 36 and 72 each; vesicles in a real
-# stack, with a smooth density and the PSF fitted, 60 and 312. Seeds of any kind, levels 5 to 1: a
-# vesicle from a ball 108, 48, 36, 36, 72; two cells 120, 36, 36, 36, 72; a dividing cell 96, 84,
-# 120, 36, 72; the cow at 100^3 from a sphere 84, 60, 60, 36, 108; the same at 56^3 with noise 84,
-# 96, 84, 96, 228.
-_FIRST, _COARSE, _LAST = 96, 48, 96
-_NEAR_COARSE, _NEAR_LAST = 36, 84  # where the seeds lie near the membranes
+# Iterations of a level, from measured fits with other settings by default: cow and fish at 64^3
+# from a sphere, without noise and with 40 and 10 photons, levels 5 to 1: 10 to 20, then 30 each,
+# and 20 to 50 at the end; foams of 4 to 16 cells, levels 2 to 1: 32, 27 to 32, 15 to 50.
+_FIRST, _COARSE, _LAST = 20, 30, 35
+_NEAR_COARSE, _NEAR_LAST = 25, 35  # where the seeds lie near the membranes
 _NEAR_BLUR = 2.0  # first blur below which they do
-_FREER = 2.0  # times the last level where density or PSF are fitted as well
+_FREER = 1.3  # times the last level where density or PSF are fitted as well
 # What an iteration does besides the rendering, as multiples of what was measured alone.
 _SOLVES = 3.0  # two of the preconditioner, and the steps between
 _APART = 5.0  # solves: keeping surfaces from crossing

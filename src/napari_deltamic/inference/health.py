@@ -67,18 +67,25 @@ def shrunken(mesh: Mesh, width: float) -> list[int]:
     return [r for r in regions if areas[(mesh.regions == r).any(1)].sum() < pi * width**2]
 
 
-def why_stuck(explained: float, bounded: bool, points: list[int]) -> str:
+def why_stuck(explained: float, bounded: bool, points: list[int], cells: int) -> str:
     """What keeps a fit that has ended from being one, in plain words; empty where nothing does.
 
     explained : share of the image. bounded : whether the amplitude wanted to be negative. points :
-    regions that are :func:`shrunken`.
+    regions that are :func:`shrunken`, of so many cells. Some of them do not make the others worse.
     """
-    if points:
-        listed = ", ".join(map(str, points))
-        return f"stuck: the surface of region {listed} has shrunk to a point; place it anew"
+    if points and len(points) == cells:
+        return f"stuck: {told_shrunken(points)}"
     if bounded or explained < _EXPLAINS_NOTHING:
         return (
             f"stuck: {explained:.0%} of the measured image is explained; "
             "do the seeds lie near bright membranes?"
         )
     return ""
+
+
+def told_shrunken(points: list[int]) -> str:
+    """A sentence about regions that are :func:`shrunken`; empty where none is."""
+    if not points:
+        return ""
+    listed = ", ".join(map(str, points))
+    return f"the surface of region {listed} has shrunk to a point: place it anew, or leave it out"

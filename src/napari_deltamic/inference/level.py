@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import ceil, sqrt
 from typing import Any
 
@@ -14,19 +14,17 @@ from torch import Tensor
 
 from ..errors import InputError
 from ..fourier.devices import choose_device, widest
+from ..geometry.mesh import Mesh
 from ..optics import GaussianPSF, Optics
 from ..optics.sharpest import Sharpest
 from ..scene import Grid, Renderer
-from ..scene.effects import Effects, VoxelEffect
+from ..scene.effects import Effects
 from ..scene.render import offset
 from ..settings import FitSettings
+from .checks import FEWEST_VOXELS
 from .likelihood import ImageNoise, Match, solve_scale
-from .readings import late
-from .surface import Surface
 
-_REFRESH_EVERY = 10  # iterations between two looks at which voxels count
-_PLAN_EVERY = 20  # iterations: edges grow as the mesh moves
-FEWEST_VOXELS = 64
+_SHARPER = 0.9  # of the width of a PSF that is fitted: what it may become until a plan is renewed
 _SEEN = 0.3  # of the median brightness of a surface: what is dimmer says nothing of its density
 _ANY = 1e-3  # of the weights of a blur: what rests on less is not known
 _COARSE_ACCURACY = 1e-2  # of all levels but the last: they only have to point the right way
@@ -102,6 +100,8 @@ class Level:
         Width of the blurred PSF relative to the PSF; 1 at the last level.
     second
         Another PSF that images are rendered through.
+    own_optics
+        The PSF of this image, where it is not that of the fit.
     halo
         um: voxels count as far from the surface's own image as this, where there is a halo.
     """
@@ -117,20 +117,19 @@ class Level:
         factor: float,
         second: GaussianPSF | None = None,
         halo: float = 0.0,
+        own_optics: GaussianPSF | None = None,
     ) -> None:
         self.factor = factor
+        self.optics = own_optics
         self.settings = settings
         self.frame = grid
         self._second = second
         shape = level_shape(grid, optics, settings, factor)
         self.blur, self.accuracy, self.width = shape.blur, shape.accuracy, shape.width
-        self.smoothing = (settings.smoothing or 0.0) * factor
+        self.smoothing = settings.smoothing * factor
         self._sample = tuple(slice(None, None, s) for s in shape.step)
         self.grid = shape.grid
         self.volume_ratio = float(1 / np.prod(shape.step))
-        for effect in effects.present():
-            if isinstance(effect, VoxelEffect):
-                counted = counted & ~effect.missing(image)
         self.device = choose_device(settings.device)
         blurred = self._blurred(image, counted, grid)
         self.target, self._counted, self._known = (t.to(self.device) for t in blurred)
@@ -140,15 +139,7 @@ class Level:
             self.noise = ImageNoise(
                 self.target[self._counted], settings.likelihood, camera=effects.camera
             )
-        self._take(effects)
         self._halo = None if effects.halo is None else halo
-        self._renderer: Renderer | None = None
-        self._planned_width: np.ndarray | None = None
-        self.far = 0.0  # um: how far a vertex has moved since the plan was made, when last read
-        # What it may move until that is read.
-        self._unread = late(self.device) * settings.step * self.width
-        self._voxels: Voxels | None = None
-        self._age = 0
 
     def _blurred(self, image: np.ndarray, counted: np.ndarray, grid: Grid) -> tuple[Tensor, ...]:
         """Blurred image, and the voxels whose blur rests mostly, and at all, on counted ones."""
@@ -166,104 +157,49 @@ class Level:
             *(torch.from_numpy(np.array(m[self._sample], order="C")) for m in (inside, any_inside)),
         )
 
-    @property
-    def renews(self) -> bool:
-        """Whether plan and voxels are about to be made anew, so that a fit can be resumed here."""
-        return self._age % _PLAN_EVERY == 0
-
-    def renew(self) -> None:
-        """Make plan and voxels anew at the next iteration: the mesh was moved by hand."""
-        self._age = 0
-
-    def _take(self, effects: Effects) -> None:
-        self.effects = effects
+    def offset(self, effects: Effects) -> Tensor | None:
+        """(Z, Y, X) what effects add to the measured image; None where nothing is added."""
         found = offset(effects, self.grid, self.frame)
-        self._offset = None if found is None else found.to(self.device, widest(self.device))
-
-    def set_effects(self, effects: Effects) -> None:
-        """Go on with other numbers of the same effects."""
-        self._take(effects)
-        if self._renderer is not None:
-            self._renderer = self._renderer.with_effects(effects)
-        if self._voxels is not None and self._offset is not None:
-            self._voxels = replace(self._voxels, measured=self._measured(self._voxels.index))
-
-    def _measured(self, index: Tensor) -> Tensor:
-        """Measured values of voxels, without what effects add to the image."""
-        measured = self.target.reshape(-1)[index]
-        if self._offset is None:
-            return measured
-        return measured - self._offset.reshape(-1)[index].to(measured.dtype)
+        return None if found is None else found.to(self.device, widest(self.device))
 
     # ------------------------------------------------------------------------------- rendering
 
-    def renderer(self, surface: Surface, optics: Optics) -> Renderer:
-        """The renderer, planned anew when the mesh or the PSF has left what it was planned for."""
-        width = np.asarray(optics.sigma_um)
-        stale = (
-            self._renderer is None
-            or self._age % _PLAN_EVERY == 0
-            or self.far + self._unread > self._renderer.margin
-            or self._planned_width is None
-            or bool((np.abs(np.log(width / self._planned_width)) > 0.1).any())
+    def renderer(self, mesh: Mesh, optics: Optics, effects: Effects) -> Renderer:
+        """A renderer planned for this mesh, and for what a fit may make of it until it is renewed.
+
+        With a PSF that is being fitted the band reaches further: cut at today's width, it would
+        hide what a sharper PSF explains.
+        """
+        sharper: Any = optics if not self.settings.fit_psf else optics.sharpened(_SHARPER)
+        if self._second is not None:
+            sharper = Sharpest(sharper, self._second)
+        return Renderer(
+            mesh,
+            self.grid,
+            sharper,
+            self.accuracy,
+            blur=self.blur,
+            effects=effects,
+            frame=self.frame,
+            margin=4 * self.width,
+            device=self.device,
         )
-        if stale:
-            # With a PSF that is being fitted the band reaches further: cut at today's width, it
-            # would hide what a sharper PSF explains.
-            sharper: Any = optics if not self.settings.fit_psf else optics.sharpened(0.9)
-            if self._second is not None:
-                sharper = Sharpest(sharper, self._second)
-            self.far = 0.0
-            self._renderer = Renderer(
-                surface.mesh,
-                self.grid,
-                sharper,
-                self.accuracy,
-                blur=self.blur,
-                effects=self.effects,
-                frame=self.frame,
-                margin=2 * self.width,
-                device=self.device,
-            )
-            self._planned_width = width
-        assert self._renderer is not None
-        return self._renderer
 
     def rendered(self, renderer: Renderer, transform: Tensor, otf: Tensor) -> Tensor:
         """Image per voxel of the fine grid, whatever the spacing of this one."""
         return renderer.image(transform, otf) * self.volume_ratio
 
-    def with_effects(
-        self,
-        renderer: Renderer,
-        transform: Tensor,
-        again: Callable[[Renderer], Tensor],
-        optics: Optics,
-        effects: Effects,
-    ) -> Tensor:
-        """The image with other effects than the transform was made with; no gradient.
-
-        ``again`` transforms the same mesh, which is needed where the bulk is another.
-        """
-        with torch.no_grad():
-            other = renderer.with_effects(effects)
-            seen = transform.detach() if effects.bulk == self.effects.bulk else again(other)
-            return self.rendered(other, seen, other.otf(optics))
-
-    def heard(self, renderer: Renderer, far: float) -> None:
-        """Learn how far a vertex has moved since a plan was made, um, if it is the present one."""
-        if renderer is self._renderer:
-            self.far = far
-
-    def brightness(self, vertices: np.ndarray, rendered: Tensor, found: Match) -> np.ndarray:
+    def brightness(
+        self, vertices: np.ndarray, rendered: Tensor, found: Match, effects: Effects
+    ) -> np.ndarray:
         """(V,) measured over rendered brightness at vertices (V, 3) um.
 
         Both without the background of the match; 1 where hardly any shows, or nothing is known.
         """
         at = ((vertices - np.asarray(self.grid.origin)) / np.asarray(self.grid.voxel_size)).T
-        index = torch.arange(self.target.numel(), device=self.target.device)
-        measured = self._measured(index).reshape(self.target.shape) - float(found.background)
-        shown = rendered.detach() * float(found.amplitude)
+        added = self.offset(effects)
+        measured = (self.target if added is None else self.target - added) - found.background
+        shown = rendered.detach() * found.amplitude
         known = self._known.to(measured.dtype)
         one, other, share = (
             map_coordinates(image.cpu().numpy(), at, order=1, mode="nearest")
@@ -277,53 +213,78 @@ class Level:
 
     # ---------------------------------------------------------------------------------- voxels
 
-    def voxels(self, rendered: Tensor, plain: Callable[[Effects], Tensor] | None = None) -> Voxels:
+    def voxels(
+        self, rendered: Tensor, effects: Effects, plain: Callable[[Effects], Tensor], width: float
+    ) -> Voxels:
         """The voxels that count: near the surface, known, weighted by the likelihood.
 
-        Looked at anew every few iterations, as the surface moves. ``plain`` renders the same with
-        other effects: a halo is seen everywhere, and would have everything count; an inside darker
-        than the outside would leave out voxels just because they are dark.
-        """
-        self._age += 1
-        if self._voxels is not None and self._age % _REFRESH_EVERY != 1:
-            return self._voxels
-        hiding = self._hiding()
-        if not hiding or plain is None:
-            near = rendered > self._image_at_reach()
-        else:
-            near = plain(self.effects.without(*hiding)) > self._image_at_reach()
-            if self._halo is not None:
-                near = _dilated(near, [self._halo / d for d in self.grid.voxel_size])
-        inside = near & self._counted
-        index = torch.nonzero((inside if bool(inside.any()) else self._counted).reshape(-1))[:, 0]
-        measured, model = self._measured(index), rendered.reshape(-1)[index]
-        if self.noise.kind == "poisson":
-            a, b, _ = solve_scale(model, measured, torch.ones_like(measured))
-            expected = a * model + b
-            if self._offset is not None:
-                expected = expected + self._offset.reshape(-1)[index].to(expected.dtype)
-            weights = self.noise.weights(measured, expected)
-        else:
-            weights = self.noise.weights(self.target.reshape(-1)[index], None)
-        if not bool(measured.min() < measured.max()):
-            raise InputError("the image is flat wherever the mesh reaches: start nearer to it")
-        self._voxels = Voxels(index, measured, weights)
-        return self._voxels
+        Parameters
+        ----------
+        rendered
+            (Z, Y, X) image of the surface as it is now, with these effects.
+        effects
+            As they are now.
+        plain
+            Renders the same with other effects: a halo is seen everywhere, and would have
+            everything count; an inside darker than the outside would leave out voxels just because
+            they are dark.
+        width
+            um: largest of the PSF that it was rendered through.
 
-    def _hiding(self) -> tuple[str, ...]:
+        Raises
+        ------
+        InputError
+            If the image is flat there.
+        """
+        hiding = self._hiding(effects)
+        least = self._image_at_reach(width)
+        near = (plain(effects.without(*hiding)) if hiding else rendered) > least
+        if hiding and self._halo is not None:
+            near = _dilated(near, [self._halo / d for d in self.grid.voxel_size])
+        index = self._varied(near & self._counted)
+        measured, model = self.target.reshape(-1)[index], rendered.reshape(-1)[index]
+        if self.noise.kind != "poisson":
+            return Voxels(index, measured, self.noise.weights(measured, None))
+        added = self.offset(effects)
+        further = 0.0 if added is None else added.reshape(-1)[index].to(measured.dtype)
+        a, b, _ = solve_scale(model, measured - further, torch.ones_like(measured))
+        expected = a * model + b + further
+        left = self.target - (a * rendered + (0.0 if added is None else added)).to(self.target)
+        noise = _differences(left).reshape(-1)[index]
+        return Voxels(
+            index, measured, self.noise.weights(measured, expected, measured - expected, noise)
+        )
+
+    def _varied(self, inside: Tensor) -> Tensor:
+        """Flat indices of these voxels; of all that count where these are too few."""
+        index = torch.nonzero(inside.reshape(-1))[:, 0]
+        if len(index) < FEWEST_VOXELS:
+            index = torch.nonzero(self._counted.reshape(-1))[:, 0]
+        values = self.target.reshape(-1)[index]
+        if not bool(values.min() < values.max()):
+            raise InputError("the image is flat wherever the mesh reaches: start nearer to it")
+        return index
+
+    def _hiding(self, effects: Effects) -> tuple[str, ...]:
         """Effects that hide how far from the surface its own image reaches."""
-        dark = self.effects.bulk is not None and self.effects.bulk.density < 0
+        dark = effects.bulk is not None and effects.bulk.density < 0
         return ("halo",) * (self._halo is not None) + ("bulk",) * dark
 
-    def reach_of(self, optics: Optics) -> None:
-        """Take the reach of this PSF, where images are rendered by another level."""
-        self._planned_width = np.asarray(optics.sigma_um)
-
-    def _image_at_reach(self) -> float:
+    def _image_at_reach(self, width: float) -> float:
         """What a flat membrane of density 1 gives a voxel at the reach from it."""
-        sigma = self.factor * max(self._planned_width) if self._planned_width is not None else 1.0
         volume = float(np.prod(self.grid.voxel_size)) * self.volume_ratio
-        return float(np.exp(-(self.settings.reach**2) / 2) / (sqrt(2 * np.pi) * sigma) * volume)
+        peak = volume / (sqrt(2 * np.pi) * self.factor * width)
+        return float(np.exp(-(self.settings.reach**2) / 2) * peak)
+
+
+def _differences(image: Tensor) -> Tensor:
+    """(Z, Y, X) what is left of voxels when the mean of their neighbours along X is taken away.
+
+    As large as the noise of one voxel in the mean.
+    """
+    padded = torch.nn.functional.pad(image, (1, 1, 0, 0), mode="replicate")
+    mean = (padded[..., :-2] + padded[..., 2:]) / 2
+    return (image - mean) / sqrt(1.5)
 
 
 def _dilated(mask: Tensor, voxels: Sequence[float]) -> Tensor:

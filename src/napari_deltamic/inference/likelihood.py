@@ -9,23 +9,27 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..choices import Likelihood
 from ..fourier.devices import widest
 from ..scene.effects import Camera
-from ..settings import Likelihood
 
 
 @dataclass(frozen=True)
 class Match:
     """Measured = amplitude * rendered + background, over the voxels that count.
 
-    ``loss`` is the weighted residual relative to the weighted variance of the measured voxels, so
-    that 1 means that nothing is explained. All are 0-dim tensors on the device of the image.
+    ``squares`` is the weighted sum of squared residuals, ``loss`` the same relative to the weighted
+    variance of the measured voxels, so that 1 means that nothing is explained.
     """
 
-    loss: Tensor
-    amplitude: Tensor
-    background: Tensor
-    bounded: Tensor
+    squares: float
+    loss: float
+    amplitude: float
+    background: float
+    bounded: bool
+
+
+_MEDIAN = 0.4549  # of the square of a standard normal
 
 
 class ImageNoise:
@@ -58,14 +62,42 @@ class ImageNoise:
             self.dark = camera.offset
             self.floor = max(camera.read_noise**2 / camera.gain, self.floor / 5)
 
-    def weights(self, measured: Tensor, model: Tensor | None) -> Tensor:
-        """Weights of voxels, given what the model shows there (None: the measured values)."""
+    def weights(
+        self,
+        measured: Tensor,
+        expected: Tensor | None = None,
+        residual: Tensor | None = None,
+        noise: Tensor | None = None,
+    ) -> Tensor:
+        """Weights of voxels, all (N,).
+
+        Where a model leaves more than noise, its error and not the light decides how far a voxel
+        can be trusted, and that is alike everywhere: real stacks are then weighted almost evenly.
+
+        Parameters
+        ----------
+        measured
+            Values.
+        expected
+            What the model shows there.
+        residual
+            Measured minus expected.
+        noise
+            Single draws of about the noise of each voxel.
+        """
         if self.kind == "gaussian":
             return torch.ones_like(measured)
         if self.kind == "paper":
             return (measured - self.dark).clamp(min=0)
-        reference = measured if model is None else model
-        return self.floor / ((reference - self.dark).clamp(min=0) + self.floor)
+        light = ((measured if expected is None else expected) - self.dark).clamp(min=0)
+        floor = self.floor
+        if residual is not None and noise is not None:
+            variance = light + floor
+            gain = float(torch.median(noise**2 / variance)) / _MEDIAN
+            error = float((residual**2).mean()) - gain * float(variance.mean())
+            # What is beyond the range of the image changes no weight.
+            floor += min(max(error, 0.0) / max(gain, 1e-300), 1e3 * float(variance.max()))
+        return floor / (light + floor)
 
 
 def voxel_noise(image: np.ndarray, known: np.ndarray) -> float:
@@ -85,15 +117,6 @@ def noise_ratio(image: np.ndarray, known: np.ndarray) -> float:
         return 0.0
     low, high = np.percentile(image[known][:: max(1, image.size // 500_000)], (1, 99.9))
     return voxel_noise(image, known) / float(high - low) if high > low else 0.0
-
-
-def smoothing_for(noise: float) -> float:
-    """lambda of the preconditioner for a :func:`noise_ratio`.
-
-    Noise and what no model describes ask for a smooth gradient, fine detail for a rough one: 2 on
-    images without noise, 10 from 1 % on (measured on rendered targets and on real vesicles).
-    """
-    return 2.0 + 8.0 * min(noise / 0.01, 1.0)
 
 
 def solve_scale(rendered: Tensor, measured: Tensor, weights: Tensor) -> tuple[float, float, bool]:
@@ -126,17 +149,21 @@ def scale_on_device(
     return amplitude, (means[0] - amplitude * means[1]) / total, bounded
 
 
-def match(rendered: Tensor, measured: Tensor, weights: Tensor) -> Match:
-    """Loss of a rendered image, differentiable in it; all (N,) over the voxels that count.
+def match(rendered: Tensor, measured: Tensor, weights: Tensor) -> tuple[Tensor, Match]:
+    """Weighted squared residuals, differentiable in the rendered image; all (N,) voxels that count.
 
     Amplitude and background are at their optimum, where their own derivatives vanish, so they are
-    held constant in the gradient.
+    held constant in the gradient. Sums are in double precision where the device holds it.
     """
     a, b, bounded = scale_on_device(rendered.detach(), measured, weights)
-    measured, weights = measured.to(rendered.dtype), weights.to(rendered.dtype)
-    residual = a * rendered + (b - measured)
-    total = weights.sum().clamp(min=1e-30)
-    centred = measured - torch.dot(weights, measured) / total
+    wide = widest(rendered.device)
+    y, w = measured.to(wide), weights.to(wide)
+    residual = a * rendered.to(wide) + (b - y)
+    squares = torch.dot(w, residual**2)
+    total = w.sum().clamp(min=1e-30)
+    centred = y - torch.dot(w, y) / total
     # Above the smallest number of single precision.
-    scale = torch.dot(weights, centred**2).clamp(min=1e-30)
-    return Match(torch.dot(weights, residual**2) / scale, a, b, bounded)
+    scale = torch.dot(w, centred**2).clamp(min=1e-30)
+    told = torch.stack([squares.detach(), squares.detach() / scale, a, b, bounded.to(wide)])
+    value, loss, amplitude, background, bound = told.tolist()
+    return squares, Match(value, loss, amplitude, background, bool(bound))

@@ -1,90 +1,154 @@
-"""How well a fit explains the image near certain places, to compare two shapes there."""
+"""How well a shape explains the image near certain places, to compare two shapes there."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
-from torch import Tensor
 
+from ..geometry.mesh import FloatArray, Mesh
+from ..optics import Optics
 from ..scene import render
-from ..scene.effects import VoxelEffect
+from ..scene.effects import Effects
 from ..scene.render import offset
 from .likelihood import ImageNoise, solve_scale
-
-if TYPE_CHECKING:
-    from .run import Run
+from .problem import Problem
+from .tempering import tempered_variance
 
 _NEAR = 0.05  # of the brightest voxel of the rendered image: what is darker is far from a surface
+# Sides of the blocks over which differences are added up, in widths of the PSF: what a fit leaves
+# is correlated over about two.
+_BLOCK = 3.0
 
 
-def local_misfit(run: Run, places: Sequence[np.ndarray], reach: float) -> np.ndarray:
-    """(n,) negative log likelihood (nats) of what is measured within ``reach`` um of each place.
+@dataclass(frozen=True, eq=False)
+class Misfit:
+    """Weighted residuals of one shape.
 
-    Half the weighted squared residuals there, over their mean in the whole image: noise, and what
-    the fit leaves. What a fit gains everywhere from one iteration to the next does not count so.
+    Attributes
+    ----------
+    residual
+        (Z, Y, X) measured minus rendered, times the root of the weight; 0 where nothing counts.
+    variance
+        Of one near the surface, times the voxels that one independent voxel stands for; see
+        :func:`~.tempering.tempered_variance`.
+    """
 
-    The image is rendered at its own sharpness, whatever the level. Weights come from the measured
-    image alone: with those of the model, of two shapes the brighter one would seem the better.
+    residual: FloatArray
+    variance: float
+
+
+@dataclass(frozen=True)
+class Gap:
+    """How much better a shape explains the image near a place than the one before.
+
+    nats : of log likelihood. error : its standard error.
+    """
+
+    nats: float
+    error: float
+
+
+def misfit_of(
+    problem: Problem,
+    mesh: Mesh,
+    density: FloatArray,
+    optics: Optics,
+    effects: Effects,
+    accuracy: float,
+) -> Misfit:
+    """Residuals of a shape at the image's own sharpness, whatever the level.
+
+    Weights come from the measured image alone: with those of the model, of two shapes the brighter
+    one would seem the better.
 
     Parameters
     ----------
-    run
-        The fit.
-    places
-        (n, 3) um each.
-    reach
-        um.
+    problem, mesh, optics, effects, accuracy
+        As of a fit.
+    density
+        (F,) of the faces.
     """
-    measured, rendered = _images(run)
-    counted = run.counted
-    for effect in run.effects.present():
-        if isinstance(effect, VoxelEffect):
-            counted = counted & ~effect.missing(run.image)
-    weights = _weights(run, measured, counted)
+    with torch.no_grad():
+        given = mesh, problem.grid, optics, accuracy
+        rendered = render(*given, density=density, effects=effects).double()
+    measured = torch.from_numpy(problem.image).double()
+    added = offset(effects, problem.grid)
+    measured = measured if added is None else measured - added
+    counted = problem.counted_with(effects)
+    weights = _weights(problem, measured.numpy(), counted, optics, effects)
     known = torch.from_numpy(counted)
     near = (known & (rendered > _NEAR * rendered.max())).reshape(-1).nonzero()[:, 0]
-    given = (t.reshape(-1)[near] for t in (rendered, measured, weights))
-    amplitude, background, _ = solve_scale(*given)
-    squares = weights * (measured - amplitude * rendered - background) ** 2
-    variance = float(squares.reshape(-1)[near].mean())
-    squares = torch.where(known, squares, 0.0)
-    sums = [_sum_near(squares.numpy(), run, points, reach) for points in places]
-    return np.array(sums) / max(2 * variance, 1e-300)
+    some = (t.reshape(-1)[near] for t in (rendered, measured, weights))
+    amplitude, background, _ = solve_scale(*some)
+    left = torch.sqrt(weights) * (measured - amplitude * rendered - background)
+    residual = torch.where(known, left, 0.0).numpy()
+    widths = tuple(np.asarray(optics.sigma_um) / np.asarray(problem.grid.voxel_size))
+    index = near.numpy()
+    some_left = residual.reshape(-1)[index]
+    variance = tempered_variance(some_left, index, problem.grid.shape, widths, 1e-300)
+    return Misfit(residual, variance)
 
 
-def _images(run: Run) -> tuple[Tensor, Tensor]:
-    """Measured image, without what effects add to it, and rendered one, (Z, Y, X)."""
-    accuracy, density = run.settings.image_accuracy, run.density.faces_numpy()
-    with torch.no_grad():
-        given = run.mesh, run.grid, run.optics, accuracy
-        rendered = render(*given, density=density, effects=run.effects).double()
-        measured = torch.from_numpy(run.image).double()
-        added = offset(run.effects, run.grid)
-        return measured if added is None else measured - added, rendered
+def gaps(
+    problem: Problem,
+    before: Misfit,
+    after: Misfit,
+    places: list[FloatArray],
+    reach: float,
+    optics: Optics,
+) -> list[Gap]:
+    """For each place, (n, 3) um, how much better the image within ``reach`` um is explained.
+
+    With residuals r before and r - d after, of variance v, the log likelihoods differ by the sum of
+    m d / v, where m = r - d / 2. Noise of that variance makes sqrt(sum of d^2 / v) of it, however
+    clear the gap is; the sum of its squares over blocks would grow with the gap itself. Where more
+    is left than elsewhere, that counts: m without what is in proportion to d, summed over blocks
+    wider than it is correlated.
+
+    The variance is that of the shape before; noise, and what the fit leaves.
+    """
+    variance = before.variance
+    change = before.residual - after.residual
+    mean = (before.residual + after.residual) / 2
+    size = np.asarray(problem.grid.voxel_size)
+    side = np.maximum(1, np.rint(_BLOCK * np.asarray(optics.sigma_um) / size)).astype(np.int64)
+    found = []
+    for points in places:
+        index = _voxels_near(problem, points, reach)
+        d, m = (a[tuple(index.T)] for a in (change, mean))
+        power, gap = float(d @ d), float(m @ d)
+        if power == 0:
+            found.append(Gap(0.0, 0.0))
+            continue
+        _, block = np.unique(index // side, axis=0, return_inverse=True)
+        left = np.bincount(block.reshape(-1), (m - gap / power * d) * d)
+        error = np.sqrt(max(power * variance, float(left @ left))) / variance
+        found.append(Gap(gap / variance, float(error)))
+    return found
 
 
-def _weights(run: Run, measured: Tensor, counted: np.ndarray) -> Tensor:
-    widths = np.asarray(run.optics.sigma_um) / np.asarray(run.grid.voxel_size)
+def _weights(
+    problem: Problem, measured: FloatArray, counted: np.ndarray, optics: Optics, effects: Effects
+) -> torch.Tensor:
+    widths = np.asarray(optics.sigma_um) / np.asarray(problem.grid.voxel_size)
     share = gaussian_filter(counted.astype(float), widths)
-    smooth = gaussian_filter(np.where(counted, measured.numpy(), 0.0), widths)
-    smooth = smooth / np.maximum(share, 1e-6)
-    seen, camera = measured[torch.from_numpy(counted)], run.effects.camera
-    noise = ImageNoise(seen, run.settings.likelihood, camera=camera)
-    return noise.weights(torch.from_numpy(smooth), None)
+    smooth = gaussian_filter(np.where(counted, measured, 0.0), widths)
+    smooth = torch.from_numpy(smooth / np.maximum(share, 1e-6))
+    seen = torch.from_numpy(measured[counted])
+    return ImageNoise(seen, "poisson", camera=effects.camera).weights(smooth)
 
 
-def _sum_near(image: np.ndarray, run: Run, points: np.ndarray, reach: float) -> float:
-    origin, size = np.asarray(run.grid.origin), np.asarray(run.grid.voxel_size)
-    low = np.floor((points.min(0) - reach - origin) / size).astype(int).clip(0)
-    high = np.ceil((points.max(0) + reach - origin) / size).astype(int).clip(-1) + 1
-    cut = image[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
-    at = origin + size * (low + np.argwhere(np.ones(cut.shape, bool)))
-    if not len(at):
-        return 0.0
-    near = cKDTree(points).query(at, distance_upper_bound=reach)[0] < reach
-    return float(cut.reshape(-1)[near].sum())
+def _voxels_near(problem: Problem, points: FloatArray, reach: float) -> np.ndarray:
+    """(n, 3) indices of the voxels within reach of some points."""
+    size, origin = np.asarray(problem.grid.voxel_size), np.asarray(problem.grid.origin)
+    shape = np.asarray(problem.grid.shape)
+    low = np.floor((points.min(0) - reach - origin) / size).astype(np.int64).clip(0, shape)
+    high = np.ceil((points.max(0) + reach - origin) / size + 1).astype(np.int64).clip(0, shape)
+    axes = [np.arange(a, b) for a, b in zip(low, high, strict=True)]
+    index = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    apart = cKDTree(points).query(origin + index * size, distance_upper_bound=reach)[0]
+    return index[np.isfinite(apart)]

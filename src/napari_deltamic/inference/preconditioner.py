@@ -30,23 +30,6 @@ def components(mesh: Mesh) -> np.ndarray:
 # a wall moves with its junctions, but is not held straight across them. Lower ones leave slivers
 # beside junctions; from afar, cells that do not move together swallow each other.
 NEAR_JUNCTIONS = 0.3
-_LONG = 3.0  # widths of the PSF: longer edges smooth more than the image calls for
-
-
-def on_long_edges(smoothing: float, mesh: Mesh, width: float) -> float:
-    """lambda that smooths over as long a way where edges are longer than three widths of the PSF.
-
-    It counts in edges: a gradient is smoothed over about sqrt(lambda) of them. On a coarse mesh
-    that is more than the image calls for, and details would wait for hundreds of iterations.
-
-    Parameters
-    ----------
-    smoothing : lambda for edges of up to three widths.
-    width : um, of the PSF, along its narrowest axis.
-    """
-    ends = mesh.vertices_numpy()[mesh.edges()]
-    edge = float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)))
-    return smoothing * min(1.0, (_LONG * width / edge) ** 2) if edge > 0 else smoothing
 
 
 class Preconditioner:

@@ -1,21 +1,17 @@
-"""The second image of a scene that was seen twice: one more term of the loss, one more image."""
+"""The second image of a scene that was seen twice: one more term of the objective."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
-from torch import Tensor
 
 from ..errors import InputError
 from ..images import read_image
 from ..optics import GaussianPSF, Optics
-from ..scene import Grid, Renderer
+from ..scene import Grid
 from ..scene.effects import Effects, SecondView
 from ..settings import FitSettings
 from .checks import check_image
 from .level import Level
-from .likelihood import Match, match
 
 
 class Pixels:
@@ -51,34 +47,11 @@ class Pixels:
         """Leave out voxels, (Z, Y, X) bool."""
         self.known = self.known & (np.asarray(counted) != 0)
 
-
-class SecondTerm:
-    """What the second image adds to the loss of a level.
-
-    It shares grid, blur and mesh transform with the level of the first image.
-    """
-
-    def __init__(
-        self,
-        pixels: Pixels,
-        grid: Grid,
-        level_optics: Optics,
-        settings: FitSettings,
-        effects: Effects,
-        factor: float,
-    ) -> None:
-        self.optics = pixels.optics
+    def level(
+        self, grid: Grid, optics: Optics, settings: FitSettings, effects: Effects, factor: float
+    ) -> Level:
+        """This image at the level of the first: the same grid and blur."""
         # Those of the first image's background and camera are not those of this one.
         own = effects.without("background", "camera", "missing")
-        self._level = Level(pixels.values, pixels.known, grid, level_optics, settings, own, factor)
-        self._level.reach_of(self.optics)
-
-    def added_to(self, first: Match, level: Level, renderer: Renderer, transform: Tensor) -> Match:
-        """The match of the first image with the mean loss of both.
-
-        The second image has an amplitude and a background of its own.
-        """
-        rendered = level.rendered(renderer, transform, renderer.otf(self.optics))
-        voxels = self._level.voxels(rendered.detach())
-        own = match(voxels.of(rendered), voxels.measured, voxels.weights)
-        return replace(first, loss=(first.loss + own.loss) / 2)
+        given = self.values, self.known, grid, optics, settings, own, factor
+        return Level(*given, own_optics=self.optics)

@@ -6,9 +6,8 @@ import io
 import zipfile
 import zlib
 from collections.abc import Callable
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -47,6 +46,8 @@ class FitState:
         (V,) bool: vertices that were told to stay; None where none were.
     events
         Changes of topology since the last state, a sentence each.
+    evaluations
+        Renderings with their gradient so far.
     """
 
     iteration: int
@@ -64,39 +65,9 @@ class FitState:
     message: str = ""
     pinned: np.ndarray | None = None
     events: tuple[str, ...] = ()
+    evaluations: int = 0
     _render: Callable[[], np.ndarray] = field(repr=False, default=lambda: np.zeros(0))
     _checkpoint: Callable[[], dict[str, np.ndarray]] = field(repr=False, default=dict)
-
-    @classmethod
-    def late(cls, values: Callable[[], dict[str, Any]], **ready: Any) -> FitState:
-        """A state of which some values stay on a device until one of them is asked for.
-
-        ``values()`` gives those fields by name.
-        """
-        state = object.__new__(cls)
-        for f in fields(cls):
-            if f.default is not MISSING:
-                state.__dict__[f.name] = f.default
-            elif f.default_factory is not MISSING:
-                state.__dict__[f.name] = f.default_factory()
-        state.__dict__.update(ready, _late=values)
-        return state
-
-    def saying(self, message: str) -> FitState:
-        """The same with another message."""
-        other = object.__new__(FitState)
-        other.__dict__.update(self.__dict__, message=message)
-        return other
-
-    def __getattr__(self, name: str) -> Any:
-        # Called for what is not there yet, by several threads maybe.
-        late = self.__dict__.get("_late")
-        if name not in _FIELDS or (late is None and name not in self.__dict__):
-            raise AttributeError(f"a FitState has no {name!r}")
-        if late is not None:
-            self.__dict__.update(late())
-            self.__dict__.pop("_late", None)
-        return self.__dict__[name]
 
     def rendered(self) -> np.ndarray:
         """(Z, Y, X) float32: what the microscope would show of this state; computed when asked."""
@@ -107,9 +78,6 @@ class FitState:
         buffer = io.BytesIO()
         np.savez_compressed(buffer, **self._checkpoint())  # type: ignore[arg-type]
         write_atomically(path, buffer.getvalue())
-
-
-_FIELDS = frozenset(f.name for f in fields(FitState))
 
 
 def load_checkpoint(path: str | Path) -> dict[str, np.ndarray]:
@@ -128,6 +96,6 @@ def load_checkpoint(path: str | Path) -> dict[str, np.ndarray]:
         raise InputError(f"cannot read checkpoint {path}: {error}") from None
     except (ValueError, EOFError, zipfile.BadZipFile, zlib.error):
         raise InputError(f"{path} is not a checkpoint, or a damaged one") from None
-    if not {"vertices", "faces", "optics", "level"} <= set(kept):
+    if not {"vertices", "faces", "optics", "levels"} <= set(kept):
         raise InputError(f"{path} is not a checkpoint of a fit")
     return kept

@@ -21,7 +21,10 @@ class Upkeep:
     """
 
     def __init__(self, mesh: Mesh) -> None:
-        self.able = can_remesh()
+        # A face with one corner twice has no third edge to split, collapse or flip.
+        corners = np.sort(mesh.faces, axis=1)
+        whole = bool((corners[:, 1:] != corners[:, :-1]).all())
+        self.able = can_remesh() and whole
         self._start = median_edge(mesh)
         self.left = 0.0  # share of slivers that the last remeshing left: no use to try again
 

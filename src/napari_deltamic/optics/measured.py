@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import pi
-from typing import Literal, Self
+from typing import Self
 
 import numpy as np
 import torch
@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
+from ..choices import Bead
 from ..errors import InputError
 from .model import Axes, ParametricPSF
 from .parameters import Spec, check_unit
 from .table import l2_width
 
-Bead = Literal["solid", "shell"]
 _LEAST_VOXELS = 5
 _BORDER = 0.25  # of the peak: brighter at the border, and the stack does not hold the PSF
 _TAPER_SHARE = 0.15  # of the half size, at every edge

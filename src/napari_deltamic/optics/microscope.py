@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from math import pi, sqrt
-from typing import Literal, get_args
+from typing import get_args
 
+from ..choices import IMMERSIONS, Modality, PSFModel
 from ..errors import InputError
 from .gaussian import GaussianPSF
 from .modalities import _FWHM, AIRY, EXCITATION, PINHOLE, SHEET, ConfocalPSF, LightSheetPSF
@@ -22,10 +23,6 @@ from .objective import (
 from .parameters import Spec, check_unit
 from .pupil import PupilPSF
 from .table import TablePSF
-
-Modality = Literal["widefield", "confocal", "spinning disk", "light sheet"]
-PSFModel = Literal["gaussian", "scalar", "gibson-lanni", "vectorial", "pupil"]
-IMMERSIONS = {"air": 1.0, "water": 1.333, "glycerol": 1.45, "silicone": 1.405, "oil": 1.515}
 
 
 def microscope(

@@ -6,6 +6,8 @@ from math import log, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from ..fourier.plan import Cutoff
 from .gaussian import GaussianPSF
@@ -36,6 +38,10 @@ class Sharpest:
     def width(self) -> Triple:
         """um: of the sharper one along each axis."""
         return _triple(np.minimum(self._first.width(), self._second.width()))
+
+    def otf(self, axes: tuple[Tensor, Tensor, Tensor]) -> Tensor:
+        """The larger one of both |OTF| at each wavevector."""
+        return torch.maximum(self._first.otf(axes).abs(), self._second.otf(axes).abs())
 
     def cutoff(self, blur: Triple = (0.0, 0.0, 0.0)) -> Cutoff | None:
         """Where the OTF of both ends; None where both are Gaussian."""

@@ -76,10 +76,10 @@ class Formation:
 
     def image(self, transform: Tensor, otf: Tensor, band: Band) -> Tensor:
         """Image (Z, Y, X): fluorophores seen in each voxel; its sum over all space is the total."""
-        seen = transform * otf
-        if self.effects.depth_psf is not None:
-            seen = seen.sum(0)
-        image = band.to_image(seen, self.grid.shape)
+        if self.effects.depth_psf is None:
+            image = band.to_image(transform, self.grid.shape, otf)
+        else:
+            image = band.to_image((transform * otf).sum(0), self.grid.shape)
         self._gains = [gain.to(image) for gain in self._gains]  # once: there they stay
         for gain in self._gains:
             image = image * gain

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..choices import Bits
 from ..errors import InputError
 from .effects import Camera
-
-Bits = Literal[8, 12, 16, 32]  # 32: float32, which holds any value
 
 
 def detected(

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from math import pi
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 
+from ..choices import CellKind
 from ..errors import InputError
 from ..geometry.foam import foam
 from ..geometry.mesh import FloatArray, Mesh
 from ..geometry.primitives import sphere
 from .grid import Grid
 
-Kind = Literal["foam", "vesicles"]
 MARGIN = 0.14  # of the field of view, left free on each side
 _FILL = 0.9  # of the ellipsoid within the margins, taken by a foam
 _TRIES = 2000  # places tried for a vesicle
@@ -25,7 +25,7 @@ _GAP = 1.5  # voxels between vesicles
 def random_cells(
     count: int,
     grid: Grid,
-    kind: Kind = "foam",
+    kind: CellKind = "foam",
     seed: int = 0,
     edge_length: float | None = None,
 ) -> Mesh:
@@ -48,7 +48,7 @@ def random_cells(
     InputError
         If the count is not positive, or there is no room for so many cells.
     """
-    if kind not in get_args(Kind):
+    if kind not in get_args(CellKind):
         raise InputError(f"cells are 'foam' or 'vesicles', not {kind!r}")
     if count < 1:
         raise InputError(f"the number of cells must be 1 or more, not {count}")

@@ -40,7 +40,7 @@ class Renderer:
         um: how far vertices may move before the plan no longer holds; 0 for a mesh that stays.
         Edges may then grow by a tenth, which a fit sees to by planning anew now and then.
     method
-        Forces ``"closed form"`` or ``"non-uniform"``.
+        Forces ``"closed form"`` or ``"particle-mesh"``.
     device
         Where images are; see :func:`napari_deltamic.fourier.devices.choose_device`.
 
@@ -95,6 +95,7 @@ class Renderer:
             aligned=optics.diagonal,
             cutoff=optics.cutoff(blur),
             device=there.type,
+            transfer=lambda axes: self._formation.otf(optics, axes),
         )
         self._axes = self.plan.band.axes(torch.float32 if self.plan.single else torch.float64)
 
@@ -218,7 +219,7 @@ def render(
         Optional parts of image formation, or their names. A background is in the unit of the
         measured image and so added by :func:`expected_image` alone.
     method
-        Forces ``"closed form"`` or ``"non-uniform"``; by default the cheaper one.
+        Forces ``"closed form"`` or ``"particle-mesh"``; by default the cheaper one.
 
     Returns
     -------

@@ -66,7 +66,7 @@ class SceneRenderer:
     accuracy
         Relative L2 error of the image; 0 for the closed forms at every wavevector of the grid.
     method
-        Forces ``"closed form"`` or ``"non-uniform"``.
+        Forces ``"closed form"`` or ``"particle-mesh"``.
     frame
         Grid of the whole image, to which effects refer, where ``grid`` leaves voxels out.
 
@@ -103,6 +103,7 @@ class SceneRenderer:
             optics.diagonal,
             scene.effects,
             optics.cutoff(),
+            lambda axes: self.formation.otf(optics, axes),
         )
         self.transforms: list[Transform] = [s.planned(site) for s in scene.structures]
         # One of them holds all others: what they ask of the OTF is a number.
@@ -146,7 +147,7 @@ def render_scene(
     accuracy
         Relative L2 error of the image; 0 for the closed forms at every wavevector of the grid.
     method
-        Forces ``"closed form"`` or ``"non-uniform"``; by default the cheaper one of each structure.
+        Forces ``"closed form"`` or ``"particle-mesh"``; by default the cheaper of each structure.
 
     Returns
     -------

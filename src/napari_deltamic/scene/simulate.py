@@ -12,11 +12,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from ..choices import Bits
 from ..errors import InputError
 from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import Mesh
 from .grid import Grid
-from .noise import Bits, detected, intensities
+from .noise import detected, intensities
 from .render import offset
 from .scene import Scene, render_scene
 from .structures import Solid, Surface

@@ -1,10 +1,10 @@
 """What a scene may hold: surfaces, solids, filaments and points.
 
-Each gives its Fourier transform on a band, by its closed form or by the non-uniform FFT. What the
+Each gives its Fourier transform on a band, by its closed form or by the particle-mesh. What the
 latter takes, measured (48^3 to 96^3 voxels, accuracies 1e-2 to 1e-5, one core): the transform of a
-solid 3 to 3.7 times as long as that of its surface, but together with its gradient 0.8 to 0.95
-times, since a solid's gradient is the simpler one; filaments and points as long as a surface of as
-many quadrature points.
+solid 3.4 to 4.4 times as long as that of its surface, together with its gradient 1.9 to 2.3 times,
+since a solid's gradient is the simpler one; filaments and points as long as a surface of as many
+quadrature points.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from ..fourier import Band, Plan, make_plan
 from ..fourier.filament import LinePlan, make_line_plan, path_segments
 from ..fourier.plan import Cutoff, Method
 from ..fourier.solid import contrasts, solid_transform
+from ..fourier.spreading import Transfer
 from ..geometry.mesh import FloatArray, Mesh, is_tensor, to_numpy
 from .effects import Effects
 from .effects.base import FaceEffect
@@ -47,6 +48,8 @@ class Site:
         Whether the axes of the PSF are those of the grid.
     cutoff
         Where the OTF ends, for a PSF that is not Gaussian.
+    transfer
+        The OTF with what effects make of it.
     """
 
     grid: Grid
@@ -58,6 +61,7 @@ class Site:
     aligned: bool
     effects: Effects
     cutoff: Cutoff | None = None
+    transfer: Transfer | None = None
 
     def local(self, positions: Tensor) -> Tensor:
         """Positions relative to the centre of the first voxel."""
@@ -298,6 +302,7 @@ def _mesh_plan(mesh: Mesh, site: Site) -> Plan:
         site.method,
         aligned=site.aligned,
         cutoff=site.cutoff,
+        transfer=site.transfer,
     )
 
 
@@ -312,6 +317,7 @@ def _line(vertices: Tensor, elements: np.ndarray, weights: Tensor, site: Site) -
         site.method,
         site.aligned,
         site.cutoff,
+        site.transfer,
     )
     joined = torch.from_numpy(elements)
 

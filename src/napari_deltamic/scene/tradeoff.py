@@ -19,6 +19,7 @@ from ..fourier.cost import Costs, count_work
 from ..fourier.cost import costs as known_costs
 from ..fourier.plan import Method, _edge_phases, check_accuracy
 from ..fourier.quadrature import DEGREES, rule
+from ..fourier.spreading import choose_spreading
 from ..geometry.mesh import Mesh
 from ..optics import Optics
 from .formation import padded_shape
@@ -42,7 +43,7 @@ class Way:
     Attributes
     ----------
     method, precision, device
-        ``"closed form"`` or ``"non-uniform"``; ``"float32"`` or ``"float64"``; ``"cpu"``.
+        ``"closed form"`` or ``"particle-mesh"``; ``"float32"`` or ``"float64"``; ``"cpu"``.
     band
         The edge of the band as |OTF|; 0 is the full grid.
     rule
@@ -142,7 +143,7 @@ def measure_ways(
     candidates = _candidates(scene, accuracy_in_use, costs)
     exact = candidates[0]
     if exact.way.expected > budget:
-        reference = scene.planned(_FINEST, costs, "non-uniform")
+        reference = scene.planned(_FINEST, costs, "particle-mesh")
         candidates = [reference, *candidates]
     else:
         reference = exact
@@ -236,6 +237,7 @@ class _Scene:
             method,
             aligned=self.optics.diagonal,
             cutoff=self.optics.cutoff(),
+            transfer=self.optics.otf,
         )
         degrees = sorted({r.degree for r, _ in plan.rules})
         named = f"degree {'/'.join(map(str, degrees))}" if degrees else ""
@@ -255,11 +257,15 @@ class _Scene:
             band = Band.within(fft, size, radius, aligned)  # type: ignore[arg-type]
         faces = len(self.mesh.faces)
         rules = [] if degree is None else [(rule(degree), np.arange(faces))]
-        method: Method = "closed form" if degree is None else "non-uniform"
+        method: Method = "closed form" if degree is None else "particle-mesh"
         phases = _edge_phases(self.points, self.mesh.faces, radius, aligned)
-        tolerance = 0.0 if degree is None else _TOLERANCE[single]
-        work = count_work(method, band, faces, phases, rules, tolerance, self.grid.shape)
-        plan = Plan(method, band, 0.0, threshold, single, tolerance, rules, 0.0, work)
+        spreading = None
+        if degree is not None:
+            points = faces * len(rules[0][0].weights)
+            given = band.half, band.spacing, self.optics.otf, _TOLERANCE[single], points, single
+            spreading = choose_spreading(*given, width=self.width)
+        work = count_work(method, band, faces, phases, rules, spreading, self.grid.shape)
+        plan = Plan(method, band, 0.0, threshold, single, spreading, rules, 0.0, work)
         return self.candidate(plan, f"degree {degree}" if degree else "", costs, None)
 
     def candidate(

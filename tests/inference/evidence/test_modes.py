@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import eigh
 
 from napari_deltamic import Mesh
 from napari_deltamic.geometry import box, sphere
@@ -67,3 +68,18 @@ def test_a_smooth_density_has_no_constant_part_of_its_own():
     both = np.vstack([fields, np.ones(len(BALL.faces))])
     assert np.linalg.matrix_rank(both) == 9
     assert len(density_fields(BALL, "uniform", np.array([1]))) == 0
+
+
+def test_no_solver_keeps_other_threads_waiting(monkeypatch):
+    """SciPy's dense solver keeps the interpreter's lock: half a second for 1500 vertices."""
+    sizes = []
+
+    def dense(matrix, **options):
+        sizes.append(len(matrix))
+        return eigh(matrix, **options)
+
+    monkeypatch.setattr("napari_deltamic.inference.evidence.modes.eigh", dense)
+    for edge in (0.4, 0.15):
+        assert len(shape_modes(sphere((0, 0, 0), 1.0, edge_length=edge)).fields) > 6
+    assert len(sizes) == 1  # that of the small one
+    assert sizes[0] < 500

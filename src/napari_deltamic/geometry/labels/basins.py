@@ -9,7 +9,6 @@ membranes are treated alike, and every point of one object gives the same basin.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from hashlib import sha1
 
@@ -19,8 +18,8 @@ from scipy import ndimage
 from skimage.morphology import max_tree
 from skimage.segmentation import watershed
 
-from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.mesh import FloatArray, IntArray
+from napari_deltamic.geometry.refused import Refused
 
 Mask = NDArray[np.bool_]
 Ranks = NDArray[np.uint16]
@@ -60,10 +59,10 @@ class _Basin:
 
 def label_basins(
     data: FloatArray, size: FloatArray, voxels: IntArray, names: list[int], smoothing: float | None
-) -> NDArray[np.int32]:
+) -> tuple[NDArray[np.int32], list[Refused]]:
     """Label the basin of each voxel in `voxels` (n, 3) with its name; 0 elsewhere.
 
-    The work of `labels_from_points`; raises InputError where a point names no region.
+    The work of `labels_from_points`. Points that name no region of their own are told.
     """
     sigma = float(size.min()) if smoothing is None else float(smoothing)
     smooth = ndimage.gaussian_filter(data, sigma / size, mode="nearest")
@@ -74,11 +73,19 @@ def label_basins(
     tree = _component_tree(ranked, size)
     lows = [_descend(ranked, voxel) for voxel in voxels]
     least = NOISE_RISE * noise / step
-    found = [_find_basin(tree, low, k, size, least) for low, k in zip(lows, names, strict=True)]
-    basins = _separate(tree, found, names)
-    cores = [_core(ranked, tree, basin) for basin in basins]
-    levels = [int(tree.level[basin.path[basin.node]]) for basin in basins]
-    return _grow(ranked, levels, cores, names, size)
+    found: dict[int, _Basin] = {}
+    refused = []
+    for low, name in zip(lows, names, strict=True):
+        basin = _find_basin(tree, low, size, least)
+        if isinstance(basin, str):
+            refused.append(Refused(f"point {name} {basin}", (name,)))
+        else:
+            found[name] = basin
+    basins, same = _separate(tree, found)
+    cores = {name: _core(ranked, tree, basin) for name, basin in basins.items()}
+    levels = {name: int(tree.level[b.path[b.node]]) for name, b in basins.items()}
+    labels, cut = _grow(ranked, levels, cores, size)
+    return labels, refused + same + cut
 
 
 def _noise_after(data: FloatArray, sigma: FloatArray) -> float:
@@ -148,8 +155,11 @@ def _descend(ranked: Ranks, voxel: IntArray) -> int:
         here = tuple(c + int(s) for c, s in zip(corner, step, strict=True))
 
 
-def _find_basin(tree: _Tree, low: int, number: int, size: FloatArray, least: float) -> _Basin:
-    """Follow the flood from a minimum and stop it before the leap that is the leak."""
+def _find_basin(tree: _Tree, low: int, size: FloatArray, least: float) -> _Basin | str:
+    """Follow the flood from a minimum and stop it before the leap that is the leak.
+
+    Returns what is wrong with the point where there is none.
+    """
     path = [low]
     while tree.parent[path[-1]] != path[-1]:
         path.append(int(tree.parent[path[-1]]))
@@ -167,36 +177,60 @@ def _find_basin(tree: _Tree, low: int, number: int, size: FloatArray, least: flo
         leap = np.where(fair, leap, 0)
         node = int(leap.argmax())
     if not leap.any():
-        raise InputError(f"point {number} lies in no closed region of the image")
+        return "lies in no closed region of the image"
     if volume[node] < MIN_VOXELS:
-        raise InputError(
-            f"point {number} lies in no closed region of the image (only {volume[node]:.0f} voxels"
-            " around it): it may be on a membrane or in the background"
+        return (
+            f"lies in no closed region of the image (only {volume[node]:.0f} voxels around it): it "
+            "may be on a membrane or in the background"
         )
     return _Basin(nodes, node)
 
 
-def _separate(tree: _Tree, basins: list[_Basin], names: list[int]) -> list[_Basin]:
-    """Where points share a basin, cut it at the pass between them, if that stands out."""
-    cut = [basin.node for basin in basins]
-    above = [set(basin.path.tolist()) for basin in basins]
-    for i, one in enumerate(basins):
-        for j, other in enumerate(basins):
-            if i == j or int(one.path[one.node]) not in above[j]:
-                continue
-            # First node on the way up that floods the other point too.
-            meet = int(np.isin(one.path[: one.node + 1], other.path).argmax())
-            height, leak = tree.level[one.path[[meet, one.node + 1]]]
-            meet_other = int(np.flatnonzero(other.path == one.path[meet])[0])
-            floor = height
-            if meet and meet_other:
-                sides = [one.path[meet - 1], other.path[meet_other - 1]]
-                floor = tree.lowest[sides].max()
-            if height == floor or height - floor < SAME_OBJECT * (leak - floor):
-                first, second = sorted((names[i], names[j]))
-                raise InputError(f"points {first} and {second} lie in the same region")
-            cut[i] = min(cut[i], meet - 1)
-    return [_Basin(basin.path, node) for basin, node in zip(basins, cut, strict=True)]
+_SAME = -1  # instead of where a basin ends: no pass stands out
+
+
+def _separate(tree: _Tree, basins: dict[int, _Basin]) -> tuple[dict[int, _Basin], list[Refused]]:
+    """Where points share a basin, cut it at the pass between them, if that stands out.
+
+    Else the first of the points has it.
+    """
+    above = {name: set(basin.path.tolist()) for name, basin in basins.items()}
+    ends = {
+        (i, j): _end_before(tree, one, other)
+        for i, one in basins.items()
+        for j, other in basins.items()
+        if i != j and int(one.path[one.node]) in above[j]
+    }
+    kept: list[int] = []
+    refused = []
+    for name in basins:
+        same = [k for k in kept if _SAME in (ends.get((k, name)), ends.get((name, k)))]
+        if same:
+            first, second = sorted((same[0], name))
+            text = f"points {first} and {second} lie in the same region"
+            refused.append(Refused(text, (first, second)))
+        else:
+            kept.append(name)
+    found = {}
+    for name in kept:
+        cuts = [end for (i, j), end in ends.items() if i == name and j in kept]
+        found[name] = _Basin(basins[name].path, min([basins[name].node, *cuts]))
+    return found, refused
+
+
+def _end_before(tree: _Tree, one: _Basin, other: _Basin) -> int:
+    """Position in the path of one at which it ends before the other; _SAME if it does not."""
+    # First node on the way up that floods the other point too.
+    meet = int(np.isin(one.path[: one.node + 1], other.path).argmax())
+    height, leak = tree.level[one.path[[meet, one.node + 1]]]
+    meet_other = int(np.flatnonzero(other.path == one.path[meet])[0])
+    floor = height
+    if meet and meet_other:
+        sides = [one.path[meet - 1], other.path[meet_other - 1]]
+        floor = tree.lowest[sides].max()
+    if height == floor or height - floor < SAME_OBJECT * (leak - floor):
+        return _SAME
+    return meet - 1
 
 
 def _core(ranked: Ranks, tree: _Tree, basin: _Basin) -> Mask:
@@ -206,28 +240,27 @@ def _core(ranked: Ranks, tree: _Tree, basin: _Basin) -> Mask:
 
 
 def _grow(
-    ranked: Ranks,
-    levels: Sequence[int],
-    cores: list[Mask],
-    names: list[int],
-    size: FloatArray,
-) -> NDArray[np.int32]:
+    ranked: Ranks, levels: dict[int, int], cores: dict[int, Mask], size: FloatArray
+) -> tuple[NDArray[np.int32], list[Refused]]:
     """Flood from each core up to the crest, against whatever else is dark at its own level."""
     labels = np.zeros(ranked.shape, np.int32)
-    every_core = np.logical_or.reduce(cores)
-    for level, core, k in zip(levels, cores, names, strict=True):
+    refused = []
+    every_core = np.logical_or.reduce([np.zeros(ranked.shape, bool), *cores.values()])
+    for k, core in cores.items():
         box = _box_around(core)
         inside = core[box]
-        markers = np.where(inside, 1, 2 * ((ranked[box] <= level) | every_core[box]))
+        markers = np.where(inside, 1, 2 * ((ranked[box] <= levels[k]) | every_core[box]))
         _mark_cuts(markers, box, ranked.shape)
         region = ndimage.binary_fill_holes(watershed(ranked[box], markers) == 1)
         region &= inside | (~every_core[box] & (labels[box] == 0))
         border = float(_border_area(ranked.shape, size)[box][region].sum())
         ball = np.cbrt(36 * np.pi * (region.sum() * np.prod(size)) ** 2)
         if border > BORDER_LIMIT * ball:
-            raise InputError(f"the region of point {k} lies mostly on the border of the image")
-        labels[box][region] = k
-    return labels
+            text = f"the region of point {k} lies mostly on the border of the image"
+            refused.append(Refused(text, (k,)))
+        else:
+            labels[box][region] = k
+    return labels, refused
 
 
 def _box_around(mask: Mask) -> tuple[slice, ...]:

@@ -13,10 +13,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from napari_deltamic.errors import InputError, RepairWarning
-from napari_deltamic.geometry.labels.partition import partition_mesh, with_volumes
+from napari_deltamic.geometry.labels.partition import TooCoarse, partition_mesh, with_volumes
 from napari_deltamic.geometry.labels.repair import repair_labels, share_out_gaps
 from napari_deltamic.geometry.labels.surface_nets import closed_surface
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
+from napari_deltamic.geometry.refused import told
 from napari_deltamic.geometry.remeshing import can_remesh, remesh
 
 EDGE_IN_VOXELS = 3.0
@@ -38,8 +39,9 @@ def mesh_from_labels(
     """A smooth mesh of all labels of an image, with regions (label, neighbour or 0).
 
     Of each label the largest connected part is kept and its holes are filled; each such repair is a
-    RepairWarning (see `repair_labels`). Labels that touch share their walls: such a face exists
-    once, between the two. Volumes are those of the labels.
+    RepairWarning (see `repair_labels`), and so are labels that are left out because they are too
+    small for the edge length. Labels that touch share their walls: such a face exists once, between
+    the two. Volumes are those of the labels.
 
     Parameters
     ----------
@@ -55,12 +57,41 @@ def mesh_from_labels(
     Raises
     ------
     InputError
-        No label, no whole numbers, not 3D, or a label too small for the edge length.
+        No label, no whole numbers, not 3D, or every label too small for the edge length.
     """
+    found = surfaces_of_labels(labels, voxel_size, origin, edge_length, gap, shared_walls)
+    if found.too_small:
+        texts = [f"label {k} is too small for edges of {found.edge:g} um" for k in found.too_small]
+        warnings.warn(told(texts, found.count, "label"), RepairWarning, stacklevel=2)
+    return Mesh.merge(found.meshes)
+
+
+@dataclass(frozen=True)
+class LabelSurfaces:
+    """Of a label image: a mesh of each cluster of labels.
+
+    too_small : labels that gave none. count : of all labels. edge : um.
+    """
+
+    meshes: list[Mesh]
+    too_small: list[int]
+    count: int
+    edge: float
+
+
+def surfaces_of_labels(
+    labels: ArrayLike,
+    voxel_size: Sequence[float],
+    origin: Sequence[float],
+    edge_length: float | None = None,
+    gap: float | None = None,
+    shared_walls: bool = True,
+) -> LabelSurfaces:
+    """The work of `mesh_from_labels`, which says what the arguments are."""
     size, start = _triple(voxel_size, "voxel size"), _triple(origin, "origin", positive=False)
     repaired = repair_labels(labels, size)
     for repair in repaired.repairs:
-        warnings.warn(repair, RepairWarning, stacklevel=2)
+        warnings.warn(repair, RepairWarning, stacklevel=3)
     array = repaired.labels.astype(np.int64)
     edge = default_edge(array, size) if edge_length is None else float(edge_length)
     if not edge > 0:
@@ -75,12 +106,13 @@ def mesh_from_labels(
         clusters = _touching(numbers, len(names))
     boxes = ndimage.find_objects(numbers, len(names))
     where = _Place(size, start, edge, names, boxes)
-    return Mesh.merge(
-        [
-            _single(numbers, c, where) if len(c) == 1 else _cluster(numbers, c, where)
-            for c in clusters
-        ]
+    made = (
+        _single(numbers, c, where) if len(c) == 1 else _cluster(numbers, c, where) for c in clusters
     )
+    meshes = [mesh for mesh in made if mesh is not None]
+    present = {k for mesh in meshes for k in mesh.region_ids().tolist()}
+    too_small = [k for k in names.tolist() if k not in present]
+    return LabelSurfaces(meshes, too_small, len(names), edge)
 
 
 def default_edge(labels: IntArray, size: FloatArray) -> float:
@@ -106,33 +138,34 @@ class _Place:
     boxes: list[tuple[slice, ...]]
 
 
-def _single(numbers: IntArray, cluster: IntArray, at: _Place) -> Mesh:
-    """The closed surface of a label that touches no other."""
+def _single(numbers: IntArray, cluster: IntArray, at: _Place) -> Mesh | None:
+    """The closed surface of a label that touches no other; None if it is too small."""
     number = int(cluster[0])
     box, name = at.boxes[number - 1], int(at.names[number - 1])
     corner = at.origin + at.size * [s.start for s in box]
     cut = _whole(np.where(numbers[box] == number, numbers[box], 0), cluster)
     surface = closed_surface(cut == number, at.size, corner, at.edge)
     if surface is None:
-        raise InputError(f"label {name} is too small for edges of {at.edge:g} um")
+        return None
     vertices, faces = surface
     mesh = Mesh(vertices, faces, np.tile(np.array([[name, 0]], np.int64), (len(faces), 1)))
     return with_volumes(mesh, {name: float((cut == number).sum() * np.prod(at.size))})
 
 
-def _cluster(numbers: IntArray, cluster: IntArray, at: _Place) -> Mesh:
-    """One mesh of labels that touch."""
+def _cluster(numbers: IntArray, cluster: IntArray, at: _Place) -> Mesh | None:
+    """One mesh of labels that touch, without those that are too small."""
     own = [at.boxes[k - 1] for k in cluster]
     box = tuple(
         slice(min(b[axis].start for b in own), max(b[axis].stop for b in own)) for axis in range(3)
     )
     cut = np.where(np.isin(numbers[box], cluster), numbers[box], 0)
     cut = _whole(cut, cluster)
-    mesh = partition_mesh(cut, at.size, at.origin + at.size * [s.start for s in box], at.edge)
-    for k in np.setdiff1d(cluster, mesh.region_ids()):
-        raise InputError(f"label {at.names[k - 1]} is too small for edges of {at.edge:g} um")
+    try:
+        mesh = partition_mesh(cut, at.size, at.origin + at.size * [s.start for s in box], at.edge)
+    except TooCoarse:
+        return None
     counts = np.bincount(cut.ravel(), minlength=int(cluster.max()) + 1)
-    volumes = {int(k): float(counts[k] * np.prod(at.size)) for k in cluster}
+    volumes = {int(k): float(counts[k] * np.prod(at.size)) for k in mesh.region_ids()}
     mesh = with_volumes(remesh(mesh, at.edge).mesh, volumes)
     mesh = with_volumes(remesh(mesh, at.edge, passes=2).mesh, volumes)
     own_names = np.concatenate([[0], at.names])

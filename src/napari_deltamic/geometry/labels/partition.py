@@ -19,6 +19,10 @@ _SQUARE = np.array([(0, 0, 0), (0, 0, 1), (0, 1, 1), (0, 1, 0)])  # around, acro
 _QUAD_TO_TRIANGLES = [0, 1, 2, 0, 2, 3]
 
 
+class TooCoarse(InputError):
+    """The edges are too long for any label."""
+
+
 def partition_mesh(labels: IntArray, size: FloatArray, origin: FloatArray, edge: float) -> Mesh:
     """Mesh of all labels (> 0) of an image; faces between two labels exist once.
 
@@ -217,7 +221,7 @@ def _nets(nodes: _Nodes) -> tuple[FloatArray, IntArray, IntArray]:
         pairs.append(np.stack([np.maximum(a, b), np.minimum(a, b)], axis=1))
     cells, index = np.unique(np.concatenate(rings), return_inverse=True)
     if not len(cells):
-        raise InputError("no label is large enough for the edge length")
+        raise TooCoarse("no label is large enough for the edge length")
     quads = index.reshape(-1, 4).astype(np.int64)
     repeated = np.repeat(np.concatenate(crossings), 4, axis=0)
     total = [np.bincount(quads.ravel(), repeated[:, i], len(cells)) for i in range(3)]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +34,7 @@ def voxel_labels(
     nz, ny, nx = (int(n) for n in shape)
     size, start = np.asarray(voxel_size, float), np.asarray(origin, float)
     places = (mesh.vertices_numpy() - start) / size
-    line, at, after = _crossings(places[mesh.faces], mesh, nz, ny)
+    line, at, after = _crossings(places[mesh.faces], mesh.regions, nz, ny)
     labels = np.zeros(nz * ny * nx, np.int32)
     order = np.lexsort((at, line))
     line, at, after = line[order], at[order], after[order]
@@ -51,38 +52,57 @@ def voxel_labels(
     return labels.reshape(nz, ny, nx)
 
 
-def voxel_windings(
+def region_windings(
     mesh: Mesh,
-    region: int,
+    regions: Iterable[int],
     shape: Sequence[int],
     voxel_size: Sequence[float],
     origin: Sequence[float] = (0.0, 0.0, 0.0),
-) -> NDArray[np.int32]:
-    """(Z, Y, X) how often a region's surface winds around the centre of each voxel.
+) -> Iterator[tuple[int, tuple[slice, ...], NDArray[np.int32]]]:
+    """How often the surface of each region winds around the centres of voxels.
 
     1 inside, 0 outside; 2 where the region overlaps itself.
 
     Parameters
     ----------
-    mesh : with the region's surface closed, um.
-    region : its number.
+    mesh : with the surfaces of the regions closed, um.
+    regions : their numbers.
     shape, voxel_size, origin : as in :func:`voxel_labels`.
+
+    Yields
+    ------
+    Of each region that reaches into the voxels: its number, the box of voxels that holds it, and
+    the numbers within that box.
     """
-    nz, ny, nx = (int(n) for n in shape)
     size, start = np.asarray(voxel_size, float), np.asarray(origin, float)
-    surface = mesh.region_surface(region)
-    places = (surface.vertices_numpy() - start) / size
-    line, at, after = _crossings(places[surface.faces], surface, nz, ny)
-    voxel = np.ceil(at).clip(0, None).astype(np.int64)
-    seen = voxel < nx
-    turns = np.zeros(nz * ny * nx, np.int32)
-    np.add.at(turns, (line * nx + voxel)[seen], np.where(after[seen] == region, 1, -1))
-    wound: NDArray[np.int32] = turns.reshape(nz, ny, nx).cumsum(axis=2, dtype=np.int32)
-    return wound
+    places = (mesh.vertices_numpy() - start) / size
+    side = mesh.regions.T.reshape(-1)
+    order = np.argsort(side, kind="stable")
+    side = side[order]
+    for region in regions:
+        first, last = np.searchsorted(side, [region, region + 1])
+        own = order[first:last]
+        outer = own >= len(mesh.faces)
+        rows = np.where(outer, own - len(mesh.faces), own)
+        corners = places[mesh.faces[rows]]
+        low = np.floor(corners.min((0, 1))).astype(int).clip(0)
+        high = np.minimum(np.ceil(corners.max((0, 1))).astype(int) + 1, shape)
+        if (low >= high).any():
+            continue
+        nz, ny, nx = (high - low).tolist()
+        sides = np.where(outer[:, None], [0, 1], [1, 0])  # what lies behind, and in front
+        line, at, inside = _crossings(corners - low, sides, nz, ny)
+        voxel = np.ceil(at).clip(0, None).astype(np.int64)
+        seen = voxel < nx
+        turns = np.zeros(nz * ny * nx, np.int32)
+        np.add.at(turns, (line * nx + voxel)[seen], np.where(inside[seen] > 0, 1, -1))
+        wound = turns.reshape(nz, ny, nx).cumsum(axis=2, dtype=np.int32)
+        box = tuple(slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
+        yield int(region), box, wound
 
 
 def _crossings(
-    corners: FloatArray, mesh: Mesh, nz: int, ny: int
+    corners: FloatArray, regions: NDArray[Any], nz: int, ny: int
 ) -> tuple[NDArray[np.int64], FloatArray, NDArray[np.int64]]:
     """Line (z * ny + y), place along X in voxels, and the region beyond, of every crossing."""
     flat = corners[:, :, :2] - _ASIDE
@@ -102,7 +122,7 @@ def _crossings(
     face, weights, area = face[inside], weights[inside], area[inside]
     at = (weights * corners[face, :, 2]).sum(axis=1) / area
     # The normal is minus the cross product in Z, Y, X: positive area, normal towards smaller x.
-    after = np.where(area > 0, mesh.regions[face, 0], mesh.regions[face, 1])
+    after = np.where(area > 0, regions[face, 0], regions[face, 1])
     return z[inside] * ny + y[inside], at, after
 
 

@@ -6,23 +6,21 @@ Nothing but the faces at that place changes, unlike in :mod:`.rearranging`.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
-from napari_deltamic.geometry.remeshing import remesh
-from napari_deltamic.geometry.topology.crossings import crosses
+from napari_deltamic.geometry.topology.part import Change, Part, stayed
 from napari_deltamic.geometry.topology.thin_places import ThinPlace
 
 _OPENED = (0.3, 0.12)  # edge lengths by which sides are drawn apart; the second where they cross
-_FREE = 2.0  # edge lengths around a place in which triangles are made anew
 
 
-def flipped(mesh: Mesh, place: ThinPlace, edge: float) -> Mesh | None:
-    """The mesh after an exchange of neighbours; None where that cannot be done.
+def flipped(part: Part, place: ThinPlace, edge: float) -> Iterator[Change]:
+    """What a part may be after an exchange of neighbours; triangles are not good yet.
 
     At a small wall (:func:`small_walls`) its two cells part, and the neighbour with the longest
     border to it grows in between. At a short junction (:func:`short_junctions`) the cells at its
@@ -30,8 +28,8 @@ def flipped(mesh: Mesh, place: ThinPlace, edge: float) -> Mesh | None:
 
     Parameters
     ----------
-    mesh
-        Closed regions that do not cross.
+    part
+        All around the place; surfaces do not cross.
     place
         Of two regions, or of three.
     edge
@@ -39,34 +37,15 @@ def flipped(mesh: Mesh, place: ThinPlace, edge: float) -> Mesh | None:
     """
     change = _without_wall if len(place.regions) == 2 else _with_wall
     for share in _OPENED:
-        made = change(mesh, place, share * edge)
-        if made is None:
-            return None
-        made = tidied(made, place, edge)
-        if _sound(made, mesh):
-            return made
-    return None
-
-
-def tidied(mesh: Mesh, place: ThinPlace, edge: float) -> Mesh:
-    """Good triangles around a place; nothing moves elsewhere."""
-    held = cKDTree(place.points).query(mesh.vertices_numpy())[0] > _FREE * edge
-    return remesh(mesh, edge, passes=2, fixed=held, apart=True).mesh
-
-
-def _sound(mesh: Mesh, old: Mesh) -> bool:
-    alike = np.array_equal(mesh.region_ids(), old.region_ids()) and mesh.is_closed()
-    branches = [np.bincount(m.face_edges().reshape(-1)).max() for m in (mesh, old)]
-    sizes = mesh.volumes().values()
-    return bool(alike and branches[0] <= max(3, branches[1]) and min(sizes) > 0) and not crosses(
-        mesh
-    )
+        made = change(part.mesh, place, share * edge)
+        if made is not None:
+            yield made
 
 
 # ----------------------------------------------------------------------------- a wall goes
 
 
-def _without_wall(mesh: Mesh, place: ThinPlace, apart: float) -> Mesh | None:
+def _without_wall(mesh: Mesh, place: ThinPlace, apart: float) -> Change | None:
     """Both sides of a wall, which is doubled, become walls with one of the cells around it."""
     one, other = place.regions
     wall = _faces_at(mesh, place)
@@ -100,7 +79,7 @@ def _without_wall(mesh: Mesh, place: ThinPlace, apart: float) -> Mesh | None:
     normal = _normals_from(mesh, wall, own, one)
     shift = np.zeros_like(vertices)
     shift[own] = -apart * normal
-    return draft.mesh(np.concatenate([vertices + shift, vertices[own] + apart * normal]))
+    return draft.change(np.concatenate([vertices + shift, vertices[own] + apart * normal]))
 
 
 def _faces_at(mesh: Mesh, place: ThinPlace) -> IntArray:
@@ -160,7 +139,7 @@ def _normals_from(mesh: Mesh, wall: IntArray, own: IntArray, region: int) -> Flo
 # --------------------------------------------------------------------------- a wall appears
 
 
-def _with_wall(mesh: Mesh, place: ThinPlace, apart: float) -> Mesh | None:
+def _with_wall(mesh: Mesh, place: ThinPlace, apart: float) -> Change | None:
     """The junction of three cells becomes a tube, in which one of its ends reaches the other."""
     line = _line(mesh, place)
     if line is None:
@@ -199,7 +178,7 @@ def _with_wall(mesh: Mesh, place: ThinPlace, apart: float) -> Mesh | None:
             draft.patch([number[u][j], number[w][k], number[w][j]], pair)
     draft.patch(number[line[-1]], {reaching, reached})
     places = [vertices[v] + apart * _into(mesh, v, line, wall) for v in line for wall in walls]
-    return draft.mesh(np.concatenate([vertices, places]))
+    return draft.change(np.concatenate([vertices, places]))
 
 
 def _line(mesh: Mesh, place: ThinPlace) -> list[int] | None:
@@ -266,6 +245,7 @@ class _Draft:
     """Faces of a mesh that is being changed; new ones are turned as their neighbours ask."""
 
     def __init__(self, mesh: Mesh) -> None:
+        self._mesh = mesh
         self.faces: list[list[int]] = mesh.faces.tolist()
         self.pairs: list[tuple[int, int]] = [(a, b) for a, b in mesh.regions.tolist()]
         self._open: list[tuple[list[int], set[int]]] = []
@@ -279,8 +259,11 @@ class _Draft:
         """A face between two regions, the way round not yet known."""
         self._open.append((corners, pair))
 
-    def mesh(self, vertices: FloatArray) -> Mesh | None:
-        """The mesh; None where the patches do not fit. Vertices without faces are left out."""
+    def change(self, vertices: FloatArray) -> Change | None:
+        """The changed mesh, whose vertices begin with those of the given one.
+
+        None where the patches do not fit. Vertices without faces are left out.
+        """
         ends = {v for corners, _ in self._open for v in corners}
         # For each directed edge the regions that a face which has it bounds from their inside.
         bounded: set[tuple[int, int, int]] = set()
@@ -303,7 +286,8 @@ class _Draft:
                 return None
             waiting = left
         used, index = np.unique(np.array(self.faces), return_inverse=True)
-        return Mesh(vertices[used], index.reshape(-1, 3), np.array(self.pairs))
+        made = Mesh(vertices[used], index.reshape(-1, 3), np.array(self.pairs))
+        return stayed(self._mesh, made, np.where(used < len(self._mesh.vertices), used, -1))
 
 
 def _borders(corners: list[int], pair: tuple[int, int]) -> set[tuple[int, int, int]]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
+from numpy.typing import NDArray
 
 from napari_deltamic.geometry.mesh import OUTSIDE, IntArray, Mesh
-from napari_deltamic.geometry.topology.flips import tidied
+from napari_deltamic.geometry.native import native
+from napari_deltamic.geometry.topology.part import Change, Part
 from napari_deltamic.geometry.topology.thin_places import ThinPlace
 
 
@@ -16,39 +18,36 @@ def small_pieces(mesh: Mesh, volume: float) -> list[ThinPlace]:
 
     A pocket of the outside that cells enclose is one, and each piece of a cell but its largest.
     """
+    pieces = _Pieces(mesh)
+    small = pieces.outer & (pieces.volume < volume) & ~pieces.largest
     places = []
-    for region in (OUTSIDE, *mesh.region_ids().tolist()):
-        pieces = _pieces(mesh, region)
-        for rows, size in pieces if region == OUTSIDE else pieces[1:]:
-            if size >= volume:
-                continue
-            around = mesh.regions[rows]
-            sides = tuple(np.unique(around[around != region]).tolist())
-            corners = mesh.vertices_numpy()[mesh.faces[rows]]
-            points = np.concatenate([corners.reshape(-1, 3), corners.mean(1)])
-            width = float(np.cbrt(size))
-            places.append(ThinPlace((region,), sides, np.unique(points, axis=0), width, size))
+    for k, rows in zip(np.flatnonzero(small).tolist(), pieces.faces_of(small), strict=True):
+        region, size = int(pieces.region[k]), float(pieces.volume[k])
+        around = mesh.regions[rows]
+        sides = tuple(np.unique(around[around != region]).tolist())
+        corners = mesh.vertices_numpy()[mesh.faces[rows]]
+        points = np.concatenate([corners.reshape(-1, 3), corners.mean(1)])
+        width = float(np.cbrt(size))
+        places.append(ThinPlace((region,), sides, np.unique(points, axis=0), width, size))
     return places
 
 
-def absorbed(mesh: Mesh, place: ThinPlace, edge: float) -> Mesh | None:
-    """The mesh with a small piece given to the cell with the largest border to it.
+def absorbed(part: Part, place: ThinPlace, _: float) -> Iterator[Change]:
+    """A part of a mesh with a small piece given to the cell with the largest border to it.
 
-    Outside the cells it vanishes. None if the piece is not there.
+    Outside the cells it vanishes. Nothing if the piece is not there. Triangles are not good yet.
 
     Parameters
     ----------
-    mesh
-        Closed regions; it may have changed a little since the piece was found.
+    part
+        All around the piece; it may have changed a little since the piece was found.
     place
         From :func:`small_pieces`.
-    edge
-        um: the edge length of the mesh.
     """
-    region = place.regions[0]
-    rows = _rows_of(mesh, place)
+    mesh, region = part.mesh, place.regions[0]
+    rows = _rows_of(part, place)
     if rows is None:
-        return None
+        return
     beyond = mesh.regions[rows].sum(1) - region
     areas = np.bincount(beyond, mesh.areas()[rows])
     areas[OUTSIDE] = 0
@@ -56,38 +55,69 @@ def absorbed(mesh: Mesh, place: ThinPlace, edge: float) -> Mesh | None:
     regions = mesh.regions.copy()
     regions[rows] = np.where(regions[rows] == region, heir, regions[rows])
     kept = regions[:, 0] != regions[:, 1]
+    if not kept.any():
+        return
     used, index = np.unique(mesh.faces[kept], return_inverse=True)
-    return tidied(
-        Mesh(mesh.vertices_numpy()[used], index.reshape(-1, 3), regions[kept]), place, edge
-    )
+    yield Change(Mesh(mesh.vertices_numpy()[used], index.reshape(-1, 3), regions[kept]), used)
 
 
-def _rows_of(mesh: Mesh, place: ThinPlace) -> IntArray | None:
+def _rows_of(part: Part, place: ThinPlace) -> IntArray | None:
     """The faces around a piece."""
+    mesh, pieces = part.mesh, _Pieces(part.mesh)
+    open_ones = np.zeros(len(pieces.region), bool)
+    open_ones[pieces.piece[part.rim[mesh.faces].any(1)]] = True
+    fit = pieces.outer & ~open_ones & (pieces.region == place.regions[0])
+    fit &= pieces.volume < 2 * place.volume
     vertices = mesh.vertices_numpy()
-    for rows, size in _pieces(mesh, place.regions[0]):
-        apart = np.linalg.norm(vertices[mesh.faces[rows]].mean((0, 1)) - place.center)
-        if size < 2 * place.volume and apart < place.width:
+    for rows in pieces.faces_of(fit):
+        if np.linalg.norm(vertices[mesh.faces[rows]].mean((0, 1)) - place.center) < place.width:
             return rows
     return None
 
 
-def _pieces(mesh: Mesh, region: int) -> list[tuple[IntArray, float]]:
-    """Rows of faces and volume (um^3) of each piece of a region, the largest first.
+class _Pieces:
+    """The connected surfaces of all regions.
 
     A piece is what one outer shell encloses: inner ones, around what lies within a region, and the
     shells of a cluster seen from outside have negative volumes.
+
+    Attributes
+    ----------
+    piece
+        (F, 2) number of the piece that each face bounds on each of its sides.
+    region, volume
+        (P,) of each; um^3.
+    outer
+        (P,) bool: those that enclose something.
+    largest
+        (P,) bool: the largest of each cell.
     """
-    rows = np.flatnonzero((mesh.regions == region).any(axis=1))
-    edge = mesh.face_edges()[rows]
-    count, n = len(rows), len(rows) + len(mesh.edges())
-    graph = coo_matrix(
-        (np.ones(3 * count), (np.repeat(np.arange(count), 3), count + edge.reshape(-1))),
-        shape=(n, n),
-    )
-    number = connected_components(graph, directed=False)[1][:count]
-    _, number = np.unique(number, return_inverse=True)
-    outward = np.where(mesh.regions[rows, 0] == region, 1.0, -1.0)
-    volumes = np.bincount(number, outward * mesh.signed_volumes()[rows])
-    order = np.argsort(-volumes, kind="stable")
-    return [(rows[number == k], float(volumes[k])) for k in order if volumes[k] > 0]
+
+    def __init__(self, mesh: Mesh) -> None:
+        library = native()
+        assert library is not None, "pieces are only looked for where meshes can be changed"
+        self.piece: IntArray = library.region_pieces(
+            np.ascontiguousarray(mesh.face_edges()),
+            np.ascontiguousarray(mesh.regions),
+            len(mesh.edges()),
+        )
+        count = int(self.piece.max()) + 1
+        self.region = np.zeros(count, np.int64)
+        self.region[self.piece] = mesh.regions
+        signed = mesh.signed_volumes()
+        self.volume = np.bincount(self.piece[:, 0], signed, count)
+        self.volume -= np.bincount(self.piece[:, 1], signed, count)
+        self.outer = self.volume > 0
+        order = np.lexsort((self.volume, self.region))
+        last = np.append(np.diff(self.region[order]) != 0, True)
+        self.largest = np.zeros(count, bool)
+        self.largest[order[last]] = True
+        self.largest &= self.region != OUTSIDE
+
+    def faces_of(self, chosen: NDArray[np.bool_]) -> list[IntArray]:
+        """Rows of the faces of some pieces, one after the other."""
+        rows, side = np.nonzero(chosen[self.piece])
+        number = self.piece[rows, side]
+        order = np.argsort(number, kind="stable")
+        ends = np.searchsorted(number[order], np.flatnonzero(chosen), side="right")
+        return np.split(rows[order], ends[:-1]) if len(ends) else []

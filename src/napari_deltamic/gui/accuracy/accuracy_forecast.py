@@ -69,6 +69,8 @@ class AccuracyForecast(QObject):
             panels.settings.accuracy.currentTextChanged,
         ):
             signal.connect(self.later)
+        self._image: Any = panels.image.layer
+        panels.image.changed.connect(self._image_changed)
         control.started.connect(self._started)
         control.shown.connect(self._running)
         control.ended.connect(self._ended)
@@ -88,7 +90,15 @@ class AccuracyForecast(QObject):
     def close_links(self) -> None:
         """End what is under way."""
         self._open = False
+        self._image = None
         self._background.close()
+
+    def _image_changed(self) -> None:
+        """How fast the last run was, is of its image."""
+        run, image = self._live.run, self._panels.image.layer
+        if image is not self._image and not (run is not None and run.running):
+            self._panels.settings.pace.say("")
+        self._image = image
 
     # --------------------------------------------------------------------------- before a run
 

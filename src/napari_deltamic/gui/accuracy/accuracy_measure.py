@@ -8,11 +8,11 @@ from typing import Any
 
 from qtpy.QtCore import QObject
 
-from ...cli.messages import failure
 from ...errors import InputError
 from ...fourier.cost import costs
 from ...inference.default_accuracy import image_noise
 from ...scene.tradeoff import Way, measure_ways
+from ..attempt import words_of
 from ..background import BackgroundSteps
 from ..running.composition import Live, Panels
 from ..running.inquiry import Inquiry
@@ -85,7 +85,7 @@ class MeasureControl(Inquiry):
         self._view.clear()
         self._view.set_measuring(True)
         self._view.progress.say("preparing ...")
-        self._measuring = BackgroundSteps(_steps, (scene,), self._step, self._end, _reason)
+        self._measuring = BackgroundSteps(_steps, (scene,), self._step, self._end, words_of)
         self._measuring.start()
 
     def stop(self, why: str = "stopped") -> None:
@@ -128,10 +128,6 @@ class MeasureControl(Inquiry):
         settings.changed.emit()
 
 
-def _reason(error: Exception) -> str:
-    return str(error if isinstance(error, InputError) else failure(error))
-
-
 def _steps(scene: SceneNow) -> Generator[Step, None, str]:
     """What the thread runs; returns why it failed, '' if it did not."""
     try:
@@ -152,8 +148,6 @@ def _steps(scene: SceneNow) -> Generator[Step, None, str]:
             progress=count,
         ):
             yield Step(way, *counts)
-    except InputError as error:
-        return str(error)
-    except Exception as error:  # a bug, but no reason to frighten a user
-        return str(failure(error, scene.grid.shape))
+    except Exception as error:
+        return words_of(error, scene.grid.shape)
     return ""

@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from napari.layers import Labels, Points, Surface
 from numpy.typing import NDArray
 
 from ...errors import InputError
@@ -160,21 +161,20 @@ def _surfaces(
     made: list[Any] = []  # Surfaces
     rough, guessed = False, False
     for layer in panels.seeds.chooser.ticked():
-        kind = type(layer).__name__
-        if kind == "Points":
+        if isinstance(layer, Points):
             if at_time(layer, layer.data, point).any():
                 own: Any = seeds_from_layer(
                     layer, frame, step, spheres=panels.seeds.spheres, point=point
                 )
                 points.append(own.points)
                 radii.append(own.radii)
-        elif kind == "Labels":
+        elif isinstance(layer, Labels):
             labels = layer.data[0] if layer.multiscale else layer.data
             if layer.ndim == 4:
                 labels = labels[min(step[-4], len(labels) - 1)]
             made.append(partial(_balls_of_labels, labels))
             guessed = True
-        elif kind == "Surface":
+        elif isinstance(layer, Surface):
             scale, shift = frame.data_to_um(layer)
             made.append(partial(_as_it_is, layer.data[0], layer.data[1], scale, shift))
             rough = True

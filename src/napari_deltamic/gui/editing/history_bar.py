@@ -10,6 +10,7 @@ from qtpy.QtWidgets import QHBoxLayout, QPushButton, QSlider, QVBoxLayout, QWidg
 from ...timeline import Moment
 from ..panels.fields import note_label
 from ..qt import Signal
+from ..running.curves import explained
 
 
 class HistoryBar(QWidget):
@@ -109,7 +110,7 @@ class HistoryBar(QWidget):
             return
         text = f"iteration {shown.iteration}"
         if shown.loss == shown.loss:
-            text += f", loss {shown.loss:.3g}"
+            text += f", {explained(shown.loss):.1f} % explained"
         self.note.setText(text + (f": {shown.note}" if shown.note else ""))
         self.note.setVisible(looking)
 

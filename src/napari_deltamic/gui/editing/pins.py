@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from napari.layers import Points
 from numpy.typing import NDArray
 
 from ...geometry import Mesh
 from ..viewing.frame import OWN, Frame
+from ..viewing.own_layers import Points
 
 PINS = "pins"  # key under OWN
 _COLOUR = "white"
@@ -18,8 +18,9 @@ _COLOUR = "white"
 class Pins:
     """A layer of points on pinned vertices, made when the first is pinned."""
 
-    def __init__(self, viewer: Any, frame: Frame, name: str) -> None:
+    def __init__(self, viewer: Any, frame: Frame, name: str, image_layer: Any) -> None:
         self._viewer, self._frame, self._name = viewer, frame, name
+        self._image_layer = image_layer
         self._pinned: NDArray[np.bool_] = np.zeros(0, bool)
         self._removed = False  # by the user, who does not want to see them
         self.layer: Points | None = None
@@ -58,7 +59,7 @@ class Pins:
             projection_mode="rescale_spherical",  # a slice shows what lies near it
             metadata={OWN: {"fit": True, PINS: True}},
             **self._frame.layer_options(),
-        )
+        ).lie_on(self._image_layer)
         selected = set(self._viewer.layers.selection)
         self._viewer.add_layer(self.layer)
         if selected:

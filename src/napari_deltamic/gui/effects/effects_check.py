@@ -18,6 +18,7 @@ from ..background import Background
 from ..running.composition import Live, Panels
 from ..running.inquiry import Inquiry
 from ..running.run_control import RunControl
+from ..viewing.frame import shape_of
 
 _STALE = "this was of another image or PSF: check again"
 _POLL = 200  # ms between two looks at how far the thread is
@@ -65,6 +66,7 @@ class EffectsCheck(Inquiry):
     ) -> None:
         self._view = view = panels.settings.effects
         self._question: Question | None = None
+        self._found: Recommendation | None = None
         super().__init__(panels, live, control, view.allow, parent)
         self._control = control
         self._background = Background(self._show, self._fail)
@@ -89,6 +91,7 @@ class EffectsCheck(Inquiry):
             self._view.progress.say(str(error))
             return
         self.note_asked()
+        self._found = None
         self._view.show_found(None)
         self._view.set_checking(True)
         self._look_in()
@@ -121,15 +124,18 @@ class EffectsCheck(Inquiry):
         scene = settings.scene_settings()
         if (
             last is None
+            or self._control.present() is None
             or link is None
             or link.image_layer is not image.layer
             or link.frame != frame
+            or not link.at_time
         ):
             seeds = self._panels.seeds.seeds(frame)
-            run, pixels = self._control.run_settings(seeds), image.stack()
-            grid, second = frame.grid(pixels.shape), self._view.second.pixels()
+            run, read = self._control.run_settings(seeds), image.reader()
+            grid, second = frame.grid(shape_of(image.layer)), self._view.second.pixels()
 
             def prepare() -> FitInput:
+                pixels = read()
                 check_image(pixels, grid)
                 start = seeds.mesh(pixels, grid)
                 return assemble(run, pixels, grid, start, seeds.kind, second)
@@ -156,6 +162,7 @@ class EffectsCheck(Inquiry):
 
     def _show(self, found: Recommendation) -> None:
         self._finish()
+        self._found = found
         self._view.show_found(found)
         self.look()
 
@@ -169,13 +176,14 @@ class EffectsCheck(Inquiry):
         self._view.set_checking(False)
 
     def look(self) -> None:
-        """Something was edited: is the evidence still of what is shown?"""
-        if self._view.found is None or self.busy:
+        """Something was edited: evidence of something else is put away, until that is back."""
+        if self._found is None or self.busy:
             return
         if self.stale:
+            self._view.show_found(None)
             self._view.progress.say(_STALE)
-        elif self._view.progress.text() == _STALE:
-            self._view.show_found(self._view.found)
+        elif self._view.found is None:
+            self._view.show_found(self._found)
 
 
 def _from_there(job: FitInput, state: FitState, settings: RunSettings) -> FitInput:

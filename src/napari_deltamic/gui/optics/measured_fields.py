@@ -17,9 +17,9 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
+from ...choices import IMAGE_FILES, Bead
 from ...errors import InputError
-from ...images import EXTENSIONS, read_voxel_size, stored_shape, write_image
-from ...optics.measured import Bead
+from ...images import read_voxel_size, stored_shape, write_image
 from ...optics_settings import MeasuredOptics
 from ..panels.fields import Number, TripleField, show_row
 from ..panels.note import Note
@@ -121,7 +121,7 @@ class MeasuredFields(QWidget):
         size = Frame.of(layer).voxel_size
         pixels = stack_of(layer, tuple(self._viewer.dims.current_step))
         path = layer.source.path or ""
-        known = path and Path(path).suffix.lower() in EXTENSIONS
+        known = path and Path(path).suffix.lower() in IMAGE_FILES
         if not known or stored_shape(path) != pixels.shape:
             path = self._ask_where(layer.name)
             if not path:

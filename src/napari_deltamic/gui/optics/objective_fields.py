@@ -7,7 +7,7 @@ from typing import Any, get_args
 
 from qtpy.QtWidgets import QComboBox, QFormLayout, QWidget
 
-from ...optics.microscope import IMMERSIONS, Modality, PSFModel
+from ...choices import IMMERSIONS, Modality, PSFModel
 from ...optics_settings import MicroscopeOptics, optics_from_values
 from ..panels.fields import Number, show_row
 from ..panels.note import Note

@@ -160,6 +160,13 @@ class OpticsPanel(QWidget):
         self._show_gaussian()
         self.described.emit()
 
+    def show_own(self) -> None:
+        """Show the PSF of these fields in the picture, and not that of a fit."""
+        if self.kind.currentText() == GAUSSIAN:
+            self._show_gaussian()
+        elif self._open:
+            self._timer.start()
+
     def close_links(self) -> None:
         """End what is under way."""
         self._open = False

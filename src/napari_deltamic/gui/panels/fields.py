@@ -115,9 +115,9 @@ class LayerChooser(QComboBox):
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         self.connections = Connections()
         events = viewer.layers.events
-        for emitter in (events.inserted, events.removed, events.reordered):
-            self.connections.connect(emitter, self.refresh)
-        self.connections.connect(events.renamed, self.refresh)
+        for emitter in (events.inserted, events.removed, events.reordered, events.renamed):
+            # After the viewer itself, which shows a layer that is new.
+            self.connections.connect(emitter, self.refresh, position="last")
         self.currentIndexChanged.connect(self._told)
         self.refresh()
 
@@ -162,6 +162,11 @@ class LayerChooser(QComboBox):
         if self.layer() is not self._last:
             self._last = self.layer()
             self.chosen.emit()
+
+
+def sentence(text: str) -> str:
+    """A reason as a sentence."""
+    return f"{text[0].upper()}{text[1:]}." if text else ""
 
 
 def note_label(text: str = "") -> QLabel:

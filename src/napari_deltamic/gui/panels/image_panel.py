@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +11,24 @@ import numpy as np
 from numpy.typing import NDArray
 from qtpy.QtWidgets import QFormLayout, QGroupBox, QWidget
 
+from ...choices import IMAGE_FILES, TIFF
 from ...errors import InputError
-from ...images import EXTENSIONS, TIFF, read_voxel_size, stored_shape
+from ...images import read_voxel_size, stored_shape
 from ..connections import Connections
 from ..qt import Signal
-from ..viewing.frame import ORIGIN, OWN, Frame, is_stack, stack_of, um_per_unit
-from .fields import LayerChooser, TripleField, note_label
+from ..viewing.frame import (
+    ORIGIN,
+    OWN,
+    Frame,
+    finite,
+    is_stack,
+    stack_of,
+    um_per_unit,
+    unread_stack_of,
+)
+from ..viewing.kept_view import rescale
+from .channels import ChannelChooser, channel_axes, channel_layer, why_unusable
+from .fields import LayerChooser, TripleField, note_label, sentence, show_row
 
 _READ_AGAIN = 200e6  # bytes; larger files are not opened a second time for their voxel size
 
@@ -30,16 +44,22 @@ class ImagePanel(QGroupBox):
         self.chooser = LayerChooser(viewer, is_stack, self)
         self.chooser.setToolTip("The 3D image of membranes to fit. Of a 4D one, the time shown.")
         self.voxel_size = TripleField("Voxel size, um. It is the scale of the image layer.", self)
+        self.channels = ChannelChooser(self)
         self.note = note_label()
-        layout = QFormLayout(self)
+        self._form = layout = QFormLayout(self)
         layout.addRow("layer", self.chooser)
+        layout.addRow("channel", self.channels)
         layout.addRow("voxel, um", self.voxel_size)
         layout.addRow(self.note)
+        self._of_channels: Any = None  # the layer whose channels are offered
         self._asked: set[str] = set()  # files that were asked for their voxel size
         self._scaled: Any = None
         self._connections = Connections()
         self._connections.connect(viewer.layers.events.inserted, self._place_meshes)
+        self._connections.connect(viewer.layers.events.inserted, self._look, position="last")
+        self._connections.connect(viewer.layers.events.removed, self._look, position="last")
         self.chooser.chosen.connect(self._show)
+        self.channels.chosen.connect(self._take_channel)
         self.voxel_size.edited.connect(self._rescale)
         self._show()
 
@@ -51,8 +71,21 @@ class ImagePanel(QGroupBox):
     def frame(self) -> Frame:
         """Of the layer chosen. InputError if there is none, or it is turned."""
         if self.layer is None:
-            raise InputError("open a 3D image first")
+            raise InputError(self.missing())
         return Frame.of(self.layer)
+
+    def missing(self) -> str:
+        """Why there is no image to fit, in a sentence that says what to do."""
+        reasons = [why_unusable(layer) for layer in self._viewer.layers]
+        return next((reason for reason in reversed(reasons) if reason), "open a 3D image first")
+
+    @property
+    def time(self) -> tuple[int, ...]:
+        """The step shown along the axes before Z, Y, X of the layer; () where it has none."""
+        layer = self.layer
+        if layer is None or layer.ndim < 4:
+            return ()
+        return tuple(int(step) for step in self._viewer.dims.current_step[-layer.ndim : -3])
 
     def stack(self, layer: Any = None) -> NDArray[Any]:
         """The 3D image chosen (the present time point of a 4D one), float if it has gaps.
@@ -61,11 +94,17 @@ class ImagePanel(QGroupBox):
         """
         chosen = self.layer if layer is None else layer
         if chosen is None:
-            raise InputError("open a 3D image first")
-        data = stack_of(chosen, tuple(self._viewer.dims.current_step))
-        if np.issubdtype(data.dtype, np.floating) and not np.isfinite(data).all():
-            return np.where(np.isfinite(data), data, np.nan)
-        return data
+            raise InputError(self.missing())
+        return finite(self._unread(chosen))
+
+    def reader(self) -> Callable[[], NDArray[Any]]:
+        """Reads the same when it is called, in any thread. InputError if there is no image."""
+        if self.layer is None:
+            raise InputError(self.missing())
+        return partial(finite, self._unread(self.layer))
+
+    def _unread(self, layer: Any) -> Any:
+        return unread_stack_of(layer, tuple(self._viewer.dims.current_step))
 
     def path(self) -> str:
         """The file that the layer was opened from, if an image of this shape is in it; else ''.
@@ -78,19 +117,40 @@ class ImagePanel(QGroupBox):
         """Listen to the viewer no more."""
         self.chooser.close_links()
         self._connections.undo()
+        self._of_channels = None
         self._listen_to(None)
 
     def _show(self) -> None:
         layer = self.layer
         self._listen_to(layer)
         self.voxel_size.setEnabled(layer is not None)
-        if layer is None:
-            self.note.setText("Open a 3D image (drag it into napari), or File > Open Sample.")
-        else:
+        self._look()
+        if layer is not None:
             self._take_size_of_file(layer)
             self._show_size()
             self._place_meshes()
         self.changed.emit()
+
+    def _look(self, event: Any = None) -> None:
+        """Offer channels; where no layer can be fitted, those of one that cannot, and say why."""
+        layer = self.layer
+        if layer is None:
+            others = [other for other in self._viewer.layers if why_unusable(other)]
+            layer = others[-1] if others else None
+            text = "Open a 3D image (drag it into napari), or File > Open Sample."
+            self.note.setText(sentence(self.missing()) if others else text)
+        self._of_channels = layer
+        show_row(self._form, self.channels, self.channels.offer(layer))
+
+    def _take_channel(self, axis: int, channel: int) -> None:
+        """One channel as a layer of its own, in the place of all."""
+        whole = self._of_channels
+        if whole is None or whole not in self._viewer.layers:
+            return
+        layer = channel_layer(whole, axis, channel)
+        whole.visible = False
+        self._viewer.add_layer(layer)
+        self.chooser.choose(layer)
 
     def _place_meshes(self, event: Any = None) -> None:
         """Put layers of mesh files, which count from the first voxel, into the image's frame."""
@@ -115,8 +175,11 @@ class ImagePanel(QGroupBox):
             self.note.setText(str(error))
             return
         self.voxel_size.set_value(frame.voxel_size)
-        shape = self.layer.data.shape[-3:] if not self.layer.multiscale else ()
-        text = " x ".join(map(str, shape)) + " voxels"
+        whole = (self.layer.data[0] if self.layer.multiscale else self.layer.data).shape
+        text = " x ".join(map(str, whole[-3:])) + " voxels"
+        if channel_axes(self.layer):
+            times, planes = whole[:2]
+            text += f", taken for {times} times of {planes} planes; if it has channels, choose one"
         if um_per_unit(self.layer) is None and set(frame.voxel_size) == {1.0}:
             text += "; the voxel size is not known: enter it, or all lengths are in voxels"
         self.note.setText(text)
@@ -128,7 +191,7 @@ class ImagePanel(QGroupBox):
         um = np.asarray(um_per_unit(layer) or (1.0, 1.0, 1.0))
         scale = np.array(layer.scale, float)
         scale[-3:] = np.asarray(self.voxel_size.value()) / um
-        layer.scale = scale
+        rescale(self._viewer, layer, scale)
         self.changed.emit()
 
     def _take_size_of_file(self, layer: Any) -> None:
@@ -148,8 +211,7 @@ class ImagePanel(QGroupBox):
         except InputError:
             return  # napari could read it, so it is an image all the same; its size stays unknown
         if size is not None and layer.ndim == 3:
-            layer.scale = size
-            self._viewer.reset_view()
+            rescale(self._viewer, layer, size)
 
     def _listen_to(self, layer: Any) -> None:
         if self._scaled is not None:
@@ -165,7 +227,7 @@ def file_of(layer: Any) -> str:
     The pixels may have been edited since: see :func:`napari_deltamic.images.holds_image`.
     """
     path = layer.source.path
-    if not path or layer.ndim != 3 or Path(path).suffix.lower() not in EXTENSIONS:
+    if not path or layer.ndim != 3 or Path(path).suffix.lower() not in IMAGE_FILES:
         return ""
     if stored_shape(path) != stack_of(layer, ()).shape:
         return ""  # a crop, a channel, a time point

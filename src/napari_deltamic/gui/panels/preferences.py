@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from npe2 import PluginManager
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from ...optics.microscope import Modality
+from ...choices import Modality
 from ...optics_settings import MicroscopeOptics
 from ...scene.effects import Effects
 from ...settings import FitSettings

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from typing import Any, get_args
 
 from qtpy.QtWidgets import (
@@ -15,16 +16,11 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
+from ...choices import DensityModel, Likelihood
 from ...inference.default_accuracy import image_noise
 from ...job import SIGMA_IN_VOXELS
 from ...scene.effects import Effects
-from ...settings import (
-    DensityModel,
-    FitSettings,
-    Likelihood,
-    SceneSettings,
-    validated,
-)
+from ...settings import FitSettings, SceneSettings, validated
 from ..accuracy.accuracy_dial import AccuracyDial
 from ..accuracy.accuracy_view import TradeoffView
 from ..effects.effects_panel import EffectsPanel
@@ -51,6 +47,7 @@ class SettingsPanel(QGroupBox):
         super().__init__("Optics and fit", parent)
         self._image = image_panel
         self._sigma_given = False
+        self._shown_for: Any = None  # a weak reference to the image that came with its PSF
         self.optics = OpticsPanel(viewer, _tip(SceneSettings, "sigma"), self)
         self.sigma = self.optics.sigma
         self.switches = {name: QCheckBox(text, self) for name, text in _SWITCHES.items()}
@@ -146,7 +143,9 @@ class SettingsPanel(QGroupBox):
         self.optics.show_sigma(sigma)
 
     def show_scene(self, scene: SceneSettings) -> None:
-        """Show the PSF and the effects of settings."""
+        """Show the PSF and the effects of settings, which belong to the image chosen."""
+        layer = self._image.layer
+        self._shown_for = None if layer is None else weakref.ref(layer)
         self.optics.show_settings(scene.optics)
         if scene.sigma is not None:
             self.show_sigma(scene.sigma)
@@ -173,6 +172,9 @@ class SettingsPanel(QGroupBox):
         self.effects_fold.set_title(f"Effects: {self.effects.summary()}")
 
     def _guess_sigma(self) -> None:
+        if self._shown_for is not None and self._shown_for() is not self._image.layer:
+            self._shown_for, self._sigma_given = None, False
+            self.optics.show_settings(None)
         if self._image.layer is not None and not self._sigma_given:
             sizes = self._image.voxel_size.value()
             self.optics.show_sigma([SIGMA_IN_VOXELS * d for d in sizes])
@@ -181,7 +183,7 @@ class SettingsPanel(QGroupBox):
         self.changed.emit()
 
     def _sigma_given_by_user(self) -> None:
-        self._sigma_given = True
+        self._sigma_given, self._shown_for = True, None
 
 
 def _tip(model: Any, name: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from math import nan
 from typing import Any
 
@@ -17,9 +17,9 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
+from ...colouring import colour_of
 from ...inference.evidence.residual import CellFit
 from ...measure.cells import CellRow
-from ...picture import COLOURS
 from ..qt import Signal
 
 _COLUMNS = (
@@ -60,6 +60,7 @@ class CellTable(QTableWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(0, len(_ALL), parent)
         self._rows: dict[int, CellRow] = {}
+        self._colours: Mapping[int, int] = {}
         self._told: tuple[int, ...] = ()
         for column, (title, _, _, tip) in enumerate(_ALL):
             item = QTableWidgetItem(title.replace(", ", "\n"))
@@ -84,8 +85,14 @@ class CellTable(QTableWidget):
         self.itemSelectionChanged.connect(self._selection_changed)
         self._hide_fits(True)
 
-    def show_rows(self, rows: Collection[CellRow]) -> None:
-        """Show measurements, as from ``measure_cells``; cells that are still there stay chosen."""
+    def show_rows(
+        self, rows: Collection[CellRow], colours: Mapping[int, int] | None = None
+    ) -> None:
+        """Show measurements, as from ``measure_cells``; cells that are still there stay chosen.
+
+        colours : of the cells, see ``colour_indices``; None: as they were.
+        """
+        self._colours = self._colours if colours is None else colours
         self._hide_fits(not any("explained" in row for row in rows))
         before = self.chosen_regions()
         blocker = QSignalBlocker(self)
@@ -94,7 +101,7 @@ class CellTable(QTableWidget):
         self.setRowCount(len(rows))
         for r, row in enumerate(rows):
             for c, (_, key, form, _) in enumerate(_ALL):
-                self.setItem(r, c, _cell(row, key, form))
+                self.setItem(r, c, _cell(row, key, form, self._colours))
         self.setSortingEnabled(True)
         self._select(before)
         blocker.unblock()
@@ -210,13 +217,13 @@ class _Item(QTableWidgetItem):
         return isinstance(other, _Item) and self.value < other.value
 
 
-def _cell(row: CellRow, key: str, form: str) -> QTableWidgetItem:
+def _cell(row: CellRow, key: str, form: str, colours: Mapping[int, int]) -> QTableWidgetItem:
     value = float(row.get(key, nan))
     item = _Item(form.format(value) if value == value else "-", value)
     item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
     region = int(row["region"])
     if key == "region":
-        item.setForeground(QColor(*COLOURS[(region - 1) % len(COLOURS)]))
+        item.setForeground(QColor(*colour_of(region, colours)))
         item.setData(_REGION, region)
     if value != value and key in _FIT_KEYS:
         item.setToolTip("Nothing near this cell varies by more than noise.")

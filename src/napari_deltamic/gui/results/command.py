@@ -9,13 +9,13 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from ...choices import MESH_FILES
 from ...cli.messages import PROGRAM
 from ...cli.optics_arguments import optics_options
 from ...images import write_image
 from ...scene import Grid
 from ...settings import NEAR_LEVELS, FitSettings, RunSettings
 from ..seeding.seeds import Seeds
-from ..viewing.mesh_layer import SUFFIXES
 
 _FLAGS = ("accuracy", "density", "likelihood", "max_iterations", "device")
 
@@ -77,7 +77,7 @@ def with_files(
     if not files["seeds"]:
         path = seeds.save(folder, image, grid)
         files["seeds"] = str(path.absolute())
-        if path.suffix in SUFFIXES and seeds.kind != "rough" and settings.fit.levels is None:
+        if path.suffix in MESH_FILES and seeds.kind != "rough" and settings.fit.levels is None:
             # A mesh file does not tell that its surfaces already lie on the membranes.
             fit = settings.fit.model_copy(update={"levels": NEAR_LEVELS})
             settings = settings.model_copy(update={"fit": fit})

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from qtpy.QtWidgets import QFileDialog, QGroupBox, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
+from ...colouring import colour_indices
 from ...geometry import Mesh, save_mesh
 from ...images import write_image
 from ...inference import FitState
@@ -110,7 +111,7 @@ class ResultsPanel(QGroupBox):
         return self.last
 
     def _show_cells(self, mesh: Mesh) -> None:
-        self.table.show_rows(measure_cells(mesh))
+        self.table.show_rows(measure_cells(mesh), colour_indices(mesh))
 
     def _chosen(self, regions: tuple[int, ...], by_hand: bool) -> None:
         self.cells_chosen.emit(frozenset(regions))

@@ -16,6 +16,7 @@ from ..running.composition import Live, Panels
 from ..running.run_control import RunControl
 from ..tracking.control import TrackControl
 from ..viewing.frame import Frame
+from ..viewing.own_layers import lie_on
 from .session_layers import image_layer, save_image, save_layer, seed_layer
 
 
@@ -79,10 +80,8 @@ def restore(parts: Parts, session: Session) -> None:
         If a fit is running.
     """
     panels, viewer, live = parts.panels, parts.viewer, parts.live
-    if live.run is not None and live.run.running:
-        raise InputError("a fit is running: stop it before you open a session")
-    if parts.tracking.running:
-        raise InputError("cells are being tracked: stop that before you open a session")
+    if live.occupied:
+        raise InputError(live.occupied)
     empty = not viewer.layers
     image, seeds, second = _layers(session)  # before anything is changed
     for seed in panels.seeds.chooser.ticked():
@@ -96,6 +95,7 @@ def restore(parts: Parts, session: Session) -> None:
     # Before the layers: sizes of points follow these fields.
     _show_seeds(panels, session.panels.get("seeds", {}))
     for seed in seeds:
+        lie_on(seed, image)
         viewer.add_layer(seed)
         panels.seeds.chooser.choose(seed)
     if session.result is not None or session.tracks is not None:

@@ -11,11 +11,13 @@ from napari.utils import Colormap
 from napari.utils.colormaps import AVAILABLE_COLORMAPS
 from numpy.typing import NDArray
 
+from ...colouring import colour_indices
 from ...errors import InputError
 from ...geometry import Mesh
 from ...session_file import SavedImage, SavedLayer, SavedTracks
 from ..seeding.label_clicks import clicks_of, undo_arrays, with_undo
 from ..seeding.seeds import at_time
+from ..viewing import own_layers
 from ..viewing.colours import LIMITS, region_colormap, side_values
 from ..viewing.frame import OWN, Frame, stack_of
 from ..viewing.walls import COPIES, Apart, joined
@@ -58,11 +60,12 @@ def image_layer(saved: SavedImage, tracks: SavedTracks | None = None) -> Image:
 
 def save_layer(layer: Any, step: tuple[int, ...], point: tuple[float, ...]) -> SavedLayer:
     """A Points, Labels or Surface layer; of a series, what lies at the viewer's dims."""
-    kind = type(layer).__name__.lower()
-    arrays = {"points": _points, "labels": _labels, "surface": _surface}
-    if kind not in arrays:
+    arrays = {Points: _points, Labels: _labels, Surface: _surface}
+    of = next((one for one in arrays if isinstance(layer, one)), None)
+    if of is None:
+        kind = type(layer).__name__
         raise InputError(f"layer '{layer.name}' is of a kind that cannot be saved: {kind}")
-    found = arrays[kind](layer, step, point)
+    kind, found = of.__name__.lower(), arrays[of](layer, step, point)
     options = {name: _plain(getattr(layer, name)) for name in _OTHERS[kind]}
     if kind == "surface":
         options["contrast_limits"] = [float(limit) for limit in layer.contrast_limits]
@@ -84,7 +87,7 @@ def seed_layer(saved: SavedLayer) -> Layer:
     options = _options(saved, options)
     if saved.kind == "points":
         more = {name: arrays[name] for name in _OF_POINTS}
-        return Points(arrays["data"], metadata={OWN: own}, **more, **options)
+        return own_layers.Points(arrays["data"], metadata={OWN: own}, **more, **options)
     if saved.kind == "labels":
         labels = Labels(arrays["data"], metadata={OWN: with_undo(own, arrays)}, **options)
         clicks_of(labels)  # which fails where they are damaged
@@ -94,14 +97,14 @@ def seed_layer(saved: SavedLayer) -> Layer:
     if "regions" in arrays:
         own["regions"] = arrays["regions"]
     data = tuple(arrays[name] for name in ("vertices", "faces", "values"))
-    return Surface(data, metadata={OWN: own}, **options)
+    return own_layers.Surface(data, metadata={OWN: own}, **options)
 
 
 def mesh_layer(mesh: Mesh, name: str, frame: Frame) -> Surface:
     """The surface of a result, in a frame."""
     apart = Apart.of(mesh)
     return Surface(
-        (apart.vertices(mesh), apart.faces, side_values(apart.sides)),
+        (apart.vertices(mesh), apart.faces, side_values(apart.sides, (), colour_indices(mesh))),
         name=name,
         colormap=region_colormap(),
         contrast_limits=LIMITS,

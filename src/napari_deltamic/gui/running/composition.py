@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from ..background import BackgroundRun
 from ..panels.image_panel import ImagePanel
 from ..panels.settings_panel import SettingsPanel
 from ..results.results_panel import ResultsPanel
@@ -20,7 +21,17 @@ class Live:
 
     run: FitRun | None = None
     link: ViewerLink | None = None
+    tracking: BackgroundRun | None = None
     panels: list[Any] = field(default_factory=list)
+
+    @property
+    def occupied(self) -> str:
+        """What runs, and what to do so that something else can; '' for nothing."""
+        if self.run is not None and self.run.running:
+            return "a fit is running already: stop it first"
+        if self.tracking is not None and self.tracking.running:
+            return "cells are being tracked already: stop that first"
+        return ""
 
     def close(self, gone: Any = None) -> None:
         """End everything; once is enough."""
@@ -30,7 +41,7 @@ class Live:
             self.link.close()
         for panel in self.panels:
             panel.close_links()
-        self.run = self.link = None
+        self.run = self.link = self.tracking = None
         self.panels = []
 
 

@@ -56,7 +56,10 @@ class Forecaster(Protocol):
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a run ended: the verdict, in plain words too, and the last good state if any."""
+    """How a run ended: the verdict, in plain words too, and the last good state if any.
+
+    message : its first line is the verdict; each of those after it is a remark.
+    """
 
     verdict: Verdict
     message: str

@@ -55,8 +55,7 @@ class Inquiry(QObject):
     @property
     def possible(self) -> bool:
         """Whether it can be started: it is not under way, and no fit is."""
-        run = self._live.run
-        return self._open and not self.busy and not (run is not None and run.running)
+        return self._open and not self.busy and not self._live.occupied
 
     @property
     def stale(self) -> bool:
@@ -77,7 +76,7 @@ class Inquiry(QObject):
 
     def _key(self) -> tuple[Any, ...]:
         image, optics = self._panels.image, self._panels.settings.optics
-        return id(image.layer), image.voxel_size.value(), optics.key()
+        return id(image.layer), image.time, image.voxel_size.value(), optics.key()
 
     def _run_started(self) -> None:
         self.stop("ended as a fit started")

@@ -58,24 +58,28 @@ class Plot(QWidget):
         painter.setPen(QPen(faint, 1))
         painter.drawRect(area)
         self._write(painter, text)
-        if any(len(line.x) > 1 for line in self._lines):
-            self._draw(painter, area, faint, text)
+        drawn = [line for line in self._lines if len(line.x)]
+        if any(len(line.x) > 1 for line in drawn):
+            self._draw(painter, area, faint, text, drawn)
         painter.end()
 
     def _write(self, painter: QPainter, colour: QColor) -> None:
         x = 4.0
         # The title and, of a single line, its text are in the colour of all texts.
         words = [(self._title, colour)]
-        several = len(self._lines) > 1
-        words += [(line.text, QColor(line.colour) if several else colour) for line in self._lines]
+        several = len({line.colour for line in self._lines}) > 1
+        named = [line for line in self._lines if line.text]
+        words += [(line.text, QColor(line.colour) if several else colour) for line in named]
         for word, own in words:
             painter.setPen(own)
             painter.drawText(QPointF(x, _TEXT - 5.0), word)
             x += painter.fontMetrics().horizontalAdvance(word + " ") + 2
 
-    def _draw(self, painter: QPainter, area: QRectF, faint: QColor, text: QColor) -> None:
-        xs = [x for line in self._lines for x in (line.x[0], line.x[-1])]
-        ys = [y for line in self._lines for y in line.y]
+    def _draw(
+        self, painter: QPainter, area: QRectF, faint: QColor, text: QColor, lines: Sequence[Line]
+    ) -> None:
+        xs = [x for line in lines for x in (line.x[0], line.x[-1])]
+        ys = [y for line in lines for y in line.y]
         left, low = min(xs), min(ys)
         across = area.width() / ((max(xs) - left) or 1.0)
         # A line that hardly changes should look as if it hardly changed.
@@ -92,7 +96,7 @@ class Plot(QWidget):
         for mark in self._marks:
             at = place(mark, low).x()
             painter.drawLine(QPointF(at, area.top()), QPointF(at, area.bottom()))
-        for line in self._lines:
+        for line in lines:
             painter.setPen(QPen(QColor(line.colour), 1.6))
             points = [place(x, y) for x, y in zip(line.x, line.y, strict=True)]
             painter.drawPolyline(QPolygonF(points))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
@@ -66,6 +67,10 @@ class RunControl(QObject):
         self._forecaster = forecaster
         self._asked: list[tuple[int, str]] = []  # changes by number, until the fit has them
         self._lets_go = False
+        # Weak references to the image layers of the result, and of what the run panel says.
+        self._result_of: Any = None
+        self._words_of: Any = None
+        self._words = ("", "")  # the verdict, while another image is chosen
         self._fresh: bool | None = None  # whether the run has a new mesh; None once it has begun
         self._viewer, self._panels, self._live = viewer, panels, live
         self._tell, self._warn = tell, warn
@@ -73,6 +78,7 @@ class RunControl(QObject):
         running.run.connect(self.start)
         running.pause.connect(self.pause)
         running.stop.connect(self.stop)
+        panels.image.changed.connect(self._image_changed)
         self._overlays = Overlays(panels, live, warn, self)
 
     def run_settings(self, seeds: Seeds | None = None) -> RunSettings:
@@ -88,8 +94,9 @@ class RunControl(QObject):
 
     def start(self) -> None:
         """Start a fit of what is chosen; says in plain words what is missing."""
-        if self._live.run is not None and self._live.run.running:
-            self._tell("a fit is running already: stop it first")
+        occupied = self._live.occupied
+        if occupied:
+            self._tell(occupied)
             return
         self.guarded(self._start)
 
@@ -121,9 +128,15 @@ class RunControl(QObject):
             if self._fresh is not None or run.state is None or run.job is None:
                 return None  # it has not begun: all that is known belongs to another mesh
             return Present(run.state, run.job, True)
-        if last is None:
+        if last is None or not self._of_link:
             return None
         return Present(last[0], last[1], False)
+
+    @property
+    def _of_link(self) -> bool:
+        """Whether the result is of the image that the link shows, and not of one before it."""
+        link, of = self._live.link, self._result_of
+        return link is not None and of is not None and of() is link.image_layer
 
     def ask(self, change: Change, note: str, of: Mesh) -> int:
         """Let the fit go on from something else, made of a mesh; the note is told when it does.
@@ -172,7 +185,7 @@ class RunControl(QObject):
         """Take over the result of an earlier fit of the image chosen, with its history."""
         running = self._panels.running
         self._link_to(self._panels.image.frame())
-        self._panels.results.show_result(state, job, history, seconds)
+        self._show_result(state, job, history, seconds)
         self._fresh = True
         self._begin()
         self.timeline = Timeline(moments)
@@ -186,7 +199,11 @@ class RunControl(QObject):
     def go_on_from(self, mesh: Mesh, optics: Any, pinned: NDArray[np.bool_] | None) -> None:
         """Start a fit from a state of the last one, with little blur. InputError if it cannot."""
         last, link = self._panels.results.last, self._live.link
-        if last is None or link is None or link.image_layer not in self._viewer.layers:
+        if self._live.occupied:
+            raise InputError(self._live.occupied)
+        if last is None or link is None or not self._of_link:
+            raise InputError("there is no fit of this image to go on from")
+        if link.image_layer not in self._viewer.layers:
             raise InputError("the image of that fit is no longer open")
         fit = self._panels.settings.fit_settings().model_copy(update={"levels": NEAR_LEVELS})
         old = last[1].settings
@@ -241,6 +258,8 @@ class RunControl(QObject):
         first: Change | None = None,
     ) -> None:
         running = self._panels.running
+        assert self._live.link is not None
+        self._words_of = weakref.ref(self._live.link.image_layer)
         self._fresh, self._asked = fresh, []
         run = FitRun(
             prepare,
@@ -334,19 +353,20 @@ class RunControl(QObject):
         running = self._panels.running
         running.set_running(False)
         running.say("")
-        text = outcome.message
+        text, *remarks = outcome.message.split("\n")
         if state is not None:
             text += f" ({state.iteration} iterations, {outcome.seconds:.1f} s)"
-        running.show_verdict(outcome.verdict, text)
+        running.show_verdict(outcome.verdict, "\n".join([text, *remarks]))
         if outcome.verdict == "failed":
             self._complain(outcome.message)
         if state is None or outcome.job is None or run is None or link is None:
+            self._show_own()  # the last result may be that of another image
             return
         self._begin()
         self.timeline.add(state)
         link.show_mesh(state.mesh)
         running.numbers.show_fit(state, outcome.job)
-        self._panels.results.show_result(state, outcome.job, run.history, outcome.seconds)
+        self._show_result(state, outcome.job, run.history, outcome.seconds)
         late, notes = run.left, ", ".join(note for _, note in self._asked)
         self._asked = []
         if late is not None and (late.mesh is not None or late.optics is not None):
@@ -357,6 +377,37 @@ class RunControl(QObject):
         self._overlays.show_end()
         if self._lets_go:
             self.let_go()
+
+    def _image_changed(self) -> None:
+        """Words of the last run are of its image; of another one, nothing is known."""
+        run, running, of = self._live.run, self._panels.running, self._words_of
+        if (run is not None and run.running) or of is None:
+            return
+        if self._panels.image.layer is not of():
+            if running.last_verdict[1]:
+                self._words = running.last_verdict
+            running.show_verdict("", "")
+            running.say("")
+            running.tell("")
+        elif not running.last_verdict[1]:
+            running.show_verdict(*self._words)
+        self._show_own()
+
+    def _show_own(self) -> None:
+        """A result is shown with its image, and not with another one."""
+        of = self._result_of
+        if of is not None:
+            own = of() is not None and self._panels.image.layer is of()
+            self._panels.running.show_fit(own)
+            self._panels.results.setVisible(own)
+
+    def _show_result(self, state: FitState, job: FitInput, history: History, s: float) -> None:
+        """Take a state for the result of the image that the link shows."""
+        assert self._live.link is not None
+        self._result_of = weakref.ref(self._live.link.image_layer)
+        self._panels.results.show_result(state, job, history, s)
+        self._words_of = self._result_of
+        self._show_own()
 
     def _lost(self, reason: str) -> None:
         """A layer that the fit needs is gone: end it, keep what it reached."""

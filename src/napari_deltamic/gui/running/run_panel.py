@@ -21,15 +21,16 @@ from ...timeline import Moment
 from ..editing.edit_bar import EditBar
 from ..editing.history_bar import HistoryBar
 from ..panels.fields import note_label
+from ..panels.fold import Fold
 from ..qt import Signal
+from .curves import ExplainedCurve, SigmaCurve
 from .live_numbers import LiveNumbers
-from .loss_curve import LossCurve, SigmaCurve
 
 _COLOURS = {"converged": "#3fae6b", "ended": "#d99a1c", "stopped": "#d99a1c", "failed": "#e0564f"}
 
 
 class RunPanel(QGroupBox):
-    """Buttons, progress, PSF and loss; signals for what the user asks for."""
+    """Buttons, progress, PSF and what is explained; signals for what the user asks for."""
 
     run = Signal()
     pause = Signal(bool)
@@ -52,10 +53,11 @@ class RunPanel(QGroupBox):
         self.message = note_label()
         self.verdict = QLabel(self)
         self.verdict.setWordWrap(True)
+        self.remarks = RemarkList(self)
         self.note = note_label()
         self.edit = EditBar(self)
         self.history = HistoryBar(self)
-        self.curve = LossCurve(self)
+        self.curve = ExplainedCurve(self)
         self.sigmas = SigmaCurve(self)
         self.psf = PsfTable(self)
         self.numbers = LiveNumbers(self)
@@ -100,10 +102,12 @@ class RunPanel(QGroupBox):
         else:
             self.pause_button.setChecked(False)
 
-    def show_fit(self) -> None:
-        """There is a fit: show all that belongs to one."""
+    def show_fit(self, shown: bool = True) -> None:
+        """There is a fit: show all that belongs to one, or hide it, as it is of another image."""
         for row in self._of_a_fit:
-            row.show()
+            row.setVisible(shown)
+        self.sigmas.setVisible(shown and self.sigmas.varies)
+        self.numbers.setVisible(shown and bool(self.numbers.texts()))
 
     def say(self, text: str) -> None:
         """What is going on, in a line."""
@@ -131,11 +135,13 @@ class RunPanel(QGroupBox):
         self.curve.show_losses(history.loss, history.level, history.first)
 
     def show_verdict(self, verdict: str, text: str) -> None:
-        """How it ended."""
+        """How it ended, in the first line of a text; those after it are remarks, in a list."""
         self.last_verdict = (verdict, text)
+        said, *remarks = text.split("\n")
         self.verdict.setStyleSheet(f"color: {_COLOURS.get(verdict, '')}; font-weight: bold;")
-        self.verdict.setText(text)
-        self.verdict.setVisible(bool(text))
+        self.verdict.setText(said)
+        self.verdict.setVisible(bool(said))
+        self.remarks.show_remarks(remarks)
 
     def show_sigmas(self, moments: Sequence[Moment]) -> None:
         """The widths of the PSF over the fit; nothing where they never changed."""
@@ -161,7 +167,13 @@ class RunPanel(QGroupBox):
             plots.addWidget(plot)
         layout = QVBoxLayout(self)
         layout.addLayout(buttons)
-        parts: tuple[QWidget, ...] = (self.progress, self.message, self.verdict, self.note)
+        parts: tuple[QWidget, ...] = (
+            self.progress,
+            self.message,
+            self.verdict,
+            self.remarks,
+            self.note,
+        )
         for widget in parts:
             layout.addWidget(widget)
         layout.addLayout(plots)
@@ -185,6 +197,22 @@ def duration(seconds: float) -> str:
         if seconds < 90 * size or name == "h":
             return f"about {seconds / size:.0f} {name}"
     return ""
+
+
+class RemarkList(Fold):
+    """What was remarked on the way: how much in its title, all of it when unfolded."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        self.label = note_label()
+        super().__init__("", self.label, parent)
+        self.hide()
+
+    def show_remarks(self, remarks: Sequence[str]) -> None:
+        """Show remarks; hidden where there are none."""
+        self.set_title(f"{len(remarks)} {'remark' if len(remarks) == 1 else 'remarks'}")
+        self.label.setText("\n".join(remarks))
+        self.unfold(False)
+        self.setVisible(bool(remarks))
 
 
 class PsfTable(QWidget):

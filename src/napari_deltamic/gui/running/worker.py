@@ -12,9 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from qtpy.QtCore import QTimer
 
-from ...cli.messages import failure
-from ...errors import InputError, RepairWarning
-from ...fourier import SlowPathWarning
+from ...errors import InputError, RepairWarning, SlowPathWarning
 from ...geometry import Mesh
 from ...inference import Change, FitState
 from ...inference.forecast import Forecast, forecast
@@ -23,6 +21,7 @@ from ...report import History
 from ...scene.effects import Effects
 from ...settings import FitSettings, SceneSettings
 from ..accuracy.renewed_forecast import RenewedForecast
+from ..attempt import words_of
 from ..background import BackgroundRun, BackgroundSteps
 from .course import Clock, Course, Forecaster, Outcome, Snapshot, Verdict
 from .waiting import usable
@@ -198,7 +197,7 @@ def _steps(
     verdict: Verdict = "converged" if state.converged else "ended"
     # The last message is the verdict in words; those before it are remarks made on the way.
     words = [*course.messages[-1:], *course.messages[:-1]] if state.message else [verdict]
-    return Outcome(verdict, "; ".join(words), state, course.job, course.seconds)
+    return Outcome(verdict, "\n".join(dict.fromkeys(words)), state, course.job, course.seconds)
 
 
 def _fit_steps(
@@ -279,5 +278,4 @@ def _with_scene(job: FitInput, scene: SceneSettings, effects: Effects) -> FitInp
 
 def _failed(error: Exception, course: Course) -> Outcome:
     shape = course.job.grid.shape if course.job else None
-    reason = str(error if isinstance(error, InputError) else failure(error, shape))
-    return Outcome("failed", reason, course.state, course.job, course.seconds)
+    return Outcome("failed", words_of(error, shape), course.state, course.job, course.seconds)

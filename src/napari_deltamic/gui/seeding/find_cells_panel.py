@@ -14,6 +14,7 @@ from superqt import QLabeledDoubleSlider
 
 from ...errors import InputError
 from ..background import Background
+from ..panels.fields import sentence
 from ..qt import Signal
 from ..viewing.colours import label_colormap
 from ..viewing.frame import Frame
@@ -29,6 +30,7 @@ class FindCells(QPushButton):
     """
 
     found = Signal(object)
+    gone = Signal(object)  # the layer of what was found in another image
     told = Signal()
 
     def __init__(self, viewer: Any, image_panel: Any, parent: QWidget | None = None) -> None:
@@ -49,6 +51,7 @@ class FindCells(QPushButton):
         self._moved = False
         self._layer: Any = None
         self._asked: tuple[Any, Frame] | None = None
+        self._found_in: Any = None  # the image layer that the message and the labels are of
         self._background = Background(self._show, self._fail)
         self.clicked.connect(self.start)
         self.cell_size.valueChanged.connect(self._note_move)
@@ -68,7 +71,7 @@ class FindCells(QPushButton):
         try:
             frame, image = self._image.frame(), self._image.stack()
         except InputError as error:
-            self._tell(f"{str(error)[0].upper()}{str(error)[1:]}.")
+            self._tell(sentence(str(error)))
             return
         self._asked = (self._image.layer, frame)
         size = float(self.cell_size.value()) if self._moved else None
@@ -76,8 +79,13 @@ class FindCells(QPushButton):
         self._tell("Looking for cells ...")
 
     def suit(self, shape: tuple[int, ...], voxel_size: tuple[float, ...]) -> None:
-        """Another image: what was asked of the last one is of no use."""
+        """Another image: what was asked of the last one, and found in it, is of no use."""
         self.forget()
+        if self._found_in is not None and self._found_in is not self._image.layer:
+            self._found_in = None
+            self._tell("")
+            if self._layer is not None:
+                self.gone.emit(self._layer)
         sides = np.multiply(shape, voxel_size)
         least = 4 * float(np.cbrt(np.prod(voxel_size)))  # less is refused
         self._set_size(float(sides.min()) / 3, least, float(sides.max()))
@@ -97,7 +105,7 @@ class FindCells(QPushButton):
     def close_links(self) -> None:
         """End what is under way and let the viewer go."""
         self._background.close()
-        self._layer = self._asked = None
+        self._layer = self._asked = self._found_in = None
 
     def _show(self, result: tuple[float, NDArray[np.int32]]) -> None:
         if self._asked is None:
@@ -109,7 +117,7 @@ class FindCells(QPushButton):
             return
         if not self._moved:
             self._set_size(size)
-        layer = self._layer_for(frame, labels)
+        layer, self._found_in = self._layer_for(frame, labels), image_layer
         n = len(np.unique(labels[labels > 0]))
         self._tell(f"Found {n} {'cell' if n == 1 else 'cells'} of about {size:.3g} um.")
         self.found.emit(layer)

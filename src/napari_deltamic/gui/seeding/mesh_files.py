@@ -8,10 +8,12 @@ from typing import Any
 from napari.utils.notifications import show_warning
 from qtpy.QtWidgets import QFileDialog, QPushButton, QWidget
 
+from ...choices import MESH_FILES
 from ...errors import InputError
 from ..background import Background
+from ..panels.fields import sentence
 from ..qt import Signal
-from ..viewing.mesh_layer import SUFFIXES, LoadedMesh, load_meshes, surface_layer
+from ..viewing.mesh_layer import LoadedMesh, load_meshes, surface_layer
 
 
 class MeshFiles(QPushButton):
@@ -36,7 +38,7 @@ class MeshFiles(QPushButton):
     def read(self, *paths: str) -> None:
         """Read files; the layers come when they have all been read."""
         if self._image.layer is None:
-            self._tell("Open a 3D image first.")
+            self._tell(sentence(self._image.missing()))
             return
         self._background.ask(partial(load_meshes, list(paths)))
         self._tell("Reading ...")
@@ -46,7 +48,7 @@ class MeshFiles(QPushButton):
         self._background.close()
 
     def _ask(self) -> None:
-        kinds = " ".join(f"*{suffix}" for suffix in SUFFIXES)
+        kinds = " ".join(f"*{suffix}" for suffix in MESH_FILES)
         paths, _ = QFileDialog.getOpenFileNames(
             self, "Surfaces to start from", "", f"Meshes ({kinds})"
         )
@@ -61,7 +63,7 @@ class MeshFiles(QPushButton):
             self._fail(str(error))
             return
         for loaded in meshes:
-            self._viewer.add_layer(surface_layer(loaded, frame))
+            self._viewer.add_layer(surface_layer(loaded, frame).lie_on(self._image.layer))
             for remark in loaded.remarks:
                 show_warning(remark)
 

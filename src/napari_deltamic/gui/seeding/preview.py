@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -14,10 +13,12 @@ from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QCheckBox, QWidget
 
 from ...errors import InputError
-from ...geometry import Mesh, seeds_from_points
+from ...geometry import Mesh
 from ...geometry.labels.meshes import EDGE_IN_VOXELS
 from ...geometry.missing import filled
+from ...geometry.seeds import surfaces_of_points
 from ...scene import Grid
+from ..attempt import attempt
 from ..background import Background
 from ..qt import Signal
 from ..viewing.frame import FloatArray, Frame
@@ -27,7 +28,6 @@ Problem = tuple[str, tuple[int, ...]]  # a sentence, and the points that it name
 WAIT = 400  # ms without a click before the preview is computed
 SMALL = 250_000  # voxels whose preview takes about a second
 COARSEST = 2  # voxels are joined in each direction, at most, to get there
-_TRIES = 4  # points that may fail one after the other; each costs the whole time again
 _TIP = (
     "<qt>Shows, shortly after each click, the membrane that was found around each point: contours "
     "on the slices, surfaces in 3D. Takes about a second or two in the background, for which the "
@@ -143,11 +143,13 @@ class Preview(QCheckBox):
         asked = self._wanted() if self._open and self.isChecked() else None
         if asked is None:
             return
-        self._asked = asked
-        image = asked.image()
-        grid = asked.frame.grid(image.shape)
-        self._background.ask(partial(find, asked.points, image, grid))
+        attempt(partial(self._look_for, asked), self._fail)
         self.changed.emit()
+
+    def _look_for(self, asked: Wanted) -> None:
+        image = asked.image()
+        self._asked = asked
+        self._background.ask(partial(find, asked.points, image, asked.frame.grid(image.shape)))
 
     def _show(self, found: Found) -> None:
         asked, self._asked = self._asked, None
@@ -185,33 +187,18 @@ def find(points: FloatArray, image: NDArray[Any], grid: Grid) -> Found:
     """
     inside = np.floor(points / np.asarray(grid.voxel_size) + 0.5)
     left = np.flatnonzero(((inside >= 0) & (inside < np.asarray(grid.shape))).all(axis=1))
+    if not len(left):
+        return Found(None, ())
     whole, coarse = coarser(filled(image), grid)
     edge = EDGE_IN_VOXELS * min(grid.voxel_size)  # that of the fit
-    problems: list[Problem] = []
-    for _ in range(_TRIES):
-        if not len(left):
-            break
-        try:
-            mesh = seeds_from_points(
-                whole, coarse.voxel_size, points[left], None, coarse.origin, edge
-            )
-        except InputError as error:
-            numbers = named(str(error))
-            if not numbers:
-                problems.append((str(error), ()))
-                break
-            own = tuple(int(left[n - 1]) + 1 for n in numbers)
-            problems.append((str(error), own))
-            left = np.delete(left, numbers[-1] - 1)
-        else:
-            return Found(mesh, tuple(problems))
-    return Found(None, tuple(problems))
-
-
-def named(message: str) -> list[int]:
-    """The points that a message of the engine is about, counted from 1."""
-    found = re.search(r"\bpoints? (\d+)(?: and (\d+))?", message)
-    return [int(n) for n in found.groups() if n] if found else []
+    try:
+        parts, refused = surfaces_of_points(
+            whole, coarse.voxel_size, points[left], None, coarse.origin, edge
+        )
+    except InputError as error:
+        return Found(None, ((str(error), ()),))
+    problems = tuple((one.text, tuple(int(left[n - 1]) + 1 for n in one.points)) for one in refused)
+    return Found(Mesh.merge(parts) if parts else None, problems)
 
 
 def coarsening(shape: tuple[int, ...], size: tuple[float, ...]) -> tuple[int, ...]:

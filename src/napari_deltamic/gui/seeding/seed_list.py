@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from napari.layers import Labels, Points, Surface
 from qtpy.QtCore import QSignalBlocker, QSize, Qt
 from qtpy.QtWidgets import QAbstractItemView, QListWidget, QListWidgetItem, QSizePolicy, QWidget
 
@@ -15,9 +16,9 @@ from .seeds import SEED_LAYERS
 
 _ROWS = 5  # shown at once, at most
 _HELP = {
-    "Points": "A point inside each cell.",
-    "Labels": "Each label becomes a surface.",
-    "Surface": "The surface as it is.",
+    Points: "A point inside each cell.",
+    Labels: "Each label becomes a surface.",
+    Surface: "The surface as it is.",
 }
 PREVIEW = "preview"  # key under OWN: layers that only show what seeds would give
 
@@ -65,8 +66,8 @@ class SeedList(QListWidget):
         blocker = QSignalBlocker(self)
         self.clear()
         for layer in self._layers:
-            kind = type(layer).__name__
-            item = QListWidgetItem(f"{layer.name} ({kind.lower()})", self)
+            kind = seed_kind(layer)
+            item = QListWidgetItem(f"{layer.name} ({kind.__name__.lower()})", self)
             item.setFlags(Qt.ItemFlag.ItemIsUserCheckable | Qt.ItemFlag.ItemIsEnabled)
             item.setToolTip(_HELP[kind])
             item.setSizeHint(QSize(0, self._row_height()))
@@ -101,10 +102,15 @@ class SeedList(QListWidget):
 
 def is_seeds(layer: Any) -> bool:
     """Whether a layer can give seeds."""
-    kept = type(layer).__name__ in SEED_LAYERS and layer.ndim >= 3
+    kept = isinstance(layer, SEED_LAYERS) and layer.ndim >= 3
     own = layer.metadata.get(OWN, {})
-    tracked = bool(own) and type(layer).__name__ == "Surface" and layer.ndim > 3
+    tracked = bool(own) and isinstance(layer, Surface) and layer.ndim > 3
     return kept and not (own.get(PREVIEW) or own.get(PINS) or tracked)
+
+
+def seed_kind(layer: Any) -> type:
+    """Which of the kinds of layers that give seeds it is; subclasses count as theirs."""
+    return next(kind for kind in SEED_LAYERS if isinstance(layer, kind))
 
 
 def _state(ticked: bool) -> Qt.CheckState:

@@ -11,7 +11,7 @@ from ...errors import InputError
 from ..viewing.frame import Frame, shape_of, stack_of
 from .preview import Problem, Wanted
 from .seed_checks import PointSet, Remark, all_remarks
-from .seeds import PointSeeds, Seeds, at_time, is_empty, mixed, seeds_from_layer
+from .seeds import PointSeeds, Seeds, at_time, is_empty, mixed, seeds_from_layer, without_place
 
 
 class SeedSources:
@@ -62,7 +62,18 @@ class SeedSources:
             if isinstance(layer, Labels)
         ]
         sets = self._point_sets(frame, spheres)
-        return all_remarks(sets, labels, shape, frame.voxel_size, problems)
+        known = all_remarks(sets, labels, shape, frame.voxel_size, problems)
+        return self._placeless() + known
+
+    def _placeless(self) -> list[Remark]:
+        """Points that lie nowhere; their layers cannot be used before these are gone."""
+        found = []
+        for layer in self.points_layers():
+            rows = without_place(layer, self._point()).tolist()
+            if rows:
+                named = ", ".join(str(row + 1) for row in rows[:6])
+                found.append(Remark(f"Point {named} of '{layer.name}' has no place: delete it"))
+        return found
 
     def _point_sets(self, frame: Frame, spheres: bool) -> list[PointSet]:
         """The points of each layer; layers that cannot be used are told when a fit starts."""

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Protocol, get_args
 
 import numpy as np
+from napari.layers import Labels, Points, Surface
 from numpy.typing import NDArray
 
 from ...errors import InputError
@@ -23,7 +24,7 @@ from ..viewing.frame import OWN, FloatArray, Frame, stack_of
 from ..viewing.mesh_layer import unchanged_file
 from ..viewing.walls import joined
 
-SEED_LAYERS = ("Points", "Labels", "Surface")
+SEED_LAYERS = (Points, Labels, Surface)
 
 
 class Seeds(Protocol):
@@ -187,12 +188,11 @@ def seeds_from_layer(
     step, point : of the viewer's dims: of layers of a series, the time shown is taken.
     spheres : points are spheres as large as they are drawn.
     """
-    kind = type(layer).__name__
-    if kind == "Points":
+    if isinstance(layer, Points):
         return _points(layer, frame, point, spheres=spheres)
-    if kind == "Labels":
+    if isinstance(layer, Labels):
         return _labels(layer, frame, step)
-    if kind == "Surface":
+    if isinstance(layer, Surface):
         surface = mesh_of_surface(layer, frame, point)
         return MeshSeeds(surface, unchanged_file(layer, frame))
     raise InputError(f"'{layer.name}' is no Points, Labels or Surface layer")
@@ -200,9 +200,9 @@ def seeds_from_layer(
 
 def is_empty(layer: Any, point: tuple[float, ...] = ()) -> bool:
     """Whether a layer holds no seeds (at the time shown): one that was only just made, say."""
-    if type(layer).__name__ == "Points":
+    if isinstance(layer, Points):
         return not at_time(layer, layer.data, point).any()
-    return type(layer).__name__ == "Labels" and not np.any(layer.data)
+    return isinstance(layer, Labels) and not np.any(layer.data)
 
 
 def at_time(layer: Any, data: NDArray[Any], point: tuple[float, ...]) -> NDArray[np.bool_]:
@@ -215,6 +215,12 @@ def at_time(layer: Any, data: NDArray[Any], point: tuple[float, ...]) -> NDArray
     return kept
 
 
+def without_place(layer: Any, point: tuple[float, ...] = ()) -> NDArray[np.int64]:
+    """Rows of a Points layer (at the time shown) whose coordinates are not all numbers."""
+    data = np.asarray(layer.data, float)
+    return np.flatnonzero(at_time(layer, data, point) & ~np.isfinite(data[:, -3:]).all(axis=1))
+
+
 def mesh_of_surface(layer: Any, frame: Frame, point: tuple[float, ...] = ()) -> Mesh:
     """A Surface layer as a mesh, um in a frame; with the regions that a fit has noted in it."""
     vertices, faces = np.asarray(layer.data[0], float), np.asarray(layer.data[1])
@@ -222,6 +228,8 @@ def mesh_of_surface(layer: Any, frame: Frame, point: tuple[float, ...] = ()) -> 
         raise InputError(f"layer '{layer.name}' holds no surface")
     vertices, faces = joined(vertices, faces, layer.metadata)
     scale, shift = frame.data_to_um(layer)
+    if np.prod(scale) < 0:  # a mirrored layer, in which what was outside is inside
+        faces = faces[:, ::-1]
     regions = layer.metadata.get(OWN, {}).get("regions")
     if regions is not None and len(regions) != len(faces):
         regions = None
@@ -247,11 +255,15 @@ def _points(layer: Any, frame: Frame, point: tuple[float, ...], *, spheres: bool
     shown = at_time(layer, data, point)
     if not shown.any():
         raise InputError(f"layer '{layer.name}' has no points at this time point")
+    placeless = without_place(layer, point)
+    if len(placeless):
+        named = ", ".join(str(row + 1) for row in placeless[:6].tolist())
+        raise InputError(f"layer '{layer.name}': point {named} has no place (nan): delete it")
     scale, shift = frame.data_to_um(layer)
     points = data[shown, -3:] * scale + shift
     radii = None
     if spheres:
-        radii = np.asarray(layer.size, float)[shown] / 2 * float(np.mean(scale))
+        radii = np.asarray(layer.size, float)[shown] / 2 * float(np.mean(np.abs(scale)))
     return PointSeeds(points, radii)
 
 

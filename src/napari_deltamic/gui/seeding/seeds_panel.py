@@ -20,9 +20,10 @@ from superqt import QLabeledDoubleSlider
 
 from ...errors import InputError
 from ..connections import Connections
-from ..panels.fields import note_label, show_row
+from ..panels.fields import note_label, sentence, show_row
 from ..qt import Signal
 from ..viewing.frame import Frame, made_by_fit
+from ..viewing.own_layers import Points as SeedPoints
 from .corrections import Corrections
 from .find_cells_panel import FindCells
 from .mesh_files import MeshFiles
@@ -73,14 +74,14 @@ class SeedsPanel(QGroupBox):
     def place_seeds(self) -> None:
         """A Points layer that takes clicks: one that is ticked, or a new one."""
         if self._image.layer is None:
-            self.note.setText("Open a 3D image first.")
+            self.note.setText(sentence(self._image.missing()))
             return
         layer = self._points_layer()
         if layer is None:
             try:
                 layer = self._new_points(self._image.frame())
             except InputError as error:
-                self.note.setText(str(error))
+                self.note.setText(sentence(str(error)))
                 return
             self._viewer.add_layer(layer)
         self.corrections.lay_down()
@@ -190,6 +191,7 @@ class SeedsPanel(QGroupBox):
         for part in (self.open_file, self.find_cells):
             part.told.connect(self._show)
         self.find_cells.found.connect(self.chooser.choose)
+        self.find_cells.gone.connect(self._untick)
         self.chooser.chosen.connect(self._layers_chosen)
         self.corrections.edited.connect(self._show_soon)
         self.shape.currentTextChanged.connect(self._shape_chosen)
@@ -200,7 +202,7 @@ class SeedsPanel(QGroupBox):
         self._connections.connect(self._viewer.dims.events.current_step, self._step_changed)
 
     def _new_points(self, frame: Frame) -> Points:
-        return Points(
+        points = SeedPoints(
             np.zeros((0, 3)),
             ndim=3,
             name="seeds",
@@ -212,6 +214,7 @@ class SeedsPanel(QGroupBox):
             projection_mode="rescale_spherical",  # a sphere is cut as a sphere by each slice
             **frame.layer_options(),
         )
+        return points.lie_on(self._image.layer)
 
     # ------------------------------------------------------------------------------- what changes
 
@@ -229,6 +232,9 @@ class SeedsPanel(QGroupBox):
         self.find_cells.suit(shape, size)
         self.preview.suit(shape, size)
         self._show_soon()
+
+    def _untick(self, layer: Any) -> None:
+        self.chooser.choose(layer, False)
 
     def _layers_chosen(self) -> None:
         self._of_layers.undo()
@@ -249,7 +255,7 @@ class SeedsPanel(QGroupBox):
                 self._later.start()
 
     def _shape_chosen(self, text: str) -> None:
-        self._resize()
+        self._resize(everything=True)  # not only the point that was added last
         self._show()
         self._show_soon()
 
@@ -267,7 +273,7 @@ class SeedsPanel(QGroupBox):
         self._show_remarks()
         self.changed.emit()
 
-    def _resize(self, value: float = 0) -> None:
+    def _resize(self, value: float = 0, *, everything: bool = False) -> None:
         for layer in self._sources.points_layers():
             try:
                 um = self._um_per_data(layer)
@@ -276,7 +282,8 @@ class SeedsPanel(QGroupBox):
             size = 2 * self._drawn_radius() / float(np.mean(um))
             layer.current_size = size
             sizes = np.array(layer.size, float)
-            sizes[sorted(layer.selected_data) or slice(None)] = size
+            chosen = [] if everything else sorted(layer.selected_data)
+            sizes[chosen or slice(None)] = size
             layer.size = sizes
         self._show_soon()  # napari does not tell
 

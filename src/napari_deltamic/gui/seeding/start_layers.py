@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from napari.layers import Surface
-
+from ...colouring import colour_indices
 from ...geometry import Mesh
 from ..connections import Connections
 from ..viewing.colours import LIMITS, region_colormap, side_values
 from ..viewing.contours import Contours
 from ..viewing.frame import OWN, Frame
+from ..viewing.own_layers import Surface
 from ..viewing.walls import Apart
 
 _OWN = {OWN: {"fit": True, "preview": True}}
@@ -42,15 +42,18 @@ class StartLayers:
         return self._mesh
 
     def show(self, mesh: Mesh, image_layer: Any, frame: Frame) -> None:
-        """Show surfaces, um in the frame of an image layer."""
+        """Show surfaces, um in the frame of an image layer; nothing where that is gone."""
+        if image_layer not in self._viewer.layers:
+            self.clear()
+            return
         if self._contours is None or self._contours.frame != frame:
             self.clear()
-            self._contours = Contours(frame, f"{image_layer.name} start contours")
+            self._contours = Contours(frame, f"{image_layer.name} start contours", image_layer)
             self._contours.layer.metadata.update(_OWN)
             self._image_layer = image_layer
             self._listen()
             self._add(self._contours.layer)
-        self._mesh = mesh
+        self._mesh, self._contours.colours = mesh, colour_indices(mesh)
         self._update_view()
 
     def clear(self) -> None:
@@ -103,7 +106,7 @@ class StartLayers:
                 blending="translucent_no_depth",
                 metadata=_OWN,
                 **frame.layer_options(),
-            )
+            ).lie_on(self._image_layer)
             self._add(self._surface)
         elif self._drawn is not mesh:
             self._surface.data = _data(mesh)
@@ -129,4 +132,5 @@ class StartLayers:
 
 def _data(mesh: Mesh) -> tuple[Any, Any, Any]:
     apart = Apart.of(mesh)
-    return apart.vertices(mesh), apart.faces, side_values(apart.sides)
+    values = side_values(apart.sides, (), colour_indices(mesh))
+    return apart.vertices(mesh), apart.faces, values

@@ -147,10 +147,10 @@ class TrackControl(QObject):
     # ------------------------------------------------------------------------------------- runs
 
     def _busy(self) -> bool:
-        fitting = self._live.run is not None and self._live.run.running
-        if fitting or self.running:
-            self._tell(f"{'a fit' if fitting else 'tracking'} is running already: stop it first")
-        return fitting or self.running
+        occupied = self._live.occupied
+        if occupied:
+            self._tell(occupied)
+        return bool(occupied)
 
     def _start(self) -> None:
         image = self._panels.image
@@ -194,6 +194,7 @@ class TrackControl(QObject):
     ) -> None:
         self._again, self._frames = (prepare, frames), frames
         self.work = TrackWork(prepare, done, self._progress, self._frame_done, self._ended)
+        self._live.tracking = self.work
         self.panel.set_running(True, can_go_on=False)
         self.panel.say("preparing the seeds ...")
         self._panels.running.run_button.setEnabled(False)
@@ -262,7 +263,8 @@ class TrackControl(QObject):
         layers = self.layers
         if layers is None:
             return
-        self.panel.show_frame(layers.results.get(layers.shown), tracked=bool(layers.results))
+        result, colours = layers.results.get(layers.shown), layers.contours.colours
+        self.panel.show_frame(result, tracked=bool(layers.results), colours=colours)
 
     def _complain(self, message: str) -> None:
         self.panel.show_verdict("failed", message)

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from napari.layers import Surface, Tracks
 from napari.utils import Colormap
 from numpy.typing import NDArray
 
+from ...colouring import PALETTE, colour_indices, plain_index
 from ...inference.tracking import FrameResult, lineage, surface_4d
 from ...measure import measure_cells
-from ...picture import COLOURS
 from ..connections import Connections
-from ..viewing.colours import region_colours
+from ..viewing.colours import PALETTE_RGBA, region_colours
 from ..viewing.contours import Contours
 from ..viewing.frame import OWN, Frame
+from ..viewing.own_layers import Surface, Tracks
 
 _COLOUR = "colour"  # the feature by which paths have the colours of their cells
 
@@ -40,7 +40,8 @@ class TrackLayers:
         self.results: dict[int, FrameResult] = {}
         self.surface: Surface | None = None
         self.tracks: Tracks | None = None
-        self.contours = Contours(frame, f"{image_layer.name} tracked contours")
+        self.contours = Contours(frame, f"{image_layer.name} tracked contours", image_layer)
+        self._coloured: Mapping[int, int] = {}  # colours that the surface has
         self._on_time: Callable[[], None] | None = on_time
         self._connections = Connections()
         dims = viewer.dims.events
@@ -60,6 +61,8 @@ class TrackLayers:
         meshes = [r for r in results if r.mesh is not None]
         if not meshes:
             return
+        # A cell keeps its colour over time, so that neighbours at any time count.
+        self.contours.colours = colour_indices(*(r.mesh for r in meshes if r.mesh is not None))
         self._show_surface(meshes)
         self._show_tracks(meshes)
         if len(news) == 1 and self.shown == news[0] - 1:
@@ -83,13 +86,14 @@ class TrackLayers:
                 visible=self.viewer.dims.ndisplay == 3,
                 metadata={OWN: {"fit": True}},
                 **self._options(),
-            )
+            ).lie_on(self.image_layer)
             self._add(layer)
             self._add(self.contours.layer)
         elif layer in self.viewer.layers:
             layer.data = (vertices.astype(np.float32), faces, cells.astype(np.float32))
-        if layer.contrast_limits[1] != last + 0.5:
-            layer.colormap = _colours(last)
+        if layer.contrast_limits[1] != last + 0.5 or self._coloured != self.contours.colours:
+            self._coloured = self.contours.colours
+            layer.colormap = _colours(region_colours(np.arange(1, last + 1), (), self._coloured))
             layer.contrast_limits = (0.5, last + 0.5)
         # The identity of each vertex, for whoever goes on with the layer.
         layer.metadata[OWN]["cells"] = cells
@@ -109,19 +113,21 @@ class TrackLayers:
         present = set(data[:, 0].astype(int))
         graph = {c: p for c, p in graph.items() if {c, *p} <= present}
         data = data[np.lexsort((data[:, 1], data[:, 0]))]
-        colour = {_COLOUR: ((data[:, 0] - 1) % len(COLOURS) + 0.5) / len(COLOURS)}
+        known = self.contours.colours
+        places = [known.get(cell, plain_index(cell)) for cell in data[:, 0].astype(int).tolist()]
+        colour = {_COLOUR: (np.array(places) + 0.5) / len(PALETTE)}
         if self.tracks is None:
             self.tracks = Tracks(
                 data,
                 graph=graph,
                 features=colour,
                 color_by=_COLOUR,
-                colormaps_dict={_COLOUR: _colours(len(COLOURS))},
+                colormaps_dict={_COLOUR: _colours(PALETTE_RGBA)},
                 name=f"{self.image_layer.name} tracks",
                 tail_width=3,
                 metadata={OWN: {"fit": True}},
                 **self._options(),
-            )
+            ).lie_on(self.image_layer)
             self._add(self.tracks)
         elif self.tracks in self.viewer.layers:
             with warnings.catch_warnings():
@@ -160,8 +166,7 @@ class TrackLayers:
             self._on_time()
 
 
-def _colours(last: int) -> Colormap:
-    """The colour of each cell from 1 to the last, over limits of half a number around them."""
-    table: NDArray[np.float64] = region_colours(np.arange(1, last + 1))
-    controls = np.linspace(0, 1, last + 1)
+def _colours(table: NDArray[np.float64]) -> Colormap:
+    """Colours (n, 4) as a map, over limits of half a number around n whole ones."""
+    controls = np.linspace(0, 1, len(table) + 1)
     return Colormap(table, name="deltamic cells", controls=controls, interpolation="zero")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from qtpy.QtWidgets import (
@@ -22,6 +22,7 @@ from ...measure import measure_cells
 from ..panels.fields import note_label
 from ..qt import Signal
 from ..results.cell_table import CellTable
+from ..running.curves import explained
 from .work import Progress
 
 _COLOURS = {"done": "#3fae6b", "stopped": "#d99a1c", "failed": "#e0564f"}
@@ -93,7 +94,7 @@ class TrackPanel(QGroupBox):
         self.progress.setFormat(f"frame {done + 1} of {stop - first}")
         self.say(
             f"time {progress.frame}: level {progress.level} of {progress.levels}, "
-            f"{progress.iteration} iterations, loss {progress.loss:.3f}"
+            f"{progress.iteration} iterations, {explained(progress.loss):.1f} % explained"
         )
 
     def say(self, text: str) -> None:
@@ -107,10 +108,17 @@ class TrackPanel(QGroupBox):
         self.verdict.setText(text)
         self.verdict.setVisible(bool(text))
 
-    def show_frame(self, result: FrameResult | None, *, tracked: bool = False) -> None:
+    def show_frame(
+        self,
+        result: FrameResult | None,
+        *,
+        tracked: bool = False,
+        colours: Mapping[int, int] | None = None,
+    ) -> None:
         """The cells of a frame, and what happened in it; None for one that was not tracked.
 
         tracked : whether there are other frames to look at.
+        colours : of the cells, see ``colour_indices``.
         """
         for widget in (self.frame, self.save_button):
             widget.setVisible(tracked)
@@ -121,7 +129,7 @@ class TrackPanel(QGroupBox):
         if result.mesh is None:
             self.frame.setText(result.message)
             return
-        self.table.show_rows(measure_cells(result.mesh))
+        self.table.show_rows(measure_cells(result.mesh), colours)
         cells = f"{len(result.cells)} cells" if len(result.cells) != 1 else "1 cell"
         words = [f"time {result.frame}: {cells}", *_told(result)]
         self.frame.setText("; ".join(words))

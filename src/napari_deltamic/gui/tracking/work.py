@@ -10,11 +10,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ...cli.messages import failure
-from ...errors import InputError
 from ...inference.tracking import FrameResult, track
 from ...inference.tracking.settings import TrackRun
 from ...job import FitInput
+from ..attempt import words_of
 from ..background import BackgroundRun, BackgroundSteps
 
 _INTERVAL = 0.15  # s between two reports of progress
@@ -175,4 +174,4 @@ def _steps(prepare: Callable[[], TrackJob], done: list[FrameResult], course: _Co
 
 
 def _failed(error: Exception) -> TrackOutcome:
-    return TrackOutcome("failed", str(error if isinstance(error, InputError) else failure(error)))
+    return TrackOutcome("failed", words_of(error))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -10,13 +10,14 @@ from napari.utils import Colormap
 from napari.utils.colormaps import CyclicLabelColormap
 from numpy.typing import NDArray
 
+from ...colouring import COLOURS, PALETTE, colour_indices, plain_index
 from ...geometry import Mesh
-from ...picture import COLOURS
 
 _DIM, _GREY = 0.75, 0.42  # a cell that is not chosen: so much of this grey in its colour
 _SHADES = ((0.0, 0.0), (0.45, 1.0), (0.5, 0.0))  # as they are, lighter, darker: part of this grey
-_OPAQUE = np.ones((len(COLOURS), 1))
-_TABLE = np.hstack([np.array(COLOURS) / 255, _OPAQUE])
+_OPAQUE = np.ones((len(PALETTE), 1))
+_TABLE = np.hstack([np.array(PALETTE) / 255, _OPAQUE])
+PALETTE_RGBA = _TABLE
 _DIMMED = np.hstack([(1 - _DIM) * _TABLE[:, :3] + _DIM * _GREY, _OPAQUE])
 _BOTH = np.concatenate([_TABLE, _DIMMED])
 _GHOSTS = _BOTH.copy()
@@ -24,13 +25,16 @@ _GHOSTS[len(_TABLE) :, 3] = 0.2  # in 3D one looks through them at what is chose
 LIMITS = (0.0, float(len(_BOTH)))
 
 
-def region_colours(regions: Any, chosen: Collection[int] = ()) -> NDArray[np.float64]:
+def region_colours(
+    regions: Any, chosen: Collection[int] = (), indices: Mapping[int, int] | None = None
+) -> NDArray[np.float64]:
     """(n, 4) RGBA for region numbers from 1, or (4,) for one.
 
-    Where some are chosen, the others are dimmed.
+    Where some are chosen, the others are dimmed. ``indices`` are those of ``colour_indices``;
+    without them each region has the colour of its number.
     """
     numbers = np.asarray(regions)
-    index = (numbers - 1) % len(_TABLE)
+    index = _places(numbers, indices)
     if chosen:
         index = index + len(_TABLE) * ~np.isin(numbers, list(chosen))
     colours: NDArray[np.float64] = _BOTH[index]
@@ -48,7 +52,10 @@ def label_colormap() -> CyclicLabelColormap:
 
     Labels lie side by side without a contour, so two of one colour should not look like one cell.
     """
-    shades = [np.hstack([(1 - part) * _TABLE[:, :3] + part * to, _OPAQUE]) for part, to in _SHADES]
+    table = _TABLE[: len(COLOURS)]
+    shades = [
+        np.hstack([(1 - part) * table[:, :3] + part * to, table[:, 3:]]) for part, to in _SHADES
+    ]
     return CyclicLabelColormap(np.vstack([np.zeros(4), *shades]), name="deltamic labels")
 
 
@@ -60,21 +67,41 @@ def vertex_values(mesh: Mesh, chosen: Collection[int] = ()) -> NDArray[np.float3
     largest, own = _largest(mesh, mesh.regions), None
     if chosen:
         own = _largest(mesh, _only(mesh.regions, chosen))
-    return _values(largest, own)
+    return _values(largest, own, colour_indices(mesh))
 
 
-def side_values(sides: NDArray[np.int64], chosen: Collection[int] = ()) -> NDArray[np.float32]:
+def side_values(
+    sides: NDArray[np.int64],
+    chosen: Collection[int] = (),
+    indices: Mapping[int, int] | None = None,
+) -> NDArray[np.float32]:
     """(n,) the same for vertices that lie between two regions each, (n, 2); see ``walls``."""
     own = _only(sides, chosen).max(axis=1) if chosen else None
-    return _values(sides.max(axis=1), own)
+    return _values(sides.max(axis=1), own, indices)
 
 
-def _values(largest: NDArray[np.int64], own: NDArray[np.int64] | None) -> NDArray[np.float32]:
+def _values(
+    largest: NDArray[np.int64],
+    own: NDArray[np.int64] | None,
+    indices: Mapping[int, int] | None,
+) -> NDArray[np.float32]:
     """Of the largest region, dimmed where there is no chosen one of its own."""
-    values = (np.maximum(largest, 1) - 1) % len(_TABLE) + 0.5
+    values = _places(np.maximum(largest, 1), indices) + 0.5
     if own is not None:
-        values = np.where(own > 0, (own - 1) % len(_TABLE) + 0.5, values + len(_TABLE))
+        chosen = _places(np.maximum(own, 1), indices) + 0.5
+        values = np.where(own > 0, chosen, values + len(_TABLE))
     return values.astype(np.float32)
+
+
+def _places(regions: NDArray[np.int64], indices: Mapping[int, int] | None) -> NDArray[np.int64]:
+    """Places in the table of region numbers from 1."""
+    plain: NDArray[np.int64] = (regions - 1) % len(COLOURS)
+    if not indices:
+        return plain
+    numbers, inverse = np.unique(regions, return_inverse=True)
+    own = np.array([indices.get(n, plain_index(n)) for n in numbers.tolist()], np.int64)
+    found: NDArray[np.int64] = own[inverse].reshape(regions.shape)
+    return found
 
 
 def _only(regions: NDArray[np.int64], chosen: Collection[int]) -> NDArray[np.int64]:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from napari.layers import Vectors
 from numpy.typing import NDArray
 
 from ...geometry import Mesh
@@ -13,6 +13,7 @@ from ...geometry.mesh import OUTSIDE
 from ...measure import section
 from .colours import region_colours
 from .frame import OWN, Frame
+from .own_layers import Vectors
 
 _LINES_ACROSS = 400  # a line is at least this part of the mesh wide
 
@@ -23,7 +24,7 @@ class Contours:
     napari itself draws only the faces that lie wholly in a slice: for a fine mesh, none.
     """
 
-    def __init__(self, frame: Frame, name: str) -> None:
+    def __init__(self, frame: Frame, name: str, image_layer: Any = None) -> None:
         self.frame = frame
         self.layer = Vectors(
             np.zeros((0, 2, 3), np.float32),
@@ -35,9 +36,12 @@ class Contours:
             metadata={OWN: {"fit": True}},
             **frame.layer_options(),
         )
+        if image_layer is not None:
+            self.layer.lie_on(image_layer)
         # The thumbnail would take most of the time of an update. A private name: where napari has
         # no such method, nothing happens.
         self.layer._update_thumbnail = _no_thumbnail
+        self.colours: Mapping[int, int] = {}  # see ``colour_indices``
         self.chosen: frozenset[int] = frozenset()  # cells that are not dimmed; none: no cell is
         self._empty = True
         self._sized = False  # whether its lines suit a mesh; from then on their width is the user's
@@ -108,7 +112,9 @@ class Contours:
             # The name of one colour is much cheaper to set than an array of them.
             first = regions[0]
             several = bool((regions != first).any())
-            layer.edge_color = region_colours(regions if several else first, self.chosen)
+            layer.edge_color = region_colours(
+                regions if several else first, self.chosen, self.colours
+            )
         self._empty = not len(vectors)
 
 

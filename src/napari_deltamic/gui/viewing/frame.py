@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pint
+from napari.layers import Image
 from numpy.typing import ArrayLike, NDArray
 
 from ...errors import InputError
@@ -41,7 +42,12 @@ class Frame:
         """The frame of an image layer, by its last three axes. InputError if it is turned."""
         _check_straight(layer)
         um = um_per_unit(layer) or (1.0, 1.0, 1.0)
-        size = np.abs(np.asarray(layer.scale, float)[-3:]) * um
+        size = np.asarray(layer.scale, float)[-3:] * um
+        if not (size > 0).all():
+            raise InputError(
+                f"layer '{layer.name}' is mirrored (its scale is negative): flip its data instead, "
+                "or give it a positive scale"
+            )
         return cls(
             _triple(size),
             um,
@@ -100,17 +106,30 @@ def made_by_fit(layer: Any) -> bool:
 
 def is_stack(layer: Any) -> bool:
     """Whether a layer is an image that can be fitted: 3D or a series of 3D, one channel."""
-    if type(layer).__name__ != "Image" or layer.rgb or made_by_fit(layer):
+    if not isinstance(layer, Image) or layer.rgb or made_by_fit(layer):
         return False
     return int(layer.ndim) in (3, 4)
 
 
 def stack_of(layer: Any, step: tuple[int, ...]) -> NDArray[Any]:
     """The 3D image of a layer, at the viewer's step along any axis before Z, Y, X."""
+    return np.asarray(unread_stack_of(layer, step))
+
+
+def unread_stack_of(layer: Any, step: tuple[int, ...]) -> Any:
+    """The same before it is read; it becomes an array by ``np.asarray``, in any thread."""
     data = layer.data[0] if getattr(layer, "multiscale", False) else layer.data
     if layer.ndim == 4:
         data = data[min(step[-4] if len(step) >= 4 else 0, len(data) - 1)]
-    return np.asarray(data)
+    return data
+
+
+def finite(data: Any) -> NDArray[Any]:
+    """An array whose gaps are all NaN."""
+    read = np.asarray(data)
+    if np.issubdtype(read.dtype, np.floating) and not np.isfinite(read).all():
+        return np.where(np.isfinite(read), read, np.nan)
+    return read
 
 
 def shape_of(layer: Any) -> tuple[int, ...]:

@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from napari.layers import Surface
 
 from ...errors import InputError, RepairWarning
 from ...geometry import Mesh, load_mesh
 from .colours import LIMITS, region_colormap, vertex_values
 from .frame import ORIGIN, OWN, Frame
+from .own_layers import Surface
 
-SUFFIXES = (".ply", ".obj", ".off", ".stl", ".rec", ".vtk")
 _FILE = "file"  # key under OWN
 
 

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from napari.layers import Image, Surface
+from napari.layers import Image
 from numpy.typing import NDArray
 
+from ...colouring import colour_indices
 from ...geometry import Mesh
 from ..connections import Connections
 from ..editing.pins import Pins
 from .colours import LIMITS, region_colormap, side_values
 from .contours import Contours
 from .frame import OWN, Frame
+from .own_layers import Surface
 from .walls import COPIES, Apart
 
 _RESIDUAL = 5.0  # standard deviations of the noise that have the strongest colours
@@ -41,8 +43,8 @@ class ViewerLink:
         self.surface: Surface | None = None
         self.rendered: Image | None = None
         self.residual: Image | None = None
-        self._pins = Pins(viewer, frame, f"{image_layer.name} pinned")
-        self.contours = Contours(frame, f"{image_layer.name} contours")
+        self._pins = Pins(viewer, frame, f"{image_layer.name} pinned", image_layer)
+        self.contours = Contours(frame, f"{image_layer.name} contours", image_layer)
         self._on_lost: Callable[[str], None] | None = on_lost
         self._seen_in_3d = True
         self._placed = True  # whether the surface belongs to what is shown: 3D, at its time
@@ -51,6 +53,7 @@ class ViewerLink:
         self._late = False  # whether the hidden surface is another than what is to be seen
         self._time: tuple[int, ...] = ()  # of the image, that is fitted; () where it has none
         self.take_time()
+        self._colours_of: Mesh | None = None
         self._apart: Apart | None = None  # how the surface is drawn
         self._apart_of: Mesh | None = None
         self._values: NDArray[np.float32] | None = None
@@ -159,7 +162,21 @@ class ViewerLink:
 
     # ---------------------------------------------------------------------------------- layers
 
+    @property
+    def colours(self) -> Mapping[int, int]:
+        """Places in the palette of the regions shown; see ``colour_indices``."""
+        return self.contours.colours
+
+    def _colour(self, mesh: Mesh, *, passing: bool) -> None:
+        """Other colours where regions have other neighbours; boxes are only looked at anew now."""
+        if passing and self._colours_of is not None and _same(self._colours_of, mesh):
+            return
+        self._colours_of, found = mesh, colour_indices(mesh)
+        if found != self.contours.colours:
+            self.contours.colours, self._values = found, None
+
     def _draw(self, mesh: Mesh, *, passing: bool = False) -> None:
+        self._colour(mesh, passing=passing)
         if self.surface is None:
             self._add_surface(mesh)
         elif self.surface in self.viewer.layers:
@@ -176,7 +193,7 @@ class ViewerLink:
             apart = self._apart = Apart.of(mesh)
             self._apart_of, self._values = mesh, None
         if self._values is None:
-            self._values = side_values(apart.sides, self.chosen)
+            self._values = side_values(apart.sides, self.chosen, self.colours)
             apart = self._apart = apart.first(mesh, self.chosen)
         return apart.vertices(mesh), apart.faces, self._values
 
@@ -200,7 +217,7 @@ class ViewerLink:
             visible=self._belongs(),
             metadata={OWN: {"fit": True}},
             **self.frame.layer_options(),
-        )
+        ).lie_on(self.image_layer)
         self._placed = self._belongs()
         self._note(self.surface, mesh)
         self._connections.connect(self.surface.events.visible, self._surface_shown)

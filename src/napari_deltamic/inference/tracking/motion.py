@@ -132,7 +132,7 @@ class _Score:
         with torch.no_grad():
             image = render(mesh, self._grid, self._optics, 1e-2).numpy()
         blurred = torch.from_numpy(gaussian_filter(image, self._extra).astype(np.float64))
-        return float(match(blurred.reshape(-1)[self._index], self._measured, self._ones).loss)
+        return match(blurred.reshape(-1)[self._index], self._measured, self._ones)[1].loss
 
 
 def _seen_shifts(

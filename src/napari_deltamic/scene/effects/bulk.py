@@ -24,7 +24,7 @@ class Bulk(Effect):
         "the inside of the cells shines, or (negative) is darker than the medium around; left out, "
         "at a tenth of the rim's brightness, surfaces shift by a hundred nm"
     )
-    cost: ClassVar[Cost] = Cost(transforms=1, closed_form=6)
+    cost: ClassVar[Cost] = Cost(transforms=2, closed_form=6)
     bounds: ClassVar[dict[str, Bounds]] = {"density": Bounds("1/um", -100.0, 100.0, 0.1)}
 
     density: Annotated[float, Field(ge=-100, le=100)] = Field(

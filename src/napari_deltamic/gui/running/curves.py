@@ -1,28 +1,33 @@
-"""The loss and the widths of the PSF against the iterations."""
+"""What a fit explains, and the widths of the PSF, against the iterations."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from math import log10, nan
 
 from qtpy.QtWidgets import QWidget
 
 from ...timeline import Moment
 from .plots import Line, Plot, spread
 
-_LOSS = "#ffb000"
+_EXPLAINED = "#ffb000"
 _AXES = (("Z", "#4f8fe0"), ("Y", "#3fae6b"), ("X", "#e0564f"))
 
 
-class LossCurve(Plot):
-    """A small logarithmic plot; a vertical line where a new level begins."""
+def explained(loss: float) -> float:
+    """Per cent of the variation of the voxels that count; NaN where a loss is not known."""
+    return 100 * (1 - loss)
+
+
+class ExplainedCurve(Plot):
+    """What the fit explains; a line for each level, as each looks at a sharper image."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(
-            "loss",
-            "Loss (logarithmic): the weighted residual, as a share of the variance of the voxels "
-            "that count. Lines show where the blur is reduced; there the loss starts anew.",
+            "explained",
+            "Share of the signal near the surfaces that the cells explain, noise included, over "
+            "the iterations. Each line is a level: the image gets sharper, and its noise counts "
+            "more, so that a new line begins lower.",
             parent,
         )
 
@@ -30,10 +35,19 @@ class LossCurve(Plot):
         """Show the course of a fit, from its iteration ``first`` on."""
         n = min(len(loss), len(level))
         kept = spread(n)
-        values = [log10(loss[k]) if loss[k] > 0 else nan for k in kept]
-        marks = [first + b for a, b in pairwise(kept) if level[a] != level[b]]
-        text = f"{loss[n - 1]:.3g}" if n else ""
-        self.show_lines([Line(_LOSS, text, [first + k for k in kept], values)], marks)
+        starts = [k for a, k in pairwise(kept) if level[a] != level[k]]
+        parts = [[k for k in kept if a <= k < b] for a, b in pairwise([0, *starts, n])] if n else []
+        text = f"{explained(loss[n - 1]):.1f} %" if n else ""
+        lines = [
+            Line(
+                _EXPLAINED,
+                text if number == len(parts) else "",
+                [first + k for k in part],
+                [explained(loss[k]) for k in part],
+            )
+            for number, part in enumerate(parts, 1)
+        ]
+        self.show_lines(lines, [first + k for k in starts])
 
 
 class SigmaCurve(Plot):

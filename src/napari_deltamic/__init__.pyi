@@ -1,0 +1,60 @@
+from . import fourier
+from .errors import InputError
+from .geometry import Mesh, load_mesh, save_mesh
+from .inference import Change, FitState, fit
+from .optics import (
+    ConfocalPSF,
+    GaussianMixturePSF,
+    GaussianPSF,
+    GibsonLanniPSF,
+    LightSheetPSF,
+    MeasuredPSF,
+    PupilPSF,
+    ScalarPSF,
+    VectorialPSF,
+    microscope,
+)
+from .scene import (
+    Filament,
+    Grid,
+    Points,
+    Scene,
+    Solid,
+    Surface,
+    render,
+    render_scene,
+    simulate,
+)
+
+__version__: str
+
+__all__ = [
+    "Change",
+    "ConfocalPSF",
+    "Filament",
+    "FitState",
+    "GaussianMixturePSF",
+    "GaussianPSF",
+    "GibsonLanniPSF",
+    "Grid",
+    "InputError",
+    "LightSheetPSF",
+    "MeasuredPSF",
+    "Mesh",
+    "Points",
+    "PupilPSF",
+    "ScalarPSF",
+    "Scene",
+    "Solid",
+    "Surface",
+    "VectorialPSF",
+    "__version__",
+    "fit",
+    "fourier",
+    "load_mesh",
+    "microscope",
+    "render",
+    "render_scene",
+    "save_mesh",
+    "simulate",
+]

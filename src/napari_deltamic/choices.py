@@ -1,0 +1,39 @@
+"""What can be chosen by name.
+
+Free of the engine, so that the command line can list it, and refuse the rest, before torch is
+loaded.
+"""
+
+from typing import Literal
+
+DeviceChoice = Literal["auto", "cpu", "cuda", "mps"]
+DensityModel = Literal["uniform", "interface", "smooth"]
+Likelihood = Literal["poisson", "gaussian", "paper"]
+
+Modality = Literal["widefield", "confocal", "spinning disk", "light sheet"]
+PSFModel = Literal["gaussian", "scalar", "gibson-lanni", "vectorial", "pupil"]
+Bead = Literal["solid", "shell"]
+# Refractive indices.
+IMMERSIONS = {"air": 1.0, "water": 1.333, "glycerol": 1.45, "silicone": 1.405, "oil": 1.515}
+
+CellKind = Literal["foam", "vesicles"]  # of random cells
+Bits = Literal[8, 12, 16, 32]  # of an intensity; 32: float32, which holds any value
+
+# In the order in which they are told; ``scene.effects.KINDS`` holds the class of each.
+EFFECTS = (
+    "pixel_integration",
+    "background",
+    "bulk",
+    "attenuation",
+    "bleaching",
+    "illumination",
+    "halo",
+    "depth_psf",
+    "camera",
+    "missing",
+    "second_view",
+)
+
+TIFF = (".tif", ".tiff")
+IMAGE_FILES = (*TIFF, ".npy")
+MESH_FILES = (".ply", ".obj", ".off", ".stl", ".rec", ".vtk")

@@ -1,0 +1,33 @@
+"""What several commands say and check."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from ...errors import InputError
+
+TRIPLE = ("Z", "Y", "X")
+
+
+def help_of(model: Any, name: str) -> str:
+    """What a settings object says of a field, with its default."""
+    field = model.model_fields[name]
+    default = "" if field.default is None or field.is_required() else f" (default: {field.default})"
+    return f"{field.description}{default}".replace("%", "%%")
+
+
+def check_files(arguments: argparse.Namespace, *names: str) -> None:
+    """InputError unless the files that these arguments name are there."""
+    for name in names:
+        path = getattr(arguments, name)
+        if path is not None and not Path(path).exists():
+            raise InputError(f"{path}: there is no such file")
+
+
+def check_accuracy(arguments: argparse.Namespace) -> None:
+    """InputError unless the accuracy of a rendering can be one."""
+    accuracy = arguments.accuracy
+    if accuracy is not None and not 0 <= accuracy < 1:
+        raise InputError(f"accuracy must be at least 0 and below 1, not {accuracy:g}")

@@ -1,0 +1,33 @@
+"""What ``effects`` takes."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from ...errors import InputError
+from .common import check_files
+from .fit import add_fit_options, check_fit_options
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command to the parser of all."""
+    parser = commands.add_parser(
+        "effects",
+        help="which effects an image calls for",
+        description="Fit an image without further effects and say which it calls for: the "
+        "evidence, by how much the surface is off without, and what it costs. Changes nothing.",
+    )
+    add = parser.add_argument
+    add("image", nargs="?", metavar="IMAGE", help=".tif or .npy; not needed with --settings")
+    add_fit_options(parser)
+    add("--candidates", metavar="E", help="only these, with commas between")
+    add("--json", metavar="FILE", help="write everything found as JSON; - for stdout")
+    parser.set_defaults(module="effects", check=_check)
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    if arguments.effects == "auto":
+        raise InputError("--effects names those that are in the scene already; leave out 'auto'")
+    check_files(arguments, "image")
+    check_fit_options(arguments, "effects")

@@ -1,0 +1,55 @@
+"""What ``render`` takes."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import Any
+
+from ...choices import IMAGE_FILES
+from ...errors import InputError
+from ..optics_arguments import add_grid_and_optics, optics_values
+from .common import check_accuracy, check_files
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command to the parser of all."""
+    parser = commands.add_parser(
+        "render",
+        help="the image of a mesh under a PSF",
+        description="Render the image that a microscope would show of the surface of a mesh.",
+    )
+    add = parser.add_argument
+    add("mesh", metavar="MESH", help=".ply, .obj, .off, .stl, .rec or .vtk; x, y, z in um")
+    add_grid_and_optics(parser)
+    add(
+        "--accuracy",
+        type=float,
+        default=1e-3,
+        metavar="A",
+        help="relative L2 error of the image; 0 is the closed form (default: %(default)s)",
+    )
+    add(
+        "--pixel-integration",
+        action="store_true",
+        help="a voxel integrates over its size, rather than sampling at its centre",
+    )
+    add("--overwrite", action="store_true", help="replace the image if it is there")
+    add("-o", "--output", required=True, metavar="IMAGE", help=".tif or .npy")
+    parser.set_defaults(module="rendering", check=_check)
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    path = Path(arguments.output)
+    if path.suffix.lower() not in IMAGE_FILES:
+        raise InputError(f"{path}: unknown image extension '{path.suffix}'; use .tif")
+    if path.is_dir():
+        raise InputError(f"{path} is a folder; name an image")
+    if path.exists() and not arguments.overwrite:
+        raise InputError(f"{path} is there already; --overwrite replaces it")
+    if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
+        raise InputError(f"{path.parent}: no folder that can be written to")
+    check_accuracy(arguments)
+    check_files(arguments, "mesh")
+    optics_values(arguments)

@@ -1,0 +1,70 @@
+"""What ``track`` takes."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from ...errors import InputError
+from ...fit_settings import validated
+from ...track_settings import TrackSettings
+from .common import help_of
+from .fit import add_options, check_fit_options
+
+_OPTIONS = ("time_step", "divisions", "velocity")
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command to the parser of all."""
+    parser = commands.add_parser(
+        "track",
+        help="track cells through a series of images",
+        description="Fit every frame of a series from the one before; cells keep their numbers, "
+        "divide, and end. Writes mesh_t000.ply and .vtk for each frame, tracks.csv, surface.npz, "
+        "run.toml and report.json.",
+    )
+    add = parser.add_argument
+    add(
+        "image",
+        nargs="?",
+        metavar="IMAGE4D",
+        help="a .tif or .npy file (T, Z, Y, X), a folder of 3D files, or a pattern in quotes, such "
+        "as 'movie/t*.tif'; not needed with --settings",
+    )
+    add("--frames", metavar="A:B", help="from frame A, to which the seeds belong, to before B")
+    add("--time-step", type=float, metavar="S", help=_help("time_step"))
+    add(
+        "--divisions",
+        action=argparse.BooleanOptionalAction,
+        default=None,
+        help=_help("divisions"),
+    )
+    add("--velocity", type=float, metavar="V", help=_help("velocity"))
+    add("--resume", metavar="DIR", help="go on after the frames that a former run wrote to DIR")
+    add_options(parser)
+    parser.set_defaults(module="tracking", check=_check)
+
+
+def track_values(arguments: argparse.Namespace) -> dict[str, object]:
+    """Settings of tracking that the arguments give; InputError where they cannot be."""
+    values = {n: getattr(arguments, n) for n in _OPTIONS if getattr(arguments, n) is not None}
+    if arguments.frames is not None:
+        first, colon, stop = arguments.frames.partition(":")
+        try:
+            numbers = [int(word) if word else None for word in (first, stop)]
+        except ValueError:
+            numbers = []
+        if not colon or len(numbers) != 2:
+            raise InputError(f"--frames must be A:B, such as 0:10, not '{arguments.frames}'")
+        values |= {"first": numbers[0] or 0, "stop": numbers[1]}
+    validated(TrackSettings, values)
+    return values
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    check_fit_options(arguments, "track")
+    track_values(arguments)
+
+
+def _help(name: str) -> str:
+    return help_of(TrackSettings, name)

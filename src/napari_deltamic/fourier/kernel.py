@@ -1,0 +1,234 @@
+"""Kernels that spread points on a grid, and the error that their aliases leave in an image.
+
+A kernel of width W (nodes) is the generalised Kaiser-Bessel window of order 2 (R. M. Lewitt,
+"Multidimensional digital image representations using generalized Kaiser-Bessel window functions",
+J. Opt. Soc. Am. A 7, 1990), ``z^2 I_2(beta z) / I_2(beta)`` with ``z^2 = 1 - (2x/W)^2``. It falls
+to zero at its edge with its derivative, so that neither an image nor its gradient jumps where a
+point crosses a line of the grid. Against the window of order 0 that costs a factor of 1.5 to 2 in
+error.
+
+What is computed with is not the window but a polynomial on each of the W intervals between nodes,
+which keeps its value and slope at the nodes, and the derivative of that very polynomial. Its own
+transform, not the window's, is divided by afterwards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from math import pi
+
+import numpy as np
+from numpy.polynomial import chebyshev, polynomial
+from scipy.special import iv
+
+WIDEST = 16  # nodes; csrc/particle_mesh.h has the same
+_HIGHEST = 20  # degree of a polynomial
+_ALIASES = np.array([1, -1, 2, -2, 3, -3])  # later ones fall as the third power
+_NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(20)  # on an interval: exact to 3.5 cycles
+# Shapes that are tried, times ``pi W (1 - 1 / 2s)``, with s the wavenumber of the grid over that of
+# the band. What is best falls from 1.07 to 0.6 between an OTF that has decayed at the edge of the
+# band and a flat one.
+_SHAPES = np.array([0.6, 0.7, 0.8, 0.88, 0.95, 1.0, 1.07])
+
+
+@dataclass(frozen=True, eq=False)
+class AxisWeights:
+    """What there is along an axis of wavevectors, in one kind of scene.
+
+    Attributes
+    ----------
+    index
+        From 0 to the edge of the band.
+    power
+        Shares of the power at each.
+    slope
+        0 for an image. For a gradient, in which an alias weighs as much more as its wavevector is
+        longer: 1 over the root mean square of all wavevectors, in steps of the index.
+    """
+
+    index: np.ndarray
+    power: np.ndarray
+    slope: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Kernel:
+    """Polynomials (degree + 1, width) in ``t = 2 f - 1``, highest power first.
+
+    The l-th of them holds on the l-th node from the kernel's lower edge on, with f in 0..1 how far
+    the first node lies behind that edge.
+    """
+
+    coefficients: np.ndarray
+
+    @property
+    def width(self) -> int:
+        """Nodes along an axis that a point is spread over."""
+        return int(self.coefficients.shape[1])
+
+    @cached_property
+    def _at_nodes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Places relative to the centre, and values times weights, to integrate over it."""
+        values = polynomial.polyval(_NODES, self.coefficients[::-1])
+        middle = np.arange(self.width) + 0.5 - self.width / 2
+        places = middle[:, None] + _NODES / 2
+        return places.ravel(), (values * _NODE_WEIGHTS / 2).ravel()
+
+    def transform(self, cycles: np.ndarray) -> np.ndarray:
+        """Its Fourier transform at wavenumbers in cycles per node."""
+        places, values = self._at_nodes
+        return np.cos(2 * pi * np.multiply.outer(cycles, places)) @ values
+
+
+def fitted(width: int, beta: float, degree: int) -> Kernel:
+    """Polynomials of a degree (3 or more) that keep the window's value and slope at the nodes."""
+
+    def window(x: np.ndarray) -> np.ndarray:
+        z = np.sqrt(np.maximum(1 - (2 * x / width) ** 2, 0.0))
+        return np.asarray(z**2 * iv(2, beta * z) / iv(2, beta))
+
+    def slope(x: np.ndarray) -> np.ndarray:
+        # d/dz of z^2 I_2(beta z) is beta z^2 I_1(beta z), and dz/dx = -4 x / (W^2 z).
+        z = np.sqrt(np.maximum(1 - (2 * x / width) ** 2, 0.0))
+        return np.asarray(-4 * x / width**2 * beta * z * iv(1, beta * z) / iv(2, beta))
+
+    left = np.arange(width) - width / 2
+    hermite = np.array([[2, 1, -2, 1], [-3, -2, 3, -1], [0, 1, 0, 0], [1, 0, 0, 0]], float)
+    ends = np.stack([window(left), slope(left), window(left + 1), slope(left + 1)])
+    in_f = (hermite @ ends)[::-1]  # powers of f, lowest first
+    cubic = np.stack([_in_t(c) for c in in_f.T], 1)
+    if degree < 4:
+        return Kernel(cubic[::-1].copy())
+    # What is left vanishes at both ends with its slope: (1 - t^2)^2 times a polynomial.
+    n = degree - 3
+    t = chebyshev.chebpts1(n)
+    left_over = window(left[:, None] + (t + 1) / 2).T - polynomial.polyval(t, cubic).T
+    rest = chebyshev.chebfit(t, left_over / ((1 - t**2) ** 2)[:, None], n - 1)
+    bump = np.array([1.0, 0, -2, 0, 1])
+    found = np.stack([polynomial.polymul(bump, chebyshev.cheb2poly(c)) for c in rest.T], 1)
+    found[:4] += cubic
+    return Kernel(found[::-1].copy())
+
+
+def _in_t(powers_of_f: np.ndarray) -> np.ndarray:
+    """Powers of ``t = 2 f - 1``, lowest first."""
+    total = np.zeros(1)
+    for c in powers_of_f[::-1]:
+        total = polynomial.polyadd(polynomial.polymul(total, [0.5, 0.5]), [c])
+    return np.asarray(total)[:4] if len(total) >= 4 else np.pad(total, (0, 4 - len(total)))
+
+
+def window_transform(cycles: np.ndarray, width: int, beta: np.ndarray | float) -> np.ndarray:
+    """Of the window, but for a constant: ``i_2(y) / y^2``, ``y^2 = beta^2 - (pi W k)^2``."""
+    squared = np.asarray(beta) ** 2 - (pi * width * cycles) ** 2
+    y = np.sqrt(np.abs(squared))
+    safe = np.maximum(y, 0.3)
+    grows = ((safe**2 + 3) * np.sinh(safe) - 3 * safe * np.cosh(safe)) / safe**5
+    waves = ((3 - safe**2) * np.sin(safe) - 3 * safe * np.cos(safe)) / safe**5
+    # Near zero the terms cancel.
+    series = 1 / 15 + squared / 210 + squared**2 / 7560
+    return np.where(y < 0.3, series, np.where(squared > 0, grows, waves))
+
+
+def alias_error(
+    transform: Callable[[np.ndarray], np.ndarray], nodes: int, weights: AxisWeights
+) -> np.ndarray:
+    """Relative L2 error of an image that aliases along one axis cause.
+
+    At each wavevector of the band the grid also holds what lies multiples of its ``nodes`` beyond,
+    times the ratio of the kernel's transforms there and here; the OTF then weighs it as it weighs
+    the wavevector itself.
+
+    Parameters
+    ----------
+    transform
+        Of the kernel, at cycles per node; may have further axes in front.
+    nodes
+        Of the grid along the axis.
+    """
+    here = transform(weights.index / nodes)
+    places = weights.index + nodes * _ALIASES[:, None]
+    ratio = (transform(places / nodes) / here[..., None, :]) ** 2
+    if weights.slope:
+        ratio = ratio * (weights.slope * places) ** 2
+    return np.sqrt(np.nan_to_num(ratio.sum(-2), nan=np.inf) @ weights.power)
+
+
+def rounding_error(
+    transform: Callable[[np.ndarray], np.ndarray], nodes: int, weights: AxisWeights, unit: float
+) -> np.ndarray:
+    """Relative L2 error of an image from rounding on the grid, if all three axes are alike.
+
+    It is as strong at the edge of the band as in its middle, where the kernel's transform, by which
+    all is divided, may be thousands of times larger.
+    """
+    here = transform(weights.index / nodes) ** 2
+    grown = ((1 / here) @ weights.power) * here.mean(-1)
+    return np.asarray(unit * grown**1.5)
+
+
+def narrowest(
+    nodes: int, families: Sequence[AxisWeights], error: float, unit: float
+) -> tuple[int, float] | None:
+    """The smallest width, with its beta, that keeps to ``error``; None where no width does.
+
+    ``families`` are kinds of scenes, each with its weights: the worst of them counts. ``unit`` is
+    the rounding error of a number.
+    """
+    edge = max(float(w.index.max()) for w in families)
+    bandwidth = 1 - edge / nodes  # of the gap between the band and its first alias: 1 - 1 / 2s
+    for width in range(2, min(WIDEST, nodes) + 1):
+        betas = _SHAPES * pi * width * bandwidth
+
+        def transform(k: np.ndarray, w: int = width, b: np.ndarray = betas) -> np.ndarray:
+            return window_transform(k, w, b.reshape((-1,) + (1,) * k.ndim))
+
+        worst = np.max([alias_error(transform, nodes, w) for w in families], axis=0)
+        worst = np.maximum(worst, rounding_error(transform, nodes, families[0], unit))
+        best = int(np.argmin(worst))
+        if worst[best] <= error:
+            return width, float(betas[best])
+    return None
+
+
+def polynomials_for(
+    width: int, beta: float, nodes: int, families: Sequence[AxisWeights], error: float
+) -> Kernel:
+    """Those of the lowest degree that keep to ``error``, aliases of the fit included."""
+    best: tuple[float, Kernel] | None = None
+    for degree in range(3, _HIGHEST + 1):
+        kernel = fitted(width, beta, degree)
+        found = max(float(alias_error(kernel.transform, nodes, w)) for w in families)
+        if found <= error:
+            return kernel
+        if best is None or found < best[0]:
+            best = found, kernel
+    assert best is not None
+    return best[1]
+
+
+@lru_cache(maxsize=256)
+def kernel_for(width: int, beta: float, nodes: int, key: bytes, error: float) -> Kernel:
+    """:func:`polynomials_for`, kept; ``key`` as :func:`packed` makes it."""
+    return polynomials_for(width, beta, nodes, unpacked(key), error)
+
+
+@lru_cache(maxsize=1024)
+def narrowest_for(nodes: int, key: bytes, error: float, unit: float) -> tuple[int, float] | None:
+    """:func:`narrowest`, kept; ``key`` as :func:`packed` makes it."""
+    return narrowest(nodes, unpacked(key), error, unit)
+
+
+def packed(families: Sequence[AxisWeights]) -> bytes:
+    """Weights as a key, rounded so that a mesh that moves a little finds what was kept."""
+    rows = [np.concatenate([w.index, w.power, [w.slope]]) for w in families]
+    return np.stack(rows).astype(np.float32).tobytes() + bytes([len(families)])
+
+
+def unpacked(key: bytes) -> list[AxisWeights]:
+    """The inverse of :func:`packed`."""
+    stored = np.frombuffer(key[:-1], np.float32).astype(np.float64).reshape(key[-1], -1)
+    n = stored.shape[1] // 2
+    return [AxisWeights(row[:n], row[n : 2 * n], float(row[-1])) for row in stored]

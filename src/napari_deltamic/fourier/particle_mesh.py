@@ -1,0 +1,191 @@
+"""Particle-mesh: weighted points, spread on a real grid, to a band of wavevectors and back.
+
+Points are spread with a compact kernel, one real FFT follows, and the band is divided by the
+kernel's transform. The gradient is one real FFT back and one pass over the points that reads the
+field and its three derivatives together. Where the compiled extension is missing, and on other
+devices than the CPU, the same is done in torch operations (:mod:`.torch_mesh`).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from . import torch_mesh
+from .native import native, simd_level, threads
+from .points import Points
+from .real_fft import compiled
+from .spreading import Spreading
+
+
+def elements_ft(
+    vertices: Tensor,
+    elements: Tensor,
+    density: Tensor,
+    points: Points,
+    spreading: Spreading,
+    single: bool,
+    device: torch.device | None = None,
+) -> Tensor:
+    """``sum over elements of density * integral of exp(-i xi.x)`` on the box of a band, by points.
+
+    Parameters
+    ----------
+    vertices
+        (V, 3) um.
+    elements
+        (E, 3) triangles, (E, 2) segments or (E, 1) points: vertices of each.
+    density
+        (E,) per um^2, per um, or of each point.
+    points
+        Rules of the elements.
+    spreading
+        Grid and kernels.
+    single
+        complex64 rather than complex128.
+    device
+        Where the result is to be; by default where the vertices are.
+
+    Returns
+    -------
+    Complex tensor of the shape of the band's box, differentiable in vertices and density.
+
+    Raises
+    ------
+    ValueError
+        If a vertex is not finite, or an element names a vertex that is not there.
+    """
+    there = vertices.device if device is None else device
+    return _Transform.apply(vertices, density, elements, points, spreading, single, there)
+
+
+class _Transform(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, vertices: Tensor, density: Tensor, *rest: Any) -> Tensor:
+        elements, points, spreading, single, device = rest
+        ctx.save_for_backward(vertices, density)
+        ctx.rest = rest
+        grids = spread(vertices, elements, density, points, spreading, single, device)
+        return spreading.fft.to_box(grids[0])
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
+        vertices, density = ctx.saved_tensors
+        elements, points, spreading, single, _ = ctx.rest
+        given = vertices, elements, density, points, spreading, single
+        found = pull(*given, field_of(grad, spreading, single))
+        return *found, None, None, None, None, None
+
+
+# --------------------------------------------------------------------- compiled loops, or torch's
+
+
+def spread(
+    vertices: Tensor,
+    elements: Tensor,
+    density: Tensor,
+    points: Points,
+    spreading: Spreading,
+    single: bool,
+    device: torch.device,
+    factors: Tensor | None = None,
+) -> Tensor:
+    """(C, Z, Y, X) grids with the points of all elements on them; rows may be longer than X.
+
+    Each point has the element's density times its measure (area, length, 1) times the rule's
+    weight; with ``factors`` (E, C) density times factor times weight, on C grids.
+    """
+    if not compiled(device):
+        given = vertices, elements, density, points, spreading, single
+        return torch_mesh.spread(*given, device, factors)
+    channels = 1 if factors is None else factors.shape[1]
+    z, y, x = spreading.shape
+    real = torch.float32 if single else torch.float64
+    grids = torch.empty(channels, z, y, x + spreading.lanes, dtype=real)
+    _function("spread", single)(
+        *_arrays(vertices, elements, density),
+        *_grid(points, spreading),
+        None if factors is None else _double(factors),
+        grids.numpy(),
+        threads(),
+        simd_level(),
+    )
+    return grids
+
+
+def gather(
+    vertices: Tensor,
+    elements: Tensor,
+    points: Points,
+    spreading: Spreading,
+    single: bool,
+    field: Tensor,
+) -> Tensor:
+    """(E, corners): sums over each element's points of weight times barycentric coordinate times
+    a field (:func:`field_of`)."""
+    if not compiled(field.device):
+        return torch_mesh.gather(vertices, elements, points, spreading, single, field)[..., 0]
+    sums = torch.zeros(elements.shape, dtype=torch.float64)
+    _function("gather", single)(
+        *_arrays(vertices, elements, torch.ones(len(elements), dtype=torch.float64)),
+        *_grid(points, spreading),
+        field.numpy(),
+        sums.numpy(),
+        threads(),
+        simd_level(),
+    )
+    return sums
+
+
+def pull(
+    vertices: Tensor,
+    elements: Tensor,
+    density: Tensor,
+    points: Points,
+    spreading: Spreading,
+    single: bool,
+    field: Tensor,
+) -> tuple[Tensor, Tensor]:
+    """Gradients (V, 3) of vertices and (E,) of densities, from a field (:func:`field_of`)."""
+    if not compiled(field.device):
+        return torch_mesh.pull(vertices, elements, density, points, spreading, single, field)
+    by_vertex = torch.zeros(len(vertices), 3, dtype=torch.float64)
+    by_density = torch.empty(len(elements), dtype=torch.float64)
+    _function("pull", single)(
+        *_arrays(vertices, elements, density),
+        *_grid(points, spreading),
+        field.numpy(),
+        by_vertex.numpy(),
+        by_density.numpy(),
+        threads(),
+        simd_level(),
+    )
+    return by_vertex.to(vertices.dtype), by_density.to(density.dtype)
+
+
+def field_of(box: Tensor, spreading: Spreading, single: bool) -> Tensor:
+    """The adjoint of a grid's way to its box, on the grid, with rows as the loops take them."""
+    box = box.detach().to(torch.complex64 if single else torch.complex128)
+    row = spreading.shape[2] + (spreading.lanes if compiled(box.device) else 0)
+    return spreading.fft.to_real(box, row=row)
+
+
+def _function(name: str, single: bool) -> Any:
+    return getattr(native(), f"{name}_{'f32' if single else 'f64'}")
+
+
+def _arrays(vertices: Tensor, elements: Tensor, density: Tensor) -> tuple[np.ndarray, ...]:
+    return _double(vertices), elements.contiguous().numpy(), _double(density)
+
+
+def _grid(points: Points, spreading: Spreading) -> tuple[Any, ...]:
+    kernels = [k.coefficients for k in spreading.kernels]
+    return points.compiled, list(spreading.shape), list(spreading.scale), kernels
+
+
+def _double(t: Tensor) -> np.ndarray:
+    return t.detach().to(torch.float64).contiguous().numpy()

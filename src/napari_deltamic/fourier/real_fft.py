@@ -1,0 +1,167 @@
+"""Three-dimensional FFTs between a real array and the low wavevectors of its spectrum.
+
+Compiled, they transform no zeros and nothing that is not asked for, and give the same bits for any
+number of threads; elsewhere torch does the same axis by axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from .native import native, simd_level, threads
+from .points import placed
+
+Triple = tuple[int, int, int]
+Factors = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def compiled(device: torch.device) -> bool:
+    """Whether the compiled loops run for a device."""
+    return device.type == "cpu" and native() is not None
+
+
+@dataclass(frozen=True, eq=False)
+class RealFFT:
+    """FFTs between real arrays and boxes (2 Kz + 1, 2 Ky + 1, Kx + 1) of wavevectors.
+
+    Attributes
+    ----------
+    shape
+        Z, Y, X of the periodic array.
+    half
+        Largest indices of the box.
+    count
+        Z, Y, X of the real array: it lies at the beginning of the periodic one, and what is beyond
+        is taken to be zero, or left out.
+    to_box_factors, to_real_factors
+        Real numbers by which the box is multiplied after, or before: 2 K + 1, 2 K + 1 and K + 1
+        along its axes.
+    """
+
+    shape: Triple
+    half: Triple
+    count: Triple
+    to_box_factors: Factors = field(repr=False)
+    to_real_factors: Factors = field(repr=False)
+
+    @property
+    def box_shape(self) -> Triple:
+        """Of the box."""
+        return 2 * self.half[0] + 1, 2 * self.half[1] + 1, self.half[2] + 1
+
+    def to_box(self, real: Tensor, weights: Tensor | None = None) -> Tensor:
+        """``factors * weights * sum over the array of real exp(-2 pi i k.j / shape)``.
+
+        Parameters
+        ----------
+        real
+            (Z, Y, X) as ``count`` says; rows may be longer, and what is beyond is left out.
+        weights
+            Real numbers of the shape of the box; None: 1.
+        """
+        if not compiled(real.device):
+            box = self._torch_box(real[..., : self.count[2]])
+            return box if weights is None else box * weights
+        kind = torch.complex64 if real.dtype == torch.float32 else torch.complex128
+        box = torch.empty(self.box_shape, dtype=kind)
+        self._run("to_box", box, real.contiguous(), weights)
+        return box
+
+    def to_real(self, box: Tensor, weights: Tensor | None = None, row: int | None = None) -> Tensor:
+        """``Re sum over k of factors * weights * box exp(2 pi i k.j / shape)``.
+
+        Numbers of the box count twice unless their kx is 0 or half an even length.
+
+        Parameters
+        ----------
+        box, weights
+            Of the shape of the box; see :meth:`to_box`.
+        row
+            Of the result along x, where something is to be put behind what ``count`` says.
+        """
+        row = row or self.count[2]
+        if not compiled(box.device):
+            found = self._torch_real(box if weights is None else box * weights)
+            return torch.nn.functional.pad(found, (0, row - self.count[2]))
+        real = torch.float32 if box.dtype == torch.complex64 else torch.float64
+        out = torch.empty(*self.count[:2], row, dtype=real)
+        self._run("to_real", box.resolve_conj().contiguous(), out, weights)
+        return out
+
+    def _run(self, name: str, box: Tensor, array: Tensor, weights: Tensor | None) -> None:
+        real = array.dtype
+        z, y, x = self._placed(name, real, box.device)
+        key = name, real
+        if key not in self._outer:
+            self._outer[key] = (y[:, None] * x).contiguous().numpy()
+        function = getattr(native(), f"{name}_{'f32' if real == torch.float32 else 'f64'}")
+        function(
+            torch.view_as_real(box).numpy(),
+            array.numpy(),
+            self.shape,
+            self.half,
+            self.count,
+            z.numpy(),
+            self._outer[key],
+            None if weights is None else weights.to(real).contiguous().numpy(),
+            threads(),
+            simd_level(),
+        )
+
+    # ----------------------------------------------------------------------------- by torch
+
+    def _torch_box(self, real: Tensor) -> Tensor:
+        box = torch.fft.rfft(real, n=self.shape[2], dim=2).narrow(2, 0, self.half[2] + 1)
+        for axis in (1, 0):
+            box = torch.fft.fft(box, n=self.shape[axis], dim=axis)
+            box = _folded(box, axis, self.half[axis], self.shape[axis])
+        z, y, x = self._placed("to_box", real.dtype, real.device)
+        return box * (z[:, None, None] * (y[:, None] * x))
+
+    def _torch_real(self, box: Tensor) -> Tensor:
+        real = torch.float32 if box.dtype == torch.complex64 else torch.float64
+        z, y, x = self._placed("to_real", real, box.device)
+        box = box * (z[:, None, None] * (y[:, None] * x))
+        for axis in (0, 1):
+            box = _unfolded(box, axis, self.half[axis], self.shape[axis])
+            box = torch.fft.ifft(box, dim=axis, norm="forward").narrow(axis, 0, self.count[axis])
+        found = torch.fft.irfft(box, n=self.shape[2], dim=2, norm="forward")
+        return found.narrow(2, 0, self.count[2])
+
+    def _placed(self, name: str, real: torch.dtype, device: torch.device) -> list[Tensor]:
+        key = name, real, device
+        if key not in self._factors:
+            factors = self.to_box_factors if name == "to_box" else self.to_real_factors
+            self._factors[key] = [placed(f, real, device) for f in factors]
+        return self._factors[key]
+
+    @cached_property
+    def _factors(self) -> dict[tuple[str, torch.dtype, torch.device], list[Tensor]]:
+        return {}
+
+    @cached_property
+    def _outer(self) -> dict[tuple[str, torch.dtype], np.ndarray]:
+        return {}
+
+
+def _unfolded(box: Tensor, axis: int, half: int, n: int) -> Tensor:
+    """Indices -half..half along an axis -> FFT order 0..n-1; +n/2 and -n/2 are one, and added."""
+    positive, negative = box.narrow(axis, half, half + 1), box.narrow(axis, 0, half)
+    if 2 * half == n and half:
+        last = box.narrow(axis, 0, 1) + box.narrow(axis, 2 * half, 1)
+        parts = [box.narrow(axis, half, half), last, box.narrow(axis, 1, half - 1)]
+        return torch.cat(parts, dim=axis)
+    gap = list(box.shape)
+    gap[axis] = n - 2 * half - 1
+    return torch.cat([positive, box.new_zeros(gap), negative], dim=axis)
+
+
+def _folded(box: Tensor, axis: int, half: int, n: int) -> Tensor:
+    """FFT order 0..n-1 along an axis -> indices -half..half."""
+    positive, negative = box.narrow(axis, 0, half + 1), box.narrow(axis, n - half, half)
+    return torch.cat([negative, positive], dim=axis)

@@ -1,0 +1,289 @@
+"""Grid and kernels that points are spread with, chosen from the OTF by summing its aliases."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+from itertools import product
+from math import ceil, inf, log2, pi, sqrt
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from .kernel import AxisWeights, Kernel, kernel_for, narrowest_for, packed
+from .points import placed
+from .real_fft import RealFFT
+
+# |OTF| at components of wavevectors that broadcast over a box, rad/um.
+Transfer = Callable[[tuple[Tensor, Tensor, Tensor]], Tensor]
+_SAMPLES = 12  # of the OTF, along half an axis of the band
+# Of the error of a gradient that counts: it may be three times that of the image.
+_GRADIENT_SHARE = 0.35
+_UNIT = {True: 6e-8, False: 1.1e-16}  # rounding error of a number in single precision, in double
+_FINEST = 2.2  # grids that are tried, times the band
+# Seconds of a rendering with its gradient, in single precision on one core of 2024: for a point,
+# for each row of nodes that it meets, and for a node of the grid and each doubling of their number.
+POINT, ROW, NODE = 6e-8, 1.5e-9, 1.7e-10
+
+
+@dataclass(frozen=True, eq=False)
+class Spreading:
+    """How points are spread for a band.
+
+    Attributes
+    ----------
+    half, spacing
+        Of the band; see :class:`napari_deltamic.fourier.Band`.
+    shape
+        Nodes of the grid; it has the band's period.
+    kernels
+        One for each axis.
+    error
+        Relative L2 error of an image that it was chosen for.
+    """
+
+    half: tuple[int, int, int]
+    spacing: tuple[float, float, float]
+    shape: tuple[int, int, int]
+    kernels: tuple[Kernel, Kernel, Kernel] = field(repr=False)
+    error: float
+
+    @property
+    def scale(self) -> tuple[float, float, float]:
+        """Nodes per um."""
+        z, y, x = (n * s / (2 * pi) for n, s in zip(self.shape, self.spacing, strict=True))
+        return z, y, x
+
+    @property
+    def lanes(self) -> int:
+        """Length of a row of kernel values in the compiled loops."""
+        widest = max(k.width for k in self.kernels)
+        return 4 if widest <= 4 else 8 if widest <= 8 else 16
+
+    @property
+    def rows(self) -> float:
+        """Rows of nodes that a point meets; a wide kernel's count for more."""
+        z, y, x = (k.width for k in self.kernels)
+        return z * y * _lanes_cost(max(z, y, x))
+
+    @cached_property
+    def fft(self) -> RealFFT:
+        """Between its grid and the band, divided by the kernels' transforms; and the adjoint."""
+        z, y, x = (
+            1 / kernel.transform(np.arange(k + 1) / n)
+            for kernel, k, n in zip(self.kernels, self.half, self.shape, strict=True)
+        )
+        z, y = (np.concatenate([c[:0:-1], c]) for c in (z, y))
+        # Of a gradient, the inverse FFT adds the mirror images; they are no part of the box.
+        once = np.where(np.arange(len(x)) == 0, x, x / 2)
+        return RealFFT(self.shape, self.half, self.shape, (z, y, x), (z, y, once))
+
+    def scale_on(self, real: torch.dtype, device: torch.device) -> Tensor:
+        """(3,) nodes per um."""
+        key = "scale", real, device
+        if key not in self._placed:
+            self._placed[key] = [placed(np.array(self.scale), real, device)]
+        return self._placed[key][0]
+
+    def coefficients(self, real: torch.dtype, device: torch.device) -> list[Tensor]:
+        """Of the kernels, (degree + 1, width) along each axis."""
+        key = "coefficients", real, device
+        if key not in self._placed:
+            self._placed[key] = [placed(k.coefficients, real, device) for k in self.kernels]
+        return self._placed[key]
+
+    @cached_property
+    def _placed(self) -> dict[tuple[str, torch.dtype, torch.device], list[Tensor]]:
+        return {}
+
+
+def gaussian(width: Sequence[float]) -> Transfer:
+    """The OTF of a Gaussian PSF, um along Z, Y, X."""
+
+    def transfer(axes: tuple[Tensor, Tensor, Tensor]) -> Tensor:
+        squared = sum((w * k) ** 2 for w, k in zip(width, axes, strict=True))
+        return torch.exp(-0.5 * torch.as_tensor(squared))
+
+    return transfer
+
+
+def flat(axes: tuple[Tensor, Tensor, Tensor]) -> Tensor:
+    """An OTF of 1 everywhere."""
+    return torch.ones(torch.broadcast_shapes(*(a.shape for a in axes)), dtype=axes[0].dtype)
+
+
+def choose_spreading(
+    half: tuple[int, int, int],
+    spacing: tuple[float, float, float],
+    transfer: Transfer,
+    error: float,
+    points: int,
+    single: bool,
+    turn: float = inf,
+    width: Sequence[float] = (1.0, 1.0, 1.0),
+) -> Spreading:
+    """The cheapest grid and kernels that keep an image within ``error``.
+
+    Parameters
+    ----------
+    half, spacing
+        Of the band.
+    transfer
+        |OTF|; its aliases are summed as they are, where it need not fall to the edge of the band.
+    error
+        Relative L2 error of the image that aliases may cause.
+    points
+        How many there are, about.
+    single
+        Whether the grid is in single precision.
+    turn
+        Wavenumber from which on the power of what shines falls as its square, in units of 1/width;
+        infinite for something thin, whose power does not fall.
+    width
+        um along Z, Y, X.
+    """
+    # A Gaussian and its neighbours share what is kept.
+    each = error / sqrt(3)
+    families = _families(half, spacing, transfer, turn, width)
+    keys = [packed(f) for f in families]
+    about, unit = 2 ** ceil(log2(max(points, 1))), _UNIT[single]
+    shape, chosen = _cheapest(tuple(half), tuple(keys), each, about, unit)
+    kernels = [
+        kernel_for(w, beta, n, key, each)
+        for (w, beta), n, key in zip(chosen, shape, keys, strict=True)
+    ]
+    return Spreading(half, spacing, shape, (kernels[0], kernels[1], kernels[2]), error)
+
+
+# --------------------------------------------------------------------------------------- the OTF
+
+
+def _families(
+    half: tuple[int, int, int],
+    spacing: tuple[float, float, float],
+    transfer: Transfer,
+    turn: float,
+    width: Sequence[float],
+) -> list[list[AxisWeights]]:
+    """For each axis, shares of the power along it: of images of round scenes, of those of walls
+    across it, and of the gradient.
+
+    The power of a surface, averaged over directions, falls as the square of the wavevector; that of
+    a flat wall stays along its normal. What lies beyond the band is taken to be as strong as at its
+    edge.
+    """
+    index = [_samples(k) for k in half]
+    whole = [np.concatenate([-i[:0:-1], i]) for i in index[:2]] + [index[2]]
+    shapes = ((-1, 1, 1), (1, -1, 1), (1, 1, -1))
+    k = [(i * s).reshape(at) for i, s, at in zip(whole, spacing, shapes, strict=True)]
+    z, y, x = (torch.from_numpy(a) for a in k)
+    with torch.no_grad():
+        otf = transfer((z, y, x)).abs().to(torch.float64).cpu().numpy()
+    while otf.ndim > 3:  # a PSF that changes with depth
+        otf = otf.max(0)
+    power = np.broadcast_to(otf, [len(w) for w in whole]) ** 2
+    if not np.isfinite(power).all() or not power.any():
+        power = np.ones_like(power)
+    squared = sum((w * a) ** 2 for w, a in zip(width, k, strict=True))
+    falling = power / np.maximum(1.0, squared / turn**2)
+    steps = [_steps(w) for w in whole]
+    steps[2][1:] *= 2  # those left out are their mirror images
+    volume = falling * steps[0][:, None, None] * steps[1][:, None] * steps[2]
+    mean = sqrt(float((volume * sum(a**2 for a in k)).sum() / volume.sum()))
+    found: list[list[AxisWeights]] = []
+    for axis in range(3):
+        others = [a for a in range(3) if a != axis]
+        round_scene = volume.sum(tuple(others)) / steps[axis]
+        middle = [half_index(w) if a < 2 else 0 for a, w in enumerate(whole)]
+        along: list = list(middle)
+        along[axis] = slice(None)
+        wall = power[tuple(along)]
+        scene, flat_wall = (
+            _folded(line * steps[axis], whole[axis], index[axis]) for line in (round_scene, wall)
+        )
+        slope = _GRADIENT_SHARE * spacing[axis] / mean if mean > 0 else 0.0
+        found.append([scene, flat_wall, replace(scene, slope=slope)])
+    return found
+
+
+def _samples(half: int) -> np.ndarray:
+    """Indices 0 .. half, or as many of them as the OTF is sampled at."""
+    if half <= _SAMPLES:
+        return np.arange(half + 1, dtype=float)
+    return np.linspace(0, half, _SAMPLES + 1)
+
+
+def half_index(whole: np.ndarray) -> int:
+    """Where zero lies."""
+    return int(np.argmin(np.abs(whole)))
+
+
+def _steps(index: np.ndarray) -> np.ndarray:
+    """Wavevectors that each sample stands for: trapezoids, whose ends are whole ones."""
+    if len(index) == 1:
+        return np.ones(1)
+    gaps = np.diff(index)
+    ends = np.concatenate([[0.5], gaps / 2]), np.concatenate([gaps / 2, [0.5]])
+    return ends[0] + ends[1]
+
+
+def _folded(line: np.ndarray, whole: np.ndarray, index: np.ndarray) -> AxisWeights:
+    """Both signs of an index as one, and shares that sum to 1."""
+    total = np.zeros(len(index))
+    np.add.at(total, np.searchsorted(index, np.abs(whole)), line)
+    return AxisWeights(index, total / max(total.sum(), 1e-300))
+
+
+# ---------------------------------------------------------------------------------------- choices
+
+
+@lru_cache(maxsize=256)
+def _cheapest(
+    half: tuple[int, int, int], keys: tuple[bytes, ...], error: float, points: int, unit: float
+) -> tuple[tuple[int, int, int], list[tuple[int, float]]]:
+    """Grid, and width and beta along each axis, that cost least."""
+    options = [_options(k, key, error, unit) for k, key in zip(half, keys, strict=True)]
+    best = min(product(*options), key=lambda choice: _seconds(choice, points))
+    z, y, x = (n for n, _ in best)
+    return (z, y, x), [kernel for _, kernel in best]
+
+
+def _options(
+    half: int, key: bytes, error: float, unit: float
+) -> list[tuple[int, tuple[int, float]]]:
+    """Numbers of nodes, each with its narrowest kernel; finer ones only where it is narrower."""
+    found: list[tuple[int, tuple[int, float]]] = []
+    n = grid_size(2 * half + 2)
+    while n <= max(_FINEST * (2 * half + 1), 40) or not found:
+        kernel = narrowest_for(n, key, error, unit)
+        if kernel is not None and (not found or kernel[0] < found[-1][1][0]):
+            found.append((n, kernel))
+        n = grid_size(n + 1)
+    return found
+
+
+def _seconds(choice: tuple[tuple[int, tuple[int, float]], ...], points: int) -> float:
+    (nz, (wz, _)), (ny, (wy, _)), (nx, (wx, _)) = choice
+    nodes = nz * ny * nx
+    rows = wz * wy * _lanes_cost(max(wz, wy, wx))
+    return points * (POINT + ROW * rows) + NODE * nodes * log2(nodes + 1)
+
+
+def _lanes_cost(widest: int) -> float:
+    """Of a row, against one of 8 nodes."""
+    return 1.0 if widest <= 8 else 1.6
+
+
+def grid_size(n: int) -> int:
+    """The next even number from n on with no prime factor above 5."""
+    n += n % 2
+    while True:
+        rest = n
+        for p in (2, 3, 5):
+            while rest % p == 0:
+                rest //= p
+        if rest == 1:
+            return n
+        n += 2

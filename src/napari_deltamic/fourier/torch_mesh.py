@@ -1,0 +1,194 @@
+"""Spreading and gathering in torch operations alone: on any device, and without compiled loops.
+
+Single-precision plans run in single precision throughout: a position is split into a node of the
+grid and what is left, so that it keeps its digits where they matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from .points import Points
+from .spreading import Spreading
+from .triangle import cross
+
+_NODES_AT_ONCE = 1 << 22  # of all points that are spread or gathered together: bounds the memory
+
+
+def spread(
+    vertices: Tensor,
+    elements: Tensor,
+    density: Tensor,
+    points: Points,
+    spreading: Spreading,
+    single: bool,
+    device: torch.device,
+    factors: Tensor | None = None,
+) -> Tensor:
+    """(C, Z, Y, X) grids; see :func:`napari_deltamic.fourier.particle_mesh.spread`."""
+    if factors is None:
+        factors = measure(vertices[elements])[0][:, None]
+    strengths = (density[:, None] * factors).to(_real(single)).to(device)
+    z, y, x = spreading.shape
+    channels = strengths.shape[1]
+    grids = strengths.new_zeros(channels, z * y * x)
+    for some in _pieces(vertices, elements, points, spreading, single, device):
+        kz, ky, kx = some.values
+        values = (kz[:, :, None] * ky[:, None, :])[..., None] * kx[:, None, None, :]
+        own = (strengths[some.of][:, None] * some.weights[:, None]).reshape(-1, channels)
+        where = some.nodes(spreading.shape).reshape(-1)
+        for c in range(channels):
+            grids[c].index_add_(0, where, (values * own[:, c, None, None, None]).reshape(-1))
+    return grids.reshape(channels, z, y, x)
+
+
+def gather(
+    vertices: Tensor,
+    elements: Tensor,
+    points: Points,
+    spreading: Spreading,
+    single: bool,
+    field: Tensor,
+    slopes: bool = False,
+) -> Tensor:
+    """(E, corners, 1) sums over each element's points of weight times barycentric coordinate times
+    the field; (E, corners, 4) with its derivatives per um."""
+    parts = 4 if slopes else 1
+    sums = field.new_zeros(*elements.shape, parts)
+    flat = field.reshape(-1)
+    scale = spreading.scale_on(field.dtype, field.device)
+    for some in _pieces(vertices, elements, points, spreading, single, field.device, slopes):
+        node = flat[some.nodes(spreading.shape)]
+        kz, ky, kx = some.values
+        by_x = torch.einsum("pzyx,px->pzy", node, kx)
+        by_y = torch.einsum("pzy,py->pz", by_x, ky)
+        found = [torch.einsum("pz,pz->p", by_y, kz)]
+        if slopes:
+            sz, sy, sx = some.slopes
+            across = torch.einsum("pzyx,px->pzy", node, sx)
+            found += [
+                torch.einsum("pz,pz->p", by_y, sz),
+                torch.einsum("pzy,py,pz->p", by_x, sy, kz),
+                torch.einsum("pzy,py,pz->p", across, ky, kz),
+            ]
+        each = torch.stack(found, -1).reshape(len(some.of), len(some.weights), parts)
+        if slopes:
+            each[..., 1:] *= scale
+        shares = some.weights[:, None] * some.barycentric
+        sums[some.of] = torch.einsum("epk,pc->eck", each, shares)
+    return sums
+
+
+def pull(
+    vertices: Tensor,
+    elements: Tensor,
+    density: Tensor,
+    points: Points,
+    spreading: Spreading,
+    single: bool,
+    field: Tensor,
+) -> tuple[Tensor, Tensor]:
+    """Gradients (V, 3) and (E,) of what :func:`spread` makes, from the field on its grid."""
+    sums = gather(vertices, elements, points, spreading, single, field, slopes=True)
+    sums = sums.to(vertices.device).to(vertices.dtype)
+    size, by_corner = measure(vertices[elements])
+    all_ = sums[..., 0].sum(1)
+    each = size[:, None, None] * sums[..., 1:] + all_[:, None, None] * by_corner
+    each = density[:, None, None].to(each.dtype) * each
+    by_vertex = torch.zeros_like(vertices).index_add_(0, elements.reshape(-1), each.reshape(-1, 3))
+    return by_vertex, (size * all_).to(density.dtype)
+
+
+def measure(corners: Tensor) -> tuple[Tensor, Tensor]:
+    """(E,) area, length or 1, and its gradients (E, corners, 3), zero where there is none."""
+    gradient = torch.zeros_like(corners)
+    if corners.shape[1] == 1:
+        return torch.ones_like(corners[:, 0, 0]), gradient
+    if corners.shape[1] == 2:
+        along = corners[:, 1] - corners[:, 0]
+        size = torch.linalg.vector_norm(along, dim=1)
+        unit = along / torch.where(size > 0, size, 1.0)[:, None]
+        return size, torch.stack([-unit, unit], 1)
+    edges = corners.roll(1, 1) - corners.roll(-1, 1)  # opposite each corner
+    normal = cross(edges[:, 2], edges[:, 0])
+    doubled = torch.linalg.vector_norm(normal, dim=1)
+    unit = normal / torch.where(doubled > 0, doubled, 1.0)[:, None]
+    return doubled / 2, cross(unit[:, None].expand_as(edges), edges) / 2
+
+
+# ------------------------------------------------------------------------------------------ pieces
+
+
+@dataclass
+class _Piece:
+    """Some elements with one rule, and their points; values and slopes (points, width) by axis."""
+
+    of: Tensor
+    barycentric: Tensor
+    weights: Tensor
+    first: list[Tensor]
+    values: list[Tensor]
+    slopes: list[Tensor]
+
+    def nodes(self, shape: tuple[int, int, int]) -> Tensor:
+        """(points, Wz, Wy, Wx) nodes that each meets, in the flattened grid."""
+        z, y, x = (
+            (first[:, None] + torch.arange(v.shape[1], device=first.device)) % n
+            for first, v, n in zip(self.first, self.values, shape, strict=True)
+        )
+        rows = (z * shape[1])[:, :, None] + y[:, None, :]
+        return (rows * shape[2])[..., None] + x[:, None, None, :]
+
+
+def _pieces(
+    vertices: Tensor,
+    elements: Tensor,
+    points: Points,
+    spreading: Spreading,
+    single: bool,
+    device: torch.device,
+    slopes: bool = False,
+) -> Iterator[_Piece]:
+    real = _real(single)
+    scale = spreading.scale_on(vertices.dtype, vertices.device)
+    corners = (vertices.detach() * scale)[elements]
+    node = torch.round(corners[:, :1])
+    local = (corners - node).to(real).to(device)
+    node = node[:, 0].to(torch.int64).to(device)
+    kernels = spreading.coefficients(real, device)
+    each = 1
+    for k in spreading.kernels:
+        each *= k.width
+    for barycentric, weights, of in points.groups(real, device):
+        step = max(1, _NODES_AT_ONCE // (each * len(weights)))
+        for some in of.split(step):
+            at = torch.einsum("pc,eck->epk", barycentric, local[some])
+            first, found, tilted = [], [], []
+            for axis in range(3):
+                edge = at[..., axis] - spreading.kernels[axis].width / 2
+                up = torch.ceil(edge)
+                first.append((node[some, None, axis] + up.to(torch.int64)).reshape(-1))
+                value, slope = _evaluated(kernels[axis], (up - edge).reshape(-1), slopes)
+                found.append(value)
+                tilted.append(slope)
+            yield _Piece(some, barycentric, weights, first, found, tilted)
+
+
+def _evaluated(coefficients: Tensor, f: Tensor, slopes: bool) -> tuple[Tensor, Tensor]:
+    """(points, width) values of the polynomials and their slopes per node, by Horner's rule."""
+    t = (2 * f - 1)[:, None]
+    value = coefficients[0].expand(len(f), -1)
+    slope = torch.zeros_like(value)
+    for c in coefficients[1:]:
+        if slopes:
+            slope = slope * t + value
+        value = value * t + c
+    return value, -2 * slope  # t falls by 2 where a point moves on by a node
+
+
+def _real(single: bool) -> torch.dtype:
+    return torch.float32 if single else torch.float64

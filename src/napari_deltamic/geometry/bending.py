@@ -1,0 +1,135 @@
+"""The bending energy of a surface: a weak prior on shape, the same on coarse and fine meshes."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+
+from .mesh import FloatArray, IntArray, Mesh
+from .native import native
+
+# Cotangents beyond these are of slivers, whose curvature says nothing of the surface.
+_LEAST, _LARGEST = -2.0, 4.0
+_POINT = 1e-100  # um^2: a surface without area has no curvature
+_NO_AREA = 1e-12  # of the mean area: a face without area has no cotangents
+
+
+class BendingEnergy:
+    """``1/2 integral of |2 H|^2 dA`` over the walls of a mesh; blind at junctions and borders.
+
+    It has no unit and no scale (8 pi for any sphere), so that its weight is a pure number. With
+    ``K_i = 1/2 sum over edges of (cot a + cot b) (x_i - x_j)`` and A_i a third of the area around a
+    vertex it is ``1/2 sum over vertices of |K_i|^2 / A_i`` (M. Meyer et al., "Discrete
+    differential-geometry operators for triangulated 2-manifolds", 2003).
+
+    Parameters
+    ----------
+    mesh
+        Its connectivity. Vertices count whose edges all belong to exactly two faces.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        self._faces: IntArray = np.ascontiguousarray(mesh.faces)
+        self._count = len(mesh.vertices)
+        uses = np.bincount(mesh.face_edges().ravel(), minlength=len(mesh.edges()))
+        smooth = np.zeros(self._count)
+        smooth[mesh.faces.ravel()] = 1.0
+        smooth[mesh.edges()[uses != 2].ravel()] = 0.0
+        self._smooth = smooth
+
+    def __call__(self, vertices: FloatArray) -> tuple[float, FloatArray]:
+        """The energy and its gradient (V, 3) 1/um, at vertices (V, 3) um."""
+        library = native()
+        if library is None:
+            return self._in_numpy(vertices)
+        given = np.ascontiguousarray(vertices, dtype=np.float64)
+        energy, gradient = library.bending(given, self._faces, self._smooth)
+        return energy, gradient
+
+    def _in_numpy(self, vertices: FloatArray) -> tuple[float, FloatArray]:
+        """What the compiled loops compute (``csrc/bending.h``)."""
+        corners = vertices[self._faces]
+        # Edge vectors opposite each corner; the angle at corner p lies between the two others.
+        edges = np.roll(corners, 1, axis=1) - np.roll(corners, -1, axis=1)
+        normal = np.cross(edges[:, 0], edges[:, 1])
+        doubled = np.linalg.norm(normal, axis=1)
+        if not doubled.sum() > _POINT:
+            return 0.0, np.zeros_like(vertices)
+        doubled = np.maximum(doubled, _NO_AREA * float(doubled.mean()))
+        dots = -np.einsum("fpi,fpi->fp", np.roll(edges, -1, axis=1), np.roll(edges, 1, axis=1))
+        raw = dots / doubled[:, None]
+        cotangents = np.clip(raw, _LEAST, _LARGEST)
+
+        area = self._at_vertices(np.repeat(doubled / 6, 3).reshape(-1, 3))
+        area = np.where(area > 0, area, 1.0)
+        half = 0.5 * cotangents[:, :, None] * edges  # of the edge from corner p + 1 to p + 2
+        # K of a corner: the edges that end there, each towards the corner.
+        own = np.roll(half, -1, axis=1) - np.roll(half, 1, axis=1)
+        bend = np.stack([self._at_vertices(own[:, :, i]) for i in range(3)], 1)
+        weight = self._smooth / area
+        energy = 0.5 * float((weight * (bend**2).sum(1)).sum())
+
+        pull = weight[:, None] * bend
+        density = 0.5 * weight / area * (bend**2).sum(1)
+        at = pull[self._faces]
+        # Towards the second end of each edge minus the first, as ``edges`` themselves.
+        difference = np.roll(at, 1, axis=1) - np.roll(at, -1, axis=1)
+        gradient = 0.5 * cotangents[:, :, None] * difference
+        gradient = np.roll(gradient, -1, axis=1) - np.roll(gradient, 1, axis=1)
+        free = (raw > _LEAST) & (raw < _LARGEST)
+        by_cotangent = 0.5 * free * np.einsum("fpi,fpi->fp", difference, edges)
+        gradient += _through_cotangents(by_cotangent, dots, doubled, edges)
+        by_area = -density[self._faces].sum(1) / 6 - (by_cotangent * dots).sum(1) / doubled**2
+        # d |N| by a corner is the edge opposite it, turned about the normal.
+        turned = np.cross((normal / doubled[:, None])[:, None], edges)
+        gradient += by_area[:, None, None] * turned
+        return energy, np.stack([self._at_vertices(gradient[:, :, i]) for i in range(3)], 1)
+
+    def curvature(self, vertices: FloatArray, directions: FloatArray) -> sp.csr_matrix:
+        """(V, V) Gauss-Newton second derivatives, 1/um^2: one displacement for each vertex.
+
+        ``sum over z, y, x of Q' Q`` with ``Q = A^-1/2 L diag(direction)``, L the matrix of
+        cotangents: areas and cotangents are held. Symmetric, and nowhere negative.
+
+        Parameters
+        ----------
+        vertices
+            (V, 3) um.
+        directions
+            (V, 3) unit vectors along which vertices move.
+        """
+        corners = vertices[self._faces]
+        edges = np.roll(corners, 1, axis=1) - np.roll(corners, -1, axis=1)
+        doubled = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+        doubled = np.maximum(doubled, max(_NO_AREA * float(doubled.mean()), 1e-300))
+        dots = -np.einsum("fpi,fpi->fp", np.roll(edges, -1, axis=1), np.roll(edges, 1, axis=1))
+        half = 0.5 * np.clip(dots / doubled[:, None], _LEAST, _LARGEST).ravel()
+        # Ends of the edge opposite each corner.
+        first = np.roll(self._faces, -1, axis=1).ravel()
+        second = np.roll(self._faces, 1, axis=1).ravel()
+        shape = self._count, self._count
+        across = sp.coo_matrix((half, (first, second)), shape).tocsr()
+        across = across + across.T
+        stiff = sp.diags(np.asarray(across.sum(1)).ravel()) - across
+        area = self._at_vertices(np.repeat(doubled / 6, 3).reshape(-1, 3))
+        weight = self._smooth / np.where(area > 0, area, 1.0)
+        bend = (stiff.T @ sp.diags(weight) @ stiff).tocoo()
+        along = (directions[bend.row] * directions[bend.col]).sum(1)
+        return sp.coo_matrix((bend.data * along, (bend.row, bend.col)), shape).tocsr()
+
+    def _at_vertices(self, of_corners: FloatArray) -> FloatArray:
+        summed = np.bincount(self._faces.ravel(), of_corners.ravel(), self._count)
+        return np.asarray(summed, dtype=np.float64)
+
+
+def _through_cotangents(
+    by_cotangent: FloatArray, dots: FloatArray, doubled: FloatArray, edges: FloatArray
+) -> FloatArray:
+    """(F, 3, 3) gradient through the dot products of the cotangents, areas held."""
+    by_dot = by_cotangent / doubled[:, None]
+    # The dot product at corner p is minus that of the edges p + 1 and p + 2.
+    to_edges = -(
+        np.roll(by_dot, 1, axis=1)[:, :, None] * np.roll(edges, -1, axis=1)
+        + np.roll(by_dot, -1, axis=1)[:, :, None] * np.roll(edges, 1, axis=1)
+    )
+    return np.roll(to_edges, -1, axis=1) - np.roll(to_edges, 1, axis=1)

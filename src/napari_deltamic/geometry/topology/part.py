@@ -1,0 +1,311 @@
+"""Parts of a mesh that are cut out, changed, and put back: nothing else is looked at or changed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, IntArray, Mesh
+from napari_deltamic.geometry.remeshing import remesh
+from napari_deltamic.geometry.topology.crossings import crosses
+
+Mask = NDArray[np.bool_]
+
+_FREE = 2.0  # edge lengths around a place in which triangles are made anew
+_PASSES = 2
+_MOST_WALLS = 3  # that meet in an edge, unless more did before
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """What has become of a mesh.
+
+    Attributes
+    ----------
+    mesh
+        After the change.
+    origin
+        (V,) for each of its vertices the old one that it is, at the same place; -1 for new ones.
+    """
+
+    mesh: Mesh
+    origin: IntArray
+
+    def then(self, later: Change) -> Change:
+        """This change and one of its mesh as a single one."""
+        known = later.origin >= 0
+        origin = np.where(known, self.origin[np.maximum(later.origin, 0)], -1)
+        return Change(later.mesh, origin)
+
+
+def unchanged(mesh: Mesh) -> Change:
+    """A change that does nothing."""
+    return Change(mesh, np.arange(len(mesh.vertices)))
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Some faces of a mesh as a mesh of their own.
+
+    Attributes
+    ----------
+    mesh
+        Its own vertices; open along the border where it was cut out.
+    rows
+        The faces of the whole mesh that it consists of, increasing.
+    corners
+        (v,) which vertex of the whole each of its vertices is.
+    rim
+        (v,) bool: vertices that faces of the rest have, too. They and the edges between them must
+        stay, or the part does not fit any more.
+    """
+
+    mesh: Mesh
+    rows: IntArray
+    corners: IntArray
+    rim: Mask
+
+
+class Cutter:
+    """Cuts parts out of a mesh.
+
+    What it needs to know about the whole is found once.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        self.mesh = mesh
+        self.vertices = mesh.vertices_numpy()
+        ends = self.vertices[mesh.edges()]
+        self._longest = float(np.abs(ends[:, 1] - ends[:, 0]).max())
+
+    def faces_in(self, low: FloatArray, high: FloatArray) -> IntArray:
+        """Rows of the faces that may reach into a box; coordinates may be infinite."""
+        first, last = low - self._longest, high + self._longest
+        near = np.all((self.vertices >= first) & (self.vertices <= last), axis=1)
+        rows = np.flatnonzero(near[self.mesh.faces].all(1))
+        corners = self.vertices[self.mesh.faces[rows]]
+        reach = (corners.min(1) <= high) & (corners.max(1) >= low)
+        return rows[reach.all(1)]
+
+    def part(self, rows: IntArray) -> Part:
+        """Some faces as a part."""
+        faces = self.mesh.faces
+        corners, index = np.unique(faces[rows], return_inverse=True)
+        mesh = Mesh(self.vertices[corners], index.reshape(-1, 3), self.mesh.regions[rows])
+        rest = np.ones(len(faces), bool)
+        rest[rows] = False
+        elsewhere = np.zeros(len(self.vertices), bool)
+        elsewhere[faces[rest]] = True
+        return Part(mesh, rows, corners, elsewhere[corners])
+
+
+def put_back(mesh: Mesh, changes: Sequence[tuple[Part, Change]]) -> Change:
+    """The whole mesh with parts of it changed.
+
+    Faces and vertices of the rest come first, in their order.
+
+    Parameters
+    ----------
+    mesh
+        The whole.
+    changes
+        Parts of it that share no face, and what has become of each; their rims are still there.
+    """
+    rest = np.ones(len(mesh.faces), bool)
+    for part, _ in changes:
+        rest[part.rows] = False
+    kept = np.zeros(len(mesh.vertices), bool)
+    kept[mesh.faces[rest]] = True
+    for part, change in changes:
+        kept[part.corners[change.origin[change.origin >= 0]]] = True
+    number = np.cumsum(kept) - 1
+    count = int(kept.sum())
+    vertices, faces = [mesh.vertices_numpy()[kept]], [number[mesh.faces[rest]]]
+    regions, origins = [mesh.regions[rest]], [np.flatnonzero(kept)]
+    for part, change in changes:
+        new = change.origin < 0
+        index = np.empty(len(new), np.int64)
+        index[~new] = number[part.corners[change.origin[~new]]]
+        index[new] = count + np.arange(int(new.sum()))
+        count += int(new.sum())
+        vertices.append(change.mesh.vertices_numpy()[new])
+        faces.append(index[change.mesh.faces])
+        regions.append(change.mesh.regions)
+        origins.append(np.full(int(new.sum()), -1))
+    whole = Mesh(np.concatenate(vertices), np.concatenate(faces), np.concatenate(regions))
+    return Change(whole, np.concatenate(origins))
+
+
+def narrowed(part: Part, change: Change) -> tuple[Part, Change]:
+    """A change of a part as one of fewer faces: those that are the same before and after left out.
+
+    The parts of other changes may then have them.
+    """
+    old = change.origin >= 0
+    settled = np.flatnonzero(old[change.mesh.faces].all(1))
+    before = _face_rows(part.mesh.faces, part.mesh.regions)
+    after = _face_rows(change.origin[change.mesh.faces[settled]], change.mesh.regions[settled])
+    _, index = np.unique(np.concatenate([before, after]), axis=0, return_inverse=True)
+    index = index.reshape(-1)
+    was = np.isin(index[: len(before)], index[len(before) :])
+    stays = np.zeros(len(change.mesh.faces), bool)
+    stays[settled] = np.isin(index[len(before) :], index[: len(before)])
+    small, corners = _some(part.mesh, ~was)
+    rest = np.zeros(len(part.corners), bool)
+    rest[part.mesh.faces[was]] = True
+    now, own = _some(change.mesh, ~stays)
+    number = np.full(len(part.corners), -1)
+    number[corners] = np.arange(len(corners))
+    origin = change.origin[own]
+    origin = np.where(origin >= 0, number[np.maximum(origin, 0)], -1)
+    rim = (part.rim | rest)[corners]
+    return Part(small, part.rows[~was], part.corners[corners], rim), Change(now, origin)
+
+
+def _face_rows(faces: IntArray, regions: IntArray) -> IntArray:
+    return np.column_stack([np.sort(faces, axis=1), np.sort(regions, axis=1)])
+
+
+def _some(mesh: Mesh, mask: Mask) -> tuple[Mesh, IntArray]:
+    """A mesh of some faces, and which vertices of the given one it has."""
+    corners, index = np.unique(mesh.faces[mask], return_inverse=True)
+    some = Mesh(mesh.vertices_numpy()[corners], index.reshape(-1, 3), mesh.regions[mask])
+    return some, corners
+
+
+def evened_around(part: Part, change: Change, points: FloatArray, edge: float) -> Change:
+    """A changed part with good triangles around some points; nothing moves elsewhere.
+
+    Parameters
+    ----------
+    part
+        Before the change.
+    change
+        Its rim is as it was.
+    points
+        (n, 3) um.
+    edge
+        um: the edge length.
+    """
+    rim = np.zeros(len(change.origin), bool)
+    old = change.origin >= 0
+    rim[old] = part.rim[change.origin[old]]
+    # What the rest does around the rim is not known here: vertices beside it stay, too.
+    away = cKDTree(points).query(change.mesh.vertices_numpy())[0]
+    held = away > _FREE * edge
+    held[change.mesh.faces[rim[change.mesh.faces].any(1)]] = True
+    done = remesh(change.mesh, edge, _PASSES, fixed=held, sealed=rim, apart=True)
+    return change.then(stayed(change.mesh, done.mesh, done.origin))
+
+
+def stayed(old: Mesh, new: Mesh, origin: IntArray) -> Change:
+    """A change in which vertices that have moved count as new."""
+    known = np.flatnonzero(origin >= 0)
+    same = (new.vertices_numpy()[known] == old.vertices_numpy()[origin[known]]).all(1)
+    kept = np.full(len(origin), -1)
+    kept[known[same]] = origin[known[same]]
+    return Change(new, kept)
+
+
+# -------------------------------------------------------------------------------- soundness
+
+
+@dataclass(frozen=True, eq=False)
+class Census:
+    """What regions and walls a mesh has, kept up to date while parts of it change.
+
+    Attributes
+    ----------
+    walls
+        Number of faces between two regions, by both numbers, the larger one first.
+    volumes
+        um^3, by region.
+    """
+
+    walls: dict[tuple[int, int], int]
+    volumes: dict[int, float]
+
+    @staticmethod
+    def of(mesh: Mesh, middle: FloatArray | None = None) -> Census:
+        """Of a mesh; of a part, volumes are relative to a point (um) that it may choose."""
+        pairs, wall = mesh.interfaces()
+        count = np.bincount(wall, minlength=len(pairs)).tolist()
+        walls = {(a, b): n for (a, b), n in zip(pairs.tolist(), count, strict=True)}
+        if middle is not None:
+            mesh = mesh.with_vertices(mesh.vertices_numpy() - middle)
+        return Census(walls, mesh.volumes() if middle is None else _volumes(mesh))
+
+    def with_part(self, before: Mesh, after: Mesh) -> Census:
+        """After a part has changed."""
+        middle = before.vertices_numpy().mean(0)
+        walls, volumes = dict(self.walls), dict(self.volumes)
+        for mesh, sign in ((before, -1), (after, 1)):
+            own = Census.of(mesh, middle)
+            for pair, count in own.walls.items():
+                walls[pair] = walls.get(pair, 0) + sign * count
+            for region, volume in own.volumes.items():
+                volumes[region] = volumes.get(region, 0.0) + sign * volume
+        walls = {pair: count for pair, count in walls.items() if count}
+        there = {region for pair in walls for region in pair}
+        return Census(walls, {r: v for r, v in volumes.items() if r in there})
+
+    @property
+    def regions(self) -> set[int]:
+        """All but the outside."""
+        return set(self.volumes)
+
+    @property
+    def contacts(self) -> set[tuple[int, int]]:
+        """Pairs of cells that share a wall, the smaller number first."""
+        return {(b, a) for a, b in self.walls if b != OUTSIDE}
+
+    @property
+    def at_surface(self) -> set[int]:
+        """Cells that meet the outside."""
+        return {a for a, b in self.walls if b == OUTSIDE}
+
+
+def _volumes(mesh: Mesh) -> dict[int, float]:
+    """As ``mesh.volumes()``, relative to the origin: of open parts only differences count."""
+    corners = mesh.vertices_numpy()[mesh.faces]
+    per_face = -np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
+    ids = mesh.region_ids()
+    names = np.concatenate([[OUTSIDE], ids])
+    sides = np.searchsorted(names, mesh.regions)
+    total = np.bincount(sides[:, 0], per_face, len(names))
+    total -= np.bincount(sides[:, 1], per_face, len(names))
+    return {int(k): float(v) for k, v in zip(names[1:], total[1:], strict=True)}
+
+
+def fits(part: Part, change: Change) -> bool:
+    """Whether a changed part leaves every region closed, and crosses nowhere.
+
+    Its border must be as it was: regions that are open there are closed by the rest.
+    """
+    old = change.origin >= 0
+    if not np.isin(np.flatnonzero(part.rim), change.origin[old]).all():
+        return False
+    corners = np.where(old, change.origin, -1)
+    before, after = _open_edges(part.mesh), _open_edges(change.mesh)
+    named = np.column_stack([after[:, 0], np.sort(corners[after[:, 1:]], axis=1)])
+    if len(after) != len(before) or not np.array_equal(_sorted(named), _sorted(before)):
+        return False
+    branches = [np.bincount(m.face_edges().reshape(-1)).max() for m in (change.mesh, part.mesh)]
+    return bool(branches[0] <= max(_MOST_WALLS, branches[1])) and not crosses(change.mesh)
+
+
+def _open_edges(mesh: Mesh) -> IntArray:
+    """(n, 3) region and the vertices of each edge that an odd number of its faces share."""
+    edges, count = mesh.edges(), len(mesh.edges())
+    keys = mesh.regions.T[:, :, None] * count + mesh.face_edges()
+    found, times = np.unique(keys, return_counts=True)
+    region, edge = np.divmod(found[times % 2 == 1], count)
+    return np.column_stack([region, np.sort(edges[edge], axis=1)])
+
+
+def _sorted(rows: IntArray) -> IntArray:
+    return rows[np.lexsort(rows.T[::-1])]

@@ -1,0 +1,247 @@
+"""Thin sheets, necks and holes give way, on the mesh itself.
+
+Where a region is thin between two others, one of these takes what lies between them: its own wall
+there goes, that of the other side becomes a wall between the two, and a strip around closes the
+thin region off. A neck is cut through and both ends are capped; a hole is a neck of what fills it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
+from napari_deltamic.geometry.topology.part import Change, Part
+from napari_deltamic.geometry.topology.thin_places import ThinPlace
+
+Mask = NDArray[np.bool_]
+
+# Edge lengths: how far from a thin place what faces each other goes, and how far apart the parts of
+# the place are that go together; the first that works.
+_TRIED = ((1.2, np.inf), (0.9, 2.5), (1.6, np.inf), (0.9, 1.0), (1.6, 1.0))
+_ROUNDS = 20  # of letting a patch grow until its border is simple
+
+
+def thinned(part: Part, place: ThinPlace, edge: float) -> Iterator[Change]:
+    """What a part may be once a thin place has given way; triangles are not good yet.
+
+    Parameters
+    ----------
+    part
+        All around the place; surfaces do not cross.
+    place
+        Of one region that is thin there.
+    edge
+        um: the edge length of the mesh.
+    """
+    cut = _necks_cut if len(place.sides) == 1 else _sheet_opened
+    middle = place.points[np.linalg.norm(place.points - place.center, axis=1).argmin()]
+    for reach, extent in _TRIED:
+        own = np.linalg.norm(place.points - middle, axis=1) <= extent * edge
+        away = cKDTree(place.points[own]).query(part.mesh.vertices_numpy())[0]
+        near = (away < reach * edge)[part.mesh.faces].all(1)
+        yield from cut(part.mesh, place, near)
+
+
+# ------------------------------------------------------------------------ a sheet of a region
+
+
+def _sheet_opened(mesh: Mesh, place: ThinPlace, near: Mask) -> Iterator[Change]:
+    (thin,) = place.regions
+    around = _Outward(mesh, thin)
+    for heir, other in permutations(place.sides):
+        own = around.own & np.any(mesh.regions == heir, axis=1)
+        facing = around.own & np.any(mesh.regions == other, axis=1)
+        gone = _patch(mesh, near & own, place)
+        # Within the other wall if it is large enough, else over the junctions around it.
+        inner = _patch(mesh, near & facing & ~_at_junctions(mesh), place)
+        wider = _patch(mesh, near & around.own & ~own, place, facing)
+        wider = _grown_over_junctions(mesh, wider, around.own & ~own)
+        for kept in (inner, wider):
+            loops = [_loops(around.faces, patch) for patch in (gone, kept)]
+            if any(len(found) != 1 for found in loops) or set(loops[0][0]) & set(loops[1][0]):
+                continue
+            strip = _ring(mesh, ~gone, loops[0][0], loops[1][0][::-1])
+            if strip is None:
+                continue
+            regions = mesh.regions.copy()
+            regions[kept] = np.where(regions[kept] == thin, heir, regions[kept])
+            yield _replaced(mesh, ~gone, regions, strip, (thin, heir))
+
+
+def _at_junctions(mesh: Mesh) -> Mask:
+    """The faces with a corner in a junction."""
+    junction = np.zeros(len(mesh.vertices), bool)
+    junction[mesh.edges()[np.bincount(mesh.face_edges().reshape(-1)) > 2]] = True
+    return np.asarray(junction[mesh.faces].any(1), dtype=bool)
+
+
+def _grown_over_junctions(mesh: Mesh, patch: Mask, allowed: Mask) -> Mask:
+    """A patch of a region's surface whose border does not run along junctions.
+
+    Empty where it cannot be had.
+    """
+    patch, edge_of = patch.copy(), mesh.face_edges()
+    junction = np.bincount(edge_of.reshape(-1)) > 2
+    surface = np.bincount(edge_of[allowed].reshape(-1), minlength=len(junction))
+    for _ in range(_ROUNDS):
+        within = np.bincount(edge_of[patch].reshape(-1), minlength=len(junction))
+        bad = junction & (within == 1)
+        if not bad.any():
+            return patch
+        if (surface[bad] != 2).any():  # the junction of the heir's wall
+            break
+        patch |= allowed & bad[edge_of].any(1)
+    return np.zeros_like(patch)
+
+
+# ------------------------------------------------------------------------------------- necks
+
+
+def _necks_cut(mesh: Mesh, place: ThinPlace, near: Mask) -> Iterator[Change]:
+    (thin,), (side,) = place.regions, place.sides
+    around = _Outward(mesh, thin)
+    band = _patch(mesh, near & around.own & (mesh.regions == side).any(1), place)
+    loops = _loops(around.faces, band)
+    if len(loops) != 2 or set(loops[0]) & set(loops[1]):
+        return
+    caps = np.concatenate([_cap(mesh.vertices_numpy(), loop) for loop in loops])
+    yield _replaced(mesh, ~band, mesh.regions, caps, (thin, side))
+
+
+def _cap(places: FloatArray, loop: Sequence[int]) -> IntArray:
+    """Triangles that fill a closed line; diagonals of the least sum of squares.
+
+    G. T. Klincsek, "Minimal triangulations of polygonal domains", Ann. Discrete Math. 9, 1980.
+    """
+    n, points = len(loop), places[list(loop)]
+    square = ((points[:, None] - points[None]) ** 2).sum(2)
+    cost, between = np.zeros((n, n)), np.zeros((n, n), np.int64)
+    for width in range(2, n):
+        for i in range(n - width):
+            j = i + width
+            total = cost[i, i + 1 : j] + cost[i + 1 : j, j]
+            best = int(total.argmin())
+            cost[i, j], between[i, j] = total[best] + square[i, j], i + 1 + best
+    faces, waiting = [], [(0, n - 1)]
+    while waiting:
+        i, j = waiting.pop()
+        if j - i > 1:
+            k = int(between[i, j])
+            faces.append([loop[i], loop[k], loop[j]])
+            waiting += [(i, k), (k, j)]
+    return np.array(faces, np.int64).reshape(-1, 3)
+
+
+# --------------------------------------------------------------------------- patches and lines
+
+
+class _Outward:
+    """The faces of a region's surface (own), and all faces turned so that it lies behind them."""
+
+    def __init__(self, mesh: Mesh, region: int) -> None:
+        self.own: Mask = (mesh.regions == region).any(1)
+        turned = mesh.regions[:, 1] == region
+        self.faces: IntArray = np.where(turned[:, None], mesh.faces[:, ::-1], mesh.faces)
+
+
+def _patch(mesh: Mesh, mask: Mask, place: ThinPlace, seeds: Mask | None = None) -> Mask:
+    """Of some faces the connected ones that are nearest to a place; they share edges.
+
+    ``seeds``: one of these must be among them.
+    """
+    rows = np.flatnonzero(mask)
+    patch = np.zeros(len(mask), bool)
+    start = np.flatnonzero(mask if seeds is None else mask & seeds)
+    if not len(start):
+        return patch
+    middles = mesh.vertices_numpy()[mesh.faces[start]].mean(1)
+    first = start[cKDTree(place.points).query(middles)[0].argmin()]
+    edge = mesh.face_edges()[rows].reshape(-1)
+    face = np.repeat(np.arange(len(rows)), 3)
+    edges, index = np.unique(edge, return_inverse=True)
+    graph = coo_matrix(
+        (np.ones(len(face)), (face, len(rows) + index)), shape=(len(rows) + len(edges),) * 2
+    )
+    number = connected_components(graph, directed=False)[1][: len(rows)]
+    patch[rows[number == number[np.searchsorted(rows, first)]]] = True
+    return patch
+
+
+def _loops(faces: IntArray, patch: Mask) -> list[list[int]]:
+    """The closed lines around a patch of faces, as these run; none where a line touches itself."""
+    ends = faces[patch][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).tolist()
+    directed = {(u, w) for u, w in ends}
+    border = [(u, w) for u, w in directed if (w, u) not in directed]
+    after = dict(sorted(border))
+    if len(after) != len(border):
+        return []
+    loops = []
+    while after:
+        first = next(iter(after))
+        loop, at = [first], after.pop(first)
+        while at != first:
+            if at not in after:
+                return []
+            loop.append(at)
+            at = after.pop(at)
+        loops.append(loop)
+    return loops
+
+
+def _ring(mesh: Mesh, rest: Mask, one: list[int], other: list[int]) -> IntArray | None:
+    """Triangles between two closed lines that run the same way; least sum of squared diagonals.
+
+    The first line's edges are taken as they run, those of the other one the other way round. None
+    if they cannot be had without an edge that other faces (rest) have already.
+    """
+    places = mesh.vertices_numpy()
+    across = ((places[one][:, None] - places[other][None]) ** 2).sum(2)
+    row, column = {v: i for i, v in enumerate(one)}, {v: j for j, v in enumerate(other)}
+    for u, w in mesh.edges()[np.unique(mesh.face_edges()[rest])].tolist():
+        for p, q in ((u, w), (w, u)):
+            if p in row and q in column:
+                across[row[p], column[q]] = np.inf
+    i, j = (int(k) for k in np.unravel_index(int(across.argmin()), across.shape))
+    one, other = [*one[i:], *one[: i + 1]], [*other[j:], *other[: j + 1]]
+    across = np.roll(across, (-i, -j), (0, 1))
+    across = across[np.ix_([*range(len(one) - 1), 0], [*range(len(other) - 1), 0])]
+    m, n = across.shape
+    cost = np.full((m, n), np.inf)
+    cost[0] = np.cumsum(across[0])
+    from_one = np.zeros((m, n), bool)
+    for i in range(1, m):
+        down = cost[i - 1] + across[i]
+        cost[i, 0], from_one[i, 0] = down[0], True
+        for j in range(1, n):
+            right = cost[i, j - 1] + across[i, j]
+            from_one[i, j] = down[j] <= right
+            cost[i, j] = min(down[j], right)
+    if not np.isfinite(cost[-1, -1]):
+        return None
+    faces = []
+    i, j = m - 1, n - 1
+    while i or j:
+        if from_one[i, j]:
+            faces.append([one[i - 1], one[i], other[j]])
+            i -= 1
+        else:
+            faces.append([other[j], other[j - 1], one[i]])
+            j -= 1
+    return np.array(faces, np.int64)
+
+
+def _replaced(
+    mesh: Mesh, rest: Mask, regions: IntArray, added: IntArray, sides: tuple[int, int]
+) -> Change:
+    """A mesh with faces left out and others added."""
+    faces = np.concatenate([mesh.faces[rest], added])
+    pairs = np.concatenate([regions[rest], np.tile(np.array(sides), (len(added), 1))])
+    used, index = np.unique(faces, return_inverse=True)
+    return Change(Mesh(mesh.vertices_numpy()[used], index.reshape(-1, 3), pairs), used)

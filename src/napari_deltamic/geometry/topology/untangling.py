@@ -1,0 +1,138 @@
+"""Surfaces that cross become walls: their regions are put into voxels and meshed anew."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from napari_deltamic.errors import InputError
+from napari_deltamic.geometry.labels.partition import partition_mesh
+from napari_deltamic.geometry.labels.voxels import region_windings
+from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
+from napari_deltamic.geometry.remeshing import remesh
+from napari_deltamic.geometry.topology.crossings import crossings
+from napari_deltamic.geometry.topology.events import untangled_events
+from napari_deltamic.geometry.topology.part import (
+    Census,
+    Change,
+    Cutter,
+    Part,
+    fits,
+    put_back,
+)
+from napari_deltamic.geometry.topology.projection import projected
+from napari_deltamic.geometry.topology.rearranging import Rearranged
+
+_VOXELS, _NODES = 3.0, 2.0  # along an edge: of labels, and vertices of the new mesh
+_MOST_VOXELS = 30_000_000
+_ROOM = 3.0  # edge lengths around cells
+# Edge lengths: nearer than the first to a change the surface is new, beyond the second the old one.
+_NEW, _OLD = 1.5, 2.5
+_HOPELESS = "surfaces cross in a way that cannot be repaired: start from other seeds"
+
+
+def untangled(mesh: Mesh, edge: float | None = None) -> Rearranged:
+    """The mesh without crossings: each point belongs to the region in which it lies deepest.
+
+    Closed surfaces that overlap come to share a wall. Clusters of cells in which nothing crosses
+    stay as they are.
+
+    Parameters
+    ----------
+    mesh
+        Closed regions.
+    edge
+        um; default: the median edge length.
+
+    Raises
+    ------
+    InputError
+        If a region lies wholly within others, or the mesh is not closed.
+    """
+    found = crossings(mesh)
+    if not len(found):
+        return Rearranged(mesh, ())
+    if not mesh.is_closed():
+        raise InputError("surfaces that cross can only be repaired where they are closed")
+    ends = mesh.vertices_numpy()[mesh.edges()]
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    edge = float(np.median(length)) if edge is None else edge
+    cutter = Cutter(mesh)
+    parts = [cutter.part(rows) for rows in _crossing_clusters(mesh, found)]
+    done = put_back(mesh, [(part, _untangled(part, edge)) for part in parts])
+    before, after = Census.of(mesh), Census.of(done.mesh)
+    if after.regions != before.regions or min(after.volumes.values()) <= 0:
+        raise InputError(_HOPELESS)
+    return Rearranged(done.mesh, untangled_events(before, after, len(found)), (), done.origin)
+
+
+def _crossing_clusters(mesh: Mesh, found: IntArray) -> list[IntArray]:
+    """Rows of the faces of each cluster, of vertices that hang together or cross, where any do."""
+    vertices = mesh.edges()[found[:, 0]][:, 0]
+    links = np.concatenate([mesh.edges(), np.column_stack([vertices, mesh.faces[found[:, 1], 0]])])
+    graph = coo_matrix((np.ones(len(links)), links.T), shape=(len(mesh.vertices),) * 2)
+    cluster = connected_components(graph, directed=False)[1]
+    # A cell may have several pieces.
+    own = cluster[mesh.faces[:, 0]]
+    return [np.flatnonzero(own == k) for k in np.unique(cluster[vertices])]
+
+
+def _untangled(part: Part, edge: float) -> Change:
+    """A cluster without crossings."""
+    mesh = part.mesh
+    box = _Box(mesh, edge)
+    labels, overlap = box.deepest(mesh)
+    lost = np.setdiff1d(mesh.region_ids(), labels)
+    if len(lost):
+        raise InputError(f"region {lost[0]} lies wholly within others: move it, or take it away")
+    found = crossings(mesh)
+    ends = mesh.vertices_numpy()[mesh.edges()[found[:, 0]]].reshape(-1, 3)
+    near = cKDTree(np.concatenate([box.centers(overlap), ends]))
+    spacing = max(edge / _NODES, box.size)
+    try:
+        rough = partition_mesh(labels.astype(np.int64), np.full(3, box.size), box.low, spacing)
+    except InputError as error:
+        raise InputError(_HOPELESS) from error
+    fresh = remesh(rough, edge).mesh
+    away = near.query(fresh.vertices_numpy())[0] / edge
+    for share in (1.0, 0.0):
+        weight = share * ((away - _NEW) / (_OLD - _NEW)).clip(0, 1)
+        made = remesh(projected(fresh, mesh, weight, edge), edge, passes=2, apart=True).mesh
+        change = Change(made, np.full(len(made.vertices), -1))
+        if fits(part, change):
+            return change
+    raise InputError(_HOPELESS)
+
+
+class _Box:
+    """Voxels around a mesh: low is the first one's centre (um), size their side (um)."""
+
+    def __init__(self, mesh: Mesh, edge: float) -> None:
+        low, high = mesh.bounds()
+        low, high = low - _ROOM * edge, high + _ROOM * edge
+        self.low = low
+        self.size = max(edge / _VOXELS, float((np.prod(high - low) / _MOST_VOXELS) ** (1 / 3)))
+        self.shape = tuple((np.ceil((high - low) / self.size).astype(int) + 1).tolist())
+
+    def deepest(self, mesh: Mesh) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+        """Region of each voxel, the deepest where several overlap, and where they do."""
+        labels = np.zeros(self.shape, np.int32)
+        depth = np.zeros(self.shape)
+        overlap = np.zeros(self.shape, bool)
+        grid = self.shape, (self.size,) * 3, self.low
+        for region, cut, turns in region_windings(mesh, mesh.region_ids().tolist(), *grid):
+            inside = turns > 0
+            overlap[cut] |= (inside & (labels[cut] > 0)) | (turns > 1) | (turns < 0)
+            own = ndimage.distance_transform_edt(np.pad(inside, 1))[1:-1, 1:-1, 1:-1]
+            deeper = own > depth[cut]
+            labels[cut][deeper], depth[cut][deeper] = region, own[deeper]
+        return labels, overlap
+
+    def centers(self, mask: NDArray[np.bool_]) -> FloatArray:
+        """(n, 3) um: centres of some voxels."""
+        found: FloatArray = self.low + self.size * np.argwhere(mask)
+        return found

@@ -1,0 +1,65 @@
+"""Layers of the plugin's own: they lie on an image, and leave the sliders to it.
+
+napari moves its sliders by the smallest step of all layers, from where the first of them begins. A
+mesh in um would turn the steps of an image with thick slices into steps of 1 um, and one that
+reaches out of the image would renumber its slices. The classes have the names of napari's, as
+napari tells kinds of layers by them.
+"""
+
+from __future__ import annotations
+
+import weakref
+from typing import Any
+
+import numpy as np
+from napari import layers
+
+
+class _OnImage:
+    """Says the image's extent for its own, from ``lie_on`` on."""
+
+    _image: Any = None  # a weak reference: layers outlive the image that they were made for
+
+    def lie_on(self, image_layer: Any) -> Any:
+        """Leave the sliders to an image layer; the layer itself, for convenience."""
+        self._image = weakref.ref(image_layer)
+        return self
+
+    @property
+    def extent(self) -> Any:
+        """Where the layer lies, as the sliders are to know it."""
+        own = super().extent  # type: ignore[misc]
+        image = self._image() if self._image is not None else None
+        if image is None or tuple(image.units[-own.world.shape[1] :]) != tuple(own.units):
+            return own
+        n = own.world.shape[1]
+        there = image.extent
+        if n > there.world.shape[1] or not np.isfinite(there.world).all():
+            return own
+        return own._replace(world=there.world[:, -n:], step=there.step[-n:])
+
+    @extent.deleter
+    def extent(self) -> None:
+        self.__dict__.pop("extent", None)  # napari's cache of it
+
+
+class Surface(_OnImage, layers.Surface):  # type: ignore[misc]
+    """napari's, on an image."""
+
+
+class Vectors(_OnImage, layers.Vectors):  # type: ignore[misc]
+    """napari's, on an image."""
+
+
+class Points(_OnImage, layers.Points):  # type: ignore[misc]
+    """napari's, on an image."""
+
+
+class Tracks(_OnImage, layers.Tracks):  # type: ignore[misc]
+    """napari's, on an image."""
+
+
+def lie_on(layer: Any, image_layer: Any) -> None:
+    """Leave the sliders to an image layer, where a layer is one of these."""
+    if isinstance(layer, _OnImage):
+        layer.lie_on(image_layer)

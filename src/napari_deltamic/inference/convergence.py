@@ -1,0 +1,92 @@
+"""How far a surface still is from where the objective is least, at its worst place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..geometry.mesh import FloatArray, IntArray, Mesh
+from .preconditioner import adjacency
+
+_MOST_RINGS = 4  # of vertices around one that make a patch: finer meshes than that are rare
+
+
+@dataclass(frozen=True)
+class Remaining:
+    """What is still to come at one place.
+
+    Attributes
+    ----------
+    move
+        um: displacement of the patch, in the mean.
+    gain
+        Nats.
+    vertex
+        In its middle.
+    """
+
+    move: float
+    gain: float
+    vertex: int
+
+
+class Patches:
+    """Pieces of a surface about as wide as the PSF, one around each vertex.
+
+    Single vertices are no unit: neighbours are nearer to each other than the PSF is wide.
+    """
+
+    def __init__(self, mesh: Mesh, width: float) -> None:
+        self._faces = mesh.faces
+        ends = mesh.vertices_numpy()[mesh.edges()]
+        edge = float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)))
+        self._rings = int(np.clip(round(width / max(edge, 1e-300)), 1, _MOST_RINGS))
+        n = len(mesh.vertices)
+        self._around: sp.csr_matrix = sp.eye(n, format="csr") + adjacency(mesh)
+
+    def worst(
+        self, vertices: FloatArray, step: FloatArray, gradient: FloatArray, width: float
+    ) -> Remaining:
+        """The patch with most to gain among those that would move by more than ``width`` um.
+
+        Parameters
+        ----------
+        vertices, step, gradient
+            (V, 3): where they are, the step to where the objective is thought to be least, and its
+            gradient.
+        width
+            um.
+        """
+        normal = vertex_normals(vertices, self._faces)
+        along = (step * normal).sum(1)
+        gain = -0.5 * (gradient * step).sum(1)
+        count = np.ones(len(along))
+        for _ in range(self._rings):
+            along, gain, count = (self._around @ a for a in (along, gain, count))
+        move = np.abs(along / count)
+        # Sums over rings count a vertex several times: as many as there are walks to it.
+        gain = gain / count * self._size()
+        far = np.where(move > width, gain, -np.inf)
+        at = int(np.argmax(far if np.isfinite(far).any() else move))
+        return Remaining(float(move[at]), float(max(gain[at], 0.0)), at)
+
+    def _size(self) -> float:
+        """Vertices of a patch, about."""
+        r = self._rings
+        return float(1 + 3 * r * (r + 1))
+
+
+def vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """(V, 3) means of the normals of the faces around each vertex, by area; 0 where there is none.
+
+    At a junction they depend on how its walls are oriented.
+    """
+    corners = vertices[faces]
+    each = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    rows = faces.ravel()
+    sums = [np.bincount(rows, np.repeat(each[:, i], 3), len(vertices)) for i in range(3)]
+    found = np.stack(sums, 1)
+    length = np.linalg.norm(found, axis=1, keepdims=True)
+    return np.divide(found, length, out=np.zeros_like(found), where=length > 0)

@@ -1,0 +1,121 @@
+"""Steps down a posterior: L-BFGS with backtracking, within what guards and bounds allow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..geometry.mesh import FloatArray
+from .lbfgs import Memory
+from .metric import Metric
+from .posterior import Evaluation, Posterior
+from .variables import Variables
+
+# Of one step, at most: widths of the blurred PSF, log density, unbounded numbers of the PSF, and
+# those of effects in units of their scale. Further away the objective is no parabola; in many
+# effects it is. (The prototypes' caps; those of effects are wider than any of them needs.)
+_FAR, _FAR_DENSITY, _FAR_OPTICS, _FAR_EFFECTS = 0.6, 0.5, 0.3, 10.0
+_ARMIJO = 1e-4  # share of the predicted gain that a step must bring (Nocedal & Wright, 2006)
+_SHORTER = 6  # times that a step is shortened before the past is forgotten
+
+Limit = Callable[[Variables, Variables], Variables]
+
+
+class Descent:
+    """One way down.
+
+    Parameters
+    ----------
+    metric
+        See :class:`Metric`.
+    width
+        um: of the blurred PSF.
+    limit
+        ``limit(start, end)``: as near to the end as guards and bounds allow.
+    """
+
+    def __init__(self, metric: Metric, width: float, limit: Limit) -> None:
+        self._metric, self._width, self._limit = metric, width, limit
+        self._memory = Memory(self._guess, metric.first_scale)
+        self._evaluations = 0
+
+    def begin(self, posterior: Posterior, at: Variables) -> None:
+        """Go down an objective from here."""
+        self._posterior = posterior
+        self._metric.measure(posterior.imaging_curvature(at))
+        self.at, self.now = at, posterior(at)
+        self._evaluations += 1
+
+    def move_to(self, at: Variables, now: Evaluation) -> None:
+        """Go on from another place of the same objective."""
+        self._memory.forget()
+        self.at, self.now = at, now
+
+    def taken(self) -> int:
+        """Evaluations since this was last asked."""
+        taken, self._evaluations = self._evaluations, 0
+        return taken
+
+    def _evaluated(self, at: Variables) -> Evaluation:
+        self._evaluations += 1
+        return self._posterior(at)
+
+    def _guess(self, gradient: FloatArray, scale: float) -> FloatArray:
+        return self._metric.solve(self.at.with_flat(gradient), scale).flat()
+
+    def step(self) -> bool:
+        """Go one step down; False where none is found."""
+        for _ in range(2):
+            known = len(self._memory) > 0
+            direction = self.direction()
+            if self._search(direction):
+                return True
+            if not known:
+                return False
+            self._memory.forget()
+        return False
+
+    def direction(self) -> Variables:
+        """The step to where the objective is thought to be least."""
+        gradient = self.now.gradient.flat()
+        direction = self._memory.direction(gradient)
+        if float(direction @ gradient) >= 0:
+            self._memory.forget()
+            direction = -self._guess(gradient, self._memory.scale)
+        return self.at.with_flat(direction)
+
+    def _search(self, direction: Variables) -> bool:
+        share, direction = 1.0, self._capped(direction)
+        start, slope_along = self.at.flat(), direction.flat()
+        gradient = self.now.gradient.flat()
+        for _ in range(_SHORTER):
+            trial = self._limit(self.at, self.at.with_flat(start + share * slope_along))
+            moved = trial.flat() - start
+            predicted = float(gradient @ moved)
+            found = self._evaluated(trial)
+            gain = found.value - self.now.value
+            down = np.isfinite(found.value) and gain <= _ARMIJO * min(predicted, 0.0)
+            if down and moved.any():
+                change = found.gradient.flat() - gradient
+                on_surface = np.arange(len(moved)) < trial.on_surface
+                self._memory.add(moved, change, on_surface)
+                self.at, self.now = trial, found
+                return True
+            # The least of the parabola through both values and the slope.
+            curved = 2 * (gain - predicted)
+            better = -predicted / curved if np.isfinite(curved) and curved > 0 else 0.1
+            share *= float(np.clip(better, 0.1, 0.5))
+        return False
+
+    def _capped(self, step: Variables) -> Variables:
+        """A step with no part longer than it may be; one wild vertex does not hold back others."""
+        far = np.sqrt((step.vertices**2).sum(1, keepdims=True)) / (_FAR * self._width)
+        optics = np.abs(step.optics).max(initial=0.0) / _FAR_OPTICS
+        rest = max(optics, np.abs(step.effects).max(initial=0.0) / _FAR_EFFECTS)
+        return Variables(
+            step.vertices / np.maximum(far, 1.0),
+            np.clip(step.density, -_FAR_DENSITY, _FAR_DENSITY),
+            step.optics / max(rest, 1.0),
+            step.effects / max(rest, 1.0),
+        )

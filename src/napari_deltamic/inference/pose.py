@@ -1,0 +1,193 @@
+"""Pose the objective anew: which voxels count, how they are weighted, and how much they say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..fourier.devices import for_objects
+from ..geometry.bending import BendingEnergy
+from ..geometry.mesh import FloatArray
+from ..scene import Renderer
+from ..scene.effects import Effects
+from .density import Density
+from .imaging import Imaging
+from .level import Level, Voxels
+from .likelihood import Match, match
+from .posterior import Posterior, Prior, View
+from .preconditioner import Preconditioner
+from .shape import Shape
+from .tempering import tempered_variance
+from .variables import Variables
+
+
+@dataclass(frozen=True, eq=False)
+class Posed:
+    """An objective, and what a descent has to know of it.
+
+    Attributes
+    ----------
+    posterior
+        The objective.
+    at
+        Where the fit is.
+    renderer
+        Planned for the surface there.
+    variance
+        Of the first image's residuals, see :class:`View`.
+    firmness
+        Second derivative of its misfit by a displacement of a piece of surface along its normal,
+        for each um^2 of it: nats / um^4.
+    """
+
+    posterior: Posterior
+    at: Variables
+    renderer: Renderer
+    variance: float
+    firmness: float
+
+
+def pose(
+    levels: tuple[Level, Level | None],
+    shape: Shape,
+    density: Density,
+    imaging: Imaging,
+    density_fitted: bool,
+    tempered: bool,
+) -> Posed:
+    """The objective at a level, from where the surface is now.
+
+    Parameters
+    ----------
+    levels
+        That of the first image, and that of the second.
+    shape, density, imaging
+        As they are now.
+    density_fitted
+        Whether densities are unknowns. A smooth one of which nothing is known begins with the
+        brightness of the image where the surface lies.
+    tempered
+        Whether residuals are taken to be as correlated as they are; while the shape is still far
+        off they are correlated because of that.
+    """
+    level, second = levels
+    log = np.zeros(len(density)) if shape.log_density is None else shape.log_density
+    at = Variables(shape.mesh.vertices_numpy(), log, *imaging.numbers())
+    renderer = level.renderer(shape.mesh, imaging.optics, imaging.effects)
+    look = _Look(level, renderer, density, imaging)
+    rendered = look.rendered(at)
+    voxels = look.voxels(at, rendered)
+    if density_fitted and shape.log_density is None and density.model == "smooth":
+        found = look.found(voxels, rendered)
+        ratio = level.brightness(at.vertices, rendered, found, imaging.effects)
+        smoother = Preconditioner(shape.mesh, level.smoothing)
+        at = replace(at, density=density.estimate(ratio, smoother))
+        rendered = look.rendered(at)
+    found = look.found(voxels, rendered)
+    variance = look.variance(voxels, rendered, found, tempered)
+    views = [View(voxels, variance)]
+    if second is not None:
+        views.append(look.second_view(second, at, tempered))
+    stiffness = level.settings.bending
+    prior = Prior(BendingEnergy(shape.mesh), stiffness, density, imaging)
+    posterior = Posterior(level, renderer, views, prior, density_fitted)
+    firmness = look.firmness(voxels, rendered, found) / variance
+    return Posed(posterior, at, renderer, variance, firmness)
+
+
+@dataclass(frozen=True)
+class _Look:
+    """Images of the surface as it is, without gradients."""
+
+    level: Level
+    renderer: Renderer
+    density: Density
+    imaging: Imaging
+
+    def rendered(
+        self, at: Variables, effects: Effects | None = None, level: Level | None = None
+    ) -> Tensor:
+        """(Z, Y, X) with the effects as they are now, or others."""
+        level, imaging = level or self.level, self.imaging
+        renderer = self.renderer if effects is None else self.renderer.with_effects(effects)
+        there = for_objects(level.device)
+        with torch.no_grad():
+            vertices = torch.from_numpy(at.vertices.copy()).to(there)
+            weights = self.density.faces(torch.from_numpy(at.density).to(there))
+            spectrum = renderer.transform(vertices, weights)
+            otf = renderer.otf(level.optics or imaging.optics)
+            return level.rendered(renderer, spectrum, otf)
+
+    def voxels(self, at: Variables, rendered: Tensor, level: Level | None = None) -> Voxels:
+        """Those that count."""
+        level = level or self.level
+        width = max((level.optics or self.imaging.optics).sigma_um)
+
+        def plain(effects: Effects) -> Tensor:
+            return self.rendered(at, effects, level)
+
+        return level.voxels(rendered, self.imaging.effects, plain, width)
+
+    def _measured(self, voxels: Voxels, level: Level) -> Tensor:
+        added = level.offset(self.imaging.effects)
+        if added is None:
+            return voxels.measured
+        return voxels.measured - added.reshape(-1)[voxels.index].to(voxels.measured.dtype)
+
+    def found(self, voxels: Voxels, rendered: Tensor, level: Level | None = None) -> Match:
+        """How well the image is explained."""
+        measured = self._measured(voxels, level or self.level)
+        return match(voxels.of(rendered), measured, voxels.weights)[1]
+
+    def variance(
+        self,
+        voxels: Voxels,
+        rendered: Tensor,
+        found: Match,
+        tempered: bool,
+        level: Level | None = None,
+    ) -> float:
+        """Of the residuals; not less than that of what the rendering leaves out."""
+        level = level or self.level
+        measured = self._measured(voxels, level)
+        root = torch.sqrt(voxels.weights)
+        signal = found.amplitude * voxels.of(rendered)
+        residual = _double((measured - signal - found.background) * root)
+        least = level.accuracy**2 * float(np.mean(_double(signal * root) ** 2))
+        alone = max(float(np.mean(residual**2)), least, 1e-300)
+        if not tempered:
+            return alone
+        widths = level.factor * np.asarray(self.imaging.optics.sigma_um)
+        widths = widths / np.asarray(level.grid.voxel_size)
+        index = voxels.index.cpu().numpy()
+        return tempered_variance(residual, index, level.grid.shape, tuple(widths), alone)
+
+    def second_view(self, level: Level, at: Variables, tempered: bool) -> View:
+        """The second image, with a background and an amplitude of its own."""
+        rendered = self.rendered(at, level=level)
+        voxels = self.voxels(at, rendered, level)
+        found = self.found(voxels, rendered, level)
+        variance = self.variance(voxels, rendered, found, tempered, level)
+        return View(voxels, variance, level.optics)
+
+    def firmness(self, voxels: Voxels, rendered: Tensor, found: Match) -> float:
+        """Of a flat membrane, before it is divided by the variance.
+
+        Of amplitude a it has the image a v g(n), with v the volume that a voxel of the rendering
+        stands for and g a Gaussian of width s along its normal: the squares of its derivative add
+        up to a^2 v^2 / (4 sqrt(pi) s^3 V) for each um^2, V being the volume of a voxel.
+        """
+        level = self.level
+        values = voxels.of(rendered).clamp(min=0)
+        weight = float((voxels.weights * values).sum() / values.sum().clamp(min=1e-30))
+        volume = float(np.prod(level.grid.voxel_size))
+        width = level.factor * float(np.prod(self.imaging.optics.sigma_um)) ** (1 / 3)
+        brightness = found.amplitude * volume * level.volume_ratio
+        return weight * brightness**2 / (4 * np.sqrt(np.pi) * width**3 * volume)
+
+
+def _double(values: Tensor) -> FloatArray:
+    return values.detach().cpu().numpy().astype(np.float64)

@@ -1,0 +1,317 @@
+"""What a fit makes least: minus the log posterior of shape, densities, PSF and effects, in nats."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..fourier.devices import for_objects, widest
+from ..geometry.bending import BendingEnergy
+from ..geometry.mesh import FloatArray
+from ..optics import Optics
+from ..scene import Renderer
+from ..scene.effects import Effects, OffsetEffect
+from .density import Density
+from .imaging import Imaging, Now, effect_columns, optics_columns
+from .level import Level, Voxels
+from .likelihood import Match, match
+from .variables import Variables
+
+
+@dataclass(frozen=True)
+class View:
+    """One image of the scene.
+
+    Attributes
+    ----------
+    voxels
+        Those that count.
+    variance
+        Of a residual times the root of its weight, times the number of voxels that one independent
+        voxel stands for; see :func:`~.tempering.tempered_variance`.
+    optics
+        Its PSF; None: that of the fit.
+    """
+
+    voxels: Voxels
+    variance: float
+    optics: Optics | None = None
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known beforehand.
+
+    Attributes
+    ----------
+    bending
+        The bending energy of the surface.
+    stiffness
+        Its weight, a pure number.
+    density
+        The densities and their prior.
+    imaging
+        PSF and effects, and theirs.
+    """
+
+    bending: BendingEnergy
+    stiffness: float
+    density: Density
+    imaging: Imaging
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """The objective at one place.
+
+    Attributes
+    ----------
+    value
+        Nats.
+    gradient
+        By each unknown.
+    match
+        Of the first image.
+    rendered
+        (Z, Y, X) the first image, of amplitude 1 and without background.
+    """
+
+    value: float
+    gradient: Variables
+    match: Match
+    rendered: Tensor
+
+
+class Posterior:
+    """The objective; voxels, weights, variances, connectivity and plan do not change.
+
+    Parameters
+    ----------
+    level, renderer
+        Where images are compared, and what renders them.
+    views
+        The measured images, the fit's own first.
+    prior
+        See :class:`Prior`.
+    density_fitted
+        Whether the densities are unknowns, or held.
+    """
+
+    def __init__(
+        self,
+        level: Level,
+        renderer: Renderer,
+        views: Sequence[View],
+        prior: Prior,
+        density_fitted: bool,
+    ) -> None:
+        self._level, self._renderer, self._views = level, renderer, views
+        self._prior, self._density_fitted = prior, density_fitted
+        self._imaging = prior.imaging
+        self._faces_on = for_objects(level.device)
+
+    def __call__(self, at: Variables) -> Evaluation:
+        """Value and gradient."""
+        vertices, density, optics_numbers = self._leaves(at)
+        optics = self._imaging.optics_of(optics_numbers)
+        effects = self._imaging.effects_of(at.effects)
+        renderer = self._with(effects)
+        weights = self._prior.density.faces(density)
+        spectrum = renderer.transform(vertices, weights)
+        nats, told, first = torch.zeros(()), None, None
+        for view in self._views:
+            otf = renderer.otf(optics if view.optics is None else view.optics)
+            image = self._level.rendered(renderer, spectrum, otf)
+            voxels = view.voxels
+            squares, found = match(voxels.of(image), self._measured(view, effects), voxels.weights)
+            nats = nats.to(squares) + squares / (2 * view.variance)
+            if told is None:
+                told, first = found, (image, otf)
+        assert told is not None
+        assert first is not None
+        nats.backward()
+        held = weights.detach() if weights is not None else None
+        by_effects = self._by_effects(
+            effects, optics, vertices.detach(), held, spectrum, first, told
+        )
+        gradient = Variables(
+            _array(vertices.grad),
+            _array(density.grad) if self._density_fitted else np.zeros_like(at.density),
+            _array(optics_numbers.grad),
+            by_effects,
+        )
+        value, gradient = self._with_priors(float(nats.detach()), gradient, at)
+        return Evaluation(value, gradient, told, first[0].detach())
+
+    @property
+    def views(self) -> tuple[View, ...]:
+        """The measured images, the fit's own first."""
+        return tuple(self._views)
+
+    @property
+    def prior(self) -> Prior:
+        """What is known beforehand."""
+        return self._prior
+
+    @property
+    def level(self) -> Level:
+        """Where images are compared."""
+        return self._level
+
+    def images(self, at: Variables) -> list[FloatArray]:
+        """(N,) of each view: its rendering where voxels count, of amplitude 1; no gradients."""
+        with torch.no_grad():
+            vertices, density, numbers = self._leaves(at)
+            optics = self._imaging.optics_of(numbers)
+            renderer = self._with(self._imaging.effects_of(at.effects))
+            spectrum = renderer.transform(vertices, self._prior.density.faces(density))
+            found = []
+            for view in self._views:
+                otf = renderer.otf(optics if view.optics is None else view.optics)
+                image = self._level.rendered(renderer, spectrum, otf)
+                found.append(_array(view.voxels.of(image)))
+            return found
+
+    def measured(self, at: Variables) -> list[FloatArray]:
+        """(N,) of each view: what was measured, without what effects add."""
+        effects = self._imaging.effects_of(at.effects)
+        return [_array(self._measured(view, effects)) for view in self._views]
+
+    def _leaves(self, at: Variables) -> tuple[Tensor, Tensor, Tensor]:
+        there = self._faces_on
+        vertices = torch.tensor(at.vertices, device=there, dtype=widest(there), requires_grad=True)
+        density = torch.tensor(
+            at.density,
+            device=there,
+            dtype=widest(there),
+            requires_grad=self._density_fitted and len(at.density) > 0,
+        )
+        return vertices, density, torch.tensor(at.optics, requires_grad=len(at.optics) > 0)
+
+    def _with(self, effects: Effects) -> Renderer:
+        if effects == self._renderer.effects:
+            return self._renderer
+        return self._renderer.with_effects(effects)
+
+    def _measured(self, view: View, effects: Effects) -> Tensor:
+        """What was measured, without what effects add to the first image."""
+        measured = view.voxels.measured
+        added = self._level.offset(effects) if view.optics is None else None
+        if added is None:
+            return measured
+        return measured - added.reshape(-1)[view.voxels.index].to(measured.dtype)
+
+    def _by_effects(
+        self,
+        effects: Effects,
+        optics: Optics,
+        vertices: Tensor,
+        density: Tensor | None,
+        spectrum: Tensor,
+        first: tuple[Tensor, Tensor],
+        found: Match,
+    ) -> FloatArray:
+        """(E,) derivatives by the numbers of effects: their columns times the residuals."""
+        if not self._imaging.fitted:
+            return np.zeros(0)
+        with torch.no_grad():
+            view = self._views[0]
+            image, otf = (t.detach() for t in first)
+            values = view.voxels.of(image)
+            measured = self._measured(view, effects)
+            pull = (found.amplitude * values + found.background - measured) * view.voxels.weights
+            now = Now(
+                self._level,
+                self._with(effects),
+                optics.detach(),
+                effects,
+                lambda other: other.transform(vertices, density),
+                spectrum.detach(),
+                otf,
+                values,
+                view.voxels,
+                found.amplitude,
+            )
+            columns = [c for e in effects.fitted() for c in effect_columns(now, e)]
+            dots = [float(torch.dot(c.to(pull), pull)) for c in columns]
+        return np.array(dots) / view.variance
+
+    def _with_priors(
+        self, nats: float, by_image: Variables, at: Variables
+    ) -> tuple[float, Variables]:
+        bend, by_vertices = self._prior.bending(at.vertices)
+        kappa = self._prior.stiffness
+        rough, by_density = self._prior.density.prior(at.density)
+        known, by_optics, by_effects = self._imaging.prior(at.optics, at.effects)
+        if not self._density_fitted:
+            by_density = np.zeros_like(by_density)
+        gradient = Variables(
+            by_image.vertices + kappa * by_vertices,
+            by_image.density + by_density,
+            by_image.optics + by_optics,
+            by_image.effects + by_effects,
+        )
+        return nats + kappa * bend + rough + known, gradient
+
+    def imaging_curvature(self, at: Variables) -> FloatArray:
+        """(P + E, P + E) Gauss-Newton second derivatives by PSF and effects.
+
+        Amplitude and background follow; the shape is held.
+        """
+        if len(at.optics) + len(at.effects) == 0:
+            return np.zeros((0, 0))
+        view = self._views[0]
+        root = np.sqrt(_array(view.voxels.weights))
+        columns, image = self.imaging_columns(at)
+        own = np.stack([image * root, root], 1)
+        jacobian = columns * root[:, None]
+        jacobian = jacobian - own @ np.linalg.lstsq(own, jacobian, rcond=None)[0]
+        found: FloatArray = jacobian.T @ jacobian / view.variance
+        return found + np.diag(self._imaging.prior_curvature())
+
+    def imaging_columns(self, at: Variables) -> tuple[FloatArray, FloatArray]:
+        """(N, P + E) derivatives of the first measured image by PSF and effects, and its rendering.
+
+        The rendering (N,) is of amplitude 1.
+        """
+        with torch.no_grad():
+            view = self._views[0]
+            vertices, density, numbers = self._leaves(at)
+            optics, effects = self._imaging.optics_of(numbers), self._imaging.effects_of(at.effects)
+            renderer = self._with(effects)
+            weights = self._prior.density.faces(density)
+            spectrum, otf = renderer.transform(vertices, weights), renderer.otf(optics)
+            image = view.voxels.of(self._level.rendered(renderer, spectrum, otf))
+            _, found = match(image, self._measured(view, effects), view.voxels.weights)
+            now = Now(
+                self._level,
+                renderer,
+                optics,
+                effects,
+                lambda other: other.transform(vertices, weights),
+                spectrum,
+                otf,
+                image,
+                view.voxels,
+                found.amplitude,
+            )
+            columns = optics_columns(now) if len(at.optics) else []
+            for effect in self._imaging.fitted:
+                columns += effect_columns(now, getattr(effects, effect.name))
+            each = [_array(column) for column in columns]
+            return np.stack(each, 1) if each else np.zeros((len(image), 0)), _array(image)
+
+
+def _array(gradient: Tensor | None) -> FloatArray:
+    if gradient is None:
+        return np.zeros(0)
+    return gradient.detach().cpu().numpy().astype(np.float64)
+
+
+def has_offset(effects: Effects) -> bool:
+    """Whether an effect adds to the image."""
+    return any(isinstance(e, OffsetEffect) for e in effects.present())

@@ -1,0 +1,107 @@
+"""Levels, windows and patience: when a level goes on, is posed anew, or ends."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+from .convergence import Remaining
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """When levels end.
+
+    Attributes
+    ----------
+    renewed_every
+        Iterations after which voxels, weights and plan are made anew: the surface has moved.
+    strayed, strayed_far
+        Or as soon as this share of the vertices has moved so far, in widths of the blurred PSF,
+        which is also as far as they may: further away are voxels that do not count.
+    window
+        Iterations over which gain and movement are judged.
+    coarse_gain
+        A coarse level ends when a window gains less than this share of the objective ...
+    coarse_most
+        ... or after so many iterations: it only has to bring the next one within reach. More of
+        them did not bring cow and fish any nearer in the end, fewer left starts unfound.
+    gain
+        Nats. The last level ends when no patch as wide as the PSF that would move by more than the
+        tolerance would gain more: with 0.1, none is further from where it belongs than half of
+        its own standard deviation.
+    level_variance
+        Share by which the variance of the residuals may change from one objective to the next
+        before that counts.
+    """
+
+    renewed_every: int = 20
+    strayed: float = 0.02
+    strayed_far: float = 1.5
+    window: int = 5
+    coarse_gain: float = 0.02
+    coarse_most: int = 30
+    gain: float = 0.1
+    level_variance: float = 0.1
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a level has come.
+
+    Attributes
+    ----------
+    iterations
+        Of the level.
+    since_posed
+        Since its objective was posed.
+    values
+        Of the objective since then, nats, its first one included.
+    variance
+        Of the residuals in it; 0 before the first.
+    settled
+        Whether the variance is about that of the objective before.
+    stuck
+        How often in a row no way down was found.
+    """
+
+    iterations: int = 0
+    since_posed: int = 0
+    values: tuple[float, ...] = field(default=())
+    variance: float = 0.0
+    settled: bool = False
+    stuck: int = 0
+
+    def posed(self, value: float, variance: float, schedule: Schedule) -> Progress:
+        """The objective is another one."""
+        change = abs(variance / self.variance - 1) if self.variance > 0 else 1.0
+        settled = change < schedule.level_variance
+        return replace(self, since_posed=0, values=(value,), variance=variance, settled=settled)
+
+    def stepped(self, value: float, moved: bool) -> Progress:
+        """One iteration more; whether it found a way down."""
+        return replace(
+            self,
+            iterations=self.iterations + 1,
+            since_posed=self.since_posed + 1,
+            values=(*self.values, value),
+            stuck=0 if moved else self.stuck + 1,
+        )
+
+    def coarse_ends(self, schedule: Schedule) -> bool:
+        """Whether a coarse level is done."""
+        if self.iterations >= schedule.coarse_most or self.stuck > 1:
+            return True
+        if self.since_posed < schedule.window:
+            return False
+        return 1 - self.values[-1] / self.values[-1 - schedule.window] < schedule.coarse_gain
+
+    def at_rest(self, remaining: Remaining, tolerance: float, schedule: Schedule) -> bool:
+        """Whether hardly anything is to be gained any more.
+
+        tolerance : um.
+        """
+        if self.stuck > 1:
+            return True
+        if self.since_posed < schedule.window:
+            return False
+        return remaining.move <= tolerance or remaining.gain <= schedule.gain

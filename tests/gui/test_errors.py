@@ -1,0 +1,63 @@
+"""Errors that nobody expected: the user reads a line, the log has the traceback."""
+
+import logging
+
+import pytest
+
+from napari_deltamic.errors import InputError
+from napari_deltamic.gui.attempt import attempt
+from napari_deltamic.gui.background import Background
+from napari_deltamic.gui.running import worker
+from napari_deltamic.gui.tracking import work
+
+LOGGER = "napari_deltamic.gui.attempt"
+
+
+def broken(*arguments, **options):
+    raise KeyError("a bug")
+
+
+def wrong(*arguments, **options):
+    raise InputError("no image")
+
+
+def tracebacks(caplog):
+    return [r.exc_info[0] for r in caplog.records if r.name == LOGGER and r.exc_info]
+
+
+def test_an_action(caplog):
+    said = []
+    attempt(broken, said.append)
+    attempt(wrong, said.append)
+    assert said == ["KeyError: 'a bug'; the log shows where", "no image"]
+    assert tracebacks(caplog) == [KeyError]  # what a user got wrong needs none
+
+
+def test_work_in_the_background(app, spin, caplog):
+    said = []
+    background = Background(print, said.append)
+    for action, n in ((broken, 1), (wrong, 2)):
+        background.ask(action)
+        spin(lambda n=n: len(said) == n)
+    assert said[1] == "no image"
+    assert tracebacks(caplog) == [KeyError]
+
+
+@pytest.mark.parametrize("where", ["the thread", "the viewer"])
+def test_a_fit(seeded, spin, told, monkeypatch, caplog, where):
+    if where == "the thread":
+        monkeypatch.setattr(worker, "start", broken)
+    else:
+        monkeypatch.setattr(seeded.running, "show_progress", broken)
+    seeded.start()
+    spin(lambda: not seeded.run.running)
+    assert "the log shows where" in told[-1]
+    assert tracebacks(caplog) == [KeyError]
+    assert caplog.records[-1].levelno == logging.ERROR
+
+
+def test_tracking(series_widget, spin, told, monkeypatch, caplog):
+    monkeypatch.setattr(work, "track", broken)
+    series_widget.tracking.start()
+    spin(lambda: not series_widget.tracking.running)
+    assert tracebacks(caplog) == [KeyError]

@@ -1,0 +1,118 @@
+"""Another image is chosen: nothing that is of the first one is shown as the new one's."""
+
+import numpy as np
+import pytest
+
+from napari_deltamic.gui.effects import effects_check
+from napari_deltamic.gui.seeding import find_cells_panel
+from napari_deltamic.settings import FitSettings
+
+from .conftest import SIZE
+from .sessions import done, fitted, save
+from .test_effects_panel import BULK, HALO, recommendation
+
+
+@pytest.fixture
+def other(with_image, pixels):
+    """A second image, not chosen."""
+
+    def add():
+        return with_image.add_image(pixels[::-1], name="other", scale=np.multiply(SIZE, 2))
+
+    return add
+
+
+def choose(widget, name):
+    chooser = widget.image.chooser
+    chooser.setCurrentIndex(chooser.findText(name))
+    assert widget.image.layer.name == name
+
+
+def of_a_fit(widget):
+    """What a result is told by: is any of it to be seen?"""
+    running = widget.running
+    parts = (running.verdict, running.note, running.curve, running.psf, running.edit)
+    parts += (running.history, running.numbers, widget.results, widget.settings.pace)
+    return [part for part in parts if not part.isHidden()]
+
+
+def test_the_result_goes_and_comes_back_with_its_image(seeded, spin, other):
+    fitted(seeded, spin)
+    before = of_a_fit(seeded)
+    assert seeded.results in before
+    other()
+    choose(seeded, "other")
+    assert of_a_fit(seeded) == []
+    choose(seeded, "cell")
+    assert set(before) - set(of_a_fit(seeded)) <= {seeded.settings.pace}
+
+
+def test_a_fit_that_fails_does_not_take_over_the_last_result(seeded, with_image, spin, other, told):
+    fitted(seeded, spin)
+    other()
+    choose(seeded, "other")
+    with_image.layers["seeds"].data = [(500, 500, 500)]
+    seeded.seeds.shape.setCurrentIndex(0)
+    seeded.start()
+    spin(done(seeded))
+    assert seeded.running.last_verdict[0] == "failed"
+    assert not seeded.running.verdict.isHidden()
+    assert seeded.results.isHidden()
+    assert seeded.control.present() is None
+    choose(seeded, "cell")
+    assert not seeded.results.isHidden()
+    assert seeded.running.last_verdict == ("", "")  # not that of the other image
+
+
+def test_found_cells_are_of_their_image(make_widget, with_image, spin, other, monkeypatch):
+    labels = np.zeros(with_image.layers["cell"].data.shape, np.int32)
+    labels[5:12, 5:15, 5:15] = 1
+    monkeypatch.setattr(find_cells_panel, "look", lambda *arguments: (2.0, labels))
+    widget = make_widget()
+    widget.seeds.find_cells.click()
+    spin(lambda: "Found 1 cell" in widget.seeds.note.text())
+    found = with_image.layers["found cells"]
+    assert found in widget.seeds.chooser.ticked()
+    widget.image.voxel_size._boxes[0].setValue(0.31)  # the same image
+    assert "Found 1 cell" in widget.seeds.note.text()
+    other()
+    choose(widget, "other")
+    assert "Found" not in widget.seeds.note.text()
+    assert found not in widget.seeds.chooser.ticked()
+
+
+def test_recommendations_are_of_their_image(seeded, spin, other, monkeypatch):
+    monkeypatch.setattr(effects_check, "recommend", lambda *a, **k: recommendation(BULK, HALO))
+    seeded.settings.show_settings(FitSettings(max_iterations=2))
+    seeded.checking.start()
+    spin(lambda: not seeded.checking.busy)
+    view = seeded.settings.effects
+    assert view.summary() == "none; bulk recommended"
+    other()
+    choose(seeded, "other")
+    assert "recommended" not in view.summary()
+    assert view.take_button.isHidden()
+    assert view.table.row_of("bulk")["evidence"] == ""
+    assert "another image" in view.progress.text()
+    choose(seeded, "cell")
+    assert view.summary() == "none; bulk recommended"
+
+
+def test_the_psf_of_a_session_is_of_its_image(seeded, spin, tmp_path, reopened, pixels):
+    path = tmp_path / "one.deltamic"
+    save(fitted(seeded, spin), path, spin)
+    viewer, widget = reopened(path)
+    assert widget.settings.sigma.value() == (0.4, 0.25, 0.23)
+    viewer.add_image(pixels, name="other", scale=(1, 0.5, 0.5), units=("um",) * 3)
+    choose(widget, "other")
+    assert widget.settings.sigma.value() == pytest.approx((1.2, 0.6, 0.6))
+    assert widget.settings.optics.picture._wanted.sigma_um == pytest.approx((1.2, 0.6, 0.6))
+    assert widget.results.isHidden()
+
+
+def test_what_the_user_typed_stays(make_widget, other):
+    widget = make_widget()
+    widget.settings.sigma._boxes[0].setValue(0.5)
+    other()
+    choose(widget, "other")
+    assert widget.settings.sigma.value()[0] == 0.5

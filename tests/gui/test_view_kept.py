@@ -1,0 +1,101 @@
+"""What the user looks at stays: slice and zoom when voxels change, the slider's steps in a fit."""
+
+import numpy as np
+import pytest
+from napari.layers._source import layer_source
+
+from napari_deltamic import _widget
+from napari_deltamic.images import write_image
+
+from .conftest import CENTER, SHAPE, SIZE
+
+
+def camera(viewer):
+    return getattr(viewer, "scene", viewer).camera
+
+
+def look(viewer, slice_):
+    """At a slice, closely, beside the middle."""
+    viewer.dims.set_current_step(0, slice_)
+    camera(viewer).center, camera(viewer).zoom = (0, 7.0, 9.0), 30.0
+
+
+def seen(viewer, layer):
+    """Slice, and the voxels in the middle of the canvas and 100 pixels away from it."""
+    center, zoom = np.array(camera(viewer).center)[-2:], camera(viewer).zoom
+    places = [(viewer.dims.point[0], *(center + away / zoom)) for away in (0, 100)]
+    return viewer.dims.current_step[0], [np.round(layer.world_to_data(p), 6) for p in places]
+
+
+@pytest.fixture
+def unscaled(app, viewer, pixels):
+    layer = viewer.add_image(pixels, name="cell")
+    widget = _widget.FitWidget(viewer)
+    yield widget, viewer, layer
+    widget.close_links()
+
+
+def test_the_view_stays_when_the_voxel_size_is_typed(unscaled):
+    widget, viewer, layer = unscaled
+    look(viewer, 6)
+    before = seen(viewer, layer)
+    for box, size in zip(widget.image.voxel_size._boxes, (0.3, 0.2, 0.2), strict=True):
+        box.setValue(size)
+    assert tuple(layer.scale) == (0.3, 0.2, 0.2)
+    after = seen(viewer, layer)
+    assert after[0] == before[0] == 6
+    np.testing.assert_allclose(after[1], before[1], atol=1e-4)
+
+
+def test_the_view_stays_when_the_size_is_read(app, viewer, pixels, tmp_path):
+    write_image(tmp_path / "cell.tif", pixels, SIZE)
+    with layer_source(path=str(tmp_path / "cell.tif")):
+        layer = viewer.add_image(pixels, name="cell")
+    look(viewer, 6)
+    before = seen(viewer, layer)
+    widget = _widget.FitWidget(viewer)
+    assert tuple(layer.scale) == pytest.approx(SIZE)
+    after = seen(viewer, layer)
+    assert after[0] == before[0]
+    np.testing.assert_allclose(after[1], before[1], atol=1e-4)
+    widget.close_links()
+
+
+def test_an_image_that_is_opened_beside_the_widget_is_shown_whole(app, viewer, pixels, tmp_path):
+    write_image(tmp_path / "cell.tif", pixels, SIZE)
+    widget = _widget.FitWidget(viewer)
+    with layer_source(path=str(tmp_path / "cell.tif")):
+        layer = viewer.add_image(pixels, name="cell")
+    assert tuple(layer.scale) == pytest.approx(SIZE)
+    assert viewer.dims.current_step[0] == (SHAPE[0] - 1) // 2
+    found = camera(viewer).center, camera(viewer).zoom
+    viewer.reset_view()
+    assert found == (pytest.approx(camera(viewer).center), pytest.approx(camera(viewer).zoom))
+    widget.close_links()
+
+
+@pytest.mark.parametrize("thick", [1.0, 15.0])
+def test_the_slider_keeps_the_steps_of_the_image(app, viewer, pixels, spin, thick):
+    size = np.multiply(SIZE, thick)
+    layer = viewer.add_image(pixels, scale=size, name="cell")
+    viewer.dims.set_current_step(0, 4)
+    before = viewer.dims.range, viewer.dims.current_step
+    widget = _widget.FitWidget(viewer)
+    widget.seeds.place.click()
+    viewer.layers["seeds"].add(np.multiply(CENTER, thick))
+    assert (viewer.dims.range, viewer.dims.current_step) == before
+    widget.settings.max_iterations.setValue(3)
+    widget.seeds.shape.setCurrentText("sphere around each point")
+    # One that reaches out of the image.
+    viewer.layers["seeds"].size = 2.2 * CENTER[0] * thick
+    widget.start()
+    spin(lambda: not widget.run.running)
+    assert "cell cells" in viewer.layers
+    assert (viewer.dims.range, viewer.dims.current_step) == before
+    # They follow the image, and are as before for themselves.
+    layer.scale = 2 * size
+    assert viewer.dims.range[0].step == pytest.approx(2 * size[0])
+    viewer.layers["cell cells"].translate = (1, 1, 1)
+    viewer.layers.remove(layer)
+    assert np.isfinite(viewer.dims.range).all()
+    widget.close_links()

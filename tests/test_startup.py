@@ -1,0 +1,117 @@
+"""What starts at once: the version, mistakes on the command line, the import of the package."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+import napari_deltamic as nd
+from napari_deltamic.choices import EFFECTS
+from napari_deltamic.scene.effects import KINDS
+
+# Seconds of CPU. What is asked for; measured are 0.15 to 0.2 on two cores of 2.1 GHz, and 2 to 4
+# where torch is loaded.
+COMMAND, IMPORT = 0.5, 1.5
+
+
+def ran(*command, folder=None):
+    """A child: its CPU time (the least of three, as others compute here too), how it ended."""
+    spent = []
+    for _ in range(3):
+        with subprocess.Popen(
+            [sys.executable, *map(str, command)],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder,
+        ) as child:  # fmt: skip
+            out, err = child.stdout.read(), child.stderr.read()
+            _, status, usage = os.wait4(child.pid, 0)
+            child.returncode = os.waitstatus_to_exitcode(status)
+        spent.append(usage.ru_utime + usage.ru_stime)
+        if spent[-1] < COMMAND:
+            break
+    return min(spent), child.returncode, out, err
+
+
+needs_rusage = pytest.mark.skipif(not hasattr(os, "wait4"), reason="the system tells no CPU time")
+MISTAKES = {
+    "nothing": ((), "COMMAND"),
+    "command": (("paint",), "invalid choice: 'paint'"),
+    "option": (("fit", "a.tif", "--fast", "-o", "out"), "unrecognized arguments: --fast"),
+    "no output": (("fit", "a.tif"), "--output"),
+    "choice": (("fit", "a.tif", "--density", "thick", "-o", "out"), "invalid choice: 'thick'"),
+    "no image": (("fit", "a.tif", "--seeds", "s.csv", "-o", "out"), "there is no such file"),
+    "no seeds": (("fit", "held.tif", "-o", "out"), "fit needs --seeds"),
+    "results": (("fit", "held.tif", "--seeds", "held.tif", "-o", "."), "--overwrite"),
+    "accuracy": (
+        ("fit", "held.tif", "--seeds", "held.tif", "--accuracy", "-1", "-o", "out"),
+        "accuracy",
+    ),
+    "optics": (
+        ("fit", "held.tif", "--seeds", "held.tif", "--na", "1.2", "-o", "out"),
+        "needs --wavelength",
+    ),
+    "effects": (("effects", "held.tif"), "effects needs --seeds"),
+    "track": (("track", "--frames", "5", "held.tif", "--seeds", "held.tif", "-o", "o"), "A:B"),
+    "render": (
+        ("render", "a.ply", "--shape", "9", "9", "9", "--voxel-size", "1", "1", "1", "-o", "a.jpg"),
+        "unknown image extension",
+    ),
+    "simulate": (
+        ("simulate", "--shape", "9", "9", "9", "--voxel-size", "1", "1", "1", "-o", "out"),
+        "simulate needs MESH",
+    ),
+    "accuracy of what": (("accuracy", "a.txt"), "unknown extension '.txt'"),
+}
+
+
+@needs_rusage
+@pytest.mark.parametrize("name", MISTAKES)
+def test_mistakes_are_told_at_once(tmp_path, name):
+    for held in ("held.tif", "report.json"):
+        (tmp_path / held).write_text("")
+    arguments, says = MISTAKES[name]
+    seconds, code, out, err = ran("-m", "napari_deltamic", *arguments, folder=tmp_path)
+    assert (code, out) == (2, "")
+    assert says in err
+    assert err.count("\n") == 1
+    assert seconds <= COMMAND
+
+
+@needs_rusage
+@pytest.mark.parametrize("arguments", [("--version",), ("--help",), ("fit", "--help")])
+def test_version_and_help_come_at_once(arguments):
+    seconds, code, out, _ = ran("-m", "napari_deltamic", *arguments)
+    assert code == 0
+    assert out
+    assert seconds <= COMMAND
+
+
+@needs_rusage
+def test_the_package_is_imported_at_once():
+    seconds, code, _, err = ran("-c", "import napari_deltamic")
+    assert code == 0, err
+    assert seconds <= IMPORT
+
+
+def test_mistakes_load_no_engine():
+    """The reason for the times above, which a slow machine cannot blur."""
+    code = (
+        "import sys\n"
+        "from napari_deltamic.cli import main\n"
+        "main(['fit', 'none.tif', '--seeds', 'none.ply', '-o', 'out'])\n"
+        "print(sorted({'torch', 'scipy', 'skimage', 'trimesh', 'tifffile'} & set(sys.modules)))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.strip() == "[]", done.stderr
+
+
+def test_every_public_name_is_there():
+    assert set(nd.__all__) <= set(dir(nd)) | {"__version__"}
+    for name in nd.__all__:
+        assert getattr(nd, name) is not None
+    with pytest.raises(AttributeError, match="nonsense"):
+        _ = nd.nonsense
+
+
+def test_effects_are_listed_as_they_are():
+    assert tuple(KINDS) == EFFECTS
