@@ -5,6 +5,7 @@
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
 #include <cmath>
 #include <condition_variable>
 #include <cstdint>
@@ -12,6 +13,7 @@
 #include <new>
 #include <stdexcept>
 #include <string>
+#include <system_error>
 #include <thread>
 #include <vector>
 
@@ -19,6 +21,7 @@
 #include <intrin.h>
 #endif
 
+#include "checks.h"
 #include "mesh_ft.h"
 #include "particle_mesh_bindings.h"
 #include "simd_levels.h"
@@ -28,8 +31,7 @@ using namespace deltamic_api;
 
 namespace {
 
-template <class T>
-using Array = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
+using deltamic_checks::Array;
 
 // ------------------------------------------------------------------------------------- geometry
 
@@ -39,12 +41,16 @@ struct Vec {
 Vec sub(const double* a, const double* b) { return {a[0] - b[0], a[1] - b[1], a[2] - b[2]}; }
 Vec cross(Vec a, Vec b) { return {a.y * b.x - a.x * b.y, a.x * b.z - a.z * b.x, a.z * b.y - a.y * b.z}; }
 
+constexpr double largest_density = 1e100;
+
 struct Geometry {
     std::vector<double> centroid, edges, doubled_area, normal, weight, ones;
 
     Geometry(const Array<const double>& v, const Array<const std::int64_t>& faces, const Array<const double>& density) {
-        const std::size_t n = faces.shape(0), count = v.shape(0);
-        if (density.shape(0) != n) throw std::invalid_argument("one density per face is needed");
+        const std::size_t count = deltamic_checks::places_in(v);
+        const std::size_t n = deltamic_checks::joined_in(faces, "faces", 3, count);
+        deltamic_checks::require(density.ndim() == 1 && density.shape(0) == n, "one density per face is needed");
+        deltamic_checks::within(density, "densities", -largest_density, largest_density);
         centroid.resize(3 * n);
         edges.resize(9 * n);
         doubled_area.resize(n);
@@ -54,9 +60,7 @@ struct Geometry {
         for (std::size_t f = 0; f < n; ++f) {
             const double* p[3];
             for (int k = 0; k < 3; ++k) {
-                const std::int64_t i = faces.data()[3 * f + k];
-                if (i < 0 || static_cast<std::size_t>(i) >= count) throw std::out_of_range("a face names a vertex that is not there");
-                p[k] = v.data() + 3 * i;
+                p[k] = v.data() + 3 * faces.data()[3 * f + k];
             }
             const Vec e[3] = {sub(p[2], p[1]), sub(p[0], p[2]), sub(p[1], p[0])};
             for (int k = 0; k < 3; ++k) {
@@ -108,7 +112,8 @@ void scatter(const Geometry& g, const std::vector<double>& sums, const std::int6
 // Runs work(share) on every worker, without the GIL; Ctrl-C stops them.
 template <class F>
 void run(int threads, F work) {
-    const std::size_t n = threads < 1 ? 1 : static_cast<std::size_t>(threads);
+    deltamic_checks::thread_count(threads);
+    const std::size_t n = static_cast<std::size_t>(threads);
     std::atomic<std::size_t> next{0}, running{n};
     std::atomic<bool> stop{false}, out_of_memory{false};
     std::mutex mutex;
@@ -117,12 +122,18 @@ void run(int threads, F work) {
     {
         nb::gil_scoped_release release;
         std::vector<std::thread> pool;
+        pool.reserve(n);
         for (std::size_t w = 0; w < n; ++w) {
-            pool.emplace_back([&, w] {
+            const auto share = [&, w] {
                 work(Share{w, n, &next, &stop, &out_of_memory});
                 std::lock_guard<std::mutex> lock(mutex);
                 if (--running == 0) done.notify_all();
-            });
+            };
+            try {
+                pool.emplace_back(share);
+            } catch (const std::system_error&) {  // the system has no thread left
+                share();
+            }
         }
         for (;;) {
             {
@@ -142,11 +153,27 @@ void run(int threads, F work) {
     if (out_of_memory) throw std::bad_alloc();
 }
 
+constexpr double largest_wavevector = 1e100;  // rad/um
+constexpr std::int32_t longest_row = 1 << 16;
+
+// count: of the wavevectors of all rows.
 Band band_of(const Array<const std::int32_t>& rows, const Array<const std::int64_t>& offset,
-             const std::vector<double>& spacing, std::vector<std::int32_t>& columns) {
-    const std::size_t n = rows.shape(0);
-    if (rows.ndim() != 2 || rows.shape(1) != 3) throw std::invalid_argument("rows: (R, 3) of kz, ky, length");
-    if (spacing.size() != 3) throw std::invalid_argument("spacing: three numbers");
+             const std::vector<double>& spacing, std::size_t count, std::vector<std::int32_t>& columns) {
+    using namespace deltamic_checks;
+    const std::size_t n = rows_of(rows, "rows", 3);
+    has_shape(offset, "offsets", {n});
+    require(spacing.size() == 3, "spacing: three numbers");
+    for (double s : spacing) within(s, "spacing", -largest_wavevector, largest_wavevector);
+    std::int64_t end = 0;
+    for (std::size_t r = 0; r < n; ++r) {
+        const std::int32_t *row = rows.data() + 3 * r, length = row[2];
+        require(length >= 1, "a row of the band is empty");
+        require(std::max({row[0], row[1], length}) <= longest_row && std::min(row[0], row[1]) >= -longest_row,
+                "the band is too large");
+        require(offset.data()[r] == end, "rows of a band must lie one after the other");
+        end += length;
+    }
+    require(static_cast<std::int64_t>(count) == end, "one number per wavevector is needed");
     columns.resize(3 * n);
     Band b{n, columns.data(), columns.data() + n, columns.data() + 2 * n, offset.data(),
            {spacing[0], spacing[1], spacing[2]}, 0, 0, 0};
@@ -156,51 +183,76 @@ Band band_of(const Array<const std::int32_t>& rows, const Array<const std::int64
         b.kmax_z = std::max(b.kmax_z, std::abs(row[0]));
         b.kmax_y = std::max(b.kmax_y, std::abs(row[1]));
         b.longest = std::max(b.longest, row[2]);
-        if (row[2] < 1) throw std::invalid_argument("a row of the band is empty");
     }
     return b;
 }
 
+// Real and imaginary part of each wavevector: how many.
+template <class A>
+std::size_t complex_in(const A& a) {
+    return deltamic_checks::rows_of(a, "complex numbers as two reals", 2);
+}
+
 template <class T>
 void bind(nb::module_& m, const char* suffix) {
+    using namespace deltamic_checks;
     const std::string s(suffix);
+    // What is written to is never converted: that would write to a copy.
+    const auto results = [](const Geometry& g, const Array<const double>& v, const Array<double>& by_vertex,
+                            const Array<double>& by_density) {
+        has_shape(by_vertex, "gradient of the vertices", {v.shape(0), 3});
+        has_shape(by_density, "gradient of the densities", {g.doubled_area.size()});
+    };
     m.def(("band_forward_" + s).c_str(),
           [](Array<const double> v, Array<const std::int64_t> faces, Array<const double> density,
              Array<const std::int32_t> rows, Array<const std::int64_t> offset, std::vector<double> spacing,
              Array<T> out, int threads, const std::string& simd) {
               const Geometry g(v, faces, density);
               std::vector<std::int32_t> columns;
-              const Band band = band_of(rows, offset, spacing, columns);
+              const Band band = band_of(rows, offset, spacing, complex_in(out), columns);
               const Triangles tri = g.triangles(false);
               const Loops<T>& l = loops_of<T>(simd);
               run(threads, [&](const Share& share) { l.band_forward(tri, band, out.data(), share); });
-          });
+          },
+          nb::arg("vertices"), nb::arg("faces"), nb::arg("density"), nb::arg("rows"), nb::arg("offset"),
+          nb::arg("spacing"), nb::arg("out").noconvert(), nb::arg("threads"), nb::arg("simd"));
     m.def(("band_backward_" + s).c_str(),
-          [](Array<const double> v, Array<const std::int64_t> faces, Array<const double> density,
+          [results](Array<const double> v, Array<const std::int64_t> faces, Array<const double> density,
              Array<const std::int32_t> rows, Array<const std::int64_t> offset, std::vector<double> spacing,
              Array<const T> grad, Array<double> grad_v, Array<double> grad_density, int threads, const std::string& simd) {
               const Geometry g(v, faces, density);
+              results(g, v, grad_v, grad_density);
               std::vector<std::int32_t> columns;
-              const Band band = band_of(rows, offset, spacing, columns);
+              const Band band = band_of(rows, offset, spacing, complex_in(grad), columns);
               const Triangles tri = g.triangles(true);
               const Loops<T>& l = loops_of<T>(simd);
               std::vector<double> sums(tri.count * sums_per_triangle);
               run(threads, [&](const Share& share) { l.band_backward(tri, band, grad.data(), sums.data(), share); });
               scatter(g, sums, faces.data(), density.data(), grad_v.data(), grad_density.data());
-          });
+          },
+          nb::arg("vertices"), nb::arg("faces"), nb::arg("density"), nb::arg("rows"), nb::arg("offset"),
+          nb::arg("spacing"), nb::arg("grad"), nb::arg("grad_vertices").noconvert(),
+          nb::arg("grad_density").noconvert(), nb::arg("threads"), nb::arg("simd"));
     m.def(("list_forward_" + s).c_str(),
           [](Array<const double> v, Array<const std::int64_t> faces, Array<const double> density,
              Array<const double> xi, Array<T> out, int threads, const std::string& simd) {
               const Geometry g(v, faces, density);
+              has_shape(out, "out", {rows_of(xi, "wavevectors", 3), 2});
+              within(xi, "wavevectors", -largest_wavevector, largest_wavevector);
               const Triangles tri = g.triangles(false);
               const Loops<T>& l = loops_of<T>(simd);
               run(threads, [&](const Share& share) { l.list_forward(tri, xi.shape(0), xi.data(), out.data(), share); });
-          });
+          },
+          nb::arg("vertices"), nb::arg("faces"), nb::arg("density"), nb::arg("wavevectors"), nb::arg("out").noconvert(),
+          nb::arg("threads"), nb::arg("simd"));
     m.def(("list_backward_" + s).c_str(),
-          [](Array<const double> v, Array<const std::int64_t> faces, Array<const double> density,
+          [results](Array<const double> v, Array<const std::int64_t> faces, Array<const double> density,
              Array<const double> xi, Array<const T> grad, Array<double> grad_v, Array<double> grad_density, int threads,
              const std::string& simd) {
               const Geometry g(v, faces, density);
+              results(g, v, grad_v, grad_density);
+              has_shape(grad, "grad", {rows_of(xi, "wavevectors", 3), 2});
+              within(xi, "wavevectors", -largest_wavevector, largest_wavevector);
               const Triangles tri = g.triangles(true);
               const Loops<T>& l = loops_of<T>(simd);
               std::vector<double> sums(tri.count * sums_per_triangle);
@@ -208,7 +260,10 @@ void bind(nb::module_& m, const char* suffix) {
                   l.list_backward(tri, xi.shape(0), xi.data(), grad.data(), sums.data(), share);
               });
               scatter(g, sums, faces.data(), density.data(), grad_v.data(), grad_density.data());
-          });
+          },
+          nb::arg("vertices"), nb::arg("faces"), nb::arg("density"), nb::arg("wavevectors"), nb::arg("grad"),
+          nb::arg("grad_vertices").noconvert(), nb::arg("grad_density").noconvert(), nb::arg("threads"),
+          nb::arg("simd"));
 }
 
 }  // namespace

@@ -16,6 +16,7 @@
 #include <string>
 #include <vector>
 
+#include "checks.h"
 #include "measure.h"
 #include "simd_levels.h"
 #include "team.h"
@@ -25,8 +26,7 @@ using namespace deltamic_api;
 
 namespace {
 
-template <class T>
-using Array = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
+using deltamic_checks::Array;
 using std::size_t;
 
 // -------------------------------------------------------------------------------- what is given
@@ -35,30 +35,46 @@ struct Quadrature {
     Array<const std::int32_t> rule;
     Array<const std::int64_t> rule_start;
     Array<const double> barycentric, weights;
+
+    Quadrature(Array<const std::int32_t> rule_, Array<const std::int64_t> start, Array<const double> places,
+               Array<const double> weights_)
+        : rule(rule_), rule_start(start), barycentric(places), weights(weights_) {
+        using namespace deltamic_checks;
+        require(rule.ndim() == 1 && rule_start.ndim() == 1 && weights.ndim() == 1 && barycentric.ndim() == 2 &&
+                    rule_start.shape(0) >= 1 && barycentric.shape(0) == weights.shape(0),
+                "rules of quadrature: (E,), (rules + 1,), (points, corners), (points,)");
+        const auto rules = static_cast<std::int64_t>(rule_start.shape(0)) - 1;
+        const std::int64_t* first = rule_start.data();
+        for (std::int64_t r = 0; r < rules; ++r) require(first[r] <= first[r + 1], "rules must lie one after the other");
+        require(first[0] == 0 && first[rules] == static_cast<std::int64_t>(weights.shape(0)),
+                "rules must cover their points");
+        below(rule, static_cast<size_t>(rules), "an element names a rule that is not there");
+        within(barycentric, "barycentric coordinates", -16, 16);
+        within(weights, "weights", -1e6, 1e6);
+    }
 };
+
+constexpr double largest_strength = 1e30;
 
 // Raises std::invalid_argument for what the loops could not read.
 Elements elements_of(const Array<const double>& vertices, const Array<const std::int64_t>& indices,
                      const Array<const double>& strengths, const Quadrature& q) {
-    if (vertices.ndim() != 2 || vertices.shape(1) != 3) throw std::invalid_argument("vertices: (V, 3)");
-    if (indices.ndim() != 2 || indices.shape(1) < 1 || indices.shape(1) > 3)
-        throw std::invalid_argument("elements: (E, 1), (E, 2) or (E, 3)");
+    using namespace deltamic_checks;
+    const size_t count = places_in(vertices);
+    require(indices.ndim() == 2 && indices.shape(1) >= 1 && indices.shape(1) <= 3,
+            "elements: (E, 1), (E, 2) or (E, 3)");
     const size_t n = indices.shape(0), corners = indices.shape(1);
-    if (strengths.ndim() != 1 || strengths.shape(0) != n || q.rule.shape(0) != n)
-        throw std::invalid_argument("one strength and one rule per element are needed");
-    for (size_t i = 0; i < vertices.size(); ++i)
-        if (!(std::fabs(vertices.data()[i]) < 1e12)) throw std::invalid_argument("vertices must be finite");
-    const auto count = static_cast<std::uint64_t>(vertices.shape(0));
-    for (size_t i = 0; i < n * corners; ++i)
-        if (static_cast<std::uint64_t>(indices.data()[i]) >= count)
-            throw std::invalid_argument("an element names a vertex that is not there");
-    const auto rules = static_cast<std::int32_t>(q.rule_start.shape(0)) - 1;
-    for (size_t i = 0; i < n; ++i)
-        if (q.rule.data()[i] < 0 || q.rule.data()[i] >= rules)
-            throw std::invalid_argument("an element names a rule that is not there");
+    require(static_cast<std::int64_t>(n) < most_rows, "too many elements");
+    require(strengths.ndim() == 1 && strengths.shape(0) == n && q.rule.shape(0) == n,
+            "one strength and one rule per element are needed");
+    require(q.barycentric.shape(1) == corners || q.weights.shape(0) == 0, "rules are of other elements");
+    below(indices, count, "an element names a vertex that is not there");
+    within(strengths, "densities", -largest_strength, largest_strength);
     return {n, static_cast<int>(corners), vertices.data(), indices.data(), strengths.data(), q.rule.data(),
             q.rule_start.data(), q.barycentric.data(), q.weights.data()};
 }
+
+constexpr std::int64_t longest_axis = 1 << 20;
 
 template <class T>
 struct Kernels {
@@ -67,12 +83,24 @@ struct Kernels {
 
     // Coefficients of each axis: (degree + 1, width), highest power first.
     Kernels(const std::vector<std::int64_t>& shape, const std::vector<double>& scale,
-            const std::vector<Array<const double>>& given) {
-        if (shape.size() != 3 || scale.size() != 3 || given.size() != 3)
-            throw std::invalid_argument("shape, scale and kernels of three axes are needed");
+            const std::vector<Array<const double>>& given, const Array<const double>& vertices) {
+        using namespace deltamic_checks;
+        require(shape.size() == 3 && scale.size() == 3 && given.size() == 3,
+                "shape, scale and kernels of three axes are needed");
         size_t widest = 0;
-        for (const auto& k : given) widest = std::max(widest, k.shape(1));
-        if (widest > widest_kernel) throw std::invalid_argument("a kernel is too wide");
+        for (const auto& k : given) {
+            require(k.ndim() == 2 && k.shape(0) >= 1 && k.shape(0) <= 64 && k.shape(1) >= 1, "a kernel has no coefficients");
+            within(k, "coefficients", -1e30, 1e30);
+            widest = std::max(widest, k.shape(1));
+        }
+        require(widest <= widest_kernel, "a kernel is too wide");
+        for (int axis = 0; axis < 3; ++axis) {
+            require(shape[axis] >= 1 && shape[axis] <= longest_axis, "the grid is empty, or too large");
+            within(scale[axis], "scale", 0, 1e12);
+        }
+        // Beyond this, how far a place lies between two nodes is lost to rounding, and so is the node.
+        for (size_t i = 0; i < vertices.size(); ++i)
+            require(std::fabs(vertices.data()[i]) * scale[i % 3] < 1e12, "vertices are too far from the grid");
         const size_t lanes = widest <= 4 ? 4 : widest <= 8 ? 8 : 16;
         grid.lanes = static_cast<int>(lanes);
         for (int axis = 0; axis < 3; ++axis) {
@@ -93,8 +121,8 @@ struct Kernels {
 
 template <class T>
 void check_size(const Array<T>& given, int channels, const Grid<T>& g) {
-    if (given.size() != static_cast<size_t>(channels * g.shape[0] * g.shape[1] * g.row))
-        throw std::invalid_argument("the grid has another size");
+    const double size = static_cast<double>(channels) * g.shape[0] * g.shape[1] * g.row;
+    deltamic_checks::require(static_cast<double>(given.size()) == size, "the grid has another size");
 }
 
 // -------------------------------------------------------------------------------------- tiles
@@ -284,6 +312,7 @@ void pull(const Elements& e, const double* density, double* sums, double* by_ver
 
 template <class T>
 void bind(nb::module_& m, const char* suffix) {
+    using namespace deltamic_checks;
     const std::string s(suffix);
     using Shape = std::vector<std::int64_t>;
     using Coefficients = std::vector<Array<const double>>;
@@ -292,9 +321,16 @@ void bind(nb::module_& m, const char* suffix) {
              const Quadrature& q, const Shape& shape, const std::vector<double>& scale, const Coefficients& kernels,
              std::optional<Array<const double>> factors, Array<T> out, int threads, const std::string& simd) {
               Elements e = elements_of(vertices, indices, density, q);
-              const Kernels<T> k(shape, scale, kernels);
+              const Kernels<T> k(shape, scale, kernels, vertices);
+              if (factors) {
+                  require(factors->ndim() == 2 && factors->shape(0) == e.count && factors->shape(1) >= 1 &&
+                              factors->shape(1) < 4096,
+                          "factors: one row per element");
+                  within(*factors, "factors", -largest_strength, largest_strength);
+              }
               const int channels = factors ? static_cast<int>(factors->shape(1)) : 1;
-              if (factors && factors->shape(0) != e.count) throw std::invalid_argument("factors: one row per element");
+              thread_count(threads);
+              const MeshLoops<T>& loops = mesh_loops_of<T>(simd);
               check_size(out, channels, k.grid);
               std::vector<double> strengths(density.data(), density.data() + e.count);
               if (!factors)
@@ -302,36 +338,49 @@ void bind(nb::module_& m, const char* suffix) {
               e.strengths = strengths.data();
               nb::gil_scoped_release release;
               Team team(threads);
-              Spreading<T>(e, k.grid, mesh_loops_of<T>(simd), channels, factors ? factors->data() : nullptr, out.data())
+              Spreading<T>(e, k.grid, loops, channels, factors ? factors->data() : nullptr, out.data())
                   .run(team);
           },
           nb::arg("vertices"), nb::arg("indices"), nb::arg("density"), nb::arg("quadrature"), nb::arg("shape"),
-          nb::arg("scale"), nb::arg("kernels"), nb::arg("factors").none(), nb::arg("out"), nb::arg("threads"),
+          nb::arg("scale"), nb::arg("kernels"), nb::arg("factors").none(), nb::arg("out").noconvert(), nb::arg("threads"),
           nb::arg("simd"));
     m.def(("gather_" + s).c_str(),
           [](Array<const double> vertices, Array<const std::int64_t> indices, Array<const double> density,
              const Quadrature& q, const Shape& shape, const std::vector<double>& scale, const Coefficients& kernels,
              Array<T> field, Array<double> sums, int threads, const std::string& simd) {
               const Elements e = elements_of(vertices, indices, density, q);
-              const Kernels<T> k(shape, scale, kernels);
+              const Kernels<T> k(shape, scale, kernels, vertices);
               check_size(field, 1, k.grid);
+              require(sums.size() == e.count * e.corners, "one sum per element and corner is needed");
+              thread_count(threads);
+              const MeshLoops<T>& loops = mesh_loops_of<T>(simd);
               nb::gil_scoped_release release;
               Team team(threads);
-              gather(e, k.grid, mesh_loops_of<T>(simd), field.data(), false, sums.data(), team);
-          });
+              gather(e, k.grid, loops, field.data(), false, sums.data(), team);
+          },
+          nb::arg("vertices"), nb::arg("indices"), nb::arg("density"), nb::arg("quadrature"), nb::arg("shape"),
+          nb::arg("scale"), nb::arg("kernels"), nb::arg("field").noconvert(), nb::arg("sums").noconvert(),
+          nb::arg("threads"), nb::arg("simd"));
     m.def(("pull_" + s).c_str(),
           [](Array<const double> vertices, Array<const std::int64_t> indices, Array<const double> density,
              const Quadrature& q, const Shape& shape, const std::vector<double>& scale, const Coefficients& kernels,
              Array<T> field, Array<double> by_vertex, Array<double> by_density, int threads, const std::string& simd) {
               const Elements e = elements_of(vertices, indices, density, q);
-              const Kernels<T> k(shape, scale, kernels);
+              const Kernels<T> k(shape, scale, kernels, vertices);
               check_size(field, 1, k.grid);
+              has_shape(by_vertex, "gradient of the vertices", {vertices.shape(0), 3});
+              has_shape(by_density, "gradient of the densities", {e.count});
+              thread_count(threads);
+              const MeshLoops<T>& loops = mesh_loops_of<T>(simd);
               nb::gil_scoped_release release;
               Team team(threads);
               const auto sums = uninitialised<double>(e.count * e.corners * 4);
-              gather(e, k.grid, mesh_loops_of<T>(simd), field.data(), true, sums.get(), team);
+              gather(e, k.grid, loops, field.data(), true, sums.get(), team);
               pull(e, density.data(), sums.get(), by_vertex.data(), by_density.data(), team);
-          });
+          },
+          nb::arg("vertices"), nb::arg("indices"), nb::arg("density"), nb::arg("quadrature"), nb::arg("shape"),
+          nb::arg("scale"), nb::arg("kernels"), nb::arg("field").noconvert(), nb::arg("by_vertex").noconvert(),
+          nb::arg("by_density").noconvert(), nb::arg("threads"), nb::arg("simd"));
 }
 
 }  // namespace

@@ -15,6 +15,7 @@
 #include <string>
 #include <vector>
 
+#include "checks.h"
 #include "simd_levels.h"
 #include "team.h"
 
@@ -24,14 +25,16 @@ using std::size_t;
 
 namespace {
 
-template <class T>
-using Array = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
+using deltamic_checks::Array;
+
+constexpr int longest_axis = 1 << 16, largest_prime = 1 << 13;  // a factor costs its square
 
 // Factors of a length and all roots of unity that its passes take.
 template <class T>
 class Tables {
 public:
     explicit Tables(int n) {
+        deltamic_checks::require(n >= 1 && n <= longest_axis, "a period is empty, or too long");
         fft.size = n;
         fft.factors = 0;
         int left = n;
@@ -39,6 +42,8 @@ public:
             while (left % p == 0) left = take(p, left);
         for (int p = 7; left > 1; p += 2)
             while (left % p == 0) left = take(p, left);
+        for (int i = 0; i < fft.factors; ++i)
+            deltamic_checks::require(fft.factor[i] <= largest_prime, "a period has too large a prime factor");
         left = n;
         std::vector<size_t> roots(fft.factors);
         for (int i = 0; i < fft.factors; ++i) {
@@ -82,18 +87,20 @@ struct Given {
     Given(const std::vector<int>& shape, const std::vector<int>& half, const std::vector<int>& count,
           std::int64_t row, const Array<const T>& factor_z, const Array<const T>& factor_yx,
           const std::optional<Array<const T>>& weights)
-        : z(shape.at(0)), y(shape.at(1)), x(shape.at(2)) {
+        : z(of_three(shape, half, count)[0]), y(shape[1]), x(shape[2]) {
         spectrum.fft[0] = z.fft;
         spectrum.fft[1] = y.fft;
         spectrum.fft[2] = x.fft;
         for (int axis = 0; axis < 3; ++axis) {
-            spectrum.half[axis] = half.at(axis);
-            spectrum.count[axis] = count.at(axis);
-            if (half[axis] < 0 || 2 * half[axis] > shape[axis] || count[axis] < 1 || count[axis] > shape[axis])
+            spectrum.half[axis] = half[axis];
+            spectrum.count[axis] = count[axis];
+            if (half[axis] < 0 || half[axis] > shape[axis] / 2 || count[axis] < 1 || count[axis] > shape[axis])
                 throw std::invalid_argument("a band or an array is larger than its period");
         }
         spectrum.row = row;
-        if (row < count[2]) throw std::invalid_argument("rows are too short");
+        if (row < count[2] || row > 2 * longest_axis) throw std::invalid_argument("rows are too short or too long");
+        // Columns are counted in 32 bits.
+        deltamic_checks::require(static_cast<double>(2 * half[1] + 1) * (half[2] + 1) < 1e8, "the band is too large");
         if (factor_z.size() != static_cast<size_t>(2 * half[0] + 1) ||
             factor_yx.size() != static_cast<size_t>(spectrum.columns()))
             throw std::invalid_argument("one factor per wavevector of each axis is needed");
@@ -102,6 +109,14 @@ struct Given {
         if (weights && weights->size() != static_cast<size_t>(spectrum.columns()) * (2 * half[0] + 1))
             throw std::invalid_argument("one weight per wavevector is needed");
         spectrum.weights = weights ? weights->data() : nullptr;
+    }
+
+private:
+    static const std::vector<int>& of_three(const std::vector<int>& shape, const std::vector<int>& half,
+                                            const std::vector<int>& count) {
+        deltamic_checks::require(shape.size() == 3 && half.size() == 3 && count.size() == 3,
+                                 "numbers of three axes are needed");
+        return shape;
     }
 };
 
@@ -144,6 +159,8 @@ void bind(nb::module_& m, const char* suffix) {
               [to_real](Array<T> box, Array<T> real, const std::vector<int>& shape, const std::vector<int>& half,
                         const std::vector<int>& count, Array<const T> factor_z, Array<const T> factor_yx,
                         std::optional<Array<const T>> weights, int threads, const std::string& simd) {
+                  deltamic_checks::require(real.ndim() == 3, "a real array of three axes is needed");
+                  deltamic_checks::thread_count(threads);
                   const Given<T> g(shape, half, count, static_cast<std::int64_t>(real.shape(2)), factor_z, factor_yx, weights);
                   const Spectrum<T>& s = g.spectrum;
                   if (box.size() != 2 * static_cast<size_t>(s.columns()) * (2 * half[0] + 1) ||
@@ -153,7 +170,7 @@ void bind(nb::module_& m, const char* suffix) {
                   nb::gil_scoped_release release;
                   transform(s, loops, box.data(), real.data(), to_real, threads);
               },
-              nb::arg("box"), nb::arg("real"), nb::arg("shape"), nb::arg("half"), nb::arg("count"),
+              nb::arg("box").noconvert(), nb::arg("real").noconvert(), nb::arg("shape"), nb::arg("half"), nb::arg("count"),
               nb::arg("factor_z"), nb::arg("factor_yx"), nb::arg("weights").none(), nb::arg("threads"),
               nb::arg("simd"));
     }

@@ -4,6 +4,7 @@
 #include <condition_variable>
 #include <cstddef>
 #include <mutex>
+#include <system_error>
 #include <thread>
 #include <vector>
 
@@ -19,7 +20,20 @@ public:
     template <class F>
     void run(F work) {
         std::vector<std::thread> others;
-        for (int i = 1; i < size_; ++i) others.emplace_back([&work, i] { work(i); });
+        others.reserve(static_cast<std::size_t>(size_));
+        {
+            // None begins before it is known how many there are: the system may have no more.
+            std::lock_guard<std::mutex> lock(mutex_);
+            try {
+                for (int i = 1; i < size_; ++i)
+                    others.emplace_back([this, &work, i] {
+                        { std::lock_guard<std::mutex> all_are_there(mutex_); }
+                        work(i);
+                    });
+            } catch (const std::system_error&) {
+                size_ = static_cast<int>(others.size()) + 1;
+            }
+        }
         work(0);
         for (std::thread& t : others) t.join();
     }

@@ -14,7 +14,7 @@ from napari_deltamic.geometry import sphere
 from napari_deltamic.measure import surface_distance
 
 from ..figure import target
-from ..robustness import GRID, LENGTH, SIGMA, TARGETS, Start, bar, size, starts
+from ..starts import GRID, LENGTH, SIGMA, TARGETS, Start, bar, size, starts
 from .growing import noisy
 from .jobs import Bench, Pair, Side, fit_job
 from .lines import Case, Line, Tally, at_least, at_most, faster, not_above
@@ -25,7 +25,7 @@ _SCALES, _SHIFTS = (0.4, 1.0, 1.4), ((0.0, 0.15, 0.0), (0.14, 0.14, -0.14))
 
 
 def robustness(bench: Bench) -> list[Line]:
-    """The 44 starts of ``benchmarks.robustness``, and five for each target at 40 photons."""
+    """The 44 starts of ``benchmarks.starts``, and five for each target at 40 photons."""
     names = TARGETS[:1] if bench.quick else TARGETS
     every = list(starts(bench.data, names, bench.quick, bench.seed))
     return [

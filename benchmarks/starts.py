@@ -1,4 +1,4 @@
-"""How far off a fit may start and how noisy its image may be: ``python -m benchmarks.robustness``.
+"""How far off a fit may start and how noisy its image may be: ``python -m benchmarks.starts``.
 
 The experiments of the paper's section on robustness, on its targets: a sphere that starts too small
 or too large, a sphere that starts beside the target, an image with noise. Each is fitted coarse to
