@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from .errors import InputError
 from .geometry import Mesh
-from .geometry.files import write_atomically
+from .writing import write_atomically
 
 # What reading content that is not as it should be may raise.
 _WRONG = (

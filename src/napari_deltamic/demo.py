@@ -9,13 +9,13 @@ from pathlib import Path
 
 from ._sample_data import Sample
 from .geometry import Mesh, save_mesh, sphere
-from .geometry.files import write_atomically
 from .images import write_image
 from .inference import FitState, fit
 from .measure import surface_distance
 from .optics import GaussianPSF
-from .report import History, make_folder, write_results
+from .report import History, write_results
 from .settings import FitSettings, RunSettings, SceneSettings
+from .writing import make_folder, write_atomically
 
 START_RADIUS = 2.6  # um
 SIGMA_ERROR = 1.3  # the fit starts with a PSF that is this many times too wide, and mends it

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .choices import IMAGE_FILES, TIFF
 from .errors import InputError
-from .geometry.files import write_atomically
+from .writing import write_atomically
 
 VoxelSize = tuple[float, float, float]
 # What is in a file: the array, the names of its axes, the voxel size.

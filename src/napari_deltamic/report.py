@@ -15,11 +15,9 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike
 
-from .errors import InputError
 from .fourier.devices import choose_device
 from .fourier.native import threads
 from .geometry import save_mesh
-from .geometry.files import write_atomically
 from .images import write_image
 from .inference import FitState
 from .measure import measure_cells, write_csv
@@ -27,6 +25,7 @@ from .picture import picture_png
 from .scene import Grid, Renderer
 from .scene.effects import Effects
 from .settings import RunSettings
+from .writing import make_folder, write_atomically, written_together
 
 FILES = (
     "mesh.ply",
@@ -84,7 +83,7 @@ def write_results(
     warnings: Sequence[str] = (),
     further: Mapping[str, Any] | None = None,
 ) -> list[Path]:
-    """Write everything that a fit found; files of the same names are replaced.
+    """Write everything that a fit found; files of the same names are replaced, all or none.
 
     ``mesh.ply`` and ``mesh.rec`` (um), ``rendered.tif`` (as the microscope would show it),
     ``measurements.csv`` (one row a cell), ``run.toml`` (re-runs the fit), ``report.json`` and
@@ -117,16 +116,17 @@ def write_results(
     paths = [folder / name for name in FILES]
     ply, rec, tif, csv, toml, report, png = paths
     rendered = np.asarray(state.rendered())
-    save_mesh(state.mesh, ply)
-    save_mesh(state.mesh, rec)
-    write_image(tif, rendered, grid.voxel_size)
-    write_csv(measure_cells(state.mesh), csv)
-    write_atomically(toml, settings.to_toml().encode())
-    write_atomically(png, picture_png(image, rendered, state.mesh, grid))
-    # Last: where there is a report, the rest is complete.
     facts = describe(state, grid, settings, history, seconds, warnings)
     facts |= plain_values(dict(further or {}))
-    write_atomically(report, (json.dumps(facts, indent=2, allow_nan=False) + "\n").encode())
+    with written_together(report):
+        save_mesh(state.mesh, ply)
+        save_mesh(state.mesh, rec)
+        write_image(tif, rendered, grid.voxel_size)
+        write_csv(measure_cells(state.mesh), csv)
+        write_atomically(toml, settings.to_toml().encode())
+        write_atomically(png, picture_png(image, rendered, state.mesh, grid))
+        text = json.dumps(facts, indent=2, allow_nan=False) + "\n"
+        write_atomically(report, text.encode())
     return paths
 
 
@@ -205,18 +205,6 @@ def engine_used(state: FitState, grid: Grid, accuracy: float, device: torch.devi
     """What computes the images of a state at the last level, in words."""
     method = Renderer(state.mesh, grid, state.optics, accuracy, device=device).plan.method
     return f"{device.type}, {method}, {threads()} threads"
-
-
-def make_folder(folder: str | os.PathLike[str]) -> None:
-    """Make a folder, with those above it. Raises InputError if that, or writing to it, fails."""
-    folder = Path(folder)
-    probe = folder / f".{os.getpid()}.tmp"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written: {error.strerror}") from None
 
 
 def version_of(package: str) -> str:

@@ -11,12 +11,11 @@ import numpy as np
 
 from . import __version__
 from .geometry import save_mesh
-from .geometry.files import write_atomically
 from .images import write_image
 from .optics_settings import OpticsSettings
-from .report import make_folder
 from .scene.simulate import Simulation
 from .settings import FitSettings, RunSettings, SceneSettings
+from .writing import make_folder, write_atomically, written_together
 
 FILES = (
     "image.tif",
@@ -59,34 +58,35 @@ def write_simulation(
     make_folder(folder)
     grid = simulation.grid
     image, noise_free, ply, rec, labels, toml, parameters = (folder / name for name in FILES)
-    write_image(image, simulation.image, grid.voxel_size)
-    write_image(noise_free, simulation.noise_free, grid.voxel_size)
-    written = [image, noise_free]
-    if simulation.mesh is not None and simulation.labels is not None:
-        save_mesh(simulation.mesh, ply)
-        save_mesh(simulation.mesh, rec)
-        small = simulation.labels.max() < 2**16
-        write_image(
-            labels,
-            simulation.labels.astype(np.uint16) if small else simulation.labels,
-            grid.voxel_size,
-        )
-        settings = RunSettings(
-            image=str(image),
-            seeds=str(labels),
-            scene=SceneSettings(
-                voxel_size=grid.voxel_size,
-                origin=grid.origin,
-                sigma=simulation.scene.optics.sigma_um if optics is None else None,
-                optics=optics,
-                effects=simulation.scene.effects,
-            ),
-            fit=FitSettings(),
-        )
-        write_atomically(toml, settings.to_toml().encode())
-        written += [ply, rec, labels, toml]
-    text = json.dumps(facts(simulation), indent=2) + "\n"
-    write_atomically(parameters, text.encode())
+    with written_together(parameters):
+        write_image(image, simulation.image, grid.voxel_size)
+        write_image(noise_free, simulation.noise_free, grid.voxel_size)
+        written = [image, noise_free]
+        if simulation.mesh is not None and simulation.labels is not None:
+            save_mesh(simulation.mesh, ply)
+            save_mesh(simulation.mesh, rec)
+            small = simulation.labels.max() < 2**16
+            write_image(
+                labels,
+                simulation.labels.astype(np.uint16) if small else simulation.labels,
+                grid.voxel_size,
+            )
+            settings = RunSettings(
+                image=str(image),
+                seeds=str(labels),
+                scene=SceneSettings(
+                    voxel_size=grid.voxel_size,
+                    origin=grid.origin,
+                    sigma=simulation.scene.optics.sigma_um if optics is None else None,
+                    optics=optics,
+                    effects=simulation.scene.effects,
+                ),
+                fit=FitSettings(),
+            )
+            write_atomically(toml, settings.to_toml().encode())
+            written += [ply, rec, labels, toml]
+        text = json.dumps(facts(simulation), indent=2) + "\n"
+        write_atomically(parameters, text.encode())
     return [*written, parameters]
 
 

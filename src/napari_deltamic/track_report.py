@@ -16,12 +16,12 @@ import numpy as np
 
 from .errors import InputError, RepairWarning
 from .geometry import load_mesh, save_mesh
-from .geometry.files import write_atomically
 from .inference.tracking import Event, FrameResult, lineage, surface_4d
 from .inference.tracking.settings import TrackRun
 from .measure.tracks import TRACK_COLUMNS, measure_tracks
-from .report import PACKAGES, make_folder, plain_values, version_of
+from .report import PACKAGES, plain_values, version_of
 from .scene import Grid
+from .writing import make_folder, write_atomically
 
 MESH_KINDS = (".ply", ".vtk")  # exact, with regions; and for viewers that play series
 FILES = ("tracks.csv", "surface.npz", "run.toml", "report.json")

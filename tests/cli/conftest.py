@@ -39,9 +39,8 @@ def data(tmp_path_factory):
 
 
 @pytest.fixture
-def run(capsys, monkeypatch):
+def run(capsys):
     """Run a command: exit code, lines of stdout, text of stderr."""
-    monkeypatch.delenv("DELTAMIC_TRACEBACK", raising=False)
 
     def run(*arguments):
         code = main([str(argument) for argument in arguments])

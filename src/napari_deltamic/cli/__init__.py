@@ -7,10 +7,10 @@ Results go to stdout, one line each; progress, remarks and errors to stderr. Exi
 from __future__ import annotations
 
 import argparse
-import os
+import logging
 import sys
-import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from importlib import import_module
 from typing import NoReturn
 
@@ -18,6 +18,8 @@ from .. import __version__
 from ..errors import InputError
 from .arguments import COMMANDS
 from .messages import PROGRAM, Failure, Notes, failure, one_line
+
+_log = logging.getLogger(__name__)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -29,15 +31,23 @@ class _Parser(argparse.ArgumentParser):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line (of this process by default); returns the exit code."""
-    notes = Notes()
     try:
         arguments = build_parser().parse_args(argv)
+    except SystemExit as stop:  # after --help and --version
+        return int(stop.code or 0)
+    except InputError as error:
+        return _end(str(error), 2)
+    with _logging(arguments.verbose):
+        return _run(arguments)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    notes = Notes()
+    try:
         arguments.check(arguments)
         with notes.catching_warnings():
             command = import_module(f".{arguments.module}", __package__)  # loads the engine
             return int(command.run(arguments, notes))
-    except SystemExit as stop:  # after --help and --version
-        return int(stop.code or 0)
     except InputError as error:
         return _end(str(error), 2)
     except KeyboardInterrupt:
@@ -45,8 +55,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # whoever reads the results has left
         return 1
     except Exception as error:
-        if os.environ.get("DELTAMIC_TRACEBACK"):
-            traceback.print_exc()
+        _log.error("unexpected error", exc_info=error)
         return _end(str(error if isinstance(error, Failure) else failure(error)), 1)
 
 
@@ -62,7 +71,32 @@ def build_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for command in COMMANDS:
         command.add_parser(commands)
+    # Before the command or after it.
+    for where in (parser, *commands.choices.values()):
+        where.add_argument(
+            "-v",
+            "--verbose",
+            action="store_true",
+            default=False if where is parser else argparse.SUPPRESS,
+            help="write the log on stderr, with the traceback of unexpected errors",
+        )
     return parser
+
+
+@contextmanager
+def _logging(verbose: bool) -> Iterator[None]:
+    """The log goes to stderr, or nowhere: libraries log what does not matter to a run."""
+    root = logging.getLogger()
+    handler = logging.StreamHandler() if verbose else logging.NullHandler()
+    level = root.level
+    root.addHandler(handler)
+    if verbose:
+        root.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        root.removeHandler(handler)
+        root.setLevel(level)
 
 
 def _end(message: str, code: int) -> int:

@@ -30,7 +30,6 @@ from ..fourier.cost import costs
 from ..fourier.cuda import missing
 from ..fourier.native import simd_level, threads
 from ..geometry import Mesh, load_mesh
-from ..geometry.files import write_atomically
 from ..inference import fit
 from ..inference.checks import check_mesh
 from ..inference.default_accuracy import accuracy_for, image_noise
@@ -38,11 +37,11 @@ from ..inference.forecast import Forecast, forecast
 from ..job import FitInput
 from ..measure.shape_error import DRAWS, ShapeError, photons_for, shape_errors
 from ..optics import Optics
-from ..report import make_folder
 from ..scene import Grid
 from ..scene.tradeoff import Way, duration, measure_ways, with_front
+from ..writing import make_folder, write_atomically
 from .inputs import gather
-from .messages import Notes, failure
+from .messages import Notes, failure, tell
 from .optics_arguments import OPTICS_ARGUMENTS, optics_from_arguments
 
 _RENDERED = 1e-3  # accuracy of a scene without an image, as that of `render`
@@ -93,7 +92,7 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
         print(f"\n{shape_table(shapes, voxel)}\n\n{shape_answer(shapes)}")
     if folder is not None:
         for path in _write(folder, scene, ways, expected, shapes, voxel):
-            print(path)
+            tell(path)
     return 0
 
 

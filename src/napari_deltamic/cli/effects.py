@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ..geometry.files import write_atomically
 from ..inference.evidence import Recommendation
 from ..inference.evidence.camera import Camera
 from ..inference.evidence.candidates import chosen_candidates
@@ -20,6 +19,7 @@ from ..inference.evidence.slices import drift, fading
 from ..job import FitInput
 from ..report import plain_values
 from ..scene.effects import Effects
+from ..writing import write_atomically
 from .inputs import gather
 from .messages import Notes, failure
 from .recommending import as_plain, as_table, recommendation_for

@@ -14,15 +14,15 @@ from typing import Any
 from tqdm import tqdm
 
 from ..errors import InputError
-from ..geometry.files import write_atomically
 from ..images import write_image
 from ..inference import FitState, fit
 from ..inference.evidence import analyse_residual
 from ..job import FitInput, start
-from ..report import History, make_folder, write_results
+from ..report import History, write_results
+from ..writing import interrupts_held, own_folder, write_atomically
 from .arguments.fit import CHECKPOINT
 from .inputs import gather
-from .messages import PROGRAM, Notes, failure
+from .messages import PROGRAM, Notes, failure, tell
 from .recommending import (
     as_plain,
     recommendation_for,
@@ -54,9 +54,9 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
         )
     except (MemoryError, RuntimeError) as error:
         raise failure(error) from error
-    make_folder(folder)
-    notes.release()
-    return _Run(job, folder, notes, auto, arguments.residual).complete(states)
+    with own_folder(folder):
+        notes.release()
+        return _Run(job, folder, notes, auto, arguments.residual).complete(states)
 
 
 class _Run:
@@ -77,26 +77,20 @@ class _Run:
         self.history = History()
         self.last: FitState | None = None
         self.started = time.monotonic()
+        self.has_settings = self.has_results = False  # whether the folder has them
 
     def complete(self, states: Iterator[FitState]) -> int:
         """Drive the fit to its end, or to that of the user's patience, and write the results."""
-        # A checkpoint is of use only together with the settings.
-        write_atomically(self.folder / "run.toml", self.job.settings.to_toml().encode())
         try:
             self._follow(states)
             if self.auto:
                 self._follow(self._with_recommended())
+            assert self.last is not None, "a fit yields at least one state"
+            self._write(self.last)
         except KeyboardInterrupt:
             return self._interrupted()
         except Exception as error:
             raise self._failed(error) from error
-        assert self.last is not None, "a fit yields at least one state"
-        self._write(self.last)
-        if self.last.converged:
-            self.checkpoint.unlink(missing_ok=True)
-        else:
-            self.last.save(self.checkpoint)
-            print(self.checkpoint)
         return 0
 
     def _with_recommended(self) -> Iterator[FitState]:
@@ -109,7 +103,7 @@ class _Run:
         if not found.recommended:
             return iter(())
         self.job = with_recommended(self.job, found)
-        write_atomically(self.folder / "run.toml", self.job.settings.to_toml().encode())
+        self.has_settings = False
         self.history = History()
         self.last = replace(self.last, message="")  # its verdict is not that of what comes
         return start(self.job)
@@ -128,28 +122,34 @@ class _Run:
                 bar.set_postfix_str(f"loss {state.loss:.4g}", refresh=False)
                 bar.update()
                 if time.monotonic() - saved > CHECKPOINT_EVERY:
-                    state.save(self.checkpoint)
+                    self._keep(state)
                     saved = time.monotonic()
+
+    def _keep(self, state: FitState) -> None:
+        """Write a checkpoint, which is of use only together with the settings."""
+        with interrupts_held():
+            if not self.has_settings:
+                toml = self.folder / "run.toml"
+                write_atomically(toml, self.job.settings.to_toml().encode())
+                self.has_settings = True
+            state.save(self.checkpoint)
 
     def _write(self, state: FitState) -> None:
         job = self.job
         seconds = time.monotonic() - self.started
-        try:
-            left = analyse_residual(job.image, job.grid, state, counted=job.counted)
-            self.further["residual"] = residual_as_plain(left)
-            paths = write_results(
-                self.folder,
-                state,
-                job.image,
-                job.grid,
-                job.settings,
-                self.history,
-                seconds,
-                warnings=self.notes.texts,
-                further=self.further,
-            )
-        except (MemoryError, RuntimeError) as error:
-            raise self._failed(error) from error
+        left = analyse_residual(job.image, job.grid, state, counted=job.counted)
+        self.further["residual"] = residual_as_plain(left)
+        paths = write_results(
+            self.folder,
+            state,
+            job.image,
+            job.grid,
+            job.settings,
+            self.history,
+            seconds,
+            warnings=self.notes.texts,
+            further=self.further,
+        )
         if self.residual:
             tif = self.folder / "residual.tif"
             write_image(tif, left.map, job.grid.voxel_size)
@@ -159,17 +159,33 @@ class _Run:
             f"{how} ({state.iteration} iterations, {seconds:.1f} s, loss {state.loss:.4g})",
             file=sys.stderr,
         )
+        with interrupts_held():
+            if state.converged:
+                self.checkpoint.unlink(missing_ok=True)
+            else:
+                self._keep(state)
+                paths.append(self.checkpoint)
+            self.has_results = True
         for path in paths:
-            print(path)
+            tell(path)
 
     def _interrupted(self) -> int:
         if self.last is None:
             print("interrupted before the first iteration: nothing to save", file=sys.stderr)
             return 130
-        self.last.save(self.checkpoint)
+        if self.has_results:
+            return 130
+        self._keep(self.last)
         print(f"interrupted; the state is in {self.checkpoint}", file=sys.stderr)
-        self._write(replace(self.last, converged=False, message="interrupted"))
-        print(self.checkpoint)
+        done = self.last.converged
+        try:
+            self._write(self.last if done else replace(self.last, message="interrupted"))
+        except KeyboardInterrupt:
+            print("interrupted again: there are no results", file=sys.stderr)
+        except Exception as error:
+            raise self._failed(error) from error
+        if done and self.has_results:
+            return 130
         toml = self.folder / "run.toml"
         words = [PROGRAM, "fit", "--settings", toml, "--resume", self.checkpoint]
         # What is no part of the settings must be said again.
@@ -184,7 +200,7 @@ class _Run:
         if self.last is None:
             return reason
         try:
-            self.last.save(self.checkpoint)
+            self._keep(self.last)
         except InputError:
             return reason
         return type(reason)(

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import io
+import logging
+import os
 import re
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from math import prod
 from typing import Any
 
 from tqdm import tqdm
 
 from ..errors import RepairWarning, SlowPathWarning
+
+_log = logging.getLogger(__name__)
 
 PROGRAM = "napari-deltamic"
 _BYTES_PER_VOXEL = 60  # roughly, at the peak of a fit: images, spectra and weights
@@ -46,9 +51,8 @@ class Notes:
 
     @contextmanager
     def catching_warnings(self) -> Iterator[None]:
-        """The warnings that are meant for users become notes; others stay what they are."""
+        """The warnings that are meant for users become notes; others are logged."""
         with warnings.catch_warnings():
-            shown = warnings.showwarning
             for category in (RepairWarning, SlowPathWarning):
                 warnings.simplefilter("always", category)
 
@@ -56,14 +60,15 @@ class Notes:
                 if issubclass(category, (RepairWarning, SlowPathWarning)):
                     self.add(str(message))
                 else:
-                    shown(message, category, *rest, **more)
+                    _log.warning("%s: %s (%s)", category.__name__, message, rest)
 
             warnings.showwarning = show
             yield
 
     @staticmethod
     def _say(text: str) -> None:
-        tqdm.write(f"note: {text}", file=sys.stderr)  # does not break a progress bar
+        with suppress(OSError, ValueError):  # nobody listens: no reason to lose a fit
+            tqdm.write(f"note: {text}", file=sys.stderr)  # does not break a progress bar
 
 
 class Failure(Exception):
@@ -80,14 +85,36 @@ def failure(error: BaseException, shape: Sequence[int] | None = None) -> Failure
         )
     if isinstance(error, FloatingPointError):
         return Failure(text)
-    return Failure(
-        f"{type(error).__name__}: {text or 'no reason given'} (DELTAMIC_TRACEBACK=1 shows where)"
-    )
+    return Failure(f"{type(error).__name__}: {text or 'no reason given'} (-v shows where)")
+
+
+class _Nowhere(io.TextIOBase):
+    """Takes everything, keeps nothing."""
+
+    def write(self, text: str) -> int:
+        return len(text)
+
+
+def tell(path: object) -> None:
+    """Print the path of a result, a line on stdout.
+
+    The result is there all the same where stdout cannot take it: then nothing more goes there.
+    """
+    try:
+        try:
+            print(path, flush=True)
+        except UnicodeEncodeError:  # a name that is no text here; its bytes are
+            sys.stdout.flush()
+            sys.stdout.buffer.write(os.fsencode(str(path)) + b"\n")
+            sys.stdout.buffer.flush()
+    except (OSError, ValueError, AttributeError):
+        sys.stdout = _Nowhere()
 
 
 def one_line(text: str) -> str:
-    """The text without line breaks."""
-    return " ".join(text.split())
+    """The text without line breaks, and without what would steer a terminal."""
+    plain = " ".join(text.split())
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in plain)
 
 
 def _is_memory(text: str) -> bool:

@@ -9,7 +9,7 @@ from ..geometry import load_mesh
 from ..images import write_image
 from ..inference.checks import check_mesh
 from ..scene import Grid, render
-from .messages import Notes, failure
+from .messages import Notes, failure, tell
 from .optics_arguments import optics_from_arguments
 
 
@@ -27,5 +27,5 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
         write_image(output, image.numpy(), grid.voxel_size)
     except (MemoryError, RuntimeError) as error:
         raise failure(error, grid.shape) from error
-    print(output)
+    tell(output)
     return 0

@@ -15,7 +15,7 @@ from ..scene import Grid, Scene, Surface, random_cells, simulate
 from ..scene.effects import Effects
 from ..simulation_files import FILES, write_simulation
 from .folders import check_folder
-from .messages import Notes, failure
+from .messages import Notes, failure, tell
 from .optics_arguments import optics_from_arguments, optics_values
 
 
@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
         except (MemoryError, RuntimeError) as error:
             raise failure(error, grid.shape) from error
         for path in paths if count == 1 else [place]:
-            print(path)
+            tell(path)
     return 0
 
 

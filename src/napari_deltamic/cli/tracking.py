@@ -18,14 +18,14 @@ from ..image_series import ImageSeries, open_series
 from ..inference.tracking import FrameResult, track
 from ..inference.tracking.settings import TrackRun
 from ..job import SIGMA_IN_VOXELS, FitInput, assemble
-from ..report import make_folder
 from ..scene import Grid
 from ..settings import validated
 from ..track_report import FILES, mesh_name, read_results, write_frame, write_tracks
+from ..writing import own_folder, written_together
 from .arguments.track import track_values
 from .folders import check_folder
 from .inputs import load_seeds, run_values, voxel_size_of
-from .messages import PROGRAM, Notes, failure
+from .messages import PROGRAM, Notes, failure, tell
 
 _PRECIOUS = (*FILES, mesh_name(0))
 
@@ -39,9 +39,9 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
         job = _gather(arguments, notes)
     except (MemoryError, RuntimeError) as error:
         raise failure(error) from error
-    make_folder(folder)
-    notes.release()
-    return _Run(job, folder, notes).complete()
+    with own_folder(folder):
+        notes.release()
+        return _Run(job, folder, notes).complete()
 
 
 @dataclass(frozen=True)
@@ -124,8 +124,11 @@ class _Run:
 
     def complete(self) -> int:
         """Track to the end, or to that of the user's patience."""
-        for result in self.results:  # of a former run, whose folder may be another
-            write_frame(self.folder, result)
+        if self.results:  # of a former run, whose folder may be another
+            with written_together(self.folder / FILES[-1]):
+                for result in self.results:
+                    write_frame(self.folder, result)
+                self._write(surface=False)
         code = 0
         try:
             self._follow()
@@ -142,9 +145,12 @@ class _Run:
             return code
         for result in self.results:
             if result.mesh is not None:
-                print(self.folder / mesh_name(result.frame))
-        for path in self._write(surface=True):
-            print(path)
+                tell(self.folder / mesh_name(result.frame))
+        try:
+            for path in self._write(surface=True):
+                tell(path)
+        except KeyboardInterrupt:
+            code = 130
         if code:
             words = [PROGRAM, "track", "--settings", self.folder / "run.toml"]
             words += ["--resume", self.folder, "-o", self.folder]
@@ -190,8 +196,10 @@ class _Run:
         if result.message:
             text = result.message
             self.notes.add(text if result.mesh is None else f"frame {result.frame}: {text}")
-        write_frame(self.folder, result)
-        self._write(surface=False)
+        # So that a report never lies beside meshes of another run.
+        with written_together(self.folder / FILES[-1]):
+            write_frame(self.folder, result)
+            self._write(surface=False)
 
     def _write(self, *, surface: bool) -> list[Path]:
         job = self.job

@@ -21,7 +21,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ..errors import InputError
-from ..geometry.files import write_atomically
+from ..writing import write_atomically
 from .band import Band
 from .native import native, simd_level, threads
 from .quadrature import Rule

@@ -9,7 +9,7 @@ from ..cli.messages import failure
 from ..errors import InputError
 
 _log = logging.getLogger(__name__)
-_OF_THE_COMMAND_LINE = " (DELTAMIC_TRACEBACK=1 shows where)"
+_OF_THE_COMMAND_LINE = " (-v shows where)"
 
 
 def words_of(error: Exception, shape: Sequence[int] | None = None) -> str:

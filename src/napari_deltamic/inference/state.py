@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
-from ..geometry.files import write_atomically
 from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..scene.effects import Effects
+from ..writing import write_atomically
 
 
 @dataclass(frozen=True)

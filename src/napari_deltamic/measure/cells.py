@@ -10,8 +10,8 @@ from math import nan, pi
 
 import numpy as np
 
-from napari_deltamic.geometry.files import write_atomically
 from napari_deltamic.geometry.mesh import OUTSIDE, Mesh
+from napari_deltamic.writing import write_atomically
 
 COLUMNS = (
     "region",

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import InputError
-from ...geometry.files import write_atomically
+from ...writing import write_atomically
 from ..cost import cache_file
 from .build import Build
 

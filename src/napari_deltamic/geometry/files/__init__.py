@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import uuid
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -25,6 +24,7 @@ from napari_deltamic.geometry.files.rec import read_rec, write_rec
 from napari_deltamic.geometry.files.vtk import read_vtk, write_vtk
 from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, IntArray, Mesh
 from napari_deltamic.geometry.repair import counted, repair
+from napari_deltamic.writing import write_atomically
 
 
 def load_mesh(path: str | os.PathLike[str]) -> Mesh:
@@ -106,25 +106,6 @@ def save_mesh(mesh: Mesh, path: str | os.PathLike[str]) -> None:
             )
     xyz = np.ascontiguousarray(mesh.vertices_numpy()[:, ::-1])
     write_atomically(path, write(xyz, mesh.faces, mesh.regions))
-
-
-def write_atomically(path: str | os.PathLike[str], data: bytes) -> None:
-    """Write a file under another name in the same folder, then rename it.
-
-    A reader never sees half a file. Raises InputError if it cannot be written.
-    """
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
-    try:
-        with temporary.open("xb") as stream:
-            stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
-        temporary.replace(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _remarks(mesh: Mesh) -> list[str]:

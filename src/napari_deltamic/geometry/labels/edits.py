@@ -21,10 +21,10 @@ from skimage.graph import MCP_Geometric
 from skimage.segmentation import watershed
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.files import write_atomically
 from napari_deltamic.geometry.labels.find_cells import _checked, _walls
 from napari_deltamic.geometry.labels.region_merging import Image, Labels
 from napari_deltamic.geometry.mesh import FloatArray
+from napari_deltamic.writing import write_atomically
 
 Action = Literal["cell", "merge", "remove"]
 _COLUMNS = ("z", "y", "x", "action", "step")

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from ...errors import InputError
 from ...geometry import Mesh, mesh_from_labels, save_mesh, seeds_from_points
-from ...geometry.files import write_atomically
 from ...geometry.missing import filled
 from ...images import write_image
 from ...job import SeedKind
 from ...scene import Grid
+from ...writing import write_atomically
 from ..viewing.frame import OWN, FloatArray, Frame, stack_of
 from ..viewing.mesh_layer import unchanged_file
 from ..viewing.walls import joined
