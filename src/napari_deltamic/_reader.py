@@ -6,8 +6,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from napari import current_viewer
 from napari.utils.notifications import show_info, show_warning
 
+from ._menu import fit_widget
 from .choices import MESH_FILES
 from .gui.results.session_layers import image_layer, mesh_layer, seed_layer
 from .gui.viewing.frame import ORIGIN, OWN, Frame
@@ -15,6 +17,7 @@ from .gui.viewing.mesh_layer import load_meshes, surface_layer
 from .session_file import EXTENSION, load_session
 
 LayerData = tuple[Any, dict[str, Any], str]
+_NO_LAYERS: Any = (None,)  # napari's sign that a file was read, and no layer is to be added
 _WORLD = Frame((1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0), ("um",) * 3)
 
 
@@ -49,15 +52,21 @@ def read_meshes(path: str | Sequence[str]) -> list[LayerData]:
 
 
 def read_sessions(path: str | Sequence[str]) -> list[LayerData]:
-    """Image, seeds and meshes of a session.
+    """Opens a session whole, in the widget; of several, image, seeds and meshes as layers.
+
+    Also where there is no window for the widget, as in a script, they are layers.
 
     Raises
     ------
     InputError
         Naming the file and what is wrong with it.
     """
-    found = []
-    for one in _paths(path):
+    paths, found = _paths(path), []
+    viewer = current_viewer()
+    if len(paths) == 1 and getattr(viewer, "window", None) is not None:
+        fit_widget(viewer).sessions.open(paths[0])
+        return [_NO_LAYERS]
+    for one in paths:
         session = load_session(one)
         image = image_layer(session.image)
         layers = [image, *(seed_layer(seed) for seed in session.seeds)]
@@ -65,7 +74,7 @@ def read_sessions(path: str | Sequence[str]) -> list[LayerData]:
             name = f"{image.name} cells"
             layers.append(mesh_layer(session.result.state.mesh, name, Frame.of(image)))
         found += [layer.as_layer_data_tuple() for layer in layers]
-    show_info("'Open session...' in the deltaMic widget also restores settings, table and history")
+    show_info("one session at a time also restores settings, table and history")
     return found
 
 

@@ -13,6 +13,7 @@ from qtpy.QtWidgets import QApplication, QFileDialog, QScrollArea, QVBoxLayout, 
 from .gui.accuracy.accuracy_forecast import AccuracyForecast
 from .gui.accuracy.accuracy_measure import MeasureControl
 from .gui.attempt import attempt
+from .gui.closing import ask_before_closing
 from .gui.editing.interaction import Interaction
 from .gui.effects.effects_check import EffectsCheck
 from .gui.panels.image_panel import ImagePanel
@@ -198,6 +199,7 @@ class FitWidget(QWidget):
             if self.parent() is None and self._docked:
                 self.close_links()
             self._docked = self.parent() is not None
+            ask_before_closing(self, self._live.would_end)
         return bool(super().event(event))
 
     def _lay_out(self) -> None:

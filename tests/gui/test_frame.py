@@ -6,9 +6,11 @@ from napari.layers import Image, Labels, Points, Surface
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import sphere
+from napari_deltamic.gui.plain import camera_of
 from napari_deltamic.gui.seeding.seeds import mesh_of_surface, seeds_from_layer
 from napari_deltamic.gui.viewing.contours import Contours, sliced_axis
 from napari_deltamic.gui.viewing.frame import OWN, Frame, is_stack, stack_of
+from napari_deltamic.gui.viewing.viewer_link import ViewerLink
 from napari_deltamic.measure import section
 from napari_deltamic.scene.effects import Effects
 
@@ -110,7 +112,7 @@ def test_contours_follow_the_slider(viewer):
     mesh = sphere((0.8, 0.8, 0.9), 0.55)
     for index in (1, 2, 3):
         viewer.dims.set_current_step(0, index)
-        contours.update(mesh, viewer.dims)
+        contours.update(mesh, viewer)
         segments, _ = section(mesh, 0, 0.3 * index)
         data = contours.layer.data
         assert len(data) == len(segments) > 0
@@ -119,7 +121,7 @@ def test_contours_follow_the_slider(viewer):
         np.testing.assert_allclose(data.sum(axis=1)[:, 1:], segments[:, 1], rtol=1e-4)
         assert len(contours.layer._view_data) == len(segments), "drawn on this slice"
     viewer.dims.ndisplay = 3
-    contours.update(mesh, viewer.dims)
+    contours.update(mesh, viewer)
     assert len(contours.layer.data) == 0
 
 
@@ -131,7 +133,7 @@ def test_contours_across_other_axes_and_in_time(viewer):
     viewer.dims.order = (0, 2, 1, 3)
     assert sliced_axis(viewer.dims) == 1
     viewer.dims.set_point(2, 0.8)
-    contours.update(mesh, viewer.dims)
+    contours.update(mesh, viewer)
     np.testing.assert_allclose(contours.layer.data[:, 0, 1], 0.8, rtol=1e-5)
 
 
@@ -147,12 +149,30 @@ def test_effects_and_switches_reach_the_settings(make_widget):
     assert panel.scene_settings().effects.names == ()
 
 
-@pytest.mark.parametrize(("radius", "width"), [(2.0, 0.08), (100.0, 0.5)])
-def test_contours_are_seen_on_meshes_of_any_size(viewer, radius, width):
-    viewer.add_image(np.zeros((4, 8, 8)), scale=(0.3, 0.2, 0.2), units=("um",) * 3)
-    contours = Contours(Frame.of(viewer.layers[0]), "contours")
-    contours.update(sphere((0, 0, 0), radius, subdivisions=2), viewer.dims)
-    assert contours.layer.edge_width == pytest.approx(width, rel=0.01)
-    contours.layer.edge_width = 0.3
-    contours.update(sphere((0, 0, 0), radius, subdivisions=2), viewer.dims)
-    assert contours.layer.edge_width == 0.3
+def screen_width(contours, viewer):
+    """Pixels of the canvas that a line is wide; its data are um."""
+    per_um = camera_of(viewer).zoom * contours.layer.scale[-1]
+    return float(contours.layer.edge_width * per_um)
+
+
+@pytest.mark.parametrize("unit", ["um", "nm"])
+def test_contours_keep_their_width_on_the_screen(viewer, unit):
+    um = {"um": 1, "nm": 1000}[unit]
+    size = np.multiply((0.3, 0.2, 0.2), um)
+    layer = viewer.add_image(np.zeros((4, 8, 8)), scale=size, units=(unit,) * 3)
+    link = ViewerLink(viewer, layer, Frame.of(layer), print)
+    link.show_mesh(sphere((0.5, 0.8, 0.8), 0.5, subdivisions=2))
+    contours = link.contours
+    assert len(contours.layer.data)
+    for zoom in (600, 3, 0.2, 60):
+        camera_of(viewer).zoom = zoom / um
+        assert screen_width(contours, viewer) == pytest.approx(2, rel=0.1)
+    contours.layer.edge_width *= 3  # by the user
+    for zoom in (3, 60):
+        camera_of(viewer).zoom = zoom / um
+        assert screen_width(contours, viewer) == pytest.approx(6, rel=0.11)
+    viewer.dims.ndisplay = 3
+    camera_of(viewer).zoom = 20 / um
+    viewer.dims.ndisplay = 2
+    assert screen_width(contours, viewer) == pytest.approx(6, rel=0.11)
+    link.close()

@@ -6,6 +6,7 @@ import weakref
 from dataclasses import replace
 
 import napari.components
+import npe2
 import numpy as np
 import pytest
 
@@ -15,7 +16,7 @@ from napari_deltamic.gui.results.session import capture, restore
 from napari_deltamic.gui.results.session_layers import save_layer
 from napari_deltamic.session_file import load_session
 
-from .sessions import fitted, save
+from .sessions import fitted, save, shown
 
 
 def test_a_result_of_another_image_is_left_out_and_told(seeded, with_image, spin, tmp_path, told):
@@ -94,6 +95,28 @@ def test_the_reader_opens_the_layers(seeded, with_image, spin, tmp_path):
     assert tuple(viewer.layers["cell cells"].translate) == (1, 2, 3)
 
 
+@pytest.mark.parametrize("docked", [False, True])
+def test_a_session_that_is_dropped_opens_whole(window, seeded, spin, tmp_path, docked):
+    path = tmp_path / "a.deltamic"
+    save(fitted(seeded, spin), path, spin)
+    before = len(seeded.control.timeline.moments)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        npe2.PluginManager.instance().discover()
+        own = _widget.FitWidget(window) if docked else None
+        if docked:  # not by napari's menu
+            window.window.add_dock_widget(own)
+        window.open(str(path), plugin="napari-deltamic")
+    (widget,) = (w for w in window.window.dock_widgets.values() if isinstance(w, _widget.FitWidget))
+    assert own is None or widget is own
+    spin(lambda: not widget.sessions.busy)
+    assert {layer.name for layer in window.layers} >= {"cell", "seeds", "cell cells"}
+    assert shown(widget)["cells"] == shown(seeded)["cells"]
+    assert shown(widget)["fit"] == shown(seeded)["fit"]
+    assert len(widget.control.timeline.moments) == before
+    widget.close_links()
+
+
 def test_closing_the_widget_while_a_session_is_saved(seeded, spin, tmp_path):
     fitted(seeded, spin)
     bar = weakref.ref(seeded.sessions)
@@ -118,8 +141,6 @@ def test_capture_shares_the_pixels(seeded, with_image, spin):
 
 
 def test_the_entry_of_the_menu_asks_in_the_widget(window, monkeypatch):
-    import npe2
-
     from napari_deltamic._menu import open_session
 
     asked = []

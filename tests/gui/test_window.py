@@ -10,9 +10,11 @@ import weakref
 
 import numpy as np
 import pytest
+from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QPushButton
 
 from napari_deltamic import _widget
+from napari_deltamic.gui import closing
 
 from .conftest import CENTER, SIZE
 from .mouse import Mouse
@@ -61,6 +63,64 @@ def test_closing_the_dock_ends_and_releases_everything(window, pixels, spin, end
     spin(seconds=0.4, must=False)
     gc.collect()
     assert [ref() for ref in refs] == [None] * n
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """What the user is asked when the dock is closed; the answers are given beforehand."""
+    found, answers = [], []
+
+    def answer(widget, text):
+        found.append(text)
+        return answers.pop(0)
+
+    monkeypatch.setattr(closing, "agreed", answer)
+    return found, answers
+
+
+def press_close(widget):
+    """The cross in the title of the dock."""
+    button = widget.parent().titleBarWidget().close_button
+    button.click()
+
+
+def test_closing_the_dock_in_a_fit_asks(window, docked, spin, endless, asked):
+    found, answers = asked
+    docked.start()
+    run = docked.run
+    spin(lambda: len(run.history.loss) > 5)
+    answers += [False, True]
+    press_close(docked)
+    assert len(found) == 1
+    assert "A fit is running" in found[0]
+    assert run.running
+    assert docked.parent() is not None
+    press_close(docked)
+    assert len(found) == 2
+    assert not run.running
+    assert docked.parent() is None
+
+
+def test_closing_the_dock_else_asks_nobody(window, docked, asked):
+    press_close(docked)
+    assert asked[0] == []
+    assert docked.parent() is None
+
+
+def test_who_closes_the_dock_in_a_fit_can_keep_it(app, docked, spin):
+    """The question itself: Escape keeps what runs."""
+    pressed = []
+
+    def press():
+        box = app.activeModalWidget()
+        buttons = {button.text().replace("&", ""): button for button in box.buttons()}
+        pressed.append(sorted(buttons))
+        box.reject() if len(pressed) == 1 else buttons["End it and close"].click()
+
+    for wanted in (False, True):
+        QTimer.singleShot(50, press)
+        assert closing.agreed(docked, "A fit is running.") is wanted
+    assert pressed[0] == ["End it and close", "Keep it open"]
 
 
 def test_closing_the_viewer_ends_the_fit(window, docked, spin, endless):

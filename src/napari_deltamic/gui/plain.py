@@ -1,4 +1,4 @@
-"""napari's objects without the wrapper in which it hands them to plugins."""
+"""napari's objects, whatever its version, without the wrapper in which plugins get them."""
 
 from __future__ import annotations
 
@@ -13,3 +13,8 @@ def unwrapped(viewer: Any) -> Any:
     the type that it seems to be.
     """
     return getattr(viewer, "__wrapped__", viewer)
+
+
+def camera_of(viewer: Any) -> Any:
+    """The camera of a viewer or its model; napari 0.9 has moved it."""
+    return getattr(viewer, "scene", viewer).camera

@@ -33,6 +33,16 @@ class Live:
             return "cells are being tracked already: stop that first"
         return ""
 
+    def would_end(self) -> str:
+        """What closing the widget would end, and what is kept of it; '' for nothing."""
+        if self.run is not None and self.run.running:
+            return "A fit is running. Its meshes stay in the viewer, but its table and history go."
+        if self.tracking is not None and self.tracking.running:
+            return (
+                "Cells are being tracked. The frames done stay in the viewer, but their table goes."
+            )
+        return ""
+
     def close(self, gone: Any = None) -> None:
         """End everything; once is enough."""
         if self.run is not None:

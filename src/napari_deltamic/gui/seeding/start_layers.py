@@ -8,6 +8,7 @@ from typing import Any
 from ...colouring import colour_indices
 from ...geometry import Mesh
 from ..connections import Connections
+from ..plain import camera_of
 from ..viewing.colours import LIMITS, region_colormap, side_values
 from ..viewing.contours import Contours
 from ..viewing.frame import OWN, Frame
@@ -78,18 +79,23 @@ class StartLayers:
         dims = self._viewer.dims.events
         for emitter in (dims.current_step, dims.order, dims.ndisplay):
             self._connections.connect(emitter, self._update_view)
+        self._connections.connect(camera_of(self._viewer).events.zoom, self._zoomed)
         self._connections.connect(self._viewer.layers.events.removed, self._removed)
 
     def _update_view(self, event: Any = None) -> None:
         if self._contours is None:
             return
-        self._contours.update(self._mesh, self._viewer.dims)
+        self._contours.update(self._mesh, self._viewer)
         in_3d = self._viewer.dims.ndisplay == 3
         if in_3d:
             self._show_surface(self._contours.frame)
         if self._surface is not None:
             # In 2D napari draws a few faces of a surface, which look like dirt on its contours.
             self._surface.visible = in_3d
+
+    def _zoomed(self, event: Any = None) -> None:
+        if self._contours is not None and self._contours.off_width(self._viewer):
+            self._update_view()
 
     def _show_surface(self, frame: Frame) -> None:
         mesh = self._mesh

@@ -14,6 +14,7 @@ from ...colouring import PALETTE, colour_indices, plain_index
 from ...inference.tracking import FrameResult, lineage, surface_4d
 from ...measure import measure_cells
 from ..connections import Connections
+from ..plain import camera_of
 from ..viewing.colours import PALETTE_RGBA, region_colours
 from ..viewing.contours import Contours
 from ..viewing.frame import OWN, Frame
@@ -47,6 +48,7 @@ class TrackLayers:
         dims = viewer.dims.events
         for emitter in (dims.current_step, dims.order, dims.ndisplay):
             self._connections.connect(emitter, self._moved)
+        self._connections.connect(camera_of(viewer).events.zoom, self._zoomed)
 
     @property
     def shown(self) -> int:
@@ -161,9 +163,14 @@ class TrackLayers:
         result = self.results.get(self.shown)
         if self.contours.layer in self.viewer.layers:
             mesh = None if result is None else result.mesh
-            self.contours.update(mesh, self.viewer.dims)
+            self.contours.update(mesh, self.viewer)
         if self._on_time is not None:
             self._on_time()
+
+    def _zoomed(self, event: Any = None) -> None:
+        result = self.results.get(self.shown)
+        if result is not None and self.contours.off_width(self.viewer):
+            self.contours.update(result.mesh, self.viewer)
 
 
 def _colours(table: NDArray[np.float64]) -> Colormap:

@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 from ...geometry import Mesh
 from ...geometry.mesh import OUTSIDE
 from ...measure import section
+from ..plain import camera_of
 from .colours import region_colours
 from .frame import OWN, Frame
 from .own_layers import Vectors
 
-_LINES_ACROSS = 400  # a line is at least this part of the mesh wide
+_PIXELS = 2.0  # of the canvas that a line is wide, until the user chooses another width
+_OFF = 1.1  # a width is set anew where it is off by this factor: that takes as long as drawing
 
 
 class Contours:
@@ -31,7 +33,6 @@ class Contours:
             ndim=3,
             name=name,
             vector_style="line",
-            edge_width=0.4 * min(frame.voxel_size[1:]),
             blending="translucent_no_depth",
             metadata={OWN: {"fit": True}},
             **frame.layer_options(),
@@ -44,17 +45,21 @@ class Contours:
         self.colours: Mapping[int, int] = {}  # see ``colour_indices``
         self.chosen: frozenset[int] = frozenset()  # cells that are not dimmed; none: no cell is
         self._empty = True
-        self._sized = False  # whether its lines suit a mesh; from then on their width is the user's
+        self._pixels = _PIXELS
+        self._um_of_pixel = 1.0  # where the width was last looked at
+        self._widening = False
+        self.layer.events.edge_width.connect(self._width_chosen)
 
-    def update(self, mesh: Mesh | None, dims: Any) -> None:
-        """Show the section with the slice that the viewer's dims are at."""
+    def update(self, mesh: Mesh | None, viewer: Any) -> None:
+        """Show the section with the slice that a viewer, or its model, is at."""
+        dims = viewer.dims
         axis = sliced_axis(dims)
         if mesh is None or axis is None:
             if not self._empty:
                 self.layer.data = np.zeros((0, 2, 3), np.float32)
                 self._empty = True
             return
-        self._suit(mesh)
+        self._keep_width(viewer)
         position = self.position(dims, axis)
         segments, faces = section(mesh, axis, position)
         vectors = np.zeros((len(segments), 2, 3), np.float32)
@@ -64,13 +69,27 @@ class Contours:
         vectors[:, 1, others] = segments[:, 1] - segments[:, 0]
         self._set(*self._two_coloured(vectors, mesh, faces, others))
 
-    def _suit(self, mesh: Mesh) -> None:
-        """Lines that are still seen where the whole of a large mesh is."""
-        if not self._sized:
-            self._sized = True
-            low, high = mesh.bounds()
-            width = float((high - low)[1:].max()) / _LINES_ACROSS
-            self.layer.edge_width = max(float(self.layer.edge_width), width)
+    def off_width(self, viewer: Any) -> bool:
+        """Whether lines are shown that are no longer as wide on the screen as they should be."""
+        ratio = self._width(viewer) / float(self.layer.edge_width)
+        return not self._empty and not 1 / _OFF < ratio < _OFF
+
+    def _width(self, viewer: Any) -> float:
+        """um that a line has to be wide in a viewer."""
+        self._um_of_pixel = float(np.mean(self.frame.um)) / float(camera_of(viewer).zoom)
+        return self._pixels * self._um_of_pixel
+
+    def _keep_width(self, viewer: Any) -> None:
+        width = self._width(viewer)
+        if not 1 / _OFF < width / float(self.layer.edge_width) < _OFF:
+            self._widening = True
+            self.layer.edge_width = width
+            self._widening = False
+
+    def _width_chosen(self, event: Any = None) -> None:
+        """The user has chosen a width, which is kept from now on."""
+        if not self._widening:
+            self._pixels = float(self.layer.edge_width) / self._um_of_pixel
 
     def position(self, dims: Any, axis: int) -> float:
         """um: where the slice across an axis lies that the viewer's dims are at."""

@@ -7,11 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..plain import camera_of
+
 
 def rescale(viewer: Any, layer: Any, scale: ArrayLike) -> None:
     """Give a layer another scale; its slice, and what of it fills the canvas, stay as they are."""
     old, new = np.array(layer.scale, float), np.array(scale, float)
-    dims, camera = viewer.dims, getattr(viewer, "scene", viewer).camera  # before napari 0.9
+    dims, camera = viewer.dims, camera_of(viewer)
     if dims.ndim < layer.ndim or layer not in viewer.layers:
         layer.scale = new
         return

@@ -13,6 +13,7 @@ from ...colouring import colour_indices
 from ...geometry import Mesh
 from ..connections import Connections
 from ..editing.pins import Pins
+from ..plain import camera_of
 from .colours import LIMITS, region_colormap, side_values
 from .contours import Contours
 from .frame import OWN, Frame
@@ -61,6 +62,7 @@ class ViewerLink:
         dims = viewer.dims.events
         for emitter in (dims.current_step, dims.order, dims.ndisplay):
             self._connections.connect(emitter, self._slice_changed)
+        self._connections.connect(camera_of(viewer).events.zoom, self._zoomed)
         self._connections.connect(viewer.layers.events.removed, self._layer_removed)
 
     @property
@@ -152,8 +154,7 @@ class ViewerLink:
         world = [float(w) for w in self.frame.to_world(center)]
         n = self.viewer.dims.ndim
         self.viewer.dims.set_point(range(n - 3, n), world)
-        scene = getattr(self.viewer, "scene", self.viewer)  # before napari 0.9, the viewer itself
-        scene.camera.center = tuple(world)
+        camera_of(self.viewer).center = tuple(world)
 
     def close(self) -> None:
         """Undo every connection; the layers stay."""
@@ -266,7 +267,11 @@ class ViewerLink:
         if self.at_time != self._images_placed:
             self._place_images()
         if self.contours.layer in self.viewer.layers:
-            self.contours.update(self.shown if self.at_time else None, self.viewer.dims)
+            self.contours.update(self.shown if self.at_time else None, self.viewer)
+
+    def _zoomed(self, event: Any = None) -> None:
+        if self.contours.off_width(self.viewer):
+            self._slice_changed()
 
     @property
     def at_time(self) -> bool:
