@@ -13,6 +13,8 @@ from napari_deltamic.errors import InputError
 from napari_deltamic.fourier import calibration, cost
 from napari_deltamic.geometry import sphere
 from napari_deltamic.gui.accuracy.accuracy_dial import accuracy_of, usable_choice, written
+from napari_deltamic.gui.accuracy.accuracy_forecast import predicted
+from napari_deltamic.gui.accuracy.accuracy_scene import Outlook
 from napari_deltamic.gui.accuracy.renewed_forecast import RenewedForecast
 from napari_deltamic.gui.results.command import command
 from napari_deltamic.gui.results.session import capture, restore
@@ -251,6 +253,26 @@ def test_measured_beside_predicted(seeded, spin, endless):
     spin(lambda: not running(seeded))
     assert pace.text().startswith("last run: ")
     assert pace.text().endswith(f"{duration(Forecast(LEVELS, True).seconds)} predicted")
+
+
+def test_the_next_run_is_predicted_by_what_the_last_one_took(seeded, spin):
+    # So slow as no machine is: what is learned does not depend on this one.
+    whole = Forecast(tuple(replace(one, seconds_per_iteration=1e4) for one in LEVELS), True)
+    seeded.control._forecaster = lambda job: whole
+    seeded.settings.max_iterations.setValue(30)
+    seeded.start()
+    spin(lambda: not running(seeded))
+    run = seeded.run
+    learned = whole.experience(run.history, run.state, run.seconds)
+    assert learned.seconds < 0.1
+    seeded.start()
+    spin(lambda: not running(seeded))
+    assert seeded.run.forecast == whole.after(learned)
+    # Also in words, before a third one starts.
+    known = seeded._live.experience
+    spin(lambda: not seeded.forecast.busy)
+    seeded.forecast._show(Outlook(0.1, 1e-2, whole, guessed=False))
+    assert seeded.settings.outlook.text() == predicted(whole.after(known))
 
 
 def test_the_time_that_is_measured_is_that_of_the_fit(seeded, spin, monkeypatch):

@@ -176,6 +176,45 @@ def test_the_pace_so_far_corrects_it():
     assert early < 4 * found.seconds
 
 
+def test_levels_that_took_longer_make_the_next_longer():
+    found = expected()
+    counts = [level.iterations for level in found.levels]
+    usual = found.remaining_seconds(course(counts[0], counts[1], 1), At(3))
+    slow = found.remaining_seconds(course(3 * counts[0], 3 * counts[1], 1), At(3))
+    assert 1.5 * usual < slow < 3 * usual
+    fast = found.remaining_seconds(course(counts[0] // 3, counts[1] // 3, 1), At(3))
+    assert fast < 0.7 * usual
+
+
+def test_the_next_forecast_is_what_the_last_fit_took():
+    found = expected()
+    counts = [3 * level.iterations for level in found.levels]
+    history, end = course(*counts), At(len(counts), converged=True)
+    took = 10 * found.seconds
+    learned = found.after(found.experience(history, end, took))
+    assert learned.seconds == pytest.approx(took, rel=0.01)
+    assert learned.iterations == sum(counts)
+    # What is learned from one that went as it should is nothing new.
+    same = learned.experience(history, end, took)
+    assert (same.seconds, same.iterations) == pytest.approx((1, 1), rel=0.01)
+    # Other levels need other numbers, but are as slow.
+    near = expected(NEAR)
+    other = near.after(found.experience(history, end, took))
+    assert other.iterations == near.iterations
+    assert other.seconds > 2 * near.seconds
+
+
+def test_what_a_fit_that_was_stopped_teaches():
+    found = expected()
+    level = found.levels[0]
+    assert found.experience(course(3), At(1), 1.0) is None
+    twice = 2 * (level.preparation + 10 * level.seconds_per_iteration)
+    few = found.experience(course(10), At(1), twice)
+    assert (few.seconds, few.iterations) == pytest.approx((2, 1))
+    many = found.experience(course(2 * level.iterations), At(1), 1.0)
+    assert many.iterations == pytest.approx(2)
+
+
 def test_a_level_that_ends_late_still_needs_a_little():
     found = expected()
     last = len(found.levels)

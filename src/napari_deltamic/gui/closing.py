@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable
+from typing import Any
 
 from qtpy.QtWidgets import QDockWidget, QMessageBox, QWidget
 
@@ -15,7 +16,7 @@ def ask_before_closing(widget: QWidget, busy: Callable[[], str]) -> None:
 
     busy : what runs, in a sentence; '' for nothing. It must not hold the widget.
     """
-    dock = widget.parent()
+    dock: Any = widget.parent()
     # What napari's button calls; no public way leads there. Where it is missing, nobody is asked.
     close = getattr(dock, "destroyOnClose", None)
     if not isinstance(dock, QDockWidget) or close is None:
@@ -23,7 +24,8 @@ def ask_before_closing(widget: QWidget, busy: Callable[[], str]) -> None:
     own, docked = weakref.ref(widget), weakref.ref(dock)
 
     def closed() -> None:
-        shown, found = own(), docked()
+        shown: QWidget | None = own()
+        found: Any = docked()
         if found is None:
             return
         text = busy() if shown is not None and found.widget() is shown else ""

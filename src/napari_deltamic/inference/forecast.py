@@ -37,6 +37,8 @@ _FACTORING = 100.0  # solves: of the preconditioner's matrix
 _TRUNCATED = 3.5  # standard deviations; see level.py
 _EVERY_PLAN, _EVERY_LOOK = 20, 10  # iterations; see level.py
 _EVERY_PSF, _PSF_BELOW = 5, 2.5  # iterations, blur; see fit.py
+_TEACH = 5  # iterations without which a fit teaches nothing
+_FARTHEST = 30.0  # as a forecast can be off at most; what is more was something else
 
 
 class Course(Protocol):
@@ -89,6 +91,25 @@ class LevelForecast:
 
 
 @dataclass(frozen=True)
+class Experience:
+    """What a fit took, in parts of what was forecast.
+
+    Attributes
+    ----------
+    seconds
+        Of an iteration.
+    iterations
+        Until it had converged.
+    blurs
+        Of its levels: another sequence of levels needs other numbers of iterations.
+    """
+
+    seconds: float = 1.0
+    iterations: float = 1.0
+    blurs: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
 class Forecast:
     """What a fit is expected to take, level by level.
 
@@ -138,16 +159,13 @@ class Forecast:
             return 0.0
         if done < 2 or (elapsed is not None and elapsed <= 0):
             return None
-        spent, left = 0.0, 0.0
+        spent, left, more = self._spent(history), 0.0, self._more(history, state.level)
         for level in self.levels:
-            here = sum(1 for number in history.level if number == level.number)
-            each = level.seconds_per_iteration
-            if here:
-                spent += level.preparation + here * each
+            each, wanted = level.seconds_per_iteration, more * level.iterations
             if level.number > state.level:
-                left += level.seconds
+                left += level.preparation + wanted * each
             elif level.number == state.level:
-                left += each * _still_to_come(here, level.iterations)
+                left += each * _still_to_come(_count(history, level.number), wanted)
         if spent <= 0:
             return None
         # Trusted the more, the longer the fit has run: a first iteration says little.
@@ -157,8 +175,79 @@ class Forecast:
             pace = float((elapsed / spent) ** trust)
         return left * pace
 
+    def experience(self, history: Course, state: Where, elapsed: float) -> Experience | None:
+        """What a fit of which this is the forecast teaches about the next; None if nothing.
 
-def _still_to_come(here: int, expected: int) -> float:
+        Parameters
+        ----------
+        history, state
+            As above, when it has ended.
+        elapsed
+            s that it took.
+        """
+        spent = self._spent(history)
+        if len(history.level) < _TEACH or spent <= 0 or elapsed <= 0:
+            return None
+        done, wanted = self._done(history, state.level, ended=state.converged)
+        return Experience(
+            _within(elapsed / spent), _within(done / wanted if wanted else 1.0), self._blurs
+        )
+
+    def after(self, earlier: Experience) -> Forecast:
+        """The same, corrected by how far off an earlier one was."""
+        more = earlier.iterations if earlier.blurs == self._blurs else 1.0
+        levels = [
+            replace(
+                level,
+                seconds_per_iteration=earlier.seconds * level.seconds_per_iteration,
+                preparation=earlier.seconds * level.preparation,
+                iterations=max(1, round(more * level.iterations)),
+            )
+            for level in self.levels
+        ]
+        return replace(self, levels=tuple(levels))
+
+    @property
+    def _blurs(self) -> tuple[float, ...]:
+        return tuple(level.blur for level in self.levels)
+
+    def _spent(self, history: Course) -> float:
+        """Seconds that the iterations so far should have taken."""
+        counts = ((level, _count(history, level.number)) for level in self.levels)
+        return sum(a.preparation + n * a.seconds_per_iteration for a, n in counts if n)
+
+    def _done(self, history: Course, present: int, *, ended: bool = False) -> tuple[int, int]:
+        """Iterations of the levels that are over, and how many had been expected of them.
+
+        The present level counts as far as it has come, unless it has ended too.
+        """
+        done = wanted = 0
+        for level in self.levels:
+            here = _count(history, level.number)
+            if level.number <= present:
+                over = ended or level.number < present
+                done += here
+                wanted += level.iterations if over else min(here, level.iterations)
+        return done, wanted
+
+    def _more(self, history: Course, present: int) -> float:
+        """Iterations that the levels need, in parts of what was expected, by those so far."""
+        done, wanted = self._done(history, present)
+        if not done or not wanted:
+            return 1.0
+        return float((done / wanted) ** (wanted / (wanted + _FIRST)))
+
+
+def _count(history: Course, number: int) -> int:
+    """Iterations that a level has had."""
+    return sum(1 for one in history.level if one == number)
+
+
+def _within(factor: float) -> float:
+    return min(max(factor, 1 / _FARTHEST), _FARTHEST)
+
+
+def _still_to_come(here: int, expected: float) -> float:
     """Iterations left at a level that has had ``here`` of ``expected``; never quite none.
 
     One that goes on beyond what was expected is taken to need a window or a tenth more.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -18,6 +19,7 @@ from ..qt import Signal
 from ..running.composition import Live, Panels
 from ..running.course import Snapshot
 from ..running.run_control import RunControl
+from ..running.worker import FitRun
 from .accuracy_dial import accuracy_of, relative
 from .accuracy_scene import NoiseOf, Outlook, outlook, scene_now
 from .renewed_forecast import RenewedForecast
@@ -127,7 +129,8 @@ class AccuracyForecast(QObject):
     def _show(self, found: Outlook) -> None:
         self.noise.learn(self._asked_of, found.noise)
         self._show_number()
-        self._panels.settings.outlook.say(predicted(found.forecast, found.guessed))
+        expected = found.forecast.after(self._live.experience)
+        self._panels.settings.outlook.say(predicted(expected, found.guessed))
 
     def _fail(self, message: str) -> None:
         self._panels.settings.outlook.say(f"no forecast: {message}")
@@ -188,8 +191,19 @@ class AccuracyForecast(QObject):
             if isinstance(run.forecast, Forecast):
                 expected = duration(run.forecast.seconds)
                 text += f"; {duration(run.seconds)} in all, {expected} predicted"
+                self._learn(run, run.forecast)
             self._panels.settings.pace.say(text)
         self.later()
+
+    def _learn(self, run: FitRun, forecast: Forecast) -> None:
+        """From a run whose settings stayed as they were: the next is predicted by it."""
+        state, old = run.state, self._live.experience
+        new = None if state is None else forecast.experience(run.history, state, run.seconds)
+        if new is not None:
+            more = old.iterations if old.blurs == new.blurs else 1.0
+            self._live.experience = replace(
+                new, seconds=old.seconds * new.seconds, iterations=more * new.iterations
+            )
 
 
 def predicted(forecast: Forecast, guessed: bool = False) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from ...inference.forecast import Experience
 from ..background import BackgroundRun
 from ..panels.image_panel import ImagePanel
 from ..panels.settings_panel import SettingsPanel
@@ -22,6 +23,7 @@ class Live:
     run: FitRun | None = None
     link: ViewerLink | None = None
     tracking: BackgroundRun | None = None
+    experience: Experience = field(default_factory=Experience)  # from the last run
     panels: list[Any] = field(default_factory=list)
 
     @property

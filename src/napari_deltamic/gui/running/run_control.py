@@ -5,6 +5,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from ...errors import InputError
 from ...geometry import Mesh
 from ...inference import Change, FitState
 from ...inference.checks import check_image
+from ...inference.forecast import Experience, Forecast
 from ...job import FitInput, assemble, scene_with
 from ...report import History
 from ...settings import NEAR_LEVELS, RunSettings
@@ -267,7 +269,7 @@ class RunControl(QObject):
             self._ended,
             self._warn,
             self._not_taken,
-            self._forecaster,
+            self._forecaster and partial(_after, self._live.experience, self._forecaster),
             first,
         )
         self._live.run = run
@@ -419,3 +421,11 @@ class RunControl(QObject):
     def _complain(self, message: str) -> None:
         self._panels.running.show_verdict("failed", message)
         self._warn(message)
+
+
+def _after(
+    experience: Experience, forecaster: Callable[[FitInput], Forecaster | None], job: FitInput
+) -> Forecaster | None:
+    """A forecast that knows how the last run went."""
+    found = forecaster(job)
+    return found.after(experience) if isinstance(found, Forecast) else found
