@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 import napari_deltamic as nd
-from napari_deltamic.colouring import COLOURS, PALETTE, colour_indices, colour_of
+from napari_deltamic.colouring import (
+    COLOURS,
+    PALETTE,
+    _chosen,
+    colour_indices,
+    colour_of,
+    label_indices,
+)
 from napari_deltamic.geometry import sphere
 from napari_deltamic.scene import random_cells
 
@@ -43,3 +50,27 @@ def test_neighbours_at_any_time_differ():
     meshes = [numbered(mesh, lambda r: 8 * r) for mesh in (apart, near)]
     assert len(set(colour_indices(meshes[0]).values())) == 1
     assert len(set(colour_indices(*meshes).values())) == 2
+
+
+def test_a_cell_with_many_neighbours_differs_from_all():
+    """A yolk, with cells all around it: their numbers would take all colours, and its own."""
+    n = 70
+    ring = {k: {n, (k - 2) % (n - 1) + 1, k % (n - 1) + 1} - {k} for k in range(1, n)}
+    walls = {**ring, n: set(range(1, n))}
+    crowded = {k: set(range(1, n)) - {k} for k in range(1, n)}  # all boxes overlap
+    found = _chosen(range(1, n + 1), walls, crowded)
+    assert all(found[a] != found[b] for a in walls for b in walls[a])
+
+
+@pytest.mark.parametrize("size", [9, 180])
+def test_labels_that_touch_differ(size):
+    blocks = 3 * np.arange(27).reshape(3, 3, 3) * 8 + 1  # numbers that all have one colour
+    labels = np.kron(blocks, np.ones((size // 3,) * 3, int))
+    found = label_indices(labels)
+    assert set(found) == set(blocks.ravel().tolist())
+    for axis in range(3):
+        a, b = np.moveaxis(blocks, axis, 0)[1:], np.moveaxis(blocks, axis, 0)[:-1]
+        assert all(found[x] != found[y] for x, y in zip(a.ravel(), b.ravel(), strict=True))
+    alone = np.zeros((4, 9, 9), int)
+    alone[1, 1, 1], alone[1, 7, 7] = 3, 11
+    assert label_indices(alone) == {3: 2, 11: 2}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,9 @@ PALETTE: tuple[tuple[int, int, int], ...] = COLOURS + tuple(
     for r, g, b in COLOURS
 )
 
+Graph = Mapping[int, set[int]]
+_VOXELS = 2e6  # of more, some are left out where labels are asked who touches whom
+
 
 def plain_index(region: int) -> int:
     """The place in the palette of a region without neighbours."""
@@ -52,15 +55,53 @@ def colour_indices(*meshes: Mesh) -> dict[int, int]:
         _join(walls, np.unique(sides, axis=0))
         over = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(axis=2)
         _join(near, own[np.argwhere(np.triu(over, 1))])
-    found: dict[int, int] = {}
-    for region in sorted(regions):
-        found[region] = _free(region, found, walls.get(region, set()), near.get(region, set()))
-    return found
+    return _chosen(sorted(regions), walls, near)
+
+
+def label_indices(labels: NDArray[np.integer]) -> dict[int, int]:
+    """The same for labels (Z, Y, X): no two that touch share a colour; 0 is none.
+
+    In a large array not all voxels are looked at: labels of a few voxels may be left out.
+    """
+    step = max(1, round(float(np.cbrt(labels.size / _VOXELS))))
+    few = np.asarray(labels)[::step, ::step, ::step]
+    walls: dict[int, set[int]] = {}
+    for axis in range(few.ndim):
+        ahead, behind = np.moveaxis(few, axis, 0)[1:], np.moveaxis(few, axis, 0)[:-1]
+        touch = (ahead != behind) & (ahead > 0) & (behind > 0)
+        _join(walls, np.unique(np.stack([ahead[touch], behind[touch]], axis=1), axis=0))
+    seen = np.unique(few)
+    return _chosen(seen[seen > 0].tolist(), walls, {})
 
 
 def colour_of(region: int, indices: Mapping[int, int]) -> tuple[int, int, int]:
     """RGB of a region; that of its number where it is not among the indices."""
     return PALETTE[indices.get(region, plain_index(region))]
+
+
+def _chosen(regions: Sequence[int], walls: Graph, near: Graph) -> dict[int, int]:
+    """Colours for ascending regions; those with a wall in common differ."""
+    found: dict[int, int] = {}
+    for region in regions:
+        found[region] = _free(region, found, walls.get(region, set()), near.get(region, set()))
+    if any(found[a] == found[b] for a in walls for b in walls[a]):
+        # A cell with all colours around it: so it comes first, and its neighbours after it.
+        found = {}
+        for region in _smallest_last(regions, walls):
+            found[region] = _free(region, found, walls.get(region, set()), set())
+    return found
+
+
+def _smallest_last(regions: Sequence[int], walls: Graph) -> list[int]:
+    """Ordered so that each has few neighbours before it: 13 or so in a foam of any size."""
+    left = {region: set(walls.get(region, ())) for region in regions}
+    order = []
+    while left:
+        least = min(left, key=lambda region: len(left[region]))
+        order.append(least)
+        for other in left.pop(least):
+            left[other].discard(least)
+    return order[::-1]
 
 
 def _free(region: int, found: Mapping[int, int], walls: set[int], near: set[int]) -> int:

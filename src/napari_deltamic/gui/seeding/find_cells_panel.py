@@ -97,6 +97,12 @@ class FindCells(QPushButton):
             self._background.drop()
             self._tell("")
 
+    def colour(self, event: Any = None) -> None:
+        """The labels were edited: cells that touch now differ too."""
+        layer = self._layer
+        if layer is not None and layer in self._viewer.layers:
+            layer.colormap = label_colormap(np.asarray(layer.data))
+
     def hide_found(self) -> None:
         """Make the layer invisible: labels cover what lies in and under them."""
         if self._layer is not None and self._layer in self._viewer.layers:
@@ -134,9 +140,12 @@ class FindCells(QPushButton):
         ):
             old.data = labels
             forget(old)
+            old.colormap = label_colormap(labels)
             old.visible = True
             return old
-        self._layer = Labels(labels, name=NAME, opacity=0.4, colormap=label_colormap(), **options)
+        self._layer = Labels(labels, name=NAME, opacity=0.4, **options)
+        self._layer.colormap = label_colormap(labels)
+        self._layer.events.paint.connect(self.colour)
         self._viewer.add_layer(self._layer)
         return self._layer
 

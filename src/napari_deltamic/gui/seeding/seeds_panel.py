@@ -193,6 +193,7 @@ class SeedsPanel(QGroupBox):
         self.find_cells.found.connect(self.chooser.choose)
         self.find_cells.gone.connect(self._untick)
         self.chooser.chosen.connect(self._layers_chosen)
+        self.corrections.edited.connect(self.find_cells.colour)
         self.corrections.edited.connect(self._show_soon)
         self.shape.currentTextChanged.connect(self._shape_chosen)
         self.radius.valueChanged.connect(self._resize)

@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 from napari.utils import Colormap
-from napari.utils.colormaps import CyclicLabelColormap
+from napari.utils.colormaps import DirectLabelColormap
 from numpy.typing import NDArray
 
-from ...colouring import COLOURS, PALETTE, colour_indices, plain_index
+from ...colouring import COLOURS, PALETTE, colour_indices, label_indices, plain_index
 from ...geometry import Mesh
 
 _DIM, _GREY = 0.75, 0.42  # a cell that is not chosen: so much of this grey in its colour
-_SHADES = ((0.0, 0.0), (0.45, 1.0), (0.5, 0.0))  # as they are, lighter, darker: part of this grey
 _OPAQUE = np.ones((len(PALETTE), 1))
 _TABLE = np.hstack([np.array(PALETTE) / 255, _OPAQUE])
 PALETTE_RGBA = _TABLE
@@ -47,16 +46,14 @@ def region_colormap() -> Colormap:
     return Colormap(_GHOSTS, name="deltamic regions", controls=controls, interpolation="zero")
 
 
-def label_colormap() -> CyclicLabelColormap:
-    """For Labels layers: each label has the colour of the region that it becomes, in a shade.
+def label_colormap(labels: NDArray[np.integer]) -> DirectLabelColormap:
+    """For a Labels layer: each label has the colour of the region that it becomes, where it can.
 
-    Labels lie side by side without a contour, so two of one colour should not look like one cell.
+    Labels lie side by side without a contour: two of one colour would look like one cell.
     """
-    table = _TABLE[: len(COLOURS)]
-    shades = [
-        np.hstack([(1 - part) * table[:, :3] + part * to, table[:, 3:]]) for part, to in _SHADES
-    ]
-    return CyclicLabelColormap(np.vstack([np.zeros(4), *shades]), name="deltamic labels")
+    colours: dict[int | None, Any] = {k: _TABLE[v] for k, v in label_indices(labels).items()}
+    # None is napari's name for those that are painted later.
+    return DirectLabelColormap(color_dict={None: _TABLE[0], 0: np.zeros(4), **colours})
 
 
 def vertex_values(mesh: Mesh, chosen: Collection[int] = ()) -> NDArray[np.float32]:
