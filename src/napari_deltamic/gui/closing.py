@@ -32,7 +32,7 @@ def ask_before_closing(widget: QWidget, busy: Callable[[], str]) -> None:
         if shown is None or not text or agreed(shown, text):
             type(found).destroyOnClose(found)
 
-    dock.destroyOnClose = closed
+    dock.destroyOnClose = closed  # type: ignore[attr-defined]
 
 
 def agreed(widget: QWidget, text: str) -> bool:
