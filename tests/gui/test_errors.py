@@ -1,6 +1,7 @@
 """Errors that nobody expected: the user reads a line, the log has the traceback."""
 
 import logging
+import threading
 
 import pytest
 
@@ -61,3 +62,19 @@ def test_tracking(series_widget, spin, told, monkeypatch, caplog):
     series_widget.tracking.start()
     spin(lambda: not series_widget.tracking.running)
     assert tracebacks(caplog) == [KeyError]
+
+
+def test_what_a_thread_brings_too_late_is_dropped(app, spin):
+    """With PySide6 it once reached an object that was gone."""
+    gate, told = threading.Event(), []
+    for _ in range(5):
+        background = Background(told.append, told.append)
+        background.ask(gate.wait)
+        background.close()
+        del background
+    gate.set()
+    kept = Background(told.append, told.append)
+    kept.ask(lambda: "kept")
+    spin(lambda: told)
+    spin(seconds=0.1, must=False)
+    assert told == ["kept"]

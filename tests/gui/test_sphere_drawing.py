@@ -10,6 +10,7 @@ from napari.utils.interactions import (
 )
 
 from napari_deltamic.gui.seeding.sphere_drawing import SphereDrawing
+from napari_deltamic.gui.viewing import own_layers
 from napari_deltamic.gui.viewing.frame import Frame
 
 from .conftest import CENTER, SHAPE, SIZE
@@ -137,3 +138,25 @@ def test_a_sphere_whose_point_is_deleted_meanwhile(drawn):
     mouse_release_callbacks(layer, mouse)
     assert len(layer.data) == 0
     assert told == []
+
+
+@pytest.mark.filterwarnings("ignore:out_of_slice_display")  # in newer ones
+def test_seeds_are_drawn_by_an_older_napari_too(panel, with_image, monkeypatch):
+    """napari 0.7 does not know the projection that shows spheres as a slice cuts them."""
+
+    def points(*data, projection_mode="none", **options):
+        if projection_mode != "none":
+            raise ValueError(f"'{projection_mode}' is not a valid PointsProjectionMode")
+        return Points(*data, **options)
+
+    saved = {"opacity": 0.5, **own_layers.cut_by_slices()}
+    assert own_layers.known_here(saved) == saved
+    monkeypatch.setattr(own_layers.layers, "Points", points)
+    own_layers.cut_by_slices.cache_clear()
+    try:
+        panel.place.click()
+        found = own_layers.known_here({"opacity": 0.5, "projection_mode": "rescale_spherical"})
+    finally:
+        own_layers.cut_by_slices.cache_clear()
+    assert with_image.layers["seeds"].out_of_slice_display
+    assert found == {"opacity": 0.5, "out_of_slice_display": True}

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from qtpy.QtCore import QObject
 from superqt.utils import create_worker
 
 from .attempt import words_of
 
 
-class Background:
+# Both are QObjects, though they have no signals: what a thread sends to one that is gone is then
+# dropped by Qt. To a plain object PySide6 brings it all the same, and crashes.
+class Background(QObject):
     """Runs one function at a time in a thread; of several asked for, the last one counts.
 
     A function that runs cannot be interrupted: its result is dropped, and the latest one asked
@@ -24,6 +27,7 @@ class Background:
     """
 
     def __init__(self, on_result: Callable[[Any], None], on_error: Callable[[str], None]) -> None:
+        super().__init__()
         self._on_result: Callable[[Any], None] | None = on_result
         self._on_error: Callable[[str], None] | None = on_error
         self._worker: Any = None
@@ -88,7 +92,7 @@ class Background:
         self._worker = None
 
 
-class BackgroundSteps:
+class BackgroundSteps(QObject):
     """A generator in a thread: brings what it yields, and once what it returned.
 
     It can be stopped where it yields. Made and used on the main thread, where all is called back;
@@ -114,6 +118,7 @@ class BackgroundSteps:
         failed: Callable[[Exception], Any],
         on_warning: Callable[[str, type[Warning]], None] | None = None,
     ) -> None:
+        super().__init__()
         self._on_step, self._on_end, self._failed = on_step, on_end, failed
         self._on_warning = on_warning
         self._returned: Any = None

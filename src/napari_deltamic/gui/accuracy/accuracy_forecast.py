@@ -191,8 +191,9 @@ class AccuracyForecast(QObject):
             if isinstance(run.forecast, Forecast):
                 expected = duration(run.forecast.seconds)
                 text += f"; {duration(run.seconds)} in all, {expected} predicted"
-                self._learn(run, run.forecast)
             self._panels.settings.pace.say(text)
+        if run is not None and isinstance(run.forecast, Forecast):
+            self._learn(run, run.forecast)
         self.later()
 
     def _learn(self, run: FitRun, forecast: Forecast) -> None:

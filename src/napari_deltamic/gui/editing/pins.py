@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ...geometry import Mesh
 from ..viewing.frame import OWN, Frame
-from ..viewing.own_layers import Points
+from ..viewing.own_layers import Points, cut_by_slices
 
 PINS = "pins"  # key under OWN
 _COLOUR = "white"
@@ -56,7 +56,7 @@ class Pins:
             face_color=_COLOUR,
             border_width=0,
             shading="spherical",
-            projection_mode="rescale_spherical",  # a slice shows what lies near it
+            **cut_by_slices(),  # a slice shows what lies near it
             metadata={OWN: {"fit": True, PINS: True}},
             **self._frame.layer_options(),
         ).lie_on(self._image_layer)

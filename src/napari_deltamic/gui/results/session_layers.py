@@ -87,6 +87,7 @@ def seed_layer(saved: SavedLayer) -> Layer:
     options = _options(saved, options)
     if saved.kind == "points":
         more = {name: arrays[name] for name in _OF_POINTS}
+        options = own_layers.known_here(options)
         return own_layers.Points(arrays["data"], metadata={OWN: own}, **more, **options)
     if saved.kind == "labels":
         labels = Labels(arrays["data"], metadata={OWN: with_undo(own, arrays)}, **options)

@@ -24,6 +24,7 @@ from ..panels.fields import note_label, sentence, show_row
 from ..qt import Signal
 from ..viewing.frame import Frame, made_by_fit
 from ..viewing.own_layers import Points as SeedPoints
+from ..viewing.own_layers import cut_by_slices
 from .corrections import Corrections
 from .find_cells_panel import FindCells
 from .mesh_files import MeshFiles
@@ -212,7 +213,7 @@ class SeedsPanel(QGroupBox):
             face_color="#ffb000",
             border_color="white",
             opacity=0.6,
-            projection_mode="rescale_spherical",  # a sphere is cut as a sphere by each slice
+            **cut_by_slices(),
             **frame.layer_options(),
         )
         return points.lie_on(self._image.layer)

@@ -9,6 +9,7 @@ napari tells kinds of layers by them.
 from __future__ import annotations
 
 import weakref
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -57,6 +58,27 @@ class Points(_OnImage, layers.Points):  # type: ignore[misc]
 
 class Tracks(_OnImage, layers.Tracks):  # type: ignore[misc]
     """napari's, on an image."""
+
+
+_CUT = {"projection_mode": "rescale_spherical"}
+
+
+@cache
+def cut_by_slices() -> dict[str, Any]:
+    """Options of Points that are spheres: each slice shows them as it cuts them."""
+    try:
+        layers.Points(**_CUT)
+    except ValueError:  # napari before 0.8 says it in other words
+        return {"out_of_slice_display": True}
+    return dict(_CUT)
+
+
+def known_here(options: dict[str, Any]) -> dict[str, Any]:
+    """Options of Points that another version of napari may have saved, in words of this one."""
+    if options.items() >= _CUT.items():
+        others = {name: value for name, value in options.items() if name not in _CUT}
+        return {**others, **cut_by_slices()}
+    return options
 
 
 def lie_on(layer: Any, image_layer: Any) -> None:
