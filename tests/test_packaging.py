@@ -84,7 +84,7 @@ def test_the_extra_for_gpus_has_what_compiles_the_kernels(project, platform):
 def test_extras_ask_for_one_napari(project):
     extras = project["optional-dependencies"]
     asked = {name: requirements.Requirement(extras[name][0]) for name in ("qt", "pyside6", "all")}
-    assert {str(one.specifier) for one in asked.values()} == {">=0.7"}
+    assert {str(one.specifier) for one in asked.values()} == {">=0.7.1"}
     assert {name: one.extras for name, one in asked.items()} == {
         "qt": {"pyqt6"}, "pyside6": {"pyside6"}, "all": {"all"},
     }  # fmt: skip
@@ -95,15 +95,15 @@ def test_no_platform_is_named_that_nobody_has_run_it_on(project):
     assert systems == ["Operating System :: POSIX :: Linux"]
 
 
-@pytest.mark.parametrize("version", ["0.6.6", "0.5.0a1"])
+@pytest.mark.parametrize("version", ["0.6.6", "0.5.0a1", "0.7.0"])
 def test_a_napari_that_is_too_old_is_told(version):
     from napari_deltamic.gui import check_napari
 
-    with pytest.raises(InputError, match=rf"needs napari 0.7 or newer, and this is {version}"):
+    with pytest.raises(InputError, match=rf"needs napari 0.7.1 or newer, and this is {version}"):
         check_napari(version)
 
 
-@pytest.mark.parametrize("version", ["0.7.0", "0.10.0rc1", "1.0", "0+unknown"])
+@pytest.mark.parametrize("version", ["0.7.1", "0.7.2rc1", "0.8", "0.10.0rc1", "1.0", "0+unknown"])
 def test_other_naparis_are_not(version):
     from napari_deltamic.gui import check_napari
 
