@@ -8,6 +8,7 @@ from importlib import import_module
 
 EXPERIMENTS = {
     "native": "wrong calls of the compiled functions",
+    "window": "random actions in the window",
 }
 
 

@@ -7,6 +7,7 @@ from napari_deltamic.errors import InputError
 from napari_deltamic.inference import Change
 from napari_deltamic.scene.effects import Effects
 
+from .conftest import SIZE
 from .interacting import notes, vertices
 
 
@@ -93,3 +94,37 @@ def test_a_change_that_the_fit_refuses_does_not_end_it(begun, spin, told):
     assert "not changed" in told[-1]
     n = len(begun.run.history.loss)
     spin(lambda: len(begun.run.history.loss) > n + 3)
+
+
+@pytest.fixture
+def raised(monkeypatch):
+    """What slots raise, which Qt tells to nobody else."""
+    errors = []
+    monkeypatch.setattr("sys.excepthook", lambda *error: errors.append(error))
+    yield
+    assert not errors
+
+
+@pytest.mark.usefixtures("raised")
+def test_a_fit_goes_on_though_the_panels_show_what_cannot_be_used(ended, with_image, spin):
+    """Its image has been mirrored since: it has the voxels that it had."""
+    with_image.layers["cell"].scale = np.multiply(SIZE, (1, -1, 1))
+    history = ended.running.history
+    history.slider.setValue(0)
+    history.go_on_button.click()
+    spin(lambda: ended.run.running and len(ended.run.history.loss) > 3)
+    ended.settings.changed.emit()
+    assert "mirrored" in ended.running.note.text()
+    with_image.layers["cell"].scale = SIZE
+    ended.settings.fit_psf.setChecked(True)
+    spin(lambda: ended.run.job.settings.fit.fit_psf)
+    assert "from the next run on" not in ended.running.note.text()
+
+
+@pytest.mark.usefixtures("raised")
+def test_undo_though_the_panels_show_what_cannot_be_used(begun, with_image, spin):
+    begun.settings.sigma._boxes[0].setValue(0.5)
+    spin(lambda: begun.run.state.optics.sigma_um[0] == pytest.approx(0.5))
+    with_image.layers["cell"].scale = np.multiply(SIZE, (1, -1, 1))
+    begun.interaction.edits.undo()
+    spin(lambda: begun.run.state.optics.sigma_um[0] != pytest.approx(0.5))

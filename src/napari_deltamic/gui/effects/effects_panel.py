@@ -72,6 +72,11 @@ class EffectsPanel(QWidget):
         """
         return self._effects.replace(second_view=self.second.view())
 
+    @property
+    def own(self) -> Effects:
+        """The effects ticked, without the second view."""
+        return self._effects
+
     def show_effects(self, effects: Effects) -> None:
         """Tick effects, without a signal; the second view, which is a layer, stays as it is."""
         self._effects = effects.without("second_view")

@@ -55,9 +55,15 @@ class LiveSettings(QObject):
     def _started(self) -> None:
         settings = self._panels.settings
         self._fit, self._shown = None, settings.fit_settings()
-        scene = settings.scene_settings()
-        self._psf, self._scene = settings.optics.key(), _scene(scene)
-        self._effects = scene.effects
+        self._psf = settings.optics.key()
+        try:
+            scene = settings.scene_settings()
+        except InputError:
+            # A fit that goes on from the history has its own image and second view, whatever has
+            # become of those in the panels.
+            self._scene, self._effects = {}, settings.effects.own
+        else:
+            self._scene, self._effects = _scene(scene), scene.effects
 
     def _began(self, fresh: bool) -> None:
         present = self._control.present()
@@ -146,14 +152,22 @@ class LiveSettings(QObject):
     def _tell_fixed(self) -> None:
         """What cannot change on the way is told once."""
         now = _scene(self._panels.settings.scene_settings())
+        self._scene = self._scene or now
         other = [title for name, title in _SCENE.items() if now[name] != self._scene.get(name)]
         if other:
             self._scene = now
             self._panels.running.tell(f"{' and '.join(other)}: from the next run on")
 
     def _undone(self, back: Change) -> None:
+        blocker = QSignalBlocker(self._panels.settings)
+        try:
+            self._show(back)
+        except InputError as error:  # of an image or a second view that have changed since
+            self._panels.running.tell(f"{error}; the panels do not show what was undone")
+        blocker.unblock()
+
+    def _show(self, back: Change) -> None:
         panel = self._panels.settings
-        blocker = QSignalBlocker(panel)
         if back.settings is not None:
             panel.show_settings(back.settings)
             self._fit, self._shown = back.settings, panel.fit_settings()
@@ -164,7 +178,6 @@ class LiveSettings(QObject):
         if back.effects is not None:
             panel.show_effects(back.effects)
             self._effects = panel.scene_settings().effects
-        blocker.unblock()
 
 
 def _scene(settings: SceneSettings) -> dict[str, Any]:

@@ -1,0 +1,172 @@
+"""One session of random actions in the window; see ``window``."""
+
+from __future__ import annotations
+
+import faulthandler
+import importlib
+import json
+import logging
+import os
+import random
+import sys
+import time
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from .window_actions import actions, cell_image, start_image
+
+
+def main(seed: int, count: int, longest: float) -> None:
+    """Play, and write what went wrong as it happens."""
+    offscreen = os.environ.get("QT_QPA_PLATFORM") == "offscreen"
+    with TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        session = Session(seed, Path(folder), offscreen=offscreen)
+        session.play(count, longest)
+        print("did " + json.dumps(session.did), flush=True)
+        # What napari and Qt do while they are taken down is no part of the experiment.
+        os._exit(0)
+
+
+class Session:
+    """A window, what is done in it, and what must not be lost.
+
+    Attributes
+    ----------
+    viewer, widget : of napari, and ours.
+    rng : decides all.
+    did : what came to something, counted.
+    """
+
+    def __init__(self, seed: int, folder: Path, *, offscreen: bool) -> None:
+        self.folder, self.offscreen, self.rng = folder, offscreen, random.Random(seed)
+        self.did: Counter[str] = Counter()
+        self._name, self._said = "start", set[str]()
+        if offscreen:
+            _without_gl()
+        import napari
+        from qtpy.QtWidgets import QApplication, QFileDialog, QMessageBox
+
+        self.app: Any = QApplication.instance() or QApplication([])
+        self.viewer: Any = napari.Viewer(show=not offscreen)
+        sys.excepthook = self._raised
+        logging.getLogger("napari_deltamic").addHandler(_Handler(self._logged))
+        for name in ("getOpenFileName", "getSaveFileName"):
+            setattr(QFileDialog, name, lambda *a, **k: ("", ""))
+        QFileDialog.getExistingDirectory = lambda *a, **k: ""  # type: ignore[method-assign]
+        QMessageBox.exec = lambda *a: 0  # type: ignore[method-assign]
+        self.pixels = cell_image()
+        start_image(self)
+        self.dock()
+        self.had_result = False
+
+    def dock(self) -> None:
+        """Put the widget into the window."""
+        from napari_deltamic._widget import FitWidget
+
+        self.widget = FitWidget(self.viewer)
+        self.viewer.window.add_dock_widget(self.widget, name="deltaMic")
+        self.had_result = False
+
+    def spin(self, seconds: float = 0.005, until: Callable[[], bool] = lambda: False) -> None:
+        """Let events happen."""
+        end = time.monotonic() + seconds
+        while True:
+            self.app.processEvents()
+            if time.monotonic() >= end or until():
+                return
+            time.sleep(0.002)
+
+    @property
+    def running(self) -> bool:
+        """Whether a fit is."""
+        run = self.widget.run
+        return run is not None and run.running
+
+    def play(self, count: int, longest: float) -> None:
+        """So many actions."""
+        chosen = actions(self)
+        for number in range(count):
+            self._name, action = self.rng.choice(chosen)
+            print(f"{number} {self._name}", flush=True)
+            began = time.monotonic()
+            faulthandler.dump_traceback_later(longest)  # what it is at, to stderr
+            try:
+                action()
+                self.spin()
+                self._nothing_lost()
+            except Exception:
+                self._raised(*sys.exc_info())
+            took = time.monotonic() - began
+            faulthandler.cancel_dump_traceback_later()
+            if took > longest:
+                self.wrong(f"{self._name} took {took:.0f} s")
+        self.widget.stop()
+        self.spin(60, lambda: not self.running)
+        if self.running:
+            self.wrong("a fit that was stopped goes on")
+
+    def wrong(self, what: str) -> None:
+        """Note what went wrong; the same is said once."""
+        if what not in self._said:
+            self._said.add(what)
+            print("wrong " + json.dumps(f"{self._name}: {what}"), flush=True)
+
+    # ----------------------------------------------------------------------------------- inside
+
+    def _nothing_lost(self) -> None:
+        layers = {layer.name: layer for layer in self.viewer.layers}
+        if "cell" not in layers:
+            self.wrong("the image is gone")
+        elif not np.array_equal(layers["cell"].data, self.pixels):
+            self.wrong("the pixels of the image were changed")
+        last = self.widget.results.last
+        if last is None and self.had_result:
+            self.wrong("the result of the last fit is gone")
+        if last is not None:
+            self.had_result = True
+            if not np.isfinite(last[0].mesh.vertices_numpy()).all():
+                self.wrong("the result is not finite")
+
+    def _raised(self, kind: Any, error: Any, trace: Any) -> None:
+        self.wrong("".join(traceback.format_exception(kind, error, trace)))
+
+    def _logged(self, record: logging.LogRecord) -> None:
+        if record.exc_info and record.exc_info[1] is not None:
+            self._raised(*record.exc_info)
+
+
+class _Handler(logging.Handler):
+    """Hands on what the widget logs: what it takes for a bug of its own."""
+
+    def __init__(self, tell: Callable[[logging.LogRecord], None]) -> None:
+        super().__init__(logging.ERROR)
+        self._tell = tell
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._tell(record)
+
+
+def _without_gl() -> None:
+    """Image layers ask GL for its limits, which crashes without a display. Private names."""
+    for module, name, value in (
+        ("napari._vispy.layers.image", "get_gl_extensions", ""),
+        ("napari._vispy.canvas", "get_max_texture_sizes", (2048, 2048)),
+        ("napari._vispy.layers.base", "get_max_texture_sizes", (2048, 2048)),
+        ("napari._vispy.layers.image", "get_max_texture_sizes", (2048, 2048)),
+        ("napari._vispy.layers.labels", "get_max_texture_sizes", (2048, 2048)),
+    ):
+        found = importlib.import_module(module)
+        if hasattr(found, name):
+            setattr(found, name, lambda value=value: value)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3]))
