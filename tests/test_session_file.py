@@ -14,8 +14,10 @@ import pytest
 import napari_deltamic as nd
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import files, sphere
+from napari_deltamic.images import read_image, write_image
 from napari_deltamic.inference.tracking import FrameResult, TrackSettings
 from napari_deltamic.inference.tracking.settings import TrackRun
+from napari_deltamic.optics_settings import MeasuredOptics
 from napari_deltamic.report import History
 from napari_deltamic.scene.effects import Effects, Halo
 from napari_deltamic.session_file import (
@@ -359,3 +361,65 @@ def test_tracks_of_frames_that_the_series_does_not_have(tmp_path, first, frame):
     save_session(tmp_path / "a.deltamic", replace(session(), result=None, tracks=tracks))
     with pytest.raises(InputError, match="damaged"):
         load_session(tmp_path / "a.deltamic")
+
+
+def with_a_bead(tmp_path, named):
+    """A session whose PSF is measured on a bead, and names this file for it; the bead's pixels."""
+    image = np.random.default_rng(0).random((5, 6, 7)).astype(np.float32)
+    write_image(tmp_path / "bead.tif", image, (0.1, 0.1, 0.1))
+    optics = MeasuredOptics(file=str(tmp_path / "bead.tif"), voxel_size=(0.1, 0.1, 0.1))
+    scene = SceneSettings(voxel_size=SIZE, optics=optics)
+    whole = replace(
+        session(), settings=RunSettings(image="", seeds="", scene=scene), result=None, tracks=None
+    )
+    save_session(tmp_path / "good.deltamic", whole)
+
+    def change(name, data):
+        old = str(tmp_path / "bead.tif").encode()
+        return data.replace(old, named.encode()) if name == "run.toml" else data
+
+    rewritten(tmp_path / "good.deltamic", tmp_path / "a.deltamic", change)
+    return image
+
+
+def test_the_bead_that_a_session_holds_wins(tmp_path):
+    """The path that it names may lead anywhere."""
+    write_image(tmp_path / "trap.tif", np.ones((4, 4, 4), np.float32), (0.1, 0.1, 0.1))
+    image = with_a_bead(tmp_path, str(tmp_path / "trap.tif"))
+    found = load_session(tmp_path / "a.deltamic").settings.scene.optics.file
+    assert np.array_equal(read_image(found)[0], image)
+
+
+def test_a_session_opens_no_file_that_it_names(tmp_path, monkeypatch):
+    with_a_bead(tmp_path, "//elsewhere/share/bead.tif")
+    asked = []
+    stat = os.stat
+
+    def watched(path, *arguments, **options):
+        asked.append(str(path))
+        return stat(path, *arguments, **options)
+
+    monkeypatch.setattr(os, "stat", watched)
+    load_session(tmp_path / "a.deltamic")
+    assert not [path for path in asked if "elsewhere" in path]
+
+    def without_it(name, data):
+        return None if name == "run/bead.npy" else data
+
+    rewritten(tmp_path / "a.deltamic", tmp_path / "b.deltamic", without_it)
+    with pytest.raises(InputError, match="does not hold the image of the bead"):
+        load_session(tmp_path / "b.deltamic")
+    assert not [path for path in asked if "elsewhere" in path]
+
+
+def test_temporary_folders_go(tmp_path):
+    with_a_bead(tmp_path, "bead.tif")
+    code = (
+        "import sys; from napari_deltamic.session_file import load_session\n"
+        "print(load_session(sys.argv[1]).settings.scene.optics.file)"
+    )
+    words = [sys.executable, "-c", code, str(tmp_path / "a.deltamic")]
+    done = subprocess.run(words, capture_output=True, text=True, check=True, timeout=120)
+    path = done.stdout.strip()
+    assert path.endswith("bead.tif")
+    assert not os.path.exists(os.path.dirname(path))

@@ -1,4 +1,4 @@
-"""``python -m benchmarks.robustness native``."""
+"""``python -m benchmarks.robustness files|native``."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from importlib import import_module
 
 EXPERIMENTS = {
+    "files": "damaged files, over all readers and through the command line",
     "native": "wrong calls of the compiled functions",
     "window": "random actions in the window",
 }

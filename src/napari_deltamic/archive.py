@@ -10,7 +10,6 @@ import io
 import json
 import os
 import zipfile
-import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from math import prod
@@ -22,18 +21,12 @@ from numpy.typing import NDArray
 
 from .errors import InputError
 from .geometry import Mesh
+from .reading import LARGEST_TEXT, json_values, one_reason
 from .writing import write_atomically
 
-# What reading content that is not as it should be may raise.
-_WRONG = (
-    ArithmeticError,
-    AttributeError,
-    EOFError,
-    LookupError,
-    RuntimeError,
-    TypeError,
-    ValueError,
-)
+# What a file may unpack to: so many times what it takes on disk, or so much, whichever is more. An
+# image takes two to ten times as much; labels, of which there are few, up to a thousand times.
+_GROWTH, _SMALL = 200, 1 << 29  # bytes
 _PIECE = 1 << 22  # bytes read at a time
 _LEVEL = 1  # of the compression: higher ones take five times as long for a few per cent
 
@@ -72,8 +65,9 @@ class ArchiveWriter:
 class ArchiveReader:
     """The members of a file, checked; made by :func:`opened`."""
 
-    def __init__(self, file: zipfile.ZipFile) -> None:
+    def __init__(self, file: zipfile.ZipFile, most: int) -> None:
         self._zip = file
+        self._left = most  # bytes that may still be unpacked
         self.names = frozenset(file.namelist())
 
     def array(self, name: str) -> NDArray[Any]:
@@ -87,6 +81,7 @@ class ArchiveReader:
             size = prod(shape) * dtype.itemsize
             if dtype.hasobject or size != info.file_size - stream.tell():
                 raise InputError(f"{name} is damaged")
+            self._take(size)
             array = np.empty(shape, dtype, order="F" if fortran else "C")
             if size:
                 _fill(stream, array.reshape(-1, order="A").view(np.uint8))
@@ -94,11 +89,21 @@ class ArchiveReader:
 
     def text(self, name: str) -> str:
         """A text. InputError if it is missing or damaged."""
-        return self._zip.read(self._info(name)).decode()
+        info = self._info(name)
+        if info.file_size > LARGEST_TEXT:
+            raise InputError(f"{name} is too long")
+        self._take(info.file_size)
+        return self._zip.read(info).decode()
 
     def json(self, name: str) -> Any:
         """Plain values. InputError if they are missing or damaged."""
-        return json.loads(self.text(name))
+        return json_values(self.text(name))
+
+    def _take(self, size: int) -> None:
+        """Before memory is asked for: a small file may unpack to anything, and be read twice."""
+        self._left -= size
+        if self._left < 0:
+            raise InputError("it would unpack to far more than it can hold")
 
     def _info(self, name: str) -> zipfile.ZipInfo:
         if name not in self.names:
@@ -118,8 +123,9 @@ def opened(path: str | os.PathLike[str], what: str) -> Iterator[ArchiveReader]:
     """
     path = Path(path)
     try:
+        most = max(_SMALL, _GROWTH * path.stat().st_size)
         with zipfile.ZipFile(path) as file:
-            yield ArchiveReader(file)
+            yield ArchiveReader(file, most)
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file") from None
     except OSError as error:
@@ -128,10 +134,8 @@ def opened(path: str | os.PathLike[str], what: str) -> Iterator[ArchiveReader]:
         raise InputError(f"{path}: not {what}, or a damaged one") from error
     except InputError as error:
         raise InputError(f"{path}: not {what}, or a damaged one ({error})") from error
-    except _WRONG as error:
-        raise InputError(f"{path}: not {what}, or a damaged one ({_line(error)})") from error
-    except zlib.error as error:
-        raise InputError(f"{path}: a damaged file ({_line(error)})") from error
+    except Exception as error:  # whatever may be raised on damaged data
+        raise InputError(f"{path}: not {what}, or a damaged one ({one_reason(error)})") from error
 
 
 class MeshWriter:
@@ -188,7 +192,3 @@ def _fill(stream: Any, flat: NDArray[np.uint8]) -> None:
             raise InputError("it ends too early")
         view[done : done + len(piece)] = piece
         done += len(piece)
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200] or type(error).__name__

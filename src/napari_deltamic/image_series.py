@@ -17,6 +17,7 @@ from .choices import IMAGE_FILES, TIFF
 from .errors import InputError
 from .images import VoxelSize, read_image, read_voxel_size, stored_shape
 from .images import tiff_voxel_size as _size_in
+from .reading import quiet
 
 _LETTERS = re.compile(r"(\d+)")
 
@@ -116,13 +117,14 @@ def _by_numbers(path: str) -> list[Any]:
 
 
 def _of_npy(path: str) -> ImageSeries:
-    array = np.load(path, mmap_mode="r", allow_pickle=False)
+    with quiet():
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
     _check(array.shape, "")
     return _of_array(lambda t: np.array(array[t]), array.shape, None)
 
 
 def _of_tiff(path: str) -> ImageSeries:
-    with tifffile.TiffFile(path) as tif:
+    with quiet("tifffile"), tifffile.TiffFile(path) as tif:
         if not tif.series:
             raise InputError("the file holds no image")
         series = tif.series[0]
@@ -138,7 +140,7 @@ def _of_tiff(path: str) -> ImageSeries:
         raise InputError("its planes cannot be read one by one: save it uncompressed")
 
     def read(t: int) -> NDArray[Any]:
-        with tifffile.TiffFile(path) as tif:
+        with quiet("tifffile"), tifffile.TiffFile(path) as tif:
             found = tif.asarray(key=range(t * depth, (t + 1) * depth), series=0)
         return np.asarray(found).reshape(shape[1:])
 

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import io
-import logging
 import os
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from math import isfinite
+from math import isfinite, prod
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -19,6 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from .choices import IMAGE_FILES, TIFF
 from .errors import InputError
+from .geometry.missing import unmasked
+from .reading import quiet
 from .writing import write_atomically
 
 VoxelSize = tuple[float, float, float]
@@ -140,7 +140,7 @@ def write_image(
         the file cannot be written.
     """
     path = Path(path)
-    array = _checked(np.asarray(image))
+    array = _checked(np.asarray(unmasked(image)))
     z, y, x = (float(d) for d in voxel_size)
     if not all(isfinite(d) and d > 0 for d in (z, y, x)):
         raise InputError(f"voxel size must be three positive numbers (um), not {(z, y, x)}")
@@ -175,10 +175,11 @@ def stored_shape(path: str | os.PathLike[str]) -> tuple[int, ...] | None:
     path = Path(path)
     try:
         if path.suffix.lower() in TIFF:
-            with _quiet(), tifffile.TiffFile(path) as tif:
+            with quiet("tifffile"), tifffile.TiffFile(path) as tif:
                 shape = tif.series[0].shape
         else:
-            shape = np.load(path, mmap_mode="r", allow_pickle=False).shape
+            with quiet():
+                shape = np.load(path, mmap_mode="r", allow_pickle=False).shape
     except Exception:  # whatever a parser may raise on damaged data
         return None
     while len(shape) > 3 and 1 in shape[: len(shape) - 3]:
@@ -214,25 +215,28 @@ def _named_ome(path: Path) -> bool:
 
 
 def _read_npy(path: Path) -> _Stored:
-    array = np.load(path, allow_pickle=False)
-    return array, "", None
+    # Mapped first: that checks the size before memory is asked for.
+    with quiet():
+        return np.array(np.load(path, mmap_mode="r", allow_pickle=False)), "", None
 
 
 def _read_tiff(path: Path) -> _Stored:
-    with _quiet(), tifffile.TiffFile(path) as tif:
+    with quiet("tifffile"), tifffile.TiffFile(path) as tif:
         if not tif.series:
             raise InputError("the file holds no image")
         series = tif.series[0]
+        _check_size(path, series.shape, series.dtype)
         return series.asarray(), series.axes, tiff_voxel_size(tif)
 
 
 def _npy_header(path: Path) -> _Stored:
-    array = np.load(path, mmap_mode="r", allow_pickle=False)
+    with quiet():
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
     return _without_pixels(array.shape, array.dtype), "", None
 
 
 def _tiff_header(path: Path) -> _Stored:
-    with _quiet(), tifffile.TiffFile(path) as tif:
+    with quiet("tifffile"), tifffile.TiffFile(path) as tif:
         if not tif.series:
             raise InputError("the file holds no image")
         series = tif.series[0]
@@ -246,18 +250,15 @@ def _without_pixels(shape: Sequence[int], dtype: np.dtype[Any]) -> NDArray[Any]:
     return np.broadcast_to(np.zeros((), native), tuple(shape))
 
 
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """No remarks of tifffile on stderr: what matters becomes an error."""
-    logger = logging.getLogger("tifffile")
-    level = logger.level
-    logger.setLevel(logging.CRITICAL + 1)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        logger.setLevel(level)
+# What a file of so many bytes may hold: strong compressions of an empty image reach this.
+_GROWTH, _SMALL = 2000, 1 << 30
+
+
+def _check_size(path: Path, shape: Sequence[int], dtype: Any) -> None:
+    """InputError where a header claims more than the file can hold, before memory is asked for."""
+    claimed = prod(int(n) for n in shape) * np.dtype(dtype).itemsize
+    if claimed > max(_SMALL, _GROWTH * path.stat().st_size):
+        raise InputError(f"it says that it holds {claimed:.3g} bytes, which it cannot")
 
 
 def _checked(array: NDArray[Any], axes: str = "") -> NDArray[Any]:

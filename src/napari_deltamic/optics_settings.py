@@ -5,7 +5,6 @@ The engine is loaded where a PSF is built.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
@@ -14,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from .choices import Bead, Modality, PSFModel
 from .errors import InputError
+from .reading import read_text, toml_values
 
 if TYPE_CHECKING:
     from .optics import Optics, Parameter
@@ -154,8 +154,8 @@ def optics_from_values(values: dict[str, Any]) -> Any:
 def optics_from_toml(path: str | Path) -> Any:
     """Settings of a PSF from a TOML file; InputError says what is wrong."""
     try:
-        values = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        values = toml_values(read_text(path))
+    except InputError as error:
         raise InputError(f"cannot read optics from {path}: {error}") from None
     found = optics_from_values(values)
     if isinstance(found, MeasuredOptics):

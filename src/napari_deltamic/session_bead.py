@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import atexit
 import tempfile
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -33,20 +35,33 @@ def keep_bead(archive: ArchiveWriter, name: str, settings: RunSettings) -> RunSe
 
 
 def with_bead(archive: ArchiveReader, name: str, settings: RunSettings) -> RunSettings:
-    """The settings of a session, for which a file is written where that of the bead is gone.
+    """The settings of a session, with a file of the image of the bead that it holds.
+
+    The file that the settings name is not looked for: a session may come from anybody, and the
+    path lead to another machine. The new file lasts as long as this process.
 
     Raises
     ------
     InputError
-        If the session does not hold the image either.
+        If the session does not hold the image.
     """
     optics = settings.scene.optics
-    if not isinstance(optics, MeasuredOptics) or Path(optics.file).is_file():
+    if not isinstance(optics, MeasuredOptics):
         return settings
-    folder = Path(tempfile.mkdtemp(prefix="deltamic-"))
-    path = folder / f"{Path(optics.file).stem}.tif"
+    if f"{name}.npy" not in archive.names:
+        raise InputError("it does not hold the image of the bead that its PSF is measured on")
+    folder = Path(tempfile.mkdtemp(dir=_folder()))
+    path = folder / "bead.tif"
     write_image(path, archive.array(name), optics.voxel_size or (1.0, 1.0, 1.0))
     return _with(settings, optics.model_copy(update={"file": str(path)}))
+
+
+@cache
+def _folder() -> str:
+    """Of this process; gone when it ends."""
+    made = tempfile.TemporaryDirectory(prefix="deltamic-", ignore_cleanup_errors=True)
+    atexit.register(made.cleanup)
+    return made.name
 
 
 def _with(settings: RunSettings, optics: MeasuredOptics) -> RunSettings:

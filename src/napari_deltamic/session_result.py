@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from math import isfinite, nan
@@ -17,6 +16,7 @@ from .errors import InputError
 from .inference import FitState
 from .job import optics_of
 from .optics import GaussianPSF, Optics
+from .reading import toml_values
 from .report import History
 from .scene import Grid, expected_image
 from .scene.effects import Effects
@@ -169,8 +169,13 @@ def _optics(facts: Mapping[str, Any], first: Optics) -> Optics:
 
 
 def settings_of(archive: ArchiveReader, name: str) -> RunSettings:
-    """The settings of a run, with the image of their bead."""
-    settings: RunSettings = validated(RunSettings, tomllib.loads(archive.text(name)))
+    """The settings of a run, with the image of their bead, and no other file of theirs."""
+    settings: RunSettings = validated(RunSettings, toml_values(archive.text(name)))
+    view = settings.scene.effects.second_view
+    if view is not None and view.image:  # the session holds the image itself
+        effects = settings.scene.effects.replace(second_view=view.model_copy(update={"image": ""}))
+        scene = settings.scene.model_copy(update={"effects": effects})
+        settings = settings.model_copy(update={"scene": scene})
     return with_bead(archive, name.replace(".toml", "/bead"), settings)
 
 

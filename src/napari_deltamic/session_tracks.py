@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,6 +11,7 @@ from .archive import ArchiveReader, ArchiveWriter, MeshReader, MeshWriter
 from .errors import InputError
 from .inference.tracking import Event, FrameResult
 from .inference.tracking.settings import TrackRun
+from .reading import toml_values
 from .session_bead import keep_bead, with_bead
 from .session_parts import SavedTracks
 from .settings import validated
@@ -52,7 +52,7 @@ def saved_tracks(archive: ArchiveReader, facts: Mapping[str, Any]) -> SavedTrack
     pixels, numbers = archive.array("series"), archive.array("tracks/numbers")
     if pixels.ndim != 4 or numbers.shape != (len(facts["frames"]), _NUMBERS):
         raise InputError("its series does not belong to its tracks")
-    settings: Any = validated(TrackRun, tomllib.loads(archive.text("tracks.toml")))
+    settings: Any = validated(TrackRun, toml_values(archive.text("tracks.toml")))
     settings = with_bead(archive, "tracks/bead", settings)
     there = (numbers[:, 0] >= 0) & (numbers[:, 0] < len(pixels))
     if not 0 <= settings.track.first < len(pixels) or not there.all():

@@ -7,7 +7,6 @@ and tooltips need no second source.
 from __future__ import annotations
 
 import json
-import tomllib
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from .fit_settings import FitSettings as FitSettings
 from .fit_settings import Settings
 from .fit_settings import validated as validated
 from .optics_settings import OpticsSettings
+from .reading import read_text, toml_values
 from .scene.effects import Effects
 
 Triple = tuple[float, float, float]
@@ -109,9 +109,10 @@ class RunSettings(Settings):
     def from_toml(cls, path: str | Path) -> RunSettings:
         """Read a document written by :meth:`to_toml`; InputError names what is wrong."""
         try:
-            return validated(cls, tomllib.loads(Path(path).read_text(encoding="utf-8")))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            values = toml_values(read_text(path))
+        except InputError as error:
             raise InputError(f"cannot read settings from {path}: {error}") from None
+        return validated(cls, values)
 
 
 def _toml(value: Any) -> str:

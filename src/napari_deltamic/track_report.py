@@ -19,6 +19,7 @@ from .geometry import load_mesh, save_mesh
 from .inference.tracking import Event, FrameResult, lineage, surface_4d
 from .inference.tracking.settings import TrackRun
 from .measure.tracks import TRACK_COLUMNS, measure_tracks
+from .reading import json_values, read_text
 from .report import PACKAGES, plain_values, version_of
 from .scene import Grid
 from .writing import make_folder, write_atomically
@@ -106,11 +107,12 @@ def read_results(folder: str | os.PathLike[str]) -> list[FrameResult]:
     folder = Path(folder)
     path = folder / FILES[-1]
     try:
-        frames = json.loads(path.read_text(encoding="utf-8"))["frames"]
-        return [_result(folder, frame) for frame in frames]
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        values = json_values(read_text(path))
+    except InputError as error:
         raise InputError(f"cannot read {path}: {error}") from None
-    except (KeyError, TypeError, ValueError) as error:
+    try:
+        return [_result(folder, frame) for frame in values["frames"]]
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{path} is no report of tracking") from None

@@ -106,7 +106,7 @@ OPTIONS = {
     "likelihood": (("--likelihood", "great"), "invalid choice: 'great'"),
     "iterations": (("--max-iterations", "0"), "max_iterations"),
     "unknown": (("--fast",), "unrecognized arguments: --fast"),
-    "checkpoint": (("--resume", "none.npz"), "cannot read checkpoint none.npz"),
+    "checkpoint": (("--resume", "none.npz"), "none.npz: there is no such file"),
     "settings": (("--settings", "none.toml"), "cannot read settings from none.toml"),
 }
 

@@ -15,6 +15,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 OUTSIDE = 0
+LARGEST_REGION = 1 << 40  # so that pairs of regions and edges have a number
+FARTHEST = 1e12  # um; products of three such lengths are still numbers
 
 
 def is_tensor(array: object) -> bool:
@@ -52,6 +54,8 @@ class _Connectivity:
             )
         if self.regions.min() < 0:
             raise InputError("region numbers must be 0 (outside) or positive")
+        if self.regions.max() >= LARGEST_REGION:
+            raise InputError(f"region {self.regions.max()} is too large a number")
         n_same = int((self.regions[:, 0] == self.regions[:, 1]).sum())
         if n_same:
             raise InputError(f"{n_same} faces have the same region on both sides")
@@ -117,8 +121,8 @@ class Mesh:
     Raises
     ------
     InputError
-        For wrong shapes, no faces, indices out of range, NaN or infinite vertices, negative
-        region numbers, or the same region on both sides of a face.
+        For wrong shapes, no faces, indices out of range, vertices that are NaN, infinite or 1e12 um
+        away, negative region numbers, or the same region on both sides of a face.
     """
 
     def __init__(self, vertices: Any, faces: Any, regions: Any = None) -> None:
@@ -237,10 +241,13 @@ class Mesh:
         Means something only for closed, consistently oriented regions (``is_closed``, ``repair``).
         """
         per_face = self.signed_volumes()
-        size = int(self.regions.max()) + 1
-        total = np.bincount(self.regions[:, 0], per_face, size)
-        total -= np.bincount(self.regions[:, 1], per_face, size)
-        return {int(region): float(total[region]) for region in self.region_ids()}
+        # By rank: a region number may be anything.
+        regions, rank = np.unique(self.regions, return_inverse=True)
+        inner, outer = rank.reshape(-1, 2).T
+        total = np.bincount(inner, per_face, len(regions))
+        total -= np.bincount(outer, per_face, len(regions))
+        found = zip(regions.tolist(), total.tolist(), strict=True)
+        return {region: volume for region, volume in found if region != OUTSIDE}
 
     def region_volume(self, region: int) -> float:
         """Volume of one region, um^3. Raises InputError if the mesh has no such region."""
@@ -306,14 +313,16 @@ class Mesh:
         used: set[int] = set()
         faces, regions, offset = [], [], 0
         for part in parts:
-            table = np.arange(int(part.regions.max()) + 1)
-            for region in part.region_ids().tolist():
+            known, rank = np.unique(part.regions, return_inverse=True)
+            for k, region in enumerate(known.tolist()):
+                if region == OUTSIDE:
+                    continue
                 if region in used:
-                    table[region] = next_id
+                    known[k] = next_id
                     next_id += 1
-                used.add(int(table[region]))
+                used.add(int(known[k]))
             faces.append(part.faces + offset)
-            regions.append(table[part.regions])
+            regions.append(known[rank.reshape(-1, 2)])
             offset += len(part.vertices)
         vertices = _concatenated([part.vertices for part in parts])
         return Mesh(vertices, np.concatenate(faces), np.concatenate(regions))
@@ -348,9 +357,13 @@ def _checked_vertices(vertices: Any) -> Any:
         raise InputError("a vertex tensor must hold floating point numbers")
     if vertices.ndim != 2 or vertices.shape[1] != 3:
         raise InputError(f"vertices must have shape (n, 3), not {tuple(vertices.shape)}")
-    n_bad = int((~np.isfinite(to_numpy(vertices))).any(axis=1).sum())
+    places = to_numpy(vertices)
+    n_bad = int((~np.isfinite(places)).any(axis=1).sum())
     if n_bad:
         raise InputError(f"{n_bad} of {len(vertices)} vertices are NaN or infinite")
+    n_far = int((np.abs(places) >= FARTHEST).any(axis=1).sum())
+    if n_far:
+        raise InputError(f"{n_far} of {len(vertices)} vertices are {FARTHEST:g} um away or more")
     return vertices
 
 

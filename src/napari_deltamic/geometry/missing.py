@@ -10,6 +10,18 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 
+def unmasked(image: Any, instead: float = np.nan) -> Any:
+    """An array without a mask: what NumPy's mask hides becomes NaN, or another value.
+
+    Anything but a masked array is given back as it is.
+    """
+    if not isinstance(image, np.ma.MaskedArray):
+        return image
+    if np.isnan(instead) and not np.issubdtype(image.dtype, np.inexact):
+        image = image.astype(np.float64)
+    return image.filled(instead)
+
+
 def filled(image: NDArray[Any], voxel_size: Sequence[float] | None = None) -> NDArray[Any]:
     """Missing voxels (not finite) take the value of the nearest known one; (Z, Y, X).
 

@@ -15,9 +15,12 @@ from napari_deltamic.geometry.foam import spheres_of_foam
 from napari_deltamic.geometry.labels.basins import label_basins
 from napari_deltamic.geometry.labels.meshes import EDGE_IN_VOXELS, surfaces_of_labels
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
+from napari_deltamic.geometry.missing import unmasked
 from napari_deltamic.geometry.refused import Refused, told
+from napari_deltamic.reading import one_reason, read_text
 
 Triple = Sequence[float]
+_NAMED = 10  # lines, at most, that a sentence names
 
 
 def labels_from_points(
@@ -136,13 +139,13 @@ def read_points_csv(path: str | Path) -> tuple[FloatArray, FloatArray | None]:
     ------
     InputError
         The file cannot be read, has another header, no points, or lines without numbers, all of
-        which are named.
+        which the first are named.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_text(path)
+        rows = [[field.strip() for field in row] for row in csv.reader(text.splitlines())]
+    except (InputError, csv.Error) as error:
         raise InputError(f"cannot read points from {path}: {error}") from error
-    rows = [[field.strip() for field in row] for row in csv.reader(text.splitlines())]
     header = [field.lower() for field in rows[0]] if rows else []
     if header not in (["z", "y", "x"], ["z", "y", "x", "radius"]):
         raise InputError(f"{path}: the first line must be z,y,x or z,y,x,radius")
@@ -154,9 +157,10 @@ def read_points_csv(path: str | Path) -> tuple[FloatArray, FloatArray | None]:
         try:
             table.append(_numbers(row, len(header)))
         except ValueError as error:
-            wrong.append(f"line {number}: {error}")
+            wrong.append(f"line {number}: {one_reason(error)}")
     if wrong:  # the numbers of the others would not be those of their lines
-        raise InputError(f"{path}, {'; '.join(wrong)}")
+        more = f"; and {len(wrong) - _NAMED} more" if len(wrong) > _NAMED else ""
+        raise InputError(f"{path}, {'; '.join(wrong[:_NAMED])}{more}")
     if not table:
         raise InputError(f"{path}: no points")
     values = np.array(table)
@@ -174,7 +178,7 @@ def _triple(values: Triple, name: str, *, positive: bool = True) -> FloatArray:
 
 
 def _checked_image(image: ArrayLike) -> FloatArray:
-    data = np.asarray(image, np.float64)
+    data = np.asarray(unmasked(image), np.float64)
     if data.ndim != 3 or not np.isfinite(data).all():
         raise InputError(f"the image must be a finite 3D array, not {data.ndim}D or with nan")
     if data.max() == data.min():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
@@ -10,6 +12,7 @@ from scipy.sparse.csgraph import (
     connected_components,
 )
 
+from napari_deltamic.errors import RepairWarning
 from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, IntArray, Mesh
 
 BoolArray = NDArray[np.bool_]
@@ -39,6 +42,13 @@ def fix_windings(mesh: Mesh) -> tuple[Mesh, list[str]]:
     messages : list of str
         What was changed, and what could not be.
     """
+    # By rank: a region number may be anything.
+    numbers = np.unique(np.append(mesh.regions.ravel(), OUTSIDE))
+    if numbers[-1] >= len(numbers):
+        ranked = Mesh(mesh.vertices, mesh.faces, np.searchsorted(numbers, mesh.regions))
+        fixed, messages = fix_windings(ranked)
+        same = fixed is ranked
+        return mesh if same else Mesh(fixed.vertices, fixed.faces, mesh.regions), messages
     two, _ = _meetings(mesh)
     sign, piece = _propagate(len(mesh.faces), *two)
     n_left = int((sign[two[0]] * sign[two[1]] != two[2]).sum())
@@ -65,6 +75,28 @@ def fix_windings(mesh: Mesh) -> tuple[Mesh, list[str]]:
             "one-sided there, or its regions are wrongly named"
         )
     return result, messages
+
+
+def right_side_out(mesh: Mesh) -> Mesh:
+    """The mesh, turned where a closed region is inside out; what was done is a RepairWarning.
+
+    The same object if nothing had to be turned. Faces keep their order.
+    """
+    negative = [region for region, volume in mesh.volumes().items() if volume < 0]
+    if not any(mesh.is_closed(region) for region in negative):
+        return mesh
+    larger_second = mesh.regions[:, 0] < mesh.regions[:, 1]
+    ordered = Mesh(
+        mesh.vertices,
+        np.where(larger_second[:, None], mesh.faces[:, ::-1], mesh.faces),
+        np.where(larger_second[:, None], mesh.regions[:, ::-1], mesh.regions),
+    )
+    fixed, messages = fix_windings(ordered)
+    if fixed is ordered:
+        return mesh
+    for message in messages:
+        warnings.warn(f"the mesh: {message}", RepairWarning, stacklevel=3)
+    return fixed
 
 
 def _turned(mesh: Mesh, sign: IntArray) -> Mesh:

@@ -12,6 +12,7 @@ import torch
 
 from ..errors import InputError
 from ..geometry.mesh import Mesh
+from ..reading import json_values, one_reason
 from ..scene.effects import Effects
 from .health import GrowthAlarm
 from .schedule import Progress
@@ -52,7 +53,19 @@ def kept(run: Run) -> dict[str, np.ndarray]:
 
 
 def take_over(run: Run, found: dict[str, np.ndarray]) -> None:
-    """Go on from a checkpoint; raises InputError if it belongs to another mesh or fit."""
+    """Go on from a checkpoint; raises InputError if it is damaged or of another mesh or fit."""
+    try:
+        _take_over(run, found)
+    except InputError:
+        raise
+    except Exception as error:  # whatever damaged values may lead to
+        raise InputError(f"the checkpoint is damaged ({one_reason(error)})") from error
+
+
+def _take_over(run: Run, found: dict[str, np.ndarray]) -> None:
+    for name, values in found.items():
+        if values.dtype.kind == "f" and not np.isfinite(values).all():
+            raise InputError(f"the checkpoint is damaged: {name} is not finite")
     if not np.array_equal(found.get("seed", 0), run.seed):
         raise InputError("the checkpoint belongs to another mesh")
     other = InputError("the checkpoint belongs to a fit with other settings")
@@ -62,15 +75,21 @@ def take_over(run: Run, found: dict[str, np.ndarray]) -> None:
         raise other
     mesh = Mesh(found["vertices"], found["faces"], found["regions"])
     run.optics = run.optics.with_parameters(torch.from_numpy(found["optics"]))
+    if found["pinned"].shape != (len(mesh.vertices),):
+        raise InputError("the checkpoint is damaged: its pins are of another mesh")
     shape = Shape.begun(mesh, run.settings.density).with_pins(found["pinned"])
     if "run" not in found:  # of an earlier version: its optimiser starts anew
         run.shape = shape
         return
-    plain = json.loads(str(found["run"]))
+    plain = json_values(str(found["run"]))
     effects = Effects(**plain["effects"])
     if effects.names != run.effects.names or plain["density"] != run.settings.density:
         raise other
+    if not 0 <= int(plain["level_number"]) <= len(run.levels):
+        raise InputError("the checkpoint is damaged: it is of a level that there is not")
     if plain["density_known"]:
+        if found["log_density"].shape != (len(mesh.faces),):
+            raise InputError("the checkpoint is damaged: its densities are of another mesh")
         shape = shape.moved(mesh.vertices_numpy(), found["log_density"])
     run.shape, run.effects, run.growth = shape, effects, GrowthAlarm(mesh)
     run.level_optics = run.optics.with_parameters(torch.from_numpy(found["level_optics"]))

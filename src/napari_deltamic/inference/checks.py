@@ -8,21 +8,25 @@ from torch import Tensor
 
 from ..errors import InputError
 from ..geometry.mesh import Mesh
+from ..geometry.missing import unmasked
 from ..scene import Grid
 from .likelihood import voxel_noise
 
+# Squares of what lies outside are lost in single precision: a fit then changes with the unit.
+_SMALLEST, _LARGEST = 1e-9, 1e17
 FEWEST_VOXELS = 64  # that a fit needs
 
 
 def check_image(image: np.ndarray | Tensor, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
-    """Float32 image without NaN, and where it is known.
+    """Float32 image without NaN, and where it is known; masked voxels are not.
 
     Raises
     ------
     InputError
-        If it is not 3D, empty, infinite, has no known voxel, is flat, or does not fit the grid.
+        If it is not 3D, empty, infinite, has no known voxel, is flat, does not fit the grid, or
+        its range is too small or too large for single precision.
     """
-    pixels = np.asarray(image.detach().cpu() if isinstance(image, Tensor) else image)
+    pixels = np.asarray(image.detach().cpu() if isinstance(image, Tensor) else unmasked(image))
     if pixels.ndim != 3:
         raise InputError(f"a 3D image (Z, Y, X) is needed, not one of {pixels.ndim} dimensions")
     if pixels.size == 0:
@@ -31,7 +35,6 @@ def check_image(image: np.ndarray | Tensor, grid: Grid) -> tuple[np.ndarray, np.
         raise InputError(f"an image of real numbers is needed, not of {pixels.dtype}")
     if pixels.shape != grid.shape:
         raise InputError(f"the image has shape {pixels.shape}, the grid {grid.shape}")
-    pixels = pixels.astype(np.float32)
     infinite = int(np.isinf(pixels).sum())
     if infinite:
         raise InputError(
@@ -40,9 +43,14 @@ def check_image(image: np.ndarray | Tensor, grid: Grid) -> tuple[np.ndarray, np.
     known = ~np.isnan(pixels)
     if not known.any():
         raise InputError("every voxel of the image is missing (NaN)")
-    low, high = pixels[known].min(), pixels[known].max()
+    low, high = float(pixels[known].min()), float(pixels[known].max())
     if low == high:
         raise InputError(f"the image is flat: every voxel is {low:g}")
+    if max(-low, high) > _LARGEST or high - low < _SMALLEST:
+        raise InputError(
+            f"the image lies between {low:g} and {high:g}: multiply it by a number that brings it "
+            "to an ordinary range, 0 to 1000 for example"
+        )
     return np.where(known, pixels, 0).astype(np.float32), known
 
 

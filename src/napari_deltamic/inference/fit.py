@@ -14,8 +14,10 @@ from ..errors import InputError
 from ..fourier.devices import choose_device
 from ..fourier.plan import check_accuracy
 from ..geometry.mesh import Mesh
+from ..geometry.missing import unmasked
 from ..geometry.topology.crossings import crosses
 from ..geometry.topology.untangling import untangled
+from ..geometry.windings import right_side_out
 from ..optics import Optics
 from ..scene import Grid
 from ..scene.effects import Effects, as_effects
@@ -51,7 +53,7 @@ def fit(
     Parameters
     ----------
     image
-        (Z, Y, X) measured intensities; NaN marks missing voxels.
+        (Z, Y, X) measured intensities; NaN, or the mask of a masked array, marks missing voxels.
     grid
         Where the voxels lie.
     mesh
@@ -78,8 +80,10 @@ def fit(
     ------
     InputError
         If the image is not 3D, empty, flat or has no finite voxel, the mesh lies outside it, or
-        the device of the settings cannot be used.
+        the device of the settings cannot be used; within ``torch.inference_mode()``.
     """
+    if torch.is_inference_mode_enabled():
+        raise InputError("a fit needs gradients: leave torch.inference_mode() first")
     settings = settings or FitSettings()
     if accuracy is not None:
         settings = settings.model_copy(update={"accuracy": float(accuracy)})
@@ -90,9 +94,10 @@ def fit(
     if counted is not None:
         if counted.shape != grid.shape:
             raise InputError(f"counted has shape {counted.shape}, the image {grid.shape}")
-        known = known & (np.asarray(counted) != 0)
+        known = known & (np.asarray(unmasked(counted, 0)) != 0)
     hot = hot_voxels(pixels, known)
     known = known & ~hot
+    mesh = right_side_out(mesh)
     check_mesh(mesh, grid)
     settings = _completed(settings, pixels, known)
     if settings.as_in_the_paper:
@@ -115,6 +120,8 @@ def fit(
     return _states(run)
 
 
+# Also where the caller has turned gradients off, which a fit cannot do without.
+@torch.enable_grad()
 def _states(run: Run) -> Generator[FitState, Change | None, None]:
     """Those of the run; where a GPU is too small for it, the CPU takes over and says so."""
     try:

@@ -31,6 +31,7 @@ _STEP, _PSF_STEP = 0.3, 0.01  # widths of the PSF; unbounded numbers of the PSF
 _PLAN_EVERY = 20  # iterations
 
 
+@torch.enable_grad()  # the caller may have turned gradients off
 def as_in_the_paper(
     problem: Problem, mesh: Mesh, optics: Optics, settings: FitSettings, effects: Effects
 ) -> Generator[FitState, Change | None, None]:

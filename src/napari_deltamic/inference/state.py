@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import io
-import zipfile
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from ..archive import opened
 from ..errors import InputError
 from ..geometry.mesh import Mesh
 from ..optics import Optics
@@ -86,16 +85,11 @@ def load_checkpoint(path: str | Path) -> dict[str, np.ndarray]:
     Raises
     ------
     InputError
-        If the file is missing or no checkpoint.
+        If the file is missing, damaged or no checkpoint.
     """
-    try:
-        # From memory: NumPy leaves a file that it cannot read open.
-        file = np.load(io.BytesIO(Path(path).read_bytes()), allow_pickle=False)
-        kept = {name: file[name] for name in file.files} if hasattr(file, "files") else {}
-    except OSError as error:
-        raise InputError(f"cannot read checkpoint {path}: {error}") from None
-    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error):
-        raise InputError(f"{path} is not a checkpoint, or a damaged one") from None
+    with opened(path, "a checkpoint") as archive:
+        names = [name.removesuffix(".npy") for name in archive.names if name.endswith(".npy")]
+        kept = {name: archive.array(name) for name in names}
     if not {"vertices", "faces", "optics", "levels"} <= set(kept):
         raise InputError(f"{path} is not a checkpoint of a fit")
     return kept

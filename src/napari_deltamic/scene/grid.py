@@ -9,6 +9,9 @@ from math import isfinite
 import numpy as np
 
 from ..errors import InputError
+from ..geometry.mesh import FARTHEST
+
+_SMALLEST = 1e-9  # um, of a voxel
 
 
 @dataclass(frozen=True)
@@ -20,7 +23,8 @@ class Grid:
     Raises
     ------
     InputError
-        If the shape is not three positive numbers, or the voxel size not positive and finite.
+        If the shape is not three positive numbers, the voxel size not positive and of any
+        microscope, or the origin not finite.
     """
 
     shape: tuple[int, int, int]
@@ -43,8 +47,12 @@ class Grid:
             raise InputError(
                 f"voxel size must be three positive numbers (um), not {self.voxel_size}"
             )
-        if len(origin) != 3 or not all(isfinite(o) for o in origin):
-            raise InputError(f"origin must be three finite numbers (um), not {self.origin}")
+        if not all(_SMALLEST <= d <= 1 / _SMALLEST for d in size):
+            raise InputError(f"voxels of {self.voxel_size} um cannot be computed with")
+        if len(origin) != 3 or not all(abs(o) < FARTHEST for o in origin):
+            raise InputError(
+                f"origin must be three finite numbers (um), below {FARTHEST:g}, not {self.origin}"
+            )
         object.__setattr__(self, "shape", shape)
         object.__setattr__(self, "voxel_size", size)
         object.__setattr__(self, "origin", origin)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import os
+import stat
+import sys
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
@@ -100,13 +103,24 @@ def kernels_for(build: Build, target: str, anew: bool = False) -> bytes:
     """A module for a target such as ``sm_90``, from disk where it was compiled before."""
     path = _kept_file(build, target)
     with suppress(OSError):
-        if not anew and (code := path.read_bytes()):
+        if not anew and _is_ours(path) and (code := path.read_bytes()):
             return code
     code = compile_kernels(build, target).code
     with suppress(OSError, InputError):  # a folder that cannot be written to is no reason to fail
-        path.parent.mkdir(parents=True, exist_ok=True)
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         write_atomically(path, code)
     return code
+
+
+def _is_ours(path: Path) -> bool:
+    """Whether nobody else may have put a file there: what it holds is run on the GPU.
+
+    Raises OSError where it is missing.
+    """
+    if sys.platform == "win32":  # a folder of the user's, by default
+        return True
+    facts = [path.stat(), path.parent.stat()]
+    return all(f.st_uid == os.getuid() and not f.st_mode & stat.S_IWOTH for f in facts)
 
 
 def kept_folder() -> Path:

@@ -24,6 +24,7 @@ from napari_deltamic.geometry.files.rec import read_rec, write_rec
 from napari_deltamic.geometry.files.vtk import read_vtk, write_vtk
 from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, IntArray, Mesh
 from napari_deltamic.geometry.repair import counted, repair
+from napari_deltamic.reading import one_reason, quiet
 from napari_deltamic.writing import write_atomically
 
 
@@ -61,16 +62,18 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh:
     if not data.strip():
         raise InputError(f"{path}: the file is empty")
     try:
-        raw = read(data)
-        if len(raw.faces) == 0:
-            what = f"only points ({len(raw.xyz)}), no faces" if len(raw.xyz) else "no mesh"
-            raise InputError(f"the file holds {what}")
-        mesh, messages = repair(raw.xyz[:, ::-1], raw.faces, raw.regions)
+        with quiet("trimesh"):
+            raw = read(data)
+            if len(raw.faces) == 0:
+                what = f"only points ({len(raw.xyz)}), no faces" if len(raw.xyz) else "no mesh"
+                raise InputError(f"the file holds {what}")
+            mesh, messages = repair(raw.xyz[:, ::-1], raw.faces, raw.regions)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     except Exception as error:  # whatever a parser may raise on damaged data
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: not a readable {path.suffix} mesh ({reason})") from error
+        raise InputError(
+            f"{path}: not a readable {path.suffix} mesh ({one_reason(error)})"
+        ) from error
     for message in (*raw.messages, *messages, *_remarks(mesh)):
         warnings.warn(f"{path.name}: {message}", RepairWarning, stacklevel=2)
     return mesh

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import warnings
 from typing import Any
 
 import numpy as np
@@ -12,13 +11,13 @@ from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.files.raw import RawMesh
 from napari_deltamic.geometry.mesh import FloatArray, IntArray
 
+_LARGEST = np.iinfo(np.int32).max  # region that integers of files hold
+
 
 def read_with_trimesh(data: bytes, kind: str) -> RawMesh:
     import trimesh  # slow to import, and not needed for .rec and .obj
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # its remarks are not for our user
-        loaded = trimesh.load(io.BytesIO(data), file_type=kind, process=False)
+    loaded = trimesh.load(io.BytesIO(data), file_type=kind, process=False)
     parts: list[Any]
     parts = list(loaded.geometry.values()) if hasattr(loaded, "geometry") else [loaded]
     xyz, faces, offset = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int64)], 0
@@ -50,14 +49,16 @@ def read_stl(data: bytes) -> RawMesh:
 
 def write_ply(xyz: FloatArray, faces: IntArray, regions: IntArray) -> bytes:
     """Binary, in double precision (trimesh writes floats: 7 digits)."""
+    # The format has no larger integers.
+    name, kind = ("double", "<f8") if regions.max() > _LARGEST else ("int", "<i4")
     header = (
         "ply\nformat binary_little_endian 1.0\ncomment positions in um\n"
         f"element vertex {len(xyz)}\n"
         "property double x\nproperty double y\nproperty double z\n"
         f"element face {len(faces)}\nproperty list uchar int vertex_indices\n"
-        "property int region_a\nproperty int region_b\nend_header\n"
+        f"property {name} region_a\nproperty {name} region_b\nend_header\n"
     )
-    table = np.empty(len(faces), [("n", "u1"), ("corners", "<i4", 3), ("regions", "<i4", 2)])
+    table = np.empty(len(faces), [("n", "u1"), ("corners", "<i4", 3), ("regions", kind, 2)])
     table["n"], table["corners"], table["regions"] = 3, faces, regions
     return header.encode() + xyz.astype("<f8").tobytes() + table.tobytes()
 

@@ -53,8 +53,9 @@ def write_vtk(xyz: FloatArray, faces: IntArray, regions: IntArray) -> bytes:
         f"\nCELL_DATA {len(faces)}\n".encode(),
     ]
     for name, column in zip(("region_a", "region_b"), regions.T, strict=True):
-        blocks.append(f"SCALARS {name} int 1\nLOOKUP_TABLE default\n".encode())
-        blocks.append(column.astype(">i4").tobytes() + b"\n")
+        kind, size = ("int", ">i4") if column.max() <= np.iinfo(np.int32).max else ("long", ">i8")
+        blocks.append(f"SCALARS {name} {kind} 1\nLOOKUP_TABLE default\n".encode())
+        blocks.append(column.astype(size).tobytes() + b"\n")
     return b"".join(blocks)
 
 
@@ -108,18 +109,21 @@ class _Reader:
 
     def _block(self, name: str, words: list[str]) -> None:
         if name == "POINTS":
-            self.xyz = self._numbers(3 * int(words[1]), words[2]).reshape(-1, 3).astype(np.float64)
+            self.xyz = (
+                self._numbers(3 * self._count(words[1]), words[2]).reshape(-1, 3).astype(np.float64)
+            )
         elif name in ("POLYGONS", "CELLS"):
-            self.polygons += self._cells(int(words[1]), int(words[2]))
+            self.polygons += self._cells(self._count(words[1]), self._count(words[2]))
         elif name in ("VERTICES", "LINES", "TRIANGLE_STRIPS"):
             # Their cells come with the cell data too, so they are kept in their place.
-            self.polygons += [cell[:1] for cell in self._cells(int(words[1]), int(words[2]))]
+            cells = self._cells(self._count(words[1]), self._count(words[2]))
+            self.polygons += [cell[:1] for cell in cells]
         elif name == "CELL_TYPES":
-            self.kinds = self._numbers(int(words[1]), "int").astype(np.int64)
+            self.kinds = self._numbers(self._count(words[1]), "int").astype(np.int64)
         elif name in ("CELL_DATA", "POINT_DATA"):
-            self.section, self.count = name, int(words[1])
+            self.section, self.count = name, self._count(words[1])
         elif name == "SCALARS":
-            width = int(words[3]) if len(words) > 3 else 1
+            width = self._count(words[3]) if len(words) > 3 else 1
             start = self.place
             if self._line().split()[:1] != ["LOOKUP_TABLE"]:
                 self.place = start
@@ -127,11 +131,11 @@ class _Reader:
         elif name in _PER_TUPLE:
             self._numbers(_PER_TUPLE[name] * self.count, words[2])
         elif name == "TEXTURE_COORDINATES":
-            self._numbers(int(words[2]) * self.count, words[3])
+            self._numbers(self._count(words[2]) * self.count, words[3])
         elif name == "FIELD":
-            self._fields(int(words[2]))
+            self._fields(self._count(words[2]))
         elif name == "LOOKUP_TABLE":
-            self._numbers(4 * int(words[2]), "unsigned_char" if self.binary else "float")
+            self._numbers(4 * self._count(words[2]), "unsigned_char" if self.binary else "float")
         elif name == "METADATA":
             while self._line():
                 pass
@@ -144,7 +148,7 @@ class _Reader:
             while not words and self.place < len(self.data):
                 words = self._line().split()
             name, width, tuples, kind = words[:4]
-            self._keep(name, self._numbers(int(width) * int(tuples), kind))
+            self._keep(name, self._numbers(self._count(width) * self._count(tuples), kind))
 
     def _keep(self, name: str, values: NDArray[Any]) -> None:
         if self.section == "CELL_DATA":
@@ -157,12 +161,23 @@ class _Reader:
             cells, place = [], 0
             for _ in range(count):
                 length = int(table[place])
+                if length < 0 or place + 1 + length > size:
+                    raise InputError("a cell is longer than its block")
                 cells.append(table[place + 1 : place + 1 + length])
                 place += 1 + length
             return cells
         offsets = self._numbers(count, self._line().split()[1]).astype(np.int64)
         corners = self._numbers(size, self._line().split()[1]).astype(np.int64)
+        if count and (offsets[0] < 0 or offsets[-1] > size or (np.diff(offsets) < 0).any()):
+            raise InputError("the cells do not lie one after the other")
         return [corners[a:b] for a, b in pairwise(offsets.tolist())]
+
+    def _count(self, word: str) -> int:
+        """How many there are of something; a file cannot hold more than it has bytes."""
+        count = int(word)
+        if not 0 <= count <= len(self.data):
+            raise InputError(f"it says that it holds {word[:20]} of something, which it cannot")
+        return count
 
     def _line(self) -> str:
         end = self.data.find(b"\n", self.place)
@@ -183,6 +198,8 @@ class _Reader:
             self.place = stop + (self.data[stop : stop + 1] == b"\n")
             return found
         words: list[bytes] = []
+        if count > len(self.data) - self.place:
+            raise InputError("the file ends too early")
         while len(words) < count:
             if self.place >= len(self.data):
                 raise InputError("the file ends too early")

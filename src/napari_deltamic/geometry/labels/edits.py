@@ -24,6 +24,7 @@ from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.labels.find_cells import _checked, _walls
 from napari_deltamic.geometry.labels.region_merging import Image, Labels
 from napari_deltamic.geometry.mesh import FloatArray
+from napari_deltamic.reading import one_reason, read_text
 from napari_deltamic.writing import write_atomically
 
 Action = Literal["cell", "merge", "remove"]
@@ -159,10 +160,10 @@ def read_clicks_csv(path: str | Path) -> list[Click]:
         The file cannot be read, has another header, or a field that means nothing.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
+        lines = csv.reader(read_text(path).splitlines())
+        rows = [[field.strip().lower() for field in row] for row in lines]
+    except (InputError, csv.Error) as error:
         raise InputError(f"cannot read clicks from {path}: {error}") from error
-    rows = [[field.strip().lower() for field in row] for row in csv.reader(text.splitlines())]
     if not rows or tuple(rows[0]) not in (_COLUMNS[:4], _COLUMNS):
         raise InputError(f"{path}: the first line must be z,y,x,action or z,y,x,action,step")
     clicks = []
@@ -171,7 +172,7 @@ def read_clicks_csv(path: str | Path) -> list[Click]:
             try:
                 clicks.append(_click(row))
             except (ValueError, InputError) as error:
-                raise InputError(f"{path}, line {number}: {error}") from error
+                raise InputError(f"{path}, line {number}: {one_reason(error)}") from error
     return clicks
 
 
@@ -223,7 +224,7 @@ def _cut(
     labels: Labels, walls: Image, name: int, clicks: _Clicks, voxel: FloatArray, fewest: float
 ) -> None:
     """Divide a label among the clicks in it; a single one against the rest of the label."""
-    box = ndimage.find_objects(labels)[name - 1]
+    box = ndimage.find_objects((labels == name).astype(np.int8))[0]
     corner = [s.start for s in box]
     inside = labels[box] == name
     cost = np.where(inside, _FLAT + walls[box] ** 2, np.inf)
@@ -340,8 +341,7 @@ def _label_at(labels: Labels, click: int, place: _Place) -> int:
 
 def _typical(labels: Labels, voxel: FloatArray) -> float:
     """um, the median diameter of the labels; a fifth of the image where there is none."""
-    counts = np.bincount(labels.ravel().clip(0))[1:]
-    counts = counts[counts > 0]
+    counts = np.unique(labels[labels > 0], return_counts=True)[1]
     if not len(counts):
         return float((np.array(labels.shape) * voxel).max()) / 5
     return float(np.cbrt(6 / np.pi * np.median(counts) * np.prod(voxel)))

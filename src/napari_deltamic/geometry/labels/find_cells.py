@@ -21,7 +21,7 @@ from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.labels.basins import BORDER_LIMIT, _border_area, _noise_after
 from napari_deltamic.geometry.labels.region_merging import Image, Labels, Regions, join_regions
 from napari_deltamic.geometry.mesh import FloatArray
-from napari_deltamic.geometry.missing import filled
+from napari_deltamic.geometry.missing import filled, unmasked
 
 Mask = NDArray[np.bool_]
 
@@ -246,7 +246,7 @@ def _checked(
     image: ArrayLike, voxel_size: Sequence[float]
 ) -> tuple[Image, Mask | None, FloatArray]:
     """The image without gaps, where its gaps are, and the voxel size."""
-    array = np.asarray(image)
+    array = np.asarray(unmasked(image))
     if array.ndim != 3 or not array.size:
         raise InputError(f"a 3D image is needed to find cells, not one of shape {array.shape}")
     if (

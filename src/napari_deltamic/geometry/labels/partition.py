@@ -11,7 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
+from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, IntArray, Mesh
 
 MAX_NODES = 30_000_000  # a typing error in edge_length should not fill the memory
 _ROUNDS = 30  # of repairs; each changes a few nodes at most
@@ -56,9 +56,8 @@ def with_volumes(mesh: Mesh, volumes: dict[int, float], rounds: int = 8) -> Mesh
     What a coarse mesh cuts off at convex places comes back.
     """
     names = mesh.region_ids()
-    number = np.zeros(int(names.max()) + 1, np.int64)
-    number[names] = np.arange(1, len(names) + 1)
-    sides = number[mesh.regions]
+    sides = np.searchsorted(names, mesh.regions) + 1
+    sides[mesh.regions == OUTSIDE] = 0
     wanted = np.array([volumes[int(k)] for k in names])
     for _ in range(rounds):
         lacking = wanted - [mesh.region_volume(int(k)) for k in names]

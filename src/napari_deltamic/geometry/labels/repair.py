@@ -17,7 +17,9 @@ from scipy import ndimage
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.mesh import FloatArray
+from napari_deltamic.geometry.missing import unmasked
 
+_MANY = 1 << 16  # labels up to this number are found faster by number than by rank
 _NAMED = 6  # labels, at most, that a sentence names
 _SMALL_PART = 0.1  # a part of a label larger than this share of it may be a cell of its own
 
@@ -83,8 +85,21 @@ def repair_labels(
     return RepairedLabels(numbers, tuple(repairs), tuple(_doubts(numbers)))
 
 
+def label_boxes(labels: NDArray[Any]) -> list[tuple[int, tuple[slice, ...]]]:
+    """Each label above 0 and the box that holds it, however large the numbers are."""
+    if labels.size == 0 or labels.max() <= 0:
+        return []
+    if labels.max() > _MANY:
+        names, rank = np.unique(labels.clip(0), return_inverse=True)
+        ranked = rank.reshape(labels.shape).astype(np.int32) + int(names[0] > 0)
+        found = ndimage.find_objects(ranked)
+        return list(zip(names[names > 0].tolist(), found, strict=True))
+    boxes = ndimage.find_objects(labels)
+    return [(k, box) for k, box in enumerate(boxes, 1) if box is not None]
+
+
 def _whole_numbers(labels: ArrayLike | Sequence[ArrayLike]) -> NDArray[np.int32]:
-    array: NDArray[Any] = np.asarray(labels)
+    array: NDArray[Any] = np.asarray(unmasked(labels, 0))
     if array.ndim == 2:
         raise InputError("the labels are 2D: a 3D stack (Z, Y, X) of labels is needed")
     if array.ndim != 3 or not array.size:
@@ -122,10 +137,7 @@ def _together(
     number = 0
     gone = []
     for layer in layers:
-        boxes = ndimage.find_objects(layer)
-        for name, box in enumerate(boxes, 1):
-            if box is None:
-                continue
+        for name, box in label_boxes(layer):
             number += 1
             own = np.pad(layer[box] == name, 1)
             inside = ndimage.distance_transform_edt(own, size)[1:-1, 1:-1, 1:-1]
@@ -153,7 +165,7 @@ def _together(
 def _in_one_part(numbers: NDArray[np.int32], repairs: list[str]) -> NDArray[np.int32]:
     result = numbers.copy()
     broken, large, holes = [], [], []
-    boxes = [(k, box) for k, box in enumerate(ndimage.find_objects(numbers), 1) if box is not None]
+    boxes = label_boxes(numbers)
     for name, box in boxes:
         mask = numbers[box] == name
         parts, count = ndimage.label(mask)

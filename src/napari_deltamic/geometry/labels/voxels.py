@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, Mesh
+from napari_deltamic.geometry.windings import right_side_out
 
 # Lines through voxel centres miss vertices and edges of meshes that were made on the same grid.
 _ASIDE = np.array([1.3e-6, 2.1e-6])
@@ -19,7 +20,7 @@ def voxel_labels(
     shape: Sequence[int],
     voxel_size: Sequence[float],
     origin: Sequence[float] = (0.0, 0.0, 0.0),
-) -> NDArray[np.int32]:
+) -> NDArray[np.signedinteger]:
     """(Z, Y, X) region number at the centre of each voxel; 0 outside.
 
     Along each line of voxels in X, a face that the line crosses says which region comes next: the
@@ -27,15 +28,18 @@ def voxel_labels(
 
     Parameters
     ----------
-    mesh : closed regions, um; where they overlap, the one whose face was crossed last wins.
+    mesh : closed regions, um; where they overlap, the one whose face was crossed last wins. Those
+        that are inside out are turned, with a RepairWarning.
     shape : voxels, Z Y X.
     voxel_size, origin : um, Z Y X; the origin is the centre of the first voxel.
     """
     nz, ny, nx = (int(n) for n in shape)
     size, start = np.asarray(voxel_size, float), np.asarray(origin, float)
+    mesh = right_side_out(mesh)
     places = (mesh.vertices_numpy() - start) / size
     line, at, after = _crossings(places[mesh.faces], mesh.regions, nz, ny)
-    labels = np.zeros(nz * ny * nx, np.int32)
+    kind: Any = np.int32 if mesh.regions.max() <= np.iinfo(np.int32).max else np.int64
+    labels = np.zeros(nz * ny * nx, kind)
     order = np.lexsort((at, line))
     line, at, after = line[order], at[order], after[order]
     # Beyond its last face a line is outside, whatever rounding makes of faces that it grazes.

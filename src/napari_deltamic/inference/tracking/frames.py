@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from ...errors import InputError
+from ...geometry.missing import unmasked
 from ...optics import Optics
 from ...scene import Grid
 
@@ -28,13 +29,13 @@ def numbered(images: Any, first: int = 0) -> Iterator[tuple[int, NDArray[Any] | 
     if hasattr(images, "__getitem__") and hasattr(images, "__len__"):
         for frame in range(first, len(images)):
             try:
-                yield frame, np.asarray(images[frame])
+                yield frame, np.asarray(unmasked(images[frame]))
             except InputError as error:
                 yield frame, str(error)
         return
     for frame, image in enumerate(images):
         if frame >= first:
-            yield frame, np.asarray(image)
+            yield frame, np.asarray(unmasked(image))
 
 
 def check_series(images: Any) -> None:
