@@ -1,4 +1,4 @@
-"""``python -m benchmarks.robustness files|native``."""
+"""``python -m benchmarks.robustness files|kills|native``."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from importlib import import_module
 
 EXPERIMENTS = {
     "files": "damaged files, over all readers and through the command line",
+    "kills": "runs that are ended, also while they write",
     "native": "wrong calls of the compiled functions",
     "window": "random actions in the window",
 }

@@ -37,6 +37,7 @@ def tracks_facts(archive: ArchiveWriter, meshes: MeshWriter, tracks: SavedTracks
             {
                 "mesh": meshes.add(f"tracks/{r.frame}/vertices", r.mesh) if r.mesh else None,
                 "message": r.message,
+                "psf": r.psf,
                 "events": [
                     {"kind": e.kind, "cell": e.cell, "text": e.text, "daughters": e.daughters}
                     for e in r.events
@@ -87,4 +88,5 @@ def _frame(meshes: MeshReader, facts: Mapping[str, Any], row: list[float]) -> Fr
         iterations=int(iterations),
         seconds=seconds,
         sigma_um=(z, y, x),
+        psf=tuple(float(p) for p in facts.get("psf", ())),  # older sessions have none
     )

@@ -140,6 +140,7 @@ def _result(folder: Path, facts: dict[str, Any]) -> FrameResult:
         int(facts["iterations"]),
         float(facts["seconds"]),
         (z, y, x),
+        tuple(float(p) for p in facts.get("psf", ())),  # older reports have none
     )
 
 
@@ -169,6 +170,7 @@ def _facts(
                 "iterations": r.iterations,
                 "seconds": round(r.seconds, 3),
                 "sigma_um": list(r.sigma_um),
+                "psf": list(r.psf),
             }
             for r in results
         ],

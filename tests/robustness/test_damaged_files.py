@@ -110,9 +110,8 @@ def test_libraries_log_nothing(tmp_path, caplog):
     nd.save_mesh(mesh, path)
     data = path.read_bytes().replace(b"uchar int vertex_indices", b"uchar int vertex_indicez")
     path.write_bytes(data)
-    with caplog.at_level(logging.DEBUG):
-        with contextlib.suppress(InputError):
-            nd.load_mesh(path)
+    with caplog.at_level(logging.DEBUG), contextlib.suppress(InputError):
+        nd.load_mesh(path)
     assert not [r for r in caplog.records if r.levelno >= logging.WARNING]
 
 

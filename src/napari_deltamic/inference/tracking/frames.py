@@ -21,7 +21,7 @@ _BLURRED = 0.5  # sharpness, relative to the frames so far
 _SATURATED = 0.02  # share of voxels at the largest value
 _WORSE = 2.0  # loss of a fit, relative to the frames so far, ...
 _MUCH = 0.25  # ... and by so much: noise and growth change it less
-_REMEMBERED = 5  # frames
+REMEMBERED = 5  # frames
 
 
 def numbered(images: Any, first: int = 0) -> Iterator[tuple[int, NDArray[Any] | str]]:
@@ -115,8 +115,8 @@ class Quality:
 
     def accept(self, image: NDArray[Any], loss: float) -> None:
         """A frame was good: the next ones are measured by it."""
-        self._looks = [*self._looks, self._look(image, np.isfinite(image))][-_REMEMBERED:]
-        self._losses = [*self._losses, loss][-_REMEMBERED:]
+        self._looks = [*self._looks, self._look(image, np.isfinite(image))][-REMEMBERED:]
+        self._losses = [*self._losses, loss][-REMEMBERED:]
 
     def _look(self, image: NDArray[Any], known: NDArray[np.bool_]) -> _Look:
         filled = np.where(known, image, np.median(image[known])).astype(np.float32)

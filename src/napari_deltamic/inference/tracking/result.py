@@ -43,6 +43,7 @@ class FrameResult:
     message : why it was left out, or what the fit has to say.
     events : in the order in which they happened.
     loss, iterations, seconds, sigma_um : of the fit; NaN and 0 where there was none.
+    psf : its parameters after the fit, as :meth:`Optics.parameters` gives them; () for unknown.
     """
 
     frame: int
@@ -54,6 +55,7 @@ class FrameResult:
     iterations: int = 0
     seconds: float = 0.0
     sigma_um: tuple[float, float, float] = (float("nan"),) * 3
+    psf: tuple[float, ...] = ()
 
     @property
     def cells(self) -> tuple[int, ...]:

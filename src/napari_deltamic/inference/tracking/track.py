@@ -9,6 +9,7 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from ...errors import InputError
@@ -26,7 +27,7 @@ from ..territory import counted_voxels
 from ..upkeep import median_edge
 from .alarms import CellLook, alarms, gone, looks
 from .divisions import Residual, explains, proposals
-from .frames import Quality, check_series, check_shape, numbered
+from .frames import REMEMBERED, Quality, check_series, check_shape, numbered
 from .motion import Start, starts
 from .result import Event, FrameResult, TrackState
 from .settings import TrackSettings
@@ -128,17 +129,22 @@ class _Tracker:
         self.reasons: list[str] = []  # why frames were left out
         self.over = False  # whether every cell has gone
         self.first = tracking.first
+        self.done: dict[int, FrameResult] = {}  # good frames of an earlier run, the last ones
         self.next_cell = int(mesh.regions.max()) + 1
 
     # ----------------------------------------------------------------------------------- frames
 
     def states(self, images: Any) -> States:
         """A state for every iteration, and one for every frame."""
-        frames: Any = numbered(images, self.first)
+        begin = min(self.done, default=self.first)
+        frames: Any = numbered(images, begin)
         if self.tracking.stop is not None:
-            frames = islice(frames, max(self.tracking.stop - self.first, 0))
+            frames = islice(frames, max(self.tracking.stop - begin, 0))
         count, bad = 0, 0
         for frame, image in frames:
+            if frame < self.first:
+                self._recall(frame, image)
+                continue
             count += 1
             began = time.monotonic()
             flaw, known = image if isinstance(image, str) else "", np.zeros(0, bool)
@@ -156,7 +162,7 @@ class _Tracker:
                 yield TrackState(frame, None, done=result)
             if self.over:
                 break
-        if count and bad == count:
+        if count and bad == count and not self.done:
             raise InputError(f"no frame can be used; the first one: {self.reasons[0]}")
         if count < 2 and self.last_frame == self.tracking.first and not bad:
             raise InputError(f"tracking needs two frames or more, not {count}")
@@ -199,6 +205,7 @@ class _Tracker:
         result = FrameResult(
             frame, when, mesh, state.message, tuple(events), state.loss,
             state.iteration, time.monotonic() - began, _triple(state.optics.sigma_um),
+            tuple(state.optics.parameters().detach().tolist()),
         )  # fmt: skip
         yield TrackState(frame, mesh, done=result, last_fit=state)
         return ""
@@ -260,7 +267,8 @@ class _Tracker:
     ) -> Generator[TrackState, None, FitState]:
         """Put walls into cells that call for one, as long as they explain the image better."""
         refused: set[int] = set()
-        for _ in range(_ROUNDS):
+        rounds = 0
+        while rounds < _ROUNDS:
             before = Residual(image, known, self.grid, state)
             mesh, divided = state.mesh, {}
             for found in proposals(before, mesh):
@@ -289,9 +297,9 @@ class _Tracker:
             refused |= set(divided) - good
             if not good:
                 break
-            if len(good) < len(divided):  # once more, without the others
+            if len(good) < len(divided):  # once more, without the others: they are refused now
                 continue
-            state = new
+            state, rounds = new, rounds + 1
             for cell, (pair, found) in divided.items():
                 text = (
                     f"cell {cell} divided into {pair[0]} and {pair[1]} (a wall of "
@@ -364,10 +372,34 @@ class _Tracker:
                 continue
             now = looks(result.mesh)
             frames = max(result.frame - self.last_frame, 1)
-            self.velocities = {c: self._velocity(c, v, frames, False) for c, v in now.items()}
+            alarmed = {e.cell for e in result.events if e.kind == "alarm"}
+            self.velocities = {
+                c: self._velocity(c, v, frames, c in alarmed) for c, v in now.items()
+            }
+            self.done[result.frame] = result
+            if self.settings.fit_psf and len(result.psf) == self.optics.parameters().numel():
+                numbers = torch.tensor(result.psf, dtype=self.optics.parameters().dtype)
+                self.optics = self.optics.with_parameters(numbers)
             self.looks, self.mesh, self.last_frame = now, result.mesh, result.frame
             for cell, look in now.items():
                 self.largest[cell] = max(look.volume, self.largest.get(cell, 0.0))
+        self.done = dict(sorted(self.done.items())[-REMEMBERED:])
+
+    def _recall(self, frame: int, image: NDArray[Any] | str) -> None:
+        """What a frame of an earlier run left behind for those to come."""
+        result = self.done.get(frame)
+        if result is None or result.mesh is None or isinstance(image, str):
+            return
+        check_shape(image, frame, self.grid)
+        image, known = _known(image)
+        pixels = np.where(known, image, np.nan)
+        if known.any() and np.isfinite(result.loss):
+            self.quality.accept(pixels, result.loss)
+        if frame == self.last_frame:
+            # The first state of a fit is its start.
+            settings = self.settings.model_copy(update={"levels": (1.0,)})
+            given = pixels, self.grid, result.mesh, self.optics
+            self.last = next(fit(*given, settings=settings, effects=self.effects))
 
 
 def _known(image: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
