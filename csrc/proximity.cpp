@@ -65,6 +65,41 @@ bool share_a_vertex(const One& one, const Other& other) {
     return false;
 }
 
+// Whether a direction keeps the two sides of a pair apart, all along the step, by more than any of
+// its vertices needs. Most pairs of neighbours in a surface lie like that; boxes cannot tell.
+class Apart {
+public:
+    Apart(const std::vector<Vec>& start, const std::vector<Vec>& end, const std::vector<double>& needed)
+        : start_(start), end_(end), needed_(needed) {}
+
+    template <class One, class Other>
+    bool operator()(const One& one, const Other& other) const {
+        const Vec along = middle(other) - middle(one);
+        const double length = norm(along);
+        double least = INFINITY, most = -INFINITY, room = 0;
+        for (std::int32_t v : other) {
+            least = std::min({least, dot(along, start_[v]), dot(along, end_[v])});
+            room = std::max(room, needed_[v]);
+        }
+        for (std::int32_t v : one) {
+            most = std::max({most, dot(along, start_[v]), dot(along, end_[v])});
+            room = std::max(room, needed_[v]);
+        }
+        return least - most > (1 + 1e-9) * room * length;
+    }
+
+private:
+    template <class Corners>
+    Vec middle(const Corners& corners) const {
+        Vec sum{0, 0, 0};
+        for (std::int32_t v : corners) sum = sum + start_[v];
+        return (1.0 / static_cast<double>(corners.size())) * sum;
+    }
+
+    const std::vector<Vec>&start_, &end_;
+    const std::vector<double>& needed_;
+};
+
 template <class Corners>
 std::vector<Box> joined(const std::vector<Box>& points, const std::vector<Corners>& elements) {
     std::vector<Box> boxes(elements.size());
@@ -153,11 +188,14 @@ bool Guard::left_alone(const std::vector<std::int32_t>& a, const std::vector<std
 bool Guard::pairs(const std::vector<Vec>& start, const std::vector<Vec>& end, const std::vector<char>& active,
                   double reach, std::vector<Pair>& found, std::vector<char>& refused) {
     std::vector<Box> points(start.size());
+    std::vector<double> needed(start.size());  // distance of a pair from which on it says nothing of v
     for (std::size_t v = 0; v < start.size(); ++v) {
         points[v] = Box::around(active[v] ? start[v] : center_[v]);
         if (active[v]) points[v].take(Box::around(end[v]));
         points[v].grow(active[v] ? share_of_room * reach * near_[v] : radius_[v]);  // its ball, now or soon
+        needed[v] = active[v] ? reach * near_[v] : (radius_[v] + norm(end[v] - center_[v])) / share_of_room;
     }
+    const Apart apart(start, end, needed);
     const std::vector<Box> along = joined(points, edges_), over = joined(points, faces_);
     const std::vector<char> active_edges = any_of(active, edges_), active_faces = any_of(active, faces_);
     found.clear();
@@ -174,7 +212,8 @@ bool Guard::pairs(const std::vector<Vec>& start, const std::vector<Vec>& end, co
     to_faces.overlaps(
         [&](std::int32_t v, std::int32_t f) { return share_a_vertex(Triple{v, v, v}, faces_[f]); },
         [&](std::int32_t v, std::int32_t f) {
-            if (found.size() == most || (walls_ && left_alone(walls_of_vertex_[v], {wall_[f]}))) return;
+            if (found.size() == most || apart(std::array<std::int32_t, 1>{v}, faces_[f])) return;
+            if (walls_ && left_alone(walls_of_vertex_[v], {wall_[f]})) return;
             const auto& [a, b, c] = faces_[f];
             found.push_back({{v, a, b, c}, false});
         },
@@ -183,7 +222,8 @@ bool Guard::pairs(const std::vector<Vec>& start, const std::vector<Vec>& end, co
     to_edges.overlaps(
         [&](std::int32_t e, std::int32_t g) { return share_a_vertex(edges_[e], edges_[g]); },
         [&](std::int32_t e, std::int32_t g) {
-            if (found.size() == most || (walls_ && left_alone(walls_of_edge_[e], walls_of_edge_[g]))) return;
+            if (found.size() == most || apart(edges_[e], edges_[g])) return;
+            if (walls_ && left_alone(walls_of_edge_[e], walls_of_edge_[g])) return;
             found.push_back({{edges_[e][0], edges_[e][1], edges_[g][0], edges_[g][1]}, true});
         },
         crowd, [&](std::int32_t e, std::int32_t) { refuse(edges_[e]); });

@@ -55,7 +55,7 @@ class FitSettings(Settings):
         "scale without a prior, the PSF by Adam; to compare with",
     )
     bending: Annotated[float, Field(ge=0)] = Field(
-        default=6.0,
+        default=9.0,
         description="weight of the bending energy, a prior on shape without unit; of 3, 6 and 10, "
         "6 was within a tenth of the best on cow, fish and foams from 10 photons on; 0 is none",
     )
@@ -63,7 +63,7 @@ class FitSettings(Settings):
         default=3.5, description="voxels count up to this many widths from the surface"
     )
     tolerance: Annotated[float, Field(gt=0)] = Field(
-        default=0.02,
+        default=0.01,
         description="the fit ends when no place of the surface would still move by more than this, "
         "in widths of the PSF",
     )

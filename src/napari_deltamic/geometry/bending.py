@@ -10,6 +10,9 @@ from .native import native
 
 # Cotangents beyond these are of slivers, whose curvature says nothing of the surface.
 _LEAST, _LARGEST = -2.0, 4.0
+# Of the mean area of a vertex: one with less, among slivers, would be the stiffer the less the
+# curvature there says of the surface.
+_SMALL = 0.25
 _POINT = 1e-100  # um^2: a surface without area has no curvature
 _NO_AREA = 1e-12  # of the mean area: a face without area has no cotangents
 
@@ -25,7 +28,8 @@ class BendingEnergy:
     Parameters
     ----------
     mesh
-        Its connectivity. Vertices count whose edges all belong to exactly two faces.
+        Its connectivity. Vertices count whose edges all belong to exactly two faces, less where
+        they have hardly any area.
     """
 
     def __init__(self, mesh: Mesh) -> None:
@@ -35,7 +39,9 @@ class BendingEnergy:
         smooth = np.zeros(self._count)
         smooth[mesh.faces.ravel()] = 1.0
         smooth[mesh.edges()[uses != 2].ravel()] = 0.0
-        self._smooth = smooth
+        share = self._at_vertices(np.repeat(mesh.areas() / 3, 3).reshape(-1, 3))
+        least = _SMALL * float(mesh.areas().sum()) / max(np.count_nonzero(share), 1)
+        self._smooth = smooth * np.minimum(1.0, share / max(least, 1e-300)) ** 2
 
     def __call__(self, vertices: FloatArray) -> tuple[float, FloatArray]:
         """The energy and its gradient (V, 3) 1/um, at vertices (V, 3) um."""

@@ -106,7 +106,9 @@ class Curvature:
     def _factor(self, posterior: Posterior, at: Variables) -> None:
         prior, held = posterior.prior, sp.diags(self._free)
         weighted = sp.diags(self._weights) @ self._jacobian
-        bend = prior.stiffness * prior.bending.curvature(at.vertices, self.normals)
+        given = at.vertices, self.normals
+        bend = prior.bending.curvature(*given) + prior.junctions.curvature(*given)
+        bend = prior.stiffness * bend
         matrix = (self._jacobian.T @ weighted + held @ bend @ held).tocsr()
         ridge = _RIDGE * float(matrix.diagonal().mean())
         # Rows of vertices that stay, or that have no normal, are those of a diagonal.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,9 +18,19 @@ from .variables import Variables
 # effects it is. (The prototypes' caps; those of effects are wider than any of them needs.)
 _FAR, _FAR_DENSITY, _FAR_OPTICS, _FAR_EFFECTS = 0.6, 0.5, 0.3, 10.0
 _ARMIJO = 1e-4  # share of the predicted gain that a step must bring (Nocedal & Wright, 2006)
+_HELD = 0.1  # of its step that guard or bounds take from a vertex which counts as held back
 _SHORTER = 6  # times that a step is shortened before the past is forgotten
 
 Limit = Callable[[Variables, Variables], Variables]
+
+
+@dataclass(frozen=True, eq=False)
+class _Cut:
+    """A step, where it ends within guard and bounds, and the slope along that."""
+
+    step: Variables
+    end: Variables
+    slope: float
 
 
 class Descent:
@@ -47,6 +58,10 @@ class Descent:
         self.at, self.now = at, posterior(at)
         self._evaluations += 1
 
+    def take_over(self, other: Descent) -> None:
+        """Go on with what another has learnt of the same unknowns."""
+        self._memory.take_over(other._memory)
+
     def move_to(self, at: Variables, now: Evaluation) -> None:
         """Go on from another place of the same objective."""
         self._memory.forget()
@@ -68,8 +83,7 @@ class Descent:
         """Go one step down; False where none is found."""
         for _ in range(2):
             known = len(self._memory) > 0
-            direction = self.direction()
-            if self._search(direction):
+            if self._search(self._feasible(self.direction())):
                 return True
             if not known:
                 return False
@@ -78,19 +92,50 @@ class Descent:
 
     def direction(self) -> Variables:
         """The step to where the objective is thought to be least."""
-        gradient = self.now.gradient.flat()
-        direction = self._memory.direction(gradient)
-        if float(direction @ gradient) >= 0:
+        return self._direction(self.now.gradient)
+
+    def _direction(self, gradient: Variables) -> Variables:
+        flat = gradient.flat()
+        direction = self._memory.direction(flat)
+        if float(direction @ flat) >= 0:
             self._memory.forget()
-            direction = -self._guess(gradient, self._memory.scale)
+            direction = -self._guess(flat, self._memory.scale)
         return self.at.with_flat(direction)
 
-    def _search(self, direction: Variables) -> bool:
-        share, direction = 1.0, self._capped(direction)
-        start, slope_along = self.at.flat(), direction.flat()
+    def _feasible(self, step: Variables) -> _Cut:
+        """A step that leads down although caps, guard and bounds cut it.
+
+        Where they turn it uphill, vertices that are held back stay, as active bounds do in a
+        projected quasi-Newton method (D. P. Bertsekas, 1982), and the rest finds its own way.
+        """
+        cut = self._cut(self._capped(step))
+        if cut.slope < 0:
+            return cut
+        short = np.linalg.norm(self.at.vertices + cut.step.vertices - cut.end.vertices, axis=1)
+        held = short > _HELD * np.linalg.norm(cut.step.vertices, axis=1)
+        free = np.where(held[:, None], 0.0, 1.0)
+        gradient = replace(self.now.gradient, vertices=free * self.now.gradient.vertices)
+        step = self._direction(gradient)
+        step = replace(step, vertices=free * step.vertices)
+        cut = self._cut(self._capped(step))
+        if cut.slope < 0:
+            return cut
+        # As a whole: all parts keep their proportions, so that it leads down.
+        whole, capped = step.flat(), self._capped(step).flat()
+        moving = np.abs(whole) > 1e-6 * np.abs(whole).max(initial=0.0)
+        share = float((capped[moving] / whole[moving]).min(initial=1.0))
+        return self._cut(self.at.with_flat(share * whole))
+
+    def _cut(self, step: Variables) -> _Cut:
+        end = self._limit(self.at, self.at.with_flat(self.at.flat() + step.flat()))
+        slope = float(self.now.gradient.flat() @ (end.flat() - self.at.flat()))
+        return _Cut(step, end, slope)
+
+    def _search(self, cut: _Cut) -> bool:
+        share, trial = 1.0, cut.end
+        start, direction = self.at.flat(), cut.step.flat()
         gradient = self.now.gradient.flat()
         for _ in range(_SHORTER):
-            trial = self._limit(self.at, self.at.with_flat(start + share * slope_along))
             moved = trial.flat() - start
             predicted = float(gradient @ moved)
             found = self._evaluated(trial)
@@ -106,6 +151,7 @@ class Descent:
             curved = 2 * (gain - predicted)
             better = -predicted / curved if np.isfinite(curved) and curved > 0 else 0.1
             share *= float(np.clip(better, 0.1, 0.5))
+            trial = self._limit(self.at, self.at.with_flat(start + share * direction))
         return False
 
     def _capped(self, step: Variables) -> Variables:

@@ -40,6 +40,11 @@ class Memory:
         """Begin again; the scale stays."""
         self._pairs.clear()
 
+    def take_over(self, other: Memory) -> None:
+        """Go on with what another has learnt of unknowns that are the same."""
+        self._pairs.extend(other._pairs)
+        self.scale = other.scale
+
     def add(self, step: FloatArray, change: FloatArray, free: np.ndarray) -> None:
         """A step that was taken (n,), and the change of the gradient (n,).
 

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from ..fourier.devices import for_objects
 from ..geometry.bending import BendingEnergy
+from ..geometry.junction_bending import JunctionBending
 from ..geometry.mesh import FloatArray
 from ..scene import Renderer
 from ..scene.effects import Effects
@@ -92,7 +93,9 @@ def pose(
     if second is not None:
         views.append(look.second_view(second, at, tempered))
     stiffness = level.settings.bending
-    prior = Prior(BendingEnergy(shape.mesh), stiffness, density, imaging)
+    width = float(np.prod(imaging.optics.sigma_um)) ** (1 / 3)
+    bending = BendingEnergy(shape.mesh), JunctionBending(shape.mesh, width)
+    prior = Prior(*bending, stiffness, density, imaging)
     posterior = Posterior(level, renderer, views, prior, density_fitted)
     firmness = look.firmness(voxels, rendered, found) / variance
     return Posed(posterior, at, renderer, variance, firmness)

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from ..fourier.devices import for_objects, widest
 from ..geometry.bending import BendingEnergy
+from ..geometry.junction_bending import JunctionBending
 from ..geometry.mesh import FloatArray
 from ..optics import Optics
 from ..scene import Renderer
@@ -48,10 +49,10 @@ class Prior:
 
     Attributes
     ----------
-    bending
-        The bending energy of the surface.
+    bending, junctions
+        The bending energies of the surface and of the lines where walls meet.
     stiffness
-        Its weight, a pure number.
+        Their weight, a pure number.
     density
         The densities and their prior.
     imaging
@@ -59,6 +60,7 @@ class Prior:
     """
 
     bending: BendingEnergy
+    junctions: JunctionBending
     stiffness: float
     density: Density
     imaging: Imaging
@@ -244,18 +246,19 @@ class Posterior:
         self, nats: float, by_image: Variables, at: Variables
     ) -> tuple[float, Variables]:
         bend, by_vertices = self._prior.bending(at.vertices)
+        turn, by_lines = self._prior.junctions(at.vertices)
         kappa = self._prior.stiffness
         rough, by_density = self._prior.density.prior(at.density)
         known, by_optics, by_effects = self._imaging.prior(at.optics, at.effects)
         if not self._density_fitted:
             by_density = np.zeros_like(by_density)
         gradient = Variables(
-            by_image.vertices + kappa * by_vertices,
+            by_image.vertices + kappa * (by_vertices + by_lines),
             by_image.density + by_density,
             by_image.optics + by_optics,
             by_image.effects + by_effects,
         )
-        return nats + kappa * bend + rough + known, gradient
+        return nats + kappa * (bend + turn) + rough + known, gradient
 
     def imaging_curvature(self, at: Variables) -> FloatArray:
         """(P + E, P + E) Gauss-Newton second derivatives by PSF and effects.

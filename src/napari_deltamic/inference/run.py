@@ -18,7 +18,6 @@ from . import checkpoint
 from .change import Change
 from .collisions import CollisionGuard
 from .convergence import Patches, Remaining
-from .curvature import finished
 from .density import LIMIT, Density
 from .descent import Descent
 from .health import GrowthAlarm, shrunken, told_shrunken, why_stuck
@@ -39,9 +38,6 @@ from .variables import Variables
 _LEFT_OPEN = ("accuracy", "levels")  # settings that the software may fill in
 _PSF_BELOW = 2.5  # blur, in widths of the PSF, from which on PSF and effects are fitted
 _ALARMS_EVERY = 10  # iterations
-# A finish by Gauss-Newton renders an image for each of some hundred colours and factors a dense
-# matrix: within these, it took about half as long as the descent before.
-_FINISHED_VERTICES, _FINISHED_VOXELS = 4000, 1.1e6
 
 
 class Run:
@@ -144,7 +140,11 @@ class Run:
         self._take_numbers(self.posed.at)
         self.guard.watch(mesh)
         self.patches = Patches(mesh, min(self.optics.sigma_um))
+        before = getattr(self, "descent", None)
         self.descent = Descent(self._metric(self.posed), level.width, self._limited)
+        if before is not None and self._posed_mesh is mesh.faces and self._posed_level is level and before.at.flat().size==self.posed.at.flat().size:
+            self.descent.take_over(before)
+        self._posed_mesh, self._posed_level = mesh.faces, level
         self.descent.begin(self.posed.posterior, self.posed.at)
         value, variance = self.descent.now.value, self.posed.variance
         self.progress = self.progress.posed(value, variance, self.schedule)
@@ -222,26 +222,7 @@ class Run:
                 return False  # rest that comes so soon is of the places that have not changed
             self.due = self._judge()
         self.due = self._try() or self.due
-        if not self.due:
-            self._finish()
         return not self.due
-
-    def _finish(self) -> None:
-        """Gauss-Newton steps to where the objective is least, where they are affordable.
-
-        What an L-BFGS has seen of the curvature is too little to come to rest by: fits of the cow
-        at 40 photons ended 500 nats above it, and their volumes scattered 1.2 times as much as the
-        image demands; 1.0 times after these steps.
-        """
-        mesh, work = self.shape.mesh, self.descent
-        voxels = np.prod(self.level.grid.shape)
-        if len(mesh.vertices) > _FINISHED_VERTICES or voxels > _FINISHED_VOXELS:
-            return
-        given = self.posed.posterior, work.at, mesh
-        done = finished(*given, held=self.shape.pinned, limit=self._limited)
-        work.move_to(done.at, done.now)
-        self.evaluations += done.evaluations
-        self._take_numbers(work.at)
 
     @property
     def _tolerance(self) -> float:
@@ -251,8 +232,10 @@ class Run:
         if self.progress.since_posed < self.schedule.window:
             return Remaining(np.inf, np.inf, 0)
         at, step = self.descent.at.vertices, self.descent.direction().vertices
-        gradient = self.descent.now.gradient.vertices
-        return self.patches.worst(at, step, gradient, self._tolerance)
+        # What the guard holds back has come as far as it can.
+        free = (self.guard.held < self.schedule.held)[:, None]
+        gradient = free * self.descent.now.gradient.vertices
+        return self.patches.worst(at, free * step, gradient, self._tolerance)
 
     def _level_ends(self) -> None:
         if self.trial is not None:
@@ -281,8 +264,13 @@ class Run:
         """Change what only a trial can tell; whether it did."""
         if not self._topology_may_change:
             return False
-        places = self.policy.worth_a_trial(self.shape, max(self.optics.sigma_um))
-        return bool(places) and self._change(places, tried=True)
+        while places := self.policy.worth_a_trial(self.shape, max(self.optics.sigma_um)):
+            known = len(self.policy.hopeless), self.policy.most
+            if self._change(places, tried=True):
+                return True
+            if known == (len(self.policy.hopeless), self.policy.most):
+                break  # nothing was learnt from it
+        return False
 
     def _change(self, places: list[Any], tried: bool) -> bool:
         before = self.shape

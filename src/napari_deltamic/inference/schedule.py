@@ -29,6 +29,8 @@ class Schedule:
         Nats. The last level ends when no patch as wide as the PSF that would move by more than the
         tolerance would gain more: with 0.1, none is further from where it belongs than half of
         its own standard deviation.
+    held
+        Steps in a row after which a vertex that was held back by the guard counts as at rest.
     level_variance
         Share by which the variance of the residuals may change from one objective to the next
         before that counts.
@@ -41,6 +43,7 @@ class Schedule:
     coarse_gain: float = 0.02
     coarse_most: int = 30
     gain: float = 0.1
+    held: int = 3
     level_variance: float = 0.1
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..geometry.mesh import Mesh
+from ..geometry.mesh import OUTSIDE, Mesh
 from ..geometry.topology.small_pieces import small_pieces
 from ..geometry.topology.thin_places import ThinPlace, short_junctions, small_walls, thin_places
 from .local_misfit import Gap, Misfit
@@ -32,10 +32,13 @@ _CERTAIN = 3.0
 # Widths of the PSF: radius of a piece that may vanish, how far around a change it is judged, and
 # how far apart changes are that are judged together.
 _PIECE, BEYOND, _ALONE = 2.0, 2.0, 3.0
+_SEEN = 20.0  # widths squared: area of a slit that is worth a trial (chosen on foams)
+_ONE = 2.0  # distance of two membranes below which they have one peak (Sparrow's criterion)
 SHARP = 2.0  # blur, in widths of the PSF, up to which images can tell what touches what
 _OFTEN = 3  # changes at one place in a fit
 _ALL = 10**6  # places at a time
-_LATE = 3  # times that trials put off the end of a fit
+_KEPT = ("seen", "past", "left_alone", "hopeless")  # lists of places in a checkpoint
+_LATE = 3  # times that trials of which nothing came put off the end of a fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,10 +89,11 @@ class TopologyPolicy:
     surfaces that the guard against collisions keeps apart. Such a change stays unless the image
     near it is explained worse.
 
-    When a fit has settled, it tries what presses nowhere: the narrowest neck or hole goes,
-    neighbours are exchanged at small walls and short junctions, and pieces vanish that are smaller
-    than the PSF, such as gaps that cells enclose. All are tried at once, as far apart as the PSF
-    reaches. A wall or neck stays changed only where the image is explained better by three standard
+    When a fit has settled, it tries what presses nowhere: the narrowest neck or hole goes, slits
+    between cells close that look like one wall, neighbours are exchanged at small walls and
+    short junctions, and pieces vanish that are smaller than the PSF, such as gaps that cells
+    enclose. All are tried at once, as far apart as the PSF
+    reaches. A wall, slit or neck stays changed only where the image is explained better by three standard
     errors; where it says neither, the present shape stays and the place is undecided.
 
     It changes nothing itself: each method gives the policy to go on with.
@@ -98,6 +102,8 @@ class TopologyPolicy:
     ----------
     seen, past, left_alone
         Places of the last look, of all changes, and those that are not changed again.
+    hopeless
+        Places that could not be changed as they were; other shapes of them may be.
     late
         How often the end was put off.
     most
@@ -107,6 +113,7 @@ class TopologyPolicy:
     seen: tuple[ThinPlace, ...] = ()
     past: tuple[ThinPlace, ...] = ()
     left_alone: tuple[ThinPlace, ...] = ()
+    hopeless: tuple[ThinPlace, ...] = ()
     late: int = 0
     most: int = _ALL
 
@@ -131,7 +138,9 @@ class TopologyPolicy:
         mesh, edge = shape.mesh, median_edge(shape.mesh)
         size = max(_SMALL_AT_END * edge, width)
         places = small_pieces(mesh, 4 / 3 * np.pi * (_PIECE * width) ** 3)
-        places += _narrowest(thin_places(mesh, _NARROW * edge, apart=_SAME * edge))
+        thin = thin_places(mesh, max(_NARROW * edge, _ONE * width), apart=_SAME * edge)
+        places += _narrowest([p for p in thin if p.width < _NARROW * edge])
+        places += _slits(thin, _ONE * width, seen=_SEEN * width**2 / edge**2)
         walls = small_walls(mesh, size**2, _CLOSE * edge)
         places += sorted([*walls, *short_junctions(mesh, size)], key=lambda p: p.width)
         chosen: list[ThinPlace] = []
@@ -146,12 +155,12 @@ class TopologyPolicy:
     def changed(self, places: Sequence[ThinPlace], tried: bool) -> TopologyPolicy:
         """Go on after a change."""
         late = self.late + tried
-        return replace(self, past=(*self.past, *places), most=_ALL, late=late)
+        return replace(self, past=(*self.past, *places), hopeless=(), most=_ALL, late=late)
 
     def refused(self, places: Sequence[ThinPlace], hopeless: Sequence[ThinPlace]) -> TopologyPolicy:
         """Go on after a change that could not be made: some spoil it for the others."""
-        alone = (*self.left_alone, *hopeless)
-        return replace(self, left_alone=alone, most=max(1, len(places) // 2))
+        given_up = (*self.hopeless, *hopeless)
+        return replace(self, hopeless=given_up, most=max(1, len(places) // 2))
 
     def judged(self, trial: Trial, gaps: Sequence[Gap]) -> tuple[TopologyPolicy, Judgement]:
         """What becomes of a change, from how much better the image near its places is explained."""
@@ -164,12 +173,13 @@ class TopologyPolicy:
             undone.append(place)
             if gap.nats > -clear:
                 undecided.append(place)
-        policy = replace(self, left_alone=(*self.left_alone, *undone))
+        late = self.late - (trial.tried and bool(kept))  # what was worth it does not count
+        policy = replace(self, left_alone=(*self.left_alone, *undone), late=late)
         return policy, Judgement(tuple(kept), tuple(undone), tuple(undecided))
 
     def restarted(self) -> TopologyPolicy:
-        """Go on with a mesh that was changed from outside."""
-        return replace(self, seen=())
+        """Go on at another level, or with a mesh that was changed from outside."""
+        return replace(self, seen=(), hopeless=())
 
     def _free(self, shape: Shape, places: Sequence[ThinPlace]) -> list[ThinPlace]:
         """Those that are neither pinned nor known to stay."""
@@ -178,7 +188,7 @@ class TopologyPolicy:
         found = []
         for place in places:
             pinned = len(pins) and cKDTree(pins).query(place.points)[0].min() < _SAME * edge
-            alone = any(_same(place, q, edge) for q in self.left_alone)
+            alone = any(_same(place, q, edge) for q in (*self.left_alone, *self.hopeless))
             again = sum(_meet(place, q, edge) for q in self.past) >= _OFTEN
             if not (pinned or alone or again):
                 found.append(place)
@@ -188,13 +198,13 @@ class TopologyPolicy:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values."""
-        lists = {name: _lists(getattr(self, name)) for name in ("seen", "past", "left_alone")}
+        lists = {name: _lists(getattr(self, name)) for name in _KEPT}
         return {**lists, "late": self.late, "most": self.most}
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> TopologyPolicy:
         """What :meth:`to_dict` gave."""
-        lists = {name: _places(values[name]) for name in ("seen", "past", "left_alone")}
+        lists = {name: _places(values.get(name, [])) for name in _KEPT}
         return cls(**lists, late=int(values["late"]), most=int(values["most"]))
 
 
@@ -206,7 +216,7 @@ def may_change(mesh: Mesh) -> bool:
 def _needs_evidence(place: ThinPlace, tried: bool) -> bool:
     """Whether the image must speak for a change: sides that press against each other say enough,
     and a piece smaller than the PSF has none to speak for it."""
-    return tried and not place.volume and not (place.is_thin and len(place.sides) > 1)
+    return tried and not place.volume
 
 
 def _narrowest(places: list[ThinPlace]) -> list[ThinPlace]:
@@ -215,6 +225,13 @@ def _narrowest(places: list[ThinPlace]) -> list[ThinPlace]:
     # The flanks of a neck look like a hole, not the other way round.
     alike = [p for p in alike if p.regions[0]] or alike
     return sorted(alike, key=lambda p: p.width)[:1]
+
+
+def _slits(places: list[ThinPlace], width: float, seen: float) -> list[ThinPlace]:
+    """Gaps between two cells with so many points (about one for each edge length squared)."""
+    pairs = [p for p in places if p.regions == (OUTSIDE,) and len(p.sides) == 2]
+    found = [p for p in pairs if p.width < width and len(p.points) > seen]
+    return sorted(found, key=lambda p: -len(p.points))
 
 
 def _lists(places: Sequence[ThinPlace]) -> list[list[Any]]:
