@@ -88,7 +88,7 @@ class JunctionBending:
         one = vertices[self._middle] - vertices[self._before]
         two = vertices[self._after] - vertices[self._middle]
         first, second = (np.linalg.norm(e, axis=1) for e in (one, two))
-        least = max(_POINT * float(np.concatenate([first, second]).mean()), 1e-300) if len(one) else 1.0
+        least = max(_POINT * float(np.concatenate([first, second, [0.0]]).mean()), 1e-300)
         first, second = np.maximum(first, least), np.maximum(second, least)
         return one / first[:, None], two / second[:, None], first, second
 

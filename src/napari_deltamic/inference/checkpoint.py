@@ -15,6 +15,7 @@ from ..geometry.mesh import Mesh
 from ..reading import json_values, one_reason
 from ..scene.effects import Effects
 from .health import GrowthAlarm
+from .lbfgs import Learnt
 from .schedule import Progress
 from .shape import Shape
 from .topology import TopologyPolicy
@@ -49,6 +50,7 @@ def kept(run: Run) -> dict[str, np.ndarray]:
         "level_optics": run.level_optics.parameters().detach().numpy(),
         "levels": np.array(run.levels),
         "run": np.array(json.dumps(plain)),
+        **_of(run.learnt),
     }
 
 
@@ -99,6 +101,21 @@ def _take_over(run: Run, found: dict[str, np.ndarray]) -> None:
     progress = plain["progress"]
     run.progress = Progress(**{**progress, "values": tuple(progress["values"])})
     run.policy = TopologyPolicy.from_dict(plain["policy"])
+    run.learnt = _learnt(found)
+
+
+def _of(learnt: Learnt | None) -> dict[str, np.ndarray]:
+    if learnt is None or not learnt.pairs:
+        return {}
+    steps, changes = (np.stack(of_all) for of_all in zip(*learnt.pairs, strict=True))
+    return {"steps": steps, "changes": changes, "scale": np.array(learnt.scale)}
+
+
+def _learnt(found: dict[str, np.ndarray]) -> Learnt | None:
+    if "steps" not in found:
+        return None
+    pairs = tuple(zip(found["steps"], found["changes"], strict=True))
+    return Learnt(pairs, float(found["scale"]))
 
 
 def seed(mesh: Mesh) -> np.ndarray:

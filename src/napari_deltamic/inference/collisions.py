@@ -53,6 +53,8 @@ class CollisionGuard:
 
     def watch(self, mesh: Mesh) -> None:
         """Go on with this mesh, which may cross itself."""
+        if len(self.held) != len(mesh.vertices):
+            self.held = np.zeros(len(mesh.vertices), np.int64)
         if self._library is None:
             return
         self._steps = 0
@@ -68,8 +70,6 @@ class CollisionGuard:
             self._crossing.wall,
             np.ascontiguousarray(self._crossing.pairs.reshape(-1), np.uint8),
         )
-        if len(self.held) != len(mesh.vertices):
-            self.held = np.zeros(len(mesh.vertices), np.int64)
         new = self._crossing.regions - self._told
         if new:
             self._told |= new

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from ..choices import DensityModel
 from ..geometry.mesh import FloatArray, Mesh
+from .lbfgs import dot
 from .preconditioner import Preconditioner, adjacency
 
 _LARGEST_ESTIMATE = 1.5  # |log density| that the image at the start may say
@@ -72,7 +73,7 @@ class Density:
         pull = _AWAY * self._pieces * log
         if self.model == "smooth":
             pull = pull + _ROUGH * (self._rough @ log)
-        return 0.5 * float(log @ pull), pull
+        return 0.5 * dot(log, pull), pull
 
     def bounded(self, log: FloatArray) -> FloatArray:
         """The same within the limits, of mean density 1."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..geometry.mesh import FloatArray
-from .lbfgs import Memory
+from .lbfgs import Learnt, Memory, dot
 from .metric import Metric
 from .posterior import Evaluation, Posterior
 from .variables import Variables
@@ -44,11 +44,15 @@ class Descent:
         um: of the blurred PSF.
     limit
         ``limit(start, end)``: as near to the end as guards and bounds allow.
+    learnt
+        What is known from before, of the same unknowns.
     """
 
-    def __init__(self, metric: Metric, width: float, limit: Limit) -> None:
+    def __init__(
+        self, metric: Metric, width: float, limit: Limit, learnt: Learnt | None = None
+    ) -> None:
         self._metric, self._width, self._limit = metric, width, limit
-        self._memory = Memory(self._guess, metric.first_scale)
+        self._memory = Memory(self._guess, metric.first_scale, learnt)
         self._evaluations = 0
 
     def begin(self, posterior: Posterior, at: Variables) -> None:
@@ -58,9 +62,9 @@ class Descent:
         self.at, self.now = at, posterior(at)
         self._evaluations += 1
 
-    def take_over(self, other: Descent) -> None:
-        """Go on with what another has learnt of the same unknowns."""
-        self._memory.take_over(other._memory)
+    def learnt(self) -> Learnt:
+        """What another descent of the same unknowns may begin with."""
+        return self._memory.learnt()
 
     def move_to(self, at: Variables, now: Evaluation) -> None:
         """Go on from another place of the same objective."""
@@ -97,7 +101,7 @@ class Descent:
     def _direction(self, gradient: Variables) -> Variables:
         flat = gradient.flat()
         direction = self._memory.direction(flat)
-        if float(direction @ flat) >= 0:
+        if dot(direction, flat) >= 0:
             self._memory.forget()
             direction = -self._guess(flat, self._memory.scale)
         return self.at.with_flat(direction)
@@ -128,7 +132,7 @@ class Descent:
 
     def _cut(self, step: Variables) -> _Cut:
         end = self._limit(self.at, self.at.with_flat(self.at.flat() + step.flat()))
-        slope = float(self.now.gradient.flat() @ (end.flat() - self.at.flat()))
+        slope = dot(self.now.gradient.flat(), end.flat() - self.at.flat())
         return _Cut(step, end, slope)
 
     def _search(self, cut: _Cut) -> bool:
@@ -137,7 +141,7 @@ class Descent:
         gradient = self.now.gradient.flat()
         for _ in range(_SHORTER):
             moved = trial.flat() - start
-            predicted = float(gradient @ moved)
+            predicted = dot(gradient, moved)
             found = self._evaluated(trial)
             gain = found.value - self.now.value
             down = np.isfinite(found.value) and gain <= _ARMIJO * min(predicted, 0.0)

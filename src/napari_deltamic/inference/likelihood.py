@@ -13,6 +13,8 @@ from ..choices import Likelihood
 from ..fourier.devices import widest
 from ..scene.effects import Camera
 
+_BLOCK = 4096  # values that are added up in one go
+
 
 @dataclass(frozen=True)
 class Match:
@@ -94,7 +96,8 @@ class ImageNoise:
         if residual is not None and noise is not None:
             variance = light + floor
             gain = float(torch.median(noise**2 / variance)) / _MEDIAN
-            error = float((residual**2).mean()) - gain * float(variance.mean())
+            count = max(len(residual), 1)
+            error = float(total(residual**2) - gain * total(variance)) / count
             # What is beyond the range of the image changes no weight.
             floor += min(max(error, 0.0) / max(gain, 1e-300), 1e3 * float(variance.max()))
         return floor / (light + floor)
@@ -119,6 +122,18 @@ def noise_ratio(image: np.ndarray, known: np.ndarray) -> float:
     return voxel_noise(image, known) / float(high - low) if high > low else 0.0
 
 
+def total(values: Tensor) -> Tensor:
+    """The sum of values (N,), to the same bits on every number of threads.
+
+    Blocks are summed on their own and their sums in turn; a sum or a dot product over all is cut
+    where threads meet.
+    """
+    whole = values.numel() - values.numel() % _BLOCK
+    if not whole:
+        return values.sum()
+    return total(values[:whole].view(-1, _BLOCK).sum(1)) + values[whole:].sum()
+
+
 def solve_scale(rendered: Tensor, measured: Tensor, weights: Tensor) -> tuple[float, float, bool]:
     """Amplitude and background of the weighted least squares; whether the bound was met.
 
@@ -136,17 +151,17 @@ def scale_on_device(
     wide = widest(rendered.device)
     tiny = 1e-300 if wide == torch.float64 else 1e-30
     w, m, y = (t.to(wide) for t in (weights, rendered, measured))
-    varies = torch.dot(w, (m - m.mean()) ** 2) > 0
-    total = w.sum().clamp(min=tiny)
-    m, y = m - torch.dot(w, m) / total, y - torch.dot(w, y) / total
+    whole = total(w).clamp(min=tiny)
+    means = total(w * y) / whole, total(w * m) / whole
+    m, y = m - means[1], y - means[0]
     wm = w * m
-    var_m = torch.dot(wm, m).clamp(min=tiny)
-    least = 0.05 * torch.sqrt(torch.dot(w * y, y) / var_m)
-    amplitude = torch.dot(wm, y) / var_m
+    squares = total(wm * m)
+    varies, var_m = squares > 0, squares.clamp(min=tiny)
+    least = 0.05 * torch.sqrt(total(w * y * y) / var_m)
+    amplitude = total(wm * y) / var_m
     bounded = (amplitude < least) | ~varies
     amplitude = torch.where(varies, torch.maximum(amplitude, least), 0.0)
-    means = torch.dot(w, measured.to(wide)), torch.dot(w, rendered.to(wide))
-    return amplitude, (means[0] - amplitude * means[1]) / total, bounded
+    return amplitude, means[0] - amplitude * means[1], bounded
 
 
 def match(rendered: Tensor, measured: Tensor, weights: Tensor) -> tuple[Tensor, Match]:
@@ -159,11 +174,10 @@ def match(rendered: Tensor, measured: Tensor, weights: Tensor) -> tuple[Tensor, 
     wide = widest(rendered.device)
     y, w = measured.to(wide), weights.to(wide)
     residual = a * rendered.to(wide) + (b - y)
-    squares = torch.dot(w, residual**2)
-    total = w.sum().clamp(min=1e-30)
-    centred = y - torch.dot(w, y) / total
+    squares = total(w * residual**2)
+    centred = y - total(w * y) / total(w).clamp(min=1e-30)
     # Above the smallest number of single precision.
-    scale = torch.dot(w, centred**2).clamp(min=1e-30)
+    scale = total(w * centred**2).clamp(min=1e-30)
     told = torch.stack([squares.detach(), squares.detach() / scale, a, b, bounded.to(wide)])
     value, loss, amplitude, background, bound = told.tolist()
     return squares, Match(value, loss, amplitude, background, bool(bound))

@@ -14,6 +14,7 @@ from ..optics import Optics
 from ..scene import render
 from ..scene.effects import Effects
 from ..scene.render import offset
+from .lbfgs import dot
 from .likelihood import ImageNoise, solve_scale
 from .problem import Problem
 from .tempering import tempered_variance
@@ -120,13 +121,13 @@ def gaps(
     for points in places:
         index = _voxels_near(problem, points, reach)
         d, m = (a[tuple(index.T)] for a in (change, mean))
-        power, gap = float(d @ d), float(m @ d)
+        power, gap = dot(d, d), dot(m, d)
         if power == 0:
             found.append(Gap(0.0, 0.0))
             continue
         _, block = np.unique(index // side, axis=0, return_inverse=True)
         left = np.bincount(block.reshape(-1), (m - gap / power * d) * d)
-        error = np.sqrt(max(power * variance, float(left @ left))) / variance
+        error = np.sqrt(max(power * variance, dot(left, left))) / variance
         found.append(Gap(gap / variance, float(error)))
     return found
 

@@ -17,7 +17,7 @@ from ..scene.effects import Effects
 from .density import Density
 from .imaging import Imaging
 from .level import Level, Voxels
-from .likelihood import Match, match
+from .likelihood import Match, match, total
 from .posterior import Posterior, Prior, View
 from .preconditioner import Preconditioner
 from .shape import Shape
@@ -185,7 +185,7 @@ class _Look:
         """
         level = self.level
         values = voxels.of(rendered).clamp(min=0)
-        weight = float((voxels.weights * values).sum() / values.sum().clamp(min=1e-30))
+        weight = float(total(voxels.weights * values) / total(values).clamp(min=1e-30))
         volume = float(np.prod(level.grid.voxel_size))
         width = level.factor * float(np.prod(self.imaging.optics.sigma_um)) ** (1 / 3)
         brightness = found.amplitude * volume * level.volume_ratio

@@ -18,8 +18,9 @@ from ..scene import Renderer
 from ..scene.effects import Effects, OffsetEffect
 from .density import Density
 from .imaging import Imaging, Now, effect_columns, optics_columns
+from .lbfgs import dot
 from .level import Level, Voxels
-from .likelihood import Match, match
+from .likelihood import Match, match, total
 from .variables import Variables
 
 
@@ -239,7 +240,7 @@ class Posterior:
                 found.amplitude,
             )
             columns = [c for e in effects.fitted() for c in effect_columns(now, e)]
-            dots = [float(torch.dot(c.to(pull), pull)) for c in columns]
+            dots = [float(total(c.to(pull) * pull)) for c in columns]
         return np.array(dots) / view.variance
 
     def _with_priors(
@@ -272,9 +273,9 @@ class Posterior:
         columns, image = self.imaging_columns(at)
         own = np.stack([image * root, root], 1)
         jacobian = columns * root[:, None]
-        jacobian = jacobian - own @ np.linalg.lstsq(own, jacobian, rcond=None)[0]
-        found: FloatArray = jacobian.T @ jacobian / view.variance
-        return found + np.diag(self._imaging.prior_curvature())
+        mixed = _products(own, jacobian)
+        free = _products(jacobian, jacobian) - mixed.T @ np.linalg.pinv(_products(own, own)) @ mixed
+        return free / view.variance + np.diag(self._imaging.prior_curvature())
 
     def imaging_columns(self, at: Variables) -> tuple[FloatArray, FloatArray]:
         """(N, P + E) derivatives of the first measured image by PSF and effects, and its rendering.
@@ -313,6 +314,11 @@ def _array(gradient: Tensor | None) -> FloatArray:
     if gradient is None:
         return np.zeros(0)
     return gradient.detach().cpu().numpy().astype(np.float64)
+
+
+def _products(one: FloatArray, other: FloatArray) -> FloatArray:
+    """(i, j) of columns (N, i) and (N, j), to the same bits on every number of threads."""
+    return np.array([[dot(a, b) for b in other.T] for a in one.T])
 
 
 def has_offset(effects: Effects) -> bool:

@@ -22,6 +22,7 @@ from .density import LIMIT, Density
 from .descent import Descent
 from .health import GrowthAlarm, shrunken, told_shrunken, why_stuck
 from .imaging import Imaging
+from .lbfgs import Learnt
 from .level import Level
 from .local_misfit import Misfit, gaps, misfit_of
 from .metric import Metric
@@ -31,7 +32,7 @@ from .problem import Problem
 from .schedule import Progress, Schedule
 from .shape import Shape
 from .state import FitState
-from .topology import BEYOND, SHARP, TRIAL, TopologyPolicy, Trial, may_change
+from .topology import BEYOND, SHARP, TRIAL, TRIAL_AT_MOST, TopologyPolicy, Trial, may_change
 from .upkeep import Upkeep, median_edge
 from .variables import Variables
 
@@ -59,6 +60,7 @@ class Run:
         self.changed_at = 0  # the iteration of the last change: the patience starts anew
         self.level_number = 0
         self.progress = Progress()
+        self.learnt: Learnt | None = None  # while the unknowns are the same
         self.remark = ""  # for the next state
         self.events: tuple[str, ...] = ()
         self.kept: dict[str, np.ndarray] = {}
@@ -72,7 +74,7 @@ class Run:
         resumed = self.iteration > 0
         while self.level_number < len(self.levels):
             if not resumed:
-                self.level_optics, self.progress = self.optics, Progress()
+                self.level_optics, self.progress, self.learnt = self.optics, Progress(), None
             resumed = False
             self._make_level()
             if self.level.usable or self._last:
@@ -140,11 +142,8 @@ class Run:
         self._take_numbers(self.posed.at)
         self.guard.watch(mesh)
         self.patches = Patches(mesh, min(self.optics.sigma_um))
-        before = getattr(self, "descent", None)
-        self.descent = Descent(self._metric(self.posed), level.width, self._limited)
-        if before is not None and self._posed_mesh is mesh.faces and self._posed_level is level and before.at.flat().size==self.posed.at.flat().size:
-            self.descent.take_over(before)
-        self._posed_mesh, self._posed_level = mesh.faces, level
+        known = self.learnt if self.learnt and self.learnt.fits(len(self.posed.at.flat())) else None
+        self.descent = Descent(self._metric(self.posed), level.width, self._limited, known)
         self.descent.begin(self.posed.posterior, self.posed.at)
         value, variance = self.descent.now.value, self.posed.variance
         self.progress = self.progress.posed(value, variance, self.schedule)
@@ -204,6 +203,7 @@ class Run:
         limit = 0.97 * s.strayed_far * self.level.width
         strayed = float((np.linalg.norm(away, axis=1) > limit).mean()) > s.strayed
         self.due = self.progress.since_posed >= s.renewed_every or strayed or not moved
+        self.learnt = self.descent.learnt()
 
     # ------------------------------------------------------------------------------- the end
 
@@ -211,8 +211,8 @@ class Run:
         """Whether the level is done; at the last one, topology is tried before."""
         if not self._last:
             return self.progress.coarse_ends(self.schedule)
-        remaining = self._remaining()
-        if not self.progress.at_rest(remaining, self._tolerance, self.schedule):
+        self.progress = self.progress.looked(self._remaining(), self._tolerance, self.schedule)
+        if not self.progress.at_rest(self.schedule):
             return False
         if not self.progress.settled and self.progress.stuck <= 1:
             self.due = True  # its variance is still that of a surface further off
@@ -253,7 +253,8 @@ class Run:
         if not self._topology_may_change:
             return
         if self.trial is not None:
-            if self.iteration - self.trial.iteration < TRIAL:
+            patience = TRIAL_AT_MOST if self.trial.tried else TRIAL
+            if self.iteration - self.trial.iteration < patience:
                 return
             self._judge()
         self.policy, places = self.policy.pressing(self.shape, self.level.factor)
@@ -323,7 +324,7 @@ class Run:
     # ------------------------------------------------------------------------------ triangles
 
     def _retriangulate(self, shape: Shape) -> None:
-        self.shape = shape
+        self.shape, self.learnt = shape, None
         self.growth = GrowthAlarm(shape.mesh)
 
     def _remesh(self) -> None:
@@ -340,6 +341,7 @@ class Run:
         values = None if log is None else np.ascontiguousarray(done.carried[:, 0])
         self.growth.remeshed(shape.mesh, done.mesh)
         self.shape = shape.retriangulated(done.mesh, None, values).with_pins(done.fixed)
+        self.learnt = None
 
     # ------------------------------------------------------------------------------- changes
 
@@ -359,7 +361,7 @@ class Run:
             self._take_settings(change.settings)
         if change.effects is not None:
             self.effects = self.first_effects = change.effects
-        self.progress, self.due = Progress(), True
+        self.progress, self.learnt, self.due = Progress(), None, True
         if (change.optics, change.settings, change.effects) != (None, None, None):
             self.trial = None  # the image is explained in another way
             blurred_for, self.level_optics = self.level_optics, self.optics

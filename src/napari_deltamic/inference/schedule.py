@@ -29,6 +29,8 @@ class Schedule:
         Nats. The last level ends when no patch as wide as the PSF that would move by more than the
         tolerance would gain more: with 0.1, none is further from where it belongs than half of
         its own standard deviation.
+    rests
+        Iterations in a row for which that must hold: single ones are met by chance.
     held
         Steps in a row after which a vertex that was held back by the guard counts as at rest.
     level_variance
@@ -43,6 +45,7 @@ class Schedule:
     coarse_gain: float = 0.02
     coarse_most: int = 30
     gain: float = 0.1
+    rests: int = 2
     held: int = 3
     level_variance: float = 0.1
 
@@ -65,6 +68,8 @@ class Progress:
         Whether the variance is about that of the objective before.
     stuck
         How often in a row no way down was found.
+    rests
+        How often in a row hardly anything was left to gain.
     """
 
     iterations: int = 0
@@ -73,12 +78,14 @@ class Progress:
     variance: float = 0.0
     settled: bool = False
     stuck: int = 0
+    rests: int = 0
 
     def posed(self, value: float, variance: float, schedule: Schedule) -> Progress:
         """The objective is another one."""
         change = abs(variance / self.variance - 1) if self.variance > 0 else 1.0
         settled = change < schedule.level_variance
-        return replace(self, since_posed=0, values=(value,), variance=variance, settled=settled)
+        new = {"since_posed": 0, "values": (value,), "variance": variance, "rests": 0}
+        return replace(self, **new, settled=settled)
 
     def stepped(self, value: float, moved: bool) -> Progress:
         """One iteration more; whether it found a way down."""
@@ -98,13 +105,12 @@ class Progress:
             return False
         return 1 - self.values[-1] / self.values[-1 - schedule.window] < schedule.coarse_gain
 
-    def at_rest(self, remaining: Remaining, tolerance: float, schedule: Schedule) -> bool:
-        """Whether hardly anything is to be gained any more.
+    def looked(self, remaining: Remaining, tolerance: float, schedule: Schedule) -> Progress:
+        """Whether hardly anything is left to gain has been looked at. tolerance : um."""
+        little = remaining.move <= tolerance or remaining.gain <= schedule.gain
+        rests = little and self.since_posed >= schedule.window
+        return replace(self, rests=self.rests + 1 if rests else 0)
 
-        tolerance : um.
-        """
-        if self.stuck > 1:
-            return True
-        if self.since_posed < schedule.window:
-            return False
-        return remaining.move <= tolerance or remaining.gain <= schedule.gain
+    def at_rest(self, schedule: Schedule) -> bool:
+        """Whether it is time to end."""
+        return self.stuck > 1 or self.rests >= schedule.rests

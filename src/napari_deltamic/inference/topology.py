@@ -27,6 +27,7 @@ _SAME = 2.5  # places nearer to each other than this are the same place
 # Counts and others:
 _WIDENS = 1.2  # a place that has become this much wider since it was last seen is left alone
 TRIAL = 12  # iterations after which a change is judged, if the fit has not come to rest before
+TRIAL_AT_MOST = 40  # the same where the image alone decides: what has not relaxed tells too little
 # Standard errors of their log likelihood gap by which two shapes must differ to be told apart.
 _CERTAIN = 3.0
 # Widths of the PSF: radius of a piece that may vanish, how far around a change it is judged, and
@@ -90,11 +91,11 @@ class TopologyPolicy:
     near it is explained worse.
 
     When a fit has settled, it tries what presses nowhere: the narrowest neck or hole goes, slits
-    between cells close that look like one wall, neighbours are exchanged at small walls and
-    short junctions, and pieces vanish that are smaller than the PSF, such as gaps that cells
-    enclose. All are tried at once, as far apart as the PSF
-    reaches. A wall, slit or neck stays changed only where the image is explained better by three standard
-    errors; where it says neither, the present shape stays and the place is undecided.
+    between cells close that look like one wall, neighbours are exchanged at small walls and short
+    junctions, and pieces vanish that are smaller than the PSF, such as gaps that cells enclose. All
+    are tried at once, as far apart as the PSF reaches. A wall, slit or neck stays changed only
+    where the image is explained better by three standard errors; where it says neither, the present
+    shape stays and the place is undecided.
 
     It changes nothing itself: each method gives the policy to go on with.
 
@@ -138,7 +139,8 @@ class TopologyPolicy:
         mesh, edge = shape.mesh, median_edge(shape.mesh)
         size = max(_SMALL_AT_END * edge, width)
         places = small_pieces(mesh, 4 / 3 * np.pi * (_PIECE * width) ** 3)
-        thin = thin_places(mesh, max(_NARROW * edge, _ONE * width), apart=_SAME * edge)
+        reach = max(_NARROW * edge, _ONE * width)
+        thin = thin_places(mesh, reach, _SAME * edge, _neck_or_slit)
         places += _narrowest([p for p in thin if p.width < _NARROW * edge])
         places += _slits(thin, _ONE * width, seen=_SEEN * width**2 / edge**2)
         walls = small_walls(mesh, size**2, _CLOSE * edge)
@@ -227,9 +229,13 @@ def _narrowest(places: list[ThinPlace]) -> list[ThinPlace]:
     return sorted(alike, key=lambda p: p.width)[:1]
 
 
+def _neck_or_slit(region: int, sides: tuple[int, ...]) -> bool:
+    return len(sides) == 1 or region == OUTSIDE
+
+
 def _slits(places: list[ThinPlace], width: float, seen: float) -> list[ThinPlace]:
     """Gaps between two cells with so many points (about one for each edge length squared)."""
-    pairs = [p for p in places if p.regions == (OUTSIDE,) and len(p.sides) == 2]
+    pairs = [p for p in places if len(p.sides) == 2]
     found = [p for p in pairs if p.width < width and len(p.points) > seen]
     return sorted(found, key=lambda p: -len(p.points))
 

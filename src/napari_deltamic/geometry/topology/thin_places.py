@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,7 +62,12 @@ class ThinPlace:
         return mean
 
 
-def thin_places(mesh: Mesh, reach: float, apart: float | None = None) -> list[ThinPlace]:
+def thin_places(
+    mesh: Mesh,
+    reach: float,
+    apart: float | None = None,
+    wanted: Callable[[int, tuple[int, ...]], bool] | None = None,
+) -> list[ThinPlace]:
     """Places where a region is thinner than ``reach`` um.
 
     The corner between two walls along the junction in which they meet is none.
@@ -74,6 +80,8 @@ def thin_places(mesh: Mesh, reach: float, apart: float | None = None) -> list[Th
         um; well below the length of the edges.
     apart
         um: what lies further away is another place. Default: five times the reach.
+    wanted
+        ``wanted(region, sides)``: whether such places are looked for. Default: all are.
     """
     found = _facing(mesh, reach)
     if not len(found.points):
@@ -83,13 +91,15 @@ def thin_places(mesh: Mesh, reach: float, apart: float | None = None) -> list[Th
         np.column_stack([found.region, np.sort(found.sides, axis=1)]), axis=0, return_inverse=True
     )
     for k, (region, one, other) in enumerate(names.tolist()):
+        sides = tuple(sorted({one, other}))
+        if wanted is not None and not wanted(region, sides):
+            continue
         own = np.flatnonzero(group.reshape(-1) == k)
         for part in _near_each_other(found.points[own], 5 * reach if apart is None else apart):
             rows = own[part]
             if len(np.unique(found.vertex[rows])) < _FEWEST:
                 continue
             width = float(found.width[rows].mean())
-            sides = tuple(sorted({one, other}))
             places.append(ThinPlace((region,), sides, found.points[rows], width))
     return places
 
