@@ -15,7 +15,7 @@ namespace deltamic_checks {
 template <class T>
 using Array = nanobind::ndarray<T, nanobind::c_contig, nanobind::device::cpu>;
 
-constexpr double farthest = 1e12;             // um: products of three such lengths are still numbers
+constexpr double farthest = 1e15;             // um: products of three such lengths are still numbers
 constexpr std::int64_t most_rows = 1 << 30;   // indices of edges, three to a face, fit 32 bits
 constexpr int most_threads = 1024;
 

@@ -63,7 +63,7 @@ def flip_of(mesh):
     return made
 
 
-@pytest.mark.parametrize(("half", "photons"), [(0.55, 40), (0.68, 2000), (0.9, 2000)])
+@pytest.mark.parametrize(("half", "photons"), [(0.55, 40), (0.6, 2000), (0.9, 2000)])
 def test_a_wrong_neighbour_is_exchanged(half, photons):
     truth = five(half)
     states, told = fitted(truth, flip_of(truth), photons)

@@ -10,6 +10,7 @@ from ..geometry.mesh import Mesh
 
 _GROWTH = 2.5  # times the area that the region's typical face grew: more than a sphere needs to
 # become a cow (1.1), less than a cell that swallows a neighbour through a neck
+_POINT = 3.0  # widths of the PSF across
 _EXPLAINS_NOTHING = 0.03  # of the image: no more, and nothing was found
 
 
@@ -60,11 +61,13 @@ class GrowthAlarm:
 
 
 def shrunken(mesh: Mesh, width: float) -> list[int]:
-    """Regions with less surface than a sphere as wide across as the PSF, um: no more than points,
-    which say nothing about a shape."""
+    """Regions with less surface than a sphere three widths of the PSF across, um: no more than
+    points, which say nothing about a shape (at 2.4 widths opposite membranes have one peak)."""
     areas = mesh.areas()
     regions = (int(r) for r in np.unique(mesh.regions) if r)
-    return [r for r in regions if areas[(mesh.regions == r).any(1)].sum() < pi * width**2]
+    return [
+        r for r in regions if areas[(mesh.regions == r).any(1)].sum() < pi * (_POINT * width) ** 2
+    ]
 
 
 def why_stuck(explained: float, bounded: bool, points: list[int], cells: int) -> str:

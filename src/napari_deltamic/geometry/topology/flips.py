@@ -177,7 +177,14 @@ def _with_wall(mesh: Mesh, place: ThinPlace, apart: float) -> Change | None:
             draft.patch([number[u][j], number[u][k], number[w][k]], pair)
             draft.patch([number[u][j], number[w][k], number[w][j]], pair)
     draft.patch(number[line[-1]], {reaching, reached})
-    places = [vertices[v] + apart * _into(mesh, v, line, wall) for v in line for wall in walls]
+    # A junction that has collapsed is drawn out, or the tube has no length.
+    way = _way(mesh, line, place)
+    length = float(np.linalg.norm(vertices[line[-1]] - vertices[line[0]]))
+    longer = max(apart - length, 0.0) * way
+    along = {v: (k / (len(line) - 1) - 0.5) * longer for k, v in enumerate(line)}
+    places = [
+        vertices[v] + along[v] + apart * _into(mesh, v, way, wall) for v in line for wall in walls
+    ]
     return draft.change(np.concatenate([vertices, places]))
 
 
@@ -226,11 +233,23 @@ def _beyond(mesh: Mesh, vertex: int, three: frozenset[int]) -> int | None:
     return found[0] if len(found) == 1 else None
 
 
-def _into(mesh: Mesh, vertex: int, line: list[int], wall: frozenset[int]) -> FloatArray:
+def _way(mesh: Mesh, line: list[int], place: ThinPlace) -> FloatArray:
+    """Unit vector along a junction, from the region at its one end to that at the other.
+
+    Not from its vertices alone, which say nothing where it has collapsed.
+    """
+    centers = []
+    for end, region in zip((line[0], line[-1]), place.sides, strict=True):
+        rows = (mesh.faces == end).any(1) & (mesh.regions == region).any(1)
+        centers.append(mesh.vertices_numpy()[mesh.faces[rows]].mean((0, 1)))
+    way = centers[1] - centers[0]
+    unit: FloatArray = way / max(float(np.linalg.norm(way)), 1e-300)
+    return unit
+
+
+def _into(mesh: Mesh, vertex: int, along: FloatArray, wall: frozenset[int]) -> FloatArray:
     """Unit vector from a vertex of a junction into one of its walls, across the junction."""
     vertices = mesh.vertices_numpy()
-    along = vertices[line[-1]] - vertices[line[0]]
-    along = along / max(float(np.linalg.norm(along)), 1e-300)
     rows = (mesh.faces == vertex).any(1) & (np.sort(mesh.regions, 1) == sorted(wall)).all(1)
     way = vertices[mesh.faces[rows]].mean((0, 1)) - vertices[vertex]
     way = way - (way @ along) * along
