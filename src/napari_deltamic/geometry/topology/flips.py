@@ -6,8 +6,9 @@ Nothing but the faces at that place changes, unlike in :mod:`.rearranging`.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from itertools import pairwise, product
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -16,6 +17,8 @@ from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
 from napari_deltamic.geometry.topology.part import Change, Part, stayed
 from napari_deltamic.geometry.topology.thin_places import ThinPlace
 
+_Flip = Callable[[Mesh, ThinPlace, float], Change | None]
+_Way = Callable[[Mesh, list[int], ThinPlace], FloatArray]
 _OPENED = (0.3, 0.12)  # edge lengths by which sides are drawn apart; the second where they cross
 
 
@@ -35,8 +38,11 @@ def flipped(part: Part, place: ThinPlace, edge: float) -> Iterator[Change]:
     edge
         um: the edge length of the mesh.
     """
-    change = _without_wall if len(place.regions) == 2 else _with_wall
-    for share in _OPENED:
+    changes: tuple[_Flip, ...] = (_without_wall,)
+    if len(place.regions) == 3:
+        # A junction that has collapsed has no direction of its own; its ends have.
+        changes = partial(_with_wall, way_of=_along), partial(_with_wall, way_of=_from_end_to_end)
+    for share, change in product(_OPENED, changes):
         made = change(part.mesh, place, share * edge)
         if made is not None:
             yield made
@@ -139,8 +145,11 @@ def _normals_from(mesh: Mesh, wall: IntArray, own: IntArray, region: int) -> Flo
 # --------------------------------------------------------------------------- a wall appears
 
 
-def _with_wall(mesh: Mesh, place: ThinPlace, apart: float) -> Change | None:
-    """The junction of three cells becomes a tube, in which one of its ends reaches the other."""
+def _with_wall(mesh: Mesh, place: ThinPlace, apart: float, *, way_of: _Way) -> Change | None:
+    """The junction of three cells becomes a tube, in which one of its ends reaches the other.
+
+    way_of : gives the direction of the tube.
+    """
     line = _line(mesh, place)
     if line is None:
         return None
@@ -178,7 +187,7 @@ def _with_wall(mesh: Mesh, place: ThinPlace, apart: float) -> Change | None:
             draft.patch([number[u][j], number[w][k], number[w][j]], pair)
     draft.patch(number[line[-1]], {reaching, reached})
     # A junction that has collapsed is drawn out, or the tube has no length.
-    way = _way(mesh, line, place)
+    way = way_of(mesh, line, place)
     length = float(np.linalg.norm(vertices[line[-1]] - vertices[line[0]]))
     longer = max(apart - length, 0.0) * way
     along = {v: (k / (len(line) - 1) - 0.5) * longer for k, v in enumerate(line)}
@@ -233,11 +242,15 @@ def _beyond(mesh: Mesh, vertex: int, three: frozenset[int]) -> int | None:
     return found[0] if len(found) == 1 else None
 
 
-def _way(mesh: Mesh, line: list[int], place: ThinPlace) -> FloatArray:
-    """Unit vector along a junction, from the region at its one end to that at the other.
+def _along(mesh: Mesh, line: list[int], _: ThinPlace) -> FloatArray:
+    """Unit vector along a junction, from its first vertex to its last."""
+    first, last = mesh.vertices_numpy()[[line[0], line[-1]]]
+    unit: FloatArray = (last - first) / max(float(np.linalg.norm(last - first)), 1e-300)
+    return unit
 
-    Not from its vertices alone, which say nothing where it has collapsed.
-    """
+
+def _from_end_to_end(mesh: Mesh, line: list[int], place: ThinPlace) -> FloatArray:
+    """Unit vector along a junction, from the region at its one end to that at the other."""
     centers = []
     for end, region in zip((line[0], line[-1]), place.sides, strict=True):
         rows = (mesh.faces == end).any(1) & (mesh.regions == region).any(1)
