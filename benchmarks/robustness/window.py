@@ -67,7 +67,7 @@ def play(seed: int, count: int, *, display: bool = False) -> tuple[dict[str, int
         return {}, [f"seed {seed}: hangs after {last}"]
     lines = done.stdout.splitlines()
     troubles = [f"seed {seed}: {json.loads(line[6:])}" for line in lines if line[:6] == "wrong "]
-    if "Timeout (" in done.stderr:
+    if "Timeout (" in done.stderr and troubles:
         troubles.append(done.stderr[done.stderr.index("Timeout (") :][:3000])
     ends = [json.loads(line[4:]) for line in lines if line[:4] == "did "]
     if done.returncode or not ends:

@@ -65,6 +65,16 @@ def test_without_cholespy_the_solution_is_the_same(monkeypatch):
     assert made[0].nnz < 0.7 * splu(matrix.tocsc(), permc_spec="COLAMD").nnz
 
 
+@pytest.mark.parametrize("large", [False, True])
+def test_a_large_matrix_does_not_hold_up_the_window(matrix, monkeypatch, large):
+    made = []
+    monkeypatch.setattr(factors, "_cholesky", lambda matrix: made.append(matrix))
+    monkeypatch.setattr(factors, "MOST_HELD", 4 if large else 5)
+    b = torch.arange(15.0, dtype=torch.float64).reshape(5, 3)
+    torch.testing.assert_close(torch.from_numpy(matrix @ factors.on_host(matrix)(b).numpy()), b)
+    assert bool(made) != large
+
+
 def test_solves_on_the_device(matrix, cholespy):
     b = torch.randn(3, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(0)).T
     found = factors.on_device(matrix, GPU)(b)

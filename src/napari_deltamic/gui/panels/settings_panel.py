@@ -163,7 +163,7 @@ class SettingsPanel(QGroupBox):
         for name in _RARE:
             inner.addRow(name.replace("_", " "), getattr(self, name))
         for name in ("remesh", "collisions", "topology"):
-            inner.addRow("", self.switches[name])
+            inner.addRow(self.switches[name])  # across both columns: a narrow dock has no room
         return rest
 
     def _show_choices(self) -> None:

@@ -33,6 +33,7 @@ class Contours:
             ndim=3,
             name=name,
             vector_style="line",
+            opacity=1.0,
             blending="translucent_no_depth",
             metadata={OWN: {"fit": True}},
             **frame.layer_options(),
