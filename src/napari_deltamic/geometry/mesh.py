@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from napari_deltamic.errors import InputError
 
+from .pairs import unique_pairs
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
@@ -68,10 +70,7 @@ class _Connectivity:
     @cached_property
     def interfaces(self) -> tuple[IntArray, IntArray]:
         # Larger number first, so that both ways of writing a wall are one interface.
-        pairs, index = np.unique(
-            np.sort(self.regions, axis=1)[:, ::-1], axis=0, return_inverse=True
-        )
-        return pairs, index.reshape(-1).astype(np.int64)
+        return unique_pairs(np.sort(self.regions, axis=1)[:, ::-1])
 
     @cached_property
     def edges(self) -> tuple[IntArray, IntArray]:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...geometry import Mesh
+from ...geometry.pairs import unique_pairs
 from .frame import OWN
 
 COPIES = "copies"  # key under OWN: of which vertices those after the first V are copies
@@ -40,7 +41,7 @@ class Apart:
         """Copies of the vertices where surfaces between other regions meet."""
         n = len(mesh.vertices)
         sides = np.sort(mesh.regions, axis=1)
-        pairs, pair = np.unique(sides, axis=0, return_inverse=True)
+        pairs, pair = unique_pairs(sides)
         key = mesh.faces * len(pairs) + pair.reshape(-1, 1)
         keys, drawn = np.unique(key, return_inverse=True)
         vertex, which = np.divmod(keys, len(pairs))
