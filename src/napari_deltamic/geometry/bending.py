@@ -40,7 +40,7 @@ class BendingEnergy:
         smooth[mesh.faces.ravel()] = 1.0
         smooth[mesh.edges()[uses != 2].ravel()] = 0.0
         share = self._at_vertices(np.repeat(mesh.areas() / 3, 3).reshape(-1, 3))
-        least = _SMALL * float(mesh.areas().sum()) / max(np.count_nonzero(share), 1)
+        least = _SMALL * float(mesh.areas().sum()) / max(int(np.count_nonzero(share)), 1)
         self._smooth = smooth * np.minimum(1.0, share / max(least, 1e-300)) ** 2
 
     def __call__(self, vertices: FloatArray) -> tuple[float, FloatArray]:

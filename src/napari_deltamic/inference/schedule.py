@@ -84,8 +84,8 @@ class Progress:
         """The objective is another one."""
         change = abs(variance / self.variance - 1) if self.variance > 0 else 1.0
         settled = change < schedule.level_variance
-        new = {"since_posed": 0, "values": (value,), "variance": variance, "rests": 0}
-        return replace(self, **new, settled=settled)
+        begun = replace(self, since_posed=0, values=(value,), rests=0)
+        return replace(begun, variance=variance, settled=settled)
 
     def stepped(self, value: float, moved: bool) -> Progress:
         """One iteration more; whether it found a way down."""
