@@ -16,7 +16,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
-from types import SimpleNamespace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +33,6 @@ from napari_deltamic.geometry.topology.thin_places import (
 )
 from napari_deltamic.inference.collisions import CollisionGuard
 from napari_deltamic.inference.health import GrowthAlarm, shrunken
-from napari_deltamic.inference.local_misfit import _sum_near
 from napari_deltamic.inference.topology import _meet
 from napari_deltamic.inference.upkeep import median_edge
 from napari_deltamic.measure import measure_cells
@@ -166,9 +164,6 @@ def operations(cells: int, seed: int, only: list[str] | None) -> dict[str, float
     add("measure cells", lambda: measure_cells(mesh))
     places = _made_up(mesh, seed)
     add("places that meet", lambda: [[_meet(p, q, edge) for p in places[::10]] for q in places])
-    run = SimpleNamespace(grid=SimpleNamespace(origin=(0.0,) * 3, voxel_size=(1.0,) * 3))
-    image = foam.labels.astype(np.float64)
-    add("sums near places", lambda: [_sum_near(image, run, p.points, 4.0) for p in places[:50]])
     if cells > 1:
         flips = small_walls(mesh, 16 * edge**2)[:1]
         add("give way: a small wall", lambda: give_way(mesh, flips, edge), 1)

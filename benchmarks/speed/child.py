@@ -41,6 +41,9 @@ def fit(job: Values, given: Arrays) -> tuple[Values, Arrays]:
     state = course.follow(states)
     values: Values = {"seconds": course.seconds, "cpu": course.cpu, **_described(state)}
     values["snapshot_seconds"] = course.kept_at
+    if job.get("predict"):
+        grid = _grid(job, given["image"].shape)
+        values["volume_sd"] = _volume_sd(given, grid, state, _settings(job))
     arrays = _as_arrays(state.mesh, "mesh")
     for number, mesh in enumerate(course.kept):
         arrays |= _as_arrays(mesh, f"snapshot{number}")
@@ -94,17 +97,17 @@ def _described(state: Any) -> Values:
         "converged": bool(state.converged),
         "message": state.message,
         "sigma": None if widths is None else [float(w) for w in widths],
-        "volume_sd": _volume_sd(state),
     }
 
 
-def _volume_sd(state: Any) -> float | None:
-    """um^3: the standard deviation of the volume that the fit predicts, where it predicts one.
-
-    Looked for as a method of the state: ``state.volume_sd() -> {region: um^3}``.
-    """
-    predict = getattr(state, "volume_sd", None)
-    return None if predict is None else float(next(iter(predict().values())))
+def _volume_sd(given: Arrays, grid: Any, state: Any, settings: Any) -> float | None:
+    """um^3: the standard deviation of the volume that the fit predicts; None where it does not."""
+    try:
+        predict = _from("inference.errors_of_measures").predicted_volume_sd
+    except ModuleNotFoundError:
+        return None
+    found = predict(given["image"], grid, state, settings)
+    return float(next(iter(found.values())).sandwich)
 
 
 def _pushed(mesh: Any, points: Any, by: float, radius: float) -> Any:

@@ -25,7 +25,8 @@ def scatter(bench: Bench) -> list[Line]:
     count = 6 if bench.quick else DRAWS
     for draw in range(count):
         image = noisy(clean, PHOTONS, bench.seed + draw)
-        pair = bench.both(fit_job(f"draw {draw}", image, GRID.voxel_size, SIGMA, begin))
+        job = fit_job(f"draw {draw}", image, GRID.voxel_size, SIGMA, begin, predict=True)
+        pair = bench.both(job)
         for side, each in pair.each.items():
             outcomes[side] += [o for o in each if not o.failed]
     found = [_of(outcomes[side]) for side in SIDES]
