@@ -9,7 +9,7 @@ their normal equations. Densities are held, and so is all that moves vertices al
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -22,7 +22,7 @@ from .convergence import vertex_normals
 from .factors import on_host
 from .likelihood import solve_scale
 from .normal_jacobian import Colouring, normal_jacobian
-from .posterior import Evaluation, Posterior
+from .posterior import Posterior
 from .variables import Variables
 
 # What is affordable: 154 colours of a 64^3 image took 2 s, most of it in transforms, or 50 ns for
@@ -31,12 +31,8 @@ _MOST_WORK = 1e9  # colours times voxels of the grid
 _MOST_VERTICES = 20_000
 _DENSE = 4_000  # vertices: up to here LAPACK is faster than a sparse factor (a row has hundreds)
 _RIDGE = 1e-9  # of the mean diagonal: for vertices that no voxel sees and no prior holds
-_HALVINGS = 6
-_ARMIJO = 1e-4  # share of the predicted gain that a step must bring (Nocedal & Wright, 2006)
-_FAR = 0.6  # widths of the PSF that a vertex may move in one step; the images are not linear beyond
 
 Solve = Callable[[FloatArray], FloatArray]
-Limit = Callable[[Variables, Variables], Variables]
 
 
 @dataclass(frozen=True)
@@ -219,88 +215,6 @@ def _factored(matrix: sp.csr_matrix) -> Solve:
         return lambda right: cho_solve(factor, right)
     solver = on_host(matrix.tocoo())
     return lambda right: solver(torch.from_numpy(right)).numpy()
-
-
-@dataclass(frozen=True, eq=False)
-class Finish:
-    """Where a fit ends when it goes on by Newton's method.
-
-    Attributes
-    ----------
-    at, now
-        Where, and the objective there.
-    gains
-        Nats of each step.
-    curvature
-        As it was where the steps began; the surface moved by less than the images are linear.
-    evaluations
-        Of the objective, those of the curvature not counted.
-    """
-
-    at: Variables
-    now: Evaluation
-    gains: tuple[float, ...]
-    curvature: Curvature
-    evaluations: int
-
-
-def finished(
-    posterior: Posterior,
-    at: Variables,
-    mesh: Mesh,
-    *,
-    held: np.ndarray | None = None,
-    limit: Limit | None = None,
-    steps: int = 4,
-    gain: float = 0.05,
-) -> Finish:
-    """Gauss-Newton steps from the end of a descent; one factorisation serves them all.
-
-    Parameters
-    ----------
-    posterior, at, mesh, held
-        See :class:`Curvature`.
-    limit
-        ``limit(start, end)``: as near to the end as guards and bounds allow.
-    steps
-        How many at most.
-    gain
-        Nats: they end where less is to be gained.
-
-    Raises
-    ------
-    InputError
-        If the curvature is not affordable.
-    """
-    curvature = Curvature(posterior, at, mesh, held)
-    widths = np.asarray(posterior.prior.imaging.optics.sigma_um)
-    far = _FAR * posterior.level.factor * float(widths.min())
-    now, gains, evaluations = posterior(at), [], 1
-    for _ in range(steps):
-        step = _capped(curvature.newton_step(now.gradient), far)
-        if -0.5 * float(now.gradient.flat() @ step.flat()) < gain:
-            break
-        found = None
-        for halving in range(_HALVINGS):
-            end = at.with_flat(at.flat() + 0.5**halving * step.flat())
-            end = end if limit is None else limit(at, end)
-            predicted = float(now.gradient.flat() @ (end.flat() - at.flat()))
-            found = posterior(end)
-            evaluations += 1
-            if predicted < 0 and found.value - now.value <= _ARMIJO * predicted:
-                break
-            found = None
-        if found is None:
-            break
-        gains.append(now.value - found.value)
-        at, now = end, found
-    return Finish(at, now, tuple(gains), curvature, evaluations)
-
-
-def _capped(step: Variables, far: float) -> Variables:
-    """No vertex moves further than the images are linear."""
-    length = np.linalg.norm(step.vertices, axis=1, keepdims=True)
-    return replace(step, vertices=step.vertices / np.maximum(length / far, 1.0))
 
 
 def volume_gradient(mesh: Mesh, region: int) -> FloatArray:
