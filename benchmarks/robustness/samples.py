@@ -20,6 +20,10 @@ from napari_deltamic.images import read_image, write_image
 from napari_deltamic.inference import fit
 from napari_deltamic.optics_settings import optics_from_toml
 from napari_deltamic.report import History
+from napari_deltamic.scene import render_scene
+from napari_deltamic.scene.effects import Effects
+from napari_deltamic.scene.scene_file import load_scene, save_scene
+from napari_deltamic.scene.structures import Filament, Points, Solid, Surface
 from napari_deltamic.session_file import (
     SavedImage,
     SavedLayer,
@@ -98,8 +102,17 @@ def samples(folder: Path) -> dict[str, tuple[Path, Reader]]:
     found["checkpoint"] = folder / "state.npz", resume
     save_session(folder / "all.deltamic", session(last, run, pixels))
     found["session"] = folder / "all.deltamic", lambda p: load_session(p).result.state.rendered()  # type: ignore[union-attr]
+    save_scene(scene(), folder / "scene.zip")
+    found["scene"] = folder / "scene.zip", lambda p: render_scene(load_scene(p), GRID, 1e-2)
     _tracks(folder / "tracks", found)
     return found
+
+
+def scene() -> nd.Scene:
+    """With a structure of every kind."""
+    path = np.array([[0.5, 0.5, 0.5], [1.5, 1.0, 1.5]])
+    structures = (Surface(start()), Solid(start()), Filament(path), Points(path))
+    return nd.Scene(structures, OPTICS, Effects.of("pixel_integration"))
 
 
 def settings(folder: Path) -> RunSettings:

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 import napari_deltamic as nd
-from napari_deltamic.errors import InputError
+from napari_deltamic.errors import InputError, RepairWarning
 from napari_deltamic.geometry import mesh_from_labels, sphere
 from napari_deltamic.geometry.labels.repair import label_boxes, repair_labels
 from napari_deltamic.geometry.labels.voxels import voxel_labels
 from napari_deltamic.geometry.remeshing import can_remesh
 from napari_deltamic.geometry.windings import fix_windings
+from napari_deltamic.scene.structures import Points, Solid
 
 LARGE = 2**35 + 3
 
@@ -94,3 +95,18 @@ def test_what_cannot_be_computed_with_is_refused():
         nd.Grid((3, 3, 3), (1e-320, 1, 1))
     with pytest.raises(InputError, match="origin"):
         nd.Grid((3, 3, 3), (1, 1, 1), (1e300, 0, 0))
+
+
+def test_scenes_that_cannot_be_computed_with_are_refused():
+    mesh = sphere((0, 0, 0), 1.0, edge_length=0.6)
+    with pytest.raises(InputError, match="finite"):
+        Solid(mesh, 1e308)
+    with pytest.raises(InputError, match="finite"):
+        Points(np.array([[0, 1e300, 0]]))
+    with pytest.raises(InputError, match="sigma must be positive"):
+        nd.GaussianPSF(1e300)
+    with pytest.raises(InputError, match="numbers of shape"):
+        nd.Mesh(np.array(mesh.vertices, complex), mesh.faces)
+    turned = nd.Mesh(mesh.vertices, mesh.faces[:, ::-1], mesh.regions)
+    with pytest.warns(RepairWarning, match="inside-out"):
+        assert Solid(turned).mesh.region_volume(1) > 0

@@ -10,7 +10,7 @@ import argparse
 import logging
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from typing import NoReturn
 
@@ -31,6 +31,8 @@ class _Parser(argparse.ArgumentParser):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line (of this process by default); returns the exit code."""
+    with suppress(AttributeError):  # a table with a sign that stdout has not is still a table
+        sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     try:
         arguments = build_parser().parse_args(argv)
     except SystemExit as stop:  # after --help and --version

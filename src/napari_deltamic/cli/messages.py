@@ -102,6 +102,7 @@ def tell(path: object) -> None:
     """
     try:
         try:
+            str(path).encode(getattr(sys.stdout, "encoding", None) or "utf-8")
             print(path, flush=True)
         except UnicodeEncodeError:  # a name that is no text here; its bytes are
             sys.stdout.flush()

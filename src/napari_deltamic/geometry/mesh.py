@@ -349,6 +349,8 @@ def _checked_vertices(vertices: Any) -> Any:
     """Vertices as a float64 array (a copy), or the tensor itself, with finite values."""
     if not is_tensor(vertices):
         try:
+            if np.iscomplexobj(vertices):
+                raise TypeError("complex numbers")
             vertices = np.array(vertices, dtype=np.float64)
         except (TypeError, ValueError) as error:
             raise InputError("vertices must be numbers of shape (n, 3)") from error

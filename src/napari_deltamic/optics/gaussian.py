@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from ..errors import InputError
+from ..geometry.mesh import FARTHEST
 from .parameters import RANGE, Parameter
 
 
@@ -181,7 +182,7 @@ def _checked_sigma(sigma: float | Sequence[float] | np.ndarray | Tensor) -> Tens
     if s.shape != (3,):
         raise InputError(f"sigma takes one number or three (Z, Y, X), not shape {tuple(s.shape)}")
     values = s.detach()
-    if not bool(torch.isfinite(values).all()) or not bool((values > 0).all()):
+    if not bool(((values > 0) & (values < FARTHEST)).all()):  # false for NaN, too
         shown = ", ".join(f"{float(v):g}" for v in values)
         raise InputError(f"sigma must be positive (um), not ({shown})")
     return s
@@ -194,6 +195,6 @@ def _checked_cholesky(covariance: object) -> Tensor:
     if not torch.allclose(c, c.T, rtol=1e-6, atol=0):
         raise InputError("a covariance is symmetric")
     factor, failed = torch.linalg.cholesky_ex((c + c.T) / 2)
-    if int(failed) != 0 or not bool(torch.isfinite(factor).all()):
+    if int(failed) != 0 or not bool((factor.abs() < FARTHEST).all()):
         raise InputError("a covariance is positive definite")
     return factor

@@ -23,13 +23,15 @@ from ..fourier.filament import LinePlan, make_line_plan, path_segments
 from ..fourier.plan import Cutoff, Method
 from ..fourier.solid import contrasts, solid_transform
 from ..fourier.spreading import Transfer
-from ..geometry.mesh import FloatArray, Mesh, is_tensor, to_numpy
+from ..geometry.mesh import FARTHEST, FloatArray, Mesh, is_tensor, to_numpy
+from ..geometry.windings import right_side_out
 from .effects import Effects
 from .effects.base import FaceEffect
 from .effects.object_side import Surfaces, acts_on_object, object_transform
 from .grid import Grid
 
 Values = float | np.ndarray | Tensor
+_LARGEST_DENSITY = 1e30  # so that its products with areas and volumes are numbers
 
 
 @dataclass(frozen=True)
@@ -166,7 +168,8 @@ class Solid:
     Attributes
     ----------
     mesh
-        Closed regions; rendering is differentiable in the vertices where they are a tensor.
+        Closed regions; rendering is differentiable in the vertices where they are a tensor. Those
+        that are inside out are turned, with a RepairWarning.
     density
         Fluorophores per um^3: one number for all regions, region number -> number (0 for those not
         named), or (R,) in the order of ``mesh.region_ids()``.
@@ -176,6 +179,7 @@ class Solid:
     density: Values | Mapping[int, float] = 1.0
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "mesh", right_side_out(self.mesh))
         ids = self.mesh.region_ids()
         if isinstance(self.density, Mapping):
             unknown = [k for k in self.density if k not in ids]
@@ -363,7 +367,7 @@ def _positions(values: Any, name: str) -> FloatArray:
         raise InputError(f"{name} must be numbers of shape (N, 3), in um") from None
     if found.ndim != 2 or found.shape[1] != 3:
         raise InputError(f"{name} must have shape (N, 3), not {found.shape}")
-    if not np.isfinite(found).all():
+    if not (np.abs(found) < FARTHEST).all():  # false for NaN, too
         raise InputError(f"{name} must be finite numbers (um)")
     return found
 
@@ -378,5 +382,5 @@ def _check(values: Any, count: int | None, name: str, of: str) -> None:
         raise InputError(
             f"{name} must be one number, or one per {of} ({count}), not shape {found.shape}"
         )
-    if not np.isfinite(found).all():
-        raise InputError(f"{name} must be finite")
+    if not (np.abs(found) < _LARGEST_DENSITY).all():  # false for NaN, too
+        raise InputError(f"{name} must be finite, and below {_LARGEST_DENSITY:g}")
