@@ -43,6 +43,14 @@ def test_the_dock_may_be_narrow_whatever_it_shows(window, docked, spin):
     assert column.widget().minimumSizeHint().width() <= column.viewport().width()
 
 
+def test_the_voxel_size_can_be_read(docked, spin):
+    widget, _ = docked
+    widget.show()
+    spin(seconds=0.2, must=False)
+    for box in widget.image.voxel_size._boxes:
+        assert box.lineEdit().width() > 35
+
+
 def test_what_belongs_to_a_fit_is_hidden_until_there_is_one(seeded, spin):
     running = seeded.running
     parts = (running.curve, running.psf, running.edit, running.history, seeded.results)

@@ -41,10 +41,13 @@ class TripleField(QWidget):
             box.setSingleStep(0.01)
             box.setPrefix(f"{name} ")
             box.setToolTip(tooltip)
-            box.setButtonSymbols(QDoubleSpinBox.ButtonSymbols.NoButtons)
             box.setKeyboardTracking(False)
             # napari's style asks for 90 pixels, with which the dock could not be narrow.
-            box.setStyleSheet("QDoubleSpinBox { min-width: 50px; padding: 1px 2px; }")
+            # Without NoButtons, which in Qt 6.12 and that style leaves no room for the number.
+            box.setStyleSheet(
+                "QDoubleSpinBox { min-width: 50px; padding: 1px 2px; } "
+                "QDoubleSpinBox::up-button, QDoubleSpinBox::down-button { width: 0; border: none; }"
+            )
             box.valueChanged.connect(self._emit)
             layout.addWidget(box)
             self._boxes.append(box)
