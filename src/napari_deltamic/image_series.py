@@ -17,7 +17,7 @@ from .choices import IMAGE_FILES, TIFF
 from .errors import InputError
 from .images import VoxelSize, read_image, read_voxel_size, stored_shape
 from .images import tiff_voxel_size as _size_in
-from .reading import quiet
+from .reading import one_reason, quiet
 
 _LETTERS = re.compile(r"(\d+)")
 
@@ -140,9 +140,12 @@ def _of_tiff(path: str) -> ImageSeries:
         raise InputError("its planes cannot be read one by one: save it uncompressed")
 
     def read(t: int) -> NDArray[Any]:
-        with quiet("tifffile"), tifffile.TiffFile(path) as tif:
-            found = tif.asarray(key=range(t * depth, (t + 1) * depth), series=0)
-        return np.asarray(found).reshape(shape[1:])
+        try:
+            with quiet("tifffile"), tifffile.TiffFile(path) as tif:
+                found = tif.asarray(key=range(t * depth, (t + 1) * depth), series=0)
+            return np.asarray(found).reshape(shape[1:])
+        except Exception as error:  # whatever a parser may raise on damaged data
+            raise InputError(f"frame {t} cannot be read ({one_reason(error)})") from error
 
     return _of_array(read, shape, size)
 
