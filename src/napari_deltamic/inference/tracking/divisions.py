@@ -68,13 +68,16 @@ def proposals(residual: Residual, mesh: Mesh) -> list[Proposal]:
     return sorted((p for p in found if p is not None), key=lambda p: -p.evidence)
 
 
-def explains(before: Residual, after: Residual, cell: int) -> bool:
+def explains(before: Residual, after: Residual, cell: int, folded: bool = False) -> bool:
     """Whether a wall that was put into a cell explains enough of what was there.
 
-    The gain in squared residual must be beyond chance, and a fair share of the whole.
+    The gain in squared residual must be beyond chance, and a fair share of the whole. A single cell
+    that has folded in along the wall has the same image as two: then any gain is enough.
     """
     own = before.labels == cell
     old, new = before.squared(own), after.squared(own)
+    if folded:
+        return old > new
     return old - new > max(_GAIN * old, _SURE**2 * before.noise**2)
 
 

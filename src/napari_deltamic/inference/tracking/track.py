@@ -173,23 +173,24 @@ class _Tracker:
         """Fit a frame; returns why it is to be left out, or ""."""
         pixels = np.where(known, image, np.nan)
         tries = self._starts(frame, image, known)
-        state = yield from self._fit(frame, pixels, tries[0])
+        state, early = yield from self._fit(frame, pixels, tries[0])
         flaw = self.quality.misfit(state.loss)
         found = (
             {} if self.last is None else alarms(state.mesh, tries[0].mesh, self.looks, self.grid)
         )
         if (found or flaw) and len(tries) > 1:
-            other = yield from self._fit(frame, pixels, tries[1], wider=True)
+            other, before = yield from self._fit(frame, pixels, tries[1], wider=True)
             again = alarms(other.mesh, tries[1].mesh, self.looks, self.grid)
             better = other.loss < state.loss if flaw else len(again) < len(found)
             if better:
-                state, found, flaw = other, again, self.quality.misfit(other.loss)
+                state, early, found = other, before, again
+                flaw = self.quality.misfit(other.loss)
         events = [
             Event("alarm", frame, cell, f"cell {cell} may be lost: {why}")
             for cell, why in found.items()
         ]
         if self.tracking.divisions and self.last is not None:
-            state = yield from self._divide(frame, image, known, state, events)
+            state = yield from self._divide(frame, image, known, state, early, events)
         # After that: a cell that has divided is badly explained until it has two daughters.
         flaw = self.quality.misfit(state.loss)
         if flaw:
@@ -224,15 +225,20 @@ class _Tracker:
 
     def _fit(
         self, frame: int, pixels: NDArray[np.float32], start: Start, *, wider: bool = False
-    ) -> Generator[TrackState, None, FitState]:
-        """The last state of a fit from a start, with all remarks; those on the way are yielded."""
+    ) -> Generator[TrackState, None, tuple[FitState, FitState | None]]:
+        """The last state of a fit from a start, with all remarks, and that of its blurred levels.
+
+        Those on the way are yielded.
+        """
         remarks: list[str] = []
         settings = self.settings
         if start.name != "seeds":
             width = min(self.optics.sigma_um)
             levels = start.levels(width / 2 if wider else width)
             settings = settings.model_copy(update={"levels": levels})
-        mesh, counted, state = self._renewed(start.mesh), None, None
+        mesh, counted = self._renewed(start.mesh), None
+        state: FitState | None = None
+        early: FitState | None = None
         if self.shared_ground:
             counted = counted_voxels(pixels, self.grid, mesh, self.optics)
         for state in fit(
@@ -240,10 +246,12 @@ class _Tracker:
             settings=settings, counted=counted, effects=self.effects,
         ):  # fmt: skip
             remarks += [part for part in state.message.split("; ") if part not in remarks]
+            if state.level < state.levels:
+                early = state
             yield TrackState(frame, state.mesh, state)
         assert state is not None, "a fit yields at least one state"
         told = (part for part in remarks if part not in ("", "converged"))
-        return replace(state, message="; ".join(told))
+        return replace(state, message="; ".join(told)), early
 
     def _renewed(self, mesh: Mesh) -> Mesh:
         """Good triangles of the size that they had in the first frame."""
@@ -263,15 +271,25 @@ class _Tracker:
         image: NDArray[np.float32],
         known: NDArray[np.bool_],
         state: FitState,
+        early: FitState | None,
         events: list[Event],
     ) -> Generator[TrackState, None, FitState]:
-        """Put walls into cells that call for one, as long as they explain the image better."""
+        """Put walls into cells that call for one, as long as they explain the image better.
+
+        At the end of a fit a single cell may have folded in along a wall and explain it: where
+        nothing is left to see, what its blurred levels (``early``) left is looked at.
+        """
         refused: set[int] = set()
         rounds = 0
         while rounds < _ROUNDS:
             before = Residual(image, known, self.grid, state)
-            mesh, divided = state.mesh, {}
-            for found in proposals(before, mesh):
+            mesh, divided, calls = state.mesh, {}, proposals(before, state.mesh)
+            folded = not calls and rounds == 0 and _alike(early, state)
+            if folded:
+                assert early is not None
+                mesh = early.mesh
+                calls = proposals(Residual(image, known, self.grid, early), mesh)
+            for found in calls:
                 if found.cell in refused:
                     continue
                 pair = (self.next_cell, self.next_cell + 1)
@@ -286,12 +304,12 @@ class _Tracker:
                 break
             start = Start("division", mesh, 0.0, float("nan"))
             pixels = np.where(known, image, np.nan)
-            new = yield from self._fit(frame, pixels, start)
+            new, _ = yield from self._fit(frame, pixels, start)
             after = Residual(image, known, self.grid, new)
             good = {
                 c
                 for c in divided
-                if explains(before, after, c)
+                if explains(before, after, c, folded)
                 and set(divided[c][0]) <= set(new.mesh.region_ids().tolist())
             }
             refused |= set(divided) - good
@@ -414,3 +432,8 @@ def _known(image: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]
 def _triple(values: Sequence[float]) -> tuple[float, float, float]:
     z, y, x = (float(v) for v in values)
     return z, y, x
+
+
+def _alike(early: FitState | None, state: FitState) -> bool:
+    """Whether there is a state of the blurred levels, with the same cells."""
+    return early is not None and np.array_equal(early.mesh.region_ids(), state.mesh.region_ids())
