@@ -13,7 +13,7 @@ from .errors import InputError
 # Coarse-to-fine schedules. A first blur wider than the gap between objects makes them attract each
 # other's mesh, so seeds that already lie on the membranes start near.
 WIDE_LEVELS = (5.0, 3.2, 2.0, 1.35, 1.0)
-NEAR_LEVELS = (1.5, 1.0)
+NEAR_LEVELS = (1.0,)
 
 
 class Settings(BaseModel):
@@ -55,10 +55,9 @@ class FitSettings(Settings):
         "scale without a prior, the PSF by Adam; to compare with",
     )
     bending: Annotated[float, Field(ge=0)] = Field(
-        default=9.0,
-        description="weight of the bending energy, a prior on shape without unit; of 6, 9 and 12, "
-        "9 was nearest to the best on cow, fish and foams at 15 and 40 photons and without noise; "
-        "0 is none",
+        default=7.5,
+        description="weight of the bending energy, a prior on shape without unit; of 6, 7.5, 9 "
+        "and 12, 7.5 was near the best on cow, fish, foams and an embryo; 0 is none",
     )
     reach: Annotated[float, Field(gt=0)] = Field(
         default=3.5, description="voxels count up to this many widths from the surface"

@@ -266,10 +266,10 @@ class Run:
         if not self._topology_may_change:
             return False
         while places := self.policy.worth_a_trial(self.shape, max(self.optics.sigma_um)):
-            known = len(self.policy.hopeless), self.policy.most
+            known = len(self.policy.futile), self.policy.most
             if self._change(places, tried=True):
                 return True
-            if known == (len(self.policy.hopeless), self.policy.most):
+            if known == (len(self.policy.futile), self.policy.most):
                 break  # nothing was learnt from it
         return False
 
@@ -277,7 +277,7 @@ class Run:
         before = self.shape
         made = give_way(before.mesh, places, median_edge(before.mesh))
         if made.mesh is before.mesh:
-            self.policy = self.policy.refused(places, made.hopeless)
+            self.policy = self.policy.refused(places, made.hopeless, tried)
             return False
         places = [p for p in places if p not in made.hopeless]
         misfit = self._misfit()

@@ -38,7 +38,7 @@ _ONE = 2.0  # distance of two membranes below which they have one peak (Sparrow'
 SHARP = 2.0  # blur, in widths of the PSF, up to which images can tell what touches what
 _OFTEN = 3  # changes at one place in a fit
 _ALL = 10**6  # places at a time
-_KEPT = ("seen", "past", "left_alone", "hopeless")  # lists of places in a checkpoint
+_KEPT = ("seen", "past", "left_alone", "hopeless", "futile")  # lists of places in a checkpoint
 _LATE = 3  # times that trials of which nothing came put off the end of a fit
 
 
@@ -103,8 +103,9 @@ class TopologyPolicy:
     ----------
     seen, past, left_alone
         Places of the last look, of all changes, and those that are not changed again.
-    hopeless
-        Places that could not be changed as they were; other shapes of them may be.
+    hopeless, futile
+        Places that could not be changed as they were: of those that press, until the level ends,
+        and of trials, until a trial is made.
     late
         How often the end was put off.
     most
@@ -115,6 +116,7 @@ class TopologyPolicy:
     past: tuple[ThinPlace, ...] = ()
     left_alone: tuple[ThinPlace, ...] = ()
     hopeless: tuple[ThinPlace, ...] = ()
+    futile: tuple[ThinPlace, ...] = ()
     late: int = 0
     most: int = _ALL
 
@@ -124,7 +126,7 @@ class TopologyPolicy:
         places = thin_places(shape.mesh, _THIN * edge, apart=_SAME * edge)
         if blur > 1:  # else the image tells, at the end
             places += small_walls(shape.mesh, _SMALL * edge**2)
-        found = self._free(shape, places)
+        found = self._free(shape, places, self.hopeless)
         lasting = [p for p in found if any(_lasts(p, q, edge) for q in self.seen)]
         lasting = sorted(lasting, key=lambda p: p.width)[: self.most]
         return replace(self, seen=tuple(found)), lasting
@@ -146,7 +148,7 @@ class TopologyPolicy:
         walls = small_walls(mesh, size**2, _CLOSE * edge)
         places += sorted([*walls, *short_junctions(mesh, size)], key=lambda p: p.width)
         chosen: list[ThinPlace] = []
-        for place in self._free(shape, places):
+        for place in self._free(shape, places, self.futile):
             if any(_reverts(place, q, edge) for q in self.past):
                 continue
             near = (cKDTree(p.points).query(place.points)[0].min() for p in chosen)
@@ -157,12 +159,17 @@ class TopologyPolicy:
     def changed(self, places: Sequence[ThinPlace], tried: bool) -> TopologyPolicy:
         """Go on after a change."""
         late = self.late + tried
-        return replace(self, past=(*self.past, *places), hopeless=(), most=_ALL, late=late)
+        futile = () if tried else self.futile
+        return replace(self, past=(*self.past, *places), futile=futile, most=_ALL, late=late)
 
-    def refused(self, places: Sequence[ThinPlace], hopeless: Sequence[ThinPlace]) -> TopologyPolicy:
+    def refused(
+        self, places: Sequence[ThinPlace], hopeless: Sequence[ThinPlace], tried: bool
+    ) -> TopologyPolicy:
         """Go on after a change that could not be made: some spoil it for the others."""
-        given_up = (*self.hopeless, *hopeless)
-        return replace(self, hopeless=given_up, most=max(1, len(places) // 2))
+        most = max(1, len(places) // 2)
+        if tried:
+            return replace(self, futile=(*self.futile, *hopeless), most=most)
+        return replace(self, hopeless=(*self.hopeless, *hopeless), most=most)
 
     def judged(self, trial: Trial, gaps: Sequence[Gap]) -> tuple[TopologyPolicy, Judgement]:
         """What becomes of a change, from how much better the image near its places is explained."""
@@ -181,16 +188,18 @@ class TopologyPolicy:
 
     def restarted(self) -> TopologyPolicy:
         """Go on at another level, or with a mesh that was changed from outside."""
-        return replace(self, seen=(), hopeless=())
+        return replace(self, seen=(), hopeless=(), futile=())
 
-    def _free(self, shape: Shape, places: Sequence[ThinPlace]) -> list[ThinPlace]:
+    def _free(
+        self, shape: Shape, places: Sequence[ThinPlace], given_up: Sequence[ThinPlace]
+    ) -> list[ThinPlace]:
         """Those that are neither pinned nor known to stay."""
         edge = median_edge(shape.mesh)
         pins = shape.mesh.vertices_numpy()[shape.pinned]
         found = []
         for place in places:
             pinned = len(pins) and cKDTree(pins).query(place.points)[0].min() < _SAME * edge
-            alone = any(_same(place, q, edge) for q in (*self.left_alone, *self.hopeless))
+            alone = any(_same(place, q, edge) for q in (*self.left_alone, *given_up))
             again = sum(_meet(place, q, edge) for q in self.past) >= _OFTEN
             if not (pinned or alone or again):
                 found.append(place)
