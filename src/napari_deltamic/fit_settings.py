@@ -55,9 +55,9 @@ class FitSettings(Settings):
         "scale without a prior, the PSF by Adam; to compare with",
     )
     bending: Annotated[float, Field(ge=0)] = Field(
-        default=7.5,
+        default=9.0,
         description="weight of the bending energy, a prior on shape without unit; of 6, 7.5, 9 "
-        "and 12, 7.5 was near the best on cow, fish, foams and an embryo; 0 is none",
+        "and 12, 9 was near the best on cow, fish and foams and steady on noise; 0 is none",
     )
     reach: Annotated[float, Field(gt=0)] = Field(
         default=3.5, description="voxels count up to this many widths from the surface"

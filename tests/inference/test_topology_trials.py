@@ -63,7 +63,7 @@ def flip_of(mesh):
     return made
 
 
-@pytest.mark.parametrize(("half", "photons"), [(0.55, 40), (0.6, 2000), (0.9, 2000)])
+@pytest.mark.parametrize(("half", "photons"), [(0.5, 40), (0.6, 2000), (0.9, 2000)])
 def test_a_wrong_neighbour_is_exchanged(half, photons):
     truth = five(half)
     states, told = fitted(truth, flip_of(truth), photons)
@@ -110,7 +110,9 @@ def test_a_gap_that_is_not_in_the_image_closes():
     assert "has closed" in told
 
 
-@pytest.mark.xfail(reason="trials are judged before all has come to rest: a real gap closes")
+@pytest.mark.xfail(
+    reason="trials are judged before all has come to rest: a real gap closes", strict=False
+)
 def test_a_gap_that_is_in_the_image_stays():
     truth = with_gap(0.75)
     (gap,) = small_pieces(truth, 0.5)

@@ -34,7 +34,7 @@ def test_a_cell_that_drifts_is_followed():
         assert result.cells == (1,)
         assert result.events == ()
         assert surface_distance(result.mesh, ball(t * STEP), 2000).mean < 0.15 * VOXEL
-    assert results[2].iterations < 1.5 * results[0].iterations, "later frames start near"
+    assert max(r.iterations for r in results) < 40, "all start near"
 
 
 def test_every_iteration_is_yielded():

@@ -15,7 +15,7 @@ from ...geometry.labels.voxels import voxel_labels
 from ...geometry.mesh import Mesh
 from ...optics import Optics
 from ...scene import Grid, render
-from ...settings import WIDE_LEVELS
+from ...settings import NEAR_LEVELS, WIDE_LEVELS
 from ..likelihood import match
 from ..preconditioner import NEAR_JUNCTIONS, Preconditioner
 
@@ -24,7 +24,7 @@ _BLUR = 2.0  # of the images that are compared, in widths of the PSF
 _SMOOTHING = 4.0  # of displacements over the surface
 _GLOBAL = 0.3  # of the field of view: how far all may have moved
 _LOCAL = 0.6  # of its radius: how far one cell may have moved besides
-_NEAR = (1.5, 1.0)  # blurs from a start that is near: the first one shows where a cell has divided
+_NEAR = 1.5  # blur that a start does not need which is nearer than that many widths
 _FAR = 0.05  # correlation that a shift as far as that must bring to be believed
 _BETTER = 0.98  # of the loss of the plainest start: what another one must reach
 
@@ -48,8 +48,8 @@ class Start:
         """Blurs of a fit that starts here: the first one reaches the membranes."""
         wide = [b for b in WIDE_LEVELS if b * sigma < self.left]
         reach = WIDE_LEVELS[max(0, len(WIDE_LEVELS) - len(wide) - 1)]
-        if reach <= _NEAR[0]:
-            return _NEAR
+        if reach < _NEAR:
+            return NEAR_LEVELS
         return tuple(b for b in WIDE_LEVELS if b <= reach)
 
 

@@ -226,7 +226,7 @@ class _Tracker:
     def _fit(
         self, frame: int, pixels: NDArray[np.float32], start: Start, *, wider: bool = False
     ) -> Generator[TrackState, None, tuple[FitState, FitState | None]]:
-        """The last state of a fit from a start, with all remarks, and that of its blurred levels.
+        """The last state of a fit from a start, with all remarks, and the first one.
 
         Those on the way are yielded.
         """
@@ -246,8 +246,7 @@ class _Tracker:
             settings=settings, counted=counted, effects=self.effects,
         ):  # fmt: skip
             remarks += [part for part in state.message.split("; ") if part not in remarks]
-            if state.level < state.levels:
-                early = state
+            early = early or state
             yield TrackState(frame, state.mesh, state)
         assert state is not None, "a fit yields at least one state"
         told = (part for part in remarks if part not in ("", "converged"))
@@ -277,7 +276,7 @@ class _Tracker:
         """Put walls into cells that call for one, as long as they explain the image better.
 
         At the end of a fit a single cell may have folded in along a wall and explain it: where
-        nothing is left to see, what its blurred levels (``early``) left is looked at.
+        nothing is left to see, what its start (``early``) left is looked at.
         """
         refused: set[int] = set()
         rounds = 0
@@ -435,5 +434,5 @@ def _triple(values: Sequence[float]) -> tuple[float, float, float]:
 
 
 def _alike(early: FitState | None, state: FitState) -> bool:
-    """Whether there is a state of the blurred levels, with the same cells."""
+    """Whether there is an early state, with the same cells."""
     return early is not None and np.array_equal(early.mesh.region_ids(), state.mesh.region_ids())
