@@ -64,7 +64,7 @@ def test_missing_voxels_do_not_move_a_cell():
 
 @pytest.mark.parametrize(
     ("left", "levels"),
-    [(0.5, (1.5, 1.0)), (1.9, (2.0, 1.35, 1.0)), (9, (5.0, 3.2, 2.0, 1.35, 1.0))],
+    [(0.5, (1.0,)), (1.9, (2.0, 1.35, 1.0)), (9, (5.0, 3.2, 2.0, 1.35, 1.0))],
 )
 def test_the_first_blur_reaches_the_membranes(left, levels):
     assert Start("", ball(), left, 0.0).levels(1.0) == levels

@@ -60,7 +60,6 @@ def test_frames_are_read_one_at_a_time():
         assert read[-1] == state.frame
 
 
-@pytest.mark.xfail(reason="0.0603 um off where 0.06 is asked", strict=False)
 def test_a_jump_of_almost_a_radius_is_bridged():
     images = [photographed(ball()), photographed(ball((0, 5, -4)), seed=1)]
     results = tracked(images)
