@@ -30,7 +30,7 @@ def gate(monkeypatch):
         mesh = state.mesh
         pinned = np.zeros(len(mesh.vertices), bool) if state.pinned is None else state.pinned
         done = remeshed(mesh, 0.17, passes=3, carried=mesh.vertices_numpy()[:, :0], fixed=pinned)
-        assert len(done.mesh.vertices) != len(mesh.vertices)
+        assert not np.array_equal(done.mesh.faces, mesh.faces)
         return Change(mesh=done.mesh, pinned=done.fixed)
 
     def states(job, resume=None):
