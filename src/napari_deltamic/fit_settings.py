@@ -57,7 +57,7 @@ class FitSettings(Settings):
     bending: Annotated[float, Field(ge=0)] = Field(
         default=9.0,
         description="weight of the bending energy, a prior on shape without unit; of 6, 7.5, 9 "
-        "and 12, 9 was near the best on cow, fish and foams and steady on noise; 0 is none",
+        "and 12, 9 was near the best on cow, fish and foams; an embryo wants 6; 0 is none",
     )
     reach: Annotated[float, Field(gt=0)] = Field(
         default=3.5, description="voxels count up to this many widths from the surface"
