@@ -21,6 +21,16 @@ def shared_data_folder() -> Path:
     return Path(os.environ.get("DELTAMIC_DATA", default))
 
 
+def pytest_collection_modifyitems(items):
+    """What waits for windows, threads and processes is tried once more before it fails.
+
+    A rerun is told in the summary. Nothing of the engine gets one: its bits are always the same.
+    """
+    for item in items:
+        if {"gui", "cli", "robustness"} & set(Path(item.path).parts):
+            item.add_marker(pytest.mark.flaky(reruns=1))
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """The folder of real images and meshes; tests that ask for it skip where it is absent."""

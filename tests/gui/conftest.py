@@ -88,7 +88,7 @@ def with_image(viewer, pixels):
 def spin(app):
     """Let events happen until something is true."""
 
-    def spin(until=lambda: False, seconds=20.0, *, must=True):
+    def spin(until=lambda: False, seconds=60.0, *, must=True):
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             app.processEvents()
