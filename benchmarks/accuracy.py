@@ -29,12 +29,12 @@ from napari_deltamic.accuracy_chart import (
     ways_chart,
 )
 from napari_deltamic.chart import Chart
+from napari_deltamic.fitting.default_accuracy import accuracy_for_image, image_noise
+from napari_deltamic.fitting.forecast import forecast
 from napari_deltamic.fourier.calibration import calibrate
 from napari_deltamic.fourier.cost import Costs
 from napari_deltamic.fourier.cuda import missing
 from napari_deltamic.geometry import sphere
-from napari_deltamic.inference.default_accuracy import accuracy_for_image, image_noise
-from napari_deltamic.inference.forecast import forecast
 from napari_deltamic.measure.shape_error import DRAWS, photons_for, shape_errors
 from napari_deltamic.scene.tradeoff import Way, duration, measure_ways, with_front
 from napari_deltamic.settings import NEAR_LEVELS, FitSettings

@@ -25,7 +25,7 @@ import napari_deltamic as nd
 from napari_deltamic import demo
 from napari_deltamic._sample_data import dividing_cell_sample
 from napari_deltamic.geometry import sphere
-from napari_deltamic.inference.preconditioner import Preconditioner
+from napari_deltamic.fitting.preconditioner import Preconditioner
 
 mesh = sphere((0, 0, 0), 3.0, subdivisions=3)
 xi = torch.from_numpy(np.random.default_rng(0).normal(0, 3, (2_000, 3)))

@@ -22,12 +22,12 @@ import torch
 from torch import Tensor
 
 from napari_deltamic import Mesh, fit, render
+from napari_deltamic.fitting.preconditioner import Preconditioner
 from napari_deltamic.fourier import Band
 from napari_deltamic.fourier.closed_form import band_ft
 from napari_deltamic.fourier.cuda import compiler, missing
 from napari_deltamic.fourier.cuda.build import SINGLE
 from napari_deltamic.geometry import sphere
-from napari_deltamic.inference.preconditioner import Preconditioner
 from napari_deltamic.measure import surface_distance
 from napari_deltamic.scene import Renderer
 from napari_deltamic.settings import FitSettings

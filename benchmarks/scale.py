@@ -21,6 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from napari_deltamic.fitting.collisions import CollisionGuard
+from napari_deltamic.fitting.health import GrowthAlarm, shrunken
+from napari_deltamic.fitting.topology import _meet
+from napari_deltamic.fitting.upkeep import median_edge
 from napari_deltamic.geometry import Mesh, mesh_from_labels, remesh
 from napari_deltamic.geometry.topology.crossings import crossings
 from napari_deltamic.geometry.topology.rearranging import give_way
@@ -31,10 +35,6 @@ from napari_deltamic.geometry.topology.thin_places import (
     small_walls,
     thin_places,
 )
-from napari_deltamic.inference.collisions import CollisionGuard
-from napari_deltamic.inference.health import GrowthAlarm, shrunken
-from napari_deltamic.inference.topology import _meet
-from napari_deltamic.inference.upkeep import median_edge
 from napari_deltamic.measure import measure_cells
 
 CELLS = (1, 30, 100, 1000)

@@ -10,7 +10,8 @@ import pytest
 import napari_deltamic
 
 PACKAGE = Path(napari_deltamic.__file__).parent
-ORDER = ("geometry", "fourier", "optics", "scene", "inference", "measure")
+ORDER = ("geometry", "fourier", "optics", "scene", "fitting", "measure")
+BESIDE = {"evidence": "fitting", "tracking": "fitting"}
 GUI = ("gui", "_menu", "_widget", "_reader", "_writer", "_sample_data")
 
 
@@ -32,7 +33,8 @@ def engine_modules():
 def part_of(module):
     """Which of the parts in ORDER a module belongs to, or None."""
     parts = module.split(".")
-    return parts[1] if len(parts) > 1 and parts[1] in ORDER else None
+    part = BESIDE.get(parts[1], parts[1]) if len(parts) > 1 else None
+    return part if part in ORDER else None
 
 
 def imported(name, path):

@@ -11,9 +11,9 @@ from PIL import Image
 import napari_deltamic as nd
 from napari_deltamic.colouring import COLOURS
 from napari_deltamic.errors import InputError
+from napari_deltamic.fitting import FitState
 from napari_deltamic.geometry import Mesh, sphere
 from napari_deltamic.images import read_image
-from napari_deltamic.inference import FitState
 from napari_deltamic.picture import picture
 from napari_deltamic.report import FILES, History, write_results
 from napari_deltamic.scene.effects import Effects, Halo

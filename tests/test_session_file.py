@@ -15,8 +15,6 @@ import napari_deltamic as nd
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import files, sphere
 from napari_deltamic.images import read_image, write_image
-from napari_deltamic.inference.tracking import FrameResult, TrackSettings
-from napari_deltamic.inference.tracking.settings import TrackRun
 from napari_deltamic.optics_settings import MeasuredOptics
 from napari_deltamic.report import History
 from napari_deltamic.scene.effects import Effects, Halo
@@ -31,6 +29,8 @@ from napari_deltamic.session_file import (
 )
 from napari_deltamic.settings import FitSettings, RunSettings, SceneSettings
 from napari_deltamic.timeline import Moment
+from napari_deltamic.tracking import FrameResult, TrackSettings
+from napari_deltamic.tracking.settings import TrackRun
 
 SHAPE, SIZE = (6, 7, 8), (0.3, 0.1, 0.2)
 PLACE = {"scale": (300.0, 100.0, 200.0), "translate": (1.5, 0.0, -2.0), "units": ("nanometer",) * 3}

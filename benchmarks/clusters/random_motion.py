@@ -13,11 +13,11 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from napari_deltamic.fitting.collisions import CollisionGuard
 from napari_deltamic.geometry import Mesh, remesh
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.remeshing import smallest_angles
 from napari_deltamic.geometry.topology.crossings import crosses
-from napari_deltamic.inference.collisions import CollisionGuard
 
 from ..figure import Figure, Options, Row, at_least, at_most
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from napari_deltamic import GaussianPSF, Grid, Mesh, render
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.labels.voxels import voxel_labels
-from napari_deltamic.inference.tracking import track
 from napari_deltamic.measure import surface_distance
+from napari_deltamic.tracking import track
 
 from ..contacts import SEEN, contact_errors, contacts
 from ..figure import Figure, Options, Row, at_least, at_most

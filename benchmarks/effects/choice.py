@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 
 from napari_deltamic import FitState, GaussianPSF, Grid, Mesh, fit
+from napari_deltamic.evidence import recommend
 from napari_deltamic.geometry import sphere
-from napari_deltamic.inference.evidence import recommend
 from napari_deltamic.measure import surface_distance
 from napari_deltamic.scene import expected_image
 from napari_deltamic.scene.effects import (

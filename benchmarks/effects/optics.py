@@ -20,11 +20,11 @@ from napari_deltamic import (
     microscope,
     render,
 )
+from napari_deltamic.evidence.camera import camera_from_image
+from napari_deltamic.fitting.bead import BeadFit, fit_bead
+from napari_deltamic.fitting.psf_errors import psf_standard_errors
 from napari_deltamic.geometry import sphere
 from napari_deltamic.images import read_image
-from napari_deltamic.inference.bead import BeadFit, fit_bead
-from napari_deltamic.inference.evidence.camera import camera_from_image
-from napari_deltamic.inference.psf_errors import psf_standard_errors
 from napari_deltamic.optics import Optics
 from napari_deltamic.optics.measured import bead_transform
 from napari_deltamic.settings import FitSettings

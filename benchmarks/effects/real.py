@@ -11,6 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_deltamic import FitState, GaussianPSF, Grid, Mesh, fit
+from napari_deltamic.evidence import Recommendation, analyse_residual, recommend
+from napari_deltamic.evidence.camera import camera_from_image
+from napari_deltamic.evidence.finding import Finding
+from napari_deltamic.evidence.first_sigma import first_sigma
+from napari_deltamic.evidence.slices import drift
+from napari_deltamic.fitting import counted_voxels
 from napari_deltamic.geometry import (
     find_cells,
     mesh_from_labels,
@@ -19,12 +25,6 @@ from napari_deltamic.geometry import (
     sphere,
 )
 from napari_deltamic.images import read_image
-from napari_deltamic.inference import counted_voxels
-from napari_deltamic.inference.evidence import Recommendation, analyse_residual, recommend
-from napari_deltamic.inference.evidence.camera import camera_from_image
-from napari_deltamic.inference.evidence.finding import Finding
-from napari_deltamic.inference.evidence.first_sigma import first_sigma
-from napari_deltamic.inference.evidence.slices import drift
 from napari_deltamic.measure import surface_distance
 from napari_deltamic.settings import NEAR_LEVELS, FitSettings
 

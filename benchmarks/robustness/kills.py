@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 
 from napari_deltamic import InputError, load_mesh
+from napari_deltamic.fitting.state import load_checkpoint
 from napari_deltamic.images import read_image
-from napari_deltamic.inference.state import load_checkpoint
 from napari_deltamic.settings import RunSettings
 
 from .killed import PLACES

@@ -13,11 +13,11 @@ import numpy as np
 import tifffile
 
 import napari_deltamic as nd
+from napari_deltamic.fitting import fit
 from napari_deltamic.geometry import read_points_csv, sphere
 from napari_deltamic.geometry.labels.edits import read_clicks_csv
 from napari_deltamic.image_series import open_series
 from napari_deltamic.images import read_image, write_image
-from napari_deltamic.inference import fit
 from napari_deltamic.optics_settings import optics_from_toml
 from napari_deltamic.report import History
 from napari_deltamic.scene import render_scene
@@ -178,8 +178,8 @@ def _further_meshes(folder: Path, mesh: nd.Mesh, found: dict[str, tuple[Path, Re
 
 def _tracks(folder: Path, found: dict[str, tuple[Path, Reader]]) -> None:
     """The folder of a tracked series; its report is what is spoilt."""
-    from napari_deltamic.inference.tracking import FrameResult
-    from napari_deltamic.inference.tracking.settings import TrackRun
+    from napari_deltamic.tracking import FrameResult
+    from napari_deltamic.tracking.settings import TrackRun
 
     folder.mkdir()
     mesh = start()

@@ -103,10 +103,10 @@ def _described(state: Any) -> Values:
 def _volume_sd(given: Arrays, grid: Any, state: Any, settings: Any) -> float | None:
     """um^3: the standard deviation of the volume that the fit predicts; None where it does not."""
     try:
-        predict = _from("inference.errors_of_measures").predicted_volume_sd
+        module = _from("fitting.errors_of_measures", "inference.errors_of_measures")
     except ModuleNotFoundError:
         return None
-    found = predict(given["image"], grid, state, settings)
+    found = module.predicted_volume_sd(given["image"], grid, state, settings)
     return float(next(iter(found.values())).sandwich)
 
 
@@ -217,7 +217,7 @@ def command(job: Values, given: Arrays) -> tuple[Values, Arrays]:
 
 def track(job: Values, given: Arrays) -> tuple[Values, Arrays]:
     """A series of images; the mesh of each frame, and what happened to its cells."""
-    run = _from("inference.tracking", "tracking").track
+    run = _from("tracking", "inference.tracking").track
     images, grid = given["images"], _grid(job, given["images"].shape[1:])
     began, done = time.perf_counter(), []
     for state in run(iter(images), grid, _mesh(given, "start"), nd.GaussianPSF(job["sigma"])):
@@ -235,7 +235,7 @@ def track(job: Values, given: Arrays) -> tuple[Values, Arrays]:
 
 def evidence(job: Values, given: Arrays) -> tuple[Values, Arrays]:
     """A fit without effects, those that it calls for, and the fit with them."""
-    recommend = _from("inference.evidence", "evidence").recommend
+    recommend = _from("evidence", "inference.evidence").recommend
     image, optics = given["image"], nd.GaussianPSF(job["sigma"])
     grid, start, settings = _grid(job, image.shape), _mesh(given, "start"), _settings(job)
     began = time.perf_counter()

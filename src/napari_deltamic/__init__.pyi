@@ -1,7 +1,7 @@
 from . import fourier
 from .errors import InputError
+from .fitting import Change, FitState, fit
 from .geometry import Mesh, load_mesh, save_mesh
-from .inference import Change, FitState, fit
 from .optics import (
     ConfocalPSF,
     GaussianMixturePSF,

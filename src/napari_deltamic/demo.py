@@ -8,9 +8,9 @@ import time
 from pathlib import Path
 
 from ._sample_data import Sample
+from .fitting import FitState, fit
 from .geometry import Mesh, save_mesh, sphere
 from .images import write_image
-from .inference import FitState, fit
 from .measure import surface_distance
 from .optics import GaussianPSF
 from .report import History, write_results

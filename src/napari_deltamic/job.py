@@ -10,9 +10,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from .fitting import FitState, counted_voxels, fit
+from .fitting.default_accuracy import accuracy_for_image
 from .geometry import Mesh
-from .inference import FitState, counted_voxels, fit
-from .inference.default_accuracy import accuracy_for_image
 from .optics import GaussianPSF, Optics
 from .optics_settings import optics_from_values
 from .scene import Grid

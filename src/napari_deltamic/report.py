@@ -15,11 +15,11 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike
 
+from .fitting import FitState
 from .fourier.devices import choose_device
 from .fourier.native import threads
 from .geometry import save_mesh
 from .images import write_image
-from .inference import FitState
 from .measure import measure_cells, write_csv
 from .picture import picture_png
 from .scene import Grid, Renderer

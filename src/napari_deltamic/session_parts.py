@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .fitting import FitState
 from .geometry import Mesh
-from .inference import FitState
-from .inference.tracking import FrameResult
-from .inference.tracking.settings import TrackRun
 from .report import History
 from .scene import Grid
 from .settings import RunSettings
 from .timeline import Moment
+from .tracking import FrameResult
+from .tracking.settings import TrackRun
 
 Triple = tuple[float, float, float]
 
@@ -98,7 +98,7 @@ class SavedTracks:
     results : the frames that are done.
     settings : of the run; its ``fit`` is that of the first frame.
     seconds : s; how long it took.
-    shared_ground : see :func:`napari_deltamic.inference.tracking.track`.
+    shared_ground : see :func:`napari_deltamic.tracking.track`.
     """
 
     pixels: NDArray[Any]

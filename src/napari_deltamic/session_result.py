@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from .archive import ArchiveReader, ArchiveWriter, MeshReader, MeshWriter
 from .errors import InputError
-from .inference import FitState
+from .fitting import FitState
 from .job import optics_of
 from .optics import GaussianPSF, Optics
 from .reading import toml_values

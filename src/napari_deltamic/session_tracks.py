@@ -9,12 +9,12 @@ import numpy as np
 
 from .archive import ArchiveReader, ArchiveWriter, MeshReader, MeshWriter
 from .errors import InputError
-from .inference.tracking import Event, FrameResult
-from .inference.tracking.settings import TrackRun
 from .reading import toml_values
 from .session_bead import keep_bead, with_bead
 from .session_parts import SavedTracks
 from .settings import validated
+from .tracking import Event, FrameResult
+from .tracking.settings import TrackRun
 
 _NUMBERS = 8  # of a frame: number, time, loss, iterations, seconds, three widths of the PSF
 

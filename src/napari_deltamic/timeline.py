@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
+from .fitting import FitState
 from .geometry import Mesh
-from .inference import FitState
 from .optics import GaussianPSF, Optics
 
 MOST = 200

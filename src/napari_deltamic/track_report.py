@@ -16,12 +16,12 @@ import numpy as np
 
 from .errors import InputError, RepairWarning
 from .geometry import load_mesh, save_mesh
-from .inference.tracking import Event, FrameResult, lineage, surface_4d
-from .inference.tracking.settings import TrackRun
 from .measure.tracks import TRACK_COLUMNS, measure_tracks
 from .reading import json_values, read_text
 from .report import PACKAGES, plain_values, version_of
 from .scene import Grid
+from .tracking import Event, FrameResult, lineage, surface_4d
+from .tracking.settings import TrackRun
 from .writing import make_folder, write_atomically
 
 MESH_KINDS = (".ply", ".vtk")  # exact, with regions; and for viewers that play series

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import napari_deltamic as nd
+from napari_deltamic.fitting import fit
 from napari_deltamic.geometry import sphere
 from napari_deltamic.images import read_image
-from napari_deltamic.inference import fit
 from napari_deltamic.report import FILES
 from napari_deltamic.settings import RunSettings
 

@@ -22,9 +22,9 @@ STAND_IN = os.environ.get("DELTAMIC_STAND_IN") == "1"
 if STAND_IN:
     from cuda_emulation import Emulated, engine
 
-    from napari_deltamic.inference import level
+    from napari_deltamic.fitting import level
 
-    fit = import_module("napari_deltamic.inference.fit")  # the function of that name hides it
+    fit = import_module("napari_deltamic.fitting.fit")  # the function of that name hides it
 
     # Before the tests import it.
     device.kernels = lambda device, single: Emulated(single)

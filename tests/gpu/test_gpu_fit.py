@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
+from napari_deltamic.fitting import factors
+from napari_deltamic.fitting.preconditioner import Preconditioner
 from napari_deltamic.geometry import sphere
-from napari_deltamic.inference import factors
-from napari_deltamic.inference.preconditioner import Preconditioner
 
 START = sphere((2.0, 1.9, 2.1), 1.0, subdivisions=3)
 

@@ -36,11 +36,11 @@ with warnings.catch_warnings():
     from napari_deltamic.gui.tracking import work as tracking_work
 
 import napari_deltamic as nd
+from napari_deltamic.fitting import fit
 from napari_deltamic.fourier import calibration
 from napari_deltamic.fourier.cost import BUILT_IN
 from napari_deltamic.geometry import sphere
-from napari_deltamic.inference import fit
-from napari_deltamic.inference.tracking import track
+from napari_deltamic.tracking import track
 
 SIZE = (0.3, 0.2, 0.2)
 SHAPE = (20, 24, 24)

@@ -6,12 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from napari_deltamic.evidence import Evidence
+from napari_deltamic.evidence.camera import Camera
+from napari_deltamic.evidence.finding import Finding, unknown
 from napari_deltamic.gui.effects import effects_check
 from napari_deltamic.gui.effects.effects_panel import EffectsPanel
 from napari_deltamic.gui.panels.image_panel import ImagePanel
-from napari_deltamic.inference.evidence import Evidence
-from napari_deltamic.inference.evidence.camera import Camera
-from napari_deltamic.inference.evidence.finding import Finding, unknown
 from napari_deltamic.scene.effects import Bulk, Effects
 
 pytestmark = pytest.mark.usefixtures("soon")

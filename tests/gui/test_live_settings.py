@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.inference import Change
+from napari_deltamic.fitting import Change
 from napari_deltamic.scene.effects import Effects
 
 from .conftest import SIZE

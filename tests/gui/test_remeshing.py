@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from napari_deltamic.fitting import Change, fit
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.remeshing import can_remesh
 from napari_deltamic.geometry.remeshing import remesh as remeshed
 from napari_deltamic.gui.editing.carry import carried, same_triangles
 from napari_deltamic.gui.running import worker
 from napari_deltamic.gui.running.waiting import Waiting
-from napari_deltamic.inference import Change, fit
 from napari_deltamic.session_file import load_session, save_session
 
 from .conftest import CENTER

@@ -13,9 +13,9 @@ from napari_deltamic.cli import build_parser
 from napari_deltamic.cli.inputs import gather
 from napari_deltamic.cli.messages import Notes
 from napari_deltamic.errors import InputError
+from napari_deltamic.fitting import fit
 from napari_deltamic.gui.results.command import command, with_files
 from napari_deltamic.gui.running import worker
-from napari_deltamic.inference import fit
 from napari_deltamic.measure import measure_cells
 
 from .conftest import CENTER, SIZE

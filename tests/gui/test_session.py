@@ -6,10 +6,10 @@ import pytest
 from napari.layers import Labels, Surface
 
 from napari_deltamic import _widget
+from napari_deltamic.fitting import fit
 from napari_deltamic.geometry import sphere
 from napari_deltamic.gui.running import worker
 from napari_deltamic.images import write_image
-from napari_deltamic.inference import fit
 from napari_deltamic.optics_settings import MeasuredOptics, optics_from_values
 from napari_deltamic.scene.effects import Attenuation, Effects
 from napari_deltamic.session_file import load_session

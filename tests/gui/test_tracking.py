@@ -10,8 +10,8 @@ from napari_deltamic._writer import write_surface
 from napari_deltamic.errors import InputError
 from napari_deltamic.gui.tracking import work
 from napari_deltamic.gui.viewing.frame import OWN
-from napari_deltamic.inference.tracking import track
 from napari_deltamic.track_report import read_results
+from napari_deltamic.tracking import track
 
 from .conftest import CENTER, SIZE, STEP
 

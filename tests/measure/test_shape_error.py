@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import napari_deltamic as nd
+from napari_deltamic.fitting.default_accuracy import image_noise
 from napari_deltamic.geometry import box, sphere
-from napari_deltamic.inference.default_accuracy import image_noise
 from napari_deltamic.measure.shape_error import (
     ShapeError,
     photons_for,

@@ -10,10 +10,10 @@ import pytest
 import napari_deltamic as nd
 from napari_deltamic import InputError
 from napari_deltamic.archive import ArchiveWriter, opened
+from napari_deltamic.fitting.state import load_checkpoint
 from napari_deltamic.geometry import read_points_csv, sphere
 from napari_deltamic.geometry.files.vtk import read_vtk
 from napari_deltamic.images import read_image
-from napari_deltamic.inference.state import load_checkpoint
 from napari_deltamic.reading import LARGEST_TEXT, json_values, read_text, toml_values
 from napari_deltamic.settings import RunSettings
 

@@ -9,9 +9,9 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 import napari_deltamic as nd
+from napari_deltamic.fitting import level
 from napari_deltamic.fourier import particle_mesh
 from napari_deltamic.geometry import sphere
-from napari_deltamic.inference import level
 from napari_deltamic.scene import Renderer
 from napari_deltamic.scene.effects import (
     KINDS,

@@ -6,8 +6,8 @@ import torch
 from torch.autograd import gradcheck
 
 import napari_deltamic as nd
+from napari_deltamic.fitting.likelihood import match
 from napari_deltamic.geometry import Mesh
-from napari_deltamic.inference.likelihood import match
 from napari_deltamic.scene import Renderer
 
 VOXEL = (0.31, 0.2, 0.24)  # anisotropic

@@ -16,9 +16,9 @@ import numpy as np
 import torch
 
 import napari_deltamic as nd
+from napari_deltamic.fitting.likelihood import ImageNoise, match
+from napari_deltamic.fitting.run import Run
 from napari_deltamic.geometry import Mesh, sphere
-from napari_deltamic.inference.likelihood import ImageNoise, match
-from napari_deltamic.inference.run import Run
 from napari_deltamic.scene import Renderer
 from napari_deltamic.settings import FitSettings
 

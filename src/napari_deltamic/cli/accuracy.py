@@ -26,14 +26,14 @@ from ..accuracy_chart import (
     ways_table,
 )
 from ..choices import MESH_FILES
+from ..fitting import fit
+from ..fitting.checks import check_mesh
+from ..fitting.default_accuracy import accuracy_for, image_noise
+from ..fitting.forecast import Forecast, forecast
 from ..fourier.cost import costs
 from ..fourier.cuda import missing
 from ..fourier.native import simd_level, threads
 from ..geometry import Mesh, load_mesh
-from ..inference import fit
-from ..inference.checks import check_mesh
-from ..inference.default_accuracy import accuracy_for, image_noise
-from ..inference.forecast import Forecast, forecast
 from ..job import FitInput
 from ..measure.shape_error import DRAWS, ShapeError, photons_for, shape_errors
 from ..optics import Optics

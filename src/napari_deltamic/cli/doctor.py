@@ -15,6 +15,7 @@ import torch
 
 from .. import __version__
 from ..errors import InputError
+from ..fitting.factors import DRIVER, driver_is_found
 from ..fourier import native, simd_level
 from ..fourier.cost import costs, processor
 from ..fourier.cuda import compiler, missing
@@ -23,7 +24,6 @@ from ..fourier.devices import choose_device
 from ..fourier.native import threads
 from ..fourier.plan import Method
 from ..geometry import sphere
-from ..inference.factors import DRIVER, driver_is_found
 from ..optics import GaussianPSF
 from ..report import PACKAGES
 from ..scene import Grid, Renderer

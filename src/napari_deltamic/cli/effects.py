@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ..inference.evidence import Recommendation
-from ..inference.evidence.camera import Camera
-from ..inference.evidence.candidates import chosen_candidates
-from ..inference.evidence.finding import Finding
-from ..inference.evidence.first_sigma import first_sigma
-from ..inference.evidence.slices import drift, fading
+from ..evidence import Recommendation
+from ..evidence.camera import Camera
+from ..evidence.candidates import chosen_candidates
+from ..evidence.finding import Finding
+from ..evidence.first_sigma import first_sigma
+from ..evidence.slices import drift, fading
 from ..job import FitInput
 from ..report import plain_values
 from ..scene.effects import Effects

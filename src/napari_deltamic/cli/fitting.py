@@ -14,9 +14,9 @@ from typing import Any
 from tqdm import tqdm
 
 from ..errors import InputError
+from ..evidence import analyse_residual
+from ..fitting import FitState, fit
 from ..images import write_image
-from ..inference import FitState, fit
-from ..inference.evidence import analyse_residual
 from ..job import FitInput, start
 from ..report import History, write_results
 from ..writing import interrupts_held, own_folder, write_atomically

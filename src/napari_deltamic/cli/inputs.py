@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from ..choices import IMAGE_FILES, MESH_FILES
 from ..errors import InputError
+from ..fitting.checks import check_image
 from ..geometry import Mesh, load_mesh, mesh_from_labels, read_points_csv, seeds_from_points
 from ..geometry.missing import filled
 from ..images import VoxelSize, read_image
-from ..inference.checks import check_image
 from ..job import SIGMA_IN_VOXELS, FitInput, SeedKind, assemble
 from ..scene import Grid
 from ..scene.effects import Effects

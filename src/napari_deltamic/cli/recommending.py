@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import asdict, replace
 from typing import Any
 
-from ..inference import FitState
-from ..inference.evidence import Recommendation, Residual, recommend
-from ..inference.evidence.camera import Camera
+from ..evidence import Recommendation, Residual, recommend
+from ..evidence.camera import Camera
+from ..fitting import FitState
 from ..job import FitInput
 from .messages import Notes
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from ..fitting.checks import check_mesh
 from ..geometry import load_mesh
 from ..images import write_image
-from ..inference.checks import check_mesh
 from ..scene import Grid, render
 from .messages import Notes, failure, tell
 from .optics_arguments import optics_from_arguments

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from ..fitting.checks import check_mesh
 from ..geometry import Mesh, load_mesh
-from ..inference.checks import check_mesh
 from ..optics_settings import optics_from_values
 from ..scene import Grid, Scene, Surface, random_cells, simulate
 from ..scene.effects import Effects

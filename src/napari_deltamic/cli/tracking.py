@@ -15,12 +15,12 @@ from tqdm import tqdm
 
 from ..errors import InputError
 from ..image_series import ImageSeries, open_series
-from ..inference.tracking import FrameResult, track
-from ..inference.tracking.settings import TrackRun
 from ..job import SIGMA_IN_VOXELS, FitInput, assemble
 from ..scene import Grid
 from ..settings import validated
 from ..track_report import FILES, mesh_name, read_results, write_frame, write_tracks
+from ..tracking import FrameResult, track
+from ..tracking.settings import TrackRun
 from ..writing import own_folder, written_together
 from .arguments.track import track_values
 from .folders import check_folder

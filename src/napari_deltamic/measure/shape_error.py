@@ -10,10 +10,10 @@ from statistics import mean, stdev
 import numpy as np
 
 from ..errors import InputError
+from ..fitting import FitState, fit
+from ..fitting.default_accuracy import image_noise
+from ..fitting.preconditioner import components
 from ..geometry.mesh import Mesh
-from ..inference import FitState, fit
-from ..inference.default_accuracy import image_noise
-from ..inference.preconditioner import components
 from ..optics import Optics
 from ..scene import Grid, render
 from ..scene.tradeoff import check_visible

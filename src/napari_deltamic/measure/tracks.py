@@ -7,7 +7,7 @@ from math import nan
 
 import numpy as np
 
-from ..inference.tracking import FrameResult, lineage
+from ..tracking import FrameResult, lineage
 from .cells import measure_cells
 
 TRACK_COLUMNS = (

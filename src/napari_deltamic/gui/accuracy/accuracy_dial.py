@@ -9,7 +9,7 @@ from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QComboBox, QSizePolicy, QWidget
 
 from ...errors import InputError
-from ...inference.default_accuracy import PRESETS, Preset, preset_accuracy
+from ...fitting.default_accuracy import PRESETS, Preset, preset_accuracy
 
 STANDARD = "standard"
 # What the page of preferences offers; the dial also takes any other number.

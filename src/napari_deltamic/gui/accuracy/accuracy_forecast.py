@@ -10,9 +10,9 @@ from qtpy.QtCore import QObject, QTimer
 
 from ...accuracy_chart import short
 from ...errors import InputError
+from ...fitting.default_accuracy import PRESETS
+from ...fitting.forecast import Forecast
 from ...fourier.cost import costs
-from ...inference.default_accuracy import PRESETS
-from ...inference.forecast import Forecast
 from ...scene.tradeoff import duration
 from ..background import Background
 from ..qt import Signal

@@ -9,8 +9,8 @@ from typing import Any
 from qtpy.QtCore import QObject
 
 from ...errors import InputError
+from ...fitting.default_accuracy import image_noise
 from ...fourier.cost import costs
-from ...inference.default_accuracy import image_noise
 from ...scene.tradeoff import Way, measure_ways
 from ..attempt import words_of
 from ..background import BackgroundSteps

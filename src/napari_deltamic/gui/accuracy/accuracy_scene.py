@@ -13,11 +13,11 @@ from napari.layers import Labels, Points, Surface
 from numpy.typing import NDArray
 
 from ...errors import InputError
+from ...fitting.default_accuracy import image_noise
+from ...fitting.forecast import Forecast, forecast
 from ...fourier.cost import costs
 from ...geometry import Mesh, sphere
 from ...geometry.labels.meshes import EDGE_IN_VOXELS
-from ...inference.default_accuracy import image_noise
-from ...inference.forecast import Forecast, forecast
 from ...job import SeedKind, optics_of
 from ...optics import Optics
 from ...scene import Grid

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ...inference import FitState
-from ...inference.forecast import Forecast, LevelForecast
+from ...fitting import FitState
+from ...fitting.forecast import Forecast, LevelForecast
 from ...report import History
 
 

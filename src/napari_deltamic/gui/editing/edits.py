@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from qtpy.QtCore import QObject
 
 from ...errors import InputError
+from ...fitting import Change, FitState
 from ...geometry import Mesh
-from ...inference import Change, FitState
 from ...job import FitInput
 from ...scene import expected_image
 from ..qt import Signal

@@ -9,9 +9,9 @@ from functools import partial
 from qtpy.QtCore import QObject, QTimer
 
 from ...errors import InputError
-from ...inference import FitState
-from ...inference.checks import check_image
-from ...inference.evidence import Recommendation, recommend
+from ...evidence import Recommendation, recommend
+from ...fitting import FitState
+from ...fitting.checks import check_image
 from ...job import FitInput, assemble, optics_of, start
 from ...settings import NEAR_LEVELS, RunSettings
 from ..background import Background

@@ -7,9 +7,9 @@ from typing import Any
 from qtpy.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
 from ...errors import InputError
-from ...inference.evidence import Recommendation
-from ...inference.evidence.camera import Camera
-from ...inference.evidence.candidates import CONSIDERED
+from ...evidence import Recommendation
+from ...evidence.camera import Camera
+from ...evidence.candidates import CONSIDERED
 from ...scene.effects import KINDS, Effects
 from ..panels.note import Note
 from ..qt import Signal

@@ -15,7 +15,7 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
-from ...inference.evidence import Evidence
+from ...evidence import Evidence
 from ...scene.effects import KINDS
 from ..qt import Signal
 

@@ -17,7 +17,7 @@ from qtpy.QtWidgets import (
 )
 
 from ...choices import DensityModel, Likelihood
-from ...inference.default_accuracy import image_noise
+from ...fitting.default_accuracy import image_noise
 from ...job import SIGMA_IN_VOXELS
 from ...scene.effects import Effects
 from ...settings import FitSettings, SceneSettings, validated

@@ -18,7 +18,7 @@ from qtpy.QtWidgets import (
 )
 
 from ...colouring import colour_of
-from ...inference.evidence.residual import CellFit
+from ...evidence.residual import CellFit
 from ...measure.cells import CellRow
 from ..qt import Signal
 

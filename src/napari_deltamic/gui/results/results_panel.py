@@ -9,9 +9,9 @@ from pathlib import Path
 from qtpy.QtWidgets import QFileDialog, QGroupBox, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
 from ...colouring import colour_indices
+from ...fitting import FitState
 from ...geometry import Mesh, save_mesh
 from ...images import write_image
-from ...inference import FitState
 from ...job import FitInput
 from ...measure import measure_cells, write_csv
 from ...report import History, write_results

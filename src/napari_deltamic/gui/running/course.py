@@ -10,7 +10,7 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ...inference import FitState
+from ...fitting import FitState
 from ...job import FitInput
 from ...report import History
 from .waiting import Waiting

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QGridLayout, QLabel, QWidget
 
-from ...inference import FitState
+from ...fitting import FitState
 from ...job import FitInput
 from ...optics import GaussianPSF
 from ...report import effects_found

@@ -8,7 +8,7 @@ import numpy as np
 from qtpy.QtCore import QObject, QSignalBlocker
 
 from ...errors import InputError
-from ...inference import Change
+from ...fitting import Change
 from ...job import optics_of, scene_with
 from ...optics import Optics
 from ...scene.effects import Effects

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from qtpy.QtCore import QObject
 
-from ...inference import FitState
-from ...inference.checks import check_image
-from ...inference.evidence.noise import Variance, voxel_variance
-from ...inference.evidence.residual import Residual, analyse_residual
+from ...evidence.noise import Variance, voxel_variance
+from ...evidence.residual import Residual, analyse_residual
+from ...fitting import FitState
+from ...fitting.checks import check_image
 from ...job import FitInput
 from ..background import Background
 from .composition import Live, Panels

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from qtpy.QtCore import QObject
 
 from ...errors import InputError
+from ...fitting import Change, FitState
+from ...fitting.checks import check_image
+from ...fitting.forecast import Experience, Forecast
 from ...geometry import Mesh
-from ...inference import Change, FitState
-from ...inference.checks import check_image
-from ...inference.forecast import Experience, Forecast
 from ...job import FitInput, assemble, scene_with
 from ...report import History
 from ...settings import NEAR_LEVELS, RunSettings

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError
+from ...fitting import Change
+from ...fitting.checks import check_mesh
 from ...geometry import Mesh
-from ...inference import Change
-from ...inference.checks import check_mesh
 from ...job import FitInput
 from ...optics import Optics
 from ..editing.carry import carried

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from qtpy.QtCore import QTimer
 
 from ...errors import InputError, RepairWarning, SlowPathWarning
+from ...fitting import Change, FitState
+from ...fitting.forecast import Forecast, forecast
 from ...geometry import Mesh
-from ...inference import Change, FitState
-from ...inference.forecast import Forecast, forecast
 from ...job import FitInput, scene_with, start
 from ...report import History
 from ...scene.effects import Effects

@@ -11,8 +11,8 @@ from napari.utils import Colormap
 from numpy.typing import NDArray
 
 from ...colouring import PALETTE, colour_indices, plain_index
-from ...inference.tracking import FrameResult, lineage, surface_4d
 from ...measure import measure_cells
+from ...tracking import FrameResult, lineage, surface_4d
 from ..connections import Connections
 from ..plain import camera_of
 from ..viewing.colours import PALETTE_RGBA, region_colours

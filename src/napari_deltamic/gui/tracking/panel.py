@@ -17,8 +17,8 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
-from ...inference.tracking import FrameResult, TrackSettings
 from ...measure import measure_cells
+from ...tracking import FrameResult, TrackSettings
 from ..panels.fields import note_label
 from ..qt import Signal
 from ..results.cell_table import CellTable

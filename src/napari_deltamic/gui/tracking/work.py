@@ -10,9 +10,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ...inference.tracking import FrameResult, track
-from ...inference.tracking.settings import TrackRun
 from ...job import FitInput
+from ...tracking import FrameResult, track
+from ...tracking.settings import TrackRun
 from ..attempt import words_of
 from ..background import BackgroundRun, BackgroundSteps
 

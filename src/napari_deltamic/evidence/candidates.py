@@ -1,0 +1,94 @@
+"""The effects that are considered, each at the numbers with which it changes nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from ..errors import InputError
+from ..optics import Optics
+from ..scene.effects import KINDS, Effect, Effects, Halo
+from ..scene.effects.base import VoxelEffect
+
+# A halo's width is not told by its derivative where it holds no light, so several are tried.
+_HALO_WIDTHS = (3.0, 6.0, 12.0)  # of the PSF in the plane
+_NEEDS_MORE = ("second_view",)  # it is data: whether there is a second image, none can tell
+CONSIDERED = tuple(
+    name
+    for name, kind in KINDS.items()
+    if not issubclass(kind, VoxelEffect) and name not in _NEEDS_MORE
+)
+
+
+def chosen_candidates(names: Sequence[str] | None, present: Effects) -> tuple[str, ...]:
+    """Names of the effects to consider, without those that are present.
+
+    Raises
+    ------
+    InputError
+        If one is unknown, or cannot be judged by one image.
+    """
+    for name in names or ():
+        if name in _NEEDS_MORE:
+            raise InputError(
+                f"{name} is data, which no single image can call for: name its file among the "
+                "effects of the fit"
+            )
+        if name not in CONSIDERED:
+            raise InputError(
+                f"'{name}' is no effect that an image can call for: choose from "
+                f"{', '.join(CONSIDERED)}"
+            )
+    wanted = CONSIDERED if names is None else names
+    return tuple(n for n in CONSIDERED if n in wanted and n not in present.names)
+
+
+def variants(name: str, optics: Optics) -> list[Effect]:
+    """The effect where it changes nothing; several where its derivative depends on how."""
+    neutral = KINDS[name].neutral()
+    if not isinstance(neutral, Halo):
+        return [neutral]
+    bounds = Halo.bounds["width"]
+    base = float(np.mean(optics.sigma_um[1:]))
+    widths = (min(max(k * base, bounds.low), bounds.high) for k in _HALO_WIDTHS)
+    return [neutral.model_copy(update={"width": w}) for w in widths]
+
+
+def allowed(effect: Effect, present: Effects) -> bool:
+    """Whether no effect that is present passes for it."""
+    return effect.name not in present.names and not any(
+        other in present.names for other in effect.contradicts
+    )
+
+
+def points_inwards(effect: Effect, estimate: np.ndarray) -> bool:
+    """Whether an estimate is one that the effect can take: light is not negative.
+
+    An effect without numbers is there or not: whichever is nearer.
+    """
+    if not effect.bounds:
+        return bool(estimate[0] > 0.5)
+    before = effect.parameters().numpy()
+    after = effect.with_parameters(effect.parameters() + _tensor(estimate)).parameters().numpy()
+    told = estimate != 0
+    return bool(((after - before)[told] * estimate[told] > 0).any())
+
+
+def beyond_bounds(effect: Effect) -> bool:
+    """Whether a number ended at its bound: the effect then stands for something else."""
+    if not effect.bounds:
+        return False
+    return any(bool(at.any()) for at in effect.at_bounds())
+
+
+def at_estimate(effect: Effect, estimate: np.ndarray) -> Effect:
+    """The effect with its numbers changed by the estimate, as far as they may be."""
+    if not effect.bounds:
+        return effect
+    return effect.with_parameters(effect.parameters() + _tensor(estimate))
+
+
+def _tensor(values: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(np.asarray(values, dtype=float))

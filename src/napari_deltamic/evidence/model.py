@@ -1,0 +1,209 @@
+"""The expected image of a fitted scene, and its derivatives in everything that was fitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..fourier import Plan
+from ..scene import Grid, Renderer
+from ..scene.effects import Effect, Effects, OffsetEffect
+from .modes import ShapeModes
+from .scene import Scene
+from .surface import SurfaceColumns
+from .transforms import Transforms
+
+_PSF_CHANGE = 1e-2
+_CHANGE = 0.05  # of an effect's scale
+_MARGIN = 2.0  # widths that vertices may move before a renderer is planned anew
+_NARROWED = 0.95  # of the PSF: a narrower one has a wider band
+
+
+@dataclass(frozen=True)
+class _Planned:
+    """A renderer, and the widths (3,) um of the PSF that its band is for."""
+
+    renderer: Renderer
+    width: np.ndarray
+
+    def holds_for(self, scene: Scene) -> bool:
+        """Whether neither its mesh has moved too far nor its PSF become too narrow."""
+        wide = (np.asarray(scene.optics.width()) >= _NARROWED * self.width).all()
+        return bool(wide) and self.renderer.holds_for(scene.mesh.vertices_numpy())
+
+    def pads_enough_for(self, scene: Scene) -> bool:
+        """Whether no copy of the mesh is seen with its effects."""
+        return self.renderer.pads_enough_for(scene.effects, scene.optics)
+
+
+class ImageModel:
+    """Expected values of the voxels that count, and their derivatives.
+
+    Parameters
+    ----------
+    scene
+        Near which images are wanted.
+    grid
+        Of the image.
+    index
+        (N,) flat indices of the voxels that count.
+    accuracy
+        Relative L2 error of the images.
+    frame
+        Grid of the whole image where ``grid`` is a part of it.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        grid: Grid,
+        index: np.ndarray,
+        accuracy: float,
+        frame: Grid | None = None,
+    ) -> None:
+        self.grid, self.accuracy, self.frame = grid, accuracy, frame or grid
+        self._index = torch.from_numpy(np.asarray(index, dtype=np.int64))
+        self._width = min(scene.optics.sigma_um)
+        self._transforms = Transforms()
+        self._plan_for(scene)
+
+    def _plan_for(self, scene: Scene) -> None:
+        self._planned = self._plan(scene)
+        self._padded: dict[tuple[str, ...], _Planned] = {}
+
+    def _plan(self, scene: Scene) -> _Planned:
+        renderer = Renderer(
+            scene.mesh,
+            self.grid,
+            scene.optics,
+            self.accuracy,
+            effects=scene.effects,
+            frame=self.frame,
+            margin=_MARGIN * self._width,
+        )
+        return _Planned(renderer, np.asarray(scene.optics.width()))
+
+    @property
+    def plan(self) -> Plan:
+        """Of the images."""
+        return self._planned.renderer.plan
+
+    def _renderer_for(self, scene: Scene) -> Renderer:
+        """One plan for all scenes near each other, but for effects that need a wider padding."""
+        if not self._planned.holds_for(scene):
+            self._plan_for(scene)
+        if self._planned.pads_enough_for(scene):
+            return self._planned.renderer.with_effects(scene.effects)
+        names = scene.effects.names
+        held = self._padded.get(names)
+        if held is None or not (held.holds_for(scene) and held.pads_enough_for(scene)):
+            held = self._padded[names] = self._plan(scene)
+        return held.renderer.with_effects(scene.effects)
+
+    def _voxels(self, image: Tensor) -> np.ndarray:
+        found: np.ndarray = image.reshape(-1)[self._index].to(torch.float64).numpy()
+        return found
+
+    @torch.no_grad()
+    def rendered(self, scene: Scene) -> np.ndarray:
+        """(N,) of the rendered image, before amplitude and background."""
+        renderer = self._renderer_for(scene)
+        transform = self._transforms.of(renderer, scene)
+        return self._voxels(renderer.image(transform, renderer.otf(scene.optics)))
+
+    def expected(self, scene: Scene) -> np.ndarray:
+        """(N,) of the expected image."""
+        return self.measured(self.rendered(scene), scene)
+
+    def measured(self, rendered: np.ndarray, scene: Scene) -> np.ndarray:
+        """(N,) of the expected image, from that of the rendered one."""
+        values = scene.amplitude * rendered + scene.background
+        added = self._renderer_for(scene).offset()
+        return values if added is None else values + self._voxels(added)
+
+    def shape_columns(self, scene: Scene, modes: ShapeModes) -> np.ndarray:
+        """(N, K): change of the expected image for a coefficient of 1 um of each mode."""
+        return self._of_surface(scene).shape(modes)
+
+    def density_columns(self, scene: Scene, fields: np.ndarray) -> np.ndarray:
+        """(N, M): for a coefficient of 1 of each field (M, F) of the logarithm of the density."""
+        return self._of_surface(scene).density(fields)
+
+    def _of_surface(self, scene: Scene) -> SurfaceColumns:
+        index = self._index.numpy()
+        return SurfaceColumns(scene, self.grid, self.frame, index, self.accuracy)
+
+    @torch.no_grad()
+    def psf_columns(self, scene: Scene) -> np.ndarray:
+        """(N, P): for each of the PSF's parameters."""
+        renderer = self._renderer_for(scene)
+        transform = self._transforms.of(renderer, scene)
+        p = scene.optics.parameters().detach()
+        columns = []
+        for k in range(len(p)):
+            step = torch.zeros_like(p)
+            step[k] = _PSF_CHANGE
+            otf = renderer.otf(scene.optics.with_parameters(p + step)) - renderer.otf(
+                scene.optics.with_parameters(p - step)
+            )
+            column = self._voxels(renderer.image(transform, otf))
+            columns.append(column * (scene.amplitude / (2 * _PSF_CHANGE)))
+        return _stacked(columns, len(self._index))
+
+    def effect_columns(self, scene: Scene, effect: Effect) -> np.ndarray:
+        """(N, P): for each of an effect's parameters, about the values that it has.
+
+        One column, the whole difference that it makes, for an effect without numbers.
+        """
+        if not effect.bounds:
+            without = replace(scene, effects=scene.effects.without(effect.name))
+            having = replace(scene, effects=scene.effects.replace(**{effect.name: effect}))
+            return _stacked([self.expected(having) - self.expected(without)], len(self._index))
+        p = effect.parameters()
+        columns = []
+        for k in range(len(p)):
+            step = torch.zeros_like(p)
+            step[k] = 1.0 if isinstance(effect, OffsetEffect) else _CHANGE
+            ends: list[Any] = [effect.with_parameters(p + side * step) for side in (1, -1)]
+            # At a bound only one side is allowed.
+            between = float(ends[0].parameters()[k] - ends[1].parameters()[k])
+            if between <= 0:
+                columns.append(np.zeros(len(self._index)))
+                continue
+            if isinstance(effect, OffsetEffect):
+                added = [self._added(e) for e in ends]
+            else:
+                added = [
+                    self.expected(replace(scene, effects=scene.effects.replace(**{e.name: e})))
+                    for e in ends
+                ]
+            columns.append((added[0] - added[1]) / between)
+        return _stacked(columns, len(self._index))
+
+    def _added(self, effect: OffsetEffect) -> np.ndarray:
+        return self._voxels(effect.offset(self.grid, self.frame).expand(self.grid.shape))
+
+
+def _stacked(columns: list[np.ndarray], length: int) -> np.ndarray:
+    """(N, K), stored column by column."""
+    return np.array(columns).T if columns else np.zeros((0, length)).T
+
+
+def parameters_of(effects: Effects) -> list[tuple[Effect, int]]:
+    """Each fitted effect and how many numbers it has."""
+    return [(e, len(e.parameters())) for e in effects.fitted()]
+
+
+def with_changed(effects: Effects, change: np.ndarray) -> Effects:
+    """The effects with their numbers, one after the other, changed by so much."""
+    changed: dict[str, Any] = {}
+    at = 0
+    for effect, n in parameters_of(effects):
+        p = effect.parameters() + torch.from_numpy(np.asarray(change[at : at + n]))
+        changed[effect.name] = effect.with_parameters(p)
+        at += n
+    return effects.replace(**changed)

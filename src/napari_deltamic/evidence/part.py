@@ -1,0 +1,135 @@
+"""The part of a scene that is judged: a few cells, and the piece of the image around them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+
+from ..fitting.territory import surface_voxels
+from ..geometry.mesh import Mesh
+from ..scene import Grid
+
+REACH = 8.0  # widths of the PSF from the surface up to which voxels are evidence
+_MOST_CELLS = 6  # more tell hardly more of what all have in common, and take longer
+_SEEN = 5.0  # widths beyond the piece from which light still falls into it
+
+
+@dataclass(frozen=True)
+class Part:
+    """A piece of an image and what is judged in it.
+
+    Attributes
+    ----------
+    grid
+        Of the piece.
+    box
+        Slices of the whole image that it is.
+    mesh, density
+        Surfaces of the cells in or near it; (F,) relative density, None where uniform.
+    cells
+        Regions whose shape is free.
+    index
+        (N,) flat indices into the piece of the voxels that are evidence.
+    of
+        How many cells there are in the whole image.
+    """
+
+    grid: Grid
+    box: tuple[slice, slice, slice]
+    mesh: Mesh
+    density: np.ndarray | None
+    cells: np.ndarray
+    index: np.ndarray
+    of: int
+
+
+def part_of(
+    usable: np.ndarray, grid: Grid, mesh: Mesh, density: np.ndarray | None, width: np.ndarray
+) -> Part:
+    """The cells nearest to the middle of the image, and the usable voxels that belong to them.
+
+    Parameters
+    ----------
+    usable
+        (Z, Y, X) bool.
+    grid, mesh, density
+        Of the fit.
+    width
+        (3,) um: standard deviations of the PSF.
+    """
+    every = mesh.region_ids()
+    every = every[every != 0]
+    cells = _central(mesh, every, grid)
+    spacing = np.asarray(grid.voxel_size) / width
+    own = _distance(mesh, cells, grid, spacing)
+    near = own <= REACH
+    if len(cells) < len(every):
+        near &= own <= _distance(mesh, np.setdiff1d(every, cells), grid, spacing)
+    found = usable & near
+    if not found.any():
+        found = usable
+    box = _box(found)
+    first = np.array([s.start for s in box])
+    z, y, x = np.asarray(grid.origin) + first * np.asarray(grid.voxel_size)
+    shape = (box[0].stop - first[0], box[1].stop - first[1], box[2].stop - first[2])
+    piece = Grid(shape, grid.voxel_size, (float(z), float(y), float(x)))
+    seen, weight = _near_piece(mesh, density, piece, _SEEN * width)
+    return Part(piece, box, seen, weight, cells, np.flatnonzero(found[box]), len(every))
+
+
+def _central(mesh: Mesh, regions: np.ndarray, grid: Grid) -> np.ndarray:
+    """A few neighbouring regions around the middle of the image."""
+    if len(regions) <= _MOST_CELLS:
+        return regions
+    v = mesh.vertices_numpy()
+    middles = np.array(
+        [v[np.unique(mesh.faces[(mesh.regions == r).any(1)])].mean(0) for r in regions]
+    )
+    first, last = grid.extent
+    start = middles[np.argmin(((middles - (first + last) / 2) ** 2).sum(1))]
+    nearest = np.argsort(((middles - start) ** 2).sum(1), kind="stable")[:_MOST_CELLS]
+    return np.sort(regions[nearest])
+
+
+def _distance(mesh: Mesh, regions: np.ndarray, grid: Grid, spacing: np.ndarray) -> np.ndarray:
+    """(Z, Y, X) widths of the PSF to the surfaces of some regions; infinite where none is seen."""
+    faces = np.isin(mesh.regions, regions).any(1)
+    kept = Mesh(mesh.vertices_numpy(), mesh.faces[faces], mesh.regions[faces])
+    surface = surface_voxels(kept, grid)
+    if not surface.any():
+        return np.full(grid.shape, np.inf)
+    found: np.ndarray = distance_transform_edt(~surface, sampling=spacing)
+    return found
+
+
+def _box(found: np.ndarray) -> tuple[slice, slice, slice]:
+    """The smallest box with all voxels that are found."""
+    ends = []
+    for axis in range(3):
+        some = np.flatnonzero(found.any(tuple(a for a in range(3) if a != axis)))
+        ends.append(slice(int(some[0]), int(some[-1]) + 1))
+    return ends[0], ends[1], ends[2]
+
+
+def _near_piece(
+    mesh: Mesh, density: np.ndarray | None, piece: Grid, margin: np.ndarray
+) -> tuple[Mesh, np.ndarray | None]:
+    """The regions that reach near a piece; a wall to one left out keeps both its membranes."""
+    first, last = piece.extent
+    v, kept = mesh.vertices_numpy(), [0]
+    regions = mesh.region_ids()
+    for r in regions[regions != 0]:
+        own = v[np.unique(mesh.faces[(mesh.regions == r).any(1)])]
+        if (own.max(0) > first - margin).all() and (own.min(0) < last + margin).all():
+            kept.append(int(r))
+    if len(kept) > len(regions[regions != 0]):
+        return mesh, density
+    sides = np.where(np.isin(mesh.regions, kept), mesh.regions, 0)
+    faces = (sides != 0).any(1)
+    used, index = np.unique(mesh.faces[faces], return_inverse=True)
+    part = Mesh(v[used], index.reshape(-1, 3), sides[faces])
+    weight = np.ones(len(part.faces)) if density is None else density[faces]
+    weight = weight * mesh.membranes()[faces] / part.membranes()
+    return part, weight if np.ptp(weight) > 0 else None

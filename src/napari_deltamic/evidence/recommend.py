@@ -1,0 +1,300 @@
+"""Which effects a scene calls for, with evidence, predicted bias of the shape and price."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..fitting.checks import check_image, hot_voxels
+from ..fitting.default_accuracy import accuracy_for_image
+from ..fitting.fit import fit
+from ..fitting.likelihood import voxel_noise
+from ..fitting.state import FitState
+from ..geometry.mesh import Mesh
+from ..optics import Optics
+from ..scene import Grid
+from ..scene.effects import Camera as CameraEffect
+from ..scene.effects import Effect, Effects, Missing, as_effects
+from ..settings import FitSettings
+from .camera import Camera, camera_from_image, failed_slices
+from .candidates import chosen_candidates, points_inwards
+from .noise import voxel_variance
+from .price import Prices
+from .scene import Scene
+from .search import Judged, Search
+
+_MISFIT = 1.3  # of the variance of noise: worth a remark
+NEGLIGIBLE = 0.02  # voxels: an effect that moves the surface by less is not worth its price
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What speaks for an effect, and what it costs.
+
+    Attributes
+    ----------
+    name
+        Of the effect.
+    score
+        Standard deviations by which the image asks for it; see :func:`.score.score`.
+    bias_nm, bias_voxels
+        Root mean square distance by which the surface is off without it, as predicted; voxels by
+        their smallest side.
+    cost_ms
+        What an iteration at full resolution takes longer with it, as predicted from what it states
+        and from the time that a rendering of the scene took.
+    recommended
+        Whether to take it.
+    reason
+        Why, in plain words.
+    """
+
+    name: str
+    score: float
+    bias_nm: float
+    bias_voxels: float
+    cost_ms: float
+    recommended: bool
+    reason: str
+
+
+@dataclass(frozen=True)
+class Recommendation:
+    """The effects that an image calls for.
+
+    Attributes
+    ----------
+    effects
+        Those that were there, and those recommended, with first estimates of their numbers.
+    evidence
+        One for each candidate: those recommended first, then by score.
+    threshold
+        Score from which on an effect counts as seen.
+    scene
+        What was fitted in the end, of the part of the image that was judged.
+    camera
+        What the image tells about its camera.
+    remarks
+        What a reader should know besides, in plain words.
+    """
+
+    effects: Effects
+    evidence: tuple[Evidence, ...]
+    threshold: float
+    scene: Scene
+    camera: Camera
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def recommended(self) -> tuple[str, ...]:
+        """Names of the effects to add."""
+        return tuple(e.name for e in self.evidence if e.recommended)
+
+
+def recommend(
+    image: np.ndarray,
+    grid: Grid,
+    mesh: Mesh,
+    optics: Optics,
+    settings: FitSettings | None = None,
+    candidates: Sequence[str] | None = None,
+    *,
+    counted: np.ndarray | None = None,
+    effects: Effects | Sequence[str] = (),
+    fitted: FitState | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Recommendation:
+    """Decide which effects an image calls for.
+
+    The scene is fitted without them. The candidate with the largest score above the threshold is
+    added, the scene refitted, and so on, one at a time, because effects pass for one another. What
+    in the end is not clear beside all the misfit that is left, or moves the surface by less than
+    0.02 voxel, is left out. All but the prices is deterministic.
+
+    A second view is data, not a choice that one image could tell, and so is no candidate.
+
+    Parameters
+    ----------
+    image, grid, mesh, optics, settings, counted
+        As :func:`napari_deltamic.fit` takes them.
+    candidates
+        Names of effects to consider; all by default.
+    effects
+        Those that are in the scene already, and stay.
+    fitted
+        Last state of a fit of this image with ``effects``, which is then not done again.
+    progress
+        Called with a line before each step.
+
+    Raises
+    ------
+    InputError
+        As :func:`napari_deltamic.fit` does, and where a candidate is unknown.
+    """
+    settings = settings or FitSettings()
+    present = as_effects(effects)
+    names = chosen_candidates(candidates, present)
+    tell = progress or (lambda _: None)
+    pixels, known = check_image(image, grid)
+    if fitted is None:
+        tell("fitting without further effects")
+        *_, fitted = fit(
+            image, grid, mesh, optics, settings=settings, counted=counted, effects=present
+        )
+    camera = camera_from_image(image)
+    usable = known if counted is None else known & (np.asarray(counted) != 0)
+    usable = usable & ~hot_voxels(pixels, usable)
+    if camera.saturation.value is not None:
+        usable &= pixels < camera.saturation.value
+    usable[list(failed_slices(pixels))] = False
+    search = Search(
+        pixels,
+        usable,
+        grid,
+        fitted,
+        present,
+        voxel_variance(image, pixels, known, camera),
+        settings,
+        len(names),
+    )
+    search.run(names, tell)
+    accuracy = settings.accuracy
+    if accuracy is None:
+        accuracy = accuracy_for_image(pixels, known)
+    prices = Prices(fitted.mesh, grid, fitted.optics.detach(), present, accuracy)
+    found = _outcome(search, names, present, camera, prices)
+    return with_detection(found, search, pixels, known)
+
+
+def _outcome(
+    search: Search,
+    names: tuple[str, ...],
+    present: Effects,
+    camera: Camera,
+    prices: Prices,
+) -> Recommendation:
+    voxel = min(search.part.grid.voxel_size)
+    evidence = []
+    for name in names:
+        judged = search.judged(name)
+        bias = search.refit.modes.size(judged.score.shape)
+        clear = abs(judged.score.z) > search.threshold
+        evidence.append(
+            Evidence(
+                name,
+                judged.score.z,
+                1e3 * bias,
+                bias / voxel,
+                prices.milliseconds(judged.effect),
+                judged.chosen and clear and bias >= NEGLIGIBLE * voxel,
+                _reason(judged, bias, voxel, search),
+            )
+        )
+    evidence.sort(key=lambda e: (not e.recommended, -abs(e.score)))
+    taken = {e.name for e in evidence if e.recommended}
+    left = [n for n in search.scene.effects.names if n not in taken and n not in present.names]
+    return Recommendation(
+        search.scene.effects.without(*left),
+        tuple(evidence),
+        search.threshold,
+        search.scene,
+        camera,
+        _remarks(search, voxel),
+    )
+
+
+def with_detection(
+    found: Recommendation, search: Search, pixels: np.ndarray, known: np.ndarray
+) -> Recommendation:
+    """The recommendation with the effects of detection, which leave voxels out.
+
+    They need no score: that a voxel is full, or a slice the same everywhere, is seen. What counts
+    is by how much such voxels move the surface where they are left in.
+    """
+    camera, voxel = found.camera, min(search.part.grid.voxel_size)
+    seen: list[tuple[Effect, np.ndarray, str]] = []
+    full = camera.saturation.value
+    if full is not None and found.effects.camera is None:
+        where = known & (pixels >= full)
+        seen.append((_camera_effect(camera, pixels), where, f"voxels are full, at {full:g}"))
+    slices = failed_slices(pixels)
+    if slices and found.effects.missing is None:
+        where = np.zeros(pixels.shape, bool)
+        where[list(slices)] = True
+        seen.append((Missing(slices=slices), where, "voxels lie in slices without an image"))
+    rows, effects = list(found.evidence), found.effects
+    for effect, where, what in seen:
+        score, bias = search.left_in(where)
+        taken = bias >= NEGLIGIBLE * voxel
+        reason = f"{int(where.sum())} {what}; left in, they would move the surface by {_nm(bias)}"
+        rows.append(Evidence(effect.name, score, 1e3 * bias, bias / voxel, 0.0, taken, reason))
+        if taken:
+            effects = effects.replace(**{effect.name: effect})
+    rows.sort(key=lambda e: not e.recommended)
+    return replace(found, effects=effects, evidence=tuple(rows))
+
+
+def _camera_effect(camera: Camera, pixels: np.ndarray) -> CameraEffect:
+    """What the image tells of the camera; where it does not, the same noise for all voxels."""
+    full, line = camera.saturation.value, camera.line
+    if line is None:
+        low, noise = float(pixels.min()), voxel_noise(pixels, np.ones(pixels.shape, bool))
+        return CameraEffect(
+            gain=1e-6 * max(noise, 1e-6), offset=low, read_noise=noise, saturation=full
+        )
+    offset = line.lowest if camera.offset.value is None else camera.offset.value
+    read = np.sqrt(max(line.slope * offset + line.intercept, 0.0))
+    return CameraEffect(gain=line.slope, offset=offset, read_noise=float(read), saturation=full)
+
+
+def _remarks(search: Search, voxel: float) -> tuple[str, ...]:
+    """What a reader should know besides."""
+    found = []
+    part = search.part
+    if len(part.cells) < part.of:
+        found.append(f"judged by {len(part.cells)} of {part.of} cells, around the middle")
+    misfit = search.misfit()
+    if misfit > _MISFIT:
+        found.append(
+            f"what is left varies {misfit:.1f} times as much as noise: scores are relative to it"
+        )
+    density = search.density()
+    if density is not None and abs(density.z) > search.threshold:
+        bias = search.refit.modes.size(density.shape)
+        if bias >= NEGLIGIBLE * voxel:
+            found.append(
+                f"the density varies over the surface (z = {density.z:.1f}): fitted as uniform it "
+                f"moves the surface by {_nm(bias)}; the density 'smooth' would fit it"
+            )
+    return tuple(found)
+
+
+def _reason(judged: Judged, bias: float, voxel: float, search: Search) -> str:
+    score, effect = judged.score, judged.effect
+    seen = f"z = {score.z:.1f}"
+    if score.hidden:
+        return "nothing of it is left beside shape, brightness and PSF"
+    if judged.chosen:
+        numbers = ", ".join(f"{v.name} {v.value:.3g} {v.unit}".strip() for v in effect.values())
+        shown = f"{seen}" + (f" ({numbers})" if numbers else "")
+        if abs(score.z) <= search.threshold:
+            return f"{shown}: no longer clear beside the others"
+        if bias < NEGLIGIBLE * voxel:
+            return f"seen, {shown}, but leaving it out would move the surface by {_nm(bias)} only"
+        return f"{shown}; leaving it out would move the surface by {_nm(bias)}"
+    others = [n for n in effect.contradicts if n in search.scene.effects.names]
+    if others and abs(score.z) > search.threshold:
+        return f"{others[0]} explains the same"
+    if abs(score.z) > search.threshold and effect.name in search.dropped:
+        return f"{seen}, but {search.dropped[effect.name]}"
+    if abs(score.z) > search.threshold and not points_inwards(effect, score.estimate):
+        return f"{seen}, but for less than nothing of it"
+    if abs(score.z) > search.threshold:
+        return f"{seen}, as far as the others leave anything to explain"
+    return f"{seen}: no more than chance (the threshold is {search.threshold:.1f})"
+
+
+def _nm(um: float) -> str:
+    return f"{1e3 * um:.2g} nm" if um < 0.01 else f"{1e3 * um:.0f} nm"

@@ -1,0 +1,269 @@
+"""A quick refit: the smooth modes of the shape together with all other numbers of a scene.
+
+A fit moves every vertex and takes seconds. What effects and shape share is smooth, so a few
+Gauss-Newton steps over the modes tell what a new effect changes. They also take a fit that stopped
+early the rest of the way, which the score of an effect would otherwise be mistaken for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from scipy.linalg import lu_factor, lu_solve
+
+from ..fitting.likelihood import solve_scale
+from .model import ImageModel, parameters_of, with_changed
+from .modes import ShapeModes
+from .noise import Variance
+from .scene import Scene
+
+_LARGEST_PSF = 0.15  # of one step, in the PSF's own numbers
+_PRIOR = 2.0  # widths of the PSF: standard deviation of what a mode may be
+_PRIOR_DENSITY = 1.0  # of the logarithm
+_HALVINGS = 4
+_MOST_STEPS = 6
+_ENOUGH = 2e-5  # of the loss: steps that gain less are the last
+_LITTLE = 1e-2  # of the loss: after a step that gains less the next has the same derivatives
+# Derivatives in the surface hold while it moves by so many widths of the PSF at most, and the image
+# changes by such a share of itself.
+_NEAR = 0.3, 0.15
+_FRESH = 0.03, 0.01
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """Columns of the derivative of the expected image, times the root of the weights.
+
+    Attributes
+    ----------
+    columns
+        (N, K): shape modes, amplitude, background, PSF, effects, density, in this order.
+    residual
+        (N,) measured minus expected, times the root of the weights.
+    root
+        (N,) root of the weights.
+    modes, psf, effects, density
+        How many columns there are of each.
+    prior
+        (K,) added to the diagonal of the normal equations.
+    """
+
+    columns: np.ndarray
+    residual: np.ndarray
+    root: np.ndarray
+    modes: int
+    psf: int
+    effects: int
+    density: int
+    prior: np.ndarray
+
+    @cached_property
+    def gram(self) -> np.ndarray:
+        """(K, K) products of the columns."""
+        found: np.ndarray = self.columns.T @ self.columns
+        return found
+
+    @cached_property
+    def _factors(self) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+        """Sizes of the columns, and the normal equations of columns of size 1, factorised."""
+        scale = np.sqrt(np.diag(self.gram))
+        scale[scale == 0] = 1.0
+        normal = self.gram / np.outer(scale, scale) + np.diag(self.prior / scale**2 + 1e-9)
+        return scale, lu_factor(normal)
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """Coefficients of the columns that explain a weighted image (N,) or several (N, P) best."""
+        scale, factors = self._factors
+        solved: np.ndarray = lu_solve(factors, ((self.columns.T @ right).T / scale).T)
+        return (solved.T / scale).T
+
+    def left(self, right: np.ndarray) -> np.ndarray:
+        """A weighted image (N,), or several (N, P), less what the columns explain of it."""
+        rest: np.ndarray = right - self.columns @ self.solve(right)
+        return rest
+
+    @cached_property
+    def rest(self) -> np.ndarray:
+        """(N,) the residual less what the columns explain of it."""
+        return self.left(self.residual)
+
+    def without(self, own: np.ndarray, residual: np.ndarray) -> Linearised:
+        """With another residual, and without some of the columns of effects."""
+        kept = np.setdiff1d(np.arange(self.columns.shape[1]), own)
+        found = replace(
+            self,
+            columns=self.columns[:, kept],
+            residual=residual,
+            effects=self.effects - len(own),
+            prior=self.prior[kept],
+        )
+        found.__dict__["gram"] = self.gram[np.ix_(kept, kept)]  # what it would compute
+        return found
+
+    def with_residual(self, residual: np.ndarray) -> Linearised:
+        """The same columns, with what has been computed of them."""
+        found = replace(self, residual=residual)
+        found.__dict__.update(gram=self.gram, _factors=self._factors)
+        return found
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """Derivatives in the shape and the density, and where they were computed."""
+
+    scene: Scene
+    image: np.ndarray
+    shape: np.ndarray
+    density: np.ndarray
+
+    def hold_for(self, scene: Scene, image: np.ndarray, moved: float, changed: float) -> bool:
+        """Whether the surface is within some widths of the PSF, the image within a share of it."""
+        apart = self.scene.mesh.vertices_numpy() - scene.mesh.vertices_numpy()
+        near = float(np.sqrt((apart**2).sum(1).mean())) <= moved * min(scene.optics.sigma_um)
+        by = float(np.linalg.norm(image - self.image))
+        return near and by <= changed * float(np.linalg.norm(self.image))
+
+
+class Refit:
+    """Measured voxels with their weights, and the steps towards them.
+
+    Parameters
+    ----------
+    model
+        Of the expected image.
+    measured
+        (N,) values of the voxels that count.
+    variance
+        Function of the expected image (N,): variance of each voxel.
+    modes
+        Of the shape.
+    fit_psf
+        Whether the PSF's numbers are among what is fitted.
+    density
+        (M, F) fields that the logarithm of the density is made of, beside the amplitude.
+    """
+
+    def __init__(
+        self,
+        model: ImageModel,
+        measured: np.ndarray,
+        variance: Variance,
+        modes: ShapeModes,
+        fit_psf: bool,
+        density: np.ndarray,
+    ) -> None:
+        self.model, self.measured, self.variance = model, measured, variance
+        self.modes, self.fit_psf, self.density = modes, fit_psf, density
+        self._held: _Surface | None = None
+
+    def _surface_columns(self, scene: Scene, image: np.ndarray, fresh: bool) -> _Surface:
+        """Derivatives in shape and density, by far the dearest: kept while little has changed."""
+        held = self._held
+        limits = _FRESH if fresh else _NEAR
+        if held is None or not held.hold_for(scene, image, *limits):
+            shape = self.model.shape_columns(scene, self.modes)
+            density = self.model.density_columns(scene, self.density)
+            self._held = held = _Surface(scene, image, shape, density)
+        return held
+
+    def linearised(self, scene: Scene, fresh: bool = True) -> Linearised:
+        """Derivatives and residual at a scene.
+
+        Those of the surface may be taken from nearby: for a step from further away than where they
+        have to be ``fresh``, since it only has to point the right way.
+        """
+        rendered = self.model.rendered(scene)
+        expected = self.model.measured(rendered, scene)
+        root = 1 / np.sqrt(self.variance(expected))
+        surface = self._surface_columns(scene, scene.amplitude * rendered, fresh)
+        shape, density = surface.shape, surface.density
+        psf = self.model.psf_columns(scene) if self.fit_psf else np.zeros((0, len(rendered))).T
+        effects = [self.model.effect_columns(scene, e) for e, _ in parameters_of(scene.effects)]
+        linear = np.array([rendered, np.ones(len(rendered))]).T
+        columns = np.concatenate([shape, linear, psf, *effects, density], axis=1)
+        columns *= root[:, None]
+        prior = np.zeros(columns.shape[1])
+        prior[: len(self.modes)] = 1 / (_PRIOR * min(scene.optics.sigma_um)) ** 2
+        prior[columns.shape[1] - density.shape[1] :] = 1 / _PRIOR_DENSITY**2
+        return Linearised(
+            columns,
+            (self.measured - expected) * root,
+            root,
+            len(self.modes),
+            psf.shape[1],
+            sum(e.shape[1] for e in effects),
+            density.shape[1],
+            prior,
+        )
+
+    def loss(self, scene: Scene, root: np.ndarray) -> float:
+        """Weighted sum of squares, with given roots of the weights."""
+        return float((((self.measured - self.model.expected(scene)) * root) ** 2).sum())
+
+    def step(self, scene: Scene, at: Linearised) -> tuple[Scene, float]:
+        """One Gauss-Newton step; and by what share it lowers the loss."""
+        whole = at.solve(at.residual)
+        k = at.modes + 2
+        if at.psf:
+            largest = float(np.abs(whole[k : k + at.psf]).max())
+            whole = whole * min(1.0, _LARGEST_PSF / max(largest, 1e-12))
+        moved = float(np.abs(np.tensordot(whole[: at.modes], self.modes.fields, axes=1)).max())
+        whole = whole * min(1.0, min(scene.optics.sigma_um) / max(moved, 1e-12))
+        before = float((at.residual**2).sum())
+        share = 1.0
+        for _ in range(_HALVINGS):
+            tried = self._moved(scene, share * whole, at)
+            loss = self.loss(tried, at.root)
+            if loss < before:
+                return tried, 1 - loss / before
+            share /= 2
+        return scene, 0.0
+
+    def _moved(self, scene: Scene, change: np.ndarray, at: Linearised) -> Scene:
+        k = at.modes
+        vertices = self.modes.displaced(scene.mesh.vertices_numpy(), change[:k])
+        optics = scene.optics
+        if at.psf:
+            p = optics.parameters().detach()
+            optics = optics.with_parameters(p + torch.from_numpy(change[k + 2 : k + 2 + at.psf]))
+        return replace(
+            scene,
+            mesh=scene.mesh.with_vertices(vertices),
+            optics=optics,
+            effects=with_changed(scene.effects, change[k + 2 + at.psf :]),
+            density=self._dimmed(scene, change[len(change) - at.density :]),
+            amplitude=scene.amplitude + float(change[k]),
+            background=scene.background + float(change[k + 1]),
+        )
+
+    def _dimmed(self, scene: Scene, change: np.ndarray) -> np.ndarray | None:
+        if not len(change):
+            return scene.density
+        held = np.ones(len(scene.mesh.faces)) if scene.density is None else scene.density
+        return np.asarray(held * np.exp(np.clip(change @ self.density, -1, 1)))
+
+    def settled(self, scene: Scene) -> tuple[Scene, Linearised]:
+        """The scene after steps as long as they lower the loss, and its derivatives there."""
+        at = self.linearised(scene, fresh=False)
+        for _ in range(_MOST_STEPS):
+            scene, gain = self.step(scene, at)
+            if gain < _ENOUGH:
+                break
+            if gain > _LITTLE:
+                at = self.linearised(scene, fresh=False)
+            else:
+                expected = self.model.expected(scene)
+                at = at.with_residual((self.measured - expected) * at.root)
+        return scene, self.linearised(scene)
+
+    def scaled(self, scene: Scene) -> Scene:
+        """The scene with the amplitude and background that suit it best."""
+        rendered = self.model.rendered(scene)
+        expected = self.model.measured(rendered, scene)
+        added = expected - scene.amplitude * rendered - scene.background
+        rest, weights = self.measured - added, 1 / self.variance(expected)
+        a, b, _ = solve_scale(*(torch.from_numpy(t) for t in (rendered, rest, weights)))
+        return replace(scene, amplitude=a, background=b)

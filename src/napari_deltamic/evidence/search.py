@@ -1,0 +1,255 @@
+"""The search for the effects that an image calls for: add the clearest, fit again, repeat."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import log, sqrt
+
+import numpy as np
+
+from ..fitting.state import FitState
+from ..scene import Grid
+from ..scene.effects import Effect, Effects
+from ..settings import FitSettings
+from .candidates import allowed, at_estimate, beyond_bounds, points_inwards, variants
+from .model import ImageModel, parameters_of
+from .modes import density_fields, shape_modes
+from .noise import Variance
+from .part import part_of
+from .refit import Refit
+from .scene import Scene
+from .score import Score, block_sizes, score
+
+_ACCURACY = 1e-3  # of the images, or finer: small effects are judged by them
+_MOST_ROUNDS = 10
+_EXPLAINED = "the others explain it"
+_UNCLEAR = "not clear beside the misfit that is left"
+_AT_BOUND = "only a number at its bound would explain it: it passes for something else"
+
+
+@dataclass(frozen=True)
+class Judged:
+    """An effect, its score, and whether it is among those chosen."""
+
+    effect: Effect
+    score: Score
+    chosen: bool
+
+
+class Search:
+    """Scores of effects around a fitted scene, and the scene refitted with those chosen.
+
+    Parameters
+    ----------
+    image
+        (Z, Y, X) without NaN.
+    usable
+        (Z, Y, X) bool: voxels that may count.
+    grid
+        Of the image.
+    fitted
+        Last state of a fit.
+    effects
+        That the fit had; they stay.
+    variance
+        Of voxels, from the expected image.
+    settings
+        Of the fit: whether the PSF and what of the density was fitted.
+    candidates
+        How many effects are considered.
+    """
+
+    def __init__(
+        self,
+        image: np.ndarray,
+        usable: np.ndarray,
+        grid: Grid,
+        fitted: FitState,
+        effects: Effects,
+        variance: Variance,
+        settings: FitSettings,
+        candidates: int,
+    ) -> None:
+        density = None if np.ptp(fitted.density) == 0 else fitted.density
+        width = np.asarray(fitted.optics.sigma_um)
+        self.part = part = part_of(usable, grid, fitted.mesh, density, width)
+        index = part.index
+        self.blocks = block_sizes(index, part.grid.shape, width / np.asarray(grid.voxel_size))
+        scene = Scene(
+            part.mesh,
+            fitted.optics.detach(),
+            effects,
+            fitted.amplitude,
+            fitted.background,
+            part.density,
+        )
+        self.held = effects.names
+        self.dropped: dict[str, str] = {}  # name -> why; they are not taken twice
+        self.frame, self.image = grid, image
+        self.model = ImageModel(scene, part.grid, index, _ACCURACY, frame=grid)
+        measured = image[part.box].reshape(-1)[index].astype(np.float64)
+        modes = shape_modes(part.mesh, part.cells)
+        fields = density_fields(part.mesh, settings.density, part.cells)
+        self.refit = Refit(self.model, measured, variance, modes, settings.fit_psf, fields)
+        # The criterion of G. Schwarz for one more number, with a share for each that is tried.
+        self.threshold = sqrt(log(len(index)) + 2 * log(max(candidates, 1)))
+        self._settle(scene)
+
+    def _settle(self, scene: Scene) -> None:
+        self.scene, self.at = self.refit.settled(self.refit.scaled(scene))
+        self._judged: dict[str, Judged] = {}
+
+    def run(self, names: tuple[str, ...], tell: Callable[[str], None]) -> None:
+        """Add the clearest effect and refit until none is left above the threshold.
+
+        What is still missing of an image passes for misfit far and wide. So effects are added by
+        what they explain beside the misfit nearby, and in the end only those stay that are clear
+        beside all the misfit that is left.
+        """
+        for _ in range(_MOST_ROUNDS):
+            left = (n for n in names if n not in {*self.dropped, *self.scene.effects.names})
+            found = [self.judged(n) for n in left]
+            clear = [
+                j
+                for j in found
+                if abs(j.score.near) > self.threshold
+                and allowed(j.effect, self.scene.effects)
+                and points_inwards(j.effect, j.score.estimate)
+            ]
+            if not clear:
+                break
+            best = max(clear, key=lambda j: abs(j.score.near))
+            tell(f"{best.effect.name}: z = {best.score.near:.1f}")
+            self._take(best)
+            self._drop_least(lambda s: abs(s.near), _EXPLAINED)
+        while (name := self._drop_least(lambda s: abs(s.z), _UNCLEAR)) is not None:
+            tell(f"{name} left out: {self.dropped[name]}")
+
+    def _take(self, best: Judged) -> None:
+        effect = at_estimate(best.effect, best.score.estimate)
+        effects = self.scene.effects.replace(**{effect.name: effect})
+        self._settle(replace(self.scene, effects=effects))
+
+    def _drop_least(self, size: Callable[[Score], float], why: str) -> str | None:
+        """Take out the effect of the smallest score if it is not above the threshold.
+
+        One with a number at its bound stands for something else, and is not told.
+        """
+        chosen = [n for n in self.scene.effects.names if n not in self.held]
+        if not chosen:
+            return None
+
+        def told(judged: Judged) -> float:
+            # One without numbers that the image wants less than nothing of is not there.
+            unwanted = not judged.effect.bounds and judged.score.z < 0
+            odd = unwanted or beyond_bounds(judged.effect)
+            return 0.0 if odd else size(judged.score)
+
+        least = min((self.judged(n) for n in chosen), key=told)
+        if told(least) > self.threshold:
+            return None
+        name = least.effect.name
+        self.dropped[name] = _AT_BOUND if beyond_bounds(least.effect) else why
+        self._settle(replace(self.scene, effects=self.scene.effects.without(name)))
+        return name
+
+    def judged(self, name: str) -> Judged:
+        """The score of an effect beside all that are chosen, itself left out if it is."""
+        if name not in self._judged:
+            self._judged[name] = self._judge(name)
+        return self._judged[name]
+
+    def _judge(self, name: str) -> Judged:
+        present = getattr(self.scene.effects, name)
+        if present is not None:
+            return Judged(present, self._without(present), True)
+        found = []
+        for effect in variants(name, self.scene.optics):
+            columns = self._columns(effect)
+            found.append(Judged(effect, score(self.at, columns, self.blocks), False))
+        return max(found, key=lambda j: abs(j.score.z))
+
+    def misfit(self) -> float:
+        """Mean square of what is left, in variances of noise: 1 where the scene explains all."""
+        return float((self.at.rest**2).mean())
+
+    def density(self) -> Score | None:
+        """The score of a density that varies smoothly; None where one is fitted already."""
+        if len(self.refit.density):
+            return None
+        fields = density_fields(self.scene.mesh, "smooth", self.part.cells)
+        columns = self.model.density_columns(self.scene, fields)
+        return score(self.at, columns, self.blocks)
+
+    def _columns(self, effect: Effect) -> np.ndarray:
+        if not allowed(effect, self.scene.effects):
+            # Beside what passes for it the two cannot be rendered together; alone they can.
+            others = self.scene.effects.without(*effect.contradicts)
+            return self.model.effect_columns(replace(self.scene, effects=others), effect)
+        return self.model.effect_columns(self.scene, effect)
+
+    def _without(self, effect: Effect) -> Score:
+        """As if the scene had been fitted without the effect, linearly."""
+        at, columns = self.at, self.model.effect_columns(self.scene, effect)
+        own = self._own_columns(effect)
+        neutral = type(effect).neutral()
+        if effect.bounds:
+            change = effect.parameters().numpy() - neutral.parameters().numpy()
+            if effect.name == "halo":  # its width says nothing about how much there is of it
+                change[1] = 0.0
+        else:
+            change = np.ones(1)
+        without = at.without(own, at.residual + (columns @ change) * at.root)
+        return score(without, columns, self.blocks)
+
+    def _own_columns(self, effect: Effect) -> np.ndarray:
+        first = self.at.modes + 2 + self.at.psf
+        for other, n in parameters_of(self.scene.effects):
+            if other.name == effect.name:
+                return np.arange(first, first + n)
+            first += n
+        return np.zeros(0, int)
+
+    def left_in(self, where: np.ndarray) -> tuple[float, float]:
+        """What voxels that tell nothing do to a fit that they are left in.
+
+        Parameters
+        ----------
+        where
+            (Z, Y, X) bool: voxels of the whole image that are no evidence here.
+
+        Returns
+        -------
+        score
+            Standard deviations by which they differ from what is expected there.
+        bias
+            um: by how much they move the surface.
+        """
+        index = np.flatnonzero(where[self.part.box])
+        if not len(index):
+            return 0.0, 0.0
+        model = ImageModel(self.scene, self.part.grid, index, _ACCURACY, frame=self.frame)
+        rendered = model.rendered(self.scene)
+        expected = model.measured(rendered, self.scene)
+        root = 1 / np.sqrt(self.refit.variance(expected))
+        measured = self.image[self.part.box].reshape(-1)[index]
+        columns = np.concatenate(
+            [
+                model.shape_columns(self.scene, self.refit.modes),
+                rendered[:, None],
+                np.ones((len(index), 1)),
+            ],
+            axis=1,
+        )
+        whole = np.zeros((len(index), self.at.columns.shape[1]))
+        whole[:, : columns.shape[1]] = columns * root[:, None]
+        residual = (measured - expected) * root
+        both = replace(
+            self.at,
+            columns=np.concatenate([self.at.columns, whole]),
+            residual=np.concatenate([np.zeros(len(self.at.residual)), residual]),
+        )
+        shape = both.solve(both.residual)[: self.at.modes]
+        excess = float((residual**2).sum()) - len(index)
+        return excess / sqrt(2 * len(index)), self.refit.modes.size(shape)

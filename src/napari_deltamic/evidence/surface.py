@@ -1,0 +1,192 @@
+"""Derivatives of the expected image in the surface: each where it is, on a piece of the grid."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..geometry.mesh import Mesh
+from ..scene import Grid, Renderer
+from ..scene.effects.object_side import ObjectSide, Surfaces
+from .modes import ShapeModes
+from .scene import Scene
+
+_MOVE = 0.08  # of the PSF's width: a difference of shapes
+_ACCURACY = 1e-2  # derivatives in the shape are many and need not be better
+
+
+class SurfaceColumns:
+    """Columns (N, K) for changes of shape and density of a scene.
+
+    Parameters
+    ----------
+    scene
+        At which the image is differentiated.
+    grid, frame
+        Of the piece that is judged, and of the whole image.
+    index
+        (N,) flat indices into the piece of the voxels that count.
+    accuracy
+        Of the images; derivatives need not be better than 1 %.
+    """
+
+    def __init__(
+        self, scene: Scene, grid: Grid, frame: Grid, index: np.ndarray, accuracy: float
+    ) -> None:
+        self.scene, self.grid, self.frame, self.index = scene, grid, frame, index
+        self.accuracy = max(accuracy, _ACCURACY)
+        self._reach = np.asarray(scene.optics.reach(self.accuracy))
+        effects = scene.effects
+        for effect in (effects.halo, effects.depth_psf):
+            if effect is not None:
+                self._reach = np.hypot(self._reach, effect.reach(self.accuracy))
+
+    def shape(self, modes: ShapeModes) -> np.ndarray:
+        """Change of the expected image for a coefficient of 1 um of each mode."""
+        moved = np.abs(modes.fields).max(2) > 0
+        of_faces = moved[:, self.scene.mesh.faces].any(2)
+
+        def column(piece: _Piece, k: int) -> Tensor:
+            return piece.moved(modes.fields[k])
+
+        return self._filled(of_faces, column)
+
+    def density(self, fields: np.ndarray) -> np.ndarray:
+        """For a coefficient of 1 of each field (M, F) of the logarithm of the density."""
+
+        def column(piece: _Piece, k: int) -> Tensor:
+            return piece.dimmed(fields[k])
+
+        return self._filled(fields != 0, column)
+
+    def _filled(self, of_faces: np.ndarray, column: Callable[[_Piece, int], Tensor]) -> np.ndarray:
+        """(N, K), stored column by column; those of the same faces share a piece."""
+        out = np.zeros((len(of_faces), len(self.index)))
+        whole = np.zeros(self.grid.shape)
+        for faces, which in _alike(of_faces):
+            piece = self._piece(faces)
+            if piece is None:
+                continue
+            for k in which:
+                whole[piece.box] = (self.scene.amplitude * column(piece, k)).numpy()
+                out[k] = whole.reshape(-1)[self.index]
+            whole[piece.box] = 0.0
+        return out.T
+
+    def _piece(self, faces: np.ndarray) -> _Piece | None:
+        """What of the grid the light of some faces falls on; None where none does."""
+        mesh = self.scene.mesh
+        used, index = np.unique(mesh.faces[faces], return_inverse=True)
+        v = mesh.vertices_numpy()[used]
+        size, origin = np.asarray(self.grid.voxel_size), np.asarray(self.grid.origin)
+        first = np.floor((v.min(0) - self._reach - origin) / size).astype(int)
+        last = np.ceil((v.max(0) + self._reach - origin) / size).astype(int) + 1
+        first, last = np.clip(first, 0, None), np.minimum(last, self.grid.shape)
+        if (first >= last).any():
+            return None
+        box = (slice(first[0], last[0]), slice(first[1], last[1]), slice(first[2], last[2]))
+        z, y, x = (float(c) for c in origin + first * size)
+        n = last - first
+        grid = Grid((int(n[0]), int(n[1]), int(n[2])), self.grid.voxel_size, (z, y, x))
+        part = Mesh(v, index.reshape(-1, 3), mesh.regions[faces])
+        return _Piece.of(self, part, used, faces, grid, box)
+
+
+def _alike(of_faces: np.ndarray) -> Iterator[tuple[np.ndarray, list[int]]]:
+    """Faces that count (F,), and the rows that they count in."""
+    groups: dict[bytes, list[int]] = {}
+    for k, row in enumerate(of_faces):
+        if row.any():
+            groups.setdefault(np.packbits(row).tobytes(), []).append(k)
+    for which in groups.values():
+        yield of_faces[which[0]], which
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """Some faces of a scene, and the piece of the grid that they are seen in."""
+
+    scene: Scene
+    box: tuple[slice, slice, slice]
+    mesh: Mesh
+    vertices: np.ndarray
+    faces: np.ndarray
+    renderer: Renderer
+    otf: Tensor
+    density: np.ndarray
+    contrast: np.ndarray | None
+
+    @classmethod
+    def of(
+        cls,
+        columns: SurfaceColumns,
+        mesh: Mesh,
+        vertices: np.ndarray,
+        faces: np.ndarray,
+        grid: Grid,
+        box: tuple[slice, slice, slice],
+    ) -> _Piece:
+        scene = columns.scene
+        # The inside is no part of it: its derivative is on the surface.
+        effects = scene.effects.without("bulk")
+        renderer = Renderer(
+            mesh,
+            grid,
+            scene.optics,
+            columns.accuracy,
+            effects=effects,
+            frame=columns.frame,
+            margin=_MOVE * min(scene.optics.sigma_um),
+        )
+        held = np.ones(len(scene.mesh.faces)) if scene.density is None else scene.density
+        contrast = None
+        if scene.effects.bulk is not None:
+            contrast = _contrast(scene, columns.frame, renderer)[faces]
+        otf = renderer.otf(scene.optics)
+        return cls(scene, box, mesh, vertices, faces, renderer, otf, held[faces], contrast)
+
+    def moved(self, field: np.ndarray) -> Tensor:
+        """Derivative of the rendered image for vertices that move along a field (V, 3)."""
+        along, v = field[self.vertices], self.mesh.vertices_numpy()
+        h = _MOVE * min(self.scene.optics.sigma_um) / max(float(np.abs(along).max()), 1e-12)
+        ends = [self._surface(v + side * h * along) for side in (1, -1)]
+        change = (ends[0] - ends[1]) / (2 * h)
+        if self.contrast is not None:
+            # A surface that moves outwards by d leaves a layer of the solid of thickness d.
+            outwards = np.einsum("fd,fd->f", along[self.mesh.faces].mean(1), self.mesh.normals())
+            layer = torch.from_numpy(self.contrast * outwards)
+            placed = torch.from_numpy(v - np.asarray(self.renderer.grid.origin))
+            plain = self.renderer.plan.transform(placed, torch.from_numpy(self.mesh.faces), layer)
+            # A solid is seen half through either PSF.
+            change = change + (plain if self.scene.effects.depth_psf is None else plain / 2)
+        return self.renderer.image(change, self.otf)
+
+    def dimmed(self, field: np.ndarray) -> Tensor:
+        """Derivative for a density that grows by a share of itself, of the whole mesh's faces."""
+        v = self.mesh.vertices_numpy()
+        change = self._surface(v, self.density * field[self.faces])
+        return self.renderer.image(change, self.otf)
+
+    def _surface(self, vertices: np.ndarray, density: np.ndarray | None = None) -> Tensor:
+        weight = torch.from_numpy(self.density if density is None else density)
+        return self.renderer.transform(torch.from_numpy(vertices), weight)
+
+
+def _contrast(scene: Scene, frame: Grid, renderer: Renderer) -> np.ndarray:
+    """(F,) bulk density behind each face minus that in front of it, of the whole mesh."""
+    mesh = scene.mesh
+    side = ObjectSide(
+        renderer.plan,
+        torch.from_numpy(mesh.vertices_numpy()),
+        Surfaces.of(mesh),
+        torch.ones(len(mesh.faces)),
+        scene.effects,
+        renderer.grid,
+        frame,
+    )
+    found: np.ndarray = side.contrast().numpy()
+    return found

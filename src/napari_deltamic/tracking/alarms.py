@@ -1,0 +1,103 @@
+"""Whether cells are still those that they were, and which ones have gone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..fitting.health import shrunken
+from ..geometry.labels.voxels import voxel_labels
+from ..geometry.mesh import OUTSIDE, Mesh
+from ..scene import Grid
+
+_SLID = 0.5  # share of a cell that lies where another one was expected
+_VOLUME = (0.5, 2.0)  # of the last frame's, from one frame to the next
+_JUMP = 0.7  # of its radius: between where a cell was expected and where it is
+_IN_VIEW = 0.35  # share of a cell's vertices that must lie in the field of view
+_GONE = 0.08  # share of the largest volume that it had
+
+
+@dataclass(frozen=True)
+class CellLook:
+    """Volume (um^3) and centre (um) of a cell."""
+
+    volume: float
+    center: NDArray[np.float64]
+
+    @property
+    def radius(self) -> float:
+        """um; of the sphere of the same volume."""
+        return float((3 * max(self.volume, 0.0) / (4 * np.pi)) ** (1 / 3))
+
+
+def looks(mesh: Mesh) -> dict[int, CellLook]:
+    """Volume and centre of every cell."""
+    found = {}
+    vertices, per_face = mesh.vertices_numpy(), mesh.signed_volumes()
+    middle = vertices.mean(axis=0)
+    # A face and the mean vertex span a tetrahedron; this is its centre.
+    centers = middle + (vertices[mesh.faces] - middle).sum(axis=1) / 4
+    for cell in mesh.region_ids().tolist():
+        inner, outer = (mesh.regions == cell).T
+        weights = per_face * (inner.astype(np.float64) - outer)
+        volume = float(weights.sum())
+        own = np.unique(mesh.faces[inner | outer])
+        center = weights @ centers / volume if volume > 0 else vertices[own].mean(axis=0)
+        found[cell] = CellLook(volume, center)
+    return found
+
+
+def alarms(mesh: Mesh, expected: Mesh, before: dict[int, CellLook], grid: Grid) -> dict[int, str]:
+    """Cells that may have lost their identity, and why, in plain words.
+
+    Parameters
+    ----------
+    mesh, expected : after the fit, and where it started.
+    before : the cells of the last good frame.
+    """
+    now, then = looks(mesh), looks(expected)
+    shape = (grid.shape, grid.voxel_size, grid.origin)
+    own, start = voxel_labels(mesh, *shape), voxel_labels(expected, *shape)
+    found = {}
+    for cell, look in now.items():
+        if cell not in then:
+            continue
+        old = before.get(cell, then[cell])
+        places = start[own == cell]
+        others = places[(places != cell) & (places != OUTSIDE)]
+        ratio = look.volume / max(old.volume, 1e-30)
+        jump = float(np.linalg.norm(look.center - then[cell].center))
+        if len(places) and len(others) > _SLID * len(places):
+            taken = int(np.bincount(others).argmax())
+            found[cell] = f"it slid onto the place of cell {taken}"
+        elif not _VOLUME[0] < ratio < _VOLUME[1]:
+            found[cell] = f"its volume became {ratio:.2g} times that before"
+        elif jump > _JUMP * then[cell].radius:
+            found[cell] = f"it lies {jump:.2g} um from where it was expected"
+    return found
+
+
+def gone(mesh: Mesh, largest: dict[int, float], grid: Grid, width: float) -> dict[int, str]:
+    """Cells that have vanished or left the field of view, and why.
+
+    Parameters
+    ----------
+    largest : um^3, the largest volume that each cell has had.
+    width : um, of the PSF.
+    """
+    found = dict.fromkeys(shrunken(mesh, width), "it has shrunk to a point")
+    first, last = (np.asarray(corner) for corner in grid.extent)
+    inside = np.all((mesh.vertices_numpy() >= first) & (mesh.vertices_numpy() <= last), axis=1)
+    volumes = mesh.volumes()
+    for cell in mesh.region_ids().tolist():
+        own = np.unique(mesh.faces[(mesh.regions == cell).any(axis=1)])
+        if cell in found:
+            continue
+        if inside[own].mean() < _IN_VIEW:
+            found[cell] = "it has left the field of view"
+        elif volumes[cell] < _GONE * largest.get(cell, 0.0):
+            share = max(volumes[cell], 0.0) / largest[cell]
+            found[cell] = f"it has shrunk to {share:.0%} of its largest volume"
+    return found

@@ -1,0 +1,184 @@
+"""Cells that have divided: an unexplained bright wall inside a cell calls for two daughters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from ..fitting.likelihood import voxel_noise
+from ..fitting.state import FitState
+from ..geometry.labels.voxels import voxel_labels
+from ..geometry.mesh import Mesh
+from ..scene import Grid
+
+FloatArray = NDArray[np.float64]
+_DIRECTIONS = 150  # over half a sphere: 9 degrees apart, about
+_INTERIOR = 1.2  # widths of the PSF from the surface: nearer, a residual may be the surface's own
+_FEWEST = 60  # voxels of an interior that can tell
+_SURE = 8.0  # standard deviations of the noise
+_WALL = (0.35, 2.5)  # brightness of a wall, relative to two membranes
+_SECTORS, _LEAST_SECTOR = 6, 0.25  # a wall reaches all around; share of its mean brightness
+_SMALLEST = 0.15  # share of the cell's volume on either side
+_GAIN = 0.04  # share of the squared residual in the cell that a wall must explain
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A plane through a cell, um: where the residual shows a wall.
+
+    brightness : relative to a wall of two membranes.
+    evidence : standard deviations of the noise.
+    """
+
+    cell: int
+    point: FloatArray
+    normal: FloatArray
+    brightness: float
+    evidence: float
+
+
+class Residual:
+    """Measured minus rendered image of a fit, and where each cell lies in it."""
+
+    def __init__(
+        self, image: NDArray[np.float32], known: NDArray[np.bool_], grid: Grid, state: FitState
+    ) -> None:
+        self.grid = grid
+        self.known = known
+        self.values = np.where(known, image - state.rendered(), 0.0)
+        self.noise = max(voxel_noise(image, known), 1e-30)
+        self.sigma = np.asarray(state.optics.sigma_um)
+        self.labels = voxel_labels(state.mesh, grid.shape, grid.voxel_size, grid.origin)
+        volume = float(np.prod(grid.voxel_size))
+        # Of a flat wall between two cells, where it is seen best.
+        self.wall = 2 * state.amplitude * volume / (sqrt(2 * pi) * float(self.sigma.max()))
+
+    def squared(self, own: NDArray[np.bool_]) -> float:
+        """Sum of the squared residual over some voxels."""
+        return float((self.values[own & self.known] ** 2).sum())
+
+
+def proposals(residual: Residual, mesh: Mesh) -> list[Proposal]:
+    """A plane for each cell whose residual shows a wall, the surest first."""
+    found = [_proposal(residual, cell) for cell in mesh.region_ids().tolist()]
+    return sorted((p for p in found if p is not None), key=lambda p: -p.evidence)
+
+
+def explains(before: Residual, after: Residual, cell: int, folded: bool = False) -> bool:
+    """Whether a wall that was put into a cell explains enough of what was there.
+
+    The gain in squared residual must be beyond chance, and a fair share of the whole. A single cell
+    that has folded in along the wall has the same image as two: then any gain is enough.
+    """
+    own = before.labels == cell
+    old, new = before.squared(own), after.squared(own)
+    if folded:
+        return old > new
+    return old - new > max(_GAIN * old, _SURE**2 * before.noise**2)
+
+
+def _proposal(residual: Residual, cell: int) -> Proposal | None:
+    grid = residual.grid
+    own = residual.labels == cell
+    if not own.any():
+        return None
+    places = np.argwhere(own)
+    low, high = np.maximum(places.min(0) - 1, 0), places.max(0) + 2
+    box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+    depth = distance_transform_edt(
+        np.pad(own[box], 1), np.asarray(grid.voxel_size) / residual.sigma
+    )
+    inner = (depth[1:-1, 1:-1, 1:-1] > _INTERIOR) & residual.known[box]
+    if int(inner.sum()) < _FEWEST:
+        return None
+    um = (np.argwhere(inner) + low) * grid.voxel_size + grid.origin
+    values = residual.values[box][inner]
+    center = ((places * grid.voxel_size) + grid.origin).mean(0)
+    whole = (places * grid.voxel_size) + grid.origin - center
+    best = _best_plane(um - center, values, residual)
+    if best is None:
+        return None
+    normal, offset, height, evidence = best
+    share = float((whole @ normal < offset).mean())
+    brightness = height / residual.wall
+    reasonable = _WALL[0] <= brightness <= _WALL[1] and _SMALLEST < share < 1 - _SMALLEST
+    if evidence < _SURE or not reasonable:
+        return None
+    if not _all_around(um - center, values, residual, normal, offset, height):
+        return None
+    return Proposal(cell, center + offset * normal, normal, brightness, evidence)
+
+
+def _best_plane(
+    places: FloatArray, values: FloatArray, residual: Residual
+) -> tuple[FloatArray, float, float, float] | None:
+    """Normal, offset (um), brightness and evidence of the wall that explains most.
+
+    A wall adds a ridge of Gaussian section. Its best height at an offset is a ratio of two sums,
+    both of which are convolutions of profiles along the normal.
+    """
+    best = None
+    for normal in _half_sphere(_DIRECTIONS):
+        width = float(np.sqrt(((residual.sigma * normal) ** 2).sum()))
+        along = places @ normal
+        step = width / 3
+        index = np.floor((along - along.min()) / step).astype(int)
+        count = np.bincount(index).astype(np.float64)
+        total = np.bincount(index, values).astype(np.float64)
+        kernel = np.exp(-0.5 * (np.arange(-9, 10) / 3) ** 2)
+        projected, norm = _blurred(total, kernel), _blurred(count, kernel**2)
+        score = projected / np.sqrt(np.maximum(norm, 1.0)) / residual.noise
+        k = int(score.argmax())
+        if best is None or score[k] > best[3]:
+            offset = float(along.min() + (k + 0.5) * step)
+            best = (normal, offset, float(projected[k] / max(norm[k], 1e-12)), float(score[k]))
+    return best
+
+
+def _blurred(profile: FloatArray, kernel: FloatArray) -> FloatArray:
+    """A convolution as long as the profile."""
+    half = len(kernel) // 2
+    found: FloatArray = np.convolve(profile, kernel)[half : half + len(profile)]
+    return found
+
+
+def _all_around(
+    places: FloatArray,
+    values: FloatArray,
+    residual: Residual,
+    normal: FloatArray,
+    offset: float,
+    height: float,
+) -> bool:
+    """Whether a wall is bright in every direction from its middle: not an edge, not a spot."""
+    width = float(np.sqrt(((residual.sigma * normal) ** 2).sum()))
+    away = places @ normal - offset
+    near = np.abs(away) < 2 * width
+    if near.sum() < 4 * _SECTORS:
+        return False
+    flat = places[near] - np.outer(places[near] @ normal, normal)
+    flat -= flat.mean(axis=0)
+    across = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+    across /= np.linalg.norm(across)
+    angle = np.arctan2(flat @ np.cross(normal, across), flat @ across)
+    sector = np.floor((angle / (2 * pi) + 0.5) * _SECTORS).astype(int) % _SECTORS
+    shape = np.exp(-0.5 * (away[near] / width) ** 2)
+    lit = np.bincount(sector, values[near] * shape, _SECTORS)
+    norm = np.bincount(sector, shape**2, _SECTORS)
+    heights = lit / np.maximum(norm, 1e-12)
+    # Where a sector has few voxels, noise alone may darken it.
+    slack = 2 * residual.noise / np.sqrt(np.maximum(norm, 1e-12))
+    return bool((heights + slack > _LEAST_SECTOR * height).all())
+
+
+def _half_sphere(n: int) -> FloatArray:
+    """(n, 3) unit vectors spread evenly over half a sphere (a spherical Fibonacci lattice)."""
+    k = np.arange(n) + 0.5
+    z = 1 - k / n
+    angle = pi * (1 + sqrt(5)) * k
+    r = np.sqrt(1 - z**2)
+    return np.stack([z, r * np.cos(angle), r * np.sin(angle)], axis=1)

@@ -1,0 +1,136 @@
+"""Which frames of a series can be used: one that went wrong at the microscope is left out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from ..errors import InputError
+from ..geometry.missing import unmasked
+from ..optics import Optics
+from ..scene import Grid
+
+_KNOWN = 0.3  # share of voxels that must be there
+_DIM = 0.2  # contrast, relative to the frames so far
+_BLURRED = 0.5  # sharpness, relative to the frames so far
+_SATURATED = 0.02  # share of voxels at the largest value
+_WORSE = 2.0  # loss of a fit, relative to the frames so far, ...
+_MUCH = 0.25  # ... and by so much: noise and growth change it less
+REMEMBERED = 5  # frames
+
+
+def numbered(images: Any, first: int = 0) -> Iterator[tuple[int, NDArray[Any] | str]]:
+    """Frame numbers from ``first`` on, each with its image, or why it cannot be read."""
+    if hasattr(images, "__getitem__") and hasattr(images, "__len__"):
+        for frame in range(first, len(images)):
+            try:
+                yield frame, np.asarray(unmasked(images[frame]))
+            except InputError as error:
+                yield frame, str(error)
+        return
+    for frame, image in enumerate(images):
+        if frame >= first:
+            yield frame, np.asarray(unmasked(image))
+
+
+def check_series(images: Any) -> None:
+    """InputError for what is no series of 3D images, as far as that is known before it is read."""
+    shape = getattr(images, "shape", None)
+    if shape is not None and len(shape) != 4:
+        kind = "a single 3D image: fit it instead" if len(shape) == 3 else f"shape {tuple(shape)}"
+        raise InputError(f"tracking needs a series of 3D images (T, Z, Y, X), not {kind}")
+    if isinstance(images, (Sequence, np.ndarray)) or hasattr(images, "__len__"):
+        n = len(images)
+        if n < 2:
+            raise InputError(f"tracking needs two frames or more, not {n}")
+    elif not isinstance(images, Iterable):
+        raise InputError("tracking needs a series of 3D images (T, Z, Y, X)")
+
+
+def check_shape(image: NDArray[Any], frame: int, grid: Grid) -> None:
+    """InputError for a frame that is no image of the grid."""
+    if image.ndim != 3:
+        raise InputError(f"frame {frame} is no 3D image: its shape is {image.shape}")
+    if image.shape != grid.shape:
+        raise InputError(
+            f"frame {frame} has shape {image.shape}, the others {grid.shape}: "
+            "all frames must be of one size"
+        )
+
+
+@dataclass(frozen=True)
+class _Look:
+    """How an image looks: contrast (its units), sharpness and saturation (shares)."""
+
+    contrast: float
+    sharpness: float
+    saturation: float
+
+
+class Quality:
+    """Judges frames by those before them."""
+
+    def __init__(self, grid: Grid, optics: Optics) -> None:
+        self._width = np.asarray(optics.sigma_um) / np.asarray(grid.voxel_size)
+        self._looks: list[_Look] = []
+        self._losses: list[float] = []
+
+    def flaw(self, image: NDArray[Any]) -> str:
+        """Why an image cannot be used, before it is fitted; "" if it can."""
+        known = np.isfinite(image)
+        if not known.any():
+            return "every voxel is missing (NaN)"
+        if known.mean() < _KNOWN:
+            return f"only {known.mean():.0%} of its voxels are known"
+        low, high = float(image[known].min()), float(image[known].max())
+        if low == high:
+            return f"it is flat: every voxel is {low:g}"
+        look = self._look(image, known)
+        if not self._looks:
+            return ""
+        usual = _Look(*(float(np.median(v)) for v in zip(*map(_values, self._looks), strict=True)))
+        if look.contrast < _DIM * usual.contrast:
+            return f"it is dark: its contrast is {look.contrast / usual.contrast:.0%} of the usual"
+        if look.saturation > max(_SATURATED, 5 * usual.saturation):
+            return f"it is saturated: {look.saturation:.0%} of its voxels have the largest value"
+        if look.sharpness < _BLURRED * usual.sharpness:
+            share = look.sharpness / usual.sharpness
+            return f"it is out of focus: its fine structure is {share:.0%} of the usual"
+        return ""
+
+    def misfit(self, loss: float) -> str:
+        """Why a fit cannot be trusted; "" if it can."""
+        if not self._losses:
+            return ""
+        usual = float(np.median(self._losses))
+        if loss > _WORSE * usual and loss > usual + _MUCH:
+            explained = f"{1 - min(loss, 1):.0%} instead of {1 - min(usual, 1):.0%}"
+            return f"the meshes explain {explained} of it"
+        return ""
+
+    def accept(self, image: NDArray[Any], loss: float) -> None:
+        """A frame was good: the next ones are measured by it."""
+        self._looks = [*self._looks, self._look(image, np.isfinite(image))][-REMEMBERED:]
+        self._losses = [*self._losses, loss][-REMEMBERED:]
+
+    def _look(self, image: NDArray[Any], known: NDArray[np.bool_]) -> _Look:
+        filled = np.where(known, image, np.median(image[known])).astype(np.float32)
+        fine = gaussian_filter(filled, self._width)
+        dark, bright = np.percentile(fine[known], (20, 99.5))
+        contrast = float(bright - dark)
+        detail = (fine - gaussian_filter(fine, 1.5 * self._width))[known]
+        high = float(image[known].max())
+        return _Look(
+            contrast,
+            float(detail.std()) / max(contrast, 1e-30),
+            float((image[known] >= high).mean()),
+        )
+
+
+def _values(look: _Look) -> tuple[float, float, float]:
+    return look.contrast, look.sharpness, look.saturation

@@ -1,0 +1,139 @@
+"""What tracking finds: frames, events, and where each cell comes from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..fitting.state import FitState
+from ..geometry.mesh import Mesh
+
+EventKind = Literal["divided", "ended", "alarm"]
+
+
+@dataclass(frozen=True)
+class Event:
+    """What happened to a cell.
+
+    kind : "divided"; "ended" where it has left or vanished; "alarm" where it may not be the cell
+        any more that it was.
+    frame, cell : when, and to which.
+    text : in plain words.
+    daughters : the two numbers of a division.
+    """
+
+    kind: EventKind
+    frame: int
+    cell: int
+    text: str
+    daughters: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class FrameResult:
+    """A frame that is done.
+
+    frame, time : number from 0, and seconds.
+    mesh : with a region for each cell that is alive; None where the frame was left out.
+    message : why it was left out, or what the fit has to say.
+    events : in the order in which they happened.
+    loss, iterations, seconds, sigma_um : of the fit; NaN and 0 where there was none.
+    psf : its parameters after the fit, as :meth:`Optics.parameters` gives them; () for unknown.
+    """
+
+    frame: int
+    time: float
+    mesh: Mesh | None
+    message: str = ""
+    events: tuple[Event, ...] = ()
+    loss: float = float("nan")
+    iterations: int = 0
+    seconds: float = 0.0
+    sigma_um: tuple[float, float, float] = (float("nan"),) * 3
+    psf: tuple[float, ...] = ()
+
+    @property
+    def cells(self) -> tuple[int, ...]:
+        """Numbers of the cells that are there."""
+        return () if self.mesh is None else tuple(self.mesh.region_ids().tolist())
+
+
+@dataclass(frozen=True)
+class TrackState:
+    """One step of tracking.
+
+    frame : which is being fitted.
+    mesh : as it is now; None in a frame that is left out.
+    fit : the state of the frame's fit; None between fits.
+    done : the frame's result, with its last state only.
+    last_fit : with ``done``, the last state of the fit, to render or measure.
+    """
+
+    frame: int
+    mesh: Mesh | None
+    fit: FitState | None = None
+    done: FrameResult | None = None
+    last_fit: FitState | None = field(default=None, repr=False)
+
+
+@dataclass(frozen=True)
+class Lineage:
+    """The life of a cell, as far as it was seen.
+
+    parent : the cell that it was born of; 0 for those of the first frame.
+    first, last : frames.
+    end : why it ends before the series; "" if it does not.
+    """
+
+    cell: int
+    parent: int
+    first: int
+    last: int
+    end: str = ""
+
+
+def lineage(results: Iterable[FrameResult]) -> list[Lineage]:
+    """The life of every cell, by its number."""
+    seen: dict[int, list[int]] = {}
+    parents: dict[int, int] = {}
+    ends: dict[int, str] = {}
+    for result in results:
+        for cell in result.cells:
+            seen.setdefault(cell, []).append(result.frame)
+        for event in result.events:
+            if event.kind == "divided":
+                parents.update(dict.fromkeys(event.daughters, event.cell))
+            if event.kind != "alarm":
+                ends[event.cell] = event.text
+    return [
+        Lineage(cell, parents.get(cell, 0), frames[0], frames[-1], ends.get(cell, ""))
+        for cell, frames in sorted(seen.items())
+    ]
+
+
+def surface_4d(
+    results: Sequence[FrameResult],
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    """One surface of all frames: vertices (N, 4) T, Z, Y, X; faces (M, 3); cell of each vertex.
+
+    T counts frames, the rest is um. The surface of each cell is closed, so a wall between two is
+    there twice: each cell can be shown alone, in its own colour. InputError if no frame has a mesh.
+    """
+    vertices, faces, cells, offset = [], [], [], 0
+    for result in results:
+        for cell in result.cells:
+            assert result.mesh is not None
+            own = result.mesh.region_surface(cell)
+            places = own.vertices_numpy()
+            vertices.append(np.column_stack([np.full(len(places), float(result.frame)), places]))
+            faces.append(own.faces + offset)
+            cells.append(np.full(len(places), cell))
+            offset += len(places)
+    if not vertices:
+        raise InputError("no frame has a mesh")
+    return np.concatenate(vertices), np.concatenate(faces), np.concatenate(cells)

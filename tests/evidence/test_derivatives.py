@@ -1,0 +1,94 @@
+"""The expected image of a scene and its derivatives, put together from parts and on pieces."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from napari_deltamic import GaussianPSF, Grid, Mesh
+from napari_deltamic.evidence.model import ImageModel
+from napari_deltamic.evidence.modes import shape_modes
+from napari_deltamic.evidence.scene import Scene
+from napari_deltamic.evidence.transforms import Transforms
+from napari_deltamic.geometry import sphere
+from napari_deltamic.scene import Renderer
+from napari_deltamic.scene.effects import Attenuation, Bulk, DepthPSF, Effects, Halo
+
+GRID = Grid((14, 18, 30), (0.3, 0.2, 0.2))
+OPTICS = GaussianPSF((0.42, 0.25, 0.25))
+CELLS = Mesh.merge([sphere((2, 1.7, x), 1.0, edge_length=0.4) for x in (1.6, 4.2)])
+ALL = Effects.of(
+    Bulk(density=0.3), Attenuation(per_um=0.1), DepthPSF(variance_z=0.1, variance_yx=0.02)
+)
+INDEX = np.arange(np.prod(GRID.shape))
+
+
+def scene(effects):
+    density = 1 + 0.3 * np.sin(np.arange(len(CELLS.faces)))
+    return Scene(CELLS, OPTICS, effects, 10.0, 2.0, density)
+
+
+@pytest.mark.parametrize("effects", [Effects(), Effects.of(Bulk(density=0.3)), ALL])
+def test_parts_make_the_whole(effects):
+    renderer = Renderer(CELLS, GRID, OPTICS, 1e-3, effects=effects)
+    own = scene(effects)
+    whole = renderer.transform(torch.tensor(CELLS.vertices_numpy()), torch.tensor(own.density))
+    kept = Transforms()
+    for _ in range(2):
+        parts = kept.of(renderer, own)
+        assert (parts - whole).abs().max() < 1e-4 * whole.abs().max()
+
+
+def test_what_an_effect_leaves_as_it_is_is_computed_once(monkeypatch):
+    from napari_deltamic.scene.effects import object_side
+
+    made = []
+    seen = object_side.ObjectSide.seen
+    monkeypatch.setattr(object_side.ObjectSide, "seen", lambda s: made.append(1) or seen(s))
+    own = scene(Effects())
+    model = ImageModel(own, GRID, INDEX, 1e-2)
+    for names in ((), ("bleaching",), ("pixel_integration",), ("illumination",)):
+        model.expected(replace(own, effects=Effects.of(*names)))
+    assert len(made) == 1
+
+
+def test_a_plan_for_a_wider_psf_does_not_serve_a_narrower_one():
+    """Nor that of effects which need a plan of their own."""
+    hazy = Effects.of(Halo(fraction=0.3, width=1.5))
+    own = scene(hazy)
+    model = ImageModel(scene(Effects()), GRID, INDEX, 1e-4)
+    model.expected(replace(own, optics=GaussianPSF((0.84, 0.5, 0.5))))
+    found, fresh = model.expected(own), ImageModel(own, GRID, INDEX, 1e-4).expected(own)
+    assert np.abs(found - fresh).max() < 1e-3 * np.ptp(fresh)
+
+
+@pytest.mark.parametrize("effects", [Effects(), ALL], ids=["plain", "effects"])
+def test_columns_of_the_shape_are_those_of_the_whole_image(effects):
+    own = scene(effects)
+    model = ImageModel(own, GRID, INDEX, 1e-3)
+    modes = shape_modes(CELLS, count=4)
+    columns = model.shape_columns(own, modes)
+    vertices, h = CELLS.vertices_numpy(), 0.02
+    for k in (0, 3, len(modes) - 1):
+        ends = [
+            model.expected(
+                replace(own, mesh=CELLS.with_vertices(vertices + side * h * modes.fields[k]))
+            )
+            for side in (1, -1)
+        ]
+        change = (ends[0] - ends[1]) / (2 * h)
+        assert np.linalg.norm(columns[:, k] - change) < 0.03 * np.linalg.norm(change)
+
+
+def test_columns_of_the_density_are_those_of_the_whole_image():
+    own = scene(ALL)
+    model = ImageModel(own, GRID, INDEX, 1e-3)
+    field = (CELLS.regions == 2).any(1).astype(float)
+    column = model.density_columns(own, field[None])[:, 0]
+    ends = [
+        model.expected(replace(own, density=own.density * np.exp(s * 0.01 * field)))
+        for s in (1, -1)
+    ]
+    change = (ends[0] - ends[1]) / 0.02
+    assert np.linalg.norm(column - change) < 0.03 * np.linalg.norm(change)

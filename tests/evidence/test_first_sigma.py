@@ -1,0 +1,42 @@
+"""A first width of the PSF, from the spectrum."""
+
+import numpy as np
+import pytest
+
+from napari_deltamic import GaussianPSF, Grid, render
+from napari_deltamic.evidence.first_sigma import first_sigma
+from napari_deltamic.geometry import sphere
+
+
+@pytest.mark.parametrize("sigma", [(0.42, 0.24, 0.24), (0.6, 0.3, 0.3)])
+def test_widths_are_right_to_a_quarter(sigma):
+    grid = Grid((36, 56, 56), (0.3, 0.2, 0.2))
+    mesh = sphere((5.3, 5.5, 5.4), (3.2, 3.6, 3.0), edge_length=0.3)
+    image = render(mesh, grid, GaussianPSF(sigma), 1e-3).numpy()
+    image = np.random.default_rng(0).poisson(2 + 40 * image.clip(0) / image.max())
+    found = first_sigma(image, grid.voxel_size)
+    assert found.z.value == pytest.approx(sigma[0], rel=0.25)
+    assert found.yx.value == pytest.approx(sigma[1], rel=0.25)
+    assert abs(found.yx.value - sigma[1]) < 3 * found.yx.error
+
+
+@pytest.mark.parametrize(
+    "image",
+    [
+        np.full((20, 30, 30), 4.0),
+        np.random.default_rng(0).normal(size=(24, 32, 32)),
+        np.random.default_rng(0).poisson(5, (6, 30, 30)),
+    ],
+    ids=["constant", "noise", "thin"],
+)
+def test_an_image_that_tells_nothing_gives_none(image):
+    found = first_sigma(image, (0.3, 0.2, 0.2))
+    assert not found.z.known
+    assert not found.yx.known
+    assert found.z.reason
+
+
+def test_missing_voxels_are_taken():
+    image = np.random.default_rng(0).normal(size=(24, 32, 32))
+    image[3, :4] = np.nan
+    assert not first_sigma(image, (0.3, 0.2, 0.2)).z.known

@@ -1,0 +1,137 @@
+"""Which effects an image calls for."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from evidence_scenes import GRID, OPTICS, SETTINGS, TRUTH, VOXEL, fitted, photons
+
+from napari_deltamic.errors import InputError
+from napari_deltamic.evidence import recommend, search
+from napari_deltamic.evidence.candidates import beyond_bounds
+from napari_deltamic.evidence.score import score
+from napari_deltamic.scene.effects import (
+    Attenuation,
+    Bulk,
+    Effects,
+    Halo,
+    Illumination,
+    PixelIntegration,
+)
+
+
+def ask(image, state, only=None, **options):
+    return recommend(image, GRID, state.mesh, OPTICS, SETTINGS, only, fitted=state, **options)
+
+
+def of(found, name):
+    return next(e for e in found.evidence if e.name == name)
+
+
+def test_an_image_without_effects_calls_for_none(plain):
+    found = ask(*plain)
+    assert found.recommended == ()
+    assert found.effects == Effects()
+    assert max(abs(e.score) for e in found.evidence) < found.threshold
+    assert all("chance" in e.reason for e in found.evidence if e.score)
+
+
+def test_light_from_inside_is_found_with_its_strength_bias_and_price(filled):
+    found = ask(*filled)
+    assert found.recommended == ("bulk",)
+    assert found.effects.bulk.density == pytest.approx(0.15, rel=0.25)
+    bulk = of(found, "bulk")
+    assert bulk.score > 15
+    assert bulk.bias_voxels > 0.05
+    assert bulk.bias_nm == pytest.approx(1e3 * bulk.bias_voxels * min(VOXEL))
+    assert bulk.cost_ms > of(found, "attenuation").cost_ms
+    assert "nm" in bulk.reason
+
+
+def test_the_predicted_bias_is_that_of_a_fit(filled):
+    image, state = filled
+    found = ask(image, state, ["bulk"])
+    right = fitted(image, effects=Effects.of(Bulk(density=0.15)))
+    size = [np.cbrt(m.volumes()[1] * 3 / (4 * np.pi)) for m in (state.mesh, right.mesh)]
+    swelling = abs(size[0] - size[1])
+    assert of(found, "bulk").bias_nm == pytest.approx(1e3 * swelling, rel=0.8)
+
+
+def test_it_is_the_same_every_time(filled, one_thread):
+    one, other = (
+        [replace(e, cost_ms=0.0) for e in ask(*filled, ["bulk", "bleaching"]).evidence]
+        for _ in range(2)
+    )
+    assert one == other
+
+
+def test_an_effect_that_is_there_is_not_asked_for_again(filled):
+    image, _ = filled
+    held = Effects.of(Bulk(density=0.15))
+    state = fitted(image, effects=held)
+    found = ask(image, state, effects=state.effects)
+    assert found.recommended == ()
+    assert found.effects.bulk is not None
+    assert "bulk" not in [e.name for e in found.evidence]
+
+
+def test_what_hardly_moves_the_surface_is_seen_but_not_recommended():
+    image = photons(Effects.of(Attenuation(per_um=0.05)), seed=2)
+    found = ask(image, fitted(image), ["attenuation", "bleaching"])
+    first = max(found.evidence, key=lambda e: abs(e.score))
+    assert abs(first.score) > found.threshold
+    assert first.recommended == (first.bias_voxels >= 0.02)
+    # One of the two that pass for each other at most.
+    assert len(found.recommended) <= 1
+
+
+def test_slices_without_an_image_are_to_be_left_out(plain):
+    image = plain[0].copy()
+    image[11:13] = 0
+    found = ask(image, fitted(image), ["bulk"])
+    assert found.effects.missing.slices == (11, 12)
+    assert of(found, "missing").bias_voxels > 0.02
+
+
+def test_a_fit_is_made_where_none_is_given(plain):
+    told = []
+    found = recommend(
+        plain[0],
+        GRID,
+        TRUTH,
+        OPTICS,
+        SETTINGS.model_copy(update={"max_iterations": 20}),
+        ["background"],
+        progress=told.append,
+    )
+    assert found.recommended == ()
+    assert "fitting" in told[0]
+
+
+def test_an_unknown_candidate_is_refused(plain):
+    with pytest.raises(InputError, match="choose from"):
+        ask(*plain, ["ghosts"])
+    with pytest.raises(InputError, match="no effect that an image can call for"):
+        ask(*plain, ["camera"])
+    with pytest.raises(InputError, match="name its file"):
+        ask(*plain, ["second_view"])
+
+
+def test_what_ends_at_its_bound_passes_for_something_else():
+    assert beyond_bounds(Illumination(coefficients=(0.1, 2.0, 0, 0, 0)))
+    assert beyond_bounds(Halo(fraction=0.0))
+    assert not beyond_bounds(Bulk(density=0.1))
+    assert not beyond_bounds(PixelIntegration())
+
+
+def test_what_is_not_clear_beside_the_misfit_is_taken_out_again(filled, monkeypatch):
+    """As if the residual varied far more from one large block to the next than nearby."""
+
+    def hazy(*given):
+        found = score(*given)
+        return replace(found, z=found.z / 50)
+
+    monkeypatch.setattr(search, "score", hazy)
+    found = ask(*filled, ["bulk"])
+    assert found.recommended == ()
+    assert found.effects.bulk is None

@@ -1,0 +1,72 @@
+"""Where a fit does not explain the image."""
+
+import numpy as np
+import pytest
+from evidence_scenes import CENTER, GRID, fitted, light, photons
+from scipy.ndimage import gaussian_filter
+
+from napari_deltamic import Grid
+from napari_deltamic.errors import InputError
+from napari_deltamic.evidence import analyse_residual
+from napari_deltamic.evidence.residual import smoothed
+from napari_deltamic.scene.effects import Bulk, Effects
+
+
+def test_an_image_that_is_explained_leaves_noise(plain):
+    image, state = plain
+    found = analyse_residual(image, GRID, state)
+    assert found.map.shape == image.shape
+    assert np.nanstd(found.map) == pytest.approx(1, abs=0.15)
+    assert len(found.spots) <= 1
+    assert found.explained > 0.95
+    assert found.cells[0].explained > 0.95
+
+
+def test_a_spot_that_no_surface_explains_is_found_where_it_is(plain):
+    _, state = plain
+    spot = np.zeros(GRID.shape)
+    at = (12, 16, 17)
+    spot[at] = 1
+    spot = gaussian_filter(spot, (1.4, 1.25, 1.25))
+    image = np.random.default_rng(5).poisson(light() + 40 * spot / spot.max()).astype(np.float32)
+    found = analyse_residual(image, GRID, state)
+    brightest = found.spots[0]
+    assert np.allclose(brightest.position, np.array(at) * GRID.voxel_size, atol=0.5)
+    assert brightest.z > found.threshold
+    assert brightest.light > 0
+    assert brightest.region == 1
+
+
+def test_light_from_inside_is_left_unexplained():
+    # Brighter than the other scenes: the cell is so small that 40 photons leave it at 4.3 of the 5.
+    image = photons(Effects.of(Bulk(density=0.15)), seed=1, peak=60.0)
+    found = analyse_residual(image, GRID, fitted(image))
+    inside = tuple(int(c / d) for c, d in zip(CENTER, GRID.voxel_size, strict=True))
+    assert found.map[inside] > 3
+    assert found.cells[0].z > 5
+
+
+def test_missing_voxels_stay_missing(plain):
+    image = plain[0].copy()
+    image[0, :5] = np.nan
+    found = analyse_residual(image, GRID, plain[1])
+    assert np.isnan(found.map[0, :5]).all()
+    assert np.isfinite(found.map[1:]).all()
+
+
+def test_white_noise_keeps_its_size_at_the_border_and_beside_holes():
+    rng = np.random.default_rng(0)
+    known = rng.random((30, 40, 40)) < 0.8
+    values = [
+        smoothed(np.where(known, rng.normal(size=known.shape), 0), known, np.array([1.2, 1.5, 0.9]))
+        for _ in range(30)
+    ]
+    spread = np.std(values, axis=0)
+    assert np.median(spread[known]) == pytest.approx(1, abs=0.08)
+    assert np.median(spread[0][known[0]]) == pytest.approx(1, abs=0.15)
+
+
+def test_a_fit_of_another_image_is_refused(plain):
+    image, state = plain
+    with pytest.raises(InputError, match="shape"):
+        analyse_residual(image[:10], Grid((10, 34, 34), GRID.voxel_size), state)

@@ -1,0 +1,197 @@
+"""The curvature along normals against differences, dense formulas and independent noise."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from synthetic import CENTER, GRID, OPTICS, RADIUS, measured
+
+from napari_deltamic import Mesh
+from napari_deltamic.errors import InputError
+from napari_deltamic.fitting import curvature as module
+from napari_deltamic.fitting.curvature import (
+    Curvature,
+    affordable,
+    volume_gradient,
+    volume_sd,
+)
+from napari_deltamic.fitting.errors_of_measures import posed_at, predicted_volume_sd
+from napari_deltamic.fitting.normal_jacobian import Colouring, normal_jacobian
+from napari_deltamic.fitting.state import FitState
+from napari_deltamic.geometry import sphere
+from napari_deltamic.settings import FitSettings
+
+MESH = sphere(CENTER, RADIUS, subdivisions=3)
+
+
+def state(mesh=MESH, optics=OPTICS, pinned=None):
+    density = np.ones(len(mesh.faces))
+    known = (1, 1, 1, mesh, optics, density, 0.0, 1.0, 0.0, 1.0)
+    return FitState(*known, pinned=pinned)
+
+
+def posed(mesh=MESH, noise=0, **settings):
+    return posed_at(measured(noise=noise), GRID, state(mesh), FitSettings(**settings))
+
+
+@pytest.fixture(scope="module")
+def there():
+    return posed()
+
+
+@pytest.fixture(scope="module")
+def curvature(there):
+    return Curvature(there.posterior, there.at, MESH)
+
+
+def dented(depth=0.06):
+    """The sphere with a smooth dent of less than half a width of the PSF, um."""
+    v = MESH.vertices_numpy()
+    out = (v - CENTER) / RADIUS
+    return MESH.with_vertices(v - depth * np.exp(4 * (out[:, :1] - 1)) * out)
+
+
+def test_vertices_of_a_colour_are_out_of_reach_of_each_other():
+    found = Colouring.of(MESH.vertices_numpy(), MESH.edges(), np.full(3, 0.13))
+    assert 1 < found.count < len(MESH.vertices) / 3
+    for colour in range(found.count):
+        places = found.places[found.colour == colour]
+        apart = np.linalg.norm(places[:, None] - places[None], axis=2)
+        assert apart[apart > 0].min(initial=np.inf) > 2 * found.reach
+
+
+def test_jacobian_is_that_of_single_vertices(there):
+    normals = -MESH.vertices_numpy() + CENTER
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    colouring = Colouring.of(there.at.vertices, MESH.edges(), np.full(3, 0.13))
+    (found,) = normal_jacobian(there.posterior, there.at, normals, colouring)
+    step = 0.005
+    for vertex in (0, 17, 200, 641):
+        ends = []
+        for sign in (1, -1):
+            v = there.at.vertices.copy()
+            v[vertex] += sign * step * normals[vertex]
+            ends.append(there.posterior.images(replace(there.at, vertices=v))[0])
+        exact = (ends[0] - ends[1]) / (2 * step)
+        column = found[:, [vertex]].toarray()[:, 0]
+        # What is out of reach is left out, and what others send in from there is added.
+        assert np.linalg.norm(column - exact) < 0.06 * np.linalg.norm(exact)
+
+
+def test_matrix_is_symmetric_and_positive_and_solved(curvature):
+    matrix = curvature.matrix()
+    np.testing.assert_array_equal(matrix, matrix.T)
+    assert np.linalg.eigvalsh(matrix).min() > 0
+    right = np.random.default_rng(0).normal(size=len(matrix))
+    np.testing.assert_allclose(matrix @ curvature.solve(right), right, atol=1e-6)
+
+
+@pytest.mark.parametrize("fit_psf", [False, True])
+def test_elimination_is_that_of_one_large_system(fit_psf):
+    """Surface, amplitude, background and PSF in one matrix: errors, sandwich and step."""
+    there = posed(fit_psf=fit_psf)
+    found = Curvature(there.posterior, there.at, MESH)
+    columns = np.hstack([found._jacobian.toarray(), found._own])
+    n = len(MESH.vertices)
+    known = np.zeros((columns.shape[1],) * 2)
+    prior = there.posterior.prior
+    bend = prior.bending.curvature(there.at.vertices, found.normals)
+    known[:n, :n] = prior.stiffness * bend.toarray()
+    if fit_psf:
+        size = len(there.at.optics)
+        known[-size:, -size:] = np.diag(prior.imaging.prior_curvature())
+    whole = columns.T @ (found._weights[:, None] * columns) + known
+    gradient = np.zeros(len(whole))
+    by_vertices = volume_gradient(MESH, 1)
+    gradient[:n] = (by_vertices * found.normals).sum(1)
+    moved = np.linalg.solve(whole, gradient)
+    scores = found._weights * found._residual * (columns @ moved)
+    told = found.deviations(by_vertices)
+    assert told.posterior == pytest.approx(np.sqrt(gradient @ moved), rel=1e-4)
+    assert told.sandwich == pytest.approx(np.sqrt((scores**2).sum()), rel=1e-4)
+    pull = np.zeros(len(whole))
+    now = there.posterior(there.at).gradient
+    pull[:n] = (now.vertices * found.normals).sum(1)
+    if fit_psf:
+        pull[-size:] = now.optics
+    step, exact = found.newton_step(now), np.linalg.solve(whole, -pull)
+    along = (step.vertices * found.normals).sum(1)
+    np.testing.assert_allclose(along, exact[:n], atol=1e-4 * np.abs(exact[:n]).max())
+    if fit_psf:
+        np.testing.assert_allclose(step.optics, exact[-size:], rtol=1e-3)
+
+
+def test_one_newton_step_gains_what_it_predicts():
+    mesh = dented()
+    there = posed(mesh)
+    found = Curvature(there.posterior, there.at, mesh)
+    before = there.posterior(there.at)
+    step = found.newton_step(before.gradient)
+    after = there.posterior(there.at.with_flat(there.at.flat() + step.flat()))
+    predicted = -0.5 * float(before.gradient.flat() @ step.flat())
+    assert before.value - after.value == pytest.approx(predicted, rel=0.3)
+
+
+def test_held_vertices_stay():
+    mesh = dented()
+    there = posed(mesh)
+    held = there.at.vertices[:, 0] > CENTER[0]
+    found = Curvature(there.posterior, there.at, mesh, held)
+    moved = np.linalg.norm(found.newton_step(there.posterior(there.at).gradient).vertices, axis=1)
+    assert moved[held].max() == 0
+    assert moved[~held].max() > 0
+
+
+def test_volume_gradient_is_a_difference():
+    direction = np.random.default_rng(1).normal(size=(len(MESH.vertices), 3))
+    gradient = volume_gradient(MESH, 1)
+    v = MESH.vertices_numpy()
+    ends = [MESH.with_vertices(v + s * 1e-5 * direction).volumes()[1] for s in (1, -1)]
+    assert (gradient * direction).sum() == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-6)
+
+
+def test_sandwich_is_the_scatter_over_noise():
+    """One Gauss-Newton step from the truth, noise of photons, weights that are all alike."""
+    by_volume = volume_gradient(MESH, 1)
+    changes, told = [], []
+    for seed in range(40):
+        there = posed(noise=seed, likelihood="gaussian")
+        if seed % 10 == 0:
+            found, variance = Curvature(there.posterior, there.at, MESH), there.variance
+            told.append(volume_sd(found, MESH, 1).sandwich)
+        gradient = there.posterior(there.at).gradient.flat() * (there.variance / variance)
+        step = found.newton_step(there.at.with_flat(gradient))
+        changes.append((by_volume * step.vertices).sum())
+    # The scatter of 40 draws is known to 11 %.
+    assert np.std(changes, ddof=1) == pytest.approx(np.mean(told), rel=0.3)
+
+
+def test_predicted_deviation_of_a_volume():
+    told = predicted_volume_sd(measured(noise=0), GRID, state())
+    assert list(told) == [1]
+    volume = MESH.volumes()[1]
+    assert 1e-4 * volume < told[1].sandwich < 1e-2 * volume
+
+
+def test_what_is_not_affordable_is_refused(there, monkeypatch):
+    assert affordable(there.posterior, there.at, MESH)
+    monkeypatch.setattr(module, "_MOST_WORK", 10.0)
+    assert not affordable(there.posterior, there.at, MESH)
+    with pytest.raises(InputError, match="renderings"):
+        Curvature(there.posterior, there.at, MESH)
+    monkeypatch.setattr(module, "_MOST_VERTICES", 10)
+    with pytest.raises(InputError, match="vertices"):
+        Curvature(there.posterior, there.at, MESH)
+
+
+def test_sparse_factor_agrees_with_the_dense_one(there, curvature, monkeypatch):
+    monkeypatch.setattr(module, "_DENSE", 0)
+    sparse = Curvature(there.posterior, there.at, MESH)
+    right = np.random.default_rng(2).normal(size=len(MESH.vertices))
+    np.testing.assert_allclose(sparse.solve(right), curvature.solve(right), rtol=1e-6, atol=1e-9)
+
+
+def test_an_open_region_has_no_volume():
+    half = Mesh(MESH.vertices_numpy(), MESH.faces[1:], MESH.regions[1:])
+    with pytest.raises(InputError, match="not closed"):
+        volume_gradient(half, 1)

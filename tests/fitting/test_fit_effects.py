@@ -1,0 +1,231 @@
+"""Fits with effects: their numbers are found with the shape, told, kept and changed on the way."""
+
+import numpy as np
+import pytest
+from synthetic import (
+    CENTER,
+    GRID,
+    OPTICS,
+    RADIUS,
+    SHORT,
+    TRUTH,
+    VOXEL,
+    apart,
+    fitted,
+    measured,
+    start,
+)
+
+from napari_deltamic import Change, GaussianPSF, fit
+from napari_deltamic.errors import InputError
+from napari_deltamic.fitting.level import Level
+from napari_deltamic.geometry import sphere
+from napari_deltamic.images import write_image
+from napari_deltamic.scene import expected_image
+from napari_deltamic.scene.effects import (
+    Attenuation,
+    Background,
+    Bleaching,
+    Bulk,
+    Camera,
+    DepthPSF,
+    Effects,
+    Halo,
+    Illumination,
+    Missing,
+    SecondView,
+)
+from napari_deltamic.settings import FitSettings
+
+NEAR = FitSettings(levels=(1.5, 1.0))
+CASES = [
+    (Bulk(density=0.3), 0.02),
+    (Attenuation(per_um=0.15), 0.01),
+    (Bleaching(per_slice=0.02), 2e-3),
+    (Halo(fraction=0.1, width=0.5), 0.05),
+    (Background(coefficients=(2.0, -1.0, 1.0)), 0.1),
+    (Illumination(order=1, coefficients=(0.15, -0.1)), 0.02),
+    (DepthPSF(variance_z=0.012, variance_yx=0.006), 2e-3),
+]
+
+
+def near(subdivisions=2):
+    return sphere(np.add(CENTER, (0, 0.05, -0.05)), 0.9 * RADIUS, subdivisions=subdivisions)
+
+
+def scene(*effects, peak=40.0, background=4.0):
+    """Image without noise; its effects."""
+    plain = expected_image(TRUTH, GRID, OPTICS, 1e-4, 1.0, 0.0)
+    chosen = Effects.of(*effects)
+    amplitude = peak / plain.max()
+    return expected_image(TRUTH, GRID, OPTICS, 1e-4, amplitude, background, effects=chosen)
+
+
+def numbers(effect):
+    return np.array([v.value for v in effect.values()])
+
+
+def test_finds_the_light_inside():
+    last = fitted(scene(Bulk(density=0.3)), near(), settings=NEAR, effects=("bulk",))
+    assert last.effects.bulk.density == pytest.approx(0.3, abs=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("effect", "within"), CASES, ids=lambda x: getattr(x, "name", ""))
+def test_finds_the_numbers_and_the_shape(effect, within):
+    image = scene(effect)
+    first = type(effect)(**{"order": effect.order} if hasattr(effect, "order") else {})
+    last = fitted(image, near(3), settings=NEAR, effects=Effects.of(first))
+    (found,) = last.effects.present()
+    np.testing.assert_allclose(numbers(found), numbers(effect), rtol=0, atol=within)
+    left_out = fitted(image, near(3), settings=NEAR)
+    assert apart(last.mesh) < 0.6 * apart(left_out.mesh) or apart(left_out.mesh) < 0.02
+    # What is shown is what was fitted.
+    assert np.abs(last.rendered() - image).max() < 0.1 * np.abs(left_out.rendered() - image).max()
+
+
+@pytest.mark.slow
+def test_finds_psf_and_effects_together():
+    effects = (Attenuation(per_um=0.1), Bulk(density=0.2))
+    settings = NEAR.model_copy(update={"fit_psf": True})
+    last = fitted(
+        scene(*effects),
+        near(),
+        optics=GaussianPSF(0.16),
+        settings=settings,
+        effects=("attenuation", "bulk"),
+    )
+    assert last.effects.attenuation.per_um == pytest.approx(0.1, abs=0.01)
+    assert last.effects.bulk.density == pytest.approx(0.2, abs=0.02)
+    np.testing.assert_allclose(last.optics.sigma_um, OPTICS.sigma_um, rtol=0.02)
+
+
+def test_numbers_that_are_held_stay():
+    held = Attenuation(per_um=0.05, fit=False)
+    last = fitted(scene(Attenuation(per_um=0.1)), near(), settings=NEAR, effects=Effects.of(held))
+    assert last.effects.attenuation == held
+
+
+def test_numbers_stay_within_their_bounds():
+    """A PSF sharper than it is taken for looks as if there were less than no halo."""
+    wide, halo = GaussianPSF(0.15), Halo(fraction=0.0, width=0.4)
+    last = fitted(scene(), near(), optics=wide, settings=SHORT, effects=Effects.of(halo))
+    assert last.effects.halo.fraction < 0.05
+    assert last.effects.halo.width >= 0.05
+
+
+@pytest.mark.parametrize("density", [-0.3, -1.0])
+def test_an_inside_darker_than_the_medium_around_is_found(density):
+    image = scene(Bulk(density=density), background=40.0)
+    last = fitted(image, near(), settings=NEAR, effects=("bulk",))
+    assert last.effects.bulk.density == pytest.approx(density, rel=0.05)
+    left_out = fitted(image, near(), settings=NEAR)
+    assert apart(last.mesh) < 0.5 * apart(left_out.mesh)
+
+
+def test_voxels_of_a_dark_inside_count(monkeypatch):
+    """Though the membrane's light, less that of the medium, is below that of no membrane there."""
+    counted, plain = [], Level.voxels
+
+    def voxels(level, *given):
+        counted.append(plain(level, *given))
+        return counted[-1]
+
+    monkeypatch.setattr(Level, "voxels", voxels)
+    dark = Bulk(density=-1.0)
+    image = scene(dark, background=40.0)
+    fitted(
+        image, near(), settings=SHORT, effects=Effects.of(dark.model_copy(update={"fit": False}))
+    )
+    places = np.stack(np.indices(GRID.shape), -1).reshape(-1, 3) * VOXEL
+    depth = 0.9 * RADIUS - np.linalg.norm(places - CENTER, axis=1)
+    inside = (depth > 1.0 * OPTICS.sigma_um[0]) & (depth < 2.5 * OPTICS.sigma_um[0])
+    found = np.zeros(len(places), bool)
+    found[counted[0].index.numpy()] = True
+    assert found[inside].all()
+
+
+def test_a_number_that_shows_nowhere_yet_is_no_obstacle():
+    """The width of a halo without light."""
+    effects = Effects.of(Halo(fraction=0.0))
+    last = fitted(scene(Halo(fraction=0.2, width=0.5)), near(), settings=NEAR, effects=effects)
+    assert last.effects.halo.fraction == pytest.approx(0.2, abs=0.05)
+
+
+# ------------------------------------------------------------------------------- the likelihood
+
+
+def test_saturated_voxels_are_left_out():
+    image = np.minimum(measured(noise=3), 25.0)
+    camera = Effects.of(Camera(saturation=25.0, offset=0.0))
+    with_camera = fitted(image, near(), settings=NEAR, effects=camera)
+    assert with_camera.amplitude > 1.1 * fitted(image, near(), settings=NEAR).amplitude
+
+
+def test_missing_slices_are_left_out():
+    image = measured()
+    image[9:12] = 0
+    blind = fitted(image, near(), settings=NEAR)
+    for missing in (Missing(slices=(9, 10, 11)), Missing(value=0.0)):
+        last = fitted(image, near(), settings=NEAR, effects=Effects.of(missing))
+        assert apart(last.mesh) < 0.5 * apart(blind.mesh)
+
+
+def test_a_second_view_sees_what_the_first_does_not(tmp_path, one_thread):
+    first, second = (0.3, 0.1, 0.1), (0.1, 0.1, 0.3)
+    images = [measured(optics=GaussianPSF(s), noise=k) for k, s in enumerate((first, second))]
+    alone = fitted(images[0], near(), optics=GaussianPSF(first), settings=NEAR)
+    path = tmp_path / "second.npy"
+    write_image(path, images[1].astype(np.float32), GRID.voxel_size)
+    view = SecondView(sigma=second, image=str(path))
+    both = [
+        fitted(images[0], near(), optics=GaussianPSF(first), settings=NEAR, **options)
+        for options in (
+            {"effects": Effects.of(view)},
+            {"effects": Effects.of(SecondView(sigma=second)), "second": images[1]},
+        )
+    ]
+    assert apart(both[0].mesh) < 0.85 * apart(alone.mesh)
+    np.testing.assert_array_equal(both[0].mesh.vertices, both[1].mesh.vertices)
+
+
+def test_refuses_a_second_view_that_does_not_fit():
+    effects = Effects.of(SecondView(sigma=(0.1, 0.1, 0.3)))
+    with pytest.raises(InputError, match="second_view has no image: name its file"):
+        fitted(measured(), effects=effects)
+    with pytest.raises(InputError, match="second view: the image has shape"):
+        fitted(measured(), effects=effects, second=np.zeros((3, 4, 5)))
+
+
+# ---------------------------------------------------------------------------------- on the way
+
+
+def test_effects_can_be_switched_on_while_a_fit_runs():
+    image = scene(Bulk(density=0.3))
+    states = fit(image, GRID, near(), OPTICS, settings=NEAR)
+    last = [next(states) for _ in range(10)][-1]
+    assert last.effects == Effects()
+    last = states.send(Change(effects=Effects.of("bulk")))
+    for last in states:  # noqa: B007
+        pass
+    assert last.effects.bulk.density == pytest.approx(0.3, abs=0.02)
+
+
+@pytest.mark.parametrize("effect", ["bulk", "halo"])
+def test_a_resumed_fit_ends_as_the_uninterrupted_one(tmp_path, effect):
+    image, path = scene(Bulk(density=0.3)), tmp_path / "checkpoint.npz"
+    for state in fit(image, GRID, start(2), OPTICS, settings=NEAR, effects=(effect,)):
+        if state.iteration == 45:
+            state.save(path)
+    resumed = fitted(image, start(2), settings=NEAR, effects=(effect,), resume=path)
+    assert resumed.iteration == state.iteration
+    found, expected = (numbers(*s.effects.present()) for s in (resumed, state))
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    assert np.any(found != numbers(*Effects.of(effect).present()))
+
+
+def test_refuses_the_checkpoint_of_a_fit_with_other_effects(tmp_path):
+    path = tmp_path / "checkpoint.npz"
+    next(fit(scene(), GRID, start(1), OPTICS, effects=("halo",))).save(path)
+    with pytest.raises(InputError, match="belongs to a fit with other settings"):
+        fit(scene(), GRID, start(1), OPTICS, resume=path)

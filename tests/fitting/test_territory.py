@@ -1,0 +1,75 @@
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+from synthetic import CENTER, GRID, OPTICS, RADIUS, TRUTH, measured
+
+from napari_deltamic import Grid, Mesh
+from napari_deltamic.fitting import counted_voxels
+from napari_deltamic.fitting.territory import surface_voxels
+from napari_deltamic.geometry import box, sphere
+
+
+def from_surface(grid, center, radius):
+    """Distance of each voxel from a sphere's surface, um."""
+    voxels = np.moveaxis(np.indices(grid.shape), 0, -1) * grid.voxel_size + grid.origin
+    return np.abs(np.linalg.norm(voxels - center, axis=-1) - radius)
+
+
+@pytest.fixture
+def neighbours():
+    """Grid, image of two equal spheres, centre of the one without a seed."""
+    grid = Grid((24, 32, 56), GRID.voxel_size)
+    other = (CENTER[0], CENTER[1], CENTER[2] + 2.2)
+    both = Mesh.merge([TRUTH, sphere(other, RADIUS, subdivisions=4)])
+    return grid, measured(grid, both, noise=0), other
+
+
+def test_a_sphere_alone_keeps_everything():
+    assert counted_voxels(measured(), GRID, TRUTH, OPTICS).all()
+
+
+def test_keeps_its_shell_and_drops_a_neighbour_without_a_seed(neighbours):
+    grid, image, other = neighbours
+    counted = counted_voxels(image, grid, TRUTH, OPTICS)
+    assert counted[from_surface(grid, CENTER, RADIUS) < 0.25].all()
+    bright = from_surface(grid, other, RADIUS) < 0.05
+    assert counted[bright].mean() < 0.02
+
+
+def test_a_neighbour_with_a_seed_stays(neighbours):
+    grid, image, other = neighbours
+    both = Mesh.merge([TRUTH, sphere(other, RADIUS, subdivisions=4)])
+    assert counted_voxels(image, grid, both, OPTICS).all()
+
+
+def test_missing_voxels_do_not_count(neighbours):
+    grid, image, _ = neighbours
+    image = image.astype(float)
+    image[:, :5] = np.nan
+    counted = counted_voxels(image, grid, TRUTH, OPTICS)
+    assert not counted[:, :5].any()
+    assert counted[:, 5:].any()
+
+
+@pytest.mark.filterwarnings("error")
+def test_an_image_without_a_voxel():
+    nothing = np.full(GRID.shape, np.nan)
+    assert not counted_voxels(nothing, GRID, TRUTH, OPTICS).any()
+
+
+def test_a_surface_outside_the_image_changes_nothing():
+    far = TRUTH.translated((100, 0, 0))
+    assert counted_voxels(measured(), GRID, far, OPTICS).all()
+
+
+def test_surface_voxels_are_those_at_the_surface():
+    surface = surface_voxels(TRUTH, GRID)
+    distance = from_surface(GRID, CENTER, RADIUS)
+    assert surface[distance < 0.02].all()
+    assert (distance[surface] < 0.09).all()
+
+
+def test_surface_voxels_of_large_triangles_have_no_holes():
+    grid = Grid((4, 120, 120), (1, 1, 1))
+    surface = surface_voxels(box((1, 60, 60), (2, 100, 100)), grid)
+    assert_array_equal(surface[2, 10:111, 10:111], True)

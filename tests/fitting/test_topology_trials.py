@@ -1,0 +1,171 @@
+"""At the end of a fit other arrangements are tried, and kept where the image speaks for them."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from napari_deltamic import GaussianPSF, Grid, Mesh, fit, render
+from napari_deltamic.fitting.local_misfit import Gap
+from napari_deltamic.fitting.topology import TopologyPolicy, Trial
+from napari_deltamic.geometry import remesh
+from napari_deltamic.geometry.foam import foam
+from napari_deltamic.geometry.remeshing import can_remesh
+from napari_deltamic.geometry.topology.rearranging import give_way
+from napari_deltamic.geometry.topology.small_pieces import small_pieces
+from napari_deltamic.geometry.topology.thin_places import ThinPlace, short_junctions, small_walls
+from napari_deltamic.settings import FitSettings
+
+pytestmark = pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
+VOXEL, EDGE = 0.15, 0.25
+OPTICS = GaussianPSF(0.2)
+SETTINGS = FitSettings(levels=(1.0,))
+
+
+def contacts(mesh):
+    return {(int(min(p)), int(max(p))) for p in mesh.interfaces()[0] if min(p) > 0}
+
+
+def photographed(truth, photons=40):
+    """Image, noise included, and its grid."""
+    low, high = truth.bounds() + np.array([[-0.6], [0.6]])
+    shape = tuple(int(n) for n in np.ceil((high - low) / VOXEL) + 1)
+    grid = Grid(shape, (VOXEL,) * 3, tuple(low))
+    image = render(truth, grid, OPTICS, 1e-4).numpy().astype(np.float64)
+    image = photons * (0.05 + image.clip(0) / image.max())
+    return np.random.default_rng(0).poisson(image), grid
+
+
+def fitted(truth, start, photons=40):
+    image, grid = photographed(truth, photons)
+    states = list(fit(image, grid, start, OPTICS, settings=SETTINGS))
+    assert states[-1].converged
+    return states, "; ".join(e for s in states for e in s.events)
+
+
+def five(half):
+    """Cells 1 and 2 at the ends of a junction of three others, or through it if they are near."""
+    turns = 2 * np.pi * np.arange(3) / 3 + 0.3
+    around = 0.8 * np.stack([0 * turns, np.sin(turns), np.cos(turns)], axis=1)
+    ends = np.array([[-half, 0.02, 0.01], [half, 0, 0]])
+    return foam(np.concatenate([ends, around]), np.full(5, 1.15), 0.15)
+
+
+def flip_of(mesh):
+    """Its coarser start, in which cells 1 and 2 touch where they should not, or the reverse."""
+    mesh = remesh(mesh, EDGE).mesh
+    if (1, 2) in contacts(mesh):
+        (place,) = [p for p in small_walls(mesh, 1.0) if p.regions == (1, 2)]
+    else:
+        (place,) = [p for p in short_junctions(mesh, 1.0) if p.sides == (1, 2)]
+    made = give_way(mesh, [place], EDGE).mesh
+    assert contacts(made) ^ contacts(mesh) == {(1, 2)}
+    return made
+
+
+@pytest.mark.parametrize(("half", "photons"), [(0.5, 40), (0.6, 2000), (0.9, 2000)])
+def test_a_wrong_neighbour_is_exchanged(half, photons):
+    truth = five(half)
+    states, told = fitted(truth, flip_of(truth), photons)
+    assert contacts(states[-1].mesh) == contacts(truth)
+    assert told
+
+
+@pytest.mark.parametrize("photons", [40, 2000])
+@pytest.mark.parametrize("half", [0.55, 0.68, 0.9])
+def test_right_neighbours_stay(half, photons):
+    truth = five(half)
+    states, told = fitted(truth, remesh(truth, EDGE).mesh, photons)
+    assert contacts(states[-1].mesh) == contacts(truth)
+    # What the image cannot tell by three standard errors is said, and stays.
+    assert told == "" or told.startswith("undecided")
+
+
+@pytest.mark.parametrize("wrong", [True, False])
+def test_where_the_image_says_neither_the_present_neighbours_stay(wrong):
+    """A wall as wide as the PSF: the two best shapes differ by less than an error."""
+    truth = five(0.68)
+    start = flip_of(truth) if wrong else remesh(truth, EDGE).mesh
+    states, told = fitted(truth, start)
+    assert contacts(states[-1].mesh) == contacts(start)
+    assert told.startswith("undecided: how cells 1 and 2 and 3 and 4 and 5 meet at (")
+    assert ";" not in told
+
+
+def with_gap(size):
+    """Four cells around a gap, which is a fifth one taken away."""
+    corners = 1.2 * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of the tips of the fifth
+        mesh = foam(np.concatenate([corners, [[0, 0, 0]]]), np.array([*4 * [1.25], size]), 0.15)
+    return Mesh(mesh.vertices, mesh.faces, np.where(mesh.regions == 5, 0, mesh.regions))
+
+
+def test_a_gap_that_is_not_in_the_image_closes():
+    begun = with_gap(0.75)
+    (gap,) = small_pieces(begun, 0.5)
+    truth = remesh(give_way(begun, [gap], 0.15).mesh, 0.15).mesh
+    states, told = fitted(truth, begun)
+    assert not small_pieces(states[-1].mesh, 0.5)
+    assert "has closed" in told
+
+
+@pytest.mark.xfail(
+    reason="trials are judged before all has come to rest: a real gap closes", strict=False
+)
+def test_a_gap_that_is_in_the_image_stays():
+    truth = with_gap(0.75)
+    (gap,) = small_pieces(truth, 0.5)
+    assert gap.volume < 4 / 3 * np.pi * 0.4**3  # or it would not even be tried
+    states, told = fitted(truth, remesh(truth, EDGE).mesh)
+    assert small_pieces(states[-1].mesh, 0.5)
+    assert "closed" not in told
+
+
+# ------------------------------------------------------------------------------ what is decided
+
+
+def place(x=0.0, regions=(1, 2), sides=(3, 4), width=0.1, volume=0.0):
+    return ThinPlace(regions, sides, np.array([[0.0, 0.0, x]]), width, volume)
+
+
+def judged(tried, *gaps, places=None):
+    places = places or tuple(place(10.0 * k) for k in range(len(gaps)))
+    trial = Trial(None, None, tuple(places), (), 0, tried)
+    return TopologyPolicy().judged(trial, [Gap(nats, 1.0) for nats in gaps])
+
+
+def test_a_trial_stays_only_where_the_image_is_explained_better_by_three_errors():
+    policy, found = judged(True, 3.1, 2.9, -2.9, -3.1)
+    better, hardly, hardly_worse, worse = (10.0 * k for k in range(4))
+    assert [p.points[0, 2] for p in found.kept] == [better]
+    assert [p.points[0, 2] for p in found.undone] == [hardly, hardly_worse, worse]
+    assert [p.points[0, 2] for p in found.undecided] == [hardly, hardly_worse]
+    assert policy.left_alone == found.undone
+
+
+def test_what_pressed_stays_unless_the_image_is_explained_worse_by_three_errors():
+    _, found = judged(False, 3.1, -2.9, -3.1)
+    assert [p.points[0, 2] for p in found.kept] == [0.0, 10.0]
+    assert [p.points[0, 2] for p in found.undone] == [20.0]
+    assert not found.undecided
+
+
+def test_a_piece_smaller_than_the_psf_needs_no_evidence_to_go():
+    _, found = judged(True, -1.0, places=[place(volume=0.01)])
+    assert found.kept
+
+
+def test_what_another_level_saw_does_not_count():
+    policy = TopologyPolicy(seen=(place(),), past=(place(3.0),), left_alone=(place(6.0),))
+    again = policy.restarted()
+    assert not again.seen
+    assert (again.past, again.left_alone) == (policy.past, policy.left_alone)
+
+
+def test_a_policy_goes_through_plain_values():
+    one = TopologyPolicy(seen=(place(),), past=(place(3.0, volume=0.2),), late=2, most=7)
+    other = TopologyPolicy.from_dict(one.to_dict())
+    assert other.to_dict() == one.to_dict()
+    assert other.past[0].volume == 0.2
+    assert (other.late, other.most, other.left_alone) == (2, 7, ())

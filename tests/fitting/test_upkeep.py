@@ -1,0 +1,121 @@
+"""Remeshing while a fit runs."""
+
+import numpy as np
+import pytest
+from synthetic import CENTER, GRID, OPTICS, RADIUS, VOXEL, apart, measured
+
+from napari_deltamic import Change, InputError, Mesh, fit
+from napari_deltamic.fitting.health import GrowthAlarm
+from napari_deltamic.fitting.upkeep import Upkeep, median_edge
+from napari_deltamic.geometry import sphere
+from napari_deltamic.geometry.remeshing import can_remesh, smallest_angles
+from napari_deltamic.settings import FitSettings
+
+pytestmark = pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
+SETTINGS = FitSettings(levels=(3.0, 1.0))
+
+
+@pytest.fixture(scope="module")
+def image():
+    return measured()
+
+
+def squeezed(factor=12.0, subdivisions=3):
+    """A start whose triangles become slivers: long along Z, where the cell is round."""
+    ball = sphere(CENTER, 0.75 * RADIUS, subdivisions=subdivisions)
+    away = ball.vertices_numpy() - CENTER
+    turned = away + factor * 0.3 * away[:, [1]] * np.array([0.0, 0.0, 1.0])
+    return ball.with_vertices(turned + CENTER)
+
+
+def ends(states):
+    *_, last = states
+    return last
+
+
+def test_slivers_go_and_the_fit_converges(image):
+    start = squeezed()
+    states = list(fit(image, GRID, start, OPTICS, settings=SETTINGS))
+    last = states[-1]
+    assert (smallest_angles(start) < 15).mean() > 0.02
+    assert (smallest_angles(last.mesh) < 15).mean() < 0.02
+    assert last.converged
+    assert apart(last.mesh) < 0.06
+    assert 0.7 < median_edge(last.mesh) / median_edge(start) < 1.6
+
+
+def test_not_where_it_is_not_wanted(image):
+    kept = ends(
+        fit(image, GRID, squeezed(), OPTICS, settings=SETTINGS.model_copy(update={"remesh": False}))
+    )
+    assert len(kept.mesh.vertices) == len(squeezed().vertices)
+    good = sphere(CENTER, 0.75 * RADIUS, subdivisions=3)
+    assert np.array_equal(ends(fit(image, GRID, good, OPTICS)).mesh.faces, good.faces)
+
+
+@pytest.mark.parametrize("density", ["smooth", "interface"])
+def test_the_density_goes_along(image, density):
+    settings = SETTINGS.model_copy(update={"density": density})
+    last = ends(fit(image, GRID, squeezed(), OPTICS, settings=settings))
+    assert last.density.shape == (len(last.mesh.faces),)
+    assert last.converged
+    assert apart(last.mesh) < 0.08
+
+
+def test_pinned_vertices_stay_and_are_told(image):
+    states = fit(image, GRID, squeezed(), OPTICS, settings=SETTINGS)
+    first = next(states)
+    pinned = first.mesh.vertices_numpy()[:, 0] > CENTER[0] + 0.5 * RADIUS
+    there = {tuple(v) for v in first.mesh.vertices_numpy()[pinned]}
+    states.send(Change(pinned=pinned))
+    last = ends(states)
+    assert len(last.mesh.vertices) != len(first.mesh.vertices)
+    # Edges between two pinned vertices may have been split.
+    assert there <= {tuple(v) for v in last.mesh.vertices_numpy()[last.pinned]}
+
+
+def test_a_resumed_fit_ends_as_the_other(image, tmp_path):
+    states, kept = [], tmp_path / "kept.npz"
+    for state in fit(image, GRID, squeezed(), OPTICS, settings=SETTINGS):
+        if state.iteration == 45:
+            state.save(kept)
+        states.append(state)
+    again = ends(fit(image, GRID, squeezed(), OPTICS, settings=SETTINGS, resume=kept))
+    assert again.iteration == states[-1].iteration
+    np.testing.assert_array_equal(again.mesh.faces, states[-1].mesh.faces)
+    np.testing.assert_allclose(
+        again.mesh.vertices_numpy(), states[-1].mesh.vertices_numpy(), atol=1e-4 * VOXEL
+    )
+
+
+def test_a_checkpoint_of_another_start_is_refused(image, tmp_path):
+    next(fit(image, GRID, squeezed(), OPTICS, settings=SETTINGS)).save(tmp_path / "kept.npz")
+    other = sphere(CENTER, RADIUS, subdivisions=2)
+    with pytest.raises(InputError, match="another mesh"):
+        fit(image, GRID, other, OPTICS, settings=SETTINGS, resume=tmp_path / "kept.npz")
+
+
+def test_what_cannot_get_better_is_not_tried_for_ever():
+    # A corner where four walls meet stays as it is: its slivers can only be left alone.
+    mesh = squeezed(30.0, 1)
+    upkeep = Upkeep(mesh)
+    done = upkeep.renewed(
+        mesh, np.zeros((len(mesh.vertices), 0)), np.ones(len(mesh.vertices), bool)
+    )
+    assert not upkeep.wanted(done.mesh)
+
+
+def test_growth_is_told_across_a_remeshing():
+    ball = sphere((0, 0, 0), 1.0, subdivisions=3)
+
+    def necked(mesh, length):
+        out = mesh.vertices_numpy().copy()
+        tip = out[:, 0] > 0.8
+        out[tip] = out[tip] + [length, 0, 0]
+        return mesh.with_vertices(out)
+
+    alarm = GrowthAlarm(ball)
+    half = necked(ball, 3.0)
+    assert not alarm.check(half)
+    alarm.remeshed(half, Mesh(half.vertices, half.faces))
+    assert alarm.check(necked(half, 3.0))

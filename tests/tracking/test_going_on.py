@@ -1,0 +1,83 @@
+"""A series that goes on knows what it knew; what is good is not lost to what is not."""
+
+import importlib
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from movies import GRID, MIDDLE, NEAR, OPTICS, VOXEL, ball, drifting, tracked
+
+from napari_deltamic.geometry import Mesh
+from napari_deltamic.scene.effects import Effects
+from napari_deltamic.tracking import TrackSettings, track
+
+module = importlib.import_module("napari_deltamic.tracking.track")
+
+
+def test_divisions_are_looked_for_right_after_going_on(monkeypatch):
+    images = drifting(2)
+    done = tracked(images)[:1]
+    calls = []
+    monkeypatch.setattr(module, "proposals", lambda *arguments: calls.append(1) or [])
+    tracked(images, done=done)
+    assert calls == [1, 1]  # in what the end of the fit left, and in what its start did
+
+
+def test_a_dark_frame_right_after_going_on_is_left_out():
+    images = np.array(drifting(3))
+    done = tracked(images[:2])
+    images[2] = 2 + 0.1 * (images[2] - 2)
+    (result,) = tracked(images, done=done)
+    assert result.mesh is None
+    assert "dark" in result.message
+
+
+@pytest.mark.parametrize("series", [list, iter], ids=["sequence", "iterator"])
+def test_going_on_starts_from_the_last_mesh_and_psf(series):
+    images = drifting(3)
+    done = tracked(images[:2])
+    assert done[1].psf == pytest.approx(tuple(OPTICS.parameters().tolist()))
+    wider = [replace(r, psf=tuple(p + 0.1 for p in r.psf)) for r in done]
+    settings = NEAR.model_copy(update={"fit_psf": True})
+    first = next(track(series(images), GRID, ball(), OPTICS, settings, done=wider))
+    assert first.frame == 2
+    found = first.fit.optics.parameters().tolist()
+    assert found == pytest.approx(list(wider[1].psf), rel=1e-2)
+    assert len(first.fit.mesh.vertices) == len(done[1].mesh.vertices)
+
+
+def test_good_divisions_are_kept_where_others_are_not(monkeypatch):
+    """Also in the last round: the bad one is left out, and the good one tried again."""
+    shifts = (-4.0, 4.0)
+    mesh = Mesh.merge([ball((0, 0, s), 3 * VOXEL) for s in shifts])
+    tracker = module._Tracker(
+        GRID, mesh, OPTICS, NEAR, TrackSettings(), Effects(), shared_ground=False
+    )
+    walls = [
+        SimpleNamespace(
+            cell=k + 1, point=MIDDLE + VOXEL * np.array([0, 0, s]), normal=np.array([0.0, 1, 0]),
+            brightness=1.0,
+        )
+        for k, s in enumerate(shifts)
+    ]  # fmt: skip
+
+    def fitted(self, frame, pixels, start, *, wider=False):
+        return SimpleNamespace(mesh=start.mesh), None
+        yield
+
+    def proposals(before, mesh):
+        return [w for w in walls if w.cell in mesh.region_ids()]
+
+    monkeypatch.setattr(module, "_ROUNDS", 1)
+    monkeypatch.setattr(module._Tracker, "_fit", fitted)
+    monkeypatch.setattr(module, "Residual", lambda *arguments: None)
+    monkeypatch.setattr(module, "proposals", proposals)
+    monkeypatch.setattr(module, "explains", lambda before, after, cell, folded: cell == 1)
+    events = []
+    image = np.ones(GRID.shape, np.float32)
+    states = tracker._divide(1, image, image > 0, SimpleNamespace(mesh=mesh), None, events)
+    with pytest.raises(StopIteration) as end:
+        next(states)
+    assert [(e.kind, e.cell) for e in events] == [("divided", 1)]
+    assert 2 in end.value.value.mesh.region_ids()
