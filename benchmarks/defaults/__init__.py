@@ -1,0 +1,1 @@
+"""What the default command makes of many kinds of images: ``python -m benchmarks.defaults``."""

@@ -1,0 +1,137 @@
+"""What the default command makes of many kinds of images: ``python -m benchmarks.defaults``.
+
+Every scene is rendered by a way of its own (`imaging`), written to a file, and fitted by the
+command line with image, voxel size and seeds, and again told everything there is to tell. Half of
+the seeds of the scenes follow from the commit that is measured, so nothing can be tuned to them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .command import Outcome, fitted, renumbered
+from .scenes import KINDS, made
+from .scoring import Score, score
+
+OFF, NEAR = 0.5, 0.2  # voxels: more must not be called good, less not poor
+HEAD = (
+    f"{'scene':<22}{'error':>7}{'lat':>6}{'ax':>6}{'told':>7}{'volume':>8}{'swal':>5}{'lost':>5}"
+    f"{'s':>6}{'told s':>7}  verdict"
+)
+
+
+def grade_of(report: dict[str, Any]) -> str:
+    """good, fair, poor; of versions that know no grades, good where they say converged."""
+    verdict = report.get("verdict")
+    if isinstance(verdict, dict) and "grade" in verdict:
+        return str(verdict["grade"])
+    if not report:
+        return "failed"
+    return "good" if report.get("converged") else "poor"
+
+
+def measured(kind: str, draw: int, commit: str, folder: Path, both: bool, patience: float) -> Any:
+    """One scene, as a row of plain values."""
+    scene = made(kind, draw, commit)
+    results: dict[str, tuple[Outcome, Score]] = {}
+    for told in (False, True) if both else (False,):
+        outcome = fitted(scene, folder / scene.name, told, patience)
+        mesh = None if outcome.mesh is None else outcome.mesh
+        if mesh is not None and not (told and scene.strangers):
+            mesh = renumbered(scene, mesh)
+        results["told" if told else "default"] = outcome, score(scene, mesh)
+    outcome, found = results["default"]
+    row: dict[str, Any] = {"scene": scene.name, **asdict(found), "seconds": outcome.seconds}
+    row |= {"grade": grade_of(outcome.report), "words": outcome.words}
+    row["reasons"] = (outcome.report.get("verdict") or {}).get("reasons", [])
+    if both:
+        outcome, found = results["told"]
+        row |= {"told": found.surface, "told_seconds": outcome.seconds, "told_words": outcome.words}
+    return row
+
+
+def line(row: dict[str, Any]) -> str:
+    """A row of the table."""
+    told, seconds = row.get("told", np.nan), row.get("told_seconds", np.nan)
+    words = "; ".join(row["reasons"]) or row["words"]
+    return (
+        f"{row['scene']:<22}{row['surface']:7.3f}{row['lateral']:6.2f}{row['axial']:6.2f}{told:7.3f}"
+        f"{100 * row['volume']:+7.1f}%{row['swallowed']:5d}{row['lost']:5d}{row['seconds']:6.0f}"
+        f"{seconds:7.0f}  {row['grade']}: {words[:90]}"
+    )
+
+
+def summary(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """The figures that are asked for."""
+    ratio = np.array([r["surface"] / r["told"] for r in rows if r.get("told")])
+    lines = []
+    if len(ratio):
+        lines.append(
+            f"error over told: median {np.median(ratio):.2f}, 95 % {np.percentile(ratio, 95):.2f}"
+        )
+    good = [r["scene"] for r in rows if r["grade"] == "good" and r["surface"] > OFF]
+    poor = [r["scene"] for r in rows if r["grade"] == "poor" and r["surface"] < NEAR]
+    lines.append(f"off by > {OFF} voxel and good: {len(good)} {' '.join(good)}")
+    lines.append(f"within {NEAR} voxel and poor: {len(poor)} {' '.join(poor)}")
+    swallowed, lost = sum(r["swallowed"] for r in rows), sum(r["lost"] for r in rows)
+    lines.append(f"swallowed neighbours {swallowed}, lost cells {lost}, of {len(rows)} scenes")
+    return lines
+
+
+def commit() -> str:
+    """The commit that is measured."""
+    done = subprocess.run(
+        ["git", "rev-parse", "HEAD"],
+        capture_output=True,
+        text=True,
+        cwd=Path(__file__).parent,
+    )
+    return done.stdout.strip() or "unknown"
+
+
+def main(argv: Sequence[str]) -> int:
+    """Measure the scenes chosen; print the table."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.defaults", description=__doc__)
+    parser.add_argument("--only", nargs="+", metavar="KIND", help=f"of {', '.join(KINDS)}")
+    parser.add_argument("--draws", type=int, default=3, help="scenes of each kind")
+    parser.add_argument("--first", type=int, default=0, help="number of the first draw")
+    parser.add_argument("--no-told", action="store_true", help="leave out the fit told everything")
+    parser.add_argument("--patience", type=float, default=600, help="seconds for one fit")
+    parser.add_argument("--folder", type=Path, help="where images and results stay")
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    chosen = parser.parse_args(argv)
+    names = chosen.only or list(KINDS)
+    unknown = [name for name in names if name not in KINDS]
+    if unknown:
+        parser.error(f"no kind named {', '.join(unknown)}; there are {', '.join(KINDS)}")
+    measured_commit, rows = commit(), []
+    print(f"commit {measured_commit}, {time.strftime('%Y-%m-%d %H:%M')}, {os.cpu_count()} cores")
+    print(HEAD, flush=True)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = chosen.folder or Path(temporary)
+        for draw in range(chosen.first, chosen.first + chosen.draws):
+            for name in names:
+                given = folder, not chosen.no_told, chosen.patience
+                rows.append(measured(name, draw, measured_commit, *given))
+                print(line(rows[-1]), flush=True)
+                if chosen.json:
+                    facts = {"commit": measured_commit, "rows": rows}
+                    chosen.json.write_text(json.dumps(facts, indent=1) + "\n")
+    print("\n" + "\n".join(summary(rows)))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

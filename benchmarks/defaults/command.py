@@ -1,0 +1,110 @@
+"""The command line, called as a user calls it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tifffile
+
+from napari_deltamic import Mesh, load_mesh, save_mesh
+from napari_deltamic.geometry import sphere
+
+from .scenes import Scene
+
+PROGRAM = (sys.executable, "-m", "napari_deltamic")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the command left: report, mesh (None where it failed), seconds, last words."""
+
+    report: dict[str, Any]
+    mesh: Mesh | None
+    seconds: float
+    words: str
+
+
+@cache
+def known_options() -> str:
+    """The help of ``fit``: what can be told depends on the version."""
+    return subprocess.run(
+        [*PROGRAM, "fit", "--help"], capture_output=True, text=True, check=True
+    ).stdout
+
+
+def fitted(scene: Scene, folder: Path, told: bool, patience: float) -> Outcome:
+    """Image, voxel size, seeds and nothing else; or told everything, neighbours included."""
+    folder.mkdir(parents=True, exist_ok=True)
+    image = folder / "image.tif"
+    tifffile.imwrite(image, scene.image, imagej=True, metadata={"axes": "ZYX"})
+    seeds = _seeds(scene, folder, told)
+    words = ["fit", str(image), "--voxel-size", *map(str, scene.voxel_size), "--seeds", seeds]
+    if told:
+        words += ["--sigma", *map(str, scene.sigma), *_possible(scene.recipe.told)]
+    out = folder / ("told" if told else "default")
+    words += ["-o", str(out), "--overwrite"]
+    began = time.monotonic()
+    try:
+        done = subprocess.run([*PROGRAM, *words], capture_output=True, text=True, timeout=patience)
+    except subprocess.TimeoutExpired:
+        return Outcome({}, None, time.monotonic() - began, "ran out of time")
+    seconds = time.monotonic() - began
+    last = (done.stderr.strip().splitlines() or [""])[-1]
+    if done.returncode:
+        return Outcome({}, None, seconds, last)
+    report = json.loads((out / "report.json").read_text())
+    return Outcome(report, load_mesh(out / "mesh.ply"), seconds, last)
+
+
+def _possible(told: tuple[str, ...]) -> list[str]:
+    """Options with one value each, those that this version has."""
+    pairs = zip(told[::2], told[1::2], strict=True)
+    return [word for pair in pairs if pair[0] in known_options() for word in pair]
+
+
+def _seeds(scene: Scene, folder: Path, told: bool) -> str:
+    recipe = scene.recipe
+    if recipe.seeds == "auto":
+        return "auto"
+    names = list(scene.centres) if told else list(recipe.seeded)
+    scale, offset = recipe.start
+    direction = np.array([0.48, 0.6, 0.64])
+    centres = {k: scene.centres[k] + offset * scene.radii[k] * direction for k in names}
+    if recipe.seeds == "labels":
+        path = folder / "seeds.tif"
+        known = scene.all_labels if told and scene.strangers else scene.labels
+        tifffile.imwrite(path, known.astype(np.uint16), imagej=True, metadata={"axes": "ZYX"})
+    elif recipe.seeds == "mesh":
+        path = folder / "seeds.ply"
+        balls = [
+            sphere(centres[k], scale * scene.radii[k], edge_length=2 * min(scene.voxel_size))
+            for k in names
+        ]
+        parts = zip(names, balls, strict=True)
+        save_mesh(Mesh.merge([Mesh(b.vertices, b.faces, b.regions * k) for k, b in parts]), path)
+    else:
+        path = folder / "seeds.csv"
+        radius = recipe.seeds == "spheres"
+        lines = ["z,y,x,radius" if radius else "z,y,x"]
+        for k in names:
+            z, y, x = centres[k] if radius else scene.centres[k]
+            lines.append(f"{z},{y},{x}" + (f",{scale * scene.radii[k]}" if radius else ""))
+        path.write_text("\n".join(lines) + "\n")
+    return str(path)
+
+
+def renumbered(scene: Scene, mesh: Mesh) -> Mesh:
+    """Regions of a fit from CSV seeds are numbered by line; here they get the truth's names."""
+    if scene.recipe.seeds in ("labels", "mesh"):
+        return mesh
+    names = np.array([0, *scene.recipe.seeded])
+    regions = np.where(mesh.regions < len(names), mesh.regions, 0)
+    return Mesh(mesh.vertices, mesh.faces, names[regions])

@@ -1,0 +1,265 @@
+"""The scenes: what there is, what the command is told of it, and what is true."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates
+
+from napari_deltamic import Mesh
+from napari_deltamic.geometry import sphere
+from napari_deltamic.geometry.foam import foam
+
+from .imaging import (
+    Array,
+    Field,
+    counted_photons,
+    effective_sigma,
+    imaged,
+    inside,
+    surface_light,
+)
+
+SeedKind = Literal["labels", "spheres", "points", "mesh", "auto"]
+_EDGE = 1.2  # voxels; of the true meshes
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What one image shows; lengths in voxels of the smallest side, light relative to membranes."""
+
+    cells: tuple[tuple[float, float, float, float], ...] = ((0, 0, 0, 11),)  # offset Z Y X, radius
+    seeded: tuple[int, ...] = (1,)  # cells that have a seed, from 1
+    together: bool = False  # cells share walls
+    roughness: float = 0.12
+    shape: tuple[int, int, int] = (40, 40, 40)
+    aspect: float = 1.0  # Z over lateral voxel side
+    psf: tuple[float, float] = (1.2, 1.2)  # standard deviation along Z (of its voxels) and in plane
+    photons: float = 60.0
+    dark: float = 6.0
+    membrane: float = 1.0
+    interior: float = 0.0  # of the brightness of the membrane in the image
+    uneven: float = 0.0  # standard deviation of the log density, smooth over the cell
+    textured: float = 0.0  # the same, over a few voxels
+    haze: float = 0.0  # light outside, of the membrane's brightness
+    specks: int = 0
+    thickness: float = 0.0
+    seeds: SeedKind = "spheres"
+    start: tuple[float, float] = (0.9, 0.1)  # radius of spheres and meshes, offset, in radii
+    told: tuple[str, ...] = ()  # what the command that knows all is told besides the PSF
+
+
+@dataclass(frozen=True)
+class Scene:
+    """An image and the truth about it; regions of the truth are numbered as the seeds."""
+
+    name: str
+    recipe: Recipe
+    image: NDArray[np.float32]
+    voxel_size: tuple[float, float, float]
+    sigma: tuple[float, ...]  # um; of all blur, voxels included
+    truth: Mesh
+    strangers: tuple[int, ...]  # cells without a seed
+    centres: dict[int, Array]
+    radii: dict[int, float]
+    labels: NDArray[np.int32]
+    all_labels: NDArray[np.int32] = field(repr=False)
+
+
+def rng_of(name: str, draw: int, commit: str) -> np.random.Generator:
+    """Even draws are always the same, odd ones follow from the commit that is measured."""
+    text = f"{name} {draw} {commit if draw % 2 else ''}"
+    return np.random.default_rng(list(hashlib.sha256(text.encode()).digest()))
+
+
+def made(name: str, draw: int, commit: str) -> Scene:
+    """The scene of a kind."""
+    rng = rng_of(name, draw, commit)
+    return _scene(f"{name}-{draw}", KINDS[name](rng), rng)
+
+
+def _scene(name: str, recipe: Recipe, rng: np.random.Generator) -> Scene:
+    size = (recipe.aspect, 1.0, 1.0)
+    unit = 0.2  # um; the engine must not depend on it
+    voxel = (size[0] * unit, unit, unit)
+    space = Field(recipe.shape, voxel, rim=6 if recipe.aspect > 2 else 10)
+    middle = (np.asarray(recipe.shape) - 1) / 2 * np.asarray(voxel)
+    truth, centres, radii = _cells(recipe, middle, unit, rng)
+    light = np.zeros(space.fine_shape)
+    sigma = (recipe.psf[0] * voxel[0], recipe.psf[1] * unit, recipe.psf[1] * unit)
+    thickness = recipe.thickness * unit
+    shining = surface_light(truth, space, rng, _density(recipe, middle, unit, rng), thickness)
+    peak = float(np.percentile(imaged(shining, space, sigma), 99.5))
+    light += recipe.membrane * shining / peak
+    solid = {k: inside(truth, k, space.fine_shape, space.fine_position) for k in centres}
+    for occupied in solid.values():
+        light += recipe.interior * occupied
+    if recipe.haze:
+        light += recipe.haze * _haze(space, rng) * (1 - sum(solid.values()))
+    clean = imaged(light, space, sigma)
+    if recipe.specks:
+        clean += _specks(recipe, space, solid, rng)
+    image = counted_photons(clean, recipe.photons, recipe.dark, rng)
+    strangers = tuple(k for k in centres if k not in recipe.seeded)
+    every = np.zeros(recipe.shape, np.int32)
+    for k, occupied in solid.items():
+        every[space.binned(occupied) > 0.5] = k
+    labels = np.where(np.isin(every, recipe.seeded), every, 0).astype(np.int32)
+    given = (truth, strangers, centres, radii, _careless(labels, rng), every)
+    return Scene(name, recipe, image, voxel, effective_sigma(space, sigma), *given)
+
+
+def _cells(
+    recipe: Recipe, middle: Array, unit: float, rng: np.random.Generator
+) -> tuple[Mesh, dict[int, Array], dict[int, float]]:
+    cells = np.asarray(recipe.cells, float) * unit
+    centres = {k: middle + c[:3] for k, c in enumerate(cells, 1)}
+    radii = {k: float(c[3]) for k, c in enumerate(cells, 1)}
+    if recipe.together:
+        whole = foam(np.stack(list(centres.values())), cells[:, 3], _EDGE * unit)
+        return _waved(whole, middle, recipe.roughness, rng), centres, radii
+    parts = []
+    for k, centre in centres.items():
+        ball = sphere((0, 0, 0), radii[k], edge_length=_EDGE * unit)
+        v = _waved(ball, np.zeros(3), recipe.roughness, rng).vertices_numpy() + centre
+        parts.append(Mesh(v, ball.faces, ball.regions * k))
+    return Mesh.merge(parts), centres, radii
+
+
+def _waved(mesh: Mesh, middle: Array, roughness: float, rng: np.random.Generator) -> Mesh:
+    """Moved by a few random waves of the direction seen from the middle."""
+    v = mesh.vertices_numpy() - middle
+    reach = float(np.linalg.norm(v, axis=1).max())
+    change = np.zeros(len(v))
+    for _ in range(4):
+        wave = rng.normal(size=3)
+        wave *= rng.uniform(1.5, 4.0) / np.linalg.norm(wave)
+        change += np.sin(v / reach @ wave + rng.uniform(0, 2 * np.pi))
+    return mesh.with_vertices(v * (1 + roughness * change / 2.5)[:, None] + middle)
+
+
+def _density(
+    recipe: Recipe, middle: Array, unit: float, rng: np.random.Generator
+) -> Callable[[Array], Array] | None:
+    if not recipe.uneven and not recipe.textured:
+        return None
+    waves = []
+    for strength, length in ((recipe.uneven, 24.0), (recipe.textured, 5.0)):
+        for _ in range(6):
+            k = rng.normal(size=3)
+            k *= 2 * np.pi / (length * unit) / np.linalg.norm(k)
+            waves.append((strength / 3**0.5, k, rng.uniform(0, 2 * np.pi)))
+
+    def density(points: Array) -> Array:
+        log = sum(a * np.cos((points - middle) @ k + phase) for a, k, phase in waves)
+        return np.asarray(np.exp(log))
+
+    return density
+
+
+def _haze(space: Field, rng: np.random.Generator) -> Array:
+    """Between 0.4 and 1, smooth over a third of the stack."""
+    coarse = rng.normal(size=(6, 6, 6))
+    grid = np.meshgrid(*(np.linspace(0, 5, n) for n in space.fine_shape), indexing="ij")
+    field = map_coordinates(coarse, grid, order=3)
+    field = (field - field.min()) / np.ptp(field)
+    return np.asarray(0.4 + 0.6 * field)
+
+
+def _specks(
+    recipe: Recipe, space: Field, solid: dict[int, Array], rng: np.random.Generator
+) -> Array:
+    """Bright crumbs outside of the cells, as bright as two membranes."""
+    away = distance_transform_edt(space.binned(sum(solid.values())) < 0.5)
+    places = np.argwhere((away > 4) & (away < 12))
+    out = np.zeros(space.shape)
+    for place in rng.permutation(places)[: recipe.specks]:
+        one = np.zeros(space.shape)
+        one[tuple(place)] = 1
+        width = rng.uniform(1.0, 2.0) * np.asarray([recipe.psf[0], recipe.psf[1], recipe.psf[1]])
+        one = gaussian_filter(one, width)
+        out += 2 * one / one.max()
+    return out
+
+
+def _careless(labels: NDArray[np.int32], rng: np.random.Generator) -> NDArray[np.int32]:
+    """Labels as another tool draws them: borders a voxel or two off, smoothly so."""
+    result = np.zeros_like(labels)
+    wander = gaussian_filter(rng.normal(size=labels.shape), 4)
+    wander *= 0.8 / wander.std()
+    best = np.full(labels.shape, -np.inf)
+    for k in np.unique(labels[labels > 0]):
+        own = labels == k
+        depth = distance_transform_edt(own) - distance_transform_edt(~own)
+        mine = (depth + wander > 0) & (depth > best)
+        result[mine], best[mine] = k, depth[mine]
+    return result
+
+
+# The kinds ------------------------------------------------------------------------------------
+
+
+def _neighbours(rng: np.random.Generator, seeds: SeedKind) -> Recipe:
+    """One cell with a seed among five without, a voxel or three apart."""
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    cells = [(0.0, 0.0, 0.0, 8.0)]
+    for sign in (-1, 1):
+        for axis in range(3):
+            radius = rng.uniform(6, 8)
+            place = sign * (8.0 + radius + rng.uniform(2.5, 4.5)) * turn[axis]
+            cells.append((*place.tolist(), radius))
+    return Recipe(tuple(cells[:6]), roughness=0.08, shape=(44, 44, 44), seeds=seeds)
+
+
+def _tissue(rng: np.random.Generator, radius: float = 8.0) -> tuple[tuple[float, ...], ...]:
+    """Centres of 4 cells that press on each other, radii."""
+    corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / 3**0.5
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    places = corners @ turn * radius * 0.95
+    sizes = radius * rng.uniform(0.9, 1.1, 4)
+    return tuple((*p.tolist(), s) for p, s in zip(places, sizes, strict=True))
+
+
+PLAIN = Recipe()
+KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
+    "plain": lambda rng: replace(PLAIN, photons=rng.uniform(30, 100)),
+    "dim": lambda rng: replace(PLAIN, photons=rng.uniform(3, 8), dark=1.0),
+    "bright": lambda rng: replace(PLAIN, photons=1000.0, dark=50.0, roughness=0.2),
+    "uneven": lambda rng: replace(PLAIN, uneven=0.6, told=("--density", "smooth")),
+    "textured": lambda rng: replace(PLAIN, textured=0.5, told=("--density", "smooth")),
+    "narrow": lambda rng: replace(PLAIN, psf=(0.6, 0.6), photons=100.0),
+    "wide": lambda rng: replace(PLAIN, psf=(rng.uniform(2.4, 3), rng.uniform(2.4, 3))),
+    "haze": lambda rng: replace(PLAIN, haze=0.8, told=("--effects", "bulk")),
+    "nucleus": lambda rng: replace(
+        PLAIN, membrane=0.0, interior=1.0, roughness=0.18, told=("--structure", "interior")
+    ),
+    "both": lambda rng: replace(
+        PLAIN, interior=rng.uniform(0.3, 0.8), told=("--structure", "both")
+    ),
+    "thick": lambda rng: replace(
+        PLAIN, thickness=rng.uniform(3, 6), cells=((0, 0, 0, 13.0),), shape=(48, 48, 48)
+    ),
+    "neighbours-labels": lambda rng: _neighbours(rng, "labels"),
+    "neighbours-spheres": lambda rng: _neighbours(rng, "spheres"),
+    "neighbours-mesh": lambda rng: _neighbours(rng, "mesh"),
+    "neighbours-points": lambda rng: _neighbours(rng, "points"),
+    "specks": lambda rng: replace(PLAIN, specks=12, seeds="labels"),
+    "cut": lambda rng: replace(
+        PLAIN, cells=((0, rng.uniform(9, 15), 3.0, 11.0),), seeds="labels", shape=(36, 36, 36)
+    ),
+    "tissue": lambda rng: Recipe(
+        _tissue(rng), (1, 2, 3, 4), True, roughness=0.08, shape=(44, 44, 44), seeds="labels"
+    ),
+    "tissue-spheres": lambda rng: Recipe(
+        _tissue(rng), (1, 2, 3, 4), True, roughness=0.08, shape=(44, 44, 44), start=(0.95, 0.05)
+    ),
+    "flat": lambda rng: replace(
+        PLAIN, aspect=rng.uniform(3.5, 5), shape=(16, 44, 44), cells=((0, 0, 0, 13.0),)
+    ),
+    "wrong-start": lambda rng: replace(PLAIN, start=(0.6, 0.4)),
+}

@@ -1,0 +1,48 @@
+"""The scenes of the benchmark of defaults are what they say, by their own renderer."""
+
+import numpy as np
+import pytest
+
+from napari_deltamic.geometry import sphere
+from napari_deltamic.geometry.foam import foam
+
+imaging = pytest.importorskip("benchmarks.defaults.imaging")
+from benchmarks.defaults.scenes import made  # noqa: E402
+from benchmarks.defaults.scoring import score  # noqa: E402
+
+FIELD = imaging.Field((24, 22, 20), (0.3, 0.2, 0.2), rim=4)
+
+
+def test_insides_have_the_volume_of_the_mesh():
+    two = foam(np.array([[3.4, 2.0, 1.5], [3.4, 2.0, 2.6]]), np.array([0.9, 0.8]), 0.15)
+    for region in (1, 2):
+        solid = imaging.inside(two, region, FIELD.fine_shape, FIELD.fine_position)
+        volume = solid.sum() * np.prod(FIELD.fine_size)
+        assert volume == pytest.approx(two.region_volume(region), rel=0.01)
+
+
+def test_light_is_the_area_wherever_the_surface_lies_in_the_stack():
+    ball = sphere((3.4, 2.1, 1.9), 1.0, edge_length=0.2)
+    rng = np.random.default_rng(0)
+    for thickness in (0.0, 0.4):
+        light = imaging.surface_light(ball, FIELD, rng, thickness=thickness)
+        image = imaging.imaged(light, FIELD, (0.3, 0.2, 0.2))
+        assert image.sum() * np.prod(FIELD.voxel) == pytest.approx(ball.areas().sum(), rel=0.01)
+
+
+def test_the_truth_has_no_error_and_a_lost_cell_is_off_by_its_radius():
+    scene = made("plain", 0, "a commit")
+    same = score(scene, scene.truth)
+    assert same.surface < 0.01
+    assert abs(same.volume) < 1e-9
+    assert not same.lost
+    away = scene.truth.translated((0.4, 0, 0))  # 2 voxels
+    assert 0.7 < score(scene, away).surface < 2
+    assert score(scene, None).surface == pytest.approx(11)
+    assert score(scene, None).lost == 1
+
+
+def test_odd_draws_follow_the_commit_and_even_ones_do_not():
+    for draw, same in ((0, True), (1, False)):
+        one, other = (made("dim", draw, commit).image for commit in ("a", "b"))
+        assert np.array_equal(one, other) is same
