@@ -26,6 +26,7 @@ from ..accuracy_chart import (
     ways_table,
 )
 from ..choices import MESH_FILES
+from ..errors import failure
 from ..fitting import fit
 from ..fitting.checks import check_mesh
 from ..fitting.default_accuracy import accuracy_for, image_noise
@@ -41,7 +42,7 @@ from ..scene import Grid
 from ..scene.tradeoff import Way, duration, measure_ways, with_front
 from ..writing import make_folder, write_atomically
 from .inputs import gather
-from .messages import Notes, failure, tell
+from .messages import Notes, tell
 from .optics_arguments import OPTICS_ARGUMENTS, optics_from_arguments
 
 _RENDERED = 1e-3  # accuracy of a scene without an image, as that of `render`

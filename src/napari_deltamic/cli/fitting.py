@@ -13,7 +13,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from ..errors import InputError
+from ..errors import PROGRAM, InputError, failure
 from ..evidence import analyse_residual
 from ..fitting import FitState, fit
 from ..images import write_image
@@ -22,7 +22,7 @@ from ..report import History, write_results
 from ..writing import interrupts_held, own_folder, write_atomically
 from .arguments.fit import CHECKPOINT
 from .inputs import gather
-from .messages import PROGRAM, Notes, failure, tell
+from .messages import Notes, tell
 from .recommending import (
     as_plain,
     recommendation_for,

@@ -18,8 +18,8 @@ from ..images import VoxelSize, read_image
 from ..job import SIGMA_IN_VOXELS, FitInput, SeedKind, assemble
 from ..scene import Grid
 from ..scene.effects import Effects
-from ..settings import RunSettings, validated
-from .arguments.fit import FIT_OPTIONS
+from ..settings import FitSettings, RunSettings, SceneSettings, validated
+from .flags import values_given
 from .messages import Notes
 from .optics_arguments import optics_values
 from .second_view import with_second_view
@@ -93,10 +93,8 @@ def run_values(
         if given is not None:
             # Absolute, so that run.toml can be used from any folder.
             values[name] = str(Path(given).absolute())
-    for part, names in (("fit", FIT_OPTIONS), ("scene", ("voxel_size", "sigma"))):
-        for name in names:
-            if getattr(arguments, name) is not None:
-                values[part][name] = getattr(arguments, name)
+    values["fit"] |= values_given(arguments, FitSettings)
+    values["scene"] |= values_given(arguments, SceneSettings, ("voxel_size", "sigma"))
     optics = optics_values(arguments)
     if optics is not None:
         values["scene"] |= {"sigma": None, "optics": optics}

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from ..errors import InputError
+from ..errors import PROGRAM, InputError, failure
 from ..image_series import ImageSeries, open_series
 from ..job import SIGMA_IN_VOXELS, FitInput, assemble
 from ..scene import Grid
@@ -25,7 +25,7 @@ from ..writing import own_folder, written_together
 from .arguments.track import track_values
 from .folders import check_folder
 from .inputs import load_seeds, run_values, voxel_size_of
-from .messages import PROGRAM, Notes, failure, tell
+from .messages import Notes, tell
 
 _PRECIOUS = (*FILES, mesh_name(0))
 
