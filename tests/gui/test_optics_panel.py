@@ -127,7 +127,10 @@ def test_settings_come_back_as_they_were_shown(panel):
 def test_a_command_gives_the_same_psf(capsys):
     settings = optics_from_values({**WATER, "modality": "confocal", "pinhole": 1.2})
     words = optics_flags(settings)
-    assert words[:4] == ["--na", "0.8", "--wavelength", "0.6"]
+    assert {*zip(words[::2], words[1::2], strict=True)} >= {
+        ("--na", "0.8"),
+        ("--wavelength", "0.6"),
+    }
     assert "--pinhole" in words
     with pytest.raises(nd.InputError, match=r"run\.toml"):
         optics_flags(optics_from_values({**WATER, "fitted": ("na", "wavelength")}))
