@@ -14,7 +14,6 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import Field
 from pydantic.fields import FieldInfo
-from pydantic_core import PydanticUndefined
 
 Kind = Literal["switch", "choice", "whole", "number", "triple", "numbers", "text", "part"]
 _KEY = "setting"
@@ -168,7 +167,6 @@ def _described(name: str, field: FieldInfo, said: FieldInfo) -> Described:
     low, high = _bounds(field.metadata)
     required = field.is_required()
     default = None if required else field.get_default(call_default_factory=True)
-    assert default is not PydanticUndefined
     flag = extra["flag"]
     return Described(
         name=name,
