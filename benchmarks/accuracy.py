@@ -19,8 +19,7 @@ import numpy as np
 import torch
 
 from napari_deltamic import GaussianPSF, Grid, Mesh, fit, render
-from napari_deltamic import _sample_data as samples
-from napari_deltamic.accuracy_chart import (
+from napari_deltamic.accuracy.accuracy_chart import (
     shape_answer,
     shape_chart,
     shape_facts,
@@ -28,16 +27,17 @@ from napari_deltamic.accuracy_chart import (
     way_facts,
     ways_chart,
 )
-from napari_deltamic.chart import Chart
+from napari_deltamic.accuracy.chart import Chart
+from napari_deltamic.accuracy.forecast import forecast
+from napari_deltamic.accuracy.shape_error import DRAWS, photons_for, shape_errors
+from napari_deltamic.accuracy.tradeoff import Way, duration, measure_ways, with_front
 from napari_deltamic.fitting.default_accuracy import accuracy_for_image, image_noise
-from napari_deltamic.fitting.forecast import forecast
 from napari_deltamic.fourier.calibration import calibrate
 from napari_deltamic.fourier.cost import Costs
 from napari_deltamic.fourier.cuda import missing
 from napari_deltamic.geometry import sphere
-from napari_deltamic.measure.shape_error import DRAWS, photons_for, shape_errors
-from napari_deltamic.scene.tradeoff import Way, duration, measure_ways, with_front
-from napari_deltamic.settings import NEAR_LEVELS, FitSettings
+from napari_deltamic.runs.settings import NEAR_LEVELS, FitSettings
+from napari_deltamic.scene import samples
 
 from .__main__ import machine
 from .figure import SIGMA, MissingData, Options, cow, default_data_folder

@@ -218,9 +218,9 @@ def _opened(scene: str) -> tuple[Any, Any]:
     import napari
     from napari.components import ViewerModel
 
-    from napari_deltamic import _sample_data as samples
     from napari_deltamic._widget import FitWidget
     from napari_deltamic.geometry import sphere
+    from napari_deltamic.scene import samples
 
     shown = os.environ.get("QT_QPA_PLATFORM") != "offscreen"
     viewer = napari.Viewer(show=True) if shown else ViewerModel()

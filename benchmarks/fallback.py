@@ -22,8 +22,8 @@ import json, time, warnings
 warnings.simplefilter("ignore")
 import numpy as np, torch
 import napari_deltamic as nd
-from napari_deltamic import demo
-from napari_deltamic._sample_data import dividing_cell_sample
+from napari_deltamic.cli import demonstration as demo
+from napari_deltamic.scene.samples import dividing_cell_sample
 from napari_deltamic.geometry import sphere
 from napari_deltamic.fitting.preconditioner import Preconditioner
 

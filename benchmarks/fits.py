@@ -9,7 +9,7 @@ import numpy as np
 from napari_deltamic import FitState, GaussianPSF, Grid, Mesh, fit, render
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure import surface_distance
-from napari_deltamic.settings import FitSettings
+from napari_deltamic.runs.settings import FitSettings
 
 from .figure import Figure, Options, Row, at_most, target
 

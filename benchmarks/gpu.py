@@ -29,8 +29,8 @@ from napari_deltamic.fourier.cuda import compiler, missing
 from napari_deltamic.fourier.cuda.build import SINGLE
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure import surface_distance
+from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene import Renderer
-from napari_deltamic.settings import FitSettings
 
 from .__main__ import as_table, measure
 from .figure import (

@@ -10,13 +10,13 @@ from typing import Any
 import torch
 
 from napari_deltamic import GaussianPSF, Grid, Mesh
-from napari_deltamic.accuracy_chart import short
-from napari_deltamic.chart import Chart, Series, time_text
+from napari_deltamic.accuracy.accuracy_chart import short
+from napari_deltamic.accuracy.chart import Chart, Series, time_text
+from napari_deltamic.accuracy.tradeoff import duration
 from napari_deltamic.fourier import Band
 from napari_deltamic.fourier.closed_form import band_ft
 from napari_deltamic.geometry import sphere
 from napari_deltamic.scene import Renderer
-from napari_deltamic.scene.tradeoff import duration
 
 from . import paper_scheme
 from .figure import NARROW, SIGMA, timed, wavevectors

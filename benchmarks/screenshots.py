@@ -69,7 +69,7 @@ def shot(viewer: Any, name: str) -> None:
 
 def seeds() -> None:
     """Points in the foam, and the surfaces that a fit would start from."""
-    from napari_deltamic._sample_data import foam_sample
+    from napari_deltamic.scene.samples import foam_sample
 
     sample, (viewer, widget) = foam_sample(), opened()
     viewer.add_image(
@@ -88,7 +88,7 @@ def seeds() -> None:
 
 def embryo() -> None:
     """The embryo: find cells, correct them, run, look."""
-    from napari_deltamic.images import read_image
+    from napari_deltamic.images.stacks import read_image
 
     path = default_data_folder() / "images" / "celegans_tp33half_bgsub.tif"
     if not path.is_file():

@@ -28,8 +28,8 @@ WINDOW = """
 import sys, time, warnings
 warnings.simplefilter("ignore")
 import napari
-from napari_deltamic import demo
-from napari_deltamic._sample_data import dividing_cell_sample
+from napari_deltamic.cli import demonstration as demo
+from napari_deltamic.scene.samples import dividing_cell_sample
 from napari_deltamic.gui.live_demo import open_demo
 from pathlib import Path
 from qtpy.QtWidgets import QApplication

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from napari_deltamic import Change, FitState, GaussianPSF, Grid, Mesh, fit, render
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure import surface_distance
-from napari_deltamic.settings import FitSettings
+from napari_deltamic.runs.settings import FitSettings
 
 from .figure import default_data_folder, target
 from .page import put_between

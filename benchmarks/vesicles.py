@@ -13,7 +13,7 @@ import numpy as np
 from napari_deltamic import Mesh, load_mesh
 from napari_deltamic.cli import main
 from napari_deltamic.geometry import labels_from_points, read_points_csv
-from napari_deltamic.images import read_image
+from napari_deltamic.images.stacks import read_image
 from napari_deltamic.measure import ridge_distance, surface_distance
 
 from .figure import Figure, MissingData, Options, Row, at_least, at_most

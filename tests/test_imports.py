@@ -10,9 +10,22 @@ import pytest
 import napari_deltamic
 
 PACKAGE = Path(napari_deltamic.__file__).parent
-ORDER = ("geometry", "fourier", "optics", "scene", "fitting", "measure")
-BESIDE = {"evidence": "fitting", "tracking": "fitting"}
-GUI = ("gui", "_menu", "_widget", "_reader", "_writer", "_sample_data")
+ORDER = (
+    "common",
+    "images",
+    "geometry",
+    "fourier",
+    "optics",
+    "scene",
+    "runs",
+    "fitting",
+    "evidence",
+    "tracking",
+    "measure",
+    "accuracy",
+    "results",
+)
+GUI = ("gui", "_widget", "_reader", "_writer")
 
 
 def modules():
@@ -33,8 +46,7 @@ def engine_modules():
 def part_of(module):
     """Which of the parts in ORDER a module belongs to, or None."""
     parts = module.split(".")
-    part = BESIDE.get(parts[1], parts[1]) if len(parts) > 1 else None
-    return part if part in ORDER else None
+    return parts[1] if len(parts) > 1 and parts[1] in ORDER else None
 
 
 def imported(name, path):

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 import napari_deltamic as nd
-from napari_deltamic.choices import EFFECTS
+from napari_deltamic.common.choices import EFFECTS
 from napari_deltamic.scene.effects import KINDS
 
 # Seconds of CPU. What is asked for; measured are 0.15 to 0.2 on two cores of 2.1 GHz, and 2 to 4

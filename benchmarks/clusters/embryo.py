@@ -17,11 +17,11 @@ from napari_deltamic import GaussianPSF, Grid, Mesh, fit, load_mesh, render
 from napari_deltamic.geometry import find_cells, mesh_from_labels
 from napari_deltamic.geometry.labels.edits import correct_labels, read_clicks_csv
 from napari_deltamic.geometry.labels.voxels import voxel_labels
-from napari_deltamic.images import read_image
+from napari_deltamic.images.stacks import read_image
 from napari_deltamic.measure import ridge_distance
 from napari_deltamic.measure.image_similarity import image_similarity
-from napari_deltamic.picture import picture
-from napari_deltamic.settings import FitSettings
+from napari_deltamic.results.picture import picture
+from napari_deltamic.runs.settings import FitSettings
 
 from ..figure import Figure, MissingData, Options, Row, at_least, at_most
 

@@ -15,8 +15,8 @@ from skimage.segmentation import watershed
 from napari_deltamic import GaussianPSF, Grid, fit
 from napari_deltamic.geometry import mesh_from_labels
 from napari_deltamic.geometry.labels.voxels import voxel_labels
-from napari_deltamic.images import read_image
-from napari_deltamic.settings import FitSettings
+from napari_deltamic.images.stacks import read_image
+from napari_deltamic.runs.settings import FitSettings
 
 from ..figure import Figure, MissingData, Options, Row, at_most
 

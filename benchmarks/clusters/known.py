@@ -12,7 +12,7 @@ from napari_deltamic import FitState, GaussianPSF, Grid, Mesh, fit, load_mesh, r
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.joined_spheres import joined_spheres
 from napari_deltamic.measure import junction_angles, surface_distance
-from napari_deltamic.settings import FitSettings
+from napari_deltamic.runs.settings import FitSettings
 
 from ..contacts import contacts
 from ..figure import Figure, MissingData, Options, Row, at_most

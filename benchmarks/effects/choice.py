@@ -25,6 +25,7 @@ from napari_deltamic import FitState, GaussianPSF, Grid, Mesh, fit
 from napari_deltamic.evidence import recommend
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure import surface_distance
+from napari_deltamic.runs.settings import NEAR_LEVELS, FitSettings
 from napari_deltamic.scene import expected_image
 from napari_deltamic.scene.effects import (
     Attenuation,
@@ -38,7 +39,6 @@ from napari_deltamic.scene.effects import (
     Illumination,
     PixelIntegration,
 )
-from napari_deltamic.settings import NEAR_LEVELS, FitSettings
 
 from ..figure import Row, at_least, at_most, default_data_folder
 

@@ -20,14 +20,14 @@ from napari_deltamic import (
     microscope,
     render,
 )
+from napari_deltamic.evidence.bead import BeadFit, fit_bead
 from napari_deltamic.evidence.camera import camera_from_image
-from napari_deltamic.fitting.bead import BeadFit, fit_bead
-from napari_deltamic.fitting.psf_errors import psf_standard_errors
+from napari_deltamic.evidence.psf_errors import psf_standard_errors
 from napari_deltamic.geometry import sphere
-from napari_deltamic.images import read_image
+from napari_deltamic.images.stacks import read_image
 from napari_deltamic.optics import Optics
 from napari_deltamic.optics.measured import bead_transform
-from napari_deltamic.settings import FitSettings
+from napari_deltamic.runs.settings import FitSettings
 
 from ..figure import Figure, MissingData, Options, Row, at_least, at_most
 

@@ -24,9 +24,9 @@ from napari_deltamic.geometry import (
     seeds_from_points,
     sphere,
 )
-from napari_deltamic.images import read_image
+from napari_deltamic.images.stacks import read_image
 from napari_deltamic.measure import surface_distance
-from napari_deltamic.settings import NEAR_LEVELS, FitSettings
+from napari_deltamic.runs.settings import NEAR_LEVELS, FitSettings
 
 from ..figure import MissingData
 

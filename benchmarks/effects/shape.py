@@ -13,6 +13,7 @@ from napari_deltamic import GaussianPSF, Grid, Mesh, fit
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.measure import surface_distance
+from napari_deltamic.runs.settings import NEAR_LEVELS, FitSettings
 from napari_deltamic.scene import expected_image
 from napari_deltamic.scene.effects import (
     Attenuation,
@@ -25,7 +26,6 @@ from napari_deltamic.scene.effects import (
     Halo,
     Illumination,
 )
-from napari_deltamic.settings import NEAR_LEVELS, FitSettings
 
 PHOTONS, DARK = 40.0, 2.0  # at the peak, and of the background
 VOXEL = (0.4, 0.2, 0.2)

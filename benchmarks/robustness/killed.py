@@ -13,8 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from napari_deltamic import writing
 from napari_deltamic.cli import fitting, main
+from napari_deltamic.common import writing
 
 # Where a run may be ended: after an iteration, with half a file written, before a file replaces
 # another, and after.

@@ -22,8 +22,8 @@ import numpy as np
 
 from napari_deltamic import InputError, load_mesh
 from napari_deltamic.fitting.state import load_checkpoint
-from napari_deltamic.images import read_image
-from napari_deltamic.settings import RunSettings
+from napari_deltamic.images.stacks import read_image
+from napari_deltamic.runs.settings import RunSettings
 
 from .killed import PLACES
 from .samples import samples

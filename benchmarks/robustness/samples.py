@@ -16,15 +16,11 @@ import napari_deltamic as nd
 from napari_deltamic.fitting import fit
 from napari_deltamic.geometry import read_points_csv, sphere
 from napari_deltamic.geometry.labels.edits import read_clicks_csv
-from napari_deltamic.image_series import open_series
-from napari_deltamic.images import read_image, write_image
-from napari_deltamic.optics_settings import optics_from_toml
-from napari_deltamic.report import History
-from napari_deltamic.scene import render_scene
-from napari_deltamic.scene.effects import Effects
-from napari_deltamic.scene.scene_file import load_scene, save_scene
-from napari_deltamic.scene.structures import Filament, Points, Solid, Surface
-from napari_deltamic.session_file import (
+from napari_deltamic.images.series import open_series
+from napari_deltamic.images.stacks import read_image, write_image
+from napari_deltamic.results.report import History
+from napari_deltamic.results.scene_file import load_scene, save_scene
+from napari_deltamic.results.session_file import (
     SavedImage,
     SavedLayer,
     SavedResult,
@@ -32,8 +28,12 @@ from napari_deltamic.session_file import (
     load_session,
     save_session,
 )
-from napari_deltamic.settings import FitSettings, RunSettings, SceneSettings
-from napari_deltamic.track_report import read_results, write_frame, write_tracks
+from napari_deltamic.results.track_report import read_results, write_frame, write_tracks
+from napari_deltamic.runs.optics_settings import optics_from_toml
+from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
+from napari_deltamic.scene import render_scene
+from napari_deltamic.scene.effects import Effects
+from napari_deltamic.scene.structures import Filament, Points, Solid, Surface
 
 GRID = nd.Grid((9, 10, 11), (0.3, 0.2, 0.2))
 OPTICS = nd.GaussianPSF((0.36, 0.24, 0.24))
@@ -178,8 +178,8 @@ def _further_meshes(folder: Path, mesh: nd.Mesh, found: dict[str, tuple[Path, Re
 
 def _tracks(folder: Path, found: dict[str, tuple[Path, Reader]]) -> None:
     """The folder of a tracked series; its report is what is spoilt."""
+    from napari_deltamic.runs.track_run import TrackRun
     from napari_deltamic.tracking import FrameResult
-    from napari_deltamic.tracking.settings import TrackRun
 
     folder.mkdir()
     mesh = start()

@@ -279,7 +279,7 @@ def _others(s: Session) -> list[Action]:
 
     def reopen() -> None:
         """What was saved, looked at and opened again."""
-        from napari_deltamic.session_file import load_session
+        from napari_deltamic.results.session_file import load_session
 
         path = s.folder / "a.deltamic"
         if s.running or len(s.viewer.layers) > 12 or not s.offscreen or not save():

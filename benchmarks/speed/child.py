@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 
 import napari_deltamic as nd
-from napari_deltamic.settings import FitSettings
 
 Arrays = dict[str, Any]
 Values = dict[str, Any]
@@ -265,13 +264,12 @@ def _grid(job: Values, shape: Any) -> Any:
     return nd.Grid(tuple(int(n) for n in shape), tuple(job["voxel_size"]))
 
 
-def _settings(job: Values) -> FitSettings:
+def _settings(job: Values) -> Any:
     """The defaults but for what the job names; near levels for labels, as every user has them."""
-    chosen = dict(job.get("settings", {}))
+    chosen, module = dict(job.get("settings", {})), _from("runs.settings", "settings")
     if job.get("near"):
-        near = getattr(importlib.import_module("napari_deltamic.settings"), "NEAR_LEVELS", None)
-        chosen.setdefault("levels", near)
-    return FitSettings(**{k: v for k, v in chosen.items() if v is not None})
+        chosen.setdefault("levels", getattr(module, "NEAR_LEVELS", None))
+    return module.FitSettings(**{k: v for k, v in chosen.items() if v is not None})
 
 
 def _start(job: Values, given: Arrays) -> Any:

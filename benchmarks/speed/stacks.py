@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from napari_deltamic import Grid
 from napari_deltamic.geometry.labels.voxels import voxel_labels
-from napari_deltamic.images import read_image
+from napari_deltamic.images.stacks import read_image
 from napari_deltamic.measure import ridge_distance
 
 from .. import vesicles as guv

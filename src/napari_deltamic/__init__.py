@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 import lazy_loader
 
-from . import _memory, _threads  # noqa: F401  (before anything that loads torch)
+from .common import freed_memory, idle_threads  # noqa: F401  (before anything that loads torch)
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 __all__ += ["__version__"]

@@ -9,12 +9,12 @@ from typing import Any
 from napari import current_viewer
 from napari.utils.notifications import show_info, show_warning
 
-from ._menu import fit_widget
-from .choices import MESH_FILES
+from .common.choices import MESH_FILES
+from .gui.menu import fit_widget
 from .gui.results.session_layers import image_layer, mesh_layer, seed_layer
 from .gui.viewing.frame import ORIGIN, OWN, Frame
 from .gui.viewing.mesh_layer import load_meshes, surface_layer
-from .session_file import EXTENSION, load_session
+from .results.session_file import EXTENSION, load_session
 
 LayerData = tuple[Any, dict[str, Any], str]
 _NO_LAYERS: Any = (None,)  # napari's sign that a file was read, and no layer is to be added

@@ -35,7 +35,7 @@ from .gui.seeding.seeds_panel import SeedsPanel
 from .gui.tracking.control import TrackControl
 from .gui.tracking.panel import TrackPanel
 from .gui.viewing.viewer_link import ViewerLink
-from .settings import RunSettings
+from .runs.settings import RunSettings
 
 
 class _Column(QScrollArea):

@@ -7,7 +7,7 @@ import napari_deltamic as nd
 from napari_deltamic.cli import main
 from napari_deltamic.fitting import fit
 from napari_deltamic.geometry import sphere
-from napari_deltamic.images import write_image
+from napari_deltamic.images.stacks import write_image
 
 SIZE = (0.3, 0.2, 0.2)
 SHAPE = (20, 24, 24)

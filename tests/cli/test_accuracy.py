@@ -7,9 +7,9 @@ import pytest
 from PIL import Image
 
 import napari_deltamic as nd
+from napari_deltamic.accuracy.tradeoff import measure_ways
 from napari_deltamic.fourier import cost
 from napari_deltamic.fourier.cost import BUILT_IN
-from napari_deltamic.scene.tradeoff import measure_ways
 
 SHAPE = ("--shape", "20", "24", "24")
 VOXELS = ("--voxel-size", "0.3", "0.2", "0.2")

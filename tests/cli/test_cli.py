@@ -11,9 +11,9 @@ import pytest
 import napari_deltamic as nd
 from napari_deltamic.fitting import fit
 from napari_deltamic.geometry import sphere
-from napari_deltamic.images import read_image
-from napari_deltamic.report import FILES
-from napari_deltamic.settings import RunSettings
+from napari_deltamic.images.stacks import read_image
+from napari_deltamic.results.report import FILES
+from napari_deltamic.runs.settings import RunSettings
 
 SIZE = (0.3, 0.2, 0.2)
 SHAPE = (20, 24, 24)

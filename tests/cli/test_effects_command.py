@@ -7,7 +7,7 @@ import pytest
 
 import napari_deltamic as nd
 from napari_deltamic.geometry import sphere
-from napari_deltamic.images import read_image, write_image
+from napari_deltamic.images.stacks import read_image, write_image
 from napari_deltamic.scene import expected_image
 from napari_deltamic.scene.effects import Bulk, Effects
 

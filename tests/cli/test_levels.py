@@ -2,7 +2,7 @@
 
 import pytest
 
-from napari_deltamic.settings import NEAR_LEVELS, RunSettings
+from napari_deltamic.runs.settings import NEAR_LEVELS, RunSettings
 
 
 def test_levels_are_taken_and_kept(data, tmp_path, run, seen):

@@ -11,9 +11,9 @@ import sys
 import pytest
 
 from napari_deltamic.cli import main
+from napari_deltamic.common.writing import own_folder
 from napari_deltamic.errors import InputError
-from napari_deltamic.report import FILES
-from napari_deltamic.writing import own_folder
+from napari_deltamic.results.report import FILES
 
 SIGMA = ("--sigma", "0.36", "0.24", "0.24")
 SHORT = ("--max-iterations", "2")
@@ -99,7 +99,7 @@ def test_an_interrupted_overwrite_leaves_the_old_results(command, tmp_path, run,
     def fails(*arguments):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("napari_deltamic.report.write_csv", fails)
+    monkeypatch.setattr("napari_deltamic.results.report.write_csv", fails)
     code, _, err = run(*command, "--likelihood", "gaussian", "--overwrite", "-o", folder)
     assert code == 2
     assert "No space left on device" in err

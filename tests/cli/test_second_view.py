@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from napari_deltamic.images import read_image, write_image
-from napari_deltamic.settings import RunSettings
+from napari_deltamic.images.stacks import read_image, write_image
+from napari_deltamic.runs.settings import RunSettings
 
 SIZE = (0.3, 0.2, 0.2)
 SIGMA = ("--sigma", "0.36", "0.24", "0.24")

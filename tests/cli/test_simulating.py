@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import napari_deltamic as nd
-from napari_deltamic.images import read_image
+from napari_deltamic.images.stacks import read_image
 from napari_deltamic.measure import surface_distance
-from napari_deltamic.settings import RunSettings
-from napari_deltamic.simulation_files import FILES
+from napari_deltamic.results.simulation_files import FILES
+from napari_deltamic.runs.settings import RunSettings
 
 SHAPE = ("--shape", 20, 24, 26)
 SIZE = ("--voxel-size", 0.3, 0.2, 0.2)

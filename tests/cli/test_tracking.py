@@ -9,10 +9,10 @@ import pytest
 import napari_deltamic as nd
 from napari_deltamic.cli import tracking as command
 from napari_deltamic.geometry import sphere
-from napari_deltamic.images import write_image
-from napari_deltamic.track_report import FILES, read_results
+from napari_deltamic.images.stacks import write_image
+from napari_deltamic.results.track_report import FILES, read_results
+from napari_deltamic.runs.track_run import TrackRun
 from napari_deltamic.tracking import track
-from napari_deltamic.tracking.settings import TrackRun
 
 SIZE, SHAPE, CENTER = (0.3, 0.2, 0.2), (20, 24, 24), (2.9, 2.3, 2.3)
 

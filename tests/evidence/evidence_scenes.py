@@ -4,9 +4,9 @@ import numpy as np
 
 from napari_deltamic import GaussianPSF, Grid, fit
 from napari_deltamic.geometry import sphere
+from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene import expected_image
 from napari_deltamic.scene.effects import Effects
-from napari_deltamic.settings import FitSettings
 
 VOXEL = (0.3, 0.2, 0.2)
 GRID = Grid((20, 28, 28), VOXEL)

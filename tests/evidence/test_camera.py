@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from napari_deltamic.evidence.camera import camera_from_image, failed_slices
-from napari_deltamic.images import read_image
+from napari_deltamic.images.stacks import read_image
 
 
 def stack(gain=2.0, offset=100.0, read=3.0, seed=0, peak=40.0):

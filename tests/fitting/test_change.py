@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from synthetic import CENTER, GRID, OPTICS, RADIUS, VOXEL, apart, measured, start
 
 from napari_deltamic import Change, GaussianPSF, Grid, InputError, Mesh, fit, render
 from napari_deltamic.fitting.upkeep import median_edge
 from napari_deltamic.geometry import remesh, sphere
-from napari_deltamic.settings import FitSettings
+from napari_deltamic.runs.settings import FitSettings
+from synthetic import CENTER, GRID, OPTICS, RADIUS, VOXEL, apart, measured, start
 
 QUICK = FitSettings(levels=(2.0, 1.0))
 

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from synthetic import CENTER, GRID, OPTICS, RADIUS, VOXEL, apart, measured
 
 from napari_deltamic import Change, Mesh, fit
 from napari_deltamic.fitting import collisions as module
@@ -11,7 +10,8 @@ from napari_deltamic.fitting.upkeep import Upkeep
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.remeshing import Remeshed, can_remesh
 from napari_deltamic.geometry.topology.crossings import crosses
-from napari_deltamic.settings import FitSettings
+from napari_deltamic.runs.settings import FitSettings
+from synthetic import CENTER, GRID, OPTICS, RADIUS, VOXEL, apart, measured
 
 pytestmark = pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
 AT_ONCE = FitSettings(levels=(1.0,), max_iterations=10, collisions=True)

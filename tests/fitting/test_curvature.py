@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic import CENTER, GRID, OPTICS, RADIUS, measured
 
 from napari_deltamic import Mesh
 from napari_deltamic.errors import InputError
@@ -19,7 +18,8 @@ from napari_deltamic.fitting.errors_of_measures import posed_at, predicted_volum
 from napari_deltamic.fitting.normal_jacobian import Colouring, normal_jacobian
 from napari_deltamic.fitting.state import FitState
 from napari_deltamic.geometry import sphere
-from napari_deltamic.settings import FitSettings
+from napari_deltamic.runs.settings import FitSettings
+from synthetic import CENTER, GRID, OPTICS, RADIUS, measured
 
 MESH = sphere(CENTER, RADIUS, subdivisions=3)
 

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 import torch
 from numpy.testing import assert_allclose
-from synthetic import CENTER, GRID, OPTICS, RADIUS, TRUTH, VOXEL, apart, fitted, measured, start
 
 from napari_deltamic import Grid, Mesh, fit, render
 from napari_deltamic.fitting.density import LIMIT, Density
@@ -12,8 +11,9 @@ from napari_deltamic.fitting.preconditioner import Preconditioner
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.remeshing import can_remesh
+from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene.effects import Bulk, Effects, as_effects
-from napari_deltamic.settings import FitSettings
+from synthetic import CENTER, GRID, OPTICS, RADIUS, TRUTH, VOXEL, apart, fitted, measured, start
 
 
 def one_sided(mesh):

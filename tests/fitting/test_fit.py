@@ -1,6 +1,11 @@
 import numpy as np
 import pytest
 import torch
+
+from napari_deltamic import GaussianPSF, Grid, InputError, Mesh, fit, render
+from napari_deltamic.fitting.likelihood import match
+from napari_deltamic.geometry import sphere
+from napari_deltamic.runs.settings import FitSettings
 from synthetic import (
     CENTER,
     GRID,
@@ -14,11 +19,6 @@ from synthetic import (
     measured,
     start,
 )
-
-from napari_deltamic import GaussianPSF, Grid, InputError, Mesh, fit, render
-from napari_deltamic.fitting.likelihood import match
-from napari_deltamic.geometry import sphere
-from napari_deltamic.settings import FitSettings
 
 
 @pytest.fixture(scope="module")

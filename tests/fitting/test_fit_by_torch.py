@@ -7,8 +7,8 @@ import napari_deltamic as nd
 from napari_deltamic.fitting import level
 from napari_deltamic.fourier import particle_mesh, real_fft
 from napari_deltamic.geometry import sphere
+from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene import Renderer
-from napari_deltamic.settings import FitSettings
 
 GRID, OPTICS = nd.Grid((24, 25, 26), (0.2, 0.2, 0.2)), nd.GaussianPSF(0.3)
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from synthetic import GRID, OPTICS, apart, fitted, measured, start
 
 from napari_deltamic import GaussianPSF, InputError, fit
-from napari_deltamic.settings import FitSettings
+from napari_deltamic.runs.settings import FitSettings
+from synthetic import GRID, OPTICS, apart, fitted, measured, start
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,8 @@ import torch
 import napari_deltamic as nd
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import sphere
+from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene import Renderer
-from napari_deltamic.settings import FitSettings
 
 GRID, OPTICS = nd.Grid((16, 16, 16), (0.2, 0.2, 0.2)), nd.GaussianPSF(0.3)
 TRUTH = sphere((1.6, 1.5, 1.5), 0.8, subdivisions=1)

@@ -2,25 +2,13 @@
 
 import numpy as np
 import pytest
-from synthetic import (
-    CENTER,
-    GRID,
-    OPTICS,
-    RADIUS,
-    SHORT,
-    TRUTH,
-    VOXEL,
-    apart,
-    fitted,
-    measured,
-    start,
-)
 
 from napari_deltamic import Change, GaussianPSF, fit
 from napari_deltamic.errors import InputError
 from napari_deltamic.fitting.level import Level
 from napari_deltamic.geometry import sphere
-from napari_deltamic.images import write_image
+from napari_deltamic.images.stacks import write_image
+from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene import expected_image
 from napari_deltamic.scene.effects import (
     Attenuation,
@@ -35,7 +23,19 @@ from napari_deltamic.scene.effects import (
     Missing,
     SecondView,
 )
-from napari_deltamic.settings import FitSettings
+from synthetic import (
+    CENTER,
+    GRID,
+    OPTICS,
+    RADIUS,
+    SHORT,
+    TRUTH,
+    VOXEL,
+    apart,
+    fitted,
+    measured,
+    start,
+)
 
 NEAR = FitSettings(levels=(1.5, 1.0))
 CASES = [

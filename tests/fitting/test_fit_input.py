@@ -8,7 +8,7 @@ import napari_deltamic as nd
 from napari_deltamic.errors import InputError, RepairWarning
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.labels.voxels import voxel_labels
-from napari_deltamic.settings import FitSettings
+from napari_deltamic.runs.settings import FitSettings
 
 GRID, OPTICS = nd.Grid((12, 13, 14), (0.5, 0.4, 0.4)), nd.GaussianPSF((0.6, 0.5, 0.5))
 CENTRE = (2.7, 2.4, 2.6)

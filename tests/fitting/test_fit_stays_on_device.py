@@ -14,7 +14,7 @@ from torch.overrides import TorchFunctionMode
 import napari_deltamic as nd
 from napari_deltamic.fitting.posterior import Posterior
 from napari_deltamic.geometry import sphere
-from napari_deltamic.settings import FitSettings
+from napari_deltamic.runs.settings import FitSettings
 
 PACKAGE = Path(nd.__file__).parent
 READS = {"__array__", "cpu", "item", "numpy", "tolist", "__float__", "__bool__", "__int__"}

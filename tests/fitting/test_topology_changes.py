@@ -14,7 +14,7 @@ from napari_deltamic.geometry.topology.crossings import crosses
 from napari_deltamic.geometry.topology.rearranging import Rearranged
 from napari_deltamic.geometry.topology.thin_places import ThinPlace
 from napari_deltamic.measure import surface_distance
-from napari_deltamic.settings import FitSettings
+from napari_deltamic.runs.settings import FitSettings
 
 pytestmark = pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
 VOXEL = 0.1

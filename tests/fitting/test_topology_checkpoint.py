@@ -6,7 +6,7 @@ import pytest
 from napari_deltamic import GaussianPSF, Grid, Mesh, fit, render
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.remeshing import can_remesh
-from napari_deltamic.settings import FitSettings
+from napari_deltamic.runs.settings import FitSettings
 
 pytestmark = pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
 OPTICS, GRID = GaussianPSF(0.13), Grid((20, 20, 30), (0.1,) * 3)

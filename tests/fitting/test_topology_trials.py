@@ -14,7 +14,7 @@ from napari_deltamic.geometry.remeshing import can_remesh
 from napari_deltamic.geometry.topology.rearranging import give_way
 from napari_deltamic.geometry.topology.small_pieces import small_pieces
 from napari_deltamic.geometry.topology.thin_places import ThinPlace, short_junctions, small_walls
-from napari_deltamic.settings import FitSettings
+from napari_deltamic.runs.settings import FitSettings
 
 pytestmark = pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
 VOXEL, EDGE = 0.15, 0.25

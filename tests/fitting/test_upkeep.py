@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from synthetic import CENTER, GRID, OPTICS, RADIUS, VOXEL, apart, measured
 
 from napari_deltamic import Change, InputError, Mesh, fit
 from napari_deltamic.fitting.health import GrowthAlarm
 from napari_deltamic.fitting.upkeep import Upkeep, median_edge
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.remeshing import can_remesh, smallest_angles
-from napari_deltamic.settings import FitSettings
+from napari_deltamic.runs.settings import FitSettings
+from synthetic import CENTER, GRID, OPTICS, RADIUS, VOXEL, apart, measured
 
 pytestmark = pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
 SETTINGS = FitSettings(levels=(3.0, 1.0))

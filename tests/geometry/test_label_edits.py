@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from napari_deltamic._sample_data import foam_sample
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.labels.edits import (
     Click,
@@ -13,6 +12,7 @@ from napari_deltamic.geometry.labels.edits import (
     write_clicks_csv,
 )
 from napari_deltamic.geometry.labels.find_cells import find_cells
+from napari_deltamic.scene.samples import foam_sample
 
 SIZE = (0.4, 0.2, 0.2)
 LEFT, RIGHT = (2.4, 3.0, 2.0), (2.4, 3.0, 5.0)

@@ -6,8 +6,8 @@ import torch
 import napari_deltamic as nd
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure import surface_distance
+from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene import Renderer
-from napari_deltamic.settings import FitSettings
 
 GRID, OPTICS = nd.Grid((40, 40, 40), (0.1, 0.1, 0.1)), nd.GaussianPSF(0.15)
 METHODS = ("closed form", "particle-mesh")

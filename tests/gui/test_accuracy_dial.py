@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 
 import napari_deltamic as nd
+from napari_deltamic.accuracy.forecast import Forecast, LevelForecast, forecast
+from napari_deltamic.accuracy.tradeoff import duration
 from napari_deltamic.errors import InputError
 from napari_deltamic.fitting.default_accuracy import PRESETS, image_noise, preset_accuracy
-from napari_deltamic.fitting.forecast import Forecast, LevelForecast, forecast
 from napari_deltamic.fourier import calibration, cost
 from napari_deltamic.geometry import sphere
 from napari_deltamic.gui.accuracy.accuracy_dial import accuracy_of, usable_choice, written
 from napari_deltamic.gui.accuracy.accuracy_forecast import predicted
 from napari_deltamic.gui.accuracy.accuracy_scene import Outlook
 from napari_deltamic.gui.accuracy.renewed_forecast import RenewedForecast
+from napari_deltamic.gui.results.command import command
 from napari_deltamic.gui.results.session import capture, restore
 from napari_deltamic.gui.running import course
-from napari_deltamic.runs.command import command
-from napari_deltamic.scene.tradeoff import duration
-from napari_deltamic.settings import NEAR_LEVELS, FitSettings
+from napari_deltamic.runs.settings import NEAR_LEVELS, FitSettings
 
 from .conftest import CENTER, SHAPE, SIZE
 from .dialing import running, settled

@@ -10,11 +10,11 @@ from qtpy.QtCore import QEvent, QPointF, Qt
 from qtpy.QtGui import QMouseEvent
 
 from napari_deltamic import _widget
+from napari_deltamic.accuracy.tradeoff import Way
 from napari_deltamic.errors import InputError
 from napari_deltamic.fitting.default_accuracy import image_noise, preset_accuracy
 from napari_deltamic.gui.accuracy import accuracy_measure
 from napari_deltamic.gui.accuracy.accuracy_view import TradeoffView
-from napari_deltamic.scene.tradeoff import Way
 
 from .conftest import CENTER, SHAPE
 from .dialing import running, settled

@@ -4,7 +4,7 @@ import pytest
 
 from napari_deltamic.gui.editing.history_bar import HistoryBar
 from napari_deltamic.gui.running.curves import ExplainedCurve
-from napari_deltamic.timeline import Moment
+from napari_deltamic.results.timeline import Moment
 
 
 def test_each_level_is_a_line_of_what_is_explained(app):

@@ -5,7 +5,7 @@ import pytest
 
 from napari_deltamic.gui.effects import effects_check
 from napari_deltamic.gui.seeding import find_cells_panel
-from napari_deltamic.settings import FitSettings
+from napari_deltamic.runs.settings import FitSettings
 
 from .conftest import SIZE
 from .sessions import done, fitted, save

@@ -10,8 +10,8 @@ import napari_deltamic
 from napari_deltamic.gui.accuracy.accuracy_dial import CHOICES
 from napari_deltamic.gui.panels import preferences
 from napari_deltamic.gui.panels.preferences import PLUGIN, Preferences, read_preferences, usable
+from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene.effects import Bulk, Effects
-from napari_deltamic.settings import FitSettings
 
 MANIFEST = Path(napari_deltamic.__file__).with_name("napari.yaml")
 

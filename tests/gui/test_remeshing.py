@@ -10,7 +10,7 @@ from napari_deltamic.geometry.remeshing import remesh as remeshed
 from napari_deltamic.gui.editing.carry import carried, same_triangles
 from napari_deltamic.gui.running import worker
 from napari_deltamic.gui.running.waiting import Waiting
-from napari_deltamic.session_file import load_session, save_session
+from napari_deltamic.results.session_file import load_session, save_session
 
 from .conftest import CENTER
 from .mouse import Mouse

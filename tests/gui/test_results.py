@@ -14,11 +14,11 @@ from napari_deltamic import _widget
 from napari_deltamic.cli import build_parser
 from napari_deltamic.cli.inputs import gather
 from napari_deltamic.cli.messages import Notes
+from napari_deltamic.fitting.job import FitInput
 from napari_deltamic.geometry import files, sphere
-from napari_deltamic.images import read_image, write_image
-from napari_deltamic.job import FitInput
-from napari_deltamic.report import History
-from napari_deltamic.settings import FitSettings, RunSettings, SceneSettings
+from napari_deltamic.images.stacks import read_image, write_image
+from napari_deltamic.results.report import History
+from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
 
 from .conftest import CENTER, SIZE
 

@@ -9,10 +9,10 @@ from napari_deltamic import _widget
 from napari_deltamic.fitting import fit
 from napari_deltamic.geometry import sphere
 from napari_deltamic.gui.running import worker
-from napari_deltamic.images import write_image
-from napari_deltamic.optics_settings import MeasuredOptics, optics_from_values
+from napari_deltamic.images.stacks import write_image
+from napari_deltamic.results.session_file import load_session
+from napari_deltamic.runs.optics_settings import MeasuredOptics, optics_from_values
 from napari_deltamic.scene.effects import Attenuation, Effects
-from napari_deltamic.session_file import load_session
 
 from .conftest import CENTER
 from .sessions import done, fitted, save, shown

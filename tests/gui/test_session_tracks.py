@@ -6,8 +6,8 @@ import pytest
 from napari_deltamic import _widget
 from napari_deltamic.errors import InputError
 from napari_deltamic.gui.results import session
-from napari_deltamic.session_file import load_session, save_session
-from napari_deltamic.track_report import read_results
+from napari_deltamic.results.session_file import load_session, save_session
+from napari_deltamic.results.track_report import read_results
 
 from .test_tracking import ended
 

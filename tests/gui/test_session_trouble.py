@@ -14,7 +14,7 @@ from napari_deltamic import _reader, _widget
 from napari_deltamic.geometry import files
 from napari_deltamic.gui.results.session import capture, restore
 from napari_deltamic.gui.results.session_layers import save_layer
-from napari_deltamic.session_file import load_session
+from napari_deltamic.results.session_file import load_session
 
 from .sessions import fitted, save, shown
 
@@ -141,7 +141,7 @@ def test_capture_shares_the_pixels(seeded, with_image, spin):
 
 
 def test_the_entry_of_the_menu_asks_in_the_widget(window, monkeypatch):
-    from napari_deltamic._menu import open_session
+    from napari_deltamic.gui.menu import open_session
 
     asked = []
     monkeypatch.setattr(

@@ -10,7 +10,7 @@ from napari_deltamic._writer import write_surface
 from napari_deltamic.errors import InputError
 from napari_deltamic.gui.tracking import work
 from napari_deltamic.gui.viewing.frame import OWN
-from napari_deltamic.track_report import read_results
+from napari_deltamic.results.track_report import read_results
 from napari_deltamic.tracking import track
 
 from .conftest import CENTER, SIZE, STEP

@@ -5,7 +5,7 @@ import pytest
 from napari.layers._source import layer_source
 
 from napari_deltamic import _widget
-from napari_deltamic.images import write_image
+from napari_deltamic.images.stacks import write_image
 
 from .conftest import CENTER, SHAPE, SIZE
 

@@ -9,13 +9,13 @@ import pytest
 
 import napari_deltamic as nd
 from napari_deltamic import InputError
-from napari_deltamic.archive import ArchiveWriter, opened
+from napari_deltamic.common.reading import LARGEST_TEXT, json_values, read_text, toml_values
 from napari_deltamic.fitting.state import load_checkpoint
 from napari_deltamic.geometry import read_points_csv, sphere
+from napari_deltamic.geometry.archive import ArchiveWriter, opened
 from napari_deltamic.geometry.files.vtk import read_vtk
-from napari_deltamic.images import read_image
-from napari_deltamic.reading import LARGEST_TEXT, json_values, read_text, toml_values
-from napari_deltamic.settings import RunSettings
+from napari_deltamic.images.stacks import read_image
+from napari_deltamic.runs.settings import RunSettings
 
 files = pytest.importorskip("benchmarks.robustness.files")
 
@@ -51,7 +51,9 @@ def test_counts_that_cannot_be(text):
 
 
 def test_what_an_archive_may_unpack_to(tmp_path, monkeypatch):
-    monkeypatch.setattr("napari_deltamic.archive._SMALL", 2**22)  # 512 MiB would take seconds
+    monkeypatch.setattr(
+        "napari_deltamic.geometry.archive._SMALL", 2**22
+    )  # 512 MiB would take seconds
     writer = ArchiveWriter()
     writer.add_array("zeros", np.zeros(2**20, np.uint8))  # in 5 KB
     writer.write(tmp_path / "a.zip")

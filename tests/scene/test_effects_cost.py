@@ -12,6 +12,7 @@ import napari_deltamic as nd
 from napari_deltamic.fitting import level
 from napari_deltamic.fourier import particle_mesh
 from napari_deltamic.geometry import sphere
+from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene import Renderer
 from napari_deltamic.scene.effects import (
     KINDS,
@@ -26,7 +27,6 @@ from napari_deltamic.scene.effects import (
     Illumination,
     Missing,
 )
-from napari_deltamic.settings import FitSettings
 
 OPTICS = nd.GaussianPSF((0.2, 0.15, 0.15))
 GRID = nd.Grid((24, 32, 30), (0.12, 0.1, 0.1))

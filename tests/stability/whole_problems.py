@@ -19,8 +19,8 @@ import napari_deltamic as nd
 from napari_deltamic.fitting.likelihood import ImageNoise, match
 from napari_deltamic.fitting.run import Run
 from napari_deltamic.geometry import Mesh, sphere
+from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene import Renderer
-from napari_deltamic.settings import FitSettings
 
 GRID = nd.Grid((24, 26, 25), (0.1, 0.1, 0.1))
 OPTICS = nd.GaussianPSF((0.16, 0.14, 0.15))

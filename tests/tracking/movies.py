@@ -5,7 +5,7 @@ import numpy as np
 from napari_deltamic import GaussianPSF, Grid, render
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.foam import foam
-from napari_deltamic.settings import NEAR_LEVELS, FitSettings
+from napari_deltamic.runs.settings import NEAR_LEVELS, FitSettings
 from napari_deltamic.tracking import track
 
 VOXEL = 0.25

@@ -19,7 +19,7 @@ from movies import (
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import Mesh
 from napari_deltamic.measure import surface_distance
-from napari_deltamic.settings import validated
+from napari_deltamic.runs.settings import validated
 from napari_deltamic.tracking import TrackSettings, lineage, surface_4d, track
 
 STEP = np.array([0, 0.6, -0.4])

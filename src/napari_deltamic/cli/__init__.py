@@ -15,9 +15,9 @@ from importlib import import_module
 from typing import NoReturn
 
 from .. import __version__
-from ..errors import PROGRAM, Failure, InputError, failure, one_line
+from ..errors import InputError
 from .arguments import COMMANDS
-from .messages import Notes
+from .messages import PROGRAM, Failure, Notes, failure, one_line
 
 _log = logging.getLogger(__name__)
 

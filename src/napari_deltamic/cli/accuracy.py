@@ -15,7 +15,7 @@ from typing import Any
 from tqdm import tqdm
 
 from .. import __version__
-from ..accuracy_chart import (
+from ..accuracy.accuracy_chart import (
     shape_answer,
     shape_chart,
     shape_facts,
@@ -25,24 +25,23 @@ from ..accuracy_chart import (
     ways_chart,
     ways_table,
 )
-from ..choices import MESH_FILES
-from ..errors import failure
+from ..accuracy.forecast import Forecast, forecast
+from ..accuracy.shape_error import DRAWS, ShapeError, photons_for, shape_errors
+from ..accuracy.tradeoff import Way, duration, measure_ways, with_front
+from ..common.choices import MESH_FILES
+from ..common.writing import make_folder, write_atomically
 from ..fitting import fit
 from ..fitting.checks import check_mesh
 from ..fitting.default_accuracy import accuracy_for, image_noise
-from ..fitting.forecast import Forecast, forecast
+from ..fitting.job import FitInput
 from ..fourier.cost import costs
 from ..fourier.cuda import missing
 from ..fourier.native import simd_level, threads
 from ..geometry import Mesh, load_mesh
-from ..job import FitInput
-from ..measure.shape_error import DRAWS, ShapeError, photons_for, shape_errors
 from ..optics import Optics
 from ..scene import Grid
-from ..scene.tradeoff import Way, duration, measure_ways, with_front
-from ..writing import make_folder, write_atomically
 from .inputs import gather
-from .messages import Notes, tell
+from .messages import Notes, failure, tell
 from .optics_arguments import OPTICS_ARGUMENTS, optics_from_arguments
 
 _RENDERED = 1e-3  # accuracy of a scene without an image, as that of `render`

@@ -25,7 +25,7 @@ from ..fourier.native import threads
 from ..fourier.plan import Method
 from ..geometry import sphere
 from ..optics import GaussianPSF
-from ..report import PACKAGES
+from ..results.report import PACKAGES
 from ..scene import Grid, Renderer
 from .messages import Notes
 

@@ -10,19 +10,18 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import failure
+from ..common.writing import write_atomically
 from ..evidence import Recommendation
 from ..evidence.camera import Camera
 from ..evidence.candidates import chosen_candidates
 from ..evidence.finding import Finding
 from ..evidence.first_sigma import first_sigma
 from ..evidence.slices import drift, fading
-from ..job import FitInput
-from ..report import plain_values
+from ..fitting.job import FitInput
+from ..results.report import plain_values
 from ..scene.effects import Effects
-from ..writing import write_atomically
 from .inputs import gather
-from .messages import Notes
+from .messages import Notes, failure
 from .recommending import as_plain, as_table, recommendation_for
 
 

@@ -13,16 +13,16 @@ from typing import Any
 
 from tqdm import tqdm
 
-from ..errors import PROGRAM, InputError, failure
+from ..common.writing import interrupts_held, own_folder, write_atomically
+from ..errors import InputError
 from ..evidence import analyse_residual
 from ..fitting import FitState, fit
-from ..images import write_image
-from ..job import FitInput, start
-from ..report import History, write_results
-from ..writing import interrupts_held, own_folder, write_atomically
+from ..fitting.job import FitInput, start
+from ..images.stacks import write_image
+from ..results.report import History, write_results
 from .arguments.fit import CHECKPOINT
 from .inputs import gather
-from .messages import Notes, tell
+from .messages import PROGRAM, Notes, failure, tell
 from .recommending import (
     as_plain,
     recommendation_for,

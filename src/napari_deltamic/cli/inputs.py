@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..choices import IMAGE_FILES, MESH_FILES
+from ..common.choices import IMAGE_FILES, MESH_FILES
 from ..errors import InputError
 from ..fitting.checks import check_image
+from ..fitting.job import SIGMA_IN_VOXELS, FitInput, SeedKind, assemble
 from ..geometry import Mesh, load_mesh, mesh_from_labels, read_points_csv, seeds_from_points
-from ..geometry.missing import filled
-from ..images import VoxelSize, read_image
-from ..job import SIGMA_IN_VOXELS, FitInput, SeedKind, assemble
+from ..images.missing import filled
+from ..images.stacks import VoxelSize, read_image
+from ..runs.settings import RunSettings, validated
 from ..scene import Grid
 from ..scene.effects import Effects
-from ..settings import FitSettings, RunSettings, SceneSettings, validated
-from .flags import values_given
+from .arguments.fit import FIT_OPTIONS
 from .messages import Notes
 from .optics_arguments import optics_values
 from .second_view import with_second_view
@@ -93,8 +93,10 @@ def run_values(
         if given is not None:
             # Absolute, so that run.toml can be used from any folder.
             values[name] = str(Path(given).absolute())
-    values["fit"] |= values_given(arguments, FitSettings)
-    values["scene"] |= values_given(arguments, SceneSettings, ("voxel_size", "sigma"))
+    for part, names in (("fit", FIT_OPTIONS), ("scene", ("voxel_size", "sigma"))):
+        for name in names:
+            if getattr(arguments, name) is not None:
+                values[part][name] = getattr(arguments, name)
     optics = optics_values(arguments)
     if optics is not None:
         values["scene"] |= {"sigma": None, "optics": optics}

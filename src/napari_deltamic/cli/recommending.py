@@ -8,7 +8,7 @@ from typing import Any
 from ..evidence import Recommendation, Residual, recommend
 from ..evidence.camera import Camera
 from ..fitting import FitState
-from ..job import FitInput
+from ..fitting.job import FitInput
 from .messages import Notes
 
 _HEADINGS = ("effect", "score", "bias (nm)", "cost (ms)", "", "why")

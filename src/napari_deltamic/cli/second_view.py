@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from ..choices import TIFF
+from ..common.choices import TIFF
 from ..errors import InputError
-from ..images import read_voxel_size
+from ..images.stacks import read_voxel_size
+from ..runs.settings import SceneSettings, validated
 from ..scene.effects import Effects, SecondView
-from ..settings import SceneSettings, validated
 
 
 def with_second_view(scene: dict[str, Any], arguments: argparse.Namespace) -> None:

@@ -8,15 +8,14 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from ..errors import failure
 from ..fitting.checks import check_mesh
 from ..geometry import Mesh, load_mesh
-from ..optics_settings import optics_from_values
+from ..results.simulation_files import FILES, write_simulation
+from ..runs.optics_settings import optics_from_values
 from ..scene import Grid, Scene, Surface, random_cells, simulate
 from ..scene.effects import Effects
-from ..simulation_files import FILES, write_simulation
 from .folders import check_folder
-from .messages import Notes, tell
+from .messages import Notes, failure, tell
 from .optics_arguments import optics_from_arguments, optics_values
 
 

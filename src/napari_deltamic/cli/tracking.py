@@ -13,19 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from ..errors import PROGRAM, InputError, failure
-from ..image_series import ImageSeries, open_series
-from ..job import SIGMA_IN_VOXELS, FitInput, assemble
+from ..common.writing import own_folder, written_together
+from ..errors import InputError
+from ..fitting.job import SIGMA_IN_VOXELS, FitInput, assemble
+from ..images.series import ImageSeries, open_series
+from ..results.track_report import FILES, mesh_name, read_results, write_frame, write_tracks
+from ..runs.settings import validated
+from ..runs.track_run import TrackRun
 from ..scene import Grid
-from ..settings import validated
-from ..track_report import FILES, mesh_name, read_results, write_frame, write_tracks
 from ..tracking import FrameResult, track
-from ..tracking.settings import TrackRun
-from ..writing import own_folder, written_together
 from .arguments.track import track_values
 from .folders import check_folder
 from .inputs import load_seeds, run_values, voxel_size_of
-from .messages import Notes, tell
+from .messages import PROGRAM, Notes, failure, tell
 
 _PRECIOUS = (*FILES, mesh_name(0))
 

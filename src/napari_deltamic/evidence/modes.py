@@ -9,7 +9,7 @@ import scipy.sparse as sp
 from scipy.linalg import eigh
 from scipy.sparse.linalg import eigsh
 
-from ..choices import DensityModel
+from ..common.choices import DensityModel
 from ..fitting.preconditioner import adjacency
 from ..geometry.mesh import Mesh
 

@@ -14,10 +14,10 @@ from ..fitting.likelihood import voxel_noise
 from ..fitting.state import FitState
 from ..geometry.mesh import Mesh
 from ..optics import Optics
+from ..runs.settings import FitSettings
 from ..scene import Grid
 from ..scene.effects import Camera as CameraEffect
 from ..scene.effects import Effect, Effects, Missing, as_effects
-from ..settings import FitSettings
 from .camera import Camera, camera_from_image, failed_slices
 from .candidates import chosen_candidates, points_inwards
 from .noise import voxel_variance

@@ -9,9 +9,9 @@ from math import log, sqrt
 import numpy as np
 
 from ..fitting.state import FitState
+from ..runs.settings import FitSettings
 from ..scene import Grid
 from ..scene.effects import Effect, Effects
-from ..settings import FitSettings
 from .candidates import allowed, at_estimate, beyond_bounds, points_inwards, variants
 from .model import ImageModel, parameters_of
 from .modes import density_fields, shape_modes

@@ -9,8 +9,8 @@ import numpy as np
 from ..errors import InputError
 from ..geometry.mesh import Mesh
 from ..optics import Optics
+from ..runs.settings import FitSettings
 from ..scene.effects import Effects
-from ..settings import FitSettings
 
 
 @dataclass(frozen=True, eq=False)

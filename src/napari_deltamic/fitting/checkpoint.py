@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
+from ..common.reading import json_values, one_reason
 from ..errors import InputError
 from ..geometry.mesh import Mesh
-from ..reading import json_values, one_reason
 from ..scene.effects import Effects
 from .health import GrowthAlarm
 from .lbfgs import Learnt

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from ..errors import InputError
 from ..geometry.mesh import Mesh
-from ..geometry.missing import unmasked
+from ..images.missing import unmasked
 from ..scene import Grid
 from .likelihood import voxel_noise
 

@@ -7,7 +7,7 @@ import scipy.sparse as sp
 import torch
 from torch import Tensor
 
-from ..choices import DensityModel
+from ..common.choices import DensityModel
 from ..geometry.mesh import FloatArray, Mesh
 from .lbfgs import dot
 from .preconditioner import Preconditioner, adjacency

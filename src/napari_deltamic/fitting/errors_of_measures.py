@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import InputError
+from ..runs.settings import FitSettings
 from ..scene import Grid
-from ..settings import FitSettings
 from .checks import check_image, hot_voxels
 from .curvature import Curvature, Deviations, volume_sd
 from .default_accuracy import accuracy_for_image

@@ -14,14 +14,14 @@ from ..errors import InputError
 from ..fourier.devices import choose_device
 from ..fourier.plan import check_accuracy
 from ..geometry.mesh import Mesh
-from ..geometry.missing import unmasked
 from ..geometry.topology.crossings import crosses
 from ..geometry.topology.untangling import untangled
 from ..geometry.windings import right_side_out
+from ..images.missing import unmasked
 from ..optics import Optics
+from ..runs.settings import WIDE_LEVELS, FitSettings
 from ..scene import Grid
 from ..scene.effects import Effects, as_effects
-from ..settings import WIDE_LEVELS, FitSettings
 from .change import Change
 from .checks import check_image, check_mesh, hot_voxels
 from .default_accuracy import accuracy_for_image
@@ -63,7 +63,7 @@ def fit(
     accuracy
         Overrides that of the settings.
     settings
-        Everything else; see :class:`napari_deltamic.settings.FitSettings`.
+        Everything else; see :class:`napari_deltamic.runs.settings.FitSettings`.
     counted
         (Z, Y, X) bool: voxels that may count. Ground that belongs to what no mesh describes should
         be left out, or it pulls.

@@ -17,10 +17,10 @@ from ..fourier.devices import choose_device, widest
 from ..geometry.mesh import Mesh
 from ..optics import GaussianPSF, Optics
 from ..optics.sharpest import Sharpest
+from ..runs.settings import FitSettings
 from ..scene import Grid, Renderer
 from ..scene.effects import Effects
 from ..scene.render import offset
-from ..settings import FitSettings
 from .checks import FEWEST_VOXELS
 from .likelihood import ImageNoise, Match, solve_scale
 

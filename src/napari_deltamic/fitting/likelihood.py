@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..choices import Likelihood
+from ..common.choices import Likelihood
 from ..fourier.devices import widest
 from ..scene.effects import Camera
 

@@ -15,9 +15,9 @@ import torch
 from ..errors import InputError
 from ..geometry.mesh import Mesh
 from ..optics import Optics
+from ..runs.settings import FitSettings
 from ..scene import Renderer, expected_image
 from ..scene.effects import Effects
-from ..settings import FitSettings
 from .change import Change
 from .likelihood import Match, match
 from .optimiser import AdamUniform

@@ -11,9 +11,9 @@ import torch
 from ..geometry.mesh import FloatArray, Mesh
 from ..geometry.topology.rearranging import give_way
 from ..optics import Optics
+from ..runs.settings import WIDE_LEVELS, FitSettings
 from ..scene import expected_image
 from ..scene.effects import Effects
-from ..settings import WIDE_LEVELS, FitSettings
 from . import checkpoint
 from .change import Change
 from .collisions import CollisionGuard

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import InputError
-from ..images import read_image
+from ..images.stacks import read_image
 from ..optics import GaussianPSF, Optics
+from ..runs.settings import FitSettings
 from ..scene import Grid
 from ..scene.effects import Effects, SecondView
-from ..settings import FitSettings
 from .checks import check_image
 from .level import Level
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..choices import DensityModel
+from ..common.choices import DensityModel
 from ..geometry.mesh import FloatArray, IntArray, Mesh
 
 

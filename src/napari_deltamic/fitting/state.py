@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ..archive import opened
+from ..common.writing import write_atomically
 from ..errors import InputError
+from ..geometry.archive import opened
 from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..scene.effects import Effects
-from ..writing import write_atomically
 
 
 @dataclass(frozen=True)

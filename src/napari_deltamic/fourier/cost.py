@@ -20,8 +20,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from ..common.writing import write_atomically
 from ..errors import InputError
-from ..writing import write_atomically
 from .band import Band
 from .native import native, simd_level, threads
 from .quadrature import Rule

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from ..choices import DeviceChoice
+from ..common.choices import DeviceChoice
 from ..errors import InputError
 from .cuda import missing
 

@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from napari_deltamic.common.reading import one_reason, read_text
 from napari_deltamic.errors import InputError, RepairWarning
 from napari_deltamic.geometry.foam import spheres_of_foam
 from napari_deltamic.geometry.labels.basins import label_basins
 from napari_deltamic.geometry.labels.meshes import EDGE_IN_VOXELS, surfaces_of_labels
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
-from napari_deltamic.geometry.missing import unmasked
 from napari_deltamic.geometry.refused import Refused, told
-from napari_deltamic.reading import one_reason, read_text
+from napari_deltamic.images.missing import unmasked
 
 Triple = Sequence[float]
 _NAMED = 10  # lines, at most, that a sentence names

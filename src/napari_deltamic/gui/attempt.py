@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 
-from ..errors import InputError, failure
+from ..cli.messages import failure
+from ..errors import InputError
 
 _log = logging.getLogger(__name__)
 _OF_THE_COMMAND_LINE = " (-v shows where)"

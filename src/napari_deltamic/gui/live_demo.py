@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import napari
 
-from .._sample_data import Sample
 from .._widget import FitWidget
 from ..geometry import Mesh
-from ..settings import RunSettings
+from ..runs.settings import RunSettings
+from ..scene.samples import Sample
 from .viewing.colours import LIMITS, region_colormap, vertex_values
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
-from ..choices import Bead
+from ..common.choices import Bead
 from ..errors import InputError
 from .model import Axes, ParametricPSF
 from .parameters import Spec, check_unit

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import pi, sqrt
 from typing import get_args
 
-from ..choices import IMMERSIONS, Modality, PSFModel
+from ..common.choices import IMMERSIONS, Modality, PSFModel
 from ..errors import InputError
 from .gaussian import GaussianPSF
 from .modalities import _FWHM, AIRY, EXCITATION, PINHOLE, SHEET, ConfocalPSF, LightSheetPSF

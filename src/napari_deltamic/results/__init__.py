@@ -1,1 +1,1 @@
-"""What is made of a result: tables, files for other tools, pictures, pages."""
+"""What runs leave behind: reports, tables, pictures, sessions, files of a scene."""

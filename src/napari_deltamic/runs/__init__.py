@@ -1,1 +1,1 @@
-"""A run: what is fitted to what, and how; the same for the command line and the window."""
+"""What a run is: its settings, which ``run.toml`` holds, flags give and forms show."""

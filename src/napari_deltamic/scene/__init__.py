@@ -4,7 +4,6 @@ from .grid import Grid
 from .random_cells import random_cells
 from .render import Renderer, expected_image, render
 from .scene import Scene, SceneRenderer, render_scene
-from .scene_file import load_scene, save_scene
 from .simulate import Simulation, simulate
 from .structures import Filament, Points, Solid, Surface
 
@@ -19,10 +18,8 @@ __all__ = [
     "Solid",
     "Surface",
     "expected_image",
-    "load_scene",
     "random_cells",
     "render",
     "render_scene",
-    "save_scene",
     "simulate",
 ]

@@ -7,7 +7,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ..choices import Bits
+from ..common.choices import Bits
 from ..errors import InputError
 from .effects import Camera
 

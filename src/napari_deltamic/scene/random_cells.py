@@ -7,7 +7,7 @@ from typing import get_args
 
 import numpy as np
 
-from ..choices import CellKind
+from ..common.choices import CellKind
 from ..errors import InputError
 from ..geometry.foam import foam
 from ..geometry.mesh import FloatArray, Mesh

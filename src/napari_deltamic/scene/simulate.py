@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ..choices import Bits
+from ..common.choices import Bits
 from ..errors import InputError
 from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import Mesh

@@ -1,7 +1,7 @@
 """Cells through a series of images: each frame starts from the last, identities stay."""
 
+from ..runs.track_run import TrackSettings
 from .result import Event, FrameResult, Lineage, TrackState, lineage, surface_4d
-from .settings import TrackSettings
 from .track import track
 
 __all__ = [

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from ..errors import InputError
-from ..geometry.missing import unmasked
+from ..images.missing import unmasked
 from ..optics import Optics
 from ..scene import Grid
 

@@ -16,8 +16,8 @@ from ..fitting.preconditioner import NEAR_JUNCTIONS, Preconditioner
 from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import Mesh
 from ..optics import Optics
+from ..runs.settings import NEAR_LEVELS, WIDE_LEVELS
 from ..scene import Grid, render
-from ..settings import NEAR_LEVELS, WIDE_LEVELS
 
 FloatArray = NDArray[np.float64]
 _BLUR = 2.0  # of the images that are compared, in widths of the PSF

@@ -22,15 +22,15 @@ from ..geometry.mesh import Mesh
 from ..geometry.remeshing import can_remesh, remesh, smallest_angles
 from ..geometry.topology.region_edits import divide_region, remove_region
 from ..optics import Optics
+from ..runs.settings import FitSettings
+from ..runs.track_run import TrackSettings
 from ..scene import Grid
 from ..scene.effects import Effects, as_effects
-from ..settings import FitSettings
 from .alarms import CellLook, alarms, gone, looks
 from .divisions import Residual, explains, proposals
 from .frames import REMEMBERED, Quality, check_series, check_shape, numbered
 from .motion import Start, starts
 from .result import Event, FrameResult, TrackState
-from .settings import TrackSettings
 
 _ROUNDS = 3  # of looking for divisions in one frame
 _POOR_ANGLE, _POOR_SHARE = 20.0, 0.02  # degrees; share of such triangles that calls for remeshing

@@ -30,7 +30,7 @@ def add_parser(commands: Any) -> None:
         metavar="DIR",
         help="where to write them (default: %(default)s, whose results are replaced)",
     )
-    parser.set_defaults(module="demonstrating", check=_check)
+    parser.set_defaults(module="demonstration", check=_check)
 
 
 def _check(arguments: argparse.Namespace) -> None:

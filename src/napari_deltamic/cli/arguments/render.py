@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from ...choices import IMAGE_FILES
+from ...common.choices import IMAGE_FILES
 from ...errors import InputError
 from ..optics_arguments import add_grid_and_optics, optics_values
 from .common import check_accuracy, check_files

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any, get_args
 
-from ...choices import Bits, CellKind
+from ...common.choices import Bits, CellKind
 from ...errors import InputError
 from ..optics_arguments import add_grid_and_optics, optics_values
 from .common import check_files

@@ -12,8 +12,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from ...common.writing import write_atomically
 from ...errors import InputError
-from ...writing import write_atomically
 from ..cost import cache_file
 from .build import Build
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from napari_deltamic.common.reading import one_reason, quiet
+from napari_deltamic.common.writing import write_atomically
 from napari_deltamic.errors import InputError, RepairWarning
 from napari_deltamic.geometry.files.common import (
     read_stl,
@@ -22,12 +24,8 @@ from napari_deltamic.geometry.files.obj import read_obj, write_obj
 from napari_deltamic.geometry.files.raw import RawMesh
 from napari_deltamic.geometry.files.rec import read_rec, write_rec
 from napari_deltamic.geometry.files.vtk import read_vtk, write_vtk
-from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, Mesh
+from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, IntArray, Mesh
 from napari_deltamic.geometry.repair import counted, repair
-from napari_deltamic.reading import one_reason, quiet
-from napari_deltamic.writing import write_atomically
-
-WITH_ATTRIBUTES = (".ply", ".vtk")
 
 
 def load_mesh(path: str | os.PathLike[str]) -> Mesh:
@@ -81,11 +79,7 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh:
     return mesh
 
 
-def save_mesh(
-    mesh: Mesh,
-    path: str | os.PathLike[str],
-    attributes: Mapping[str, FloatArray] | None = None,
-) -> None:
+def save_mesh(mesh: Mesh, path: str | os.PathLike[str]) -> None:
     """Write a mesh file, with positions x, y, z in um.
 
     Parameters
@@ -96,22 +90,14 @@ def save_mesh(
         (as region_a and region_b of each face), .obj (as groups region_A_B) and .rec. STL and OFF
         cannot hold them, and STL keeps about 7 digits only; a mesh with regions other than (1, 0)
         gives a UserWarning there. The file appears whole or not at all.
-    attributes : (F,) each, by name
-        Numbers of the faces; .ply and .vtk files hold them.
 
     Raises
     ------
     InputError
-        Naming the file and the reason: unknown extension, no place for attributes, or the file
-        cannot be written.
+        Naming the file and the reason: unknown extension, or the file cannot be written.
     """
     path = Path(path)
     write = _by_extension(path, _WRITERS)
-    more = {}
-    if attributes:
-        if path.suffix.lower() not in WITH_ATTRIBUTES:
-            raise InputError(f"{path}: only {' and '.join(WITH_ATTRIBUTES)} files hold attributes")
-        more["attributes"] = attributes
     if path.suffix.lower() in (".stl", ".off"):
         pairs = mesh.interfaces()[0].tolist()
         if pairs != [[1, OUTSIDE]]:
@@ -122,7 +108,7 @@ def save_mesh(
                 stacklevel=2,
             )
     xyz = np.ascontiguousarray(mesh.vertices_numpy()[:, ::-1])
-    write_atomically(path, write(xyz, mesh.faces, mesh.regions, **more))
+    write_atomically(path, write(xyz, mesh.faces, mesh.regions))
 
 
 def _remarks(mesh: Mesh) -> list[str]:
@@ -156,7 +142,7 @@ _READERS: dict[str, Callable[[bytes], RawMesh]] = {
     ".rec": read_rec,
     ".vtk": read_vtk,
 }
-_WRITERS: dict[str, Callable[..., bytes]] = {
+_WRITERS: dict[str, Callable[[FloatArray, IntArray, IntArray], bytes]] = {
     ".obj": write_obj,
     ".off": write_off,
     ".ply": write_ply,

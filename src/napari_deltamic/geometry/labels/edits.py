@@ -20,12 +20,12 @@ from scipy import ndimage
 from skimage.graph import MCP_Geometric
 from skimage.segmentation import watershed
 
+from napari_deltamic.common.reading import one_reason, read_text
+from napari_deltamic.common.writing import write_atomically
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.labels.find_cells import _checked, _walls
 from napari_deltamic.geometry.labels.region_merging import Image, Labels
 from napari_deltamic.geometry.mesh import FloatArray
-from napari_deltamic.reading import one_reason, read_text
-from napari_deltamic.writing import write_atomically
 
 Action = Literal["cell", "merge", "remove"]
 _COLUMNS = ("z", "y", "x", "action", "step")

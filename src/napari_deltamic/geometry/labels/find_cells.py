@@ -21,7 +21,7 @@ from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.labels.basins import BORDER_LIMIT, _border_area, _noise_after
 from napari_deltamic.geometry.labels.region_merging import Image, Labels, Regions, join_regions
 from napari_deltamic.geometry.mesh import FloatArray
-from napari_deltamic.geometry.missing import filled, unmasked
+from napari_deltamic.images.missing import filled, unmasked
 
 Mask = NDArray[np.bool_]
 

@@ -17,7 +17,7 @@ from scipy import ndimage
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.mesh import FloatArray
-from napari_deltamic.geometry.missing import unmasked
+from napari_deltamic.images.missing import unmasked
 
 _MANY = 1 << 16  # labels up to this number are found faster by number than by rank
 _NAMED = 6  # labels, at most, that a sentence names

@@ -8,12 +8,12 @@ from typing import Any
 
 from qtpy.QtCore import QObject, QTimer
 
-from ...accuracy_chart import short
+from ...accuracy.accuracy_chart import short
+from ...accuracy.forecast import Forecast
+from ...accuracy.tradeoff import duration
 from ...errors import InputError
 from ...fitting.default_accuracy import PRESETS
-from ...fitting.forecast import Forecast
 from ...fourier.cost import costs
-from ...scene.tradeoff import duration
 from ..background import Background
 from ..qt import Signal
 from ..running.composition import Live, Panels

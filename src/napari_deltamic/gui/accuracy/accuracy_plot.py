@@ -19,7 +19,7 @@ from qtpy.QtGui import (
 )
 from qtpy.QtWidgets import QSizePolicy, QToolTip, QWidget
 
-from ...chart import PALETTE, Chart, LogAxis, Series
+from ...accuracy.chart import PALETTE, Chart, LogAxis, Series
 from ..qt import Signal
 
 _PLOT = 190  # px, with its axes

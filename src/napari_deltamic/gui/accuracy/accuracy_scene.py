@@ -12,16 +12,16 @@ import numpy as np
 from napari.layers import Labels, Points, Surface
 from numpy.typing import NDArray
 
+from ...accuracy.forecast import Forecast, forecast
 from ...errors import InputError
 from ...fitting.default_accuracy import image_noise
-from ...fitting.forecast import Forecast, forecast
+from ...fitting.job import SeedKind, optics_of
 from ...fourier.cost import costs
 from ...geometry import Mesh, sphere
 from ...geometry.labels.meshes import EDGE_IN_VOXELS
-from ...job import SeedKind, optics_of
 from ...optics import Optics
+from ...runs.settings import NEAR_LEVELS, FitSettings, SceneSettings
 from ...scene import Grid
-from ...settings import NEAR_LEVELS, FitSettings, SceneSettings
 from ..running.composition import Live, Panels
 from ..seeding.seeds import at_time, seeds_from_layer
 from ..viewing.frame import FloatArray, Frame

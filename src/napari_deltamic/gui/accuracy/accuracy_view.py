@@ -7,9 +7,9 @@ from dataclasses import replace
 
 from qtpy.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
-from ...accuracy_chart import short, ways_chart
-from ...chart import Chart
-from ...scene.tradeoff import Way, duration, with_front
+from ...accuracy.accuracy_chart import short, ways_chart
+from ...accuracy.chart import Chart
+from ...accuracy.tradeoff import Way, duration, with_front
 from ..panels.note import Note
 from ..qt import Signal
 from .accuracy_plot import TradeoffPlot

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ...accuracy.forecast import Forecast, LevelForecast
 from ...fitting import FitState
-from ...fitting.forecast import Forecast, LevelForecast
-from ...report import History
+from ...results.report import History
 
 
 @dataclass

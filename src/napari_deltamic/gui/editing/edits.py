@@ -11,8 +11,8 @@ from qtpy.QtCore import QObject
 
 from ...errors import InputError
 from ...fitting import Change, FitState
+from ...fitting.job import FitInput
 from ...geometry import Mesh
-from ...job import FitInput
 from ...scene import expected_image
 from ..qt import Signal
 from ..running.waiting import usable

@@ -8,7 +8,7 @@ from typing import Any
 
 from qtpy.QtCore import QObject
 
-from ...timeline import Moment
+from ...results.timeline import Moment
 from ..running.composition import Live, Panels
 from ..running.run_control import RunControl
 from .edits import Edits

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from qtpy.QtCore import QSignalBlocker, Qt
 from qtpy.QtWidgets import QHBoxLayout, QPushButton, QSlider, QVBoxLayout, QWidget
 
-from ...timeline import Moment
+from ...results.timeline import Moment
 from ..panels.fields import note_label
 from ..qt import Signal
 from ..running.curves import explained

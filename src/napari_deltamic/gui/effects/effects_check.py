@@ -12,8 +12,8 @@ from ...errors import InputError
 from ...evidence import Recommendation, recommend
 from ...fitting import FitState
 from ...fitting.checks import check_image
-from ...job import FitInput, assemble, optics_of, start
-from ...settings import NEAR_LEVELS, RunSettings
+from ...fitting.job import FitInput, assemble, optics_of, start
+from ...runs.settings import NEAR_LEVELS, RunSettings
 from ..background import Background
 from ..running.composition import Live, Panels
 from ..running.inquiry import Inquiry

@@ -10,7 +10,7 @@ from qtpy.QtCore import QSignalBlocker
 from qtpy.QtWidgets import QFormLayout, QVBoxLayout, QWidget
 
 from ...errors import InputError
-from ...job import SIGMA_IN_VOXELS
+from ...fitting.job import SIGMA_IN_VOXELS
 from ...scene.effects import SecondView
 from ..connections import Connections
 from ..panels.fields import LayerChooser, TripleField, show_row

@@ -17,10 +17,10 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
-from ...choices import IMAGE_FILES, Bead
+from ...common.choices import IMAGE_FILES, Bead
 from ...errors import InputError
-from ...images import read_voxel_size, stored_shape, write_image
-from ...optics_settings import MeasuredOptics
+from ...images.stacks import read_voxel_size, stored_shape, write_image
+from ...runs.optics_settings import MeasuredOptics
 from ..panels.fields import Number, TripleField, show_row
 from ..panels.note import Note
 from ..qt import Signal

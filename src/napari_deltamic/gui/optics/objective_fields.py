@@ -7,8 +7,8 @@ from typing import Any, get_args
 
 from qtpy.QtWidgets import QComboBox, QFormLayout, QWidget
 
-from ...choices import IMMERSIONS, Modality, PSFModel
-from ...optics_settings import MicroscopeOptics, optics_from_values
+from ...common.choices import IMMERSIONS, Modality, PSFModel
+from ...runs.optics_settings import MicroscopeOptics, optics_from_values
 from ..panels.fields import Number, show_row
 from ..panels.note import Note
 from ..qt import Signal

@@ -11,7 +11,7 @@ from qtpy.QtWidgets import QComboBox, QFormLayout, QVBoxLayout, QWidget
 
 from ...errors import InputError
 from ...optics import GaussianPSF
-from ...optics_settings import MeasuredOptics, MicroscopeOptics
+from ...runs.optics_settings import MeasuredOptics, MicroscopeOptics
 from ..background import Background
 from ..panels.fields import TripleField
 from ..panels.note import Note

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from qtpy.QtWidgets import QFormLayout, QGroupBox, QWidget
 
-from ...choices import IMAGE_FILES, TIFF
+from ...common.choices import IMAGE_FILES, TIFF
 from ...errors import InputError
-from ...images import read_voxel_size, stored_shape
+from ...images.stacks import read_voxel_size, stored_shape
 from ..connections import Connections
 from ..qt import Signal
 from ..viewing.frame import (
@@ -109,7 +109,7 @@ class ImagePanel(QGroupBox):
     def path(self) -> str:
         """The file that the layer was opened from, if an image of this shape is in it; else ''.
 
-        The pixels may have been edited since: see :func:`napari_deltamic.images.holds_image`.
+        The pixels may have been edited since: see :func:`.stacks.holds_image`.
         """
         return "" if self.layer is None else file_of(self.layer)
 
@@ -224,7 +224,7 @@ class ImagePanel(QGroupBox):
 def file_of(layer: Any) -> str:
     """The file that a 3D image layer was opened from, if an image of its shape is in it; else ''.
 
-    The pixels may have been edited since: see :func:`napari_deltamic.images.holds_image`.
+    The pixels may have been edited since: see :func:`.stacks.holds_image`.
     """
     path = layer.source.path
     if not path or layer.ndim != 3 or Path(path).suffix.lower() not in IMAGE_FILES:

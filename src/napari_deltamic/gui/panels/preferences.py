@@ -12,10 +12,10 @@ from typing import Annotated, Any, Literal
 from npe2 import PluginManager
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from ...choices import Modality
-from ...optics_settings import MicroscopeOptics
+from ...common.choices import Modality
+from ...runs.optics_settings import MicroscopeOptics
+from ...runs.settings import FitSettings
 from ...scene.effects import Effects
-from ...settings import FitSettings
 from ..accuracy.accuracy_dial import STANDARD, usable_choice
 from ..running.composition import Panels
 from ..running.run_control import RunControl

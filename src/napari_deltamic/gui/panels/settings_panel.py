@@ -16,11 +16,11 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
-from ...choices import DensityModel, Likelihood
+from ...common.choices import DensityModel, Likelihood
 from ...fitting.default_accuracy import image_noise
-from ...job import SIGMA_IN_VOXELS
+from ...fitting.job import SIGMA_IN_VOXELS
+from ...runs.settings import FitSettings, SceneSettings, validated
 from ...scene.effects import Effects
-from ...settings import FitSettings, SceneSettings, validated
 from ..accuracy.accuracy_dial import AccuracyDial
 from ..accuracy.accuracy_view import TradeoffView
 from ..effects.effects_panel import EffectsPanel

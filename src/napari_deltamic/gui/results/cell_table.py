@@ -17,9 +17,9 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
-from ...colouring import colour_of
 from ...evidence.residual import CellFit
 from ...measure.cells import CellRow
+from ...results.colouring import colour_of
 from ..qt import Signal
 
 _COLUMNS = (

@@ -11,13 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...images import holds_image
-from ...runs.command import command
+from ...images.stacks import holds_image
+from ...runs.settings import RunSettings
 from ...scene import Grid
-from ...settings import RunSettings
 from ..background import Background
 from ..seeding.seeds import Seeds
-from .run_files import needs_folder, with_files, with_second_file
+from .command import command, needs_folder, with_files, with_second_file
 
 
 @dataclass(frozen=True, eq=False)

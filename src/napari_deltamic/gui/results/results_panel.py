@@ -8,13 +8,13 @@ from pathlib import Path
 
 from qtpy.QtWidgets import QFileDialog, QGroupBox, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
-from ...colouring import colour_indices
 from ...fitting import FitState
+from ...fitting.job import FitInput
 from ...geometry import Mesh, save_mesh
-from ...images import write_image
-from ...job import FitInput
+from ...images.stacks import write_image
 from ...measure import measure_cells, write_csv
-from ...report import History, write_results
+from ...results.colouring import colour_indices
+from ...results.report import History, write_results
 from ..qt import Signal
 from .cell_table import CellTable
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from ...errors import InputError
+from ...fitting.job import FitInput, optics_of
 from ...geometry.mesh import OUTSIDE
-from ...job import FitInput, optics_of
-from ...report import History
-from ...session_file import SavedImage, SavedResult, Session
-from ...settings import RunSettings
+from ...results.report import History
+from ...results.session_file import SavedImage, SavedResult, Session
+from ...runs.settings import RunSettings
 from ..accuracy.accuracy_dial import usable_choice
 from ..running.composition import Live, Panels
 from ..running.run_control import RunControl

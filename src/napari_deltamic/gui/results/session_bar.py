@@ -9,7 +9,7 @@ from pathlib import Path
 from qtpy.QtWidgets import QFileDialog, QHBoxLayout, QPushButton, QWidget
 
 from ...errors import InputError
-from ...session_file import EXTENSION, Session, load_session, save_session
+from ...results.session_file import EXTENSION, Session, load_session, save_session
 from ..attempt import attempt
 from ..background import Background
 from ..qt import Signal

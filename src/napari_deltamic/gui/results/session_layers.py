@@ -11,10 +11,10 @@ from napari.utils import Colormap
 from napari.utils.colormaps import AVAILABLE_COLORMAPS
 from numpy.typing import NDArray
 
-from ...colouring import colour_indices
 from ...errors import InputError
 from ...geometry import Mesh
-from ...session_file import SavedImage, SavedLayer, SavedTracks
+from ...results.colouring import colour_indices
+from ...results.session_file import SavedImage, SavedLayer, SavedTracks
 from ..seeding.label_clicks import clicks_of, undo_arrays, with_undo
 from ..seeding.seeds import at_time
 from ..viewing import own_layers

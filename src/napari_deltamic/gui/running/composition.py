@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from ...fitting.forecast import Experience
+from ...accuracy.forecast import Experience
 from ..background import BackgroundRun
 from ..panels.image_panel import ImagePanel
 from ..panels.settings_panel import SettingsPanel

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...fitting import FitState
-from ...job import FitInput
-from ...report import History
+from ...fitting.job import FitInput
+from ...results.report import History
 from .waiting import Waiting
 
 INTERVAL = 0.033  # s between two updates of the viewer

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 from qtpy.QtWidgets import QWidget
 
-from ...timeline import Moment
+from ...results.timeline import Moment
 from .plots import Line, Plot, spread
 
 _EXPLAINED = "#ffb000"

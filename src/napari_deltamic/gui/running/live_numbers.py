@@ -8,9 +8,9 @@ from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QGridLayout, QLabel, QWidget
 
 from ...fitting import FitState
-from ...job import FitInput
+from ...fitting.job import FitInput
 from ...optics import GaussianPSF
-from ...report import effects_found
+from ...results.report import effects_found
 from ..panels.fold import Fold
 
 

@@ -9,10 +9,10 @@ from qtpy.QtCore import QObject, QSignalBlocker
 
 from ...errors import InputError
 from ...fitting import Change
-from ...job import optics_of, scene_with
+from ...fitting.job import optics_of, scene_with
 from ...optics import Optics
+from ...runs.settings import FitSettings, SceneSettings
 from ...scene.effects import Effects
-from ...settings import FitSettings, SceneSettings
 from ..editing.edits import Edits
 from .composition import Live, Panels
 from .run_control import RunControl

@@ -15,7 +15,7 @@ from ...evidence.noise import Variance, voxel_variance
 from ...evidence.residual import Residual, analyse_residual
 from ...fitting import FitState
 from ...fitting.checks import check_image
-from ...job import FitInput
+from ...fitting.job import FitInput
 from ..background import Background
 from .composition import Live, Panels
 from .course import Snapshot

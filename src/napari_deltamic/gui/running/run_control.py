@@ -12,15 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 from qtpy.QtCore import QObject
 
+from ...accuracy.forecast import Experience, Forecast
 from ...errors import InputError
 from ...fitting import Change, FitState
 from ...fitting.checks import check_image
-from ...fitting.forecast import Experience, Forecast
+from ...fitting.job import FitInput, assemble, scene_with
 from ...geometry import Mesh
-from ...job import FitInput, assemble, scene_with
-from ...report import History
-from ...settings import NEAR_LEVELS, RunSettings
-from ...timeline import Moment, Timeline
+from ...results.report import History
+from ...results.timeline import Moment, Timeline
+from ...runs.settings import NEAR_LEVELS, RunSettings
 from ..attempt import attempt
 from ..editing.edits import Present, changed_by_hand
 from ..qt import Signal

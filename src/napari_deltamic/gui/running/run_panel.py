@@ -16,8 +16,8 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
-from ...report import History
-from ...timeline import Moment
+from ...results.report import History
+from ...results.timeline import Moment
 from ..editing.edit_bar import EditBar
 from ..editing.history_bar import HistoryBar
 from ..panels.fields import note_label

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from ...errors import InputError
 from ...fitting import Change
 from ...fitting.checks import check_mesh
+from ...fitting.job import FitInput
 from ...geometry import Mesh
-from ...job import FitInput
 from ...optics import Optics
 from ..editing.carry import carried
 

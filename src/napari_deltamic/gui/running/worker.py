@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 from qtpy.QtCore import QTimer
 
+from ...accuracy.forecast import Forecast, forecast
 from ...errors import InputError, RepairWarning, SlowPathWarning
 from ...fitting import Change, FitState
-from ...fitting.forecast import Forecast, forecast
+from ...fitting.job import FitInput, scene_with, start
 from ...geometry import Mesh
-from ...job import FitInput, scene_with, start
-from ...report import History
+from ...results.report import History
+from ...runs.settings import FitSettings, SceneSettings
 from ...scene.effects import Effects
-from ...settings import FitSettings, SceneSettings
 from ..accuracy.renewed_forecast import RenewedForecast
 from ..attempt import words_of
 from ..background import BackgroundRun, BackgroundSteps

@@ -8,7 +8,7 @@ from typing import Any
 from napari.utils.notifications import show_warning
 from qtpy.QtWidgets import QFileDialog, QPushButton, QWidget
 
-from ...choices import MESH_FILES
+from ...common.choices import MESH_FILES
 from ...errors import InputError
 from ..background import Background
 from ..panels.fields import sentence

@@ -15,8 +15,8 @@ from qtpy.QtWidgets import QCheckBox, QWidget
 from ...errors import InputError
 from ...geometry import Mesh
 from ...geometry.labels.meshes import EDGE_IN_VOXELS
-from ...geometry.missing import filled
 from ...geometry.seeds import surfaces_of_points
+from ...images.missing import filled
 from ...scene import Grid
 from ..attempt import attempt
 from ..background import Background

@@ -13,13 +13,13 @@ import numpy as np
 from napari.layers import Labels, Points, Surface
 from numpy.typing import NDArray
 
+from ...common.writing import write_atomically
 from ...errors import InputError
+from ...fitting.job import SeedKind
 from ...geometry import Mesh, mesh_from_labels, save_mesh, seeds_from_points
-from ...geometry.missing import filled
-from ...images import write_image
-from ...job import SeedKind
+from ...images.missing import filled
+from ...images.stacks import write_image
 from ...scene import Grid
-from ...writing import write_atomically
 from ..viewing.frame import OWN, FloatArray, Frame, stack_of
 from ..viewing.mesh_layer import unchanged_file
 from ..viewing.walls import joined

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from ...colouring import colour_indices
 from ...geometry import Mesh
+from ...results.colouring import colour_indices
 from ..connections import Connections
 from ..plain import camera_of
 from ..viewing.colours import LIMITS, region_colormap, side_values

@@ -9,13 +9,13 @@ from typing import Any
 from qtpy.QtCore import QObject
 
 from ...errors import InputError
-from ...job import FitInput, assemble, optics_of
+from ...fitting.job import FitInput, assemble, optics_of
+from ...results.session_file import SavedTracks
+from ...results.track_report import write_frame, write_tracks
+from ...runs.settings import validated
+from ...runs.track_run import TrackRun
 from ...scene import Grid
-from ...session_file import SavedTracks
-from ...settings import validated
-from ...track_report import write_frame, write_tracks
 from ...tracking import FrameResult, TrackSettings
-from ...tracking.settings import TrackRun
 from ..attempt import attempt
 from ..running.composition import Live, Panels
 from ..running.run_control import RunControl

@@ -10,8 +10,8 @@ import numpy as np
 from napari.utils import Colormap
 from numpy.typing import NDArray
 
-from ...colouring import PALETTE, colour_indices, plain_index
 from ...measure import measure_cells
+from ...results.colouring import PALETTE, colour_indices, plain_index
 from ...tracking import FrameResult, lineage, surface_4d
 from ..connections import Connections
 from ..plain import camera_of

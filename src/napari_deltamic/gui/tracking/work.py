@@ -10,9 +10,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ...job import FitInput
+from ...fitting.job import FitInput
+from ...runs.track_run import TrackRun
 from ...tracking import FrameResult, track
-from ...tracking.settings import TrackRun
 from ..attempt import words_of
 from ..background import BackgroundRun, BackgroundSteps
 

@@ -10,8 +10,8 @@ from napari.utils import Colormap
 from napari.utils.colormaps import DirectLabelColormap
 from numpy.typing import NDArray
 
-from ...colouring import COLOURS, PALETTE, colour_indices, label_indices, plain_index
 from ...geometry import Mesh
+from ...results.colouring import COLOURS, PALETTE, colour_indices, label_indices, plain_index
 
 _DIM, _GREY = 0.75, 0.42  # a cell that is not chosen: so much of this grey in its colour
 _OPAQUE = np.ones((len(PALETTE), 1))

@@ -9,8 +9,8 @@ import numpy as np
 from napari.layers import Image
 from numpy.typing import NDArray
 
-from ...colouring import colour_indices
 from ...geometry import Mesh
+from ...results.colouring import colour_indices
 from ..connections import Connections
 from ..editing.pins import Pins
 from ..plain import camera_of

@@ -1,0 +1,1 @@
+"""What accuracy costs: forecasts, measured trade-offs, and their charts."""

@@ -1,0 +1,184 @@
+"""What accuracy costs in shape: surfaces fitted at several accuracies, against a known one."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from statistics import mean, stdev
+
+import numpy as np
+
+from ..errors import InputError
+from ..fitting import FitState, fit
+from ..fitting.default_accuracy import image_noise
+from ..fitting.preconditioner import components
+from ..geometry.mesh import Mesh
+from ..measure.surface_distance import surface_distance
+from ..optics import Optics
+from ..runs.settings import NEAR_LEVELS, FitSettings
+from ..scene import Grid, render
+from .tradeoff import check_visible
+
+ACCURACIES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 1e-4)
+DRAWS = 3
+DARK = 0.1  # background of a simulated image, relative to its peak
+ENOUGH = 1.05  # times the least error: what is no longer an improvement
+_SAMPLES = 6000
+_FEWEST, _MOST = 0.1, 1e6  # photons at the peak
+
+
+@dataclass(frozen=True)
+class ShapeError:
+    """The error of surfaces fitted at one accuracy.
+
+    Attributes
+    ----------
+    accuracy
+        Of the rendered images; 0 is exact.
+    errors
+        um, one for each noise draw: mean distance of the fitted surface to the true one.
+    iterations, seconds
+        Of one fit, means over the draws.
+    """
+
+    accuracy: float
+    errors: tuple[float, ...]
+    iterations: float
+    seconds: float
+
+    @property
+    def mean(self) -> float:
+        """um."""
+        return mean(self.errors)
+
+    @property
+    def spread(self) -> float:
+        """um: standard deviation over the draws; 0 for a single one."""
+        return stdev(self.errors) if len(self.errors) > 1 else 0.0
+
+
+def simulated(truth: Mesh, grid: Grid, optics: Optics, photons: float, seed: int) -> np.ndarray:
+    """(Z, Y, X) float32: an image of the surface with so many photons at its peak.
+
+    On a background of a tenth of the peak, with the noise of counted photons; none at infinity.
+    """
+    expected = _expected(truth, grid, optics)
+    if not np.isfinite(photons):
+        return expected.astype(np.float32)
+    return np.random.default_rng(seed).poisson(photons * expected).astype(np.float32)
+
+
+def photons_for(noise: float, truth: Mesh, grid: Grid, optics: Optics) -> float:
+    """Photons at the peak that give a simulated image this noise ratio; infinity for none."""
+    if noise <= 0:
+        return float("inf")
+    expected = _expected(truth, grid, optics)
+
+    def noisier(photons: float) -> bool:
+        image = np.random.default_rng(0).poisson(photons * expected)
+        return image_noise(image) > noise
+
+    # From many photons down: of very few the noise ratio is that of single counts, and falls again.
+    high = _MOST
+    while high > _FEWEST and not noisier(high / 2):
+        high /= 2
+    low = high / 2
+    for _ in range(8):
+        middle = (low * high) ** 0.5
+        low, high = (middle, high) if noisier(middle) else (low, middle)
+    return float((low * high) ** 0.5)
+
+
+def shape_errors(
+    truth: Mesh,
+    grid: Grid,
+    optics: Optics,
+    photons: float,
+    *,
+    start: Mesh | None = None,
+    settings: FitSettings | None = None,
+    accuracies: Sequence[float] = ACCURACIES,
+    draws: int = DRAWS,
+    progress: Callable[[int, int], None] | None = None,
+    should_stop: Callable[[], bool] | None = None,
+) -> Iterator[ShapeError]:
+    """Fit simulated images of a surface at several accuracies, coarse ones first.
+
+    Every accuracy meets the same noise draws.
+
+    Parameters
+    ----------
+    truth
+        The surface that the images show.
+    photons
+        At the peak of an image.
+    start
+        Where the fits start; by default the truth, each piece of it shrunk by a tenth.
+    settings
+        Of the fits; by default those for seeds near the membranes.
+    progress
+        Called with how many fits are done, and how many there are.
+    should_stop
+        Asked between two iterations; what was begun is then dropped.
+    """
+    if draws < 1:
+        raise InputError("at least one noise draw is needed")
+    start = start or shrunk(truth)
+    settings = settings or FitSettings(levels=NEAR_LEVELS)
+    images = [simulated(truth, grid, optics, photons, seed) for seed in range(draws)]
+    done = 0
+    for accuracy in sorted(accuracies, reverse=True):
+        errors, iterations, seconds = [], [], []
+        for image in images:
+            began = time.perf_counter()
+            last: FitState | None = None
+            for state in fit(image, grid, start, optics, accuracy, settings=settings):
+                last = state
+                if should_stop is not None and should_stop():
+                    return
+            assert last is not None, "a fit yields at least one state"
+            seconds.append(time.perf_counter() - began)
+            iterations.append(last.iteration)
+            errors.append(surface_distance(last.mesh, truth, _SAMPLES).mean)
+            done += 1
+            if progress is not None:
+                progress(done, draws * len(accuracies))
+        yield ShapeError(accuracy, tuple(errors), mean(iterations), mean(seconds))
+
+
+def stops_improving(found: Sequence[ShapeError]) -> float:
+    """The coarsest accuracy whose shape is as good as the best, to a twentieth.
+
+    Two independent errors add in squares, so an accuracy that adds a twentieth has a third of the
+    effect of everything else.
+    """
+    if not found:
+        raise InputError("no accuracy was measured")
+    ordered = sorted(found, key=lambda e: e.accuracy)
+    # Against the finest one, not the least: that one may be luck.
+    best = ordered[0].mean
+    answer = ordered[0].accuracy
+    for error in ordered[1:]:
+        if error.mean > ENOUGH * best:
+            break
+        answer = error.accuracy
+    return answer
+
+
+def shrunk(mesh: Mesh, share: float = 0.1) -> Mesh:
+    """Each connected piece smaller by a share, about its middle."""
+    v, pieces = mesh.vertices_numpy().copy(), components(mesh)
+    for piece in range(int(pieces.max()) + 1):
+        own = pieces == piece
+        middle = v[own].mean(0)
+        v[own] = middle + (1 - share) * (v[own] - middle)
+    return mesh.with_vertices(v)
+
+
+def _expected(truth: Mesh, grid: Grid, optics: Optics) -> np.ndarray:
+    """Background and signal, whose peak is 1."""
+    clean = render(truth, grid, optics, 1e-6).numpy().astype(np.float64).clip(0)
+    check_visible(float(clean.sum()), truth)
+    peak = float(np.percentile(clean, 99.9)) or float(clean.max())
+    return DARK + clean / peak

@@ -1,0 +1,354 @@
+"""What accuracy costs in time: every way to render a scene, timed, beside the exact one."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from math import log, pi, sqrt
+from statistics import median
+from typing import Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..errors import InputError
+from ..fourier import Band, Plan, make_plan
+from ..fourier.cost import Costs, count_work
+from ..fourier.cost import costs as known_costs
+from ..fourier.plan import Method, _edge_phases, check_accuracy
+from ..fourier.quadrature import DEGREES, rule
+from ..fourier.spreading import choose_spreading
+from ..geometry.mesh import Mesh
+from ..optics import Optics
+from ..scene.formation import padded_shape
+from ..scene.grid import Grid
+from ..scene.memory import Peak
+
+THRESHOLDS = (1e-1, 1e-2, 1e-3, 1e-4)  # of |OTF|, at the edge of a band
+PLANNED = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 1e-4, 1e-5, 1e-6)  # accuracies asked of the planner
+_RULE_THRESHOLD = 1e-4  # of the band that the rules are compared on
+_TOLERANCE = {True: 3e-5, False: 1e-12}  # of its transform, by precision
+_FINEST = 1e-9  # accuracy of the reference where the exact one takes too long
+_REPEATS, _ENOUGH = 3, 1.0  # of a timing; s after which one is enough
+
+Device = Literal["cpu", "cuda"]
+
+
+@dataclass(frozen=True)
+class Way:
+    """One way to render a scene, and what it was measured to cost.
+
+    Attributes
+    ----------
+    method, precision, device
+        ``"closed form"`` or ``"particle-mesh"``; ``"float32"`` or ``"float64"``; ``"cpu"``.
+    band
+        The edge of the band as |OTF|; 0 is the full grid.
+    rule
+        What stands in for a face: a degree, a mix of them, or nothing for the closed form.
+    accuracy
+        What was asked of the planner; None for a way that was put together by hand.
+    expected
+        s, from the cost model, with the gradient.
+    forward, gradient
+        s, medians: the image, and the image with its gradient; None where not measured.
+    memory
+        bytes that the process took at its peak beyond what it held before; None where the system
+        does not tell.
+    error, gradient_error
+        Relative L2 error of the image, and of the vertices' gradient against white noise, relative
+        to the reference; None where not measured.
+    in_use, on_front, reference
+        Whether it is the one that the scene would be rendered with; whether none measured is both
+        faster and more accurate; whether the others were compared with it.
+    note
+        Why it was not measured.
+    """
+
+    method: Method
+    band: float
+    rule: str
+    precision: Literal["float32", "float64"]
+    accuracy: float | None = None
+    device: Device = "cpu"
+    expected: float = 0.0
+    forward: float | None = None
+    gradient: float | None = None
+    memory: int | None = None
+    error: float | None = None
+    gradient_error: float | None = None
+    in_use: bool = False
+    on_front: bool = False
+    reference: bool = False
+    note: str = ""
+
+    @property
+    def measured(self) -> bool:
+        """Whether there is a time and an error."""
+        return self.gradient is not None and self.error is not None
+
+    @property
+    def name(self) -> str:
+        """Method, band, rule and precision in words."""
+        band = "full grid" if self.band == 0 else f"|OTF| > {self.band:.0e}"
+        parts = [self.method, band, self.rule, self.precision]
+        return ", ".join(part for part in parts if part)
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    way: Way
+    plan: Plan
+
+
+def measure_ways(
+    mesh: Mesh,
+    grid: Grid,
+    optics: Optics,
+    accuracy_in_use: float = 1e-3,
+    *,
+    budget: float = 10.0,
+    costs: Costs | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    should_stop: Callable[[], bool] | None = None,
+) -> Iterator[Way]:
+    """Time every way to render a scene, one after the other; the reference comes first.
+
+    Parameters
+    ----------
+    mesh, grid, optics
+        The scene.
+    accuracy_in_use
+        What it is rendered with; that way is marked.
+    budget
+        s: a way that would take longer with its gradient is listed, with what it would take, but
+        not measured.
+    costs
+        Of this machine; by default those kept, or the built-in ones.
+    progress
+        Called with how many ways are done, and how many there are.
+    should_stop
+        Asked between two ways.
+
+    Raises
+    ------
+    InputError
+        If the accuracy is not in [0, 1), or the mesh in other units than the grid.
+    """
+    check_accuracy(accuracy_in_use)
+    costs = costs or known_costs()
+    scene = _Scene(mesh, grid, optics)
+    candidates = _candidates(scene, accuracy_in_use, costs)
+    exact = candidates[0]
+    if exact.way.expected > budget:
+        reference = scene.planned(_FINEST, costs, "particle-mesh")
+        candidates = [reference, *candidates]
+    else:
+        reference = exact
+    known: tuple[Tensor, Tensor] | None = None
+    for done, candidate in enumerate(candidates):
+        if should_stop is not None and should_stop():
+            return
+        way = candidate.way
+        is_reference = candidate is reference
+        if way.expected > budget and not is_reference:
+            way = replace(way, note=f"not measured: about {duration(way.expected)}")
+        else:
+            try:
+                way, result = _measured(scene, candidate)
+            except (MemoryError, RuntimeError) as error:
+                if is_reference:
+                    raise
+                way = replace(way, note=f"not measured: {_reason(error)}")
+            else:
+                if known is None:
+                    check_visible(float(result[0].sum()), mesh)
+                    known = result
+                way = replace(
+                    way,
+                    error=_relative(result[0], known[0]),
+                    gradient_error=_relative(result[1], known[1]),
+                    reference=is_reference,
+                )
+        if progress is not None:
+            progress(done + 1, len(candidates))
+        yield way
+
+
+def with_front(ways: Iterable[Way]) -> list[Way]:
+    """The ways with those marked that none beats in both time (with gradient) and error.
+
+    The reference is not among them: it has no error to compare.
+    """
+    ways = list(ways)
+    points = [(w.gradient, w.error) if w.measured and not w.reference else None for w in ways]
+
+    def on_front(point: tuple[float | None, float | None] | None) -> bool:
+        if point is None:
+            return False
+        others = np.array([p for p in points if p is not None], dtype=float)
+        own = np.array(point, dtype=float)
+        beats = (others <= own).all(1) & (others < own).any(1)
+        return not beats.any()
+
+    return [replace(w, on_front=on_front(p)) for w, p in zip(ways, points, strict=True)]
+
+
+def duration(seconds: float) -> str:
+    """A time in words that fit a table."""
+    for limit, unit, size in ((9.95e-2, "ms", 1e-3), (90, "s", 1), (5400, "min", 60)):
+        if seconds < limit:
+            return f"{seconds / size:.2g} {unit}"
+    hours = seconds / 3600
+    return f"{hours:.2g} h" if hours < 48 else f"{hours / 24:.0f} days"
+
+
+# ------------------------------------------------------------------------------------ the ways
+
+
+class _Scene:
+    """A scene and how to render it by any plan."""
+
+    def __init__(self, mesh: Mesh, grid: Grid, optics: Optics) -> None:
+        self.mesh, self.grid, self.optics = mesh, grid, optics
+        self.points = mesh.vertices_numpy() - np.asarray(grid.origin)
+        self.faces = torch.as_tensor(mesh.faces)
+        self.density = torch.as_tensor(mesh.membranes(), dtype=torch.float64)
+        self.width = tuple(float(w) for w in optics.width())
+        generator = torch.Generator().manual_seed(0)
+        self.incoming = torch.randn(grid.shape, generator=generator, dtype=torch.float64)
+
+    def padded(self, accuracy: float) -> tuple[int, int, int]:
+        """Shape of the periodic grid."""
+        reach = np.asarray(self.optics.reach(accuracy))
+        return padded_shape(self.mesh.vertices_numpy(), self.grid, reach)
+
+    def planned(self, accuracy: float, costs: Costs, method: Method | None = None) -> _Candidate:
+        """What the planner makes of an accuracy."""
+        plan = make_plan(
+            self.points,
+            self.mesh.faces,
+            self.padded(accuracy),
+            self.grid.voxel_size,
+            self.width,  # type: ignore[arg-type]
+            accuracy,
+            method,
+            aligned=self.optics.diagonal,
+            cutoff=self.optics.cutoff(),
+            transfer=self.optics.otf,
+        )
+        degrees = sorted({r.degree for r, _ in plan.rules})
+        named = f"degree {'/'.join(map(str, degrees))}" if degrees else ""
+        return self.candidate(plan, named, costs, accuracy)
+
+    def by_hand(
+        self, threshold: float, degree: int | None, single: bool, costs: Costs
+    ) -> _Candidate:
+        """The closed form (no degree), or one rule on every face, on a band (0: the full grid)."""
+        fft, size = self.padded(min(threshold, 1e-4)), self.grid.voxel_size
+        aligned = self.optics.diagonal
+        if threshold == 0:
+            band = Band.full(fft, size)
+            radius, aligned = tuple(pi / d for d in size), False
+        else:
+            radius = tuple(sqrt(2 * log(1 / threshold)) / w for w in self.width)
+            band = Band.within(fft, size, radius, aligned)  # type: ignore[arg-type]
+        faces = len(self.mesh.faces)
+        rules = [] if degree is None else [(rule(degree), np.arange(faces))]
+        method: Method = "closed form" if degree is None else "particle-mesh"
+        phases = _edge_phases(self.points, self.mesh.faces, radius, aligned)
+        spreading = None
+        if degree is not None:
+            points = faces * len(rules[0][0].weights)
+            given = band.half, band.spacing, self.optics.otf, _TOLERANCE[single], points, single
+            spreading = choose_spreading(*given, width=self.width)
+        work = count_work(method, band, faces, phases, rules, spreading, self.grid.shape)
+        plan = Plan(method, band, 0.0, threshold, single, spreading, rules, 0.0, work)
+        return self.candidate(plan, f"degree {degree}" if degree else "", costs, None)
+
+    def candidate(
+        self, plan: Plan, rule_name: str, costs: Costs, accuracy: float | None
+    ) -> _Candidate:
+        way = Way(
+            method=plan.method,
+            band=plan.threshold,
+            rule=rule_name,
+            precision="float32" if plan.single else "float64",
+            accuracy=accuracy,
+            expected=costs.seconds(plan.work, plan.single),
+        )
+        return _Candidate(way, plan)
+
+
+def _candidates(scene: _Scene, accuracy_in_use: float, costs: Costs) -> list[_Candidate]:
+    """All ways: the exact one first."""
+    found = [
+        scene.by_hand(threshold, None, single, costs)
+        for threshold in (0.0, *reversed(THRESHOLDS))
+        for single in (False, True)
+    ]
+    found += [
+        scene.by_hand(_RULE_THRESHOLD, degree, single, costs)
+        for degree in DEGREES
+        for single in (True, False)
+    ]
+    asked = sorted({*PLANNED, *([accuracy_in_use] if accuracy_in_use > 0 else [])}, reverse=True)
+    found += [scene.planned(accuracy, costs) for accuracy in asked]
+    used = 0 if accuracy_in_use == 0 else len(found) - len(asked) + asked.index(accuracy_in_use)
+    found[used] = replace(found[used], way=replace(found[used].way, in_use=True))
+    return found
+
+
+def _measured(scene: _Scene, candidate: _Candidate) -> tuple[Way, tuple[Tensor, Tensor]]:
+    """The way with times and memory, and its image and gradient in double precision."""
+    plan = candidate.plan
+    v = torch.tensor(scene.points, requires_grad=True)
+    axes = plan.band.axes(torch.float32 if plan.single else torch.float64)
+    incoming = scene.incoming.to(torch.float32 if plan.single else torch.float64)
+
+    def forward() -> Tensor:
+        u = plan.transform(v, scene.faces, scene.density) * scene.optics.otf(axes)
+        return plan.band.to_image(u, scene.grid.shape)
+
+    forwards, boths = [], []
+    with Peak() as peak:  # of the first run, which makes what others find made
+        image, gradient, *first = _timed(forward, v, incoming)
+    slow = first[1] > _ENOUGH
+    for _ in range(0 if slow else _REPEATS):
+        _, _, one, both = _timed(forward, v, incoming)
+        forwards.append(one)
+        boths.append(both)
+    way = replace(
+        candidate.way,
+        forward=first[0] if slow else median(forwards),
+        gradient=first[1] if slow else median(boths),
+        memory=peak.bytes,
+    )
+    return way, (image.detach().to(torch.float64), gradient.to(torch.float64))
+
+
+def _timed(
+    forward: Callable[[], Tensor], v: Tensor, incoming: Tensor
+) -> tuple[Tensor, Tensor, float, float]:
+    start = time.perf_counter()
+    image = forward()
+    middle = time.perf_counter()
+    (gradient,) = torch.autograd.grad(image, v, incoming)
+    return image, gradient, middle - start, time.perf_counter() - start
+
+
+def _relative(found: Tensor, exact: Tensor) -> float:
+    return float((found - exact).norm()) / max(float(exact.norm()), 1e-300)
+
+
+def check_visible(total: float, mesh: Mesh) -> None:
+    """InputError unless an image with this sum shows some of the mesh: all of it is its area."""
+    if not total > 1e-4 * float(mesh.areas() @ mesh.membranes()):
+        raise InputError("the image of the mesh is empty: does it lie inside the grid?")
+
+
+def _reason(error: BaseException) -> str:
+    text = " ".join(str(error).split())
+    return "not enough memory" if isinstance(error, MemoryError) or "alloc" in text else text[:80]

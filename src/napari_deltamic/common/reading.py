@@ -1,0 +1,89 @@
+"""Texts that others wrote: bounded, and whatever is wrong with them told in one line."""
+
+from __future__ import annotations
+
+import json
+import logging
+import tomllib
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+
+# Lists within lists take up to 30 times as much memory as their text.
+LARGEST_TEXT = 1 << 24  # bytes
+
+
+def read_text(path: str | Path, largest: int = LARGEST_TEXT) -> str:
+    """A text file in UTF-8; a byte order mark at its beginning is left out.
+
+    Raises
+    ------
+    InputError
+        Naming the file: missing, unreadable, longer than ``largest`` bytes, no text.
+    """
+    try:
+        with Path(path).open("rb") as stream:
+            data = stream.read(largest + 1)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{path}: cannot be read: {reason}") from None
+    if len(data) > largest:
+        raise InputError(f"{path}: cannot be read: it is longer than {largest >> 20} MiB")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: cannot be read: it is no text (UTF-8)") from None
+
+
+def toml_values(text: str) -> dict[str, Any]:
+    """What a TOML document says. InputError where it is none, or too deep."""
+    _check_length(text)
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise InputError("it is nested too deeply") from None
+    except (ValueError, OverflowError) as error:
+        raise InputError(one_reason(error)) from None
+
+
+def json_values(text: str) -> Any:
+    """What a JSON document says. InputError where it is none, or too deep."""
+    _check_length(text)
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise InputError("it is nested too deeply") from None
+    except (ValueError, OverflowError) as error:
+        raise InputError(one_reason(error)) from None
+
+
+def one_reason(error: BaseException) -> str:
+    """What an error says, in one short line."""
+    return " ".join(str(error).split())[:200] or type(error).__name__
+
+
+@contextmanager
+def quiet(*loggers: str) -> Iterator[None]:
+    """No remarks of these libraries, nor of NumPy: what matters becomes an error."""
+    found = [logging.getLogger(name) for name in loggers]
+    levels = [logger.level for logger in found]
+    for logger in found:
+        logger.setLevel(logging.CRITICAL + 1)
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        for logger, level in zip(found, levels, strict=True):
+            logger.setLevel(level)
+
+
+def _check_length(text: str) -> None:
+    if len(text) > LARGEST_TEXT:
+        raise InputError(f"it is longer than {LARGEST_TEXT >> 20} million characters")

@@ -1,0 +1,112 @@
+"""A fit that is ready to run: what the command line and the widget both put together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..geometry import Mesh
+from ..optics import GaussianPSF, Optics
+from ..runs.optics_settings import optics_from_values
+from ..runs.settings import NEAR_LEVELS, RunSettings, SceneSettings
+from ..scene import Grid
+from . import FitState, counted_voxels, fit
+from .default_accuracy import accuracy_for_image
+
+# How near to the membranes starting surfaces lie: "rough" for meshes and spheres, "labels", or
+# "image" where all follow from points in the image alone (neighbours without a point would then
+# attract them).
+SeedKind = Literal["rough", "labels", "image"]
+SIGMA_IN_VOXELS = 1.2  # where the user gives none
+
+
+@dataclass(frozen=True)
+class FitInput:
+    """What a fit takes.
+
+    image : (Z, Y, X); NaN where missing.
+    counted : (Z, Y, X) bool: voxels that may count; None for all.
+    second : (Z, Y, X) second view, where the settings have one; None for that of its file.
+    """
+
+    settings: RunSettings
+    image: NDArray[Any]
+    grid: Grid
+    mesh: Mesh
+    optics: Optics
+    counted: NDArray[np.bool_] | None
+    second: NDArray[Any] | None = None
+
+    @property
+    def has_missing(self) -> bool:
+        """Whether some voxels are missing."""
+        return bool(np.isnan(self.image).any())
+
+
+def optics_of(scene: SceneSettings) -> Optics:
+    """The PSF of the settings; a Gaussian of 1.2 voxels where they give none.
+
+    Raises
+    ------
+    InputError
+        If its numbers cannot be, or the file of a measured one cannot be used.
+    """
+    if scene.optics is not None:
+        return scene.optics.build()
+    return GaussianPSF(scene.sigma or [SIGMA_IN_VOXELS * d for d in scene.voxel_size])
+
+
+def scene_with(scene: SceneSettings, optics: Optics) -> SceneSettings:
+    """The settings of a scene whose PSF has moved on, in a fit for example.
+
+    What settings of that kind do not hold (the OTF of a bead) stays as it is.
+    """
+    if isinstance(optics, GaussianPSF):
+        if optics.diagonal:
+            return scene.model_copy(update={"sigma": optics.sigma_um, "optics": None})
+        rows = optics.covariance.detach().tolist()
+        tilted = optics_from_values({"kind": "gaussian", "covariance": rows})
+        return scene.model_copy(update={"sigma": None, "optics": tilted})
+    if scene.optics is None:
+        return scene
+    return scene.model_copy(update={"optics": scene.optics.moved(optics.described())})
+
+
+def assemble(
+    settings: RunSettings,
+    image: NDArray[Any],
+    grid: Grid,
+    mesh: Mesh,
+    kind: SeedKind,
+    second: NDArray[Any] | None = None,
+) -> FitInput:
+    """Everything that a fit needs; what the settings leave open follows from seeds and noise."""
+    found: dict[str, Any] = {}
+    if kind != "rough" and settings.fit.levels is None:
+        found["levels"] = NEAR_LEVELS
+    if settings.fit.accuracy is None:
+        found["accuracy"] = accuracy_for_image(image)
+    settings = settings.model_copy(update={"fit": settings.fit.model_copy(update=found)})
+    optics = optics_of(settings.scene)
+    counted = counted_voxels(image, grid, mesh, optics) if kind == "image" else None
+    return FitInput(settings, image, grid, mesh, optics, counted, second)
+
+
+def start(job: FitInput, resume: str | Path | None = None) -> Iterator[FitState]:
+    """Start the fit; see :func:`napari_deltamic.fit`."""
+    return fit(
+        job.image,
+        job.grid,
+        job.mesh,
+        job.optics,
+        settings=job.settings.fit,
+        counted=job.counted,
+        effects=job.settings.scene.effects,
+        second=job.second,
+        resume=resume,
+    )

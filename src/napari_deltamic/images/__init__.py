@@ -1,0 +1,1 @@
+"""Images: stacks and series from files, their voxel size, missing voxels."""

@@ -1,0 +1,134 @@
+"""The colour of each region, the same in the viewer, the table and the pictures of a report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..geometry import Mesh
+from ..geometry.mesh import OUTSIDE
+
+# Bright on grey, and far from each other also for the colour-blind.
+COLOURS = (
+    (255, 176, 0),
+    (86, 180, 233),
+    (255, 97, 136),
+    (0, 214, 143),
+    (240, 228, 66),
+    (178, 132, 255),
+    (255, 120, 40),
+    (120, 255, 255),
+)
+_SHADES = ((0.45, 255), (0.45, 0))  # so much of white, or of black, in them
+# The colours, then the same lighter and darker: only where a region has many neighbours.
+PALETTE: tuple[tuple[int, int, int], ...] = COLOURS + tuple(
+    (round(r + part * (to - r)), round(g + part * (to - g)), round(b + part * (to - b)))
+    for part, to in _SHADES
+    for r, g, b in COLOURS
+)
+
+Graph = Mapping[int, set[int]]
+_VOXELS = 2e6  # of more, some are left out where labels are asked who touches whom
+
+
+def plain_index(region: int) -> int:
+    """The place in the palette of a region without neighbours."""
+    return (region - 1) % len(COLOURS)
+
+
+def colour_indices(*meshes: Mesh) -> dict[int, int]:
+    """Places in :data:`PALETTE`: no two regions that are neighbours in any mesh share one.
+
+    Neighbours have a wall in common, or boxes that overlap, as vesicles that touch do. Each region
+    keeps the colour of its number where it can. Where a region has more neighbours than there are
+    colours, those with which it has no wall may share its own.
+    """
+    walls: dict[int, set[int]] = {}
+    near: dict[int, set[int]] = {}
+    regions: set[int] = set()
+    for mesh in meshes:
+        own, low, high = _boxes(mesh)
+        regions |= set(own.tolist())
+        sides = mesh.regions[(mesh.regions != OUTSIDE).all(axis=1)]
+        _join(walls, np.unique(sides, axis=0))
+        over = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(axis=2)
+        _join(near, own[np.argwhere(np.triu(over, 1))])
+    return _chosen(sorted(regions), walls, near)
+
+
+def label_indices(labels: NDArray[np.integer]) -> dict[int, int]:
+    """The same for labels (Z, Y, X): no two that touch share a colour; 0 is none.
+
+    In a large array not all voxels are looked at: labels of a few voxels may be left out.
+    """
+    step = max(1, round(float(np.cbrt(labels.size / _VOXELS))))
+    few = np.asarray(labels)[::step, ::step, ::step]
+    walls: dict[int, set[int]] = {}
+    for axis in range(few.ndim):
+        ahead, behind = np.moveaxis(few, axis, 0)[1:], np.moveaxis(few, axis, 0)[:-1]
+        touch = (ahead != behind) & (ahead > 0) & (behind > 0)
+        _join(walls, np.unique(np.stack([ahead[touch], behind[touch]], axis=1), axis=0))
+    seen = np.unique(few)
+    return _chosen(seen[seen > 0].tolist(), walls, {})
+
+
+def colour_of(region: int, indices: Mapping[int, int]) -> tuple[int, int, int]:
+    """RGB of a region; that of its number where it is not among the indices."""
+    return PALETTE[indices.get(region, plain_index(region))]
+
+
+def _chosen(regions: Sequence[int], walls: Graph, near: Graph) -> dict[int, int]:
+    """Colours for ascending regions; those with a wall in common differ."""
+    found: dict[int, int] = {}
+    for region in regions:
+        found[region] = _free(region, found, walls.get(region, set()), near.get(region, set()))
+    if any(found[a] == found[b] for a in walls for b in walls[a]):
+        # A cell with all colours around it: so it comes first, and its neighbours after it.
+        found = {}
+        for region in _smallest_last(regions, walls):
+            found[region] = _free(region, found, walls.get(region, set()), set())
+    return found
+
+
+def _smallest_last(regions: Sequence[int], walls: Graph) -> list[int]:
+    """Ordered so that each has few neighbours before it: 13 or so in a foam of any size."""
+    left = {region: set(walls.get(region, ())) for region in regions}
+    order = []
+    while left:
+        least = min(left, key=lambda region: len(left[region]))
+        order.append(least)
+        for other in left.pop(least):
+            left[other].discard(least)
+    return order[::-1]
+
+
+def _free(region: int, found: Mapping[int, int], walls: set[int], near: set[int]) -> int:
+    order = [plain_index(region), *range(len(PALETTE))]
+    for neighbours in (walls | near, walls):
+        taken = {found[other] for other in neighbours if other in found}
+        for index in order:
+            if index not in taken:
+                return index
+    return plain_index(region)
+
+
+def _join(graph: dict[int, set[int]], pairs: NDArray[np.int64]) -> None:
+    for a, b in pairs.tolist():
+        graph.setdefault(a, set()).add(b)
+        graph.setdefault(b, set()).add(a)
+
+
+def _boxes(mesh: Mesh) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Regions (R,), and the corners of the boxes around them, (R, 3) each, um."""
+    sides = np.concatenate([mesh.regions[:, 0], mesh.regions[:, 1]])
+    corners = mesh.vertices_numpy()[np.concatenate([mesh.faces, mesh.faces])]
+    order = np.argsort(sides, kind="stable")
+    regions, starts = np.unique(sides[order], return_index=True)
+    low = (
+        np.minimum.reduceat(corners.min(axis=1)[order], starts) if len(starts) else np.zeros((0, 3))
+    )
+    high = np.maximum.reduceat(corners.max(axis=1)[order], starts) if len(starts) else low
+    inside = regions != OUTSIDE
+    return regions[inside], low[inside], high[inside]

@@ -1,0 +1,228 @@
+"""What a fit leaves on disk: mesh, rendered image, measurements, settings, report, picture."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+
+from ..common.writing import make_folder, write_atomically, written_together
+from ..fitting import FitState
+from ..fourier.devices import choose_device
+from ..fourier.native import threads
+from ..geometry import save_mesh
+from ..images.stacks import write_image
+from ..measure import measure_cells, write_csv
+from ..runs.settings import RunSettings
+from ..scene import Grid, Renderer
+from ..scene.effects import Effects
+from .picture import picture_png
+
+FILES = (
+    "mesh.ply",
+    "mesh.rec",
+    "rendered.tif",
+    "measurements.csv",
+    "run.toml",
+    "report.json",
+    "picture.png",
+)
+PACKAGES = ("napari-deltamic", "torch", "numpy", "scipy", "scikit-image", "cholespy")
+
+
+@dataclass
+class History:
+    """The course of a fit, state by state.
+
+    loss, level, blur : one value an iteration, see ``FitState``.
+    first : the iteration that they begin with; above 1 where a fit was resumed.
+    """
+
+    loss: list[float] = field(default_factory=list)
+    level: list[int] = field(default_factory=list)
+    blur: list[float] = field(default_factory=list)
+    first: int = 1
+
+    def add(self, state: FitState) -> None:
+        """Note a state; call it for every one that the fit yields."""
+        if not self.loss:
+            self.first = state.iteration
+        self.loss.append(float(state.loss))
+        self.level.append(int(state.level))
+        self.blur.append(float(state.blur))
+
+    def levels(self) -> list[dict[str, Any]]:
+        """For each level reached: number, blur, iterations and last loss."""
+        found: list[dict[str, Any]] = []
+        for loss, level, blur in zip(self.loss, self.level, self.blur, strict=True):
+            if not found or found[-1]["level"] != level:
+                found.append({"level": level, "blur": blur, "iterations": 0})
+            found[-1]["iterations"] += 1
+            found[-1]["loss"] = loss
+        return found
+
+
+def write_results(
+    folder: str | os.PathLike[str],
+    state: FitState,
+    image: ArrayLike,
+    grid: Grid,
+    settings: RunSettings,
+    history: History,
+    seconds: float,
+    *,
+    warnings: Sequence[str] = (),
+    further: Mapping[str, Any] | None = None,
+) -> list[Path]:
+    """Write everything that a fit found; files of the same names are replaced, all or none.
+
+    ``mesh.ply`` and ``mesh.rec`` (um), ``rendered.tif`` (as the microscope would show it),
+    ``measurements.csv`` (one row a cell), ``run.toml`` (re-runs the fit), ``report.json`` and
+    ``picture.png`` (slices with contours).
+
+    Parameters
+    ----------
+    folder : path
+        Made if it is not there.
+    state : the last one of the fit.
+    image : (Z, Y, X) measured; NaN where missing.
+    grid : where the voxels lie.
+    settings : the whole run.
+    history : every state of the fit.
+    seconds : s; how long the fit took.
+    warnings : remarks that a reader of the report should see.
+    further : sections of the report besides those that every fit has.
+
+    Returns
+    -------
+    list of paths, in the order of ``FILES``.
+
+    Raises
+    ------
+    InputError
+        If the folder or a file cannot be written.
+    """
+    folder = Path(folder)
+    make_folder(folder)
+    paths = [folder / name for name in FILES]
+    ply, rec, tif, csv, toml, report, png = paths
+    rendered = np.asarray(state.rendered())
+    facts = describe(state, grid, settings, history, seconds, warnings)
+    facts |= plain_values(dict(further or {}))
+    with written_together(report):
+        save_mesh(state.mesh, ply)
+        save_mesh(state.mesh, rec)
+        write_image(tif, rendered, grid.voxel_size)
+        write_csv(measure_cells(state.mesh), csv)
+        write_atomically(toml, settings.to_toml().encode())
+        write_atomically(png, picture_png(image, rendered, state.mesh, grid))
+        text = json.dumps(facts, indent=2, allow_nan=False) + "\n"
+        write_atomically(report, text.encode())
+    return paths
+
+
+def describe(
+    state: FitState,
+    grid: Grid,
+    settings: RunSettings,
+    history: History,
+    seconds: float,
+    warnings: Sequence[str] = (),
+) -> dict[str, Any]:
+    """The content of ``report.json``: plain values; what is not finite is None."""
+    fit = settings.fit
+    facts = {
+        "version": version_of("napari-deltamic"),
+        "engine": engine_used(state, grid, fit.image_accuracy, choose_device(fit.device)),
+        "accuracy": fit.image_accuracy,
+        "iterations": state.iteration,
+        "seconds": round(seconds, 3),
+        "converged": state.converged,
+        "message": state.message,
+        "warnings": list(warnings),
+        "optics": {
+            "model": type(state.optics).__name__,
+            "sigma_um": list(state.optics.sigma_um),
+            "parameters": {
+                p.name: {"value": p.value, "unit": p.unit, "fitted": p.fitted}
+                for p in state.optics.described()
+            },
+            "fitted": fit.fit_psf,
+        },
+        "effects": effects_found(settings.scene.effects, state.effects),
+        "amplitude": state.amplitude,
+        "background": state.background,
+        "mesh": {
+            "vertices": len(state.mesh.vertices),
+            "faces": len(state.mesh.faces),
+            "regions": len(state.mesh.region_ids()),
+        },
+        "grid": {
+            "shape": list(grid.shape),
+            "voxel_size_um": list(grid.voxel_size),
+            "origin_um": list(grid.origin),
+        },
+        "settings": settings.model_dump(mode="json"),
+        "levels": history.levels(),
+        "first_iteration": history.first,
+        "loss": list(history.loss),
+        "versions": {name: version_of(name) for name in PACKAGES},
+    }
+    found: dict[str, Any] = plain_values(facts)
+    return found
+
+
+def effects_found(start: Effects, end: Effects) -> list[dict[str, Any]]:
+    """For each effect: where it acts, whether it was fitted, and its numbers before and after."""
+    found = []
+    for effect in end.present():
+        first = getattr(start, effect.name) or type(effect).neutral()
+        before = {v.name: v.value for v in first.values()}
+        found.append(
+            {
+                "name": effect.name,
+                "where": effect.where,
+                "fitted": bool(effect.fit and effect.bounds),
+                "numbers": [
+                    {"name": v.name, "unit": v.unit, "start": before.get(v.name), "value": v.value}
+                    for v in effect.values()
+                ],
+            }
+        )
+    return found
+
+
+def engine_used(state: FitState, grid: Grid, accuracy: float, device: torch.device) -> str:
+    """What computes the images of a state at the last level, in words."""
+    method = Renderer(state.mesh, grid, state.optics, accuracy, device=device).plan.method
+    return f"{device.type}, {method}, {threads()} threads"
+
+
+def version_of(package: str) -> str:
+    """The version of an installed package; "unknown" where there is none."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def plain_values(value: Any) -> Any:
+    """Values that JSON knows, numpy's included."""
+    if isinstance(value, dict):
+        return {str(key): plain_values(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain_values(item) for item in value]
+    if isinstance(value, np.generic):
+        return plain_values(value.item())
+    if isinstance(value, float) and not isfinite(value):
+        return None
+    return value

@@ -1,0 +1,69 @@
+"""The image of a bead in a session file, whose PSF is that of the bead."""
+
+from __future__ import annotations
+
+import atexit
+import tempfile
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError
+from ..geometry.archive import ArchiveReader, ArchiveWriter
+from ..images.stacks import read_image, write_image
+from ..runs.optics_settings import MeasuredOptics
+from ..runs.settings import RunSettings
+
+
+def keep_bead(archive: ArchiveWriter, name: str, settings: RunSettings) -> RunSettings:
+    """Put the image of the bead into a session, where the PSF is measured and the file is there.
+
+    Returns
+    -------
+    The settings, which say the voxel size that the file said.
+    """
+    optics = settings.scene.optics
+    if not isinstance(optics, MeasuredOptics):
+        return settings
+    try:
+        pixels, size = read_image(optics.file)
+    except InputError:
+        return settings  # the file is gone since: what was fitted can be saved all the same
+    archive.add_array(name, np.asarray(pixels))
+    return _with(settings, optics.model_copy(update={"voxel_size": optics.voxel_size or size}))
+
+
+def with_bead(archive: ArchiveReader, name: str, settings: RunSettings) -> RunSettings:
+    """The settings of a session, with a file of the image of the bead that it holds.
+
+    The file that the settings name is not looked for: a session may come from anybody, and the
+    path lead to another machine. The new file lasts as long as this process.
+
+    Raises
+    ------
+    InputError
+        If the session does not hold the image.
+    """
+    optics = settings.scene.optics
+    if not isinstance(optics, MeasuredOptics):
+        return settings
+    if f"{name}.npy" not in archive.names:
+        raise InputError("it does not hold the image of the bead that its PSF is measured on")
+    folder = Path(tempfile.mkdtemp(dir=_folder()))
+    path = folder / "bead.tif"
+    write_image(path, archive.array(name), optics.voxel_size or (1.0, 1.0, 1.0))
+    return _with(settings, optics.model_copy(update={"file": str(path)}))
+
+
+@cache
+def _folder() -> str:
+    """Of this process; gone when it ends."""
+    made = tempfile.TemporaryDirectory(prefix="deltamic-", ignore_cleanup_errors=True)
+    atexit.register(made.cleanup)
+    return made.name
+
+
+def _with(settings: RunSettings, optics: MeasuredOptics) -> RunSettings:
+    scene = settings.scene.model_copy(update={"optics": optics})
+    return settings.model_copy(update={"scene": scene})

@@ -1,0 +1,128 @@
+"""What a session is made of; see :mod:`napari_deltamic.results.session_file`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..fitting import FitState
+from ..geometry import Mesh
+from ..runs.settings import RunSettings
+from ..runs.track_run import TrackRun
+from ..scene import Grid
+from ..tracking import FrameResult
+from .report import History
+from .timeline import Moment
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class SavedImage:
+    """The image that is fitted, and how its layer lies in the viewer's world.
+
+    pixels : (Z, Y, X), of any real type; NaN where missing.
+    voxel_size : um, Z, Y, X.
+    scale, translate, units : of the layer, Z, Y, X; the scale is in units of the world.
+    display : plain values that say how it is shown (contrast limits, colormap, ...).
+    """
+
+    name: str
+    pixels: NDArray[Any]
+    voxel_size: Triple
+    scale: Triple
+    translate: Triple
+    units: tuple[str, str, str]
+    display: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def grid(self) -> Grid:
+        """Where its voxels lie, um from the centre of the first."""
+        z, y, x = self.pixels.shape
+        return Grid((z, y, x), self.voxel_size)
+
+
+@dataclass(frozen=True, eq=False)
+class SavedLayer:
+    """A layer as it was placed: seeds, for example.
+
+    kind : points, labels or surface.
+    arrays : points: data (n, 3), size (n,); labels: data (Z, Y, X); surface: vertices (V, 3),
+        faces (F, 3) and, where they are known, regions (F, 2).
+    scale, translate, units : of the layer, Z, Y, X.
+    options : further plain values (colours, symbols, ...).
+    """
+
+    kind: str
+    name: str
+    arrays: dict[str, NDArray[Any]]
+    scale: Triple
+    translate: Triple
+    units: tuple[str, str, str]
+    options: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class SavedResult:
+    """What a fit reached.
+
+    settings : of the fit; those of the session may have been changed since.
+    start : where it started, um; None if that is not known.
+    state : the last good one.
+    history : its course; ``seconds`` s long.
+    verdict, message : how it ended, in a word and in words.
+    moments : the states that were kept on the way.
+    counted : (Z, Y, X) bool: voxels that may count; None for all.
+    """
+
+    settings: RunSettings
+    state: FitState
+    history: History
+    seconds: float = 0.0
+    verdict: str = ""
+    message: str = ""
+    start: Mesh | None = None
+    moments: tuple[Moment, ...] = ()
+    counted: NDArray[np.bool_] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SavedTracks:
+    """Cells tracked through a series, and the series.
+
+    pixels : (T, Z, Y, X); of the image of the session, which is one of its frames.
+    time : scale, translation and unit of the layer along T.
+    results : the frames that are done.
+    settings : of the run; its ``fit`` is that of the first frame.
+    seconds : s; how long it took.
+    shared_ground : see :func:`napari_deltamic.tracking.track`.
+    """
+
+    pixels: NDArray[Any]
+    time: tuple[float, float, str]
+    results: tuple[FrameResult, ...]
+    settings: TrackRun
+    seconds: float = 0.0
+    shared_ground: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Session:
+    """Everything that a session file holds.
+
+    settings : what the panels show.
+    seeds : the layers that the seeds come from.
+    panels : plain values of the panels that are no settings of a run.
+    second : image of the second view, where the settings have one.
+    """
+
+    settings: RunSettings
+    image: SavedImage
+    seeds: tuple[SavedLayer, ...] = ()
+    result: SavedResult | None = None
+    panels: dict[str, Any] = field(default_factory=dict)
+    second: SavedImage | None = None
+    tracks: SavedTracks | None = None

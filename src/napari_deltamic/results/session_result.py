@@ -1,0 +1,185 @@
+"""The result of a fit in a session file, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from math import isfinite, nan
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ..common.reading import toml_values
+from ..errors import InputError
+from ..fitting import FitState
+from ..fitting.job import optics_of
+from ..geometry.archive import ArchiveReader, ArchiveWriter, MeshReader, MeshWriter
+from ..optics import GaussianPSF, Optics
+from ..runs.settings import RunSettings, validated
+from ..scene import Grid, expected_image
+from ..scene.effects import Effects
+from .report import History
+from .session_bead import keep_bead, with_bead
+from .session_parts import SavedResult, Triple
+from .timeline import Moment
+
+_STATE = (  # what of a state is a plain value
+    "iteration",
+    "level",
+    "levels",
+    "loss",
+    "amplitude",
+    "background",
+    "blur",
+    "converged",
+    "message",
+)
+
+
+def result_facts(archive: ArchiveWriter, meshes: MeshWriter, result: SavedResult) -> dict[str, Any]:
+    """Write the result of a fit; plain values by which :func:`saved_result` finds it again."""
+    state, history = result.state, result.history
+    archive.add_text("result.toml", keep_bead(archive, "result/bead", result.settings).to_toml())
+    archive.add_array("state/density", state.density)
+    if state.pinned is not None:
+        archive.add_array("state/pinned", np.asarray(state.pinned, bool))
+    if result.counted is not None:
+        archive.add_array("counted", result.counted)
+    for name in ("loss", "blur"):
+        archive.add_array(f"history/{name}", np.array(getattr(history, name), np.float64))
+    archive.add_array("history/level", np.array(history.level, np.int64))
+    # A table: the loss of a moment may be NaN, which JSON does not know.
+    course = [(moment.iteration, moment.loss) for moment in result.moments]
+    archive.add_array("moments/iteration_loss", np.array(course, np.float64).reshape(-1, 2))
+    scalars = {name: getattr(state, name) for name in _STATE}
+    # Unknown after a change by hand.
+    scalars["loss"] = state.loss if isfinite(state.loss) else None
+    return {
+        "state": {
+            **scalars,
+            "mesh": meshes.add("state/vertices", state.mesh),
+            "optics": _optics_facts(state.optics),
+            "effects": state.effects.to_dict(),
+            "pinned": state.pinned is not None,
+        },
+        "first": history.first,
+        "seconds": result.seconds,
+        "verdict": result.verdict,
+        "message": result.message,
+        "start": meshes.add("start/vertices", result.start) if result.start else None,
+        "counted": result.counted is not None,
+        "moments": [
+            {
+                "note": moment.note,
+                "mesh": meshes.add(f"moments/{k}/vertices", moment.mesh),
+                "optics": _optics_facts(moment.optics),
+            }
+            for k, moment in enumerate(result.moments)
+        ],
+    }
+
+
+def _optics_facts(optics: Optics) -> dict[str, Any]:
+    if not isinstance(optics, GaussianPSF):
+        return {"model": "settings", "parameters": optics.parameters().tolist()}
+    # Plain floats come back from JSON as they were.
+    if optics.diagonal:
+        return {"model": "gaussian", "sigma": list(optics.sigma_um)}
+    return {"model": "gaussian", "covariance": optics.covariance.detach().tolist()}
+
+
+def saved_result(archive: ArchiveReader, facts: Mapping[str, Any], grid: Grid) -> SavedResult:
+    """The result that :func:`result_facts` wrote. InputError if it is missing or damaged."""
+    settings, meshes = settings_of(archive, "result.toml"), MeshReader(archive)
+    first = optics_of(settings.scene)  # a PSF of which states hold only what was fitted
+    course = {name: archive.array(f"history/{name}").tolist() for name in ("loss", "level", "blur")}
+    shown = facts["state"]
+    scalars: dict[str, Any] = {name: nan if shown[name] is None else shown[name] for name in _STATE}
+    state = FitState(
+        mesh=meshes.mesh(shown["mesh"]),
+        optics=_optics(shown["optics"], first),
+        density=archive.array("state/density"),
+        # Earlier versions saved neither effects nor pins.
+        effects=Effects(**shown.get("effects", settings.scene.effects.to_dict())),
+        pinned=archive.array("state/pinned") if shown.get("pinned") else None,
+        **scalars,
+    )
+    if len(state.density) != len(state.mesh.faces):
+        raise InputError("its densities belong to another mesh")
+    if state.pinned is not None and state.pinned.shape != (len(state.mesh.vertices),):
+        raise InputError("its pins belong to another mesh")
+    return SavedResult(
+        settings=settings,
+        state=_with_images(state, grid, settings),
+        history=History(**course, first=int(facts["first"])),
+        seconds=float(facts["seconds"]),
+        verdict=str(facts["verdict"]),
+        message=str(facts["message"]),
+        start=meshes.mesh(facts["start"]) if facts["start"] else None,
+        counted=archive.array("counted") if facts["counted"] else None,
+        moments=tuple(
+            _moment(meshes, moment, row, first)
+            for moment, row in zip(
+                facts["moments"], archive.array("moments/iteration_loss"), strict=True
+            )
+        ),
+    )
+
+
+def _moment(
+    meshes: MeshReader, facts: Mapping[str, Any], row: NDArray[Any], first: Optics
+) -> Moment:
+    return Moment(
+        iteration=int(row[0]),
+        loss=float(row[1]),
+        mesh=meshes.mesh(facts["mesh"]),
+        optics=_optics(facts["optics"], first),
+        note=str(facts["note"]),
+    )
+
+
+def _with_images(state: FitState, grid: Grid, settings: RunSettings) -> FitState:
+    """The state, able to render itself as it was during the fit."""
+
+    def rendered() -> NDArray[np.float32]:
+        return expected_image(
+            state.mesh,
+            grid,
+            state.optics,
+            settings.fit.image_accuracy,
+            state.amplitude,
+            state.background,
+            density=state.density,
+            effects=state.effects,
+        )
+
+    return replace(state, _render=rendered)
+
+
+def _optics(facts: Mapping[str, Any], first: Optics) -> Optics:
+    if facts["model"] == "settings":
+        return first.with_parameters(torch.tensor(facts["parameters"], dtype=torch.float64))
+    if facts["model"] != "gaussian":
+        raise InputError(f"a PSF of the unknown kind {facts['model']}")
+    if "sigma" in facts:
+        return GaussianPSF(triple(facts["sigma"]))
+    return GaussianPSF(covariance=np.asarray(facts["covariance"], np.float64))
+
+
+def settings_of(archive: ArchiveReader, name: str) -> RunSettings:
+    """The settings of a run, with the image of their bead, and no other file of theirs."""
+    settings: RunSettings = validated(RunSettings, toml_values(archive.text(name)))
+    view = settings.scene.effects.second_view
+    if view is not None and view.image:  # the session holds the image itself
+        effects = settings.scene.effects.replace(second_view=view.model_copy(update={"image": ""}))
+        scene = settings.scene.model_copy(update={"effects": effects})
+        settings = settings.model_copy(update={"scene": scene})
+    return with_bead(archive, name.replace(".toml", "/bead"), settings)
+
+
+def triple(values: Iterable[Any]) -> Triple:
+    """Three numbers."""
+    z, y, x = (float(v) for v in values)
+    return z, y, x

@@ -1,0 +1,103 @@
+"""Moments of a fit that one can go back to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+from ..fitting import FitState
+from ..geometry import Mesh
+from ..optics import GaussianPSF, Optics
+
+MOST = 200
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """What is kept of one iteration.
+
+    iteration : counts from 1, on through runs that go on from one another.
+    loss : see ``FitState``; NaN where the mesh was changed by hand after the fit.
+    mesh : um.
+    optics : the PSF.
+    note : what the user did there; mostly empty.
+    """
+
+    iteration: int
+    loss: float
+    mesh: Mesh
+    optics: GaussianPSF | Optics
+    note: str = ""
+
+
+class Timeline:
+    """The moments of a fit, evenly spread over it, at most ``most`` of them.
+
+    The first, the newest and those with a note are always there. Where it is full, every other one
+    of the rest goes, and from then on they are kept half as often.
+
+    Parameters
+    ----------
+    moments : to begin with.
+    most : how many are kept; beyond it only moments with notes.
+    """
+
+    def __init__(self, moments: Iterable[Moment] = (), most: int = MOST) -> None:
+        self._moments: list[Moment] = list(moments)
+        self._most = max(most, 4)
+        self._stride = 1  # iterations, at least, between two moments that stay
+        self._before = 0  # iterations of the runs before the present one
+        self._thin_out()
+
+    @property
+    def moments(self) -> tuple[Moment, ...]:
+        """All of them, in the order in which they came."""
+        return tuple(self._moments)
+
+    def add(self, state: FitState, note: str = "") -> Moment:
+        """Keep a state."""
+        iteration = self._before + state.iteration
+        moment = Moment(iteration, float(state.loss), state.mesh, state.optics, note)
+        kept = self._moments
+        if kept and kept[-1].mesh is moment.mesh and kept[-1].optics is moment.optics:
+            moment = replace(moment, note=_joined(kept[-1].note, note))
+            kept[-1] = moment
+            return moment
+        # The newest is only passing where it follows too closely on one that stays.
+        passing = len(kept) > 1 and not kept[-1].note
+        if passing and kept[-1].iteration - kept[-2].iteration < self._stride:
+            kept.pop()
+        kept.append(moment)
+        self._thin_out()
+        return moment
+
+    def go_on(self) -> None:
+        """From now on states come from a new run that goes on from a moment of this one."""
+        self._before = max((moment.iteration for moment in self._moments), default=0)
+
+    def nearest(self, iteration: int) -> int | None:
+        """The index of the moment nearest to an iteration; None where there are none."""
+        if not self._moments:
+            return None
+        return min(
+            range(len(self._moments)), key=lambda k: abs(self._moments[k].iteration - iteration)
+        )
+
+    def _thin_out(self) -> None:
+        if len(self._moments) <= self._most:
+            return
+        first, *rest, last = self._moments
+        self._stride *= 2
+        thinned, keep = [], False
+        for moment in rest:
+            if moment.note:
+                thinned.append(moment)
+            else:
+                if keep:
+                    thinned.append(moment)
+                keep = not keep
+        self._moments = [first, *thinned, last]
+
+
+def _joined(before: str, note: str) -> str:
+    return "; ".join(filter(None, (before, note)))

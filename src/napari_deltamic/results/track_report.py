@@ -1,0 +1,188 @@
+"""What tracking leaves on disk: a mesh a frame, tracks, lineage, settings, report."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import warnings
+from collections.abc import Sequence
+from math import nan
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..common.reading import json_values, read_text
+from ..common.writing import make_folder, write_atomically
+from ..errors import InputError, RepairWarning
+from ..geometry import load_mesh, save_mesh
+from ..measure.tracks import TRACK_COLUMNS, measure_tracks
+from ..runs.track_run import TrackRun
+from ..scene import Grid
+from ..tracking import Event, FrameResult, lineage, surface_4d
+from .report import PACKAGES, plain_values, version_of
+
+MESH_KINDS = (".ply", ".vtk")  # exact, with regions; and for viewers that play series
+FILES = ("tracks.csv", "surface.npz", "run.toml", "report.json")
+
+
+def mesh_name(frame: int, kind: str = ".ply") -> str:
+    """The name of the mesh file of a frame."""
+    return f"mesh_t{frame:03d}{kind}"
+
+
+def write_frame(folder: str | os.PathLike[str], result: FrameResult) -> list[Path]:
+    """Write the mesh of a frame in each of ``MESH_KINDS``; nothing for one that was left out."""
+    if result.mesh is None:
+        return []
+    paths = [Path(folder) / mesh_name(result.frame, kind) for kind in MESH_KINDS]
+    for path in paths:
+        save_mesh(result.mesh, path)
+    return paths
+
+
+def write_tracks(
+    folder: str | os.PathLike[str],
+    results: Sequence[FrameResult],
+    grid: Grid,
+    settings: TrackRun,
+    seconds: float,
+    *,
+    warnings: Sequence[str] = (),
+    surface: bool = True,
+) -> list[Path]:
+    """Write what belongs to all frames; the meshes are written by :func:`write_frame`.
+
+    ``tracks.csv`` (one row for each cell in each frame), ``surface.npz`` (one 4D surface: vertices
+    T Z Y X, faces, cells; T counts frames, the rest is um), ``run.toml`` (re-runs identically) and
+    ``report.json`` (frames, lineage, events), from which :func:`read_results` goes on.
+
+    Parameters
+    ----------
+    seconds : s; how long it took.
+    surface : False leaves ``surface.npz`` out, as while frames are still to come.
+
+    Raises
+    ------
+    InputError
+        If the folder or a file cannot be written.
+    """
+    folder = Path(folder)
+    make_folder(folder)
+    tracks, npz, toml, report = (folder / name for name in FILES)
+    write_atomically(tracks, tracks_csv(results).encode())
+    paths = [tracks]
+    if surface and any(r.mesh is not None for r in results):
+        vertices, faces, cells = surface_4d(results)
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, vertices=vertices, faces=faces, cells=cells)
+        write_atomically(npz, buffer.getvalue())
+        paths.append(npz)
+    write_atomically(toml, settings.to_toml().encode())
+    facts = plain_values(_facts(results, grid, settings, seconds, warnings))
+    write_atomically(report, (json.dumps(facts, indent=2, allow_nan=False) + "\n").encode())
+    return [*paths, toml, report]
+
+
+def tracks_csv(results: Sequence[FrameResult]) -> str:
+    """The table of ``measure_tracks`` as text; numbers that are not known are empty."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, TRACK_COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    for row in measure_tracks(results):
+        writer.writerow({k: "" if v != v else v for k, v in row.items()})
+    return text.getvalue()
+
+
+def read_results(folder: str | os.PathLike[str]) -> list[FrameResult]:
+    """The frames that a run has written, to go on from.
+
+    Raises
+    ------
+    InputError
+        If there is no report of tracking, or a mesh of it is missing or damaged.
+    """
+    folder = Path(folder)
+    path = folder / FILES[-1]
+    try:
+        values = json_values(read_text(path))
+    except InputError as error:
+        raise InputError(f"cannot read {path}: {error}") from None
+    try:
+        return [_result(folder, frame) for frame in values["frames"]]
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path} is no report of tracking") from None
+
+
+def _result(folder: Path, facts: dict[str, Any]) -> FrameResult:
+    frame, mesh = int(facts["frame"]), None
+    if facts["used"]:
+        with warnings.catch_warnings():
+            # What a fit left may have flaws, which are not new.
+            warnings.simplefilter("ignore", RepairWarning)
+            mesh = load_mesh(folder / mesh_name(frame))
+    events = tuple(
+        Event(e["kind"], frame, int(e["cell"]), str(e["text"]), tuple(map(int, e["daughters"])))
+        for e in facts["events"]
+    )
+    z, y, x = (nan if s is None else float(s) for s in facts["sigma_um"])
+    return FrameResult(
+        frame,
+        float(facts["time_s"]),
+        mesh,
+        str(facts["message"]),
+        events,
+        nan if facts["loss"] is None else float(facts["loss"]),
+        int(facts["iterations"]),
+        float(facts["seconds"]),
+        (z, y, x),
+        tuple(float(p) for p in facts.get("psf", ())),  # older reports have none
+    )
+
+
+def _facts(
+    results: Sequence[FrameResult],
+    grid: Grid,
+    settings: TrackRun,
+    seconds: float,
+    remarks: Sequence[str],
+) -> dict[str, Any]:
+    return {
+        "version": version_of("napari-deltamic"),
+        "seconds": round(seconds, 3),
+        "warnings": list(remarks),
+        "frames": [
+            {
+                "frame": r.frame,
+                "time_s": r.time,
+                "used": r.mesh is not None,
+                "cells": list(r.cells),
+                "message": r.message,
+                "events": [
+                    {"kind": e.kind, "cell": e.cell, "daughters": list(e.daughters), "text": e.text}
+                    for e in r.events
+                ],
+                "loss": r.loss,
+                "iterations": r.iterations,
+                "seconds": round(r.seconds, 3),
+                "sigma_um": list(r.sigma_um),
+                "psf": list(r.psf),
+            }
+            for r in results
+        ],
+        "lineage": [
+            {"cell": c.cell, "parent": c.parent, "first": c.first, "last": c.last, "end": c.end}
+            for c in lineage(results)
+        ],
+        "grid": {
+            "shape": list(grid.shape),
+            "voxel_size_um": list(grid.voxel_size),
+            "origin_um": list(grid.origin),
+        },
+        "settings": settings.model_dump(mode="json"),
+        "versions": {name: version_of(name) for name in PACKAGES},
+    }

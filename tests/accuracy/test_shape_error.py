@@ -1,0 +1,106 @@
+"""The error of fitted surfaces at several accuracies."""
+
+import numpy as np
+import pytest
+
+import napari_deltamic as nd
+from napari_deltamic.accuracy.shape_error import (
+    ShapeError,
+    photons_for,
+    shape_errors,
+    shrunk,
+    simulated,
+    stops_improving,
+)
+from napari_deltamic.fitting.default_accuracy import image_noise
+from napari_deltamic.geometry import box, sphere
+from napari_deltamic.runs.settings import NEAR_LEVELS, FitSettings
+
+GRID = nd.Grid((20, 22, 24), (0.2, 0.2, 0.2))
+OPTICS = nd.GaussianPSF(0.3)
+TRUTH = sphere((1.9, 2.1, 2.3), 1.1, subdivisions=2)
+SHORT = FitSettings(levels=NEAR_LEVELS, max_iterations=50)
+
+
+def test_simulated_images():
+    image = simulated(TRUTH, GRID, OPTICS, 100, seed=0)
+    assert image.shape == GRID.shape
+    assert np.array_equal(image, simulated(TRUTH, GRID, OPTICS, 100, seed=0))
+    assert not np.array_equal(image, simulated(TRUTH, GRID, OPTICS, 100, seed=1))
+    assert image.max() == pytest.approx(110, rel=0.35)
+    assert np.percentile(image, 2) < 20
+    clean = simulated(TRUTH, GRID, OPTICS, float("inf"), seed=0)
+    assert clean.min() == pytest.approx(0.1, abs=0.02)
+    assert abs((image / 100 - clean).mean()) < 0.01
+
+
+def test_photons_for_a_noise():
+    for photons in (20.0, 500.0):
+        noise = image_noise(simulated(TRUTH, GRID, OPTICS, photons, seed=0))
+        found = photons_for(noise, TRUTH, GRID, OPTICS)
+        assert found == pytest.approx(photons, rel=0.5)
+        again = image_noise(simulated(TRUTH, GRID, OPTICS, found, seed=0))
+        assert again == pytest.approx(noise, rel=0.2)
+    assert photons_for(0.0, TRUTH, GRID, OPTICS) == float("inf")
+
+
+def test_shape_errors_are_worst_where_the_rendering_is():
+    """Of something with edges: a sphere is as round when it is blurred."""
+    truth = box((1.9, 2.1, 2.3), 1.8, edge_length=0.3)
+    seen = []
+    found = list(
+        shape_errors(
+            truth, GRID, OPTICS, 2000, settings=SHORT, accuracies=(1e-2, 0.4), draws=2,
+            progress=lambda done, of: seen.append((done, of)),
+        )
+    )  # fmt: skip
+    assert [e.accuracy for e in found] == [0.4, 1e-2]
+    assert [len(e.errors) for e in found] == [2, 2]
+    assert found[0].mean > 1.3 * found[1].mean
+    assert found[1].mean < 0.2 * GRID.voxel_size[0]
+    assert 0 < found[1].spread < found[1].mean
+    assert found[0].seconds > 0
+    assert found[0].iterations == 50
+    assert seen == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    assert stops_improving(found) == 1e-2
+
+
+def test_shape_errors_can_be_stopped():
+    found = shape_errors(TRUTH, GRID, OPTICS, 100, settings=SHORT, should_stop=lambda: True)
+    assert list(found) == []
+    with pytest.raises(nd.InputError, match="draw"):
+        next(shape_errors(TRUTH, GRID, OPTICS, 100, draws=0))
+
+
+def test_a_surface_outside_the_image():
+    far = TRUTH.translated((0.0, 0.0, 40.0))
+    with pytest.raises(nd.InputError, match="empty"):
+        simulated(far, GRID, OPTICS, 100, seed=0)
+
+
+def errors(**means):
+    return [ShapeError(float(a[1:].replace("_", "-")), (m,), 1, 1) for a, m in means.items()]
+
+
+def test_where_it_stops_improving():
+    assert stops_improving(errors(a1e_1=3.0, a1e_2=1.04, a1e_3=1.0)) == 1e-2
+    assert stops_improving(errors(a1e_1=1.04, a1e_2=1.06, a1e_3=1.0)) == 1e-3
+    assert stops_improving(errors(a1e_1=1.0, a1e_2=0.9, a1e_3=1.0)) == 1e-1  # luck does not count
+    assert stops_improving(errors(a1e_1=0.9, a1e_2=1.0)) == 1e-1
+    with pytest.raises(nd.InputError, match="no accuracy"):
+        stops_improving([])
+
+
+def test_one_draw_has_no_spread():
+    assert ShapeError(1e-2, (3.0,), 1, 1).spread == 0
+    assert ShapeError(1e-2, (3.0, 5.0), 1, 1).mean == 4
+
+
+def test_shrunk_about_each_piece():
+    other = sphere((1.0, 1.0, 9.0), 0.5, subdivisions=1)
+    both = shrunk(nd.Mesh.merge([TRUTH, other]), 0.2)
+    one = both.vertices[: len(TRUTH.vertices)]
+    two = both.vertices[len(TRUTH.vertices) :]
+    assert np.allclose(one.mean(0), TRUTH.vertices.mean(0))
+    assert np.linalg.norm(one - one.mean(0), axis=1) == pytest.approx(0.8 * 1.1)
+    assert np.linalg.norm(two - two.mean(0), axis=1) == pytest.approx(0.8 * 0.5)
