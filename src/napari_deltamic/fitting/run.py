@@ -53,7 +53,7 @@ class Run:
         self.levels = settings.levels or WIDE_LEVELS
         self.seed = checkpoint.seed(mesh)
         self.shape = Shape.begun(mesh, settings.density)
-        self.growth, self.upkeep = GrowthAlarm(mesh), Upkeep(mesh)
+        self.growth, self.upkeep = GrowthAlarm(mesh), Upkeep(mesh, min(optics.sigma_um))
         self.guard = CollisionGuard(settings.collisions)
         self.policy, self.trial = TopologyPolicy(), None
         self.iteration = self.evaluations = 0
@@ -118,6 +118,7 @@ class Run:
         other = None if second is None else second.optics
         self.level = Level(self.problem.image, counted, *given, factor, other, halo)
         self.other = None if second is None else second.level(*given, factor)
+        self.upkeep.begin_level(self.shape.mesh, self.level.width if factor > 1 else 0.0)
 
     # ------------------------------------------------------------------------- the objective
 

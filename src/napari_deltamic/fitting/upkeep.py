@@ -9,28 +9,59 @@ from ..geometry.remeshing import Remeshed, can_remesh, remesh, smallest_angles
 
 _BAD_ANGLE = 15.0  # degrees
 _MANY = 0.02  # share of bad triangles from which on the mesh is remeshed
-# The median edge may grow by this factor over that of the start, where a surface grew: details
-# need vertices, but a seed that is far too small should not end with a million of them.
+# Edges grow and shrink with the surface, as if no vertex came or went: by this factor at most,
+# since details need vertices, and no further down than this share of the width of the PSF.
 _GROWTH = 1.5
+_FINEST = 0.7
+# Of the width of the blurred PSF: edges on a coarse level, which shows nothing finer.
+_COARSE = 0.5
+# Of the radius of a ball as large as the smallest region: longer edges would not hold its shape.
+_OF_RADIUS = 0.25
+_FAR_OFF = 1.4  # from a length, by which factor edges count as of another one
 
 
 class Upkeep:
     """Remeshes a surface when too many of its triangles have become slivers.
 
-    The edge length is that which the surface had at the start: the user's choice.
+    The edge length is that which the surface had at the start: the user's choice. On levels that
+    are blurred edges may be longer, as far as the blur hides it.
+
+    Parameters
+    ----------
+    mesh
+        At the start.
+    width
+        um: of the PSF.
     """
 
-    def __init__(self, mesh: Mesh) -> None:
+    def __init__(self, mesh: Mesh, width: float) -> None:
         # A face with one corner twice has no third edge to split, collapse or flip.
         corners = np.sort(mesh.faces, axis=1)
         whole = bool((corners[:, 1:] != corners[:, :-1]).all())
         self.able = can_remesh() and whole
-        self._start = median_edge(mesh)
+        self._start, self._area = median_edge(mesh), float(mesh.areas().sum())
+        self._finest = min(_FINEST * width, self._start)
         self.left = 0.0  # share of slivers that the last remeshing left: no use to try again
+        self._coarse = 0.0  # um: edges of the level
+
+    def begin_level(self, mesh: Mesh, blurred: float) -> None:
+        """Edges as long as a level allows. blurred : um, width of its PSF; 0 if it is sharp."""
+        volumes = np.abs([v for v in mesh.volumes().values()])
+        radius = float((3 * volumes.min() / (4 * np.pi)) ** (1 / 3)) if len(volumes) else 0.0
+        self._coarse = min(_COARSE * blurred, _OF_RADIUS * radius)
+        self.left = 0.0
 
     def wanted(self, mesh: Mesh) -> bool:
-        """Whether the mesh has too many slivers."""
-        return self.able and _slivers(mesh) > self.left + _MANY
+        """Whether the mesh has too many slivers, or edges of another level."""
+        if not self.able:
+            return False
+        ratio = self._length(mesh) / median_edge(mesh)
+        return not 1 / _FAR_OFF < ratio < _FAR_OFF or _slivers(mesh) > self.left + _MANY
+
+    def _length(self, mesh: Mesh) -> float:
+        grown = self._start * float(np.sqrt(mesh.areas().sum() / max(self._area, 1e-300)))
+        fine = min(max(grown, self._finest), _GROWTH * self._start)
+        return max(fine, self._coarse)
 
     def renewed(
         self, mesh: Mesh, carried: np.ndarray, fixed: np.ndarray, apart: bool = False
@@ -39,7 +70,7 @@ class Upkeep:
 
         ``apart``: surfaces that do not cross stay so.
         """
-        length = min(max(median_edge(mesh), self._start), _GROWTH * self._start)
+        length = self._length(mesh)
         done = remesh(mesh, length, passes=3, carried=carried, fixed=fixed, apart=apart)
         self.left = _slivers(done.mesh)
         return done
