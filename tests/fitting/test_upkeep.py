@@ -98,7 +98,7 @@ def test_a_checkpoint_of_another_start_is_refused(image, tmp_path):
 def test_what_cannot_get_better_is_not_tried_for_ever():
     # A corner where four walls meet stays as it is: its slivers can only be left alone.
     mesh = squeezed(30.0, 1)
-    upkeep = Upkeep(mesh)
+    upkeep = Upkeep(mesh, VOXEL)
     done = upkeep.renewed(
         mesh, np.zeros((len(mesh.vertices), 0)), np.ones(len(mesh.vertices), bool)
     )

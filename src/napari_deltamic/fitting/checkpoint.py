@@ -32,7 +32,7 @@ def kept(run: Run) -> dict[str, np.ndarray]:
     log = shape.log_density
     plain = {
         **{name: getattr(run, name) for name in _COUNTS},
-        "slivers": run.upkeep.left,
+        "upkeep": run.upkeep.to_dict(),
         "effects": run.effects.to_dict(),
         "progress": asdict(run.progress),
         "policy": run.policy.to_dict(),
@@ -97,7 +97,7 @@ def _take_over(run: Run, found: dict[str, np.ndarray]) -> None:
     run.level_optics = run.optics.with_parameters(torch.from_numpy(found["level_optics"]))
     for name in _COUNTS:
         setattr(run, name, int(plain[name]))
-    run.upkeep.left = float(plain["slivers"])
+    run.upkeep.resume(plain["upkeep"])
     progress = plain["progress"]
     run.progress = Progress(**{**progress, "values": tuple(progress["values"])})
     run.policy = TopologyPolicy.from_dict(plain["policy"])

@@ -75,8 +75,11 @@ class Run:
         while self.level_number < len(self.levels):
             if not resumed:
                 self.level_optics, self.progress, self.learnt = self.optics, Progress(), None
-            resumed = False
             self._make_level()
+            if not resumed:
+                blurred = 0.0 if self.level.factor == 1 else self.level.width
+                self.upkeep.begin_level(self.shape.mesh, blurred)
+            resumed = False
             if self.level.usable or self._last:
                 yield from self._level_states()
                 if self._over:
@@ -118,7 +121,6 @@ class Run:
         other = None if second is None else second.optics
         self.level = Level(self.problem.image, counted, *given, factor, other, halo)
         self.other = None if second is None else second.level(*given, factor)
-        self.upkeep.begin_level(self.shape.mesh, self.level.width if factor > 1 else 0.0)
 
     # ------------------------------------------------------------------------- the objective
 
@@ -380,6 +382,7 @@ class Run:
         else:
             unpinned = self.shape.with_pins(np.zeros(len(old.vertices), bool))
             self.shape = unpinned.retriangulated(mesh)
+        self.upkeep.given()
         self.growth = GrowthAlarm(self.shape.mesh)
 
     def _take_settings(self, settings: FitSettings) -> None:

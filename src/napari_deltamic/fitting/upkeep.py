@@ -17,6 +17,7 @@ _FINEST = 0.7
 _COARSE = 0.5
 # Of the radius of a ball as large as the smallest region: longer edges would not hold its shape.
 _OF_RADIUS = 0.25
+_FEWEST = 600  # vertices: with fewer, triangles cost less than the image
 _FAR_OFF = 1.4  # from a length, by which factor edges count as of another one
 
 
@@ -43,25 +44,45 @@ class Upkeep:
         self._finest = min(_FINEST * width, self._start)
         self.left = 0.0  # share of slivers that the last remeshing left: no use to try again
         self._coarse = 0.0  # um: edges of the level
+        self._begun = False  # whether edges are of the level
 
     def begin_level(self, mesh: Mesh, blurred: float) -> None:
         """Edges as long as a level allows. blurred : um, width of its PSF; 0 if it is sharp."""
         volumes = np.abs([v for v in mesh.volumes().values()])
         radius = float((3 * volumes.min() / (4 * np.pi)) ** (1 / 3)) if len(volumes) else 0.0
-        self._coarse = min(_COARSE * blurred, _OF_RADIUS * radius)
-        self.left = 0.0
+        fewest = median_edge(mesh) * float(np.sqrt(len(mesh.vertices) / _FEWEST))
+        self._coarse = min(_COARSE * blurred, _OF_RADIUS * radius, fewest)
+        self.left, self._begun = 0.0, False
+
+    def to_dict(self) -> dict[str, float]:
+        """What a checkpoint keeps."""
+        return {"slivers": self.left, "coarse": self._coarse, "begun": float(self._begun)}
+
+    def resume(self, kept: dict[str, float]) -> None:
+        """Go on from what :meth:`to_dict` gave."""
+        self.left, self._coarse = float(kept["slivers"]), float(kept["coarse"])
+        self._begun = bool(kept["begun"])
 
     def wanted(self, mesh: Mesh) -> bool:
         """Whether the mesh has too many slivers, or edges of another level."""
         if not self.able:
             return False
-        ratio = self._length(mesh) / median_edge(mesh)
-        return not 1 / _FAR_OFF < ratio < _FAR_OFF or _slivers(mesh) > self.left + _MANY
+        other = not self._begun and self._of_another_level(mesh)
+        return other or _slivers(mesh) > self.left + _MANY
+
+    def _of_another_level(self, mesh: Mesh) -> bool:
+        return not 1 / _FAR_OFF < self._level_length(mesh) / median_edge(mesh) < _FAR_OFF
+
+    def _level_length(self, mesh: Mesh) -> float:
+        grown = self._start * float(np.sqrt(mesh.areas().sum() / max(self._area, 1e-300)))
+        return max(min(max(grown, self._finest), _GROWTH * self._start), self._coarse)
 
     def _length(self, mesh: Mesh) -> float:
-        grown = self._start * float(np.sqrt(mesh.areas().sum() / max(self._area, 1e-300)))
-        fine = min(max(grown, self._finest), _GROWTH * self._start)
-        return max(fine, self._coarse)
+        """um: edges are to have; those of the mesh, where these are about right."""
+        length = self._level_length(mesh)
+        if self._of_another_level(mesh):
+            return length
+        return min(max(median_edge(mesh), self._start), max(_GROWTH * self._start, length))
 
     def renewed(
         self, mesh: Mesh, carried: np.ndarray, fixed: np.ndarray, apart: bool = False
@@ -72,12 +93,16 @@ class Upkeep:
         """
         length = self._length(mesh)
         done = remesh(mesh, length, passes=3, carried=carried, fixed=fixed, apart=apart)
-        self.left = _slivers(done.mesh)
+        self.left, self._begun = _slivers(done.mesh), True
         return done
+
+    def given(self) -> None:
+        """The mesh was replaced from outside: its edges stay as they are until the next level."""
+        self._begun = True
 
     def refused(self, mesh: Mesh) -> None:
         """The mesh was kept as it was: it is tried again when more slivers have come."""
-        self.left = _slivers(mesh)
+        self.left, self._begun = _slivers(mesh), True
 
 
 def _slivers(mesh: Mesh) -> float:
