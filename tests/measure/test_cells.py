@@ -63,9 +63,13 @@ def test_csv(tmp_path):
     write_csv(rows, tmp_path / "cells.csv")
     with (tmp_path / "cells.csv").open() as stream:
         table = list(csv.DictReader(stream))
-    assert [{k: float(v) for k, v in row.items()} for row in table] == rows
+    assert [list(row) for row in table] == [list(row) for row in rows]
+    for row, written in zip(rows, table, strict=True):
+        assert {k: float(v) for k, v in written.items()} == pytest.approx(row, rel=1e-8)
     assert table[0]["region"] == "1"
     write_csv([], tmp_path / "none.csv")
     assert (tmp_path / "none.csv").read_text().startswith("region,volume_um3,")
+    write_csv([{"region": 1, "volume_um3": float("nan")}], tmp_path / "open.csv")
+    assert (tmp_path / "open.csv").read_text() == "region,volume_um3\n1,\n"
     with pytest.raises(InputError, match="cannot be written"):
         write_csv(rows, tmp_path / "nowhere" / "cells.csv")

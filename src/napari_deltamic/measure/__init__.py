@@ -3,6 +3,8 @@
 from napari_deltamic.measure.cells import measure_cells, write_csv
 from napari_deltamic.measure.image_similarity import ImageSimilarity, image_similarity
 from napari_deltamic.measure.junctions import Junction, junction_angles
+from napari_deltamic.measure.known import Known
+from napari_deltamic.measure.measurements import Measurements, measure
 from napari_deltamic.measure.ridge import RidgeDistance, ridge_distance
 from napari_deltamic.measure.section import section
 from napari_deltamic.measure.surface_distance import (
@@ -10,16 +12,32 @@ from napari_deltamic.measure.surface_distance import (
     distance_to_surface,
     surface_distance,
 )
+from napari_deltamic.measure.table import Column, Table
+from napari_deltamic.measure.tensions import (
+    Estimate,
+    TensionSettings,
+    relative_pressures,
+    relative_tensions,
+)
 
 __all__ = [
+    "Column",
+    "Estimate",
     "ImageSimilarity",
     "Junction",
+    "Known",
+    "Measurements",
     "RidgeDistance",
     "SurfaceDistance",
+    "Table",
+    "TensionSettings",
     "distance_to_surface",
     "image_similarity",
     "junction_angles",
+    "measure",
     "measure_cells",
+    "relative_pressures",
+    "relative_tensions",
     "ridge_distance",
     "section",
     "surface_distance",

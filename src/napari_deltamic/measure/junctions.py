@@ -13,7 +13,7 @@ from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
 _REACH = 5.0  # median edges of the mesh: how far into a wall its shape is looked at
 _STRIP = 0.75  # median edges to either side along the junction
 _LINE = 2.0  # median edges: over which the direction of a junction is averaged
-_FEWEST = 6  # points to draw a parabola through
+_FEWEST = 6  # points to draw an arc through
 
 
 @dataclass(frozen=True)
@@ -26,18 +26,45 @@ class Junction:
     angles : (3,) degrees: the opening of each region at the junction; the mean along it.
     spread : (3,) degrees: standard deviation along the junction.
     length : um, of the part whose angles could be measured.
+    correlation : um along it, over which angles are read from the same triangles.
     """
 
     regions: tuple[int, int, int]
     angles: FloatArray
     spread: FloatArray
     length: float
+    correlation: float
+
+    def errors(self, resolution: float = 0.0) -> FloatArray:
+        """(3,) degrees: standard errors of the mean angles.
+
+        Angles count once for each stretch over which they are independent: of the triangles that
+        they are read from, or of the image's resolution, um, whichever is longer. They really vary
+        along some junctions; the spread holds that too.
+        """
+        stretches = max(1.0, self.length / max(self.correlation, resolution))
+        found: FloatArray = self.spread / np.sqrt(stretches)
+        return found
 
 
-def junction_angles(mesh: Mesh, reach: float | None = None) -> list[Junction]:
+def junction_lengths(mesh: Mesh) -> dict[tuple[int, int, int], float]:
+    """um: the whole length along which three regions meet, by their numbers, increasing."""
+    ends = mesh.vertices_numpy()[mesh.edges()]
+    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    edges, triples = _junction_edges(mesh)
+    if not len(edges):
+        return {}
+    found, index = np.unique(triples, axis=0, return_inverse=True)
+    sums = np.bincount(index.reshape(-1), lengths[edges])
+    return {(a, b, c): s for (a, b, c), s in zip(found.tolist(), sums.tolist(), strict=True)}
+
+
+def junction_angles(
+    mesh: Mesh, reach: float | None = None, within: FloatArray | None = None
+) -> list[Junction]:
     """The angles between the walls along each junction of three regions.
 
-    Across every edge in which three walls meet, a parabola is drawn through each wall, out to
+    Across every edge in which three walls meet, an arc is drawn through each wall, out to
     ``reach``, and its tangent taken at the edge. The triangles beside the edge alone would be off
     by half the angle that they span on a curved wall, and by more where vertices are noisy: a tenth
     of a voxel over three voxels is two degrees.
@@ -46,6 +73,8 @@ def junction_angles(mesh: Mesh, reach: float | None = None) -> list[Junction]:
     ----------
     mesh : closed regions that share walls, um.
     reach : um; how far into a wall its shape is looked at. By default five edges of the mesh.
+    within : (2, 3) um, lowest and highest corner of a box: what is nearer to its sides than the
+        reach is left out. Faces that close a cell at the border of an image are no membranes.
 
     Returns
     -------
@@ -62,6 +91,10 @@ def junction_angles(mesh: Mesh, reach: float | None = None) -> list[Junction]:
     if not reach > 0:
         raise InputError(f"the reach of junction angles must be positive (um), not {reach}")
     edges, triples = _junction_edges(mesh)
+    if within is not None and len(edges):
+        middle = ends[edges].mean(1)
+        far = ((middle > within[0] + reach) & (middle < within[1] - reach)).all(1)
+        edges, triples = edges[far], triples[far]
     if not len(edges):
         return []
     walls = _Walls(mesh, reach, _STRIP * edge)
@@ -79,7 +112,7 @@ def junction_angles(mesh: Mesh, reach: float | None = None) -> list[Junction]:
         mean = weight @ openings[known]
         spread = np.sqrt(weight @ (openings[known] - mean) ** 2)
         a, b, c = (int(r) for r in triple)
-        found.append(Junction((a, b, c), mean, spread, float(length.sum())))
+        found.append(Junction((a, b, c), mean, spread, float(length.sum()), 2 * _STRIP * edge))
     return found
 
 
@@ -154,15 +187,21 @@ def _openings(walls: _Walls, middle: FloatArray, along: FloatArray, triple: IntA
 def _tangent(points: FloatArray) -> FloatArray | None:
     """Direction in which a curve through points (N, 2) leaves the origin, to the side of them.
 
-    A parabola over the chord: linear in the points, so that their noise does not bend it.
+    A parabola over the chord: linear in the points, so that their noise does not bend it. To it
+    comes the next term of a circle of that curvature, ``a^3 s^4``: without it the tangent of an arc
+    of a radian would be off by half a degree.
     """
     mean = points.mean(0)
     chord = np.linalg.svd(points - mean, full_matrices=False)[2]
     chord = chord * np.where(chord[:1] @ mean > 0, 1.0, -1.0)
     s, h = (points @ chord.T).T
-    powers = np.vander(s, 3)
-    (_, b, _), _, rank, _ = np.linalg.lstsq(powers, h, rcond=None)
-    if rank < 3:
-        return None
-    tangent: FloatArray = chord[0] + b * chord[1]
+    middle = (s.min() + s.max()) / 2
+    s, start = s - middle, -middle
+    powers, bend = np.vander(s, 3), 0.0
+    for _ in range(3):
+        (bend, slope, _), _, rank, _ = np.linalg.lstsq(powers, h - bend**3 * s**4, rcond=None)
+        if rank < 3:
+            return None
+    slope += 2 * bend * start + 4 * bend**3 * start**3
+    tangent: FloatArray = chord[0] + slope * chord[1]
     return tangent

@@ -1,0 +1,153 @@
+"""The tables of walls and of junctions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from napari_deltamic.geometry.mesh import OUTSIDE, Mesh
+from napari_deltamic.measure.discrete_curvature import WallCurvature
+from napari_deltamic.measure.junctions import Junction, junction_lengths
+from napari_deltamic.measure.known import Known, area_gradient
+from napari_deltamic.measure.table import Column, Table, Value, notes, table_of
+from napari_deltamic.measure.tensions import Estimate, Pair
+
+WALL_COLUMNS = (
+    Column("region_a", "", "one of its two cells: that of the larger number"),
+    Column("region_b", "", "the other one; 0 is the outside"),
+    Column("area_um2", "um^2", "of the wall; of one of its two membranes where cells touch"),
+    Column("area_se_um2", "um^2", "standard error of the area, from the fit"),
+    Column("share_of_a", "", "this area over the whole area of region_a"),
+    Column("share_of_b", "", "the same for region_b; empty for the outside"),
+    Column("centroid_z_um", "um", "centre of the area"),
+    Column("centroid_y_um", "um", "centre of the area"),
+    Column("centroid_x_um", "um", "centre of the area"),
+    Column("junction_length_um", "um", "length of the junctions along its rim"),
+    Column(
+        "mean_curvature_per_um",
+        "1/um",
+        "average of (k1 + k2) / 2 inside the wall, by cotangents; positive where it bulges out of "
+        "region_a",
+    ),
+    Column(
+        "gaussian_curvature_per_um2",
+        "1/um^2",
+        "average of k1 k2 inside the wall: sum over its inner vertices of 2 pi minus their angles, "
+        "over their area",
+    ),
+    Column(
+        "density",
+        "",
+        "mean density of a membrane in it, relative to that of all membranes, by area",
+    ),
+    Column("tension", "", "by Young and Dupre at its junctions; 1 is the mean of its cluster"),
+    Column("tension_se", "", "standard error of the tension"),
+    Column("n_faces", "", "triangles of the wall"),
+    Column("note", "", "why cells of this row are empty, and what to mind"),
+)
+
+JUNCTION_COLUMNS = (
+    Column("region_a", "", "the lowest of its three regions; 0 is the outside"),
+    Column("region_b", "", "the middle one"),
+    Column("region_c", "", "the highest one"),
+    Column("length_um", "um", "along which the three meet"),
+    Column("measured_length_um", "um", "of the part whose angles could be measured"),
+    Column("angle_a_deg", "degrees", "opening of region_a, mean along the junction"),
+    Column("angle_b_deg", "degrees", "opening of region_b"),
+    Column("angle_c_deg", "degrees", "opening of region_c; the three make 360"),
+    Column("angle_a_se_deg", "degrees", "standard error of the mean, from the scatter along it"),
+    Column("angle_b_se_deg", "degrees", "the same for region_b"),
+    Column("angle_c_se_deg", "degrees", "the same for region_c"),
+    Column("note", "", "why cells of this row are empty, and what to mind"),
+)
+
+
+def walls_table(
+    mesh: Mesh, known: Known, curvature: WallCurvature, tensions: Mapping[Pair, Estimate]
+) -> Table:
+    """One row for each wall, by its two regions."""
+    pairs, wall = mesh.interfaces()
+    areas, n = mesh.areas(), len(pairs)
+    total = np.bincount(wall, areas, n)
+    middles = mesh.vertices_numpy()[mesh.faces].mean(1)
+    centres = np.stack([np.bincount(wall, areas * c, n) for c in middles.T], 1)
+    of_cell: dict[int, float] = {}
+    for (a, b), area in zip(pairs.tolist(), total.tolist(), strict=True):
+        of_cell[a] = of_cell.get(a, 0.0) + area
+        of_cell[b] = of_cell.get(b, 0.0) + area
+    rims = _rims(mesh)
+    density = _densities(mesh, known)
+    faces = np.bincount(wall, minlength=n)
+    rows: list[dict[str, Value]] = []
+    for k, (a, b) in enumerate(pairs.tolist()):
+        area = float(total[k])
+        tension = tensions.get((a, b), Estimate())
+        centre = centres[k] / area if area > 0 else np.full(3, np.nan)
+        row: dict[str, Value] = {
+            "region_a": a,
+            "region_b": b,
+            "area_um2": area,
+            "area_se_um2": known.error(lambda k=k: area_gradient(mesh, wall == k)),  # type: ignore[misc]
+            "share_of_a": area / of_cell[a] if area > 0 else None,
+            "share_of_b": area / of_cell[b] if area > 0 and b != OUTSIDE else None,
+            "junction_length_um": rims.get((a, b), 0.0),
+            "mean_curvature_per_um": float(curvature.mean[k]),
+            "gaussian_curvature_per_um2": float(curvature.gaussian[k]),
+            "density": None if density is None else float(density[k]),
+            "tension": tension.value,
+            "tension_se": tension.error,
+            "n_faces": int(faces[k]),
+            "note": notes(
+                "" if area > 0 else "it has no area",
+                "" if curvature.inside[k] else "no curvature: no vertex lies inside the wall",
+                f"no tension: {tension.reason}" if tension.reason else "",
+            ),
+        }
+        row |= {f"centroid_{x}_um": float(c) for x, c in zip("zyx", centre, strict=True)}
+        rows.append(row)
+    return table_of("walls", WALL_COLUMNS, rows)
+
+
+def junctions_table(mesh: Mesh, known: Known, junctions: Sequence[Junction]) -> Table:
+    """One row for every three regions that meet along edges, by their numbers."""
+    measured = {junction.regions: junction for junction in junctions}
+    rows: list[dict[str, Value]] = []
+    for regions, length in junction_lengths(mesh).items():
+        names = [f"region_{x}" for x in "abc"]
+        row: dict[str, Value] = dict(zip(names, regions, strict=True))
+        row |= {"length_um": length, "measured_length_um": 0.0, "note": ""}
+        junction = measured.get(regions)
+        if junction is None:
+            row["note"] = "no angles: its walls are too small, or at the border of the image"
+        else:
+            row["measured_length_um"] = junction.length
+            errors = junction.errors(known.resolution)
+            for name, angle, error in zip("abc", junction.angles, errors, strict=True):
+                row[f"angle_{name}_deg"] = float(angle)
+                row[f"angle_{name}_se_deg"] = float(error)
+        rows.append(row)
+    return table_of("junctions", JUNCTION_COLUMNS, rows)
+
+
+def _rims(mesh: Mesh) -> dict[Pair, float]:
+    """um: the length of the junctions along each wall."""
+    found: dict[Pair, float] = {}
+    for (a, b, c), length in junction_lengths(mesh).items():
+        for pair in ((b, a), (c, b), (c, a)):
+            found[pair] = found.get(pair, 0.0) + length
+    return found
+
+
+def _densities(mesh: Mesh, known: Known) -> np.ndarray | None:
+    """(W,) relative to the mean over all membranes; NaN for walls without area."""
+    if known.density is None:
+        return None
+    pairs, wall = mesh.interfaces()
+    areas = mesh.areas()
+    light = areas * known.density
+    membranes = mesh.membranes()
+    mean = float((light * membranes).sum() / (areas * membranes).sum())
+    sums = np.bincount(wall, light, len(pairs))
+    whole = np.bincount(wall, areas, len(pairs)) * mean
+    return np.divide(sums, whole, out=np.full(len(pairs), np.nan), where=whole > 0)

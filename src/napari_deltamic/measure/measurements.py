@@ -1,0 +1,71 @@
+"""Everything that is measured on a mesh: tables of cells, walls and junctions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from napari_deltamic.geometry.mesh import Mesh
+from napari_deltamic.measure.all_cells import cells_table
+from napari_deltamic.measure.all_walls import junctions_table, walls_table
+from napari_deltamic.measure.discrete_curvature import wall_curvature
+from napari_deltamic.measure.junctions import junction_angles
+from napari_deltamic.measure.known import Known
+from napari_deltamic.measure.sides import Sides
+from napari_deltamic.measure.table import Table
+from napari_deltamic.measure.tensions import (
+    TensionSettings,
+    relative_pressures,
+    relative_tensions,
+)
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """Three tables, of which every row is a number, a word, or empty with a note that says why."""
+
+    cells: Table
+    walls: Table
+    junctions: Table
+
+    @property
+    def tables(self) -> tuple[Table, Table, Table]:
+        """All of them."""
+        return self.cells, self.walls, self.junctions
+
+
+def measure(
+    mesh: Mesh, known: Known | None = None, settings: TensionSettings | None = None
+) -> Measurements:
+    """Measure cells, walls and junctions of a mesh.
+
+    Parameters
+    ----------
+    mesh
+        um; open surfaces, cut cells and tiny walls are measured as far as they can be.
+    known
+        The image's grid, densities, resolution and errors, where there are any.
+    settings
+        Of the tensions.
+
+    Raises
+    ------
+    InputError
+        If the densities are not one finite number for each face.
+    """
+    known = (known or Known()).checked(mesh)
+    sides, curvature = Sides.of(mesh), wall_curvature(mesh)
+    pairs = [(a, b) for a, b in mesh.interfaces()[0].tolist()]
+    junctions = junction_angles(mesh, within=known.border())
+    tensions = relative_tensions(junctions, pairs, known.resolution, settings)
+    walls = walls_table(mesh, known, curvature, tensions)
+    # Those of walls without area are of no use, and without meaning.
+    bends = dict(zip(pairs, curvature.mean.tolist(), strict=True))
+    areas = {
+        pair: area
+        for pair, area in zip(pairs, walls.values("area_um2"), strict=True)
+        if isinstance(area, float)
+    }
+    pressures = relative_pressures(tensions, bends, areas, sides.cells.tolist())
+    return Measurements(
+        cells_table(sides, known, pressures), walls, junctions_table(mesh, known, junctions)
+    )

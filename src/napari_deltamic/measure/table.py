@@ -1,0 +1,85 @@
+"""Tables of measurements: columns that say what they hold, rows without NaN."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite
+
+Value = int | float | str | None
+Row = Mapping[str, Value]
+
+_DIGITS = ".9g"  # more than any of the numbers is worth; the same text on every machine
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a table.
+
+    name : with the unit at its end.
+    unit : "" for pure numbers, names and words.
+    meaning : what it is and how it is computed, in a line.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of numbers and words; None where there is no number, and then the note says why.
+
+    name : of the table: cells, walls or junctions.
+    columns : in the order in which they are written.
+    rows : one mapping each, with the names of the columns; no NaN.
+    """
+
+    name: str
+    columns: tuple[Column, ...]
+    rows: tuple[Row, ...]
+
+    def to_csv(self) -> str:
+        """The table as text: a header, empty cells for None, always the same for equal rows."""
+        return csv_text([c.name for c in self.columns], self.rows)
+
+    def values(self, name: str) -> list[Value]:
+        """One column, row by row."""
+        return [row[name] for row in self.rows]
+
+
+def table_of(name: str, columns: Sequence[Column], rows: Iterable[Row]) -> Table:
+    """A table whose rows have every column; what is not finite becomes None."""
+    names = [column.name for column in columns]
+    kept = tuple({key: _known(row.get(key)) for key in names} for row in rows)
+    return Table(name, tuple(columns), kept)
+
+
+def csv_text(names: Sequence[str], rows: Iterable[Mapping[str, Value]]) -> str:
+    """Rows as CSV, with a header; empty cells for what is None or not finite."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(names)
+    for row in rows:
+        writer.writerow([_shown(row[name]) for name in names])
+    return text.getvalue()
+
+
+def notes(*reasons: str) -> str:
+    """Reasons joined to one note, each once."""
+    return "; ".join(dict.fromkeys(reason for reason in reasons if reason))
+
+
+def _known(value: Value) -> Value:
+    return None if isinstance(value, float) and not isfinite(value) else value
+
+
+def _shown(value: Value) -> str:
+    value = _known(value)
+    if value is None:
+        return ""
+    if isinstance(value, float):
+        return format(value + 0.0, _DIGITS)  # no minus before a zero
+    return str(value)
