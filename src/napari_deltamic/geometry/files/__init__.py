@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +24,10 @@ from napari_deltamic.geometry.files.obj import read_obj, write_obj
 from napari_deltamic.geometry.files.raw import RawMesh
 from napari_deltamic.geometry.files.rec import read_rec, write_rec
 from napari_deltamic.geometry.files.vtk import read_vtk, write_vtk
-from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, IntArray, Mesh
+from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, Mesh
 from napari_deltamic.geometry.repair import counted, repair
+
+WITH_ATTRIBUTES = (".ply", ".vtk")
 
 
 def load_mesh(path: str | os.PathLike[str]) -> Mesh:
@@ -79,7 +81,11 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh:
     return mesh
 
 
-def save_mesh(mesh: Mesh, path: str | os.PathLike[str]) -> None:
+def save_mesh(
+    mesh: Mesh,
+    path: str | os.PathLike[str],
+    attributes: Mapping[str, FloatArray] | None = None,
+) -> None:
     """Write a mesh file, with positions x, y, z in um.
 
     Parameters
@@ -90,14 +96,22 @@ def save_mesh(mesh: Mesh, path: str | os.PathLike[str]) -> None:
         (as region_a and region_b of each face), .obj (as groups region_A_B) and .rec. STL and OFF
         cannot hold them, and STL keeps about 7 digits only; a mesh with regions other than (1, 0)
         gives a UserWarning there. The file appears whole or not at all.
+    attributes : (F,) each, by name
+        Numbers of the faces; .ply and .vtk files hold them.
 
     Raises
     ------
     InputError
-        Naming the file and the reason: unknown extension, or the file cannot be written.
+        Naming the file and the reason: unknown extension, no place for attributes, or the file
+        cannot be written.
     """
     path = Path(path)
     write = _by_extension(path, _WRITERS)
+    more = {}
+    if attributes:
+        if path.suffix.lower() not in WITH_ATTRIBUTES:
+            raise InputError(f"{path}: only {' and '.join(WITH_ATTRIBUTES)} files hold attributes")
+        more["attributes"] = attributes
     if path.suffix.lower() in (".stl", ".off"):
         pairs = mesh.interfaces()[0].tolist()
         if pairs != [[1, OUTSIDE]]:
@@ -108,7 +122,7 @@ def save_mesh(mesh: Mesh, path: str | os.PathLike[str]) -> None:
                 stacklevel=2,
             )
     xyz = np.ascontiguousarray(mesh.vertices_numpy()[:, ::-1])
-    write_atomically(path, write(xyz, mesh.faces, mesh.regions))
+    write_atomically(path, write(xyz, mesh.faces, mesh.regions, **more))
 
 
 def _remarks(mesh: Mesh) -> list[str]:
@@ -142,7 +156,7 @@ _READERS: dict[str, Callable[[bytes], RawMesh]] = {
     ".rec": read_rec,
     ".vtk": read_vtk,
 }
-_WRITERS: dict[str, Callable[[FloatArray, IntArray, IntArray], bytes]] = {
+_WRITERS: dict[str, Callable[..., bytes]] = {
     ".obj": write_obj,
     ".off": write_off,
     ".ply": write_ply,

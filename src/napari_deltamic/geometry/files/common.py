@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -47,19 +48,34 @@ def read_stl(data: bytes) -> RawMesh:
     return RawMesh(xyz, index.reshape(-1)[raw.faces])
 
 
-def write_ply(xyz: FloatArray, faces: IntArray, regions: IntArray) -> bytes:
-    """Binary, in double precision (trimesh writes floats: 7 digits)."""
+def write_ply(
+    xyz: FloatArray,
+    faces: IntArray,
+    regions: IntArray,
+    attributes: Mapping[str, FloatArray] | None = None,
+) -> bytes:
+    """Binary, in double precision (trimesh writes floats: 7 digits).
+
+    Attributes (F,) are further properties of the faces.
+    """
     # The format has no larger integers.
     name, kind = ("double", "<f8") if regions.max() > _LARGEST else ("int", "<i4")
+    more = attributes or {}
     header = (
         "ply\nformat binary_little_endian 1.0\ncomment positions in um\n"
         f"element vertex {len(xyz)}\n"
         "property double x\nproperty double y\nproperty double z\n"
         f"element face {len(faces)}\nproperty list uchar int vertex_indices\n"
-        f"property {name} region_a\nproperty {name} region_b\nend_header\n"
+        f"property {name} region_a\nproperty {name} region_b\n"
+        + "".join(f"property double {attribute}\n" for attribute in more)
+        + "end_header\n"
     )
-    table = np.empty(len(faces), [("n", "u1"), ("corners", "<i4", 3), ("regions", kind, 2)])
+    columns = [(attribute, "<f8") for attribute in more]
+    layout = [("n", "u1"), ("corners", "<i4", 3), ("regions", kind, 2), *columns]
+    table = np.empty(len(faces), layout)
     table["n"], table["corners"], table["regions"] = 3, faces, regions
+    for attribute, values in more.items():
+        table[attribute] = values
     return header.encode() + xyz.astype("<f8").tobytes() + table.tobytes()
 
 

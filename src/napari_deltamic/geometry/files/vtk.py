@@ -7,6 +7,7 @@ named by keywords, as text or big-endian binary. Read: POLYDATA and UNSTRUCTURED
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any
 
@@ -43,8 +44,13 @@ def read_vtk(data: bytes) -> RawMesh:
     return _Reader(data).mesh()
 
 
-def write_vtk(xyz: FloatArray, faces: IntArray, regions: IntArray) -> bytes:
-    """Binary POLYDATA in double precision."""
+def write_vtk(
+    xyz: FloatArray,
+    faces: IntArray,
+    regions: IntArray,
+    attributes: Mapping[str, FloatArray] | None = None,
+) -> bytes:
+    """Binary POLYDATA in double precision; attributes (F,) are further cell data."""
     cells = np.column_stack([np.full(len(faces), 3), faces])
     blocks = [
         b"# vtk DataFile Version 3.0\nmesh in um, x y z\nBINARY\nDATASET POLYDATA\n",
@@ -56,6 +62,9 @@ def write_vtk(xyz: FloatArray, faces: IntArray, regions: IntArray) -> bytes:
         kind, size = ("int", ">i4") if column.max() <= np.iinfo(np.int32).max else ("long", ">i8")
         blocks.append(f"SCALARS {name} {kind} 1\nLOOKUP_TABLE default\n".encode())
         blocks.append(column.astype(size).tobytes() + b"\n")
+    for name, values in (attributes or {}).items():
+        blocks.append(f"SCALARS {name} double 1\nLOOKUP_TABLE default\n".encode())
+        blocks.append(np.asarray(values).astype(">f8").tobytes() + b"\n")
     return b"".join(blocks)
 
 

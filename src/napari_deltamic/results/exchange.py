@@ -1,0 +1,99 @@
+"""Measured meshes for other tools: attributes of faces, cells apart, labels at any voxel size."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..geometry import Mesh
+from ..geometry.labels.voxels import voxel_labels
+from ..geometry.mesh import OUTSIDE, FloatArray
+from ..measure import Measurements, Table
+from ..measure.sides import Sides
+from ..scene import Grid
+
+_MARGIN = 2  # voxels around a mesh that comes without an image
+_MOST_VOXELS = 4_000_000_000  # a typing error in a voxel size should not fill the memory
+
+
+def wall_attributes(mesh: Mesh, measured: Measurements) -> dict[str, FloatArray]:
+    """Every number of the table of walls, (F,) each, for the faces of the mesh; NaN for none."""
+    _, wall = mesh.interfaces()
+    found = _numbers(measured.walls, ("region_a", "region_b"))
+    return {"wall": wall.astype(np.float64)} | {k: v[wall] for k, v in found.items()}
+
+
+def cells_apart(mesh: Mesh, measured: Measurements) -> tuple[Mesh, dict[str, FloatArray]]:
+    """Each cell as a closed surface of its own, and the numbers of its row for its faces.
+
+    Walls between two cells are there twice, and no vertex belongs to two cells: what tools expect
+    that know no shared walls.
+    """
+    sides = Sides.of(mesh)
+    corners = mesh.faces[sides.face]
+    corners = np.where(sides.sign[:, None] < 0, corners[:, ::-1], corners)
+    keys, index = np.unique(sides.cell[:, None] * len(mesh.vertices) + corners, return_inverse=True)
+    regions = np.column_stack([sides.cells[sides.cell], np.full(len(corners), OUTSIDE)])
+    vertices = mesh.vertices_numpy()[keys % len(mesh.vertices)]
+    numbers = _numbers(measured.cells, ("region",))
+    apart = Mesh(vertices, index.reshape(-1, 3), regions)
+    return apart, {name: values[sides.cell] for name, values in numbers.items()}
+
+
+def labels_grid(mesh: Mesh, voxel_size: tuple[float, float, float], image: Grid | None) -> Grid:
+    """Where the voxels of a label image lie.
+
+    With the grid of an image: the same block of space in other voxels. Without: around the mesh,
+    with voxel centres at whole multiples of the voxel size, from 0 on if the mesh begins there.
+
+    Raises
+    ------
+    InputError
+        For a voxel size that is not positive, or so small that the labels would be enormous.
+    """
+    size = np.asarray(Grid((1, 1, 1), voxel_size).voxel_size)
+    if image is not None:
+        side = np.asarray(image.voxel_size)
+        corner = np.asarray(image.origin) - side / 2
+        shape = np.maximum(1, np.rint(np.asarray(image.shape) * side / size))
+        origin = corner + size / 2
+    else:
+        low, high = mesh.bounds()
+        first = np.minimum(0, np.floor(low / size) - _MARGIN)
+        shape = np.ceil(high / size) + _MARGIN + 1 - first
+        origin = first * size
+    if shape.prod() > _MOST_VOXELS:
+        raise InputError(f"voxels of {tuple(size.tolist())} um are too small: {shape.prod():.3g}")
+    z, y, x = (int(n) for n in shape)
+    return Grid((z, y, x), voxel_size, tuple(origin.tolist()))
+
+
+def labels_of(mesh: Mesh, grid: Grid) -> NDArray[np.integer]:
+    """(Z, Y, X) the cell in which each voxel's centre lies; the smallest type that holds it.
+
+    Open cells have no inside, and are left out.
+    """
+    closed = [int(k) for k in mesh.region_ids() if mesh.is_closed(int(k))]
+    if not closed:
+        return np.zeros(grid.shape, np.uint16)
+    inside = np.isin(mesh.regions, closed)
+    kept = inside.any(1)
+    part = Mesh(mesh.vertices, mesh.faces[kept], np.where(inside, mesh.regions, OUTSIDE)[kept])
+    labels = voxel_labels(part, grid.shape, grid.voxel_size, grid.origin)
+    kind = np.uint16 if labels.max() < 2**16 else np.uint32
+    if labels.max() >= 2**32:
+        raise InputError(f"region {labels.max()} is too large a number for a label image")
+    return labels.astype(kind)
+
+
+def _numbers(table: Table, without: tuple[str, ...]) -> dict[str, FloatArray]:
+    """The columns of numbers that have any, (rows,) each; NaN for empty cells."""
+    found = {}
+    for column in table.columns:
+        values = table.values(column.name)
+        numbers = [v for v in values if isinstance(v, (int, float))]
+        words = any(isinstance(v, str) for v in values)
+        if column.name not in without and numbers and not words:
+            found[column.name] = np.array([np.nan if v is None else v for v in values], np.float64)
+    return found

@@ -1,0 +1,79 @@
+"""What measuring leaves on disk: tables, meshes with their numbers, labels."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from ..geometry import Mesh, save_mesh
+from ..images.stacks import write_image
+from ..measure import Measurements
+from ..scene import Grid
+from ..common.writing import make_folder, write_atomically, written_together
+from .exchange import cells_apart, labels_grid, labels_of, wall_attributes
+
+MEASURED = (
+    "cells.csv",
+    "walls.csv",
+    "junctions.csv",
+    "cells.vtk",
+    "cells.ply",
+    "walls.vtk",
+    "walls.ply",
+    "labels.ome.tif",
+)
+Triple = tuple[float, float, float]
+
+
+def write_measurements(
+    folder: str | os.PathLike[str],
+    mesh: Mesh,
+    measured: Measurements,
+    *,
+    grid: Grid | None = None,
+    voxel_size: Triple | None = None,
+) -> list[Path]:
+    """Write what was measured on a mesh; files of the same names are replaced, all or none.
+
+    ``cells.csv``, ``walls.csv`` and ``junctions.csv`` (units in the headers); ``cells.vtk`` and
+    ``cells.ply`` (every cell for itself) and ``walls.vtk`` and ``walls.ply`` (one mesh, walls
+    shared) with the numbers of their tables on each face; ``labels.ome.tif``, if a voxel size is
+    known.
+
+    Parameters
+    ----------
+    folder
+        Made if it is not there.
+    grid
+        Of the image; labels then fill the same block of space.
+    voxel_size
+        um, of the labels; by default that of the image.
+
+    Returns
+    -------
+    list of paths, in the order of ``MEASURED``.
+
+    Raises
+    ------
+    InputError
+        If the voxel size cannot be, or the folder or a file cannot be written.
+    """
+    folder = Path(folder)
+    size = voxel_size or (None if grid is None else grid.voxel_size)
+    place = None if size is None else labels_grid(mesh, size, grid)
+    make_folder(folder)
+    apart, of_cells = cells_apart(mesh, measured)
+    of_walls = wall_attributes(mesh, measured)
+    paths = []
+    with written_together(folder / "cells.csv"):
+        for table in measured.tables:
+            paths.append(folder / f"{table.name}.csv")
+            write_atomically(paths[-1], table.to_csv().encode())
+        for name, one, numbers in (("cells", apart, of_cells), ("walls", mesh, of_walls)):
+            for suffix in (".vtk", ".ply"):
+                paths.append(folder / f"{name}{suffix}")
+                save_mesh(one, paths[-1], numbers)
+        if place is not None:
+            paths.append(folder / "labels.ome.tif")
+            write_image(paths[-1], labels_of(mesh, place), place.voxel_size)
+    return paths
