@@ -8,10 +8,10 @@ from math import nan, pi
 
 import numpy as np
 
+from napari_deltamic.common.writing import write_atomically
 from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, Mesh
 from napari_deltamic.measure.sides import Sides
 from napari_deltamic.measure.table import csv_text
-from napari_deltamic.common.writing import write_atomically
 
 COLUMNS = (
     "region",

@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from ..common.writing import make_folder, write_atomically, written_together
 from ..geometry import Mesh, save_mesh
 from ..images.stacks import write_image
 from ..measure import Measurements
 from ..scene import Grid
-from ..common.writing import make_folder, write_atomically, written_together
 from .exchange import cells_apart, labels_grid, labels_of, wall_attributes
 
 MEASURED = (
