@@ -149,6 +149,7 @@ class _Run:
             seconds,
             warnings=self.notes.texts,
             further=self.further,
+            explained={c.region: c.explained for c in left.cells if c.explained is not None},
         )
         if self.residual:
             tif = self.folder / "residual.tif"

@@ -21,7 +21,8 @@ from ..fourier.devices import choose_device
 from ..fourier.native import threads
 from ..geometry import save_mesh
 from ..images.stacks import write_image
-from ..measure import measure_cells, write_csv
+from ..measure import measure
+from ..measure.of_fit import known_of
 from ..runs.settings import RunSettings
 from ..scene import Grid, Renderer
 from ..scene.effects import Effects
@@ -82,6 +83,7 @@ def write_results(
     *,
     warnings: Sequence[str] = (),
     further: Mapping[str, Any] | None = None,
+    explained: Mapping[int, float] | None = None,
 ) -> list[Path]:
     """Write everything that a fit found; files of the same names are replaced, all or none.
 
@@ -101,6 +103,7 @@ def write_results(
     seconds : s; how long the fit took.
     warnings : remarks that a reader of the report should see.
     further : sections of the report besides those that every fit has.
+    explained : for a region, the share of what varies around it that the fit explains.
 
     Returns
     -------
@@ -122,7 +125,8 @@ def write_results(
         save_mesh(state.mesh, ply)
         save_mesh(state.mesh, rec)
         write_image(tif, rendered, grid.voxel_size)
-        write_csv(measure_cells(state.mesh), csv)
+        cells = measure(state.mesh, known_of(state, grid, explained=explained)).cells
+        write_atomically(csv, cells.to_csv().encode())
         write_atomically(toml, settings.to_toml().encode())
         write_atomically(png, picture_png(image, rendered, state.mesh, grid))
         text = json.dumps(facts, indent=2, allow_nan=False) + "\n"

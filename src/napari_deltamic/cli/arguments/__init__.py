@@ -4,6 +4,6 @@ Nothing here loads the engine: ``--version``, ``--help`` and mistakes answer at 
 ``module``, which runs it, and ``check``, which raises InputError.
 """
 
-from . import accuracy, demo, doctor, effects, fit, render, simulate, track
+from . import accuracy, demo, doctor, effects, fit, measure, render, simulate, track
 
-COMMANDS = (fit, track, effects, render, simulate, accuracy, doctor, demo)
+COMMANDS = (fit, track, measure, effects, render, simulate, accuracy, doctor, demo)

@@ -1,0 +1,54 @@
+"""What ``measure`` takes."""
+
+from __future__ import annotations
+
+import argparse
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from ...errors import InputError
+from ..folders import check_folder
+from .common import TRIPLE, check_files
+
+PRECIOUS = ("cells.csv", "walls.csv", "junctions.csv", "measurements.html")
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command to the parser of all."""
+    parser = commands.add_parser(
+        "measure",
+        help="volumes, areas, curvatures, contacts, angles, tensions: tables and files",
+        description="Measure the cells, walls and junctions of a mesh. Writes cells.csv, "
+        "walls.csv, junctions.csv, cells and walls as .vtk and .ply with these numbers on every "
+        "face, and labels.ome.tif.",
+    )
+    add = parser.add_argument
+    add(
+        "source",
+        metavar="MESH_OR_SESSION",
+        help="mesh file (um), session (.deltamic), or the folder of a fit",
+    )
+    add("--image", metavar="FILE", help="that the mesh was fitted to: says what its border cuts")
+    add("--voxel-size", nargs=3, type=float, metavar=TRIPLE, help="um, of that image")
+    add(
+        "--label-voxel",
+        nargs=3,
+        type=float,
+        metavar=TRIPLE,
+        help="um, of the label image (default: as the image; without one there are no labels)",
+    )
+    add("--errors", action="store_true", help="also standard errors; of a session, and slow")
+    add("--overwrite", action="store_true", help="replace the results in DIR")
+    add("-o", "--output", required=True, metavar="DIR", help="folder for the results")
+    parser.set_defaults(module="measuring", check=_check)
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    check_files(arguments, "source", "image")
+    for name in ("voxel_size", "label_voxel"):
+        size = getattr(arguments, name)
+        if size is not None and not all(isfinite(d) and d > 0 for d in size):
+            option = name.replace("_", "-")
+            raise InputError(f"--{option} must be three positive numbers (um)")
+    check_folder(Path(arguments.output), PRECIOUS, overwrite=arguments.overwrite)

@@ -1,0 +1,202 @@
+"""What can be measured: a mesh file, a session, or the folder of a fit."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..common.choices import IMAGE_FILES
+from ..errors import InputError
+from ..evidence import analyse_residual
+from ..geometry import Mesh, load_mesh
+from ..images.stacks import read_image
+from ..measure import Known
+from ..measure.of_fit import deviation_of, known_of
+from ..runs.settings import RunSettings
+from ..scene import Grid
+from .session_file import EXTENSION, load_session
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Measurable:
+    """A mesh, and what is known besides.
+
+    name : of the file or folder.
+    grid, image : of what it was fitted to, where that is known.
+    rendered : (Z, Y, X) the image that the fit expects; None where it is not known.
+    facts : what to say of the fit: settings, verdict, versions; plain values.
+    remarks : what could not be found, a sentence each.
+    """
+
+    name: str
+    mesh: Mesh
+    known: Known
+    grid: Grid | None = None
+    image: NDArray[Any] | None = None
+    rendered: NDArray[Any] | None = None
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
+
+
+def measurable(
+    path: str | Path,
+    image: str | Path | None = None,
+    voxel_size: Triple | None = None,
+    errors: bool = False,
+) -> Measurable:
+    """Read what is to be measured.
+
+    Parameters
+    ----------
+    path
+        A mesh file, a session (.deltamic), or the folder that ``fit`` wrote.
+    image
+        That a mesh was fitted to, where the source does not hold it.
+    voxel_size
+        um, of that image, where its file does not say it.
+    errors
+        Whether standard errors are computed, which takes about as long as a fit. A session alone
+        holds what they need.
+
+    Raises
+    ------
+    InputError
+        If a file is missing or damaged, or holds nothing to measure.
+    """
+    path = Path(path)
+    if path.suffix.lower() == EXTENSION:
+        if image is not None:
+            raise InputError(f"{path.name} holds its image: leave out --image")
+        return _of_session(path, errors)
+    if errors:
+        raise InputError("standard errors need a session: save one in the window")
+    if path.is_dir():
+        return _of_folder(path, image, voxel_size)
+    mesh = load_mesh(path)
+    return _with_image(Measurable(path.name, mesh, Known()), image, voxel_size)
+
+
+def _with_image(
+    found: Measurable, image: str | Path | None, voxel_size: Triple | None
+) -> Measurable:
+    """With the grid of an image; the mesh counts from the centre of its first voxel."""
+    if image is None:
+        words = "no image: nothing is known of its border"
+        return Measurable(found.name, found.mesh, found.known, remarks=(*found.remarks, words))
+    pixels, stored = read_image(image)
+    size = voxel_size or stored
+    if size is None:
+        raise InputError(f"{Path(image).name} does not say its voxel size: give --voxel-size Z Y X")
+    z, y, x = pixels.shape
+    grid = Grid((z, y, x), size)
+    _check_near(found.mesh, grid)
+    return Measurable(found.name, found.mesh, Known(grid=grid), grid, pixels)
+
+
+def _of_folder(path: Path, image: str | Path | None, voxel_size: Triple | None) -> Measurable:
+    if not (path / "mesh.ply").is_file():
+        raise InputError(f"{path}: no folder of a fit: it holds no mesh.ply")
+    mesh = load_mesh(path / "mesh.ply")
+    plain = Measurable(path.name, mesh, Known())
+    if not (path / "run.toml").is_file():
+        return _with_image(plain, image, voxel_size)
+    settings = RunSettings.from_toml(path / "run.toml")
+    source = Path(image or settings.image)
+    if not source.is_file() or source.suffix.lower() not in IMAGE_FILES:
+        if image is not None:
+            raise InputError(f"{image}: there is no such file")
+        lost = f"the image {source} is not there any more"
+        return _with_image(Measurable(path.name, mesh, Known(), remarks=(lost,)), None, None)
+    pixels, _ = read_image(source)
+    z, y, x = pixels.shape
+    grid = Grid((z, y, x), voxel_size or settings.scene.voxel_size, settings.scene.origin)
+    _check_near(mesh, grid)
+    report = _report(path / "report.json")
+    rendered = None
+    if (path / "rendered.tif").is_file():
+        rendered, _ = read_image(path / "rendered.tif")
+        rendered = rendered if rendered.shape == pixels.shape else None
+    known = Known(
+        grid=grid,
+        resolution=_resolution(report.get("optics")),
+        explained=_explained(report.get("residual")),
+    )
+    return Measurable(path.name, mesh, known, grid, pixels, rendered, report)
+
+
+def _of_session(path: Path, errors: bool) -> Measurable:
+    session = load_session(path)
+    result, grid = session.result, session.image.grid
+    if result is None:
+        raise InputError(f"{path}: the session holds no result to measure")
+    state, pixels = result.state, session.image.pixels
+    explained, remarks = {}, []
+    try:
+        left = analyse_residual(pixels, grid, state, counted=result.counted)
+        explained = {c.region: c.explained for c in left.cells if c.explained is not None}
+    except InputError as error:
+        remarks.append(f"what the fit explains is not known: {error}")
+    deviation = deviation_of(pixels, grid, state, result.settings.fit) if errors else None
+    facts = {
+        "settings": result.settings.model_dump(mode="json"),
+        "message": result.message,
+        "converged": state.converged,
+        "iterations": state.iteration,
+        "seconds": result.seconds,
+        "optics": {"model": type(state.optics).__name__, "sigma_um": list(state.optics.sigma_um)},
+    }
+    return Measurable(
+        path.name,
+        state.mesh,
+        known_of(state, grid, explained=explained, deviation=deviation),
+        grid,
+        pixels,
+        state.rendered(),
+        facts,
+        tuple(remarks),
+    )
+
+
+def _check_near(mesh: Mesh, grid: Grid) -> None:
+    """InputError where mesh and image do not even touch: another image, or another unit."""
+    low, high = mesh.bounds()
+    first, last = grid.extent
+    if (high < first).any() or (low > last).any():
+        raise InputError("the mesh lies outside of the image: is it of this image, and in um?")
+
+
+def _report(path: Path) -> dict[str, Any]:
+    """What a fit said of itself; nothing where the file is missing or damaged."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _resolution(optics: Any) -> float:
+    sigma = optics.get("sigma_um") if isinstance(optics, dict) else None
+    try:
+        widths = np.asarray(sigma, np.float64)
+    except (TypeError, ValueError):
+        return 0.0
+    usable = widths.shape == (3,) and np.isfinite(widths).all() and (widths > 0).all()
+    return float(np.prod(widths) ** (1 / 3)) if usable else 0.0
+
+
+def _explained(residual: Any) -> dict[int, float]:
+    """Share explained around each cell, from a report."""
+    cells = residual.get("cells") if isinstance(residual, dict) else None
+    return {
+        int(cell["region"]): float(cell["explained"])
+        for cell in cells or ()
+        if isinstance(cell, dict) and cell.get("explained") is not None and "region" in cell
+    }

@@ -1,0 +1,152 @@
+"""``measure``: of meshes, sessions and folders of fits; what it refuses."""
+
+import csv
+
+import numpy as np
+import pytest
+from napari_deltamic.geometry.double_bubble import DoubleBubble
+
+import napari_deltamic as nd
+from napari_deltamic.geometry import Mesh, sphere
+from napari_deltamic.images.stacks import read_image, write_image
+from napari_deltamic.results.measured_files import MEASURED
+from napari_deltamic.results.report import History
+from napari_deltamic.results.session_file import SavedImage, SavedResult, Session, save_session
+from napari_deltamic.runs.settings import RunSettings, SceneSettings
+
+SIZE = (0.3, 0.2, 0.2)
+GRID = nd.Grid((20, 24, 24), SIZE)
+OPTICS = nd.GaussianPSF((0.36, 0.24, 0.24))
+
+
+def rows(path):
+    with path.open() as stream:
+        return list(csv.DictReader(stream))
+
+
+@pytest.fixture(scope="module")
+def bubble(tmp_path_factory):
+    path = tmp_path_factory.mktemp("mesh") / "bubble.rec"
+    nd.save_mesh(DoubleBubble(2.0, (1.0, 0.9, 1.2)).mesh(0.5).translated((5, 5, 5)), path)
+    return path
+
+
+@pytest.fixture
+def fitted(data, run, seen, tmp_path):
+    """The folder of a fit of one iteration, and its image."""
+    image = tmp_path / "cell.tif"
+    image.write_bytes((data / "cell.tif").read_bytes())
+    folder = tmp_path / "fitted"
+    code, _, err = run("fit", image, "--seeds", data / "start.ply", "-o", folder)
+    assert code == 0, err
+    return folder, image
+
+
+def test_a_mesh_without_an_image(bubble, run, tmp_path):
+    code, out, err = run("measure", bubble, "-o", tmp_path / "out")
+    assert code == 0, err
+    names = [name for name in MEASURED if name != "labels.ome.tif"]
+    assert out == [str(tmp_path / "out" / name) for name in names]
+    assert "no image" in err
+    one, two = rows(tmp_path / "out" / "cells.csv")
+    assert (one["neighbours"], two["neighbours"]) == ("2", "1")
+    assert one["cut_by_border"] == ""
+    assert len(rows(tmp_path / "out" / "walls.csv")) == 3
+    assert len(rows(tmp_path / "out" / "junctions.csv")) == 1
+
+
+def test_labels_at_a_voxel_size(bubble, run, tmp_path):
+    options = ("--label-voxel", 0.5, 0.25, 0.25)
+    code, out, _ = run("measure", bubble, *options, "-o", tmp_path / "out")
+    assert code == 0
+    labels, size = read_image(out[-1])
+    assert size == pytest.approx((0.5, 0.25, 0.25))
+    assert set(np.unique(labels)) == {0, 1, 2}
+
+
+def test_an_image_says_what_its_border_cuts(run, tmp_path):
+    both = Mesh.merge([sphere((2, 2, 2), 1.0), sphere((3, 2, 4.5), 1.0)])
+    nd.save_mesh(both, tmp_path / "both.ply")
+    write_image(tmp_path / "image.tif", np.ones(GRID.shape, np.float32), SIZE)
+    arguments = ("measure", tmp_path / "both.ply", "--image", tmp_path / "image.tif")
+    code, out, err = run(*arguments, "-o", tmp_path / "out")
+    assert code == 0, err
+    assert [row["cut_by_border"] for row in rows(tmp_path / "out" / "cells.csv")] == ["no", "yes"]
+    labels, size = read_image(out[-1])
+    assert labels.shape == GRID.shape
+    assert size == pytest.approx(SIZE)
+
+
+def test_the_folder_of_a_fit(fitted, run, tmp_path):
+    folder, image = fitted
+    fit_row = rows(folder / "measurements.csv")[0]
+    code, out, err = run("measure", folder, "-o", tmp_path / "out")
+    assert code == 0, err
+    assert out[-1].endswith("labels.ome.tif")
+    row = rows(tmp_path / "out" / "cells.csv")[0]
+    assert list(row) == list(fit_row)
+    for name in ("volume_um3", "sphericity", "handles", "cut_by_border", "explained"):
+        assert row[name] == fit_row[name] != "", name
+    image.unlink()
+    code, _, err = run("measure", folder, "-o", tmp_path / "again")
+    assert code == 0
+    assert "is not there any more" in err
+
+
+def test_a_session(data, run, tmp_path):
+    mesh = sphere((2.9, 2.3, 2.3), 1.1, edge_length=0.4)
+    bright = 400 / float(nd.render(mesh, GRID, OPTICS).max())
+    state = nd.FitState(
+        iteration=3, level=1, levels=1, mesh=mesh, optics=OPTICS, density=np.ones(len(mesh.faces)),
+        loss=0.5, amplitude=bright, background=100.0, blur=1.0,
+    )  # fmt: skip
+    settings = RunSettings(
+        image="", seeds="", scene=SceneSettings(voxel_size=SIZE, sigma=OPTICS.sigma_um)
+    )
+    pixels, _ = read_image(data / "cell.tif")
+    image = SavedImage("cell", pixels, SIZE, SIZE, (0.0,) * 3, ("um",) * 3)
+    whole = Session(settings, image, result=SavedResult(settings, state, History()))
+    save_session(tmp_path / "a.deltamic", whole)
+    code, _, err = run("measure", tmp_path / "a.deltamic", "--errors", "-o", tmp_path / "out")
+    assert code == 0, err
+    row = rows(tmp_path / "out" / "cells.csv")[0]
+    assert float(row["volume_um3"]) == pytest.approx(state.mesh.volumes()[1], rel=1e-8)
+    assert float(row["density"]) == pytest.approx(1)
+    assert 0.5 < float(row["explained"]) < 1
+    assert 0 < float(row["volume_se_um3"]) < 0.1 * float(row["volume_um3"])
+    assert row["cut_by_border"] == "no"
+    save_session(tmp_path / "b.deltamic", Session(settings, image))
+    code, _, err = run("measure", tmp_path / "b.deltamic", "-o", tmp_path / "none")
+    assert code == 2
+    assert "no result to measure" in err
+
+
+BAD = {
+    "missing": (("none.ply",), "there is no such file"),
+    "no mesh": (("image.tif",), "unknown mesh extension"),
+    "an empty folder": (("empty",), "holds no mesh.ply"),
+    "far away": (("far.ply", "--image", "image.tif"), "outside of the image"),
+    "image without sizes": (("ball.ply", "--image", "plain.npy"), "give --voxel-size"),
+    "voxels": (("ball.ply", "--label-voxel", 0, 1, 1), "--label-voxel must be three positive"),
+    "errors of a mesh": (("ball.ply", "--errors"), "need a session"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_what_cannot_be_measured(fails, tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty").mkdir()
+    nd.save_mesh(sphere((3, 2, 2), 1.0), "ball.ply")
+    nd.save_mesh(sphere((300, 2, 2), 1.0), "far.ply")
+    write_image("image.tif", np.ones(GRID.shape, np.float32), SIZE)
+    np.save("plain.npy", np.ones(GRID.shape, np.float32))
+    arguments, says = BAD[name]
+    assert says in fails("measure", *arguments, "-o", "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_tables_are_not_replaced_unasked(bubble, run, fails, tmp_path):
+    arguments = ("measure", bubble, "-o", tmp_path / "out")
+    assert run(*arguments)[0] == 0
+    assert "--overwrite" in fails(*arguments)
+    assert run(*arguments, "--overwrite")[0] == 0
