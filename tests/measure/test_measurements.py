@@ -3,6 +3,7 @@
 import csv
 import io
 from math import isfinite
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -241,3 +242,17 @@ def test_numbers_that_are_none_become_empty():
     table = table_of("t", [Column("a", "", ""), Column("b", "", "")], [{"a": float("inf")}])
     assert table.rows == ({"a": None, "b": None},)
     assert table.to_csv() == "a,b\n,\n"
+
+
+def test_the_docs_say_what_every_column_is():
+    page = Path(__file__).parents[2] / "docs" / "measurements.md"
+    if not page.exists():
+        pytest.skip("not in a source tree")
+    lines = page.read_text(encoding="utf-8").splitlines()
+    told = [line for line in lines if line.startswith("| `") and line.count("|") == 4]
+    wanted = [
+        f"| `{c.name}` | {c.unit} | {c.meaning} |"
+        for table in measure(box((0, 0, 0), 1)).tables
+        for c in table.columns
+    ]
+    assert told == wanted

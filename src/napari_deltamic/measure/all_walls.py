@@ -16,7 +16,7 @@ from napari_deltamic.measure.tensions import Estimate, Pair
 WALL_COLUMNS = (
     Column("region_a", "", "one of its two cells: that of the larger number"),
     Column("region_b", "", "the other one; 0 is the outside"),
-    Column("area_um2", "um^2", "of the wall; of one of its two membranes where cells touch"),
+    Column("area_um2", "um^2", "of the wall, once, also where it is two membranes"),
     Column("area_se_um2", "um^2", "standard error of the area, from the fit"),
     Column("share_of_a", "", "this area over the whole area of region_a"),
     Column("share_of_b", "", "the same for region_b; empty for the outside"),
