@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -112,3 +113,13 @@ def test_relative_imports_are_understood():
     path = PACKAGE / "fourier" / "plan.py"
     targets = set(imported("napari_deltamic.fourier.plan", path))
     assert {"napari_deltamic.errors", "napari_deltamic.fourier.band"} <= targets
+
+
+def test_no_two_files_have_the_same_name():
+    names = Counter(path.name for path in modules().values() if path.name != "__init__.py")
+    assert [name for name, count in names.items() if count > 1] == []
+
+
+def test_the_top_of_the_package_fits_a_screen():
+    entries = {path.name for path in PACKAGE.iterdir()} - {"__pycache__"}
+    assert len(entries) <= 24, sorted(entries)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from napari_deltamic import GaussianPSF, Grid, Mesh, fit, load_mesh, render
 from napari_deltamic.geometry import find_cells, mesh_from_labels
-from napari_deltamic.geometry.labels.edits import correct_labels, read_clicks_csv
+from napari_deltamic.geometry.labels.label_edits import correct_labels, read_clicks_csv
 from napari_deltamic.geometry.labels.voxels import voxel_labels
 from napari_deltamic.images.stacks import read_image
 from napari_deltamic.measure import ridge_distance

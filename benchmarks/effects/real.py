@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from napari_deltamic import FitState, GaussianPSF, Grid, Mesh, fit
 from napari_deltamic.evidence import Recommendation, analyse_residual, recommend
 from napari_deltamic.evidence.camera import camera_from_image
-from napari_deltamic.evidence.finding import Finding
+from napari_deltamic.evidence.estimate import Finding
 from napari_deltamic.evidence.first_sigma import first_sigma
 from napari_deltamic.evidence.slices import drift
 from napari_deltamic.fitting import counted_voxels

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from napari_deltamic.cli import fitting, main
+from napari_deltamic.cli import fit_command, main
 from napari_deltamic.common import writing
 
 # Where a run may be ended: after an iteration, with half a file written, before a file replaces
@@ -24,14 +24,14 @@ PLACES = ("iteration", "half", "replace", "replaced")
 def ended_at(place: str, here: Callable[[], None]) -> None:
     """Have a function called whenever the process comes to a place."""
     if place == "iteration":
-        fit = fitting.fit
+        fit = fit_command.fit
 
         def watched(*arguments: Any, **options: Any) -> Any:
             for state in fit(*arguments, **options):
                 yield state
                 here()
 
-        fitting.fit = watched  # type: ignore[assignment]
+        fit_command.fit = watched  # type: ignore[assignment]
     elif place == "half":
         written = writing._written
 
@@ -67,6 +67,6 @@ if __name__ == "__main__":
         if left == 0:
             os.kill(os.getpid(), getattr(signal, sys.argv[3]))
 
-    fitting.CHECKPOINT_EVERY = 0.0
+    fit_command.CHECKPOINT_EVERY = 0.0
     ended_at(sys.argv[1], _here)
     raise SystemExit(main(sys.argv[4:]))

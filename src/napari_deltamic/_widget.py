@@ -26,11 +26,11 @@ from .gui.results.selection import ClickSelection
 from .gui.results.session import Parts, capture, restore
 from .gui.results.session_bar import SessionBar
 from .gui.running.composition import Live, Panels
-from .gui.running.course import Snapshot
 from .gui.running.run_control import RunControl
 from .gui.running.run_panel import RunPanel
+from .gui.running.run_progress import Snapshot
 from .gui.running.worker import FitRun
-from .gui.seeding.seeds import Seeds
+from .gui.seeding.seed_kinds import Seeds
 from .gui.seeding.seeds_panel import SeedsPanel
 from .gui.tracking.control import TrackControl
 from .gui.tracking.panel import TrackPanel

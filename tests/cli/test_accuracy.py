@@ -19,7 +19,7 @@ SIGMA = ("--sigma", "0.36", "0.24", "0.24")
 @pytest.fixture(autouse=True)
 def known_costs(monkeypatch):
     """Costs that need no measuring, and nothing slow."""
-    monkeypatch.setattr("napari_deltamic.cli.accuracy.costs", lambda again: BUILT_IN)
+    monkeypatch.setattr("napari_deltamic.cli.accuracy_command.costs", lambda again: BUILT_IN)
     monkeypatch.setattr(cost, "_known", {})
 
 
@@ -61,7 +61,7 @@ def test_a_mesh(data, tmp_path, run):
 def test_it_says_what_was_measured_where_there_is_a_gpu_or_none(
     data, run, monkeypatch, lacks, says
 ):
-    monkeypatch.setattr("napari_deltamic.cli.accuracy.missing", lambda: lacks)
+    monkeypatch.setattr("napari_deltamic.cli.accuracy_command.missing", lambda: lacks)
     scene = (data / "start.ply", *SHAPE, *VOXELS, *SIGMA)
     code, out, err = run("accuracy", *scene, "--budget", "0.05")
     assert code == 0, err
@@ -86,7 +86,7 @@ def test_what_takes_too_long_is_told(data, run):
 
 
 def test_shape_error(data, tmp_path, run, monkeypatch):
-    from napari_deltamic.cli import accuracy as module
+    from napari_deltamic.cli import accuracy_command as module
 
     asked = {}
 
@@ -113,7 +113,7 @@ def test_shape_error(data, tmp_path, run, monkeypatch):
 
 
 def test_shape_error_of_an_image_is_at_its_noise(data, run, monkeypatch):
-    from napari_deltamic.cli import accuracy as module
+    from napari_deltamic.cli import accuracy_command as module
 
     asked = {}
 

@@ -21,7 +21,7 @@ CENTER = (2.9, 2.3, 2.3)
 VOXELS = ("--voxel-size", *map(str, SIZE))
 SIGMA = ("--sigma", "0.36", "0.24", "0.24")
 SHORT = ("--max-iterations", "4")
-FIT = "napari_deltamic.cli.fitting.fit"
+FIT = "napari_deltamic.cli.fit_command.fit"
 
 
 # What works -----------------------------------------------------------------------------------
@@ -198,7 +198,7 @@ def test_interrupt_before_the_first_iteration(data, tmp_path, run, monkeypatch):
 
 
 def test_checkpoints_while_it_runs(data, tmp_path, run, monkeypatch):
-    monkeypatch.setattr("napari_deltamic.cli.fitting.CHECKPOINT_EVERY", 0.0)
+    monkeypatch.setattr("napari_deltamic.cli.fit_command.CHECKPOINT_EVERY", 0.0)
     found = []
 
     def watched(*arguments, **options):
@@ -267,7 +267,7 @@ def test_doctor(run):
 
 
 def test_doctor_without_the_extension(run, monkeypatch):
-    monkeypatch.setattr("napari_deltamic.cli.doctor.native", lambda: None)
+    monkeypatch.setattr("napari_deltamic.cli.doctor_command.native", lambda: None)
     code, out, err = run("doctor")
     assert (code, err) == (0, "")
     assert any("the compiled extension is missing" in line for line in out)

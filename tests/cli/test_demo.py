@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from napari_deltamic.cli import demonstration, main
+from napari_deltamic.cli import demo_command, main
 from napari_deltamic.runs.settings import RunSettings
 
 
@@ -24,26 +24,26 @@ def test_it_fits_writes_and_says_how_good(tmp_path, capsys):
 
 
 def test_it_opens_a_window_only_where_there_is_a_display(monkeypatch):
-    monkeypatch.setattr(demonstration.sys, "platform", "linux")
+    monkeypatch.setattr(demo_command.sys, "platform", "linux")
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    assert not demonstration.has_display()
+    assert not demo_command.has_display()
     monkeypatch.setenv("DISPLAY", ":0")
-    assert demonstration.has_display()
+    assert demo_command.has_display()
 
 
 @pytest.fixture
 def shown(monkeypatch):
     """Which of the two ways a demonstration takes."""
     found = []
-    monkeypatch.setattr(demonstration, "dividing_cell_sample", lambda: None)
-    monkeypatch.setattr(demonstration, "has_display", lambda: True)
-    monkeypatch.setattr(demonstration, "run_headless", lambda sample, folder: found.append(folder))
+    monkeypatch.setattr(demo_command, "dividing_cell_sample", lambda: None)
+    monkeypatch.setattr(demo_command, "has_display", lambda: True)
+    monkeypatch.setattr(demo_command, "run_headless", lambda sample, folder: found.append(folder))
     return found
 
 
 def test_without_napari_it_says_so_and_writes(shown, monkeypatch, capsys, tmp_path):
-    monkeypatch.setattr(demonstration, "find_spec", lambda name: None)
+    monkeypatch.setattr(demo_command, "find_spec", lambda name: None)
     assert main(["demo", "-o", str(tmp_path)]) == 0
     assert shown == [tmp_path]
     assert "napari is not installed" in capsys.readouterr().err

@@ -17,7 +17,7 @@ from napari_deltamic.results.report import FILES
 
 SIGMA = ("--sigma", "0.36", "0.24", "0.24")
 SHORT = ("--max-iterations", "2")
-FIT = "napari_deltamic.cli.fitting.fit"
+FIT = "napari_deltamic.cli.fit_command.fit"
 
 
 @pytest.fixture
@@ -27,7 +27,7 @@ def command(data, tmp_path):
 
 def interrupted(monkeypatch, name, times=1):
     """Ctrl-C as soon as this function of the fit's command is called."""
-    module = importlib.import_module("napari_deltamic.cli.fitting")
+    module = importlib.import_module("napari_deltamic.cli.fit_command")
     original, calls = getattr(module, name), []
 
     def stopped(*arguments, **options):

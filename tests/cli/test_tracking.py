@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import napari_deltamic as nd
-from napari_deltamic.cli import tracking as command
+from napari_deltamic.cli import track_command as command
 from napari_deltamic.geometry import sphere
 from napari_deltamic.images.stacks import write_image
 from napari_deltamic.results.track_report import FILES, read_results

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from napari_deltamic import GaussianPSF, Grid, Mesh
-from napari_deltamic.evidence.model import ImageModel
+from napari_deltamic.evidence.fitted_scene import Scene
+from napari_deltamic.evidence.image_model import ImageModel
 from napari_deltamic.evidence.modes import shape_modes
-from napari_deltamic.evidence.scene import Scene
 from napari_deltamic.evidence.transforms import Transforms
 from napari_deltamic.geometry import sphere
 from napari_deltamic.scene import Renderer

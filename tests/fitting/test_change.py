@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from napari_deltamic import Change, GaussianPSF, Grid, InputError, Mesh, fit, render
-from napari_deltamic.fitting.upkeep import median_edge
+from napari_deltamic.fitting.triangle_quality import median_edge
 from napari_deltamic.geometry import remesh, sphere
 from napari_deltamic.runs.settings import FitSettings
 from synthetic import CENTER, GRID, OPTICS, RADIUS, VOXEL, apart, measured, start

@@ -6,7 +6,7 @@ import pytest
 from napari_deltamic import Change, Mesh, fit
 from napari_deltamic.fitting import collisions as module
 from napari_deltamic.fitting.collisions import CollisionGuard
-from napari_deltamic.fitting.upkeep import Upkeep
+from napari_deltamic.fitting.triangle_quality import Upkeep
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.remeshing import Remeshed, can_remesh
 from napari_deltamic.geometry.topology.crossings import crosses

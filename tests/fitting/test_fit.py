@@ -218,7 +218,8 @@ def test_ground_that_does_not_count_does_not_pull():
 
 
 def test_tells_of_a_leak_at_the_last_level_too(image, monkeypatch):
-    monkeypatch.setattr("napari_deltamic.fitting.health.GrowthAlarm.check", lambda *_: "it leaks")
+    alarm = "napari_deltamic.fitting.growth_alarm.GrowthAlarm.check"
+    monkeypatch.setattr(alarm, lambda *_: "it leaks")
     settings = FitSettings(levels=(1.0,), max_iterations=24)
     messages = [s.message for s in fit(image, GRID, start(1), OPTICS, settings=settings)]
     assert messages[9] == "it leaks"

@@ -8,8 +8,8 @@ from napari_deltamic import Mesh
 from napari_deltamic.geometry import bending as module
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.bending import BendingEnergy
+from napari_deltamic.geometry.compiled import native
 from napari_deltamic.geometry.foam import foam
-from napari_deltamic.geometry.native import native
 
 compiled = pytest.mark.skipif(native() is None, reason="the compiled extension is missing")
 BALL = sphere((0.3, 1.0, -2.0), 0.7, subdivisions=2)

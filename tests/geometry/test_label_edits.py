@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.labels.edits import (
+from napari_deltamic.geometry.labels.find_cells import find_cells
+from napari_deltamic.geometry.labels.label_edits import (
     Click,
     Corrector,
     correct_labels,
     read_clicks_csv,
     write_clicks_csv,
 )
-from napari_deltamic.geometry.labels.find_cells import find_cells
 from napari_deltamic.scene.samples import foam_sample
 
 SIZE = (0.4, 0.2, 0.2)

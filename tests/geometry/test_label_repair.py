@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.labels.repair import repair_labels
+from napari_deltamic.geometry.labels.label_repair import repair_labels
 
 
 def two_boxes(gap=0):

@@ -8,7 +8,7 @@ import pytest
 import napari_deltamic as nd
 from napari_deltamic.errors import InputError, RepairWarning
 from napari_deltamic.geometry import mesh_from_labels, sphere
-from napari_deltamic.geometry.labels.repair import label_boxes, repair_labels
+from napari_deltamic.geometry.labels.label_repair import label_boxes, repair_labels
 from napari_deltamic.geometry.labels.voxels import voxel_labels
 from napari_deltamic.geometry.remeshing import can_remesh
 from napari_deltamic.geometry.windings import fix_windings

@@ -18,7 +18,7 @@ from membranes import (
 )
 
 from napari_deltamic.errors import InputError, RepairWarning
-from napari_deltamic.geometry.seeds import labels_from_points
+from napari_deltamic.geometry.seed_points import labels_from_points
 
 
 @pytest.mark.parametrize("noise", [0.0, 30.0, 150.0])

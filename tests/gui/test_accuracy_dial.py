@@ -21,7 +21,7 @@ from napari_deltamic.gui.accuracy.accuracy_scene import Outlook
 from napari_deltamic.gui.accuracy.renewed_forecast import RenewedForecast
 from napari_deltamic.gui.results.command import command
 from napari_deltamic.gui.results.session import capture, restore
-from napari_deltamic.gui.running import course
+from napari_deltamic.gui.running import run_progress
 from napari_deltamic.runs.settings import NEAR_LEVELS, FitSettings
 
 from .conftest import CENTER, SHAPE, SIZE
@@ -297,7 +297,7 @@ def test_the_time_that_is_measured_is_that_of_the_fit(seeded, spin, monkeypatch)
 
 
 def test_time_that_a_fit_was_paused_does_not_count(seeded, spin, endless, monkeypatch):
-    monkeypatch.setattr(course, "FORECAST_EVERY", 0.01)
+    monkeypatch.setattr(run_progress, "FORECAST_EVERY", 0.01)
     elapsed = []
 
     def remaining(history, state, seconds=None):

@@ -8,7 +8,7 @@ import pytest
 
 from napari_deltamic.evidence import Evidence
 from napari_deltamic.evidence.camera import Camera
-from napari_deltamic.evidence.finding import Finding, unknown
+from napari_deltamic.evidence.estimate import Finding, unknown
 from napari_deltamic.gui.effects import effects_check
 from napari_deltamic.gui.effects.effects_panel import EffectsPanel
 from napari_deltamic.gui.panels.image_panel import ImagePanel

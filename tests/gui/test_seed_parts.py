@@ -14,7 +14,7 @@ from napari_deltamic.geometry import read_points_csv, sphere
 from napari_deltamic.gui.background import Background
 from napari_deltamic.gui.seeding.preview import SMALL, coarsening, coarser, find
 from napari_deltamic.gui.seeding.seed_checks import PointSet, in_one_sphere, of_engine, outside
-from napari_deltamic.gui.seeding.seeds import (
+from napari_deltamic.gui.seeding.seed_kinds import (
     LabelSeeds,
     MeshSeeds,
     MixedSeeds,

@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ..evidence.price import milliseconds
+from ..evidence.effect_cost import milliseconds
 from ..fitting.checks import FEWEST_VOXELS
 from ..fitting.default_accuracy import accuracy_for_image
 from ..fitting.level import LevelShape, level_shape

@@ -19,10 +19,10 @@ from ..images.stacks import VoxelSize, read_image
 from ..runs.settings import RunSettings, validated
 from ..scene import Grid
 from ..scene.effects import Effects
-from .arguments.fit import FIT_OPTIONS
+from .arguments.fit_arguments import FIT_OPTIONS
 from .messages import Notes
 from .optics_arguments import optics_values
-from .second_view import with_second_view
+from .second_view_input import with_second_view
 
 
 def gather(arguments: argparse.Namespace, notes: Notes) -> FitInput:

@@ -15,7 +15,7 @@ from ..runs.optics_settings import (
     optics_from_toml,
     optics_from_values,
 )
-from .arguments.common import TRIPLE, help_of
+from .arguments.argument_checks import TRIPLE, help_of
 
 if TYPE_CHECKING:
     from ..optics import Optics

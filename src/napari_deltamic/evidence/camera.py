@@ -16,7 +16,7 @@ from math import sqrt
 import numpy as np
 from scipy.ndimage import correlate1d, minimum_filter, uniform_filter
 
-from .finding import Finding, unknown
+from .estimate import Finding, unknown
 
 _SECOND = np.array([1.0, -2.0, 1.0]) / sqrt(6)  # along each axis: what it leaves of smooth parts is
 _SQUARES = _SECOND**2  # of sixth order; the mean with these weights is that of the noise it leaves

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.fft import rfftn
 from scipy.optimize import minimize
 
-from .finding import Finding, unknown
+from .estimate import Finding, unknown
 
 _RINGS = 48  # of wavenumbers, along z and in the plane
 _LARGEST_ERROR = 0.25  # relative

@@ -11,9 +11,9 @@ from ..fitting.state import FitState
 from ..scene import Grid
 from ..scene.effects import Effects
 from .bead import physical_errors
-from .model import ImageModel
+from .fitted_scene import FittedScene
+from .image_model import ImageModel
 from .modes import ShapeModes, shape_modes
-from .scene import Scene
 
 _ACCURACY = 1e-3
 _MODES = 64  # of the shape of a single cell
@@ -62,7 +62,7 @@ def psf_standard_errors(
     seen = spread.reshape(-1)[index]
     if not (seen > 0).all():
         raise InputError("the variance of the noise must be positive in every voxel that counts")
-    scene = Scene(
+    scene = FittedScene(
         state.mesh,
         state.optics,
         effects or Effects(),

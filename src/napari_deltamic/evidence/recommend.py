@@ -20,10 +20,10 @@ from ..scene.effects import Camera as CameraEffect
 from ..scene.effects import Effect, Effects, Missing, as_effects
 from .camera import Camera, camera_from_image, failed_slices
 from .candidates import chosen_candidates, points_inwards
-from .noise import voxel_variance
-from .price import Prices
-from .scene import Scene
+from .effect_cost import Prices
+from .fitted_scene import FittedScene
 from .search import Judged, Search
+from .voxel_variance import voxel_variance
 
 _MISFIT = 1.3  # of the variance of noise: worth a remark
 NEGLIGIBLE = 0.02  # voxels: an effect that moves the surface by less is not worth its price
@@ -83,7 +83,7 @@ class Recommendation:
     effects: Effects
     evidence: tuple[Evidence, ...]
     threshold: float
-    scene: Scene
+    scene: FittedScene
     camera: Camera
     remarks: tuple[str, ...] = ()
 

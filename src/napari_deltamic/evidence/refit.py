@@ -15,10 +15,10 @@ import torch
 from scipy.linalg import lu_factor, lu_solve
 
 from ..fitting.likelihood import solve_scale
-from .model import ImageModel, parameters_of, with_changed
+from .fitted_scene import FittedScene
+from .image_model import ImageModel, parameters_of, with_changed
 from .modes import ShapeModes
-from .noise import Variance
-from .scene import Scene
+from .voxel_variance import Variance
 
 _LARGEST_PSF = 0.15  # of one step, in the PSF's own numbers
 _PRIOR = 2.0  # widths of the PSF: standard deviation of what a mode may be
@@ -114,12 +114,12 @@ class Linearised:
 class _Surface:
     """Derivatives in the shape and the density, and where they were computed."""
 
-    scene: Scene
+    scene: FittedScene
     image: np.ndarray
     shape: np.ndarray
     density: np.ndarray
 
-    def hold_for(self, scene: Scene, image: np.ndarray, moved: float, changed: float) -> bool:
+    def hold_for(self, scene: FittedScene, image: np.ndarray, moved: float, changed: float) -> bool:
         """Whether the surface is within some widths of the PSF, the image within a share of it."""
         apart = self.scene.mesh.vertices_numpy() - scene.mesh.vertices_numpy()
         near = float(np.sqrt((apart**2).sum(1).mean())) <= moved * min(scene.optics.sigma_um)
@@ -159,7 +159,7 @@ class Refit:
         self.modes, self.fit_psf, self.density = modes, fit_psf, density
         self._held: _Surface | None = None
 
-    def _surface_columns(self, scene: Scene, image: np.ndarray, fresh: bool) -> _Surface:
+    def _surface_columns(self, scene: FittedScene, image: np.ndarray, fresh: bool) -> _Surface:
         """Derivatives in shape and density, by far the dearest: kept while little has changed."""
         held = self._held
         limits = _FRESH if fresh else _NEAR
@@ -169,7 +169,7 @@ class Refit:
             self._held = held = _Surface(scene, image, shape, density)
         return held
 
-    def linearised(self, scene: Scene, fresh: bool = True) -> Linearised:
+    def linearised(self, scene: FittedScene, fresh: bool = True) -> Linearised:
         """Derivatives and residual at a scene.
 
         Those of the surface may be taken from nearby: for a step from further away than where they
@@ -199,11 +199,11 @@ class Refit:
             prior,
         )
 
-    def loss(self, scene: Scene, root: np.ndarray) -> float:
+    def loss(self, scene: FittedScene, root: np.ndarray) -> float:
         """Weighted sum of squares, with given roots of the weights."""
         return float((((self.measured - self.model.expected(scene)) * root) ** 2).sum())
 
-    def step(self, scene: Scene, at: Linearised) -> tuple[Scene, float]:
+    def step(self, scene: FittedScene, at: Linearised) -> tuple[FittedScene, float]:
         """One Gauss-Newton step; and by what share it lowers the loss."""
         whole = at.solve(at.residual)
         k = at.modes + 2
@@ -222,7 +222,7 @@ class Refit:
             share /= 2
         return scene, 0.0
 
-    def _moved(self, scene: Scene, change: np.ndarray, at: Linearised) -> Scene:
+    def _moved(self, scene: FittedScene, change: np.ndarray, at: Linearised) -> FittedScene:
         k = at.modes
         vertices = self.modes.displaced(scene.mesh.vertices_numpy(), change[:k])
         optics = scene.optics
@@ -239,13 +239,13 @@ class Refit:
             background=scene.background + float(change[k + 1]),
         )
 
-    def _dimmed(self, scene: Scene, change: np.ndarray) -> np.ndarray | None:
+    def _dimmed(self, scene: FittedScene, change: np.ndarray) -> np.ndarray | None:
         if not len(change):
             return scene.density
         held = np.ones(len(scene.mesh.faces)) if scene.density is None else scene.density
         return np.asarray(held * np.exp(np.clip(change @ self.density, -1, 1)))
 
-    def settled(self, scene: Scene) -> tuple[Scene, Linearised]:
+    def settled(self, scene: FittedScene) -> tuple[FittedScene, Linearised]:
         """The scene after steps as long as they lower the loss, and its derivatives there."""
         at = self.linearised(scene, fresh=False)
         for _ in range(_MOST_STEPS):
@@ -259,7 +259,7 @@ class Refit:
                 at = at.with_residual((self.measured - expected) * at.root)
         return scene, self.linearised(scene)
 
-    def scaled(self, scene: Scene) -> Scene:
+    def scaled(self, scene: FittedScene) -> FittedScene:
         """The scene with the amplitude and background that suit it best."""
         rendered = self.model.rendered(scene)
         expected = self.model.measured(rendered, scene)

@@ -17,7 +17,7 @@ from ..fitting.state import FitState
 from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..scene import Grid
-from .noise import Variance, voxel_variance
+from .voxel_variance import Variance, voxel_variance
 
 _NEAR = 3.0  # widths of the PSF from a surface: what is its cell's
 _SPOT = 3.0  # standard deviations: what belongs to a spot

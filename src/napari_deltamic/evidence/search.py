@@ -13,13 +13,13 @@ from ..runs.settings import FitSettings
 from ..scene import Grid
 from ..scene.effects import Effect, Effects
 from .candidates import allowed, at_estimate, beyond_bounds, points_inwards, variants
-from .model import ImageModel, parameters_of
+from .crop import part_of
+from .fitted_scene import FittedScene
+from .image_model import ImageModel, parameters_of
 from .modes import density_fields, shape_modes
-from .noise import Variance
-from .part import part_of
 from .refit import Refit
-from .scene import Scene
 from .score import Score, block_sizes, score
+from .voxel_variance import Variance
 
 _ACCURACY = 1e-3  # of the images, or finer: small effects are judged by them
 _MOST_ROUNDS = 10
@@ -76,7 +76,7 @@ class Search:
         self.part = part = part_of(usable, grid, fitted.mesh, density, width)
         index = part.index
         self.blocks = block_sizes(index, part.grid.shape, width / np.asarray(grid.voxel_size))
-        scene = Scene(
+        scene = FittedScene(
             part.mesh,
             fitted.optics.detach(),
             effects,
@@ -96,7 +96,7 @@ class Search:
         self.threshold = sqrt(log(len(index)) + 2 * log(max(candidates, 1)))
         self._settle(scene)
 
-    def _settle(self, scene: Scene) -> None:
+    def _settle(self, scene: FittedScene) -> None:
         self.scene, self.at = self.refit.settled(self.refit.scaled(scene))
         self._judged: dict[str, Judged] = {}
 

@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter
 
 from ..fitting.likelihood import voxel_noise
 from .camera import mode
-from .finding import Finding, unknown
+from .estimate import Finding, unknown
 
 _BRIGHT = 0.02  # share of a slice's voxels that its structures are judged by
 _FEWEST = 6  # slices with structures

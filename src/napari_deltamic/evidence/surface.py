@@ -12,8 +12,8 @@ from torch import Tensor
 from ..geometry.mesh import Mesh
 from ..scene import Grid, Renderer
 from ..scene.effects.object_side import ObjectSide, Surfaces
+from .fitted_scene import FittedScene
 from .modes import ShapeModes
-from .scene import Scene
 
 _MOVE = 0.08  # of the PSF's width: a difference of shapes
 _ACCURACY = 1e-2  # derivatives in the shape are many and need not be better
@@ -35,7 +35,7 @@ class SurfaceColumns:
     """
 
     def __init__(
-        self, scene: Scene, grid: Grid, frame: Grid, index: np.ndarray, accuracy: float
+        self, scene: FittedScene, grid: Grid, frame: Grid, index: np.ndarray, accuracy: float
     ) -> None:
         self.scene, self.grid, self.frame, self.index = scene, grid, frame, index
         self.accuracy = max(accuracy, _ACCURACY)
@@ -110,7 +110,7 @@ def _alike(of_faces: np.ndarray) -> Iterator[tuple[np.ndarray, list[int]]]:
 class _Piece:
     """Some faces of a scene, and the piece of the grid that they are seen in."""
 
-    scene: Scene
+    scene: FittedScene
     box: tuple[slice, slice, slice]
     mesh: Mesh
     vertices: np.ndarray
@@ -176,7 +176,7 @@ class _Piece:
         return self.renderer.transform(torch.from_numpy(vertices), weight)
 
 
-def _contrast(scene: Scene, frame: Grid, renderer: Renderer) -> np.ndarray:
+def _contrast(scene: FittedScene, frame: Grid, renderer: Renderer) -> np.ndarray:
     """(F,) bulk density behind each face minus that in front of it, of the whole mesh."""
     mesh = scene.mesh
     side = ObjectSide(

@@ -12,7 +12,7 @@ from ..fourier.cuda.kept import Kept
 from ..scene import Renderer
 from ..scene.effects import Effects, FaceEffect
 from ..scene.effects.object_side import ObjectSide, Surfaces, assembled
-from .scene import Scene
+from .fitted_scene import FittedScene
 
 _KEPT = 12  # parts; those of a scene and of its candidates are asked for again and again
 
@@ -27,7 +27,7 @@ class Transforms:
     def __init__(self) -> None:
         self._kept: Kept[tuple[Tensor, tuple[Any, ...]]] = Kept(_KEPT)
 
-    def of(self, renderer: Renderer, scene: Scene) -> Tensor:
+    def of(self, renderer: Renderer, scene: FittedScene) -> Tensor:
         """As :meth:`napari_deltamic.scene.Renderer.transform` of the scene's mesh and density."""
         effects = scene.effects
         whose = renderer.plan, scene.mesh, scene.density

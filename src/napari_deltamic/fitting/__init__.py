@@ -3,6 +3,6 @@
 from .change import Change
 from .fit import fit
 from .state import FitState
-from .territory import counted_voxels
+from .voxel_ownership import counted_voxels
 
 __all__ = ["Change", "FitState", "counted_voxels", "fit"]

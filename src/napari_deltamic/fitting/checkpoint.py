@@ -14,7 +14,7 @@ from ..common.reading import json_values, one_reason
 from ..errors import InputError
 from ..geometry.mesh import Mesh
 from ..scene.effects import Effects
-from .health import GrowthAlarm
+from .growth_alarm import GrowthAlarm
 from .lbfgs import Learnt
 from .schedule import Progress
 from .shape import Shape

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from ..geometry.compiled import native
 from ..geometry.mesh import Mesh
-from ..geometry.native import native
 from ..geometry.topology.crossings import CrossingWalls
-from .upkeep import median_edge
+from .triangle_quality import median_edge
 
 # As shares of the median edge:
 _LONG = 2.0  # longer steps are checked in parts, whose swept boxes overlap fewer others

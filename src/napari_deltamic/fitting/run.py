@@ -20,7 +20,7 @@ from .collisions import CollisionGuard
 from .convergence import Patches, Remaining
 from .density import LIMIT, Density
 from .descent import Descent
-from .health import GrowthAlarm, shrunken, told_shrunken, why_stuck
+from .growth_alarm import GrowthAlarm, shrunken, told_shrunken, why_stuck
 from .imaging import Imaging
 from .lbfgs import Learnt
 from .level import Level
@@ -33,7 +33,7 @@ from .schedule import Progress, Schedule
 from .shape import Shape
 from .state import FitState
 from .topology import BEYOND, SHARP, TRIAL, TRIAL_AT_MOST, TopologyPolicy, Trial, may_change
-from .upkeep import Upkeep, median_edge
+from .triangle_quality import Upkeep, median_edge
 from .variables import Variables
 
 _LEFT_OPEN = ("accuracy", "levels")  # settings that the software may fill in

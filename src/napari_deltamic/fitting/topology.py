@@ -14,7 +14,7 @@ from ..geometry.topology.small_pieces import small_pieces
 from ..geometry.topology.thin_places import ThinPlace, short_junctions, small_walls, thin_places
 from .local_misfit import Gap, Misfit
 from .shape import Shape
-from .upkeep import median_edge
+from .triangle_quality import median_edge
 
 # As shares of the median edge:
 _THIN = 0.25  # what is thinner may give way

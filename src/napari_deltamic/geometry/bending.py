@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
+from .compiled import native
 from .mesh import FloatArray, IntArray, Mesh
-from .native import native
 
 # Cotangents beyond these are of slivers, whose curvature says nothing of the surface.
 _LEAST, _LARGEST = -2.0, 4.0

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from napari_deltamic.errors import InputError
+from napari_deltamic.geometry.compiled import native
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
-from napari_deltamic.geometry.native import native
 from napari_deltamic.geometry.topology.crossings import crosses, crossings
 
 _TOUCH = 1e-6  # of the wanted length: surfaces as near to each other touch

@@ -13,9 +13,9 @@ from torch import Tensor
 
 from ..common.choices import Bead
 from ..errors import InputError
-from .model import Axes, ParametricPSF
+from .otf_table import l2_width
 from .parameters import Spec, check_unit
-from .table import l2_width
+from .parametric_psf import Axes, ParametricPSF
 
 _LEAST_VOXELS = 5
 _BORDER = 0.25  # of the peak: brighter at the border, and the stack does not hold the PSF

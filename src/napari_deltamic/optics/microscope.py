@@ -20,9 +20,9 @@ from .objective import (
     VectorialPSF,
     check_aperture,
 )
+from .otf_table import TablePSF
 from .parameters import Spec, check_unit
 from .pupil import PupilPSF
-from .table import TablePSF
 
 
 def microscope(

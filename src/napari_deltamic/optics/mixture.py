@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from ..errors import InputError
-from .model import Axes, ParametricPSF
 from .parameters import Spec, plain
+from .parametric_psf import Axes, ParametricPSF
 
 _MOST = 4
 _AXES = ("z", "y", "x")

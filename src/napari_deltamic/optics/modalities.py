@@ -11,8 +11,8 @@ from torch import Tensor
 from ..errors import InputError
 from .bessel import j0, jinc
 from .objective import ObjectivePSF
+from .otf_table import TAPER, Extent, RadialPSF, TablePSF, gauss_legendre, nodes_for
 from .parameters import Spec, plain
-from .table import TAPER, Extent, RadialPSF, TablePSF, gauss_legendre, nodes_for
 
 AIRY = 0.61  # radius of the Airy disc, in wavelength / NA
 _FWHM = 2.3548200450309493  # of a Gaussian, in sigma

@@ -16,8 +16,8 @@ from torch import Tensor
 
 from ..errors import InputError
 from .bessel import j0, j1, j2
+from .otf_table import TAPER, Extent, RadialPSF, gauss_legendre, nodes_for
 from .parameters import Spec, plain
-from .table import TAPER, Extent, RadialPSF, gauss_legendre, nodes_for
 
 _FOCAL_SHIFT = "its main effect is the scale of z, which no image can tell from the shape"
 _MICROSCOPE = "it is known from the objective; fit the depth or the coverslip instead"

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from .objective import APODISATION, INDEX, NA, WAVELENGTH, check_aperture
+from .otf_table import _DENSER, TAPER, Extent, TablePSF, gauss_legendre, l2_width, nodes_for, window
 from .parameters import Spec, plain
-from .table import _DENSER, TAPER, Extent, TablePSF, gauss_legendre, l2_width, nodes_for, window
 from .zernike import NAMES, check_noll, zernike
 
 # Of resolution: extents that hold most of a PSF, and the most across: the time that a PSF takes

@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from . import Optics
-from .model import Axes
+from .parametric_psf import Axes
 
 _WINDOW = 7.0  # of the largest width: what is shown
 _ROOM = 1.6  # of the window: what is computed, as the borders of a Fourier transform meet

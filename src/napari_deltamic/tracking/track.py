@@ -16,8 +16,8 @@ from ..errors import InputError
 from ..fitting.checks import check_mesh
 from ..fitting.fit import fit
 from ..fitting.state import FitState
-from ..fitting.territory import counted_voxels
-from ..fitting.upkeep import median_edge
+from ..fitting.triangle_quality import median_edge
+from ..fitting.voxel_ownership import counted_voxels
 from ..geometry.mesh import Mesh
 from ..geometry.remeshing import can_remesh, remesh, smallest_angles
 from ..geometry.topology.region_edits import divide_region, remove_region

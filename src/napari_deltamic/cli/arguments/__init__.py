@@ -4,6 +4,26 @@ Nothing here loads the engine: ``--version``, ``--help`` and mistakes answer at 
 ``module``, which runs it, and ``check``, which raises InputError.
 """
 
-from . import accuracy, demo, doctor, effects, fit, measure, render, simulate, track
+from . import (
+    accuracy_arguments,
+    demo_arguments,
+    doctor_arguments,
+    effects_arguments,
+    fit_arguments,
+    measure_arguments,
+    render_arguments,
+    simulate_arguments,
+    track_arguments,
+)
 
-COMMANDS = (fit, track, measure, effects, render, simulate, accuracy, doctor, demo)
+COMMANDS = (
+    fit_arguments,
+    track_arguments,
+    measure_arguments,
+    effects_arguments,
+    render_arguments,
+    simulate_arguments,
+    accuracy_arguments,
+    doctor_arguments,
+    demo_arguments,
+)

@@ -25,7 +25,7 @@ from napari_deltamic.geometry.files.raw import RawMesh
 from napari_deltamic.geometry.files.rec import read_rec, write_rec
 from napari_deltamic.geometry.files.vtk import read_vtk, write_vtk
 from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, Mesh
-from napari_deltamic.geometry.repair import counted, repair
+from napari_deltamic.geometry.mesh_repair import counted, repair
 
 WITH_ATTRIBUTES = (".ply", ".vtk")
 

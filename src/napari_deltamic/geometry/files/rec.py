@@ -14,7 +14,7 @@ import numpy as np
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.files.raw import RawMesh
 from napari_deltamic.geometry.mesh import FloatArray, IntArray
-from napari_deltamic.geometry.repair import counted
+from napari_deltamic.geometry.mesh_repair import counted
 
 _FACE = np.dtype([("corners", "<u8", 3), ("regions", "<i4", 2)])
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.files.raw import RawMesh
 from napari_deltamic.geometry.mesh import FloatArray, IntArray
-from napari_deltamic.geometry.repair import counted
+from napari_deltamic.geometry.mesh_repair import counted
 
 _TYPES = {
     "unsigned_char": "u1",

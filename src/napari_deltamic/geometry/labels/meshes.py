@@ -13,8 +13,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from napari_deltamic.errors import InputError, RepairWarning
+from napari_deltamic.geometry.labels.label_repair import repair_labels, share_out_gaps
 from napari_deltamic.geometry.labels.partition import TooCoarse, partition_mesh, with_volumes
-from napari_deltamic.geometry.labels.repair import repair_labels, share_out_gaps
 from napari_deltamic.geometry.labels.surface_nets import closed_surface
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
 from napari_deltamic.geometry.refused import told

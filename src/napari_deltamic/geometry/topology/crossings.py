@@ -6,8 +6,8 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from napari_deltamic.geometry.compiled import native
 from napari_deltamic.geometry.mesh import IntArray, Mesh
-from napari_deltamic.geometry.native import native
 
 
 def crossings(mesh: Mesh, near: float = 0.0) -> IntArray:

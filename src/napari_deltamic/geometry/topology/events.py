@@ -7,7 +7,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from napari_deltamic.geometry.mesh import OUTSIDE, Mesh
-from napari_deltamic.geometry.topology.part import Census
+from napari_deltamic.geometry.topology.submesh import Census
 from napari_deltamic.geometry.topology.thin_places import ThinPlace
 
 Shape = tuple[int, int]  # pieces of a surface, and its Euler characteristic

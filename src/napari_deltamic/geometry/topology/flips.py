@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
-from napari_deltamic.geometry.topology.part import Change, Part, stayed
+from napari_deltamic.geometry.topology.submesh import Change, Part, stayed
 from napari_deltamic.geometry.topology.thin_places import ThinPlace
 
 _Flip = Callable[[Mesh, ThinPlace, float], Change | None]

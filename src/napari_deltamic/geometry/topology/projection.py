@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from napari_deltamic.geometry.compiled import native
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
-from napari_deltamic.geometry.native import native
 from napari_deltamic.geometry.topology.region_sets import RegionSets, edge_sets, vertex_sets
 
 _REACH = 0.7  # edge lengths: what has no counterpart within is left where it is

@@ -15,7 +15,8 @@ import numpy as np
 from napari_deltamic.geometry.mesh import IntArray, Mesh
 from napari_deltamic.geometry.topology.events import Shapes, change_events, surface_shape
 from napari_deltamic.geometry.topology.flips import flipped
-from napari_deltamic.geometry.topology.part import (
+from napari_deltamic.geometry.topology.small_pieces import absorbed
+from napari_deltamic.geometry.topology.submesh import (
     Census,
     Change,
     Cutter,
@@ -26,7 +27,6 @@ from napari_deltamic.geometry.topology.part import (
     put_back,
     unchanged,
 )
-from napari_deltamic.geometry.topology.small_pieces import absorbed
 from napari_deltamic.geometry.topology.thin_places import ThinPlace
 from napari_deltamic.geometry.topology.thinning import thinned
 

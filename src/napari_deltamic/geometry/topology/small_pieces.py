@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_deltamic.geometry.compiled import native
 from napari_deltamic.geometry.mesh import OUTSIDE, IntArray, Mesh
-from napari_deltamic.geometry.native import native
-from napari_deltamic.geometry.topology.part import Change, Part
+from napari_deltamic.geometry.topology.submesh import Change, Part
 from napari_deltamic.geometry.topology.thin_places import ThinPlace
 
 

@@ -10,8 +10,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from napari_deltamic.geometry.compiled import native
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
-from napari_deltamic.geometry.native import native
 
 _ACROSS = 0.7  # cosine: the way to the other side runs along its normal
 _FACING = -0.5  # cosine: the two sides look away from each other

@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
-from napari_deltamic.geometry.topology.part import Change, Part
+from napari_deltamic.geometry.topology.submesh import Change, Part
 from napari_deltamic.geometry.topology.thin_places import ThinPlace
 
 Mask = NDArray[np.bool_]

@@ -16,7 +16,9 @@ from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
 from napari_deltamic.geometry.remeshing import remesh
 from napari_deltamic.geometry.topology.crossings import crossings
 from napari_deltamic.geometry.topology.events import untangled_events
-from napari_deltamic.geometry.topology.part import (
+from napari_deltamic.geometry.topology.projection import projected
+from napari_deltamic.geometry.topology.rearranging import Rearranged
+from napari_deltamic.geometry.topology.submesh import (
     Census,
     Change,
     Cutter,
@@ -24,8 +26,6 @@ from napari_deltamic.geometry.topology.part import (
     fits,
     put_back,
 )
-from napari_deltamic.geometry.topology.projection import projected
-from napari_deltamic.geometry.topology.rearranging import Rearranged
 
 _VOXELS, _NODES = 3.0, 2.0  # along an edge: of labels, and vertices of the new mesh
 _MOST_VOXELS = 30_000_000

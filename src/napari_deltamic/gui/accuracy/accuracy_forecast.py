@@ -17,8 +17,8 @@ from ...fourier.cost import costs
 from ..background import Background
 from ..qt import Signal
 from ..running.composition import Live, Panels
-from ..running.course import Snapshot
 from ..running.run_control import RunControl
+from ..running.run_progress import Snapshot
 from ..running.worker import FitRun
 from .accuracy_dial import accuracy_of, relative
 from .accuracy_scene import NoiseOf, Outlook, outlook, scene_now

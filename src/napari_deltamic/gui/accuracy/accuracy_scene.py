@@ -23,7 +23,7 @@ from ...optics import Optics
 from ...runs.settings import NEAR_LEVELS, FitSettings, SceneSettings
 from ...scene import Grid
 from ..running.composition import Live, Panels
-from ..seeding.seeds import at_time, seeds_from_layer
+from ..seeding.seed_kinds import at_time, seeds_from_layer
 from ..viewing.frame import FloatArray, Frame
 from .accuracy_dial import accuracy_of
 

@@ -11,7 +11,7 @@ from ..running.live_settings import LiveSettings
 from ..running.run_control import RunControl
 from .edits import Edits
 from .history import History
-from .sculpt import Sculptor
+from .sculpt_tool import Sculptor
 
 
 class Interaction(QObject):

@@ -15,7 +15,7 @@ from ...common.choices import MESH_FILES
 from ...images.stacks import write_image
 from ...runs.settings import NEAR_LEVELS, FitSettings, RunSettings
 from ...scene import Grid
-from ..seeding.seeds import Seeds
+from ..seeding.seed_kinds import Seeds
 
 _FLAGS = ("accuracy", "density", "likelihood", "max_iterations", "device")
 

@@ -15,7 +15,7 @@ from ...images.stacks import holds_image
 from ...runs.settings import RunSettings
 from ...scene import Grid
 from ..background import Background
-from ..seeding.seeds import Seeds
+from ..seeding.seed_kinds import Seeds
 from .command import command, needs_folder, with_files, with_second_file
 
 

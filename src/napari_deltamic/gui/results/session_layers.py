@@ -16,7 +16,7 @@ from ...geometry import Mesh
 from ...results.colouring import colour_indices
 from ...results.session_file import SavedImage, SavedLayer, SavedTracks
 from ..seeding.label_clicks import clicks_of, undo_arrays, with_undo
-from ..seeding.seeds import at_time
+from ..seeding.seed_kinds import at_time
 from ..viewing import own_layers
 from ..viewing.colours import LIMITS, region_colormap, side_values
 from ..viewing.frame import OWN, Frame, stack_of

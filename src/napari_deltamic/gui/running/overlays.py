@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 from qtpy.QtCore import QObject
 
-from ...evidence.noise import Variance, voxel_variance
 from ...evidence.residual import Residual, analyse_residual
+from ...evidence.voxel_variance import Variance, voxel_variance
 from ...fitting import FitState
 from ...fitting.checks import check_image
 from ...fitting.job import FitInput
 from ..background import Background
 from .composition import Live, Panels
-from .course import Snapshot
+from .run_progress import Snapshot
 
 
 @dataclass(frozen=True, eq=False)

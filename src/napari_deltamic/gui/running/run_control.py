@@ -24,12 +24,12 @@ from ...runs.settings import NEAR_LEVELS, RunSettings
 from ..attempt import attempt
 from ..editing.edits import Present, changed_by_hand
 from ..qt import Signal
-from ..seeding.seeds import Seeds
+from ..seeding.seed_kinds import Seeds
 from ..viewing.frame import Frame
 from ..viewing.viewer_link import ViewerLink
 from .composition import Live, Panels
-from .course import INTERVAL, Forecaster, Outcome, Snapshot
 from .overlays import Overlays
+from .run_progress import INTERVAL, Forecaster, Outcome, Snapshot
 from .waiting import usable
 from .worker import FitRun, expected
 

@@ -23,7 +23,7 @@ from ...scene.effects import Effects
 from ..accuracy.renewed_forecast import RenewedForecast
 from ..attempt import words_of
 from ..background import BackgroundRun, BackgroundSteps
-from .course import Clock, Course, Forecaster, Outcome, Snapshot, Verdict
+from .run_progress import Clock, Course, Forecaster, Outcome, Snapshot, Verdict
 from .waiting import usable
 
 

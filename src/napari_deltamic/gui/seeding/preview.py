@@ -15,7 +15,7 @@ from qtpy.QtWidgets import QCheckBox, QWidget
 from ...errors import InputError
 from ...geometry import Mesh
 from ...geometry.labels.meshes import EDGE_IN_VOXELS
-from ...geometry.seeds import surfaces_of_points
+from ...geometry.seed_points import surfaces_of_points
 from ...images.missing import filled
 from ...scene import Grid
 from ..attempt import attempt

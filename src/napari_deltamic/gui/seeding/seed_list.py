@@ -12,7 +12,7 @@ from ..connections import Connections
 from ..editing.pins import PINS
 from ..qt import Signal
 from ..viewing.frame import OWN, made_by_fit
-from .seeds import SEED_LAYERS
+from .seed_kinds import SEED_LAYERS
 
 _ROWS = 5  # shown at once, at most
 _HELP = {

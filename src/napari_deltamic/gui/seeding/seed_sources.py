@@ -11,7 +11,7 @@ from ...errors import InputError
 from ..viewing.frame import Frame, shape_of, stack_of
 from .preview import Problem, Wanted
 from .seed_checks import PointSet, Remark, all_remarks
-from .seeds import PointSeeds, Seeds, at_time, is_empty, mixed, seeds_from_layer, without_place
+from .seed_kinds import PointSeeds, Seeds, at_time, is_empty, mixed, seeds_from_layer, without_place
 
 
 class SeedSources:

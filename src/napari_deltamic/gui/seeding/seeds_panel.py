@@ -30,9 +30,9 @@ from .find_cells_panel import FindCells
 from .mesh_files import MeshFiles
 from .preview import Preview, Wanted
 from .remarks import Remarks
+from .seed_kinds import Seeds
 from .seed_list import SeedList
 from .seed_sources import SeedSources
-from .seeds import Seeds
 from .sphere_drawing import SphereDrawing
 
 _FOLLOW, _SPHERES = "membrane around each point", "sphere around each point"

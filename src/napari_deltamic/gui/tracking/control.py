@@ -19,7 +19,7 @@ from ...tracking import FrameResult, TrackSettings
 from ..attempt import attempt
 from ..running.composition import Live, Panels
 from ..running.run_control import RunControl
-from ..seeding.seeds import Seeds
+from ..seeding.seed_kinds import Seeds
 from ..viewing.frame import Frame
 from .layers import TrackLayers
 from .panel import TrackPanel

@@ -19,8 +19,8 @@ from torch import Tensor
 
 from ..errors import InputError
 from .bessel import j0
-from .model import Axes, ParametricPSF
 from .parameters import Spec
+from .parametric_psf import Axes, ParametricPSF
 
 Extent = tuple[float, float]
 # Of the extent: beyond it, the PSF falls to zero. A shorter one has side lobes that pass the band.

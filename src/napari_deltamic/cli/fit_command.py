@@ -20,7 +20,7 @@ from ..fitting import FitState, fit
 from ..fitting.job import FitInput, start
 from ..images.stacks import write_image
 from ..results.report import History, write_results
-from .arguments.fit import CHECKPOINT
+from .arguments.fit_arguments import CHECKPOINT
 from .inputs import gather
 from .messages import PROGRAM, Notes, failure, tell
 from .recommending import (
@@ -30,7 +30,7 @@ from .recommending import (
     verdict,
     with_recommended,
 )
-from .second_view import check_second_view
+from .second_view_input import check_second_view
 
 CHECKPOINT_EVERY = 5.0  # s
 

@@ -8,7 +8,7 @@ from typing import Any, get_args
 from ...common.choices import Bits, CellKind
 from ...errors import InputError
 from ..optics_arguments import add_grid_and_optics, optics_values
-from .common import check_files
+from .argument_checks import check_files
 
 _MOST = 100_000  # images of one set
 
@@ -58,7 +58,7 @@ def add_parser(commands: Any) -> None:
         metavar="DIR",
         help="folder for the results; with --count, a folder in it for each image",
     )
-    parser.set_defaults(module="simulating", check=_check)
+    parser.set_defaults(module="simulate_command", check=_check)
 
 
 def _check(arguments: argparse.Namespace) -> None:

@@ -13,4 +13,4 @@ def add_parser(commands: Any) -> None:
         description="Say what this machine offers, and what would be used and why.",
     )
     parser.add_argument("--json", action="store_true", help="the same as JSON")
-    parser.set_defaults(module="doctor")
+    parser.set_defaults(module="doctor_command")

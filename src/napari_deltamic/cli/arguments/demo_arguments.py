@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..folders import check_folder
-from .fit import PRECIOUS
+from .fit_arguments import PRECIOUS
 
 _OUTPUT = "demo-output"
 
@@ -30,7 +30,7 @@ def add_parser(commands: Any) -> None:
         metavar="DIR",
         help="where to write them (default: %(default)s, whose results are replaced)",
     )
-    parser.set_defaults(module="demonstration", check=_check)
+    parser.set_defaults(module="demo_command", check=_check)
 
 
 def _check(arguments: argparse.Namespace) -> None:

@@ -8,8 +8,8 @@ from typing import Any
 from ...errors import InputError
 from ...runs.fit_settings import validated
 from ...runs.track_settings import TrackSettings
-from .common import help_of
-from .fit import add_options, check_fit_options
+from .argument_checks import help_of
+from .fit_arguments import add_options, check_fit_options
 
 _OPTIONS = ("time_step", "divisions", "velocity")
 
@@ -42,7 +42,7 @@ def add_parser(commands: Any) -> None:
     add("--velocity", type=float, metavar="V", help=_help("velocity"))
     add("--resume", metavar="DIR", help="go on after the frames that a former run wrote to DIR")
     add_options(parser)
-    parser.set_defaults(module="tracking", check=_check)
+    parser.set_defaults(module="track_command", check=_check)
 
 
 def track_values(arguments: argparse.Namespace) -> dict[str, object]:

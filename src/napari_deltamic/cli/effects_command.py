@@ -14,7 +14,7 @@ from ..common.writing import write_atomically
 from ..evidence import Recommendation
 from ..evidence.camera import Camera
 from ..evidence.candidates import chosen_candidates
-from ..evidence.finding import Finding
+from ..evidence.estimate import Finding
 from ..evidence.first_sigma import first_sigma
 from ..evidence.slices import drift, fading
 from ..fitting.job import FitInput

@@ -6,8 +6,8 @@ import argparse
 from typing import Any
 
 from ...errors import InputError
-from .common import check_files
-from .fit import add_fit_options, check_fit_options
+from .argument_checks import check_files
+from .fit_arguments import add_fit_options, check_fit_options
 
 
 def add_parser(commands: Any) -> None:
@@ -23,7 +23,7 @@ def add_parser(commands: Any) -> None:
     add_fit_options(parser)
     add("--candidates", metavar="E", help="only these, with commas between")
     add("--json", metavar="FILE", help="write everything found as JSON; - for stdout")
-    parser.set_defaults(module="effects", check=_check)
+    parser.set_defaults(module="effects_command", check=_check)
 
 
 def _check(arguments: argparse.Namespace) -> None:

@@ -12,8 +12,8 @@ from torch import Tensor
 from ..fourier import Plan
 from ..scene import Grid, Renderer
 from ..scene.effects import Effect, Effects, OffsetEffect
+from .fitted_scene import FittedScene
 from .modes import ShapeModes
-from .scene import Scene
 from .surface import SurfaceColumns
 from .transforms import Transforms
 
@@ -30,12 +30,12 @@ class _Planned:
     renderer: Renderer
     width: np.ndarray
 
-    def holds_for(self, scene: Scene) -> bool:
+    def holds_for(self, scene: FittedScene) -> bool:
         """Whether neither its mesh has moved too far nor its PSF become too narrow."""
         wide = (np.asarray(scene.optics.width()) >= _NARROWED * self.width).all()
         return bool(wide) and self.renderer.holds_for(scene.mesh.vertices_numpy())
 
-    def pads_enough_for(self, scene: Scene) -> bool:
+    def pads_enough_for(self, scene: FittedScene) -> bool:
         """Whether no copy of the mesh is seen with its effects."""
         return self.renderer.pads_enough_for(scene.effects, scene.optics)
 
@@ -59,7 +59,7 @@ class ImageModel:
 
     def __init__(
         self,
-        scene: Scene,
+        scene: FittedScene,
         grid: Grid,
         index: np.ndarray,
         accuracy: float,
@@ -71,11 +71,11 @@ class ImageModel:
         self._transforms = Transforms()
         self._plan_for(scene)
 
-    def _plan_for(self, scene: Scene) -> None:
+    def _plan_for(self, scene: FittedScene) -> None:
         self._planned = self._plan(scene)
         self._padded: dict[tuple[str, ...], _Planned] = {}
 
-    def _plan(self, scene: Scene) -> _Planned:
+    def _plan(self, scene: FittedScene) -> _Planned:
         renderer = Renderer(
             scene.mesh,
             self.grid,
@@ -92,7 +92,7 @@ class ImageModel:
         """Of the images."""
         return self._planned.renderer.plan
 
-    def _renderer_for(self, scene: Scene) -> Renderer:
+    def _renderer_for(self, scene: FittedScene) -> Renderer:
         """One plan for all scenes near each other, but for effects that need a wider padding."""
         if not self._planned.holds_for(scene):
             self._plan_for(scene)
@@ -109,36 +109,36 @@ class ImageModel:
         return found
 
     @torch.no_grad()
-    def rendered(self, scene: Scene) -> np.ndarray:
+    def rendered(self, scene: FittedScene) -> np.ndarray:
         """(N,) of the rendered image, before amplitude and background."""
         renderer = self._renderer_for(scene)
         transform = self._transforms.of(renderer, scene)
         return self._voxels(renderer.image(transform, renderer.otf(scene.optics)))
 
-    def expected(self, scene: Scene) -> np.ndarray:
+    def expected(self, scene: FittedScene) -> np.ndarray:
         """(N,) of the expected image."""
         return self.measured(self.rendered(scene), scene)
 
-    def measured(self, rendered: np.ndarray, scene: Scene) -> np.ndarray:
+    def measured(self, rendered: np.ndarray, scene: FittedScene) -> np.ndarray:
         """(N,) of the expected image, from that of the rendered one."""
         values = scene.amplitude * rendered + scene.background
         added = self._renderer_for(scene).offset()
         return values if added is None else values + self._voxels(added)
 
-    def shape_columns(self, scene: Scene, modes: ShapeModes) -> np.ndarray:
+    def shape_columns(self, scene: FittedScene, modes: ShapeModes) -> np.ndarray:
         """(N, K): change of the expected image for a coefficient of 1 um of each mode."""
         return self._of_surface(scene).shape(modes)
 
-    def density_columns(self, scene: Scene, fields: np.ndarray) -> np.ndarray:
+    def density_columns(self, scene: FittedScene, fields: np.ndarray) -> np.ndarray:
         """(N, M): for a coefficient of 1 of each field (M, F) of the logarithm of the density."""
         return self._of_surface(scene).density(fields)
 
-    def _of_surface(self, scene: Scene) -> SurfaceColumns:
+    def _of_surface(self, scene: FittedScene) -> SurfaceColumns:
         index = self._index.numpy()
         return SurfaceColumns(scene, self.grid, self.frame, index, self.accuracy)
 
     @torch.no_grad()
-    def psf_columns(self, scene: Scene) -> np.ndarray:
+    def psf_columns(self, scene: FittedScene) -> np.ndarray:
         """(N, P): for each of the PSF's parameters."""
         renderer = self._renderer_for(scene)
         transform = self._transforms.of(renderer, scene)
@@ -154,7 +154,7 @@ class ImageModel:
             columns.append(column * (scene.amplitude / (2 * _PSF_CHANGE)))
         return _stacked(columns, len(self._index))
 
-    def effect_columns(self, scene: Scene, effect: Effect) -> np.ndarray:
+    def effect_columns(self, scene: FittedScene, effect: Effect) -> np.ndarray:
         """(N, P): for each of an effect's parameters, about the values that it has.
 
         One column, the whole difference that it makes, for an effect without numbers.

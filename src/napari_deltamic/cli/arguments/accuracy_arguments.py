@@ -10,7 +10,7 @@ from ...common.choices import IMAGE_FILES, MESH_FILES
 from ...errors import InputError
 from ..folders import check_folder
 from ..optics_arguments import add_optics, optics_values
-from .common import TRIPLE, check_accuracy, check_files
+from .argument_checks import TRIPLE, check_accuracy, check_files
 
 _FILES = ("accuracy.json", "accuracy.png", "shape.png")
 
@@ -58,7 +58,7 @@ def add_parser(commands: Any) -> None:
     add("--missing-nan", action="store_true", help="leave out voxels that are NaN or infinite")
     add("--overwrite", action="store_true", help="replace the results in DIR")
     add("-o", "--output", metavar="DIR", help="folder for accuracy.json and the pictures")
-    parser.set_defaults(module="accuracy", check=_check)
+    parser.set_defaults(module="accuracy_command", check=_check)
 
 
 def _check(arguments: argparse.Namespace) -> None:

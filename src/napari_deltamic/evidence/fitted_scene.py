@@ -12,7 +12,7 @@ from ..scene.effects import Effects
 
 
 @dataclass(frozen=True)
-class Scene:
+class FittedScene:
     """Everything that the expected image depends on.
 
     Attributes

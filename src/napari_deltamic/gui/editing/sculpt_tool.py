@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from qtpy.QtCore import QObject
 
 from ...geometry import Mesh
-from ...geometry.sculpt import Touch, falloff, outward, touched_by_ray, touched_on_section
+from ...geometry.brush import Touch, falloff, outward, touched_by_ray, touched_on_section
 from ...measure import section
 from ..connections import Connections
 from ..running.composition import Live, Panels

@@ -5,7 +5,7 @@ import pytest
 
 from napari_deltamic import InputError, Mesh
 from napari_deltamic.geometry import sphere
-from napari_deltamic.geometry.sculpt import (
+from napari_deltamic.geometry.brush import (
     Touch,
     falloff,
     outward,

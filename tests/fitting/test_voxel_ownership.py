@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
-from synthetic import CENTER, GRID, OPTICS, RADIUS, TRUTH, measured
 
 from napari_deltamic import Grid, Mesh
 from napari_deltamic.fitting import counted_voxels
-from napari_deltamic.fitting.territory import surface_voxels
+from napari_deltamic.fitting.voxel_ownership import surface_voxels
 from napari_deltamic.geometry import box, sphere
+from synthetic import CENTER, GRID, OPTICS, RADIUS, TRUTH, measured
 
 
 def from_surface(grid, center, radius):

@@ -8,7 +8,7 @@ import torch
 from evidence_scenes import GRID, OPTICS, TRUTH
 
 from napari_deltamic import Grid
-from napari_deltamic.evidence.price import Prices
+from napari_deltamic.evidence.effect_cost import Prices
 from napari_deltamic.geometry import sphere
 from napari_deltamic.scene import Renderer
 from napari_deltamic.scene.effects import Attenuation, Bulk, DepthPSF, Effects, Halo

@@ -11,7 +11,7 @@ from ...errors import InputError
 from ...runs.fit_settings import FitSettings, validated
 from ..folders import check_folder
 from ..optics_arguments import add_optics, optics_values
-from .common import TRIPLE, check_files, help_of
+from .argument_checks import TRIPLE, check_files, help_of
 
 CHECKPOINT = "checkpoint.npz"
 # What one would not want to lose; the other results belong to them.
@@ -50,7 +50,7 @@ def add_parser(commands: Any) -> None:
     )
     _add_second_view(parser)
     add_options(parser)
-    parser.set_defaults(module="fitting", check=_check)
+    parser.set_defaults(module="fit_command", check=_check)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

@@ -22,7 +22,7 @@ from ..runs.settings import validated
 from ..runs.track_run import TrackRun
 from ..scene import Grid
 from ..tracking import FrameResult, track
-from .arguments.track import track_values
+from .arguments.track_arguments import track_values
 from .folders import check_folder
 from .inputs import load_seeds, run_values, voxel_size_of
 from .messages import PROGRAM, Notes, failure, tell

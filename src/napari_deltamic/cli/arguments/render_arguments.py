@@ -10,7 +10,7 @@ from typing import Any
 from ...common.choices import IMAGE_FILES
 from ...errors import InputError
 from ..optics_arguments import add_grid_and_optics, optics_values
-from .common import check_accuracy, check_files
+from .argument_checks import check_accuracy, check_files
 
 
 def add_parser(commands: Any) -> None:
@@ -37,7 +37,7 @@ def add_parser(commands: Any) -> None:
     )
     add("--overwrite", action="store_true", help="replace the image if it is there")
     add("-o", "--output", required=True, metavar="IMAGE", help=".tif or .npy")
-    parser.set_defaults(module="rendering", check=_check)
+    parser.set_defaults(module="render_command", check=_check)
 
 
 def _check(arguments: argparse.Namespace) -> None:

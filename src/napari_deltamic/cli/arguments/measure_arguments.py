@@ -9,7 +9,7 @@ from typing import Any
 
 from ...errors import InputError
 from ..folders import check_folder
-from .common import TRIPLE, check_files
+from .argument_checks import TRIPLE, check_files
 
 PRECIOUS = ("cells.csv", "walls.csv", "junctions.csv", "measurements.html")
 
@@ -41,7 +41,7 @@ def add_parser(commands: Any) -> None:
     add("--errors", action="store_true", help="also standard errors; of a session, and slow")
     add("--overwrite", action="store_true", help="replace the results in DIR")
     add("-o", "--output", required=True, metavar="DIR", help="folder for the results")
-    parser.set_defaults(module="measuring", check=_check)
+    parser.set_defaults(module="measure_command", check=_check)
 
 
 def _check(arguments: argparse.Namespace) -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from napari_deltamic import Grid, Mesh, render
-from napari_deltamic.evidence.part import part_of
+from napari_deltamic.evidence.crop import part_of
 from napari_deltamic.geometry import mesh_from_labels, sphere
 from napari_deltamic.optics import GaussianPSF
 

@@ -25,7 +25,7 @@ from napari_deltamic.errors import InputError, RepairWarning
 from napari_deltamic.geometry.labels import basins
 from napari_deltamic.geometry.labels.meshes import mesh_from_labels
 from napari_deltamic.geometry.mesh import Mesh
-from napari_deltamic.geometry.seeds import (
+from napari_deltamic.geometry.seed_points import (
     labels_from_points,
     read_points_csv,
     seeds_from_points,
