@@ -17,7 +17,7 @@ from ..measure import Known, Measurements, measure
 from ..results.exchange import labels_of
 from ..results.measured_files import write_measurements
 from ..scene import Grid
-from .seeding.seeds import mesh_of_surface
+from .seeding.seed_kinds import mesh_of_surface
 from .viewing.frame import OWN, Frame, shape_of
 
 _WORLD = Frame((1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0), ("um",) * 3)
