@@ -19,9 +19,9 @@ from napari_deltamic.gui.accuracy.accuracy_dial import accuracy_of, usable_choic
 from napari_deltamic.gui.accuracy.accuracy_forecast import predicted
 from napari_deltamic.gui.accuracy.accuracy_scene import Outlook
 from napari_deltamic.gui.accuracy.renewed_forecast import RenewedForecast
-from napari_deltamic.gui.results.command import command
 from napari_deltamic.gui.results.session import capture, restore
 from napari_deltamic.gui.running import run_progress
+from napari_deltamic.runs.command import command
 from napari_deltamic.runs.settings import NEAR_LEVELS, FitSettings
 
 from .conftest import CENTER, SHAPE, SIZE

@@ -14,9 +14,10 @@ from napari_deltamic.cli.inputs import gather
 from napari_deltamic.cli.messages import Notes
 from napari_deltamic.errors import InputError
 from napari_deltamic.fitting import fit
-from napari_deltamic.gui.results.command import command, with_files
+from napari_deltamic.gui.results.run_files import with_files
 from napari_deltamic.gui.running import worker
 from napari_deltamic.measure import measure_cells
+from napari_deltamic.runs.command import command
 
 from .conftest import CENTER, SIZE
 

@@ -16,8 +16,9 @@ from napari_deltamic.cli.messages import Notes
 from napari_deltamic.errors import InputError, RepairWarning
 from napari_deltamic.fitting.job import assemble
 from napari_deltamic.geometry import sphere
-from napari_deltamic.gui.results.command import command, with_files
+from napari_deltamic.gui.results.run_files import with_files
 from napari_deltamic.gui.seeding import find_cells_panel, mesh_files
+from napari_deltamic.runs.command import command
 from napari_deltamic.runs.settings import NEAR_LEVELS
 
 from .conftest import CENTER, SHAPE, SIZE

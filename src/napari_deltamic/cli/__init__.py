@@ -15,9 +15,9 @@ from importlib import import_module
 from typing import NoReturn
 
 from .. import __version__
-from ..errors import InputError
+from ..errors import PROGRAM, Failure, InputError, failure, one_line
 from .arguments import COMMANDS
-from .messages import PROGRAM, Failure, Notes, failure, one_line
+from .messages import Notes
 
 _log = logging.getLogger(__name__)
 

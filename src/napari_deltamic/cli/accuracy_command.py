@@ -30,6 +30,7 @@ from ..accuracy.shape_error import DRAWS, ShapeError, photons_for, shape_errors
 from ..accuracy.tradeoff import Way, duration, measure_ways, with_front
 from ..common.choices import MESH_FILES
 from ..common.writing import make_folder, write_atomically
+from ..errors import failure
 from ..fitting import fit
 from ..fitting.checks import check_mesh
 from ..fitting.default_accuracy import accuracy_for, image_noise
@@ -41,7 +42,7 @@ from ..geometry import Mesh, load_mesh
 from ..optics import Optics
 from ..scene import Grid
 from .inputs import gather
-from .messages import Notes, failure, tell
+from .messages import Notes, tell
 from .optics_arguments import OPTICS_ARGUMENTS, optics_from_arguments
 
 _RENDERED = 1e-3  # accuracy of a scene without an image, as that of `render`

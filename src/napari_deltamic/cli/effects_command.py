@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..common.writing import write_atomically
+from ..errors import failure
 from ..evidence import Recommendation
 from ..evidence.camera import Camera
 from ..evidence.candidates import chosen_candidates
@@ -21,7 +22,7 @@ from ..fitting.job import FitInput
 from ..results.report import plain_values
 from ..scene.effects import Effects
 from .inputs import gather
-from .messages import Notes, failure
+from .messages import Notes
 from .recommending import as_plain, as_table, recommendation_for
 
 

@@ -14,7 +14,7 @@ from typing import Any
 from tqdm import tqdm
 
 from ..common.writing import interrupts_held, own_folder, write_atomically
-from ..errors import InputError
+from ..errors import PROGRAM, InputError, failure
 from ..evidence import analyse_residual
 from ..fitting import FitState, fit
 from ..fitting.job import FitInput, start
@@ -22,7 +22,7 @@ from ..images.stacks import write_image
 from ..results.report import History, write_results
 from .arguments.fit_arguments import CHECKPOINT
 from .inputs import gather
-from .messages import PROGRAM, Notes, failure, tell
+from .messages import Notes, tell
 from .recommending import (
     as_plain,
     recommendation_for,

@@ -16,10 +16,10 @@ from ..fitting.job import SIGMA_IN_VOXELS, FitInput, SeedKind, assemble
 from ..geometry import Mesh, load_mesh, mesh_from_labels, read_points_csv, seeds_from_points
 from ..images.missing import filled
 from ..images.stacks import VoxelSize, read_image
-from ..runs.settings import RunSettings, validated
+from ..runs.settings import FitSettings, RunSettings, SceneSettings, validated
 from ..scene import Grid
 from ..scene.effects import Effects
-from .arguments.fit_arguments import FIT_OPTIONS
+from .flags import values_given
 from .messages import Notes
 from .optics_arguments import optics_values
 from .second_view_input import with_second_view
@@ -93,10 +93,8 @@ def run_values(
         if given is not None:
             # Absolute, so that run.toml can be used from any folder.
             values[name] = str(Path(given).absolute())
-    for part, names in (("fit", FIT_OPTIONS), ("scene", ("voxel_size", "sigma"))):
-        for name in names:
-            if getattr(arguments, name) is not None:
-                values[part][name] = getattr(arguments, name)
+    values["fit"] |= values_given(arguments, FitSettings)
+    values["scene"] |= values_given(arguments, SceneSettings, ("voxel_size", "sigma"))
     optics = optics_values(arguments)
     if optics is not None:
         values["scene"] |= {"sigma": None, "optics": optics}

@@ -6,10 +6,11 @@ import argparse
 from pathlib import Path
 
 from ..common.writing import own_folder
+from ..errors import failure
 from ..measure import measure
 from ..results.measured_files import write_measurements
 from ..results.measured_source import Triple, measurable
-from .messages import Notes, failure, tell
+from .messages import Notes, tell
 
 
 def run(arguments: argparse.Namespace, notes: Notes) -> int:

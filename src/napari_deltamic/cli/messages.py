@@ -5,22 +5,17 @@ from __future__ import annotations
 import io
 import logging
 import os
-import re
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from math import prod
 from typing import Any
 
 from tqdm import tqdm
 
-from ..errors import RepairWarning, SlowPathWarning
+from ..errors import RepairWarning, SlowPathWarning, one_line
 
 _log = logging.getLogger(__name__)
-
-PROGRAM = "napari-deltamic"
-_BYTES_PER_VOXEL = 60  # roughly, at the peak of a fit: images, spectra and weights
 
 
 class Notes:
@@ -71,23 +66,6 @@ class Notes:
             tqdm.write(f"note: {text}", file=sys.stderr)  # does not break a progress bar
 
 
-class Failure(Exception):
-    """The engine could not finish; the message says why, in one line. Exit code 1."""
-
-
-def failure(error: BaseException, shape: Sequence[int] | None = None) -> Failure:
-    """What to tell a user of an exception of the engine, that worked on an image of a shape."""
-    text = one_line(str(error))
-    if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and _is_memory(text)):
-        return Failure(
-            f"not enough memory{_needed(text, shape)}: a coarser accuracy (--accuracy 1e-2) or a "
-            "cropped image would fit"
-        )
-    if isinstance(error, FloatingPointError):
-        return Failure(text)
-    return Failure(f"{type(error).__name__}: {text or 'no reason given'} (-v shows where)")
-
-
 class _Nowhere(io.TextIOBase):
     """Takes everything, keeps nothing."""
 
@@ -110,35 +88,3 @@ def tell(path: object) -> None:
             sys.stdout.buffer.flush()
     except (OSError, ValueError, AttributeError):
         sys.stdout = _Nowhere()
-
-
-def one_line(text: str) -> str:
-    """The text without line breaks, and without what would steer a terminal."""
-    plain = " ".join(text.split())
-    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in plain)
-
-
-def _is_memory(text: str) -> bool:
-    return bool(re.search(r"can't allocate|not enough memory|out of memory|bad_alloc", text, re.I))
-
-
-def _needed(text: str, shape: Sequence[int] | None) -> str:
-    """How much was asked for, as far as the error or the size of the image tells."""
-    asked = re.search(r"allocate (\d+) bytes", text)
-    if asked:
-        return f" ({_size(int(asked[1]))} more were needed)"
-    asked = re.search(r"allocate ([\d.]+ [KMGTP]iB)", text)
-    if asked:
-        return f" ({asked[1]} more were needed)"
-    if shape:
-        image = " x ".join(map(str, shape))
-        return f" (an image of {image} voxels needs about {_size(_BYTES_PER_VOXEL * prod(shape))})"
-    return ""
-
-
-def _size(n: float) -> str:
-    for unit in ("bytes", "KiB", "MiB", "GiB"):
-        if n < 1024:
-            return f"{n:.3g} {unit}"
-        n /= 1024
-    return f"{n:.3g} TiB"

@@ -5,11 +5,12 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from ..errors import failure
 from ..fitting.checks import check_mesh
 from ..geometry import load_mesh
 from ..images.stacks import write_image
 from ..scene import Grid, render
-from .messages import Notes, failure, tell
+from .messages import Notes, tell
 from .optics_arguments import optics_from_arguments
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from ..errors import failure
 from ..fitting.checks import check_mesh
 from ..geometry import Mesh, load_mesh
 from ..results.simulation_files import FILES, write_simulation
@@ -15,7 +16,7 @@ from ..runs.optics_settings import optics_from_values
 from ..scene import Grid, Scene, Surface, random_cells, simulate
 from ..scene.effects import Effects
 from .folders import check_folder
-from .messages import Notes, failure, tell
+from .messages import Notes, tell
 from .optics_arguments import optics_from_arguments, optics_values
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from ..common.writing import own_folder, written_together
-from ..errors import InputError
+from ..errors import PROGRAM, InputError, failure
 from ..fitting.job import SIGMA_IN_VOXELS, FitInput, assemble
 from ..images.series import ImageSeries, open_series
 from ..results.track_report import FILES, mesh_name, read_results, write_frame, write_tracks
@@ -25,7 +25,7 @@ from ..tracking import FrameResult, track
 from .arguments.track_arguments import track_values
 from .folders import check_folder
 from .inputs import load_seeds, run_values, voxel_size_of
-from .messages import PROGRAM, Notes, failure, tell
+from .messages import Notes, tell
 
 _PRECIOUS = (*FILES, mesh_name(0))
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 
-from ..cli.messages import failure
-from ..errors import InputError
+from ..errors import InputError, failure
 
 _log = logging.getLogger(__name__)
 _OF_THE_COMMAND_LINE = " (-v shows where)"

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from ..common.choices import DensityModel, DeviceChoice, Likelihood
+from ..common.description import setting
 from ..errors import InputError
 
 # Coarse-to-fine schedules. A first blur wider than the gap between objects makes them attract each
@@ -27,66 +28,122 @@ class FitSettings(Settings):
 
     model_config = ConfigDict(allow_inf_nan=False)
 
-    accuracy: Annotated[float, Field(ge=0, lt=1)] | None = Field(
-        default=None,
-        description="requested relative L2 error of the rendered image; 0 is the closed form; "
+    accuracy: float | None = setting(
+        None,
+        title="accuracy",
+        tip="requested relative L2 error of the rendered image; 0 is the closed form; "
         "where not given, it follows from the noise of the image",
+        automatic="by the noise",
+        live=True,
+        ge=0,
+        lt=1,
     )
-    fit_psf: bool = Field(default=False, description="also fit the widths of the PSF")
-    density: DensityModel = Field(
-        default="uniform",
-        description="fluorophores per um^2: the same everywhere, one per interface, or smooth over "
+    fit_psf: bool = setting(
+        False,
+        title="estimate the PSF from the image",
+        tip="also fit the widths of the PSF",
+        live=True,
+    )
+    density: DensityModel = setting(
+        "uniform",
+        title="brightness",
+        tip="fluorophores per um^2: the same everywhere, one per interface, or smooth over "
         "the surface",
+        live=True,
     )
-    likelihood: Likelihood = Field(default="poisson", description="how voxels are weighted")
-    levels: tuple[Annotated[float, Field(ge=1)], ...] | None = Field(
-        default=None,
-        description="blur of both images at each level, in widths of the PSF; the last is 1; "
-        "None: wide for seeds of any kind, near for seeds taken from the image or from labels",
+    likelihood: Likelihood = setting(
+        "poisson", title="noise", tip="how voxels are weighted", advanced=True, live=True
     )
-    smoothing: Annotated[float, Field(ge=0)] = Field(
-        default=1.0,
-        description="lambda of the metric (I + lambda L)^-2 of the steps at the last level; grows "
+    levels: tuple[Annotated[float, Field(ge=1)], ...] | None = setting(
+        None,
+        title="levels",
+        tip="blur of both images at each level, in widths of the PSF; the last is 1; "
+        "where not given: wide for seeds of any kind, near for seeds taken from the image or from "
+        "labels",
+        advanced=True,
+        metavar="B",
+    )
+    smoothing: float = setting(
+        1.0,
+        title="smoothing of the steps",
+        tip="lambda of the metric (I + lambda L)^-2 of the steps at the last level; grows "
         "with the blur; it changes how fast a fit is, not where it ends",
+        advanced=True,
+        live=True,
+        ge=0,
     )
-    as_in_the_paper: bool = Field(
-        default=False,
-        description="fit as the paper does: AdamUniform with lambda 50, plain least squares at one "
+    as_in_the_paper: bool = setting(
+        False,
+        title="as in the paper",
+        tip="fit as the paper does: AdamUniform with lambda 50, plain least squares at one "
         "scale without a prior, the PSF by Adam; to compare with",
+        advanced=True,
     )
-    bending: Annotated[float, Field(ge=0)] = Field(
-        default=9.0,
-        description="weight of the bending energy, a prior on shape without unit; of 6, 7.5, 9 "
+    bending: float = setting(
+        9.0,
+        title="weight of bending",
+        tip="weight of the bending energy, a prior on shape without unit; of 6, 7.5, 9 "
         "and 12, 9 was near the best on cow, fish and foams; an embryo wants 6; 0 is none",
+        advanced=True,
+        live=True,
+        ge=0,
     )
-    reach: Annotated[float, Field(gt=0)] = Field(
-        default=3.5, description="voxels count up to this many widths from the surface"
+    reach: float = setting(
+        3.5,
+        title="reach",
+        tip="voxels count up to this many widths of the PSF from the surface",
+        unit="widths",
+        advanced=True,
+        live=True,
+        gt=0,
     )
-    tolerance: Annotated[float, Field(gt=0)] = Field(
-        default=0.02,
-        description="the fit ends when no place of the surface would still move by more than this, "
+    tolerance: float = setting(
+        0.02,
+        title="tolerance",
+        tip="the fit ends when no place of the surface would still move by more than this, "
         "in widths of the PSF",
+        unit="widths",
+        advanced=True,
+        live=True,
+        gt=0,
     )
-    remesh: bool = Field(
-        default=True,
-        description="remesh where triangles become slivers, at the edge length of the start",
+    remesh: bool = setting(
+        True,
+        title="keep triangles regular",
+        tip="remesh where triangles become slivers, at the edge length of the start",
+        advanced=True,
+        live=True,
     )
-    collisions: bool = Field(
-        default=True,
-        description="no surface comes to cross itself or another: vertices stop before that",
+    collisions: bool = setting(
+        True,
+        title="surfaces never cross",
+        tip="no surface comes to cross itself or another: vertices stop before that",
+        advanced=True,
+        live=True,
     )
-    topology: bool = Field(
-        default=True,
-        description="cells may come to touch, part and exchange neighbours while the fit runs, and "
+    topology: bool = setting(
+        True,
+        title="cells may change neighbours",
+        tip="cells may come to touch, part and exchange neighbours while the fit runs, and "
         "surfaces that cross at the start are repaired; needs collisions",
+        advanced=True,
+        live=True,
     )
-    max_iterations: Annotated[int, Field(ge=1)] = Field(
-        default=3000, description="the fit gives up after this many iterations"
+    max_iterations: int = setting(
+        3000,
+        title="most iterations",
+        tip="the fit gives up after this many iterations",
+        advanced=True,
+        live=True,
+        metavar="N",
+        ge=1,
     )
-    device: DeviceChoice = Field(
-        default="auto",
-        description="what computes: cpu, cuda (an NVIDIA GPU), mps (the GPU of a Mac); auto: an "
+    device: DeviceChoice = setting(
+        "auto",
+        title="computed on",
+        tip="what computes: cpu, cuda (an NVIDIA GPU), mps (the GPU of a Mac); auto: an "
         "NVIDIA GPU that can be used, else the CPU",
+        advanced=True,
     )
 
     @property

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-from ..common.choices import Bead, Modality, PSFModel
+from ..common.choices import IMMERSIONS, Bead, Modality, PSFModel
+from ..common.description import setting
 from ..common.reading import read_text, toml_values
 from ..errors import InputError
 
@@ -69,23 +70,66 @@ class MicroscopeOptics(_Optics):
     """A PSF from the numbers on the objective; see :func:`napari_deltamic.microscope`."""
 
     kind: Literal["microscope"] = "microscope"
-    modality: Modality = Field(default="widefield", description="how light is seen")
-    na: float = Field(description="numerical aperture")
-    wavelength: float = Field(description="um, of the emitted light")
-    immersion: float | str = Field(
-        default="oil", description="air, water, silicone, glycerol, oil, or a refractive index"
+    modality: Modality = setting("widefield", title="modality", tip="how light is seen")
+    na: float = setting(title="NA", tip="numerical aperture", metavar="NA", start=1.2, step=0.05)
+    wavelength: float = setting(
+        title="emission",
+        tip="wavelength of the emitted light",
+        unit="um",
+        metavar="WAVELENGTH",
+        start=0.52,
+        step=0.01,
     )
-    excitation: float | None = Field(default=None, description="um, of the light that excites")
-    pinhole: float = Field(default=1.0, description="diameter in Airy units")
-    sheet: float | None = Field(
-        default=None, description="um: full width at half maximum of the light sheet"
+    immersion: float | str = setting(
+        "oil",
+        title="immersion",
+        tip=f"{', '.join(IMMERSIONS)}, or a refractive index",
+        known=IMMERSIONS,
     )
-    sample_index: float | None = Field(default=None, description="refractive index of the sample")
-    depth: float = Field(default=0.0, description="um, of the structure below the coverslip")
+    excitation: float | None = setting(
+        None,
+        title="excitation",
+        tip="wavelength of the light that excites",
+        unit="um",
+        step=0.01,
+    )
+    pinhole: float = setting(
+        1.0, title="pinhole", tip="diameter in Airy units", unit="Airy units", step=0.1
+    )
+    sheet: float | None = setting(
+        None,
+        title="sheet FWHM",
+        tip="full width at half maximum of the light sheet",
+        unit="um",
+        start=2.0,
+        step=0.1,
+    )
+    sample_index: float | None = setting(
+        None,
+        title="sample index",
+        tip="refractive index of the sample",
+        step=0.005,
+        automatic="as the immersion",
+        advanced=True,
+    )
+    depth: float = setting(
+        0.0,
+        title="depth",
+        tip="depth of the structure below the coverslip",
+        unit="um",
+        step=1.0,
+        advanced=True,
+    )
     zernike: dict[int, float] | None = Field(
         default=None, description="Noll index -> phase, rad; for the model 'pupil'"
     )
-    model: PSFModel = Field(default="vectorial", description="how the PSF is computed")
+    model: PSFModel = setting(
+        "vectorial",
+        title="model",
+        tip="how the PSF is computed",
+        flag="--psf-model",
+        advanced=True,
+    )
     fitted: tuple[str, ...] | None = Field(default=None, description="what --fit-psf moves")
 
     def build(self) -> Optics:
@@ -111,10 +155,25 @@ class MeasuredOptics(_Optics):
     """The PSF that the image of a bead shows."""
 
     kind: Literal["measured"] = "measured"
-    file: str = Field(description="image of one bead")
-    voxel_size: Triple | None = Field(default=None, description="um, Z Y X; None: as the file says")
-    bead_diameter: float = Field(default=0.0, description="um")
-    bead: Bead = Field(default="solid", description="how it is stained")
+    file: str = setting(
+        title="bead", tip="image of one bead, .tif or .npy", flag="--psf", metavar="FILE"
+    )
+    voxel_size: Triple | None = setting(
+        None,
+        title="voxel size",
+        tip="voxel size of the image of the bead, Z Y X; where not given: as its file says",
+        unit="um",
+        flag="--psf-voxel-size",
+    )
+    bead_diameter: float = setting(
+        0.0,
+        title="diameter",
+        tip="diameter of the bead; 0 for one much smaller than the PSF",
+        unit="um",
+        metavar="D",
+        step=0.05,
+    )
+    bead: Bead = setting("solid", title="stained", tip="stained throughout, or on its surface")
 
     def build(self) -> Optics:
         """The PSF. InputError where the file cannot be one."""

@@ -1,17 +1,16 @@
 """The one settings object: what a command line parses, a widget shows and ``run.toml`` holds.
 
-Lengths are um, arrays Z, Y, X. Every field says in its description what it does, so that help texts
-and tooltips need no second source.
+Lengths are um, arrays Z, Y, X. Every field says what there is to say of it, once: flags, forms and
+the reference page are made of that (see ``description``).
 """
 
 from __future__ import annotations
 
 import json
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field, field_serializer, field_validator, model_validator
+from pydantic import field_serializer
 
 from ..common.reading import read_text, toml_values
 from ..errors import InputError
@@ -19,74 +18,23 @@ from ..scene.effects import Effects
 from .fit_settings import NEAR_LEVELS as NEAR_LEVELS
 from .fit_settings import WIDE_LEVELS as WIDE_LEVELS
 from .fit_settings import FitSettings as FitSettings
-from .fit_settings import Settings
 from .fit_settings import validated as validated
-from .optics_settings import OpticsSettings
-
-Triple = tuple[float, float, float]
+from .scene_settings import RunFields, SceneFields
 
 
-class SceneSettings(Settings):
+class SceneSettings(SceneFields):
     """How the image was formed."""
 
-    voxel_size: Triple = Field(description="um, Z Y X")
-    origin: Triple = Field(
-        default=(0.0, 0.0, 0.0), description="centre of the first voxel, um, Z Y X"
-    )
-    sigma: Triple | None = Field(
-        default=None,
-        description="standard deviations of the PSF, um, Z Y X; None: from the voxel size",
-    )
-    optics: OpticsSettings | None = Field(
-        default=None,
-        description="the PSF, where it is not the Gaussian of sigma: a microscope, a measured PSF, "
-        "a mixture; a table with its kind",
-    )
-    effects: Effects = Field(
-        default=Effects(), description="optional parts of image formation; names, or a table each"
-    )
-
-    @field_validator("voxel_size")
-    @classmethod
-    def _positive_voxels(cls, v: Triple) -> Triple:
-        if not all(isfinite(d) and d > 0 for d in v):
-            raise ValueError(f"voxel size must be three positive numbers (um), not {v}")
-        return v
-
-    @field_validator("origin")
-    @classmethod
-    def _finite_origin(cls, v: Triple) -> Triple:
-        if not all(isfinite(o) for o in v):
-            raise ValueError(f"origin must be three finite numbers (um), not {v}")
-        return v
-
-    @field_validator("sigma")
-    @classmethod
-    def _positive_sigma(cls, v: Triple | None) -> Triple | None:
-        if v is not None and not all(isfinite(d) and d > 0 for d in v):
-            raise ValueError(f"sigma must be positive (um), not {v}")
-        return v
-
-    @model_validator(mode="after")
-    def _one_psf(self) -> SceneSettings:
-        if self.sigma is not None and self.optics is not None:
-            raise ValueError("sigma and optics both say what the PSF is: give one of them")
-        return self
-
-    @field_serializer("optics")
-    def _given(self, optics: Any) -> dict[str, Any] | None:
-        return None if optics is None else optics.model_dump(exclude_none=True)
+    effects: Effects = Effects()
 
     @field_serializer("effects")
     def _present(self, effects: Effects) -> dict[str, Any]:
         return effects.to_dict()
 
 
-class RunSettings(Settings):
+class RunSettings(RunFields):
     """A whole run: what is fitted to what, and how. ``run.toml`` holds one."""
 
-    image: str = Field(description="image file")
-    seeds: str = Field(description="mesh file, label image, or CSV of points")
     scene: SceneSettings
     fit: FitSettings = FitSettings()
 

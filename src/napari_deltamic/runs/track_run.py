@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from .settings import RunSettings
 from .track_settings import TrackSettings as TrackSettings
@@ -11,7 +11,7 @@ from .track_settings import TrackSettings as TrackSettings
 class TrackRun(RunSettings):
     """A whole run of tracking. Its ``run.toml`` repeats it."""
 
-    image: str = Field(description="image file of a series, or a folder or pattern of 3D images")
+    image: str  # of a series, or a folder or pattern of 3D images
     track: TrackSettings = TrackSettings()
 
     @model_validator(mode="after")

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from pydantic import ConfigDict, model_validator
 
-from pydantic import ConfigDict, Field, model_validator
-
+from ..common.description import setting
 from .fit_settings import Settings
 
 
@@ -14,24 +13,38 @@ class TrackSettings(Settings):
 
     model_config = ConfigDict(allow_inf_nan=False)
 
-    time_step: Annotated[float, Field(gt=0)] = Field(
-        default=1.0, description="s from one frame to the next"
+    time_step: float = setting(
+        1.0, title="time step", tip="time from one frame to the next", unit="s", gt=0
     )
-    first: Annotated[int, Field(ge=0)] = Field(
-        default=0, description="frame to start from, to which the seeds belong; the first is 0"
+    first: int = setting(
+        0,
+        title="first frame",
+        tip="frame to start from, to which the seeds belong; the first is 0",
+        flag=None,
+        ge=0,
     )
-    stop: Annotated[int, Field(ge=1)] | None = Field(
-        default=None, description="frame to stop before; None: the end of the series"
+    stop: int | None = setting(
+        None,
+        title="stop before frame",
+        tip="frame to stop before; where not given: the end of the series",
+        flag=None,
+        automatic="the end",
+        ge=1,
     )
-    divisions: bool = Field(
-        default=True,
-        description="a cell divides where an unexplained wall appears in it and two daughters "
+    divisions: bool = setting(
+        True,
+        title="cells may divide",
+        tip="a cell divides where an unexplained wall appears in it and two daughters "
         "explain the image better",
     )
-    velocity: Annotated[float, Field(ge=0, le=1)] = Field(
-        default=0.8,
-        description="share of a cell's last displacement that the next one is expected to have; it "
+    velocity: float = setting(
+        0.8,
+        title="share of the last displacement",
+        tip="share of a cell's last displacement that the next one is expected to have; it "
         "is used only where it explains the image better than no displacement",
+        advanced=True,
+        ge=0,
+        le=1,
     )
 
     @model_validator(mode="after")

@@ -8,9 +8,11 @@ from typing import Any
 
 from ...common.choices import IMAGE_FILES, MESH_FILES
 from ...errors import InputError
+from ...runs.scene_settings import SceneFields
+from ..flags import TRIPLE, add_flags
 from ..folders import check_folder
 from ..optics_arguments import add_optics, optics_values
-from .argument_checks import TRIPLE, check_accuracy, check_files
+from .argument_checks import check_accuracy, check_files
 
 _FILES = ("accuracy.json", "accuracy.png", "shape.png")
 
@@ -27,8 +29,7 @@ def add_parser(commands: Any) -> None:
     add("scene", metavar="MESH or IMAGE", help=f"{', '.join(MESH_FILES)}; or .tif, .npy")
     add("--shape", nargs=3, type=int, metavar=TRIPLE, help="voxels (with a mesh)")
     add("--seeds", metavar="FILE", help="mesh, label image, or CSV of points (with an image)")
-    add("--voxel-size", nargs=3, type=float, metavar=TRIPLE, help="um")
-    add("--sigma", nargs=3, type=float, metavar=TRIPLE, help="um; standard deviations of the PSF")
+    add_flags(parser, SceneFields, ("voxel_size", "sigma"))
     add_optics(parser)
     add(
         "--accuracy",

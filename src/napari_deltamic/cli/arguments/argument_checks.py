@@ -4,18 +4,8 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from ...errors import InputError
-
-TRIPLE = ("Z", "Y", "X")
-
-
-def help_of(model: Any, name: str) -> str:
-    """What a settings object says of a field, with its default."""
-    field = model.model_fields[name]
-    default = "" if field.default is None or field.is_required() else f" (default: {field.default})"
-    return f"{field.description}{default}".replace("%", "%%")
 
 
 def check_files(arguments: argparse.Namespace, *names: str) -> None:

@@ -4,31 +4,21 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
-from ...common.choices import EFFECTS, DensityModel, DeviceChoice, Likelihood
+from ...common.choices import EFFECTS
 from ...errors import InputError
 from ...runs.fit_settings import FitSettings, validated
+from ...runs.scene_settings import RunFields, SceneFields
+from ..flags import TRIPLE, add_flags, values_given
 from ..folders import check_folder
 from ..optics_arguments import add_optics, optics_values
-from .argument_checks import TRIPLE, check_files, help_of
+from .argument_checks import check_files
 
 CHECKPOINT = "checkpoint.npz"
 # What one would not want to lose; the other results belong to them.
 PRECIOUS = ("report.json", "mesh.ply", "mesh.rec", CHECKPOINT)
-FIT_OPTIONS = (
-    "accuracy",
-    "fit_psf",
-    "density",
-    "likelihood",
-    "levels",
-    "remesh",
-    "collisions",
-    "topology",
-    "as_in_the_paper",
-    "max_iterations",
-    "device",
-)
+_SCENE = ("voxel_size", "sigma", "effects")
 
 
 def add_parser(commands: Any) -> None:
@@ -63,30 +53,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def add_fit_options(parser: argparse.ArgumentParser) -> None:
     """Add what describes a fit: seeds, scene and settings."""
-    add = parser.add_argument
-    add("--seeds", metavar="FILE", help="mesh, label image, or CSV (z,y,x or z,y,x,radius; um)")
-    add("--voxel-size", nargs=3, type=float, metavar=TRIPLE, help="um; else from the image file")
-    add(
-        "--sigma",
-        nargs=3,
-        type=float,
-        metavar=TRIPLE,
-        help="um; standard deviations of the PSF (default: 1.2 voxels)",
-    )
+    add_flags(parser, RunFields)
+    known = ", ".join(EFFECTS)
+    text = f"auto, none, or some of {known}, with commas between"
+    add_flags(parser, SceneFields, _SCENE, helps={"effects": text})
     add_optics(parser)
-    add("--fit-psf", action=argparse.BooleanOptionalAction, default=None, help=_help("fit_psf"))
-    add("--accuracy", type=float, metavar="A", help=_help("accuracy"))
-    names = ", ".join(EFFECTS)
-    add("--effects", metavar="E", help=f"auto, none, or some of {names}, with commas between")
-    add("--density", choices=get_args(DensityModel), help=_help("density"))
-    for name in ("remesh", "collisions", "topology"):
-        add(f"--{name}", action=argparse.BooleanOptionalAction, default=None, help=_help(name))
-    add("--likelihood", choices=get_args(Likelihood), help=_help("likelihood"))
-    add("--levels", nargs="+", type=float, metavar="B", help=_help("levels"))
-    paper = "as_in_the_paper"
-    add("--as-in-the-paper", action="store_true", default=None, help=_help(paper))
-    add("--max-iterations", type=int, metavar="N", help=_help("max_iterations"))
-    add("--device", choices=get_args(DeviceChoice), help=_help("device"))
+    add_flags(parser, FitSettings)
+    add = parser.add_argument
     add("--settings", metavar="run.toml", help="settings of a former run; other options prevail")
     add("--missing-nan", action="store_true", help="leave out voxels that are NaN or infinite")
 
@@ -107,8 +80,7 @@ def check_fit_options(arguments: argparse.Namespace, command: str) -> None:
                 f"{command} needs {wanted}, or --settings with a run.toml that names it"
             )
     check_files(arguments, "seeds")
-    given = {name: getattr(arguments, name) for name in FIT_OPTIONS}
-    validated(FitSettings, {name: value for name, value in given.items() if value is not None})
+    validated(FitSettings, values_given(arguments, FitSettings))
     optics_values(arguments)
 
 
@@ -134,7 +106,3 @@ def _add_second_view(parser: argparse.ArgumentParser) -> None:
         metavar=TRIPLE,
         help="um; standard deviations of its PSF, which is held",
     )
-
-
-def _help(name: str) -> str:
-    return help_of(FitSettings, name)

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import InputError
+from ..flags import TRIPLE
 from ..folders import check_folder
-from .argument_checks import TRIPLE, check_files
+from .argument_checks import check_files
 
 PRECIOUS = ("cells.csv", "walls.csv", "junctions.csv", "measurements.html")
 

@@ -8,10 +8,8 @@ from typing import Any
 from ...errors import InputError
 from ...runs.fit_settings import validated
 from ...runs.track_settings import TrackSettings
-from .argument_checks import help_of
+from ..flags import add_flags, values_given
 from .fit_arguments import add_options, check_fit_options
-
-_OPTIONS = ("time_step", "divisions", "velocity")
 
 
 def add_parser(commands: Any) -> None:
@@ -32,14 +30,7 @@ def add_parser(commands: Any) -> None:
         "as 'movie/t*.tif'; not needed with --settings",
     )
     add("--frames", metavar="A:B", help="from frame A, to which the seeds belong, to before B")
-    add("--time-step", type=float, metavar="S", help=_help("time_step"))
-    add(
-        "--divisions",
-        action=argparse.BooleanOptionalAction,
-        default=None,
-        help=_help("divisions"),
-    )
-    add("--velocity", type=float, metavar="V", help=_help("velocity"))
+    add_flags(parser, TrackSettings)
     add("--resume", metavar="DIR", help="go on after the frames that a former run wrote to DIR")
     add_options(parser)
     parser.set_defaults(module="track_command", check=_check)
@@ -47,7 +38,7 @@ def add_parser(commands: Any) -> None:
 
 def track_values(arguments: argparse.Namespace) -> dict[str, object]:
     """Settings of tracking that the arguments give; InputError where they cannot be."""
-    values = {n: getattr(arguments, n) for n in _OPTIONS if getattr(arguments, n) is not None}
+    values: dict[str, object] = values_given(arguments, TrackSettings)
     if arguments.frames is not None:
         first, colon, stop = arguments.frames.partition(":")
         try:
@@ -64,7 +55,3 @@ def track_values(arguments: argparse.Namespace) -> dict[str, object]:
 def _check(arguments: argparse.Namespace) -> None:
     check_fit_options(arguments, "track")
     track_values(arguments)
-
-
-def _help(name: str) -> str:
-    return help_of(TrackSettings, name)

@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...images.stacks import holds_image
+from ...runs.command import command
 from ...runs.settings import RunSettings
 from ...scene import Grid
 from ..background import Background
 from ..seeding.seed_kinds import Seeds
-from .command import command, needs_folder, with_files, with_second_file
+from .run_files import needs_folder, with_files, with_second_file
 
 
 @dataclass(frozen=True, eq=False)

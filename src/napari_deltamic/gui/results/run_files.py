@@ -1,47 +1,17 @@
-"""The command line that repeats a run of the widget without a window."""
+"""Files for what a run needs and only the viewer has, so that a command can repeat it."""
 
 from __future__ import annotations
 
-import shlex
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
 
-from ...cli.messages import PROGRAM
-from ...cli.optics_arguments import optics_options
 from ...common.choices import MESH_FILES
 from ...images.stacks import write_image
-from ...runs.settings import NEAR_LEVELS, FitSettings, RunSettings
+from ...runs.settings import NEAR_LEVELS, RunSettings
 from ...scene import Grid
 from ..seeding.seed_kinds import Seeds
-
-_FLAGS = ("accuracy", "density", "likelihood", "max_iterations", "device")
-
-
-def command(settings: RunSettings, output: str, *, missing: bool = False) -> str:
-    """The call of the command line with these settings; it is quoted for a shell."""
-    words: list[str] = [PROGRAM, "fit", settings.image, "--seeds", settings.seeds]
-    words += ["--voxel-size", *_numbers(settings.scene.voxel_size)]
-    if settings.scene.sigma is not None:
-        words += ["--sigma", *_numbers(settings.scene.sigma)]
-    if settings.scene.optics is not None:
-        words += optics_options(settings.scene.optics)
-    fit, default = settings.fit, FitSettings()
-    words.append("--fit-psf" if fit.fit_psf else "--no-fit-psf")
-    for name in _FLAGS:
-        value: Any = getattr(fit, name)
-        if value != getattr(default, name):
-            words += [f"--{name.replace('_', '-')}", str(value)]
-    for name in ("remesh", "collisions", "topology"):
-        if getattr(fit, name) != getattr(default, name):
-            words.append(f"--{name}" if getattr(fit, name) else f"--no-{name}")
-    words += ["--levels", *_numbers(fit.levels)] if fit.levels else []
-    words += ["--missing-nan"] if missing else []
-    effects = settings.scene.effects
-    words += ["--effects", effects.to_text()] if effects.names else []
-    return shlex.join([*words, "-o", output])
 
 
 def needs_folder(settings: RunSettings) -> bool:
@@ -97,7 +67,3 @@ def _unused(path: Path) -> Path:
         k += 1
         found = path.with_stem(f"{path.stem}-{k}")
     return found
-
-
-def _numbers(values: Sequence[float]) -> list[str]:
-    return [f"{value:.6g}" for value in values]

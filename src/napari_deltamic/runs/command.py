@@ -1,0 +1,80 @@
+"""The command line that repeats a run."""
+
+from __future__ import annotations
+
+import shlex
+from typing import TYPE_CHECKING, Any
+
+from ..common.description import Described, described
+from ..errors import PROGRAM, InputError
+
+if TYPE_CHECKING:
+    from .settings import RunSettings
+
+
+def command(settings: RunSettings, output: str, *, missing: bool = False) -> str:
+    """The call of ``fit`` with these settings; it is quoted for a shell.
+
+    missing : whether voxels that are NaN or infinite are left out.
+
+    Raises
+    ------
+    InputError
+        If no flags give the PSF.
+    """
+    scene = settings.scene
+    words = [PROGRAM, "fit", settings.image, "--seeds", settings.seeds, *flags_of(scene)]
+    words += [] if scene.optics is None else optics_flags(scene.optics)
+    words += ["--effects", scene.effects.to_text()] if scene.effects.names else []
+    words += flags_of(settings.fit)
+    words += ["--missing-nan"] if missing else []
+    return shlex.join([*words, "-o", output])
+
+
+def flags_of(settings: Any) -> list[str]:
+    """The flags and values that give a settings object: of all that is not its default.
+
+    Parts, which have settings of their own, are left out.
+    """
+    words = []
+    for name, found in described(type(settings)).items():
+        value = getattr(settings, name)
+        if found.flag and found.kind != "part" and (found.required or value != found.default):
+            words += _words(found, value)
+    return words
+
+
+def optics_flags(settings: Any) -> list[str]:
+    """The flags that give the settings of a PSF.
+
+    Raises
+    ------
+    InputError
+        If only a file of settings can.
+    """
+    given = {name for name, found in described(type(settings)).items() if found.flag}
+    for name, field in type(settings).model_fields.items():
+        other = name != "kind" and name not in given
+        if other and getattr(settings, name) != field.default:
+            raise InputError(
+                "no arguments of the command line give this PSF: save the results, whose run.toml "
+                "repeats the run"
+            )
+    return flags_of(settings)
+
+
+def _words(found: Described, value: Any) -> list[str]:
+    if found.kind == "switch":
+        return [found.flag if value else f"--no-{found.flag[2:]}"]
+    if found.kind == "triple":
+        return [found.flag, *(f"{part:.6g}" for part in value)]
+    values = value if found.kind == "numbers" else [value]
+    return [found.flag, *(_exact(part) for part in values)]
+
+
+def _exact(value: Any) -> str:
+    """As short as it can be, without another value."""
+    if not isinstance(value, float):
+        return str(value)
+    short = f"{value:.6g}"
+    return short if float(short) == value else repr(value)

@@ -1,0 +1,93 @@
+"""The settings of an image and its PSF that need nothing of the engine."""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import Any, Self
+
+from pydantic import field_serializer, field_validator, model_validator
+
+from ..common.description import setting
+from .fit_settings import Settings
+from .optics_settings import OpticsSettings
+
+Triple = tuple[float, float, float]
+
+
+class SceneFields(Settings):
+    """How the image was formed, but for the effects, which need the engine."""
+
+    voxel_size: Triple = setting(
+        title="voxel size", tip="size of a voxel, Z Y X; else from the image file", unit="um"
+    )
+    origin: Triple = setting(
+        (0.0, 0.0, 0.0),
+        title="origin",
+        tip="centre of the first voxel, Z Y X",
+        unit="um",
+        flag=None,
+        advanced=True,
+    )
+    sigma: Triple | None = setting(
+        None,
+        title="widths of the PSF",
+        tip="standard deviations of the PSF, Z Y X; where not given: 1.2 voxels",
+        unit="um",
+        live=True,
+    )
+    optics: OpticsSettings | None = setting(
+        None,
+        title="PSF",
+        tip="the PSF, where it is not the Gaussian of sigma: a microscope, a measured PSF, "
+        "a mixture; a table with its kind",
+        metavar="FILE.toml",
+        live=True,
+    )
+    effects: Any = setting(
+        None,
+        title="corrections",
+        tip="effects, optional parts of image formation; names, or a table each",
+        live=True,
+    )
+
+    @field_validator("voxel_size")
+    @classmethod
+    def _positive_voxels(cls, v: Triple) -> Triple:
+        if not all(isfinite(d) and d > 0 for d in v):
+            raise ValueError(f"voxel size must be three positive numbers (um), not {v}")
+        return v
+
+    @field_validator("origin")
+    @classmethod
+    def _finite_origin(cls, v: Triple) -> Triple:
+        if not all(isfinite(o) for o in v):
+            raise ValueError(f"origin must be three finite numbers (um), not {v}")
+        return v
+
+    @field_validator("sigma")
+    @classmethod
+    def _positive_sigma(cls, v: Triple | None) -> Triple | None:
+        if v is not None and not all(isfinite(d) and d > 0 for d in v):
+            raise ValueError(f"sigma must be positive (um), not {v}")
+        return v
+
+    @model_validator(mode="after")
+    def _one_psf(self) -> Self:
+        if self.sigma is not None and self.optics is not None:
+            raise ValueError("sigma and optics both say what the PSF is: give one of them")
+        return self
+
+    @field_serializer("optics")
+    def _given(self, optics: Any) -> dict[str, Any] | None:
+        return None if optics is None else optics.model_dump(exclude_none=True)
+
+
+class RunFields(Settings):
+    """What is fitted to what."""
+
+    image: str = setting(title="image", tip="image file, .tif or .npy", flag=None)
+    seeds: str = setting(
+        title="cells",
+        tip="where the fit starts: a mesh, a label image, or a CSV (z,y,x or z,y,x,radius; um)",
+        metavar="FILE",
+    )
