@@ -203,6 +203,8 @@ def test_errors_come_from_the_gradient(bubble):
     assert row["volume_se_um3"] == pytest.approx(3 * row["volume_um3"] / 3.0 * 0.1)
     assert row["area_se_um2"] == pytest.approx(2 * row["area_um2"] / 3.0 * 0.1)
     assert row["sphericity_se"] == pytest.approx(0, abs=1e-12)
+    mean = row["mean_curvature_per_um"]
+    assert row["mean_curvature_se_per_um"] == pytest.approx(mean / 3.0 * 0.1)
     wall = measure(mesh, Known(deviation=deviation)).walls.rows[0]
     assert wall["area_se_um2"] == pytest.approx(row["area_se_um2"])
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from napari_deltamic.geometry.mesh import OUTSIDE
 from napari_deltamic.measure.cells import measure_cells, moments, principal_axes
-from napari_deltamic.measure.discrete_curvature import cell_curvature
+from napari_deltamic.measure.discrete_curvature import cell_curvature, turning_gradient
 from napari_deltamic.measure.known import Known, area_gradient, volume_gradient
 from napari_deltamic.measure.sides import Sides
 from napari_deltamic.measure.table import Column, Table, Value, notes, table_of
@@ -64,6 +64,9 @@ CELL_COLUMNS = (
     Column("volume_se_um3", "um^3", "standard error of the volume, from the fit"),
     Column("area_se_um2", "um^2", "standard error of the area, from the fit"),
     Column("sphericity_se", "", "standard error of the sphericity, from the fit"),
+    Column(
+        "mean_curvature_se_per_um", "1/um", "standard error of the mean curvature, from the fit"
+    ),
     Column("cut_by_border", "", "yes where it reaches beyond the outermost voxels, else no"),
     Column("explained", "", "share of what varies around it that the fit explains"),
     Column("note", "", "why cells of this row are empty, and what to mind"),
@@ -172,6 +175,7 @@ def _densities(sides: Sides, known: Known) -> list[dict[str, Value]]:
 def _errors(sides: Sides, known: Known) -> list[dict[str, Value]]:
     if known.deviation is None:
         return [{} for _ in sides.cells]
+    bends = cell_curvature(sides).mean
     volumes, areas = moments(sides)[0], sides.total(sides.mesh.areas()[sides.face])
     rows: list[dict[str, Value]] = []
     for k, (volume, area) in enumerate(zip(volumes, areas, strict=True)):
@@ -179,6 +183,9 @@ def _errors(sides: Sides, known: Known) -> list[dict[str, Value]]:
         faces[sides.face[sides.cell == k]] = True
         of_area = area_gradient(sides.mesh, faces)
         row: dict[str, Value] = {"area_se_um2": known.deviation(of_area)}
+        if np.isfinite(bends[k]) and area > 0:
+            of_bend = turning_gradient(sides, k) / area - bends[k] / area**2 * of_area
+            row["mean_curvature_se_per_um"] = known.deviation(of_bend)
         if np.isfinite(volume):
             of_volume = volume_gradient(sides, k)
             relative = 2 / 3 * of_volume / volume - of_area / area

@@ -112,11 +112,36 @@ def corner_angles(mesh: Mesh) -> FloatArray:
     return found
 
 
-def _turning(sides: Sides) -> FloatArray:
-    """(C,) um: half the sum over edges of length times the turn of the outward normal."""
+def turning_gradient(sides: Sides, cell: int) -> FloatArray:
+    """(V, 3) change of the mean curvature integral of a cell, by its index, by the vertices.
+
+    Only the lengths count: what the turns change by cancels (L. Schlaefli, 1858).
+    """
     mesh = sides.mesh
     v = mesh.vertices_numpy()
-    cell, edge, one, other = sides.hinges
+    own = sides.hinges[0] == cell
+    turn, length = (values[own] for values in _hinges(sides))
+    ends = mesh.edges()[sides.hinges[1][own]]
+    along = (v[ends[:, 1]] - v[ends[:, 0]]) / np.where(length > 0, length, 1)[:, None]
+    pull = turn[:, None] / 2 * along
+    found = np.zeros_like(v)
+    np.add.at(found, ends[:, 1], pull)
+    np.add.at(found, ends[:, 0], -pull)
+    return found
+
+
+def _turning(sides: Sides) -> FloatArray:
+    """(C,) um: half the sum over edges of length times the turn of the outward normal."""
+    turn, length = _hinges(sides)
+    cell = sides.hinges[0]
+    return np.bincount(cell, length * turn / 2, len(sides.cells)).astype(np.float64)
+
+
+def _hinges(sides: Sides) -> tuple[FloatArray, FloatArray]:
+    """Turn of the outward normal across each hinge, radians, and its length, um."""
+    mesh = sides.mesh
+    v = mesh.vertices_numpy()
+    _, edge, one, other = sides.hinges
     ends = mesh.edges()[edge]
     normals = mesh.normals()[sides.face] * sides.sign[:, None]
     first, second = normals[one], normals[other]
@@ -129,8 +154,7 @@ def _turning(sides: Sides) -> FloatArray:
     sine = np.linalg.norm(np.cross(first, second), axis=1)
     turn = np.arctan2(sine, np.einsum("hi,hi->h", first, second))
     length = np.linalg.norm(v[ends[:, 1]] - v[ends[:, 0]], axis=1)
-    each = length * np.where(bulges > 0, -turn, turn) / 2
-    return np.bincount(cell, each, len(sides.cells)).astype(np.float64)
+    return np.where(bulges > 0, -turn, turn), length
 
 
 def _area_gradient(mesh: Mesh, normals: FloatArray, out: FloatArray) -> FloatArray:
