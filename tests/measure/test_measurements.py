@@ -128,7 +128,7 @@ def test_a_cell_that_the_border_cuts():
 
 
 def test_junctions_at_the_border_have_no_angles(bubble):
-    near = Grid((12, 40, 40), (0.5, 0.5, 0.5), (-3.0, -10.0, -10.0))
+    near = Grid((12, 40, 40), (0.5, 0.5, 0.5), (-2.9, -10.0, -10.0))
     inside = measure(bubble).junctions.rows[0]
     cut = measure(bubble, Known(grid=near)).junctions.rows[0]
     assert 0 < cut["measured_length_um"] < inside["measured_length_um"]

@@ -14,6 +14,9 @@ _REACH = 5.0  # median edges of the mesh: how far into a wall its shape is looke
 _STRIP = 0.75  # median edges to either side along the junction
 _LINE = 2.0  # median edges: over which the direction of a junction is averaged
 _FEWEST = 6  # points to draw an arc through
+_FLAT = 1e-14  # of the largest moment of points: none
+# Inverse of the quadratic form B^2 + C^2 - 4 A D.
+_PRATT = np.array([[0, 0, 0, -0.5], [0, 1, 0, 0], [0, 0, 1, 0], [-0.5, 0, 0, 0]])
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,7 @@ def junction_lengths(mesh: Mesh) -> dict[tuple[int, int, int], float]:
 
 
 def junction_angles(
-    mesh: Mesh, reach: float | None = None, within: FloatArray | None = None
+    mesh: Mesh, reach: float | None = None, avoid: FloatArray | None = None
 ) -> list[Junction]:
     """The angles between the walls along each junction of three regions.
 
@@ -73,8 +76,8 @@ def junction_angles(
     ----------
     mesh : closed regions that share walls, um.
     reach : um; how far into a wall its shape is looked at. By default five edges of the mesh.
-    within : (2, 3) um, lowest and highest corner of a box: what is nearer to its sides than the
-        reach is left out. Faces that close a cell at the border of an image are no membranes.
+    avoid : (N, 3) um: places to which the reach must not come, as the faces that close a cell at
+        the border of an image, which are no membranes.
 
     Returns
     -------
@@ -91,9 +94,8 @@ def junction_angles(
     if not reach > 0:
         raise InputError(f"the reach of junction angles must be positive (um), not {reach}")
     edges, triples = _junction_edges(mesh)
-    if within is not None and len(edges):
-        middle = ends[edges].mean(1)
-        far = ((middle > within[0] + reach) & (middle < within[1] - reach)).all(1)
+    if avoid is not None and len(avoid) and len(edges):
+        far = cKDTree(avoid).query(ends[edges].mean(1))[0] > reach
         edges, triples = edges[far], triples[far]
     if not len(edges):
         return []
@@ -185,23 +187,29 @@ def _openings(walls: _Walls, middle: FloatArray, along: FloatArray, triple: IntA
 
 
 def _tangent(points: FloatArray) -> FloatArray | None:
-    """Direction in which a curve through points (N, 2) leaves the origin, to the side of them.
+    """Direction in which a circle or a line through points (N, 2) leaves the origin, towards them.
 
-    A parabola over the chord: linear in the points, so that their noise does not bend it. To it
-    comes the next term of a circle of that curvature, ``a^3 s^4``: without it the tangent of an arc
-    of a radian would be off by half a degree.
+    The circle ``A (x^2 + y^2) + B x + C y + D = 0`` of least squares with ``B^2 + C^2 - 4 A D = 1``
+    (V. Pratt, "Direct least-squares fitting of algebraic surfaces", 1987), which may be a line
+    and hardly bends with noise on short arcs. Its gradient at the origin is (B, C), whether the
+    origin lies on it or beside it.
     """
-    mean = points.mean(0)
-    chord = np.linalg.svd(points - mean, full_matrices=False)[2]
-    chord = chord * np.where(chord[:1] @ mean > 0, 1.0, -1.0)
-    s, h = (points @ chord.T).T
-    middle = (s.min() + s.max()) / 2
-    s, start = s - middle, -middle
-    powers, bend = np.vander(s, 3), 0.0
-    for _ in range(3):
-        (bend, slope, _), _, rank, _ = np.linalg.lstsq(powers, h - bend**3 * s**4, rcond=None)
-        if rank < 3:
-            return None
-    slope += 2 * bend * start + 4 * bend**3 * start**3
-    tangent: FloatArray = chord[0] + slope * chord[1]
-    return tangent
+    scale = float(np.sqrt((points**2).sum(1).mean()))
+    if not scale > 0:
+        return None
+    p = points / scale
+    table = np.column_stack([(p**2).sum(1), p, np.ones(len(p))])
+    moments = table.T @ table / len(p)
+    values, vectors = np.linalg.eigh(moments)
+    if values[1] <= _FLAT * values[3]:
+        return None  # points on a point: no direction
+    # The least of Z'Z under the constraint: an eigenvector of its inverse times the constraint's.
+    root = vectors * np.sqrt(np.maximum(values, _FLAT * values[3]))
+    inner = root.T @ _PRATT @ root
+    least, found = np.linalg.eigh((inner + inner.T) / 2)
+    if not (least > 0).any():
+        return None
+    chosen = found[:, int(np.flatnonzero(least > 0)[0])]
+    _, b, c, _ = _PRATT @ root @ chosen
+    tangent: FloatArray = np.array([-c, b]) / max(float(np.hypot(b, c)), _FLAT)
+    return tangent * (1.0 if tangent @ p.mean(0) > 0 else -1.0)

@@ -59,18 +59,21 @@ class Known:
         """The standard error of a number; None where errors are not known."""
         return None if self.deviation is None else self.deviation(gradient())
 
-    def border(self) -> FloatArray | None:
-        """(2, 3) um: the centres of the outermost voxels, lowest and highest corner."""
-        return None if self.grid is None else np.stack(self.grid.extent).astype(np.float64)
+    def beyond(self, mesh: Mesh) -> NDArray[np.bool_] | None:
+        """(V,) vertices at or beyond the centres of the outermost voxels; None without a grid."""
+        if self.grid is None:
+            return None
+        first, last = self.grid.extent
+        v = mesh.vertices_numpy()
+        return np.asarray(((v <= first) | (v >= last)).any(axis=1), np.bool_)
 
     def cut(self, sides: Sides) -> NDArray[np.bool_] | None:
         """(C,) whether a cell reaches beyond the centres of the outermost voxels."""
-        border = self.border()
-        if border is None:
+        beyond = self.beyond(sides.mesh)
+        if beyond is None:
             return None
-        corners = sides.mesh.vertices_numpy()[sides.mesh.faces]
-        beyond = ((corners <= border[0]) | (corners >= border[1])).any((1, 2))
-        found: NDArray[np.bool_] = sides.total(beyond[sides.face].astype(float)) > 0
+        touched = beyond[sides.mesh.faces[sides.face]].any(1)
+        found: NDArray[np.bool_] = sides.total(touched.astype(float)) > 0
         return found
 
 

@@ -55,7 +55,9 @@ def measure(
     known = (known or Known()).checked(mesh)
     sides, curvature = Sides.of(mesh), wall_curvature(mesh)
     pairs = [(a, b) for a, b in mesh.interfaces()[0].tolist()]
-    junctions = junction_angles(mesh, within=known.border())
+    beyond = known.beyond(mesh)
+    cut = None if beyond is None else mesh.vertices_numpy()[beyond]
+    junctions = junction_angles(mesh, avoid=cut)
     tensions = relative_tensions(junctions, pairs, known.resolution, settings)
     walls = walls_table(mesh, known, curvature, tensions)
     # Those of walls without area are of no use, and without meaning.
