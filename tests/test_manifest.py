@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import napari_deltamic
-from napari_deltamic.common.choices import MESH_FILES
+from napari_deltamic.geometry.formats import MESH_FILES
 
 MANIFEST = Path(napari_deltamic.__file__).with_name("napari.yaml")
 npe2 = pytest.importorskip("npe2")

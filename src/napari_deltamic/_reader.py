@@ -9,7 +9,7 @@ from typing import Any
 from napari import current_viewer
 from napari.utils.notifications import show_info, show_warning
 
-from .common.choices import MESH_FILES
+from .geometry.formats import MESH_FILES
 from .gui.menu import fit_widget
 from .gui.results.session_layers import image_layer, mesh_layer, seed_layer
 from .gui.viewing.frame import ORIGIN, OWN, Frame

@@ -16,7 +16,7 @@ from .gui.viewing.walls import joined
 
 
 def write_surface(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
-    """Write a Surface layer as a .ply, .obj, .stl, .rec, .off or .vtk file, um.
+    """Write a Surface layer as a mesh file, um; the suffix says which.
 
     The layer's scale counts, and its translation. Files of the layers of a fit, and of those that
     were read from a mesh file, have the centre of the image's first voxel at 0.

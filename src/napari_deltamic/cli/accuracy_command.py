@@ -28,7 +28,6 @@ from ..accuracy.accuracy_chart import (
 from ..accuracy.forecast import Forecast, forecast
 from ..accuracy.shape_error import DRAWS, ShapeError, photons_for, shape_errors
 from ..accuracy.tradeoff import Way, duration, measure_ways, with_front
-from ..common.choices import MESH_FILES
 from ..common.writing import make_folder, write_atomically
 from ..errors import failure
 from ..fitting import fit
@@ -39,6 +38,7 @@ from ..fourier.cost import costs
 from ..fourier.cuda import missing
 from ..fourier.native import simd_level, threads
 from ..geometry import Mesh, load_mesh
+from ..geometry.formats import MESH_FILES
 from ..optics import Optics
 from ..scene import Grid
 from .inputs import gather

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.choices import IMAGE_FILES, MESH_FILES
+from ..common.choices import IMAGE_FILES
 from ..errors import InputError
 from ..fitting.checks import check_image
 from ..fitting.job import SIGMA_IN_VOXELS, FitInput, SeedKind, assemble
 from ..geometry import Mesh, load_mesh, mesh_from_labels, read_points_csv, seeds_from_points
+from ..geometry.formats import MESH_FILES
 from ..images.missing import filled
 from ..images.stacks import VoxelSize, read_image
 from ..runs.settings import FitSettings, RunSettings, SceneSettings, validated

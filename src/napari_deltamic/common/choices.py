@@ -36,4 +36,3 @@ EFFECTS = (
 
 TIFF = (".tif", ".tiff")
 IMAGE_FILES = (*TIFF, ".npy")
-MESH_FILES = (".ply", ".obj", ".off", ".stl", ".rec", ".vtk")

@@ -295,6 +295,21 @@ class Mesh:
         """Row in ``edges`` of the edge opposite each corner, (F, 3)."""
         return self._connectivity.edges[1]
 
+    # ---- other libraries --------------------------------------------------------------------
+
+    def to_trimesh(self) -> Any:
+        """The same as a ``trimesh.Trimesh``; see :func:`.trimesh_exchange.to_trimesh`."""
+        from .trimesh_exchange import to_trimesh
+
+        return to_trimesh(self)
+
+    @staticmethod
+    def from_trimesh(other: Any) -> Mesh:
+        """The mesh of a ``trimesh.Trimesh``; see :func:`.trimesh_exchange.from_trimesh`."""
+        from .trimesh_exchange import from_trimesh
+
+        return from_trimesh(other)
+
     # ---- several meshes ---------------------------------------------------------------------
 
     @staticmethod

@@ -6,8 +6,9 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from ...common.choices import IMAGE_FILES, MESH_FILES
+from ...common.choices import IMAGE_FILES
 from ...errors import InputError
+from ...geometry.formats import MESH_FILES
 from ...runs.scene_settings import SceneFields
 from ..flags import TRIPLE, add_flags
 from ..folders import check_folder

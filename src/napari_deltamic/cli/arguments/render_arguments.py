@@ -9,6 +9,7 @@ from typing import Any
 
 from ...common.choices import IMAGE_FILES
 from ...errors import InputError
+from ...geometry.formats import MESH_FILES_LISTED
 from ..optics_arguments import add_grid_and_optics, optics_values
 from .argument_checks import check_accuracy, check_files
 
@@ -21,7 +22,7 @@ def add_parser(commands: Any) -> None:
         description="Render the image that a microscope would show of the surface of a mesh.",
     )
     add = parser.add_argument
-    add("mesh", metavar="MESH", help=".ply, .obj, .off, .stl, .rec or .vtk; x, y, z in um")
+    add("mesh", metavar="MESH", help=f"{MESH_FILES_LISTED}; x, y, z in um")
     add_grid_and_optics(parser)
     add(
         "--accuracy",

@@ -7,6 +7,7 @@ from typing import Any, get_args
 
 from ...common.choices import Bits, CellKind
 from ...errors import InputError
+from ...geometry.formats import MESH_FILES_LISTED
 from ..optics_arguments import add_grid_and_optics, optics_values
 from .argument_checks import check_files
 
@@ -23,7 +24,7 @@ def add_parser(commands: Any) -> None:
         "the image. The same options give the same bytes.",
     )
     add = parser.add_argument
-    add("mesh", nargs="?", metavar="MESH", help=".ply, .obj, .off, .stl, .rec or .vtk; um")
+    add("mesh", nargs="?", metavar="MESH", help=f"{MESH_FILES_LISTED}; um")
     add("--cells", type=int, metavar="N", help="so many random cells instead of a mesh")
     add("--kind", choices=get_args(CellKind), help="of random cells (default: foam)")
     add_grid_and_optics(parser)

@@ -1,10 +1,11 @@
-"""Mesh files: .obj .off .ply .stl .rec .vtk. They store x, y, z in um; memory holds Z, Y, X."""
+"""Mesh files. They store x, y, z in um; memory holds Z, Y, X. ``formats.py`` lists the formats."""
 
 from __future__ import annotations
 
 import os
 import warnings
 from collections.abc import Callable, Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -13,21 +14,10 @@ import numpy as np
 from napari_deltamic.common.reading import one_reason, quiet
 from napari_deltamic.common.writing import write_atomically
 from napari_deltamic.errors import InputError, RepairWarning
-from napari_deltamic.geometry.files.common import (
-    read_stl,
-    read_with_trimesh,
-    write_off,
-    write_ply,
-    write_stl,
-)
-from napari_deltamic.geometry.files.obj import read_obj, write_obj
 from napari_deltamic.geometry.files.raw import RawMesh
-from napari_deltamic.geometry.files.rec import read_rec, write_rec
-from napari_deltamic.geometry.files.vtk import read_vtk, write_vtk
+from napari_deltamic.geometry.formats import MESH_FILES, MESH_FORMATS, MeshFormat, mesh_format
 from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, Mesh
 from napari_deltamic.geometry.mesh_repair import counted, repair
-
-WITH_ATTRIBUTES = (".ply", ".vtk")
 
 
 def load_mesh(path: str | os.PathLike[str]) -> Mesh:
@@ -54,7 +44,8 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh:
         indices out of range, positions that are not finite.
     """
     path = Path(path)
-    read = _by_extension(path, _READERS)
+    kind = _format(path)
+    read: Callable[[bytes], RawMesh] = _function("read", kind)
     try:
         data = path.read_bytes()
     except FileNotFoundError:
@@ -106,13 +97,15 @@ def save_mesh(
         cannot be written.
     """
     path = Path(path)
-    write = _by_extension(path, _WRITERS)
+    kind = _format(path)
+    write: Callable[..., bytes] = _function("write", kind)
     more = {}
     if attributes:
-        if path.suffix.lower() not in WITH_ATTRIBUTES:
-            raise InputError(f"{path}: only {' and '.join(WITH_ATTRIBUTES)} files hold attributes")
+        if not kind.attributes:
+            known = " and ".join(one.suffix for one in MESH_FORMATS if one.attributes)
+            raise InputError(f"{path}: only {known} files hold attributes")
         more["attributes"] = attributes
-    if path.suffix.lower() in (".stl", ".off"):
+    if not kind.regions:
         pairs = mesh.interfaces()[0].tolist()
         if pairs != [[1, OUTSIDE]]:
             warnings.warn(
@@ -139,28 +132,15 @@ def _remarks(mesh: Mesh) -> list[str]:
     return found
 
 
-def _by_extension(path: Path, table: dict[str, Any]) -> Any:
-    try:
-        return table[path.suffix.lower()]
-    except KeyError:
+def _format(path: Path) -> MeshFormat:
+    kind = mesh_format(path)
+    if kind is None:
         raise InputError(
-            f"{path}: unknown mesh extension '{path.suffix}'; known are {', '.join(table)}"
-        ) from None
+            f"{path}: unknown mesh extension '{path.suffix}'; known are {', '.join(MESH_FILES)}"
+        )
+    return kind
 
 
-_READERS: dict[str, Callable[[bytes], RawMesh]] = {
-    ".obj": read_obj,
-    ".off": lambda data: read_with_trimesh(data, "off"),
-    ".ply": lambda data: read_with_trimesh(data, "ply"),
-    ".stl": read_stl,
-    ".rec": read_rec,
-    ".vtk": read_vtk,
-}
-_WRITERS: dict[str, Callable[..., bytes]] = {
-    ".obj": write_obj,
-    ".off": write_off,
-    ".ply": write_ply,
-    ".stl": write_stl,
-    ".rec": write_rec,
-    ".vtk": write_vtk,
-}
+def _function(verb: str, kind: MeshFormat) -> Any:
+    """What reads or writes a format; loaded when it is needed."""
+    return getattr(import_module(f"{__name__}.{kind.name}"), f"{verb}_{kind.name}")

@@ -11,6 +11,7 @@ from qtpy.QtWidgets import QFileDialog, QGroupBox, QHBoxLayout, QPushButton, QVB
 from ...fitting import FitState
 from ...fitting.job import FitInput
 from ...geometry import Mesh, save_mesh
+from ...geometry.formats import MESH_FILES, MESH_FILES_LISTED, MESH_FILTERS
 from ...images.stacks import write_image
 from ...measure import measure_cells, write_csv
 from ...results.colouring import colour_indices
@@ -19,7 +20,6 @@ from ..qt import Signal
 from .cell_table import CellTable
 
 IMAGE_FILES = "OME-TIFF (*.ome.tif *.ome.tiff);;ImageJ TIFF (*.tif *.tiff)"
-MESH_FILES = "PLY (*.ply);;OBJ (*.obj);;STL (*.stl);;multimaterial (*.rec);;VTK (*.vtk)"
 
 
 class ResultsPanel(QGroupBox):
@@ -50,7 +50,7 @@ class ResultsPanel(QGroupBox):
             "All...": self._ask_all,
         }
         tips = (
-            "Save the meshes: .ply, .obj, .stl or .rec, um.",
+            f"Save the meshes: {MESH_FILES_LISTED}, um.",
             "Save the measurements as .csv, um.",
             "Save the rendered image with its voxel size: .ome.tif, or .tif for ImageJ.",
             "Save everything in a folder: meshes, image, measurements, settings, report, picture.",
@@ -119,7 +119,9 @@ class ResultsPanel(QGroupBox):
             self.cell_chosen.emit(self.table.center(regions[-1]))
 
     def _ask_meshes(self) -> None:
-        path, kind = QFileDialog.getSaveFileName(self, "Save meshes", "mesh.ply", MESH_FILES)
+        path, kind = QFileDialog.getSaveFileName(
+            self, "Save meshes", f"mesh{MESH_FILES[0]}", MESH_FILTERS
+        )
         if path and not Path(path).suffix:
             path += kind[kind.index("*") + 1 : -1]
         self._save(self.save_meshes, path)

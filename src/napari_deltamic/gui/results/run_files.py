@@ -7,7 +7,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from ...common.choices import MESH_FILES
+from ...geometry.formats import MESH_FILES
 from ...images.stacks import write_image
 from ...runs.settings import NEAR_LEVELS, RunSettings
 from ...scene import Grid

@@ -8,8 +8,8 @@ from typing import Any
 from napari.utils.notifications import show_warning
 from qtpy.QtWidgets import QFileDialog, QPushButton, QWidget
 
-from ...common.choices import MESH_FILES
 from ...errors import InputError
+from ...geometry.formats import MESH_FILES_LISTED, MESH_FILTER
 from ..background import Background
 from ..panels.fields import sentence
 from ..qt import Signal
@@ -29,7 +29,7 @@ class MeshFiles(QPushButton):
         self._viewer, self._image = viewer, image_panel
         self.message = ""
         self.setToolTip(
-            "<qt>Adds surfaces from .ply, .obj, .off, .stl, .rec or .vtk files as layers; their "
+            f"<qt>Adds surfaces from {MESH_FILES_LISTED} files as layers; their "
             "coordinates are um from the centre of the first voxel.</qt>"
         )
         self._background = Background(self._add, self._fail)
@@ -48,10 +48,7 @@ class MeshFiles(QPushButton):
         self._background.close()
 
     def _ask(self) -> None:
-        kinds = " ".join(f"*{suffix}" for suffix in MESH_FILES)
-        paths, _ = QFileDialog.getOpenFileNames(
-            self, "Surfaces to start from", "", f"Meshes ({kinds})"
-        )
+        paths, _ = QFileDialog.getOpenFileNames(self, "Surfaces to start from", "", MESH_FILTER)
         if paths:
             self.read(*paths)
 

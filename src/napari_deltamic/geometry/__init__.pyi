@@ -1,0 +1,46 @@
+from .files import load_mesh, save_mesh
+from .labels.find_cells import find_cells, suggest_size
+from .labels.label_edits import (
+    Click,
+    correct_labels,
+    read_clicks_csv,
+    write_clicks_csv,
+)
+from .labels.label_repair import RepairedLabels, repair_labels
+from .labels.meshes import mesh_from_labels
+from .mesh import OUTSIDE, Mesh
+from .mesh_repair import repair
+from .primitives import box, sphere, torus
+from .remeshing import Remeshed, remesh
+from .seed_points import (
+    labels_from_points,
+    read_points_csv,
+    seeds_from_points,
+)
+from .windings import fix_windings
+
+__all__ = [
+    "OUTSIDE",
+    "Click",
+    "Mesh",
+    "Remeshed",
+    "RepairedLabels",
+    "box",
+    "correct_labels",
+    "find_cells",
+    "fix_windings",
+    "labels_from_points",
+    "load_mesh",
+    "mesh_from_labels",
+    "read_clicks_csv",
+    "read_points_csv",
+    "remesh",
+    "repair",
+    "repair_labels",
+    "save_mesh",
+    "seeds_from_points",
+    "sphere",
+    "suggest_size",
+    "torus",
+    "write_clicks_csv",
+]

@@ -1,0 +1,21 @@
+"""Text files .off; one surface, without regions."""
+
+from __future__ import annotations
+
+from napari_deltamic.geometry.files.raw import RawMesh
+from napari_deltamic.geometry.files.with_trimesh import outward, read_with_trimesh
+from napari_deltamic.geometry.mesh import FloatArray, IntArray
+
+
+def read_off(data: bytes) -> RawMesh:
+    """Positions, and polygons cut into triangles."""
+    return read_with_trimesh(data, "off")[0]
+
+
+def write_off(xyz: FloatArray, faces: IntArray, regions: IntArray) -> bytes:
+    """Text with every digit."""
+    faces = outward(faces, regions)
+    lines = ["OFF", f"{len(xyz)} {len(faces)} 0"]
+    lines += [f"{x!r} {y!r} {z!r}" for x, y, z in xyz.tolist()]
+    lines += [f"3 {i} {j} {k}" for i, j, k in faces.tolist()]
+    return ("\n".join(lines) + "\n").encode()

@@ -1,0 +1,27 @@
+"""Binary .stl files; one surface, without regions."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from napari_deltamic.geometry.files.raw import RawMesh
+from napari_deltamic.geometry.files.with_trimesh import outward, read_with_trimesh
+from napari_deltamic.geometry.mesh import FloatArray, IntArray
+
+
+def read_stl(data: bytes) -> RawMesh:
+    """Triangles, with equal corners joined."""
+    raw = read_with_trimesh(data, "stl")[0]
+    # STL has no shared vertices: joining exact copies is reading, not repairing.
+    xyz, index = np.unique(raw.xyz, axis=0, return_inverse=True)
+    return RawMesh(xyz, index.reshape(-1)[raw.faces])
+
+
+def write_stl(xyz: FloatArray, faces: IntArray, regions: IntArray) -> bytes:
+    """About 7 digits, which is what the format has."""
+    import trimesh
+
+    solid: Any = trimesh.Trimesh(xyz, outward(faces, regions), process=False)
+    return bytes(solid.export(file_type="stl"))
