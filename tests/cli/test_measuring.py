@@ -59,7 +59,7 @@ def test_labels_at_a_voxel_size(bubble, run, tmp_path):
     options = ("--label-voxel", 0.5, 0.25, 0.25)
     code, out, _ = run("measure", bubble, *options, "-o", tmp_path / "out")
     assert code == 0
-    labels, size = read_image(out[-1])
+    labels, size = read_image(out[-2])
     assert size == pytest.approx((0.5, 0.25, 0.25))
     assert set(np.unique(labels)) == {0, 1, 2}
 
@@ -72,7 +72,7 @@ def test_an_image_says_what_its_border_cuts(run, tmp_path):
     code, out, err = run(*arguments, "-o", tmp_path / "out")
     assert code == 0, err
     assert [row["cut_by_border"] for row in rows(tmp_path / "out" / "cells.csv")] == ["no", "yes"]
-    labels, size = read_image(out[-1])
+    labels, size = read_image(out[-2])
     assert labels.shape == GRID.shape
     assert size == pytest.approx(SIZE)
 
@@ -82,7 +82,10 @@ def test_the_folder_of_a_fit(fitted, run, tmp_path):
     fit_row = rows(folder / "measurements.csv")[0]
     code, out, err = run("measure", folder, "-o", tmp_path / "out")
     assert code == 0, err
-    assert out[-1].endswith("labels.ome.tif")
+    assert [path.rsplit("/")[-1] for path in out] == list(MEASURED)
+    page = (tmp_path / "out" / "measurements.html").read_text()
+    assert "data:image/png;base64," in page
+    assert "explains" in page
     row = rows(tmp_path / "out" / "cells.csv")[0]
     assert list(row) == list(fit_row)
     for name in ("volume_um3", "sphericity", "handles", "cut_by_border", "explained"):

@@ -8,6 +8,7 @@ from pathlib import Path
 from ..common.writing import own_folder
 from ..errors import failure
 from ..measure import measure
+from ..results.html_page import html_page
 from ..results.measured_files import write_measurements
 from ..results.measured_source import Triple, measurable
 from .messages import Notes, tell
@@ -27,7 +28,12 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
             notes.release()
             size = _triple(arguments.label_voxel)
             paths = write_measurements(
-                folder, source.mesh, measured, grid=source.grid, voxel_size=size
+                folder,
+                source.mesh,
+                measured,
+                grid=source.grid,
+                voxel_size=size,
+                page=html_page(source, measured),
             )
     except (MemoryError, RuntimeError) as error:
         raise failure(error) from error

@@ -21,6 +21,7 @@ MEASURED = (
     "walls.vtk",
     "walls.ply",
     "labels.ome.tif",
+    "measurements.html",
 )
 Triple = tuple[float, float, float]
 
@@ -32,13 +33,14 @@ def write_measurements(
     *,
     grid: Grid | None = None,
     voxel_size: Triple | None = None,
+    page: str = "",
 ) -> list[Path]:
     """Write what was measured on a mesh; files of the same names are replaced, all or none.
 
     ``cells.csv``, ``walls.csv`` and ``junctions.csv`` (units in the headers); ``cells.vtk`` and
     ``cells.ply`` (every cell for itself) and ``walls.vtk`` and ``walls.ply`` (one mesh, walls
     shared) with the numbers of their tables on each face; ``labels.ome.tif``, if a voxel size is
-    known.
+    known; ``measurements.html``, if there is a page.
 
     Parameters
     ----------
@@ -48,6 +50,8 @@ def write_measurements(
         Of the image; labels then fill the same block of space.
     voxel_size
         um, of the labels; by default that of the image.
+    page
+        As from :func:`~.html_page.html_page`.
 
     Returns
     -------
@@ -76,4 +80,7 @@ def write_measurements(
         if place is not None:
             paths.append(folder / "labels.ome.tif")
             write_image(paths[-1], labels_of(mesh, place), place.voxel_size)
+        if page:
+            paths.append(folder / "measurements.html")
+            write_atomically(paths[-1], page.encode())
     return paths

@@ -22,7 +22,7 @@ def add_parser(commands: Any) -> None:
         help="volumes, areas, curvatures, contacts, angles, tensions: tables and files",
         description="Measure the cells, walls and junctions of a mesh. Writes cells.csv, "
         "walls.csv, junctions.csv, cells and walls as .vtk and .ply with these numbers on every "
-        "face, and labels.ome.tif.",
+        "face, labels.ome.tif, and measurements.html, a page about it all.",
     )
     add = parser.add_argument
     add(
