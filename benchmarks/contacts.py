@@ -4,25 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from napari_deltamic import Mesh
-
 # Voxel areas: a smaller contact is none that an image could tell (measured on the movie of
 # ``clusters.tracking``, whose cells come to touch bit by bit).
 SEEN = 10.0
-
-
-def wall_areas(mesh: Mesh) -> dict[tuple[int, int], float]:
-    """um^2 of each wall, by its regions, the larger first; 0 is the outside."""
-    pairs, index = mesh.interfaces()
-    areas = np.bincount(index, mesh.areas(), len(pairs))
-    return {(int(a), int(b)): float(s) for (a, b), s in zip(pairs, areas, strict=True)}
-
-
-def contacts(mesh: Mesh) -> dict[tuple[int, int], float]:
-    """The same of two cells only."""
-    return {pair: area for pair, area in wall_areas(mesh).items() if pair[1] > 0}
 
 
 @dataclass(frozen=True)

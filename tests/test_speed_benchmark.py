@@ -15,10 +15,12 @@ from napari_deltamic.geometry.remeshing import can_remesh
 speed = pytest.importorskip("benchmarks.speed.__main__")
 lines = pytest.importorskip("benchmarks.speed.lines")
 
-from benchmarks.contacts import contact_errors, contacts  # noqa: E402
+from benchmarks.contacts import contact_errors  # noqa: E402
 from benchmarks.speed import child  # noqa: E402
 from benchmarks.speed.growing import error  # noqa: E402
 from benchmarks.speed.jobs import Bench, Job, fit_job  # noqa: E402
+
+from napari_deltamic.geometry.contacts import contact_areas  # noqa: E402
 
 GRID, SIGMA = nd.Grid((20, 21, 22), (1.0, 1.0, 1.0)), 1.3
 TRUTH = sphere((9.5, 10, 10.5), 6.0, subdivisions=2)
@@ -85,7 +87,7 @@ def test_contacts_that_are_lost_or_made_up():
     centers = np.array([[0.0, 0, -6], [0, 0, 6], [0, 0, 18]])
     touching = foam(centers, np.full(3, 8.0), 2.0)
     apart = foam(centers - [[0, 0, 6], [0, 0, 0], [0, 0, 0]], np.full(3, 8.0), 2.0)
-    found = contact_errors(contacts(apart), contacts(touching), 10.0)
+    found = contact_errors(contact_areas(apart), contact_areas(touching), 10.0)
     assert (found.right, found.lost, found.made_up) == (1, 1, 0)
     assert found.f1 == pytest.approx(2 / 3)
-    assert contact_errors(contacts(touching), contacts(apart), 10.0).made_up == 1
+    assert contact_errors(contact_areas(touching), contact_areas(apart), 10.0).made_up == 1

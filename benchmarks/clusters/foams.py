@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_deltamic import GaussianPSF, Grid, Mesh, fit, render
+from napari_deltamic.geometry.contacts import wall_areas
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.labels.voxels import voxel_labels
 from napari_deltamic.measure import surface_distance
 from napari_deltamic.results.picture import picture
 from napari_deltamic.runs.settings import FitSettings
 
-from ..contacts import wall_areas
 from ..figure import Figure, Options, Row, at_least, at_most
 
 CELLS = (4, 8, 16, 32)

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_deltamic import FitState, GaussianPSF, Grid, Mesh, fit, load_mesh, render
+from napari_deltamic.geometry.contacts import contacts
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.joined_spheres import joined_spheres
 from napari_deltamic.measure import junction_angles, surface_distance
 from napari_deltamic.runs.settings import FitSettings
 
-from ..contacts import contacts
 from ..figure import Figure, MissingData, Options, Row, at_most
 
 LEVELS = (2.0, 1.35, 1.0)
@@ -99,7 +99,7 @@ def cell4(options: Options) -> list[Row]:
     for photons in (np.inf, PHOTONS):
         fitted = run(measured(truth, grid, sigma, photons, 0), grid, start, sigma)
         case = "no noise" if np.isinf(photons) else f"{photons:g} photons at the peak"
-        right = contacts(fitted.state.mesh).keys() == contacts(truth).keys()
+        right = contacts(fitted.state.mesh) == contacts(truth)
         name = f"cell4.rec at sigma of 2 voxels, mean surface error, {case}"
         error = surface_distance(fitted.state.mesh, truth).mean
         note = (

@@ -14,12 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_deltamic import GaussianPSF, Grid, Mesh, render
+from napari_deltamic.geometry.contacts import contact_areas
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.labels.voxels import voxel_labels
 from napari_deltamic.measure import surface_distance
 from napari_deltamic.tracking import track
 
-from ..contacts import SEEN, contact_errors, contacts
+from ..contacts import SEEN, contact_errors
 from ..figure import Figure, Options, Row, at_least, at_most
 
 VOXEL = 0.25  # um
@@ -103,7 +104,7 @@ def matched(mesh: Mesh, truth: TrueFrame) -> dict[int, int]:
 def named_contacts(mesh: Mesh, names: dict[int, int]) -> dict[tuple[int, int], float]:
     """Area of the wall of each pair of cells, um^2."""
     found: dict[tuple[int, int], float] = {}
-    for (a, b), area in contacts(mesh).items():
+    for (a, b), area in contact_areas(mesh).items():
         one, other = sorted((names.get(a, -a), names.get(b, -b)))
         found[one, other] = found.get((one, other), 0.0) + area
     return found

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from statistics import mean
 
 from napari_deltamic import Mesh
+from napari_deltamic.geometry.contacts import contact_areas
 from napari_deltamic.measure import surface_distance
 
-from ..contacts import SEEN, ContactErrors, contact_errors, contacts
+from ..contacts import SEEN, ContactErrors, contact_errors
 from .jobs import Bench, fit_job
 from .lines import Case, Line, Tally, faster, not_above
 from .scenes import CELLS, cluster
@@ -61,7 +62,7 @@ class Judged:
 
 def judged(found: Mesh, truth: Mesh, voxel: float = 1.0) -> Judged:
     """The same cells must have the same numbers; voxel: its side, um."""
-    right = contact_errors(contacts(found), contacts(truth), SEEN * voxel**2)
+    right = contact_errors(contact_areas(found), contact_areas(truth), SEEN * voxel**2)
     return Judged(surface_distance(found, truth).mean / voxel, right)
 
 

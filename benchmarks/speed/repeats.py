@@ -8,10 +8,10 @@ import numpy as np
 
 from napari_deltamic import Mesh
 from napari_deltamic.geometry import mesh_from_labels
+from napari_deltamic.geometry.contacts import contacts
 from napari_deltamic.measure import surface_distance
 
 from ..clusters import embryo, foams
-from ..contacts import contacts
 from ..figure import MissingData
 from .jobs import Bench, Job, Outcome, Pair, Side, fit_job
 from .lines import Case, Line, at_least, at_most, compared
@@ -88,7 +88,7 @@ def _beside(what: str, one: Pair, other: Pair, voxel: float, bits: bool) -> list
         return float(getattr(surface_distance(a, b), which)) / voxel
 
     def changed(side: Side) -> float:
-        a, b = (contacts(outcome.mesh()).keys() for outcome in two(side))
+        a, b = (contacts(outcome.mesh()) for outcome in two(side))
         return len(a ^ b)
 
     # The first of the two may have failed alone.

@@ -8,6 +8,7 @@ from napari_deltamic.fitting import run as module
 from napari_deltamic.fitting.run import Run
 from napari_deltamic.fitting.topology import TopologyPolicy
 from napari_deltamic.geometry import remesh, sphere, torus
+from napari_deltamic.geometry.contacts import contacts
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.remeshing import can_remesh
 from napari_deltamic.geometry.topology.crossings import crosses
@@ -20,10 +21,6 @@ pytestmark = pytest.mark.skipif(not can_remesh(), reason="the compiled extension
 VOXEL = 0.1
 OPTICS = GaussianPSF(0.13)
 SETTINGS = FitSettings(levels=(3.0, 1.5, 1.0))
-
-
-def contacts(mesh):
-    return {(int(min(p)), int(max(p))) for p in mesh.interfaces()[0] if min(p) > 0}
 
 
 def photographed(truth, start):

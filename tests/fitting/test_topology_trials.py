@@ -9,6 +9,7 @@ from napari_deltamic import GaussianPSF, Grid, Mesh, fit, render
 from napari_deltamic.fitting.local_misfit import Gap
 from napari_deltamic.fitting.topology import TopologyPolicy, Trial
 from napari_deltamic.geometry import remesh
+from napari_deltamic.geometry.contacts import contacts
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.remeshing import can_remesh
 from napari_deltamic.geometry.topology.rearranging import give_way
@@ -20,10 +21,6 @@ pytestmark = pytest.mark.skipif(not can_remesh(), reason="the compiled extension
 VOXEL, EDGE = 0.15, 0.25
 OPTICS = GaussianPSF(0.2)
 SETTINGS = FitSettings(levels=(1.0,))
-
-
-def contacts(mesh):
-    return {(int(min(p)), int(max(p))) for p in mesh.interfaces()[0] if min(p) > 0}
 
 
 def photographed(truth, photons=40):

@@ -7,6 +7,7 @@ import pytest
 
 from napari_deltamic import Mesh
 from napari_deltamic.geometry import sphere
+from napari_deltamic.geometry.contacts import contacts
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.remeshing import can_remesh
 from napari_deltamic.geometry.topology.crossings import crosses
@@ -25,10 +26,6 @@ def ring_of_three(half, radius=1.5):
     around = np.stack([0 * turns, np.sin(turns), np.cos(turns)], axis=1)
     ends = np.array([[-half, 0.02, 0.01], [half, 0, 0]])
     return foam(np.concatenate([ends, around]), np.full(5, radius), EDGE)
-
-
-def contacts(mesh):
-    return {(int(min(p)), int(max(p))) for p in mesh.interfaces()[0] if min(p) > 0}
 
 
 def sound(mesh):

@@ -6,6 +6,7 @@ from numpy.testing import assert_allclose
 
 from napari_deltamic import InputError, Mesh
 from napari_deltamic.geometry import remesh, sphere, torus
+from napari_deltamic.geometry.contacts import contacts
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.remeshing import can_remesh, smallest_angles
 from napari_deltamic.geometry.topology.crossings import crosses
@@ -16,10 +17,6 @@ from napari_deltamic.measure.surface_distance import distance_to_surface
 
 pytestmark = pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
 EDGE = 0.25
-
-
-def contacts(mesh):
-    return {(int(min(p)), int(max(p))) for p in mesh.interfaces()[0] if min(p) > 0}
 
 
 def flattened(gap):

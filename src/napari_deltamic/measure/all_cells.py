@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from napari_deltamic.geometry.contacts import neighbours
 from napari_deltamic.geometry.mesh import OUTSIDE
 from napari_deltamic.measure.cells import measure_cells, moments, principal_axes
 from napari_deltamic.measure.discrete_curvature import cell_curvature, turning_gradient
@@ -141,19 +142,14 @@ def _curvatures(sides: Sides) -> list[dict[str, Value]]:
 
 def _contacts(sides: Sides) -> list[dict[str, Value]]:
     mesh = sides.mesh
-    pairs, _ = mesh.interfaces()
     inner = (mesh.regions != OUTSIDE).all(1)
     areas = mesh.areas()[sides.face]
     shared = sides.total(np.where(inner[sides.face], areas, 0.0))
     free = sides.total(np.where(inner[sides.face], 0.0, areas))
-    others: dict[int, list[int]] = {int(c): [] for c in sides.cells}
-    for a, b in pairs.tolist():
-        if b != OUTSIDE:
-            others[a].append(b)
-            others[b].append(a)
+    others = neighbours(mesh)
     return [
         {
-            "neighbours": " ".join(map(str, sorted(others[int(cell)]))),
+            "neighbours": " ".join(map(str, others[int(cell)])),
             "contact_area_um2": float(contact),
             "free_area_um2": float(outer),
         }

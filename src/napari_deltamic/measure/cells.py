@@ -9,7 +9,8 @@ from math import nan, pi
 import numpy as np
 
 from napari_deltamic.common.writing import write_atomically
-from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, Mesh
+from napari_deltamic.geometry.contacts import neighbours
+from napari_deltamic.geometry.mesh import FloatArray, Mesh
 from napari_deltamic.measure.sides import Sides
 from napari_deltamic.measure.table import csv_text
 
@@ -45,10 +46,8 @@ def measure_cells(mesh: Mesh) -> list[CellRow]:
     sides = Sides.of(mesh)
     areas = sides.total(mesh.areas()[sides.face])
     volumes, centroids, _ = moments(sides)
-    pairs, _ = mesh.interfaces()
-    shared = pairs[(pairs != OUTSIDE).all(axis=1)]
-    contacts = np.bincount(np.searchsorted(sides.cells, shared.ravel()), minlength=len(areas))
-    found = zip(sides.cells, volumes, areas, centroids, contacts, strict=True)
+    others = neighbours(mesh)
+    found = zip(sides.cells, volumes, areas, centroids, strict=True)
     return [
         {
             "region": int(region),
@@ -58,9 +57,9 @@ def measure_cells(mesh: Mesh) -> list[CellRow]:
             "centroid_z_um": float(centroid[0]),
             "centroid_y_um": float(centroid[1]),
             "centroid_x_um": float(centroid[2]),
-            "n_contacts": int(count),
+            "n_contacts": len(others[int(region)]),
         }
-        for region, volume, area, centroid, count in found
+        for region, volume, area, centroid in found
     ]
 
 

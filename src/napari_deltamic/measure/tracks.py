@@ -7,6 +7,7 @@ from math import nan
 
 import numpy as np
 
+from ..geometry.contacts import neighbours
 from ..tracking import FrameResult, lineage
 from .cells import measure_cells
 
@@ -47,14 +48,13 @@ def measure_tracks(results: Sequence[FrameResult]) -> list[TrackRow]:
     for result in results:
         if result.mesh is None:
             continue
-        pairs = result.mesh.interfaces()[0]
+        touched = neighbours(result.mesh)
         told = {e.cell: e.text for e in result.events if e.kind == "alarm"}
         for cell in measure_cells(result.mesh):
             number = int(cell["region"])
             life = lives[number]
             center = np.array([cell[f"centroid_{axis}_um"] for axis in "zyx"])
-            others = pairs[(pairs == number).any(axis=1)].ravel()
-            others = sorted({int(k) for k in others} - {0, number})
+            others = touched[number]
             words = [told.get(number, "")]
             if life.parent and life.first == result.frame:
                 words.append(f"born of cell {life.parent}")

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..geometry import Mesh
+from ..geometry.contacts import contacts, label_contacts
 from ..geometry.mesh import OUTSIDE
 
 # Bright on grey, and far from each other also for the colour-blind.
@@ -51,10 +52,9 @@ def colour_indices(*meshes: Mesh) -> dict[int, int]:
     for mesh in meshes:
         own, low, high = _boxes(mesh)
         regions |= set(own.tolist())
-        sides = mesh.regions[(mesh.regions != OUTSIDE).all(axis=1)]
-        _join(walls, np.unique(sides, axis=0))
+        _join(walls, contacts(mesh))
         over = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(axis=2)
-        _join(near, own[np.argwhere(np.triu(over, 1))])
+        _join(near, own[np.argwhere(np.triu(over, 1))].tolist())
     return _chosen(sorted(regions), walls, near)
 
 
@@ -66,10 +66,7 @@ def label_indices(labels: NDArray[np.integer]) -> dict[int, int]:
     step = max(1, round(float(np.cbrt(labels.size / _VOXELS))))
     few = np.asarray(labels)[::step, ::step, ::step]
     walls: dict[int, set[int]] = {}
-    for axis in range(few.ndim):
-        ahead, behind = np.moveaxis(few, axis, 0)[1:], np.moveaxis(few, axis, 0)[:-1]
-        touch = (ahead != behind) & (ahead > 0) & (behind > 0)
-        _join(walls, np.unique(np.stack([ahead[touch], behind[touch]], axis=1), axis=0))
+    _join(walls, label_contacts(few)[0].tolist())
     seen = np.unique(few)
     return _chosen(seen[seen > 0].tolist(), walls, {})
 
@@ -114,8 +111,8 @@ def _free(region: int, found: Mapping[int, int], walls: set[int], near: set[int]
     return plain_index(region)
 
 
-def _join(graph: dict[int, set[int]], pairs: NDArray[np.int64]) -> None:
-    for a, b in pairs.tolist():
+def _join(graph: dict[int, set[int]], pairs: Iterable[Sequence[int]]) -> None:
+    for a, b in pairs:
         graph.setdefault(a, set()).add(b)
         graph.setdefault(b, set()).add(a)
 

@@ -13,6 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from napari_deltamic.errors import InputError, RepairWarning
+from napari_deltamic.geometry.contacts import label_contacts
 from napari_deltamic.geometry.labels.label_repair import repair_labels, share_out_gaps
 from napari_deltamic.geometry.labels.partition import TooCoarse, partition_mesh, with_volumes
 from napari_deltamic.geometry.labels.surface_nets import closed_surface
@@ -198,14 +199,8 @@ def _without_gaps(numbers: IntArray, size: FloatArray, gap: float | None) -> Int
 
 def _touching(numbers: IntArray, count: int) -> list[IntArray]:
     """Labels in groups that touch; each group a sorted array."""
-    pairs = []
-    for axis in range(3):
-        moved = np.moveaxis(numbers, axis, 0)
-        pairs.append(np.stack([moved[:-1].ravel(), moved[1:].ravel()], axis=1))
-    met = np.concatenate(pairs)
-    met = met[(met[:, 0] != met[:, 1]) & (met > 0).all(1)]
-    met, contacts = np.unique(np.sort(met, axis=1), axis=0, return_counts=True)
-    met = met[contacts >= _LEAST_CONTACT] - 1
+    met, faces = label_contacts(numbers)
+    met = met[faces >= _LEAST_CONTACT] - 1
     links = coo_array((np.ones(len(met)), (met[:, 0], met[:, 1])), shape=(count, count))
     group = connected_components(links, directed=False)[1]
     return [np.flatnonzero(group == g) + 1 for g in np.unique(group)]

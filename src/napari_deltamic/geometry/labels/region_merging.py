@@ -52,7 +52,7 @@ class _Graph:
 
     def __init__(self, labels: Labels, image: Image, size: FloatArray, wall: float) -> None:
         self.n = int(labels.max()) + 1
-        pairs, heights, areas = _contacts(labels, image, size)
+        pairs, heights, areas = _faces_between(labels, image, size)
         # The level of a region: the mean of the darker half of its voxels, as walls are bright.
         middle = np.zeros(self.n)
         middle[1:] = ndimage.median(image, labels, np.arange(1, self.n))
@@ -154,7 +154,7 @@ def join_regions(
     return Regions(root[labels].astype(np.int32), np.array(graph.volume), enclosed, height)
 
 
-def _contacts(
+def _faces_between(
     labels: Labels, image: Image, size: FloatArray
 ) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
     """Faces between voxels of two regions: (2, n) labels in order, height, area (um^2)."""

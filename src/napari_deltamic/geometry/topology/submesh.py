@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from napari_deltamic.geometry.contacts import between_cells
 from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, IntArray, Mesh
 from napari_deltamic.geometry.remeshing import remesh
 from napari_deltamic.geometry.topology.crossings import crosses
@@ -261,7 +262,7 @@ class Census:
     @property
     def contacts(self) -> set[tuple[int, int]]:
         """Pairs of cells that share a wall, the smaller number first."""
-        return {(b, a) for a, b in self.walls if b != OUTSIDE}
+        return between_cells(self.walls)
 
     @property
     def at_surface(self) -> set[int]:

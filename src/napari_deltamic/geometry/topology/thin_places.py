@@ -11,6 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from napari_deltamic.geometry.compiled import native
+from napari_deltamic.geometry.contacts import walls
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
 
 _ACROSS = 0.7  # cosine: the way to the other side runs along its normal
@@ -141,7 +142,7 @@ def short_junctions(mesh: Mesh, length: float) -> list[ThinPlace]:
         around[face_edges, np.repeat(mesh.regions[:, side], 3)] = True
     triples, triple = np.unique(around[rows], axis=0, return_inverse=True)
     vertices, meet = mesh.vertices_numpy(), _regions_at(mesh)
-    touching = {tuple(sorted(pair)) for pair in mesh.interfaces()[0].tolist()}
+    touching = walls(mesh)
     places = []
     for k, three in enumerate(triples):
         own = edges[rows[triple.reshape(-1) == k]]
