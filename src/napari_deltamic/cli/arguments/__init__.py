@@ -6,6 +6,7 @@ Nothing here loads the engine: ``--version``, ``--help`` and mistakes answer at 
 
 from . import (
     accuracy_arguments,
+    batch_arguments,
     demo_arguments,
     doctor_arguments,
     effects_arguments,
@@ -18,6 +19,7 @@ from . import (
 
 COMMANDS = (
     fit_arguments,
+    batch_arguments,
     track_arguments,
     measure_arguments,
     effects_arguments,

@@ -1,0 +1,107 @@
+"""Jobs on processes of this machine, or on those of a Dask cluster."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import traceback
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from ..errors import InputError
+from ..runs.batch import BatchJob
+
+_PATIENCE = 20.0  # s; until a scheduler has to answer
+
+
+def fit_in_folder(words: Sequence[str]) -> str:
+    """Run one command in this process; what went wrong, in one line, "" for nothing."""
+    from . import main  # in the process that works
+
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
+            code = main(list(words))
+    except Exception:  # whatever it is, the others go on
+        return traceback.format_exc(limit=-1).strip().splitlines()[-1]
+    lines = [line for line in said.getvalue().splitlines() if "error:" in line]
+    return "" if code == 0 else (lines or [f"it ended with code {code}"])[-1].split("error: ")[-1]
+
+
+def outcomes(
+    jobs: Sequence[BatchJob], folder: Path, workers: int, scheduler: str | None
+) -> Iterator[tuple[BatchJob, str]]:
+    """Each job as it ends, with what went wrong.
+
+    Parameters
+    ----------
+    folder
+        In which each has a folder of its name.
+    workers
+        Processes of this machine; 0 for none but this one, which needs no Dask.
+    scheduler
+        Address of a running Dask scheduler, whose workers see the same files; instead of processes
+        of this machine.
+
+    Raises
+    ------
+    InputError
+        If Dask is not installed, or the scheduler does not answer.
+    """
+    if workers == 0 and scheduler is None:
+        for job in jobs:
+            yield job, fit_in_folder(job.words(folder / job.name))
+        return
+    try:
+        from distributed import as_completed
+    except ImportError:
+        raise InputError(
+            "several processes need Dask: pip install 'napari-deltamic[many]'; --workers 0 does "
+            "without"
+        ) from None
+    with _client(workers, scheduler) as client:
+        futures = {
+            client.submit(fit_in_folder, job.words(folder / job.name), pure=False): job
+            for job in jobs
+        }
+        for future in as_completed(list(futures)):
+            error = future.exception()
+            # A worker that died over and over, say: its images are told, the others go on.
+            yield futures[future], f"{type(error).__name__}: {error}" if error else future.result()
+
+
+@contextlib.contextmanager
+def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
+    from distributed import Client, LocalCluster
+
+    if scheduler is not None:
+        try:
+            client = Client(scheduler, timeout=_PATIENCE)
+        except (OSError, ValueError, TimeoutError) as error:
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise InputError(f"the scheduler {scheduler} does not answer: {reason}") from None
+        with client:
+            yield client
+        return
+    # Processes, as each fit computes; nothing listens to other machines.
+    with (
+        LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            host="127.0.0.1",
+            dashboard_address=None,
+            memory_limit=0,
+        ) as cluster,
+        Client(cluster) as client,
+    ):
+        yield client
+
+
+def default_workers() -> int:
+    """As many processes as there are cores for this one."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

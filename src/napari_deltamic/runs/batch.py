@@ -1,0 +1,130 @@
+"""Many fits: which images, with which seeds and options, from a folder or a TOML file."""
+
+from __future__ import annotations
+
+import glob
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from ..common.choices import IMAGE_FILES
+from ..common.reading import read_text, toml_values
+from ..errors import InputError
+from .fit_settings import validated
+
+STEM = "{stem}"  # in a pattern of seeds: the image's name without its extension
+
+
+class BatchRun(BaseModel):
+    """One fit of a batch file: an image, and what is different for it."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    image: str = Field(description="file; relative to the folder of the batch file")
+    seeds: str | None = Field(default=None, description="file; by default that of the pattern")
+    name: str | None = Field(default=None, description="of its folder; by default the image's")
+    options: tuple[str, ...] = Field(default=(), description="of fit, after those of all")
+
+
+class BatchSettings(BaseModel):
+    """A batch file (TOML)."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    images: tuple[str, ...] = Field(default=(), description="files or patterns such as *.tif")
+    seeds: str | None = Field(default=None, description="pattern: {stem} stands for the image's")
+    options: tuple[str, ...] = Field(default=(), description="of fit, for all")
+    runs: tuple[BatchRun, ...] = Field(default=(), description="images with values of their own")
+
+
+@dataclass(frozen=True)
+class BatchJob:
+    """A fit to be made: name of its folder, files, and further options of ``fit``."""
+
+    name: str
+    image: Path
+    seeds: str | None
+    options: tuple[str, ...]
+
+    def words(self, folder: Path) -> list[str]:
+        """What follows ``napari-deltamic``."""
+        seeds = [] if self.seeds is None else ["--seeds", self.seeds]
+        return ["fit", str(self.image), *seeds, *self.options, "--overwrite", "-o", str(folder)]
+
+
+def batch_jobs(
+    source: str | Path, seeds: str | None = None, options: Sequence[str] = ()
+) -> list[BatchJob]:
+    """The fits of a folder of stacks, or of a batch file.
+
+    Parameters
+    ----------
+    source
+        A folder: every stack in it, but for those that the pattern names as seeds of another. Or a
+        TOML file with the fields of :class:`BatchSettings`.
+    seeds
+        Pattern of their seeds, ``{stem}`` for the image's name without its extension; prevails.
+    options
+        Of ``fit``, for all; after those of the file.
+
+    Returns
+    -------
+    Jobs with names that differ. Whether the files are there is found out when their turn comes.
+
+    Raises
+    ------
+    InputError
+        If there is no such folder or file, an unknown key or a wrong value in it, or no image.
+    """
+    source = Path(source)
+    found = _of_folder(source, seeds) if source.is_dir() else _of_file(source, seeds)
+    jobs = [BatchJob(j.name, j.image, j.seeds, (*j.options, *options)) for j in found]
+    if not jobs:
+        raise InputError(f"{source}: there is no image ({', '.join(IMAGE_FILES)})")
+    seen: set[str] = set()
+    for job in jobs:
+        if job.name in seen:
+            raise InputError(f"two images are named {job.name}: give one of them another name")
+        seen.add(job.name)
+    return jobs
+
+
+def _of_folder(folder: Path, seeds: str | None) -> list[BatchJob]:
+    stacks = sorted(p for p in folder.iterdir() if p.suffix.lower() in IMAGE_FILES and p.is_file())
+    used = {_seeds(seeds, stack, folder) for stack in stacks}
+    return [_job(stack, seeds, folder) for stack in stacks if str(stack) not in used]
+
+
+def _of_file(path: Path, seeds: str | None) -> list[BatchJob]:
+    try:
+        settings: BatchSettings = validated(BatchSettings, toml_values(read_text(path)))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    folder, pattern = path.parent, seeds or settings.seeds
+    jobs = []
+    for text in settings.images:
+        names = sorted(glob.glob(text, root_dir=folder)) if glob.has_magic(text) else [text]
+        jobs += [_job(folder / name, pattern, folder) for name in names]
+    for run in settings.runs:
+        job = _job(folder / run.image, run.seeds or pattern, folder)
+        jobs.append(BatchJob(run.name or job.name, job.image, job.seeds, run.options))
+    return [BatchJob(j.name, j.image, j.seeds, (*settings.options, *j.options)) for j in jobs]
+
+
+def _job(image: Path, seeds: str | None, folder: Path) -> BatchJob:
+    return BatchJob(_stem(image), image.absolute(), _seeds(seeds, image, folder), ())
+
+
+def _seeds(pattern: str | None, image: Path, folder: Path) -> str | None:
+    """The seeds of an image: a word such as ``auto``, or a file of the folder."""
+    if pattern is None:
+        return None
+    named = pattern.replace(STEM, _stem(image))
+    return str((folder / named).absolute()) if Path(named).suffix else named
+
+
+def _stem(image: Path) -> str:
+    name = image.name
+    return name[: -len(".ome.tif")] if name.lower().endswith(".ome.tif") else image.stem

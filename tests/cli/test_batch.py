@@ -1,0 +1,201 @@
+"""Many fits: what is fitted, what is skipped, what a kill leaves, and the tables."""
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from napari_deltamic.cli import build_parser
+from napari_deltamic.cli.arguments.batch_arguments import fit_words
+from napari_deltamic.errors import InputError
+from napari_deltamic.images.stacks import read_image, write_image
+from napari_deltamic.runs.batch import batch_jobs
+
+FAST = ("--max-iterations", "3", "--sigma", "0.36", "0.24", "0.24")
+SEEDS = ("--seeds", "{stem}_seeds.ply")
+
+
+def rows(path):
+    with Path(path).open() as stream:
+        return list(csv.DictReader(stream))
+
+
+@pytest.fixture
+def stacks(data, tmp_path):
+    """A folder of three images with their seeds; one of other voxels, one that is none."""
+    folder = tmp_path / "stacks"
+    folder.mkdir()
+    pixels, size = read_image(data / "cell.tif")
+    for name, sides in (("one", size), ("two", (0.4, 0.2, 0.2))):
+        write_image(folder / f"{name}.tif", pixels, sides)
+        (folder / f"{name}_seeds.ply").write_bytes((data / "start.ply").read_bytes())
+    (folder / "bad.tif").write_text("no image")
+    (folder / "bad_seeds.ply").write_bytes((data / "start.ply").read_bytes())
+    return folder
+
+
+def test_a_folder_of_stacks(run, stacks, tmp_path):
+    out = tmp_path / "out"
+    arguments = ("batch", stacks, *SEEDS, "--workers", 0, "-o", out, *FAST)
+    code, lines, err = run(*arguments)
+    assert code == 0, err
+    assert lines == [str(out / "summary.csv"), str(out / "cells.csv")]
+    summary = rows(out / "summary.csv")
+    assert [row["name"] for row in summary] == ["bad", "one", "two"]
+    assert [row["status"] for row in summary] == ["failed", "ended", "ended"]
+    assert "not a readable image" in summary[0]["message"]
+    assert "1 of 3 could not be fitted" in err
+    cells = rows(out / "cells.csv")
+    assert [(row["name"], row["region"]) for row in cells] == [("one", "1"), ("two", "1")]
+    own = rows(out / "one" / "measurements.csv")[0]
+    assert {k: v for k, v in cells[0].items() if k != "name"} == own
+    # Again: nothing is left to do but what failed, and the tables are the same.
+    before = [(out / name).read_bytes() for name in ("summary.csv", "cells.csv")]
+    stamp = (out / "one" / "report.json").stat().st_mtime_ns
+    _, _, err = run(*arguments)
+    assert "2 of 3 are done already" in err
+    assert (out / "one" / "report.json").stat().st_mtime_ns == stamp
+    assert [(out / name).read_bytes() for name in ("summary.csv", "cells.csv")] == before
+
+
+def test_other_options_fit_again(run, stacks, tmp_path):
+    (stacks / "bad.tif").unlink()
+    arguments = ("batch", stacks, *SEEDS, "--workers", 0, "-o", tmp_path / "out")
+    assert run(*arguments, *FAST)[0] == 0
+    first = rows(tmp_path / "out" / "summary.csv")
+    _, _, err = run(*arguments, *FAST[2:], "--max-iterations", "5")
+    assert "done already" not in err
+    second = rows(tmp_path / "out" / "summary.csv")
+    assert [row["iterations"] for row in first] == ["3", "3"]
+    assert [row["iterations"] for row in second] == ["5", "5"]
+
+
+def child(*arguments):
+    return subprocess.Popen(
+        [sys.executable, "-m", "napari_deltamic", *map(str, arguments)],
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+    )  # fmt: skip
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="the system has no such kill")
+def test_a_kill_loses_nothing_that_is_finished(run, stacks, tmp_path):
+    arguments = ("batch", stacks, *SEEDS, "--workers", 0, "-o")
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    with child(*arguments, killed, *FAST) as process:
+        for line in process.stderr:
+            if line.startswith("2/3"):
+                break
+        process.kill()
+    kept = (killed / "one" / "report.json").stat().st_mtime_ns
+    assert run(*arguments, killed, *FAST)[0] == 0
+    assert (killed / "one" / "report.json").stat().st_mtime_ns == kept
+    assert run(*arguments, whole, *FAST)[0] == 0
+    for name in ("summary.csv", "cells.csv"):
+        assert (killed / name).read_text() == (whole / name).read_text()
+
+
+def test_processes_of_this_machine(run, stacks, tmp_path):
+    pytest.importorskip("distributed")
+    out, alone = tmp_path / "out", tmp_path / "alone"
+    with child("batch", stacks, *SEEDS, "--workers", 2, "-o", out, *FAST) as process:
+        said = process.stderr.read()
+    assert process.returncode == 0, said
+    assert run("batch", stacks, *SEEDS, "--workers", 0, "-o", alone, *FAST)[0] == 0
+    for name in ("summary.csv", "cells.csv"):
+        assert (out / name).read_text() == (alone / name).read_text()
+
+
+def test_a_batch_file(run, stacks, tmp_path):
+    (stacks / "batch.toml").write_text(
+        'images = ["one*.tif"]\n'
+        'seeds = "{stem}_seeds.ply"\n'
+        f"options = {list(FAST)}\n"
+        '[[runs]]\nimage = "two.tif"\nname = "longer"\noptions = ["--max-iterations", "4"]\n'
+        '[[runs]]\nimage = "gone.tif"\nseeds = "one_seeds.ply"\n'
+    )
+    out = tmp_path / "out"
+    code, _, err = run("batch", stacks / "batch.toml", "--workers", 0, "-o", out)
+    assert code == 0, err
+    summary = {row["name"]: row for row in rows(out / "summary.csv")}
+    assert list(summary) == ["one", "longer", "gone"]
+    assert summary["one"]["iterations"] == "3"
+    assert summary["longer"]["iterations"] == "4"
+    assert "there is no such file" in summary["gone"]["message"]
+
+
+BAD = {
+    "missing": (("none",), "there is no such file or folder"),
+    "no image": (("empty",), "there is no image"),
+    "an unknown key": (("key.toml",), "runs.0.imag"),
+    "no toml": (("text.toml",), "text.toml"),
+    "two of a name": (("twice.toml",), "two images are named a"),
+    "an unknown option": (("stacks", "--workers", "0", "--fast"), "--fast"),
+    "a wrong value": (("stacks", "--accuracy", "-1"), "accuracy"),
+    "a folder": (("output.toml",), "-o is not for a batch"),
+    "another option": (("option.toml",), "--fast"),
+    "workers": (("stacks", "--workers", "-1"), "--workers must be 0 or more"),
+    "both": (("stacks", "--workers", "1", "--scheduler", "tcp://x:1"), "leave out --workers"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_what_no_batch_can_be(fails, tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "stacks").mkdir()
+    np.save("stacks/a.npy", np.ones((9, 9, 9)))
+    Path("key.toml").write_text('[[runs]]\nimag = "a.tif"\n')
+    Path("text.toml").write_text("images = [")
+    Path("twice.toml").write_text('images = ["x/a.tif", "y/a.npy"]\n')
+    Path("output.toml").write_text('images = ["a.tif"]\noptions = ["-o", "x"]\n')
+    Path("option.toml").write_text('images = ["a.tif"]\noptions = ["--fast"]\n')
+    arguments, says = BAD[name]
+    first, rest = arguments[0], arguments[1:]
+    assert says in fails("batch", first, "-o", "out", *rest)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_with_other_files_is_left_alone(fails, stacks, tmp_path):
+    (tmp_path / "out" / "one").mkdir(parents=True)
+    (tmp_path / "out" / "one" / "thesis.txt").write_text("mine")
+    assert "not of a batch" in fails("batch", stacks, "--workers", 0, "-o", tmp_path / "out")
+    assert (tmp_path / "out" / "one" / "thesis.txt").read_text() == "mine"
+
+
+def test_a_scheduler_that_does_not_answer(fails, stacks, tmp_path, monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("napari_deltamic.cli.cluster._PATIENCE", 0.2)
+    said = fails("batch", stacks, "--scheduler", "tcp://127.0.0.1:9", "-o", tmp_path / "out")
+    assert "does not answer" in said
+
+
+def test_seeds_are_no_images(tmp_path):
+    for name in ("a.tif", "a_labels.tif", "b.ome.tif", "b_labels.tif"):
+        (tmp_path / name).write_text("")
+    jobs = batch_jobs(tmp_path, "{stem}_labels.tif")
+    assert [(job.name, Path(job.seeds).name) for job in jobs] == [
+        ("a", "a_labels.tif"),
+        ("b", "b_labels.tif"),
+    ]
+    assert {job.seeds for job in batch_jobs(tmp_path, "auto")} == {"auto"}
+    (tmp_path / "a.npy").write_text("")
+    with pytest.raises(InputError, match="two images are named"):
+        batch_jobs(tmp_path)
+
+
+def test_options_come_through_as_they_were_typed():
+    typed = [
+        "--fit-psf", "--no-remesh", "--sigma", "0.3", "0.2", "0.2", "--density", "smooth",
+        "--levels", "2.0", "1.0", "--missing-nan",
+    ]  # fmt: skip
+    parser = build_parser()
+    arguments = parser.parse_args(["batch", "x", "-o", "y", "--seeds", "{stem}.csv", *typed])
+    again = parser.parse_args(["fit", "x", "-o", "y", *fit_words(arguments)])
+    wanted = parser.parse_args(["fit", "x", "-o", "y", *typed])
+    assert again == wanted
