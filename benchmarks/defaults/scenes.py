@@ -227,7 +227,9 @@ def _tissue(rng: np.random.Generator, radius: float = 8.0) -> tuple[tuple[float,
 
 PLAIN = Recipe()
 KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
-    "plain": lambda rng: replace(PLAIN, photons=rng.uniform(30, 100)),
+    "plain": lambda rng: replace(
+        PLAIN, photons=rng.uniform(30, 100), psf=(rng.uniform(1, 2.5), rng.uniform(0.9, 1.4))
+    ),
     "dim": lambda rng: replace(PLAIN, photons=rng.uniform(3, 8), dark=1.0),
     "bright": lambda rng: replace(PLAIN, photons=1000.0, dark=50.0, roughness=0.2),
     "uneven": lambda rng: replace(PLAIN, uneven=0.6, told=("--density", "smooth")),
@@ -242,7 +244,7 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
         PLAIN, interior=rng.uniform(0.3, 0.8), told=("--structure", "both")
     ),
     "thick": lambda rng: replace(
-        PLAIN, thickness=rng.uniform(3, 6), cells=((0, 0, 0, 13.0),), shape=(48, 48, 48)
+        PLAIN, thickness=rng.uniform(3, 8), cells=((0, 0, 0, 13.0),), shape=(48, 48, 48)
     ),
     "neighbours-labels": lambda rng: _neighbours(rng, "labels"),
     "neighbours-spheres": lambda rng: _neighbours(rng, "spheres"),
@@ -251,6 +253,9 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
     "specks": lambda rng: replace(PLAIN, specks=12, seeds="labels"),
     "cut": lambda rng: replace(
         PLAIN, cells=((0, rng.uniform(9, 15), 3.0, 11.0),), seeds="labels", shape=(36, 36, 36)
+    ),
+    "cut-deep": lambda rng: replace(
+        PLAIN, cells=((rng.uniform(10, 16), 13.0, 3.0, 11.0),), shape=(36, 36, 36)
     ),
     "tissue": lambda rng: Recipe(
         _tissue(rng), (1, 2, 3, 4), True, roughness=0.08, shape=(44, 44, 44), seeds="labels"

@@ -21,8 +21,15 @@ class RepairWarning(UserWarning):
     """Input was usable only after a repair; the message says what was changed."""
 
 
+class DoubtWarning(UserWarning):
+    """Input can be used but may not be what was meant; the message says why and what to do."""
+
+
 class SlowPathWarning(UserWarning):
     """The compiled extension is missing; results are the same, but slower."""
+
+
+TOLD = (RepairWarning, DoubtWarning, SlowPathWarning)  # warnings that users see
 
 
 class Failure(Exception):

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from synthetic import measured
 
 from napari_deltamic import InputError
 from napari_deltamic.fitting.default_accuracy import (
@@ -15,6 +14,7 @@ from napari_deltamic.fitting.default_accuracy import (
     preset_accuracy,
 )
 from napari_deltamic.fitting.likelihood import noise_ratio
+from synthetic import measured
 
 
 def test_noisier_images_need_less():

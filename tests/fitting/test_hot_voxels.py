@@ -1,8 +1,8 @@
 import pytest
-from synthetic import GRID, OPTICS, VOXEL, measured, start
 
 from napari_deltamic import fit
 from napari_deltamic.measure import surface_distance
+from synthetic import GRID, OPTICS, VOXEL, measured, start
 
 
 @pytest.fixture(scope="module")

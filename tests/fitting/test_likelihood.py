@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 import torch
 from numpy.testing import assert_allclose
-from synthetic import CENTER, GRID, OPTICS, RADIUS
 
 from napari_deltamic import render
 from napari_deltamic.fitting.likelihood import (
@@ -12,6 +11,7 @@ from napari_deltamic.fitting.likelihood import (
     solve_scale,
 )
 from napari_deltamic.geometry import sphere
+from synthetic import CENTER, GRID, OPTICS, RADIUS
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import shlex
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from tqdm import tqdm
 from ..common.writing import interrupts_held, own_folder, write_atomically
 from ..errors import PROGRAM, InputError, failure
 from ..evidence import analyse_residual
+from ..evidence.sanity import tell_doubts
 from ..fitting import FitState, fit
 from ..fitting.job import FitInput, start
 from ..images.stacks import write_image
@@ -42,6 +43,7 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
     try:
         job = gather(arguments, notes)
         check_second_view(job.settings.scene)
+        doubts = tell_doubts(job)
         states = fit(
             job.image,
             job.grid,
@@ -56,7 +58,9 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
         raise failure(error) from error
     with own_folder(folder):
         notes.release()
-        return _Run(job, folder, notes, auto, arguments.residual).complete(states)
+        course = _Run(job, folder, notes, auto, arguments.residual)
+        course.further["sanity"] = [asdict(doubt) for doubt in doubts]
+        return course.complete(states)
 
 
 class _Run:

@@ -13,7 +13,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from ..errors import RepairWarning, SlowPathWarning, one_line
+from ..errors import TOLD, one_line
 
 _log = logging.getLogger(__name__)
 
@@ -48,11 +48,11 @@ class Notes:
     def catching_warnings(self) -> Iterator[None]:
         """The warnings that are meant for users become notes; others are logged."""
         with warnings.catch_warnings():
-            for category in (RepairWarning, SlowPathWarning):
+            for category in TOLD:
                 warnings.simplefilter("always", category)
 
             def show(message: Any, category: type[Warning], *rest: Any, **more: Any) -> None:
-                if issubclass(category, (RepairWarning, SlowPathWarning)):
+                if issubclass(category, TOLD):
                     self.add(str(message))
                 else:
                     _log.warning("%s: %s (%s)", category.__name__, message, rest)

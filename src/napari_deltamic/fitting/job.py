@@ -32,6 +32,7 @@ class FitInput:
     image : (Z, Y, X); NaN where missing.
     counted : (Z, Y, X) bool: voxels that may count; None for all.
     second : (Z, Y, X) second view, where the settings have one; None for that of its file.
+    kind : how near to the membranes the mesh lies.
     """
 
     settings: RunSettings
@@ -41,6 +42,7 @@ class FitInput:
     optics: Optics
     counted: NDArray[np.bool_] | None
     second: NDArray[Any] | None = None
+    kind: SeedKind = "rough"
 
     @property
     def has_missing(self) -> bool:
@@ -94,7 +96,7 @@ def assemble(
     settings = settings.model_copy(update={"fit": settings.fit.model_copy(update=found)})
     optics = optics_of(settings.scene)
     counted = counted_voxels(image, grid, mesh, optics) if kind == "image" else None
-    return FitInput(settings, image, grid, mesh, optics, counted, second)
+    return FitInput(settings, image, grid, mesh, optics, counted, second, kind)
 
 
 def start(job: FitInput, resume: str | Path | None = None) -> Iterator[FitState]:

@@ -14,6 +14,7 @@ from qtpy.QtCore import QObject
 
 from ...accuracy.forecast import Experience, Forecast
 from ...errors import InputError
+from ...evidence.sanity import tell_doubts
 from ...fitting import Change, FitState
 from ...fitting.checks import check_image
 from ...fitting.job import FitInput, assemble, scene_with
@@ -246,7 +247,9 @@ class RunControl(QObject):
         def prepare() -> FitInput:
             check_image(pixels, grid)  # which takes a while where the image is large
             start = seeds.mesh(pixels, grid)
-            return assemble(settings, pixels, grid, start, seeds.kind, second)
+            job = assemble(settings, pixels, grid, start, seeds.kind, second)
+            tell_doubts(job)
+            return job
 
         self._link_to(frame)
         self._panels.seeds.finish_placing(keep_preview=True)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from qtpy.QtCore import QTimer
 
 from ...accuracy.forecast import Forecast, forecast
-from ...errors import InputError, RepairWarning, SlowPathWarning
+from ...errors import TOLD, InputError
 from ...fitting import Change, FitState
 from ...fitting.job import FitInput, scene_with, start
 from ...geometry import Mesh
@@ -141,7 +141,7 @@ class FitRun(BackgroundRun):
             QTimer.singleShot(0, partial(self._course.drawn, began))
 
     def _warn(self, message: str, category: type[Warning]) -> None:
-        if issubclass(category, (RepairWarning, SlowPathWarning)):
+        if issubclass(category, TOLD):
             self._on_note(message)
 
     def _finish(self, outcome: Outcome | None) -> None:

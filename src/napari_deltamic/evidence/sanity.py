@@ -1,0 +1,347 @@
+"""Whether an image can be what it is said to be: a look of a second before a fit.
+
+A wrong voxel size, a stack whose slices lean, cut brightness, an image without structure or of
+something else than the seeds, and time taken for depth all end in fits that mean nothing. None of
+them can be proved from one image; each leaves a mark that images in order hardly show.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, gaussian_filter, gaussian_filter1d
+
+from ..errors import DoubtWarning
+from ..fitting.job import FitInput
+from ..fitting.likelihood import voxel_noise
+from ..fitting.voxel_ownership import surface_voxels
+from ..geometry.labels.voxels import voxel_labels
+from ..geometry.mesh import Mesh
+from ..images.missing import filled
+from ..scene import Grid
+from .camera import camera_from_image
+from .first_sigma import first_sigma
+from .slices import drift
+
+Pixels = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class SanitySettings:
+    """When something is said; chosen on the scenes of ``benchmarks.defaults.sanity``.
+
+    Attributes
+    ----------
+    voxel_sides
+        um; least and largest side of a voxel in the plane of a light microscope.
+    psf_ratios
+        Width of the PSF along Z over that in the plane. Light microscopes reach from 1 (a thin
+        sheet) to about 6 (widefield, low aperture); a wrong step of Z multiplies it.
+    elongations
+        Length of structures along Z over that in the plane, from where their surfaces face.
+    doubtful_ratios, doubtful_elongations
+        The same where both point the same way.
+    lean
+        um in the plane per um along Z: of a stage that moves at 30 to 60 degrees to the plane, 0.6
+        to 1.7.
+    cut
+        Share of voxels at the largest value.
+    structure
+        Standard deviation of the smoothed image over that of noise alone.
+    lasting
+        Correlation of slices half a stack or more apart: of depth about 0, of time near 1.
+    followed
+        Share of the image's variance around the seeds that distance to them explains: 0.18 or more
+        in scenes whose seeds were half a radius off or had six bright neighbours, 0.05 at most with
+        seeds of another image.
+    """
+
+    voxel_sides: tuple[float, float] = (0.015, 5.0)
+    psf_ratios: tuple[float, float] = (0.5, 9.0)
+    elongations: tuple[float, float] = (0.3, 3.2)
+    doubtful_ratios: tuple[float, float] = (1.1, 3.4)
+    doubtful_elongations: tuple[float, float] = (0.6, 1.6)
+    lean: float = 0.45
+    cut: float = 0.0005
+    structure: float = 1.5
+    lasting: float = 0.5
+    followed: float = 0.08
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """Something that speaks against an image: a word for it, and a sentence for the user."""
+
+    kind: str
+    sentence: str
+
+
+SETTINGS = SanitySettings()
+_AROUND = 2.0  # radii of the seeds: the ground that is to follow them
+_VOXELS = 4_000_000  # of the middle of the image: a second
+
+
+def doubts(
+    image: np.ndarray,
+    voxel_size: tuple[float, float, float],
+    seeds: Mesh | None = None,
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    *,
+    close: bool = False,
+    settings: SanitySettings = SETTINGS,
+) -> tuple[Doubt, ...]:
+    """What speaks against an image, its voxel size and its seeds; usually nothing.
+
+    Parameters
+    ----------
+    image
+        (Z, Y, X); NaN where missing.
+    voxel_size
+        um, Z Y X.
+    seeds
+        Starting surfaces, um.
+    origin
+        um; centre of the first voxel.
+    close
+        Whether the seeds follow this image, or are labels of it: their shapes are then shapes of
+        the image.
+    """
+    pixels = np.asarray(image)
+    if pixels.ndim != 3 or min(pixels.shape) < 4 or not np.isfinite(pixels).any():
+        return ()
+    cut = _middle(pixels.shape)
+    known = np.isfinite(pixels[cut])
+    if not known.any():
+        return ()
+    middle = np.asarray(filled(np.where(known, pixels[cut], np.nan), voxel_size), np.float32)
+    if not np.ptp(middle) > 0:
+        return ()
+    if not structured(middle) > settings.structure:
+        sentence = (
+            "the image shows nothing but noise: is it the right channel, and is it the stack that "
+            "was meant?"
+        )
+        return (Doubt("empty", sentence),)
+    found = [
+        _time(middle, settings),
+        _sides(voxel_size, settings),
+        _cut(pixels, settings),
+    ]
+    if found[0] is None:
+        leaning = _lean(middle, voxel_size, settings)
+        found.append(leaning)
+        if leaning is None:
+            found.append(_step(middle, voxel_size, seeds if close else None, settings))
+    if seeds is not None and len(seeds.faces):
+        grid = Grid(pixels.shape, voxel_size, origin)
+        found.append(_seeds(pixels, grid, seeds, settings))
+    return tuple(d for d in found if d is not None)
+
+
+def tell_doubts(job: FitInput) -> tuple[Doubt, ...]:
+    """The doubts about what a fit is to work on, each also as a DoubtWarning."""
+    given = np.asarray(job.image), job.grid.voxel_size, job.mesh, job.grid.origin
+    found = doubts(*given, close=job.kind != "rough")
+    for doubt in found:
+        warnings.warn(doubt.sentence, DoubtWarning, stacklevel=2)
+    return found
+
+
+def _middle(shape: tuple[int, ...]) -> tuple[slice, ...]:
+    """The middle of the plane; all slices, since they are compared."""
+    share = min(1.0, (_VOXELS / np.prod(shape, dtype=float)) ** 0.5)
+    kept = [max(1, int(n * share)) for n in shape[1:]]
+    plane = (slice((n - k) // 2, (n - k) // 2 + k) for n, k in zip(shape[1:], kept, strict=True))
+    return (slice(None), *plane)
+
+
+# What is measured ------------------------------------------------------------------------------
+
+
+def structured(pixels: Pixels) -> float:
+    """Standard deviation of the smoothed image over what noise of its voxels leaves there."""
+    noise = voxel_noise(pixels, np.ones(pixels.shape, bool))
+    smooth = gaussian_filter(pixels, 1.5)
+    left = noise / (2 * np.sqrt(np.pi) * 1.5) ** 1.5
+    return float(smooth.std() / left) if left > 0 else float("inf")
+
+
+def lasting(pixels: Pixels) -> float:
+    """Mean correlation of slices that are half a stack or more apart; the least that the first and
+    last quarter of the stack hold of the contrast of all counts too."""
+    smooth = gaussian_filter(pixels, (0, 2, 2))[:, ::2, ::2].reshape(len(pixels), -1)
+    flat = smooth - smooth.mean(1, keepdims=True)
+    size = np.linalg.norm(flat, axis=1)
+    related = (flat @ flat.T) / np.maximum(np.outer(size, size), 1e-30)
+    apart = np.abs(np.subtract.outer(np.arange(len(flat)), np.arange(len(flat))))
+    far = related[apart >= len(flat) / 2]
+    ends = max(1, len(size) // 8)
+    steady = min(size[:ends].mean(), size[-ends:].mean()) / max(float(np.median(size)), 1e-30)
+    return float(far.mean() * min(1.0, steady))
+
+
+def elongation(pixels: Pixels, voxel_size: tuple[float, float, float], seeds: Mesh | None) -> float:
+    """Length of structures along Z over that in the plane, from where surfaces face.
+
+    The mean square of the Z part of the normals of an ellipsoid tells the ratio of its axes.
+    """
+    facing = _facing_of(pixels, voxel_size) if seeds is None else _facing_of_mesh(seeds)
+    return float(np.exp(np.interp(-facing, -_FACING, _LOG_RATIOS)))
+
+
+def _facing_of_mesh(mesh: Mesh) -> float:
+    areas, normals = mesh.areas(), mesh.normals()
+    return float((areas * normals[:, 0] ** 2).sum() / areas.sum())
+
+
+def _facing_of(pixels: Pixels, voxel_size: tuple[float, float, float]) -> float:
+    """Of the image: gradients after a blur that is as wide in every direction."""
+    size = np.asarray(voxel_size)
+    width = 1.5 * float(size.max())
+    blurred = pixels
+    for axis in range(3):
+        blurred = gaussian_filter1d(blurred, max(width / size[axis], 0.5), axis, mode="nearest")
+    edge = tuple(slice(1, -1) if n > 4 else slice(None) for n in pixels.shape)
+    parts = [np.gradient(blurred, size[axis], axis=axis)[edge] for axis in range(3)]
+    squared = [p.astype(np.float64) ** 2 for p in parts]
+    whole = squared[0] + squared[1] + squared[2]
+    strong = whole > np.percentile(whole, 70)
+    return float((squared[0][strong] / whole[strong]).mean())
+
+
+def _facing_table() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean square of the Z part of normals over spheroids of many ratios of axes."""
+    logs = np.linspace(-2.5, 2.5, 41)
+    t = (np.arange(4000) + 0.5) / 4000 * np.pi / 2  # from the pole
+    found = []
+    for ratio in np.exp(logs):
+        # A spheroid of radius 1 in the plane: the element of area, and its normal.
+        stretch = np.sqrt((ratio * np.sin(t)) ** 2 + np.cos(t) ** 2)
+        area, z = np.sin(t) * stretch, np.cos(t) / stretch
+        found.append((area * z**2).sum() / area.sum())
+    return np.asarray(found), logs
+
+
+_FACING, _LOG_RATIOS = _facing_table()
+
+
+def followed(pixels: np.ndarray, grid: Grid, seeds: Mesh) -> float:
+    """Share of the variance of the image around the seeds that the way to their surface explains.
+
+    Distances, negative inside, are put into classes of an eighth of a radius; what the means of
+    the classes explain is what any light of membranes, insides or haze around them would.
+    """
+    labels = voxel_labels(seeds, grid.shape, grid.voxel_size, grid.origin)
+    surface = surface_voxels(seeds, grid)
+    if not surface.any():
+        return 0.0
+    away = distance_transform_edt(~surface, sampling=np.asarray(grid.voxel_size))
+    away = np.where((labels > 0) & ~surface, -away, away)
+    known = np.isfinite(pixels)
+    whole = np.where(known, pixels, float(np.median(pixels[known]))).astype(np.float32)
+    cells = max(len(seeds.region_ids()), 1)
+    radius = float(np.sqrt(seeds.areas().sum() / cells / (4 * np.pi)))
+    near = known & (away < _AROUND * radius)
+    values = gaussian_filter(whole, 1.0)[near].astype(np.float64)
+    classes = ((away[near] / radius + 2) * 8).clip(0).astype(int)
+    count = np.bincount(classes)
+    mean = np.bincount(classes, values) / np.maximum(count, 1)
+    total = float(values.var())
+    between = float((count * (mean - values.mean()) ** 2).sum()) / max(len(values), 1)
+    return between / total if total > 0 else 0.0
+
+
+# What is said ----------------------------------------------------------------------------------
+
+
+def _time(pixels: Pixels, settings: SanitySettings) -> Doubt | None:
+    if len(pixels) < 6 or lasting(pixels) < settings.lasting:
+        return None
+    return Doubt(
+        "time",
+        "all slices show nearly the same scene: is this a film, with time taken for depth? "
+        "Open one time point, or put the axes right",
+    )
+
+
+def _sides(voxel_size: tuple[float, float, float], settings: SanitySettings) -> Doubt | None:
+    low, high = settings.voxel_sides
+    plane = voxel_size[1:]
+    if min(plane) >= low and max(plane) <= high and voxel_size[0] <= 10 * high:
+        return None
+    shown = " ".join(f"{v:g}" for v in voxel_size)
+    return Doubt(
+        "voxel size",
+        f"voxels of {shown} um (Z Y X) are none of a light microscope: is the voxel size in um, "
+        "and in the order Z Y X?",
+    )
+
+
+def _cut(pixels: np.ndarray, settings: SanitySettings) -> Doubt | None:
+    saturation = camera_from_image(pixels).saturation
+    if saturation.value is None:
+        return None
+    share = float((pixels >= saturation.value).mean())
+    if share < settings.cut:
+        return None
+    return Doubt(
+        "saturation",
+        f"{share:.1%} of the voxels are cut at {saturation.value:g}: where it is brightest the "
+        "image says nothing; --effects camera leaves them out, a shorter exposure would be better",
+    )
+
+
+def _lean(
+    pixels: Pixels, voxel_size: tuple[float, float, float], settings: SanitySettings
+) -> Doubt | None:
+    lean, _ = drift(pixels, voxel_size)
+    if lean.value is None or lean.value - 3 * lean.error < settings.lean:
+        return None
+    return Doubt(
+        "lean",
+        f"each slice lies {lean.value:.2g} um further on per um of depth: this looks like the raw "
+        "stack of a tilted light sheet or of a drifting stage; deskew or register it first",
+    )
+
+
+def _step(
+    pixels: Pixels,
+    voxel_size: tuple[float, float, float],
+    seeds: Mesh | None,
+    settings: SanitySettings,
+) -> Doubt | None:
+    width = first_sigma(pixels, voxel_size)
+    ratio = None
+    if width.z.value is not None and width.yx.value is not None:
+        ratio = width.z.value / width.yx.value
+    longer = elongation(pixels, voxel_size, seeds)
+    large = longer > settings.elongations[1]
+    small = longer < settings.elongations[0]
+    if ratio is not None:
+        large |= ratio > settings.psf_ratios[1]
+        small |= ratio < settings.psf_ratios[0]
+        large |= ratio > settings.doubtful_ratios[1] and longer > settings.doubtful_elongations[1]
+        small |= ratio < settings.doubtful_ratios[0] and longer < settings.doubtful_elongations[0]
+    if large == small:
+        return None
+    word = "long" if large else "flat"
+    blur = "" if ratio is None else f" and blur {ratio:.2g} times as wide along Z as across"
+    return Doubt(
+        "voxel size",
+        f"with voxels of {voxel_size[0]:g} um along Z everything is {word} ({longer:.2g} times as "
+        f"long along Z as across){blur}: is the step along Z too {'large' if large else 'small'}?",
+    )
+
+
+def _seeds(pixels: np.ndarray, grid: Grid, seeds: Mesh, settings: SanitySettings) -> Doubt | None:
+    share = followed(pixels, grid, seeds)
+    if share >= settings.followed:
+        return None
+    return Doubt(
+        "seeds",
+        f"the image does not follow the seeds (their place explains {share:.1%} of it around "
+        "them): do both belong to the same channel, time and voxel size?",
+    )

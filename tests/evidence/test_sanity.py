@@ -1,0 +1,81 @@
+"""What is said before a fit about images that cannot be what they are said to be."""
+
+import warnings
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter, shift
+
+from napari_deltamic.evidence.sanity import doubts
+from napari_deltamic.geometry import sphere
+
+SHAPE, VOXEL = (32, 32, 32), (0.3, 0.2, 0.2)
+
+
+def distance(centre=(4.6, 3.1, 3.0), radius=2.0):
+    """um; negative inside of a ball."""
+    places = np.moveaxis(np.indices(SHAPE), 0, -1) * VOXEL
+    return np.linalg.norm(places - np.array(centre), axis=-1) - radius
+
+
+def membrane(seed=0, peak=80.0):
+    light = gaussian_filter(np.exp(-((distance() / 0.15) ** 2)), (2.0, 1.2, 1.2))
+    return np.random.default_rng(seed).poisson(peak * light / light.max() + 4).astype(np.float32)
+
+
+def kinds(image, voxel=VOXEL, seeds=None, **more):
+    return [doubt.kind for doubt in doubts(image, voxel, seeds, **more)]
+
+
+SEEDS = sphere((4.6, 3.1, 3.0), 1.8)
+
+
+def test_nothing_is_said_of_an_image_in_order():
+    assert kinds(membrane(), seeds=SEEDS) == []
+    holes = membrane()
+    holes[10:14] = np.nan
+    assert kinds(holes, seeds=SEEDS) == []
+
+
+@pytest.mark.parametrize("factor", [0.25, 4])
+def test_a_wrong_step_along_z(factor):
+    assert kinds(membrane(), (VOXEL[0] * factor, *VOXEL[1:])) == ["voxel size"]
+
+
+def test_nanometres_for_micrometres():
+    (doubt,) = doubts(membrane(), (300.0, 200.0, 200.0))
+    assert doubt.kind == "voxel size"
+    assert "300 200 200" in doubt.sentence
+
+
+def test_leaning_slices():
+    raw = membrane()
+    lean = np.stack([shift(s, (1.4 * (k - 16), 0), mode="nearest") for k, s in enumerate(raw)])
+    assert kinds(lean) == ["lean"]
+
+
+def test_cut_brightness():
+    assert kinds(np.minimum(membrane(), 50), seeds=SEEDS) == ["saturation"]
+
+
+def test_nothing_but_noise():
+    assert kinds(np.random.default_rng(0).poisson(9.0, SHAPE), seeds=SEEDS) == ["empty"]
+
+
+def test_seeds_of_another_image():
+    elsewhere = gaussian_filter(np.random.default_rng(0).normal(size=SHAPE), 2.5)
+    image = np.random.default_rng(1).poisson(40 + 200 * elsewhere.clip(-0.1))
+    assert "seeds" in kinds(image, seeds=SEEDS)
+
+
+def test_time_taken_for_depth():
+    rng = np.random.default_rng(0)
+    frames = [shift(membrane()[16], d) for d in np.cumsum(rng.normal(0, 0.1, (32, 2)), 0)]
+    assert kinds(rng.poisson(np.clip(frames, 0.1, None))) == ["time"]
+
+
+def test_images_that_hardly_are_some_raise_nothing():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for image in (np.zeros((2, 3, 4)), np.ones((8, 8, 8)), np.full((9, 9, 9), np.nan)):
+            doubts(image, VOXEL)
