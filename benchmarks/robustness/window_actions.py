@@ -312,7 +312,7 @@ def _others(s: Session) -> list[Action]:
         *[("reopen a session", reopen)] * 4,
         ("close the dock", close),
         ("save meshes", save_meshes),
-        ("copy command", lambda: s.widget.running.command_button.click()),
+        ("copy command", lambda: s.widget.header.copy_action.trigger()),
         ("track", track),
         ("stop tracking", lambda: s.widget.tracking.stop()),
     ]

@@ -7,8 +7,15 @@ from functools import partial
 from typing import Any
 
 from napari.utils.notifications import show_info, show_warning
-from qtpy.QtCore import QEvent, QObject, Qt
-from qtpy.QtWidgets import QApplication, QFileDialog, QScrollArea, QVBoxLayout, QWidget
+from qtpy.QtCore import QEvent, QObject, QSize, Qt
+from qtpy.QtWidgets import (
+    QApplication,
+    QFileDialog,
+    QFrame,
+    QScrollArea,
+    QVBoxLayout,
+    QWidget,
+)
 
 from .gui.accuracy.accuracy_forecast import AccuracyForecast
 from .gui.accuracy.accuracy_measure import MeasureControl
@@ -16,6 +23,7 @@ from .gui.attempt import attempt
 from .gui.closing import ask_before_closing
 from .gui.editing.interaction import Interaction
 from .gui.effects.effects_check import EffectsCheck
+from .gui.header import Header
 from .gui.panels.image_panel import ImagePanel
 from .gui.panels.preferences import read_preferences
 from .gui.panels.settings_panel import SettingsPanel
@@ -34,8 +42,12 @@ from .gui.seeding.seed_kinds import Seeds
 from .gui.seeding.seeds_panel import SeedsPanel
 from .gui.tracking.control import TrackControl
 from .gui.tracking.panel import TrackPanel
+from .gui.viewing.cell_features import labels_layer
 from .gui.viewing.viewer_link import ViewerLink
+from .results.exchange import labels_of
 from .runs.settings import RunSettings
+
+_WIDTH = 390  # px
 
 
 class _Column(QScrollArea):
@@ -61,6 +73,7 @@ class FitWidget(QWidget):
         super().__init__(parent)
         viewer = unwrapped(napari_viewer)  # napari knows the parameter by this name
         self._docked = False
+        self.header = Header(self)
         self.image = ImagePanel(viewer, self)
         self.seeds = SeedsPanel(viewer, self.image, self)
         self.settings = SettingsPanel(viewer, self.image, self)
@@ -94,13 +107,19 @@ class FitWidget(QWidget):
         live.panels += [self.sessions, self.commands]
         # With its window the widget is deleted without a word to Python.
         self.destroyed.connect(self._live.close)
-        self.running.copy_command.connect(self._copy_command)
+        self.header.copy_command.connect(self._copy_command)
+        self._viewer = viewer
+        self.header.simulate.connect(self._simulate)
         self.control.shown.connect(self._show_psf)
         self.control.ended.connect(self._show_last_psf)
+        self.control.began.connect(self._show_check)
         self.image.changed.connect(self._show_own_psf)
         self.results.cell_chosen.connect(self._go_to)
         self.results.cells_chosen.connect(self._highlight)
         self.results.remarked.connect(_warn)
+        self.results.coloured.connect(self._colour_cells)
+        self.results.measured.connect(self._describe_cells)
+        self.results.labels_wanted.connect(self._labels_wanted)
         for part in (self.results, self.sessions):
             part.saved.connect(lambda path: _tell(f"saved {path}"))
         self._lay_out()
@@ -167,6 +186,34 @@ class FitWidget(QWidget):
         if self._live.link is not None:
             self._live.link.highlight(regions)
 
+    def _colour_cells(self) -> None:
+        if self._live.link is not None:
+            key = self.results.coloured_by
+            self._live.link.colour_by(self.results.table.numbers(key) if key else None)
+
+    def _describe_cells(self) -> None:
+        if self._live.link is not None:
+            self._live.link.describe(self.results.table.rows)
+
+    def _simulate(self) -> None:
+        """Open the other widget of this plugin, in a dock of its own."""
+        self.guarded(partial(_open_simulator, self._viewer))
+
+    def _labels_wanted(self) -> None:
+        self.guarded(self._add_labels)
+
+    def _add_labels(self) -> None:
+        link, last = self._live.link, self.results.last
+        if link is None or last is None or link.shown is None:
+            return
+        layer = labels_layer(
+            labels_of(link.shown, last[1].grid),
+            self.results.table.rows,
+            link.frame,
+            f"{link.image_layer.name} labels",
+        )
+        link.viewer.add_layer(layer)
+
     def _copy_command(self) -> None:
         self.control.tried(self._copy)
 
@@ -193,6 +240,14 @@ class FitWidget(QWidget):
         self.running.tell(reason)
         _warn(reason)
 
+    def _show_check(self, fresh: bool) -> None:
+        """Scroll to what a fit shows, once it begins."""
+        self._column.ensureWidgetVisible(self.running, 0, 0)
+
+    def sizeHint(self) -> QSize:
+        """Qt's: as wide as the table wants."""
+        return QSize(_WIDTH, super().sizeHint().height())
+
     def event(self, event: QEvent | None) -> bool:
         """Qt's events; napari closes a dock by taking its widget out, without deleting it."""
         if event is not None and event.type() == QEvent.Type.ParentChange:
@@ -203,22 +258,39 @@ class FitWidget(QWidget):
         return bool(super().event(event))
 
     def _lay_out(self) -> None:
+        clicks = self.seeds.corrections.bar
+        self.header.offer(
+            [
+                self.sessions.open_action,
+                self.sessions.save_action,
+                clicks.load_action,
+                clicks.save_action,
+            ]
+        )
         inner = QWidget(self)
         column = QVBoxLayout(inner)
         column.setContentsMargins(2, 2, 2, 2)
-        panels = (self.image, self.seeds, self.settings, self.running)
-        for panel in (*panels, self.track_panel, self.results):
+        panels = (self.image, self.seeds, self.settings, self.track_panel)
+        for panel in (*panels, self.running, self.results, self.settings.advanced):
             column.addWidget(panel)
-        column.addWidget(self.sessions)
         column.addStretch()
         scroll = _Column(self)
         scroll.setWidget(inner)
         inner.installEventFilter(scroll)
         scroll.setWidgetResizable(True)
         scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        scroll.setFrameShape(QFrame.Shape.NoFrame)
+        self._column = scroll
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
-        layout.addWidget(scroll)
+        layout.setSpacing(2)
+        layout.addWidget(self.header)
+        layout.addWidget(scroll, 1)
+        layout.addWidget(self.running.footer)
+
+
+def _open_simulator(viewer: Any) -> None:
+    viewer.window.add_plugin_dock_widget("napari-deltamic", "Simulate cells")
 
 
 def _tell(text: str) -> None:

@@ -124,7 +124,7 @@ def seeded(make_widget, with_image):
     widget = make_widget()
     widget.seeds.place.click()
     with_image.layers["seeds"].add(CENTER)
-    widget.seeds.shape.setCurrentText("sphere around each point")
+    widget.seeds.shape.setCurrentText("a sphere")
     widget.seeds.radius.setValue(0.9)
     return widget
 
@@ -262,7 +262,7 @@ def series_widget(app, viewer, series, spin):
     widget.seeds.place.click()
     seeds = viewer.layers["seeds"]
     seeds.add(CENTER if seeds.ndim == 3 else (0, *CENTER))
-    widget.seeds.shape.setCurrentText("sphere around each point")
+    widget.seeds.shape.setCurrentText("a sphere")
     widget.seeds.radius.setValue(0.9)
     yield widget
     widget.close_links()

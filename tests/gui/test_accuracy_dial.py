@@ -40,10 +40,7 @@ def expected(widget, pixels, mesh, costs, **settings):
 
 
 def in_words(found, about=""):
-    return (
-        f"predicted: {about}{duration(found.seconds_per_iteration)} an iteration, "
-        f"{about}{duration(found.seconds)} until it has converged"
-    )
+    return f"takes {about}{duration(found.seconds)}"
 
 
 # ---------------------------------------------------------------------------------- the dial
@@ -74,7 +71,7 @@ def test_what_is_no_accuracy_is_said(seeded, spin):
         with pytest.raises(InputError, match="accuracy"):
             seeded.settings.fit_settings()
         spin(settled(seeded))
-        assert seeded.settings.outlook.text().startswith("accuracy must be draft, standard")
+        assert seeded.settings.outlook.text().startswith("accuracy must be quick, normal")
         with pytest.raises(ValueError, match="accuracy"):
             usable_choice(text)
 
@@ -194,7 +191,7 @@ def test_the_first_time_the_machine_is_measured_in_the_background(
             assert "measuring this computer" in seeded.settings.outlook.text()
             gate.set()
         spin(settled(seeded))
-        assert seeded.settings.outlook.text().startswith("predicted")
+        assert seeded.settings.outlook.text().startswith("takes")
     assert len(calls) == 1, "it is kept"
     assert calls[0] is not threading.main_thread()
 
@@ -236,7 +233,7 @@ LEVELS = tuple(
 def test_a_run_shows_its_own_forecast(seeded, spin, endless):
     seeded.start()
     assert seeded.settings.outlook.text() == ""
-    spin(lambda: "predicted" in seeded.settings.outlook.text())
+    spin(lambda: "takes" in seeded.settings.outlook.text())
     assert seeded.settings.outlook.text() == in_words(seeded.run.forecast)
 
 

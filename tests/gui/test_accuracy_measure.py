@@ -177,7 +177,7 @@ def test_what_goes_wrong_is_told_in_words(seeded, make_widget, monkeypatch, spin
 def test_without_seeds_it_says_so(make_widget):
     widget = make_widget()
     widget.settings.tradeoff.button.click()
-    assert "no seeds yet" in widget.settings.tradeoff.progress.text()
+    assert "no cells yet" in widget.settings.tradeoff.progress.text()
 
 
 def test_a_chart_of_another_psf_says_so(measuring, spin):

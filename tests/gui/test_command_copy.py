@@ -33,7 +33,7 @@ def test_membranes_are_found_in_the_background(mixture, told, spin, monkeypatch,
         return find(*arguments, **options)
 
     monkeypatch.setattr(seed_kinds, "seeds_from_points", watched)
-    mixture.running.command_button.click()
+    mixture.header.copy_action.trigger()
     assert mixture.commands.busy
     assert "command" in mixture.running.note.text()
     spin(lambda: not mixture.commands.busy)
@@ -48,7 +48,7 @@ def test_membranes_are_found_in_the_background(mixture, told, spin, monkeypatch,
 
 def test_what_fails_is_told(mixture, with_image, told, spin):
     with_image.layers["seeds"].data = np.array([[50.0, 50.0, 50.0]])
-    mixture.running.command_button.click()
+    mixture.header.copy_action.trigger()
     spin(lambda: not mixture.commands.busy)
     assert told
     assert told[-1] == mixture.running.note.text() != ""
@@ -59,7 +59,7 @@ def test_closing_asks_nobody_any_more(mixture, told, spin, monkeypatch):
     monkeypatch.setattr(
         _widget.QFileDialog, "getExistingDirectory", staticmethod(lambda *a: asked.append(a) or "")
     )
-    mixture.running.command_button.click()
+    mixture.header.copy_action.trigger()
     mixture.close_links()
     spin(seconds=0.2, must=False)
     assert not asked

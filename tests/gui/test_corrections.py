@@ -105,7 +105,7 @@ def test_a_click_adds_a_cell_that_was_missed(seeds, apart, click, scene):
 def test_two_clicks_merge_and_one_removes(seeds, apart, click):
     click("merge", LEFT)
     assert numbers(apart) == [1, 2]
-    assert "Now click into" in told(seeds)[0]
+    assert "Click the other half" in told(seeds)[0]
     click("merge", RIGHT)
     assert numbers(apart) == [1]
     click("remove", LEFT)
@@ -174,7 +174,7 @@ def test_the_key_undoes_while_a_tool_is_in_use(seeds, viewer, joined, click):
 def test_the_first_of_two_clicks_can_be_taken_back(seeds, apart, click):
     click("merge", LEFT)
     seeds.corrections.undo()
-    assert "Click into two cells" in told(seeds)[0]
+    assert "Click both halves" in told(seeds)[0]
     click("merge", LEFT, RIGHT)
     assert numbers(apart) == [1]
 
@@ -315,7 +315,7 @@ def test_cells_of_two_layers_are_not_merged(seeds, viewer, apart, click, scene):
     click("merge", LEFT)
     viewer.add_labels(scene[1].copy(), name="other", **PLACE)
     seeds.corrections.renew()
-    assert "Click into two cells" in told(seeds)[0]
+    assert "Click both halves" in told(seeds)[0]
     click("merge", RIGHT)
     assert numbers(apart) == numbers(viewer.layers["other"]) == [1, 2]
 

@@ -12,12 +12,15 @@ from napari_deltamic.evidence.estimate import Finding, unknown
 from napari_deltamic.gui.effects import effects_check
 from napari_deltamic.gui.effects.effects_panel import EffectsPanel
 from napari_deltamic.gui.panels.image_panel import ImagePanel
+from napari_deltamic.gui.results.cell_columns import COLUMNS
 from napari_deltamic.scene.effects import Bulk, Effects
 
 pytestmark = pytest.mark.usefixtures("soon")
 
 BULK = Evidence("bulk", 12.3, 85.4, 0.4, 3.21, True, "z = 12.3; leaving it out would move it")
 HALO = Evidence("halo", 0.7, 0.01, 0.0, 0.1, False, "z = 0.7: no more than chance")
+
+EXPLAINED = [column.key for column in COLUMNS].index("explained")
 
 
 def recommendation(*evidence):
@@ -53,7 +56,7 @@ def asked(monkeypatch):
 
 
 def test_nothing_is_ticked_before_the_user_does(panel):
-    assert panel.summary() == "none; check what this image calls for"
+    assert panel.summary() == "none; check this image"
     panel.show_found(recommendation(HALO, BULK))
     assert panel.effects() == Effects()
     assert panel.summary() == "none; bulk recommended"
@@ -107,7 +110,7 @@ def test_the_image_and_its_seeds_are_asked_in_the_background(seeded, spin, asked
     gate.release()
     spin(lambda: not seeded.checking.busy)
     assert view.found.recommended == ("bulk",)
-    assert seeded.settings.effects_fold.title == "Effects: none; bulk recommended"
+    assert seeded.settings.effects_fold.title == "Corrections: none; bulk recommended"
     assert calls[0]["fitted"].iteration == 5
     assert seeded.settings.scene_settings().effects == Effects()
     seeded.settings.sigma._boxes[0].setValue(0.9)
@@ -151,7 +154,7 @@ def test_without_seeds_it_says_what_is_missing(make_widget):
     widget = make_widget()
     widget.settings.effects.button.click()
     assert not widget.checking.busy
-    assert "Place seeds" in widget.settings.effects.progress.text()
+    assert "Click cells" in widget.settings.effects.progress.text()
 
 
 def test_an_accepted_effect_goes_into_the_fit_that_runs(seeded, spin, endless):
@@ -174,20 +177,46 @@ def test_an_accepted_effect_goes_into_the_fit_that_runs(seeded, spin, endless):
 
 
 def test_the_residual_is_in_standard_deviations_and_cells_are_judged(seeded, with_image, spin):
-    table = seeded.results.table
-    assert table.isColumnHidden(4)
+    table, n = seeded.results.table, EXPLAINED
     seeded.running.residual.setChecked(True)
     seeded.start()
     spin(lambda: not seeded.run.running, seconds=60)
-    spin(lambda: not table.isColumnHidden(4), seconds=60)
+    assert table.isColumnHidden(n)
+    spin(lambda: not table.isColumnHidden(n), seconds=60)
     layer = with_image.layers["cell residual"]
     assert tuple(layer.contrast_limits) == (-5, 5)
     assert np.std(layer.data) == pytest.approx(1, abs=0.25)
     assert "explained" in table.as_text().splitlines()[0]
-    assert table.item(0, 4).text().endswith("%")
-    assert "of what varies near the surfaces is explained" in seeded.running.note.text()
+    assert table.item(0, n).text().endswith("%")
+    assert layer.visible
     seeded.running.residual.setChecked(False)
-    assert table.isColumnHidden(4)
+    assert not layer.visible
+
+
+def test_every_fit_is_graded_without_being_asked(seeded, with_image, pixels, spin):
+    seeded.start()
+    spin(lambda: not seeded.run.running, seconds=60)
+    spin(lambda: seeded.running.grade.text() != "", seconds=60)
+    share = seeded.results.table.numbers("explained")[1]
+    assert share > 0.75
+    assert seeded.running.grade.text().startswith("Good: the cells explain")
+    # Of another image nothing is known.
+    own = seeded.image.layer
+    seeded.image.chooser.choose(with_image.add_image(pixels[::-1].copy(), name="other"))
+    assert seeded.running.grade.text() == ""
+    seeded.image.chooser.choose(own)
+    assert seeded.running.grade.text().startswith("Good")
+
+
+def test_a_wrong_shape_is_not_called_good(seeded, spin):
+    """Far too few iterations: the fit ends, and its grade is not green."""
+    seeded.settings.max_iterations.setValue(1)
+    seeded.seeds.radius.setValue(0.7)
+    seeded.start()
+    spin(lambda: not seeded.run.running, seconds=60)
+    spin(lambda: seeded.running.grade.text() != "", seconds=60)
+    assert not seeded.running.grade.text().startswith("Good")
+    assert "before you use them" in seeded.running.grade.text()
 
 
 def test_the_time_shown_is_checked(series_widget, viewer, series, spin):

@@ -85,7 +85,7 @@ def test_undo_of_settings_shows_them_again(begun, spin):
     begun.running.history.undo_button.click()
     spin(lambda: begun.run.job.settings.fit.density == before)
     assert begun.settings.density.currentText() == before
-    assert begun.interaction.edits.redo_note == "density smooth"
+    assert begun.interaction.edits.redo_note == "brightness smooth"
 
 
 def test_a_new_run_forgets_the_old_one(ended, spin):

@@ -19,7 +19,7 @@ def test_settings_are_taken_over(begun, spin):
     assert begun.running.note.text().startswith("accuracy 1e-4 from iteration")
     begun.settings.fit_psf.setChecked(True)
     begun.settings.likelihood.setCurrentText("gaussian")
-    spin(lambda: "likelihood gaussian" in " ".join(notes(begun)))
+    spin(lambda: "noise gaussian" in " ".join(notes(begun)))
     fit_settings = begun.run.job.settings.fit
     assert (fit_settings.fit_psf, fit_settings.likelihood) == (True, "gaussian")
     begun.stop()
@@ -43,7 +43,7 @@ def test_effects_are_taken_over_and_taken_back(begun, spin):
     panel.effects.table.tick("pixel_integration")
     spin(lambda: begun.run.state.effects.names == ("pixel_integration", "attenuation"))
     assert begun.run.job.settings.scene.effects.names == ("pixel_integration", "attenuation")
-    assert panel.effects_fold.title == "Effects: pixel integration, attenuation"
+    assert panel.effects_fold.title == "Corrections: pixel integration, attenuation"
     for left in (("attenuation",), ()):
         begun.interaction.edits.undo()
         spin(lambda left=left: begun.run.state.effects.names == left)

@@ -73,7 +73,7 @@ def test_an_error_stands_under_its_field(panel, spin, field, value, says):
     panel.objective.numbers[field].setValue(value)
     spin(lambda: not panel.busy)
     assert list(panel.objective.errors()) == [says]
-    assert panel.objective._errors[field].text() == says
+    assert panel.objective.notes[field].text() == says
     assert panel.summary().endswith("cannot be used")
     panel.objective.numbers[field].setValue(0.6)
     spin(lambda: not panel.busy)
@@ -177,7 +177,7 @@ def test_another_kind_of_psf_is_for_the_next_run(seeded, spin, endless):
     spin(lambda: seeded.run.state is not None and seeded.link.mesh is not None)
     seeded.settings.optics.objective.show_settings(optics_from_values(WATER))
     seeded.settings.optics.kind.setCurrentText(OBJECTIVE)
-    assert seeded.running.note.text() == "PSF of another kind: from the next run on"
+    assert seeded.running.note.text() == "The new PSF applies to the next run."
     n = len(seeded.run.history.loss)
     spin(lambda: len(seeded.run.history.loss) > n + 2)
     assert isinstance(seeded.run.state.optics, nd.GaussianPSF)

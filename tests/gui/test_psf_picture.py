@@ -25,6 +25,7 @@ def counted(monkeypatch):
 def open_panel(seeded, spin):
     """A widget on the screen with its PSF panel unfolded."""
     seeded.show()
+    seeded.settings.advanced.unfold()
     seeded.settings.psf_fold.unfold()
     return seeded
 

@@ -210,7 +210,7 @@ def from_file(make_widget, with_image, pixels, tmp_path, monkeypatch, spin):
     monkeypatch.setattr(_widget.QFileDialog, "getExistingDirectory", lambda *a: str(tmp_path))
 
     def copied():
-        widget.running.command_button.click()
+        widget.header.copy_action.trigger()
         spin(lambda: not widget.commands.busy)
         words = shlex.split(_widget.QApplication.clipboard().text())
         job = gather(build_parser().parse_args(words[1:]), Notes())

@@ -201,7 +201,7 @@ def test_an_error_before_the_first_iteration(seeded, with_image, spin, told):
 def test_what_is_missing_is_said(make_widget, with_image, told):
     widget = make_widget()
     widget.start()
-    assert "seeds" in told[-1]
+    assert "no cells yet" in told[-1]
     del with_image.layers["cell"]
     widget.start()
     assert "image" in told[-1]

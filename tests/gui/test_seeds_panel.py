@@ -83,7 +83,7 @@ def test_each_source_alone(panel, with_image, ball_labels):
     mesh = taken(panel).mesh(panel._image.stack(), grid_of(panel))
     assert mesh.region_ids().tolist() == [3]
     panel.chooser.choose(labels, False)
-    with pytest.raises(InputError, match="no seeds yet"):
+    with pytest.raises(InputError, match="no cells yet"):
         taken(panel)
 
 

@@ -32,15 +32,15 @@ def test_no_image_and_bad_settings_are_told(app, seeded, with_image, tmp_path, t
     name = str(tmp_path / "a")
     monkeypatch.setattr("qtpy.QtWidgets.QFileDialog.getSaveFileName", lambda *a, **k: (name, ""))
     seeded.settings.accuracy.setCurrentText("much")
-    seeded.sessions.save_button.click()
+    seeded.sessions.save_action.trigger()
     assert "accuracy" in told[-1]
     del with_image.layers["cell"]
-    seeded.sessions.save_button.click()
+    seeded.sessions.save_action.trigger()
     assert "open a 3D image" in told[-1]
     (tmp_path / "a.deltamic").touch()
-    seeded.sessions.save_button.click()
+    seeded.sessions.save_action.trigger()
     assert "is there already" in told[-1]
-    assert seeded.sessions.save_button.isEnabled()
+    assert seeded.sessions.save_action.isEnabled()
 
 
 def test_a_full_disk_is_told_and_the_session_can_be_saved_elsewhere(
@@ -80,7 +80,7 @@ def test_a_damaged_file_is_told_and_changes_nothing(seeded, with_image, spin, tm
     spin(lambda: not seeded.sessions.busy)
     assert "not a deltaMic session" in told[-1]
     assert len(with_image.layers) == n
-    assert seeded.sessions.open_button.isEnabled()
+    assert seeded.sessions.open_action.isEnabled()
 
 
 def test_the_reader_opens_the_layers(seeded, with_image, spin, tmp_path):
@@ -113,6 +113,10 @@ def test_a_session_that_is_dropped_opens_whole(window, seeded, spin, tmp_path, d
     assert {layer.name for layer in window.layers} >= {"cell", "seeds", "cell cells"}
     assert shown(widget)["cells"] == shown(seeded)["cells"]
     assert shown(widget)["fit"] == shown(seeded)["fit"]
+    for one in (widget, seeded):
+        spin(lambda one=one: one.running.grade.text() != "")
+    assert widget.running.grade.text() == seeded.running.grade.text()
+    assert widget.results.table.rows == seeded.results.table.rows
     assert len(widget.control.timeline.moments) == before
     widget.close_links()
 
@@ -151,7 +155,7 @@ def test_the_entry_of_the_menu_asks_in_the_widget(window, monkeypatch):
         warnings.simplefilter("ignore")
         npe2.PluginManager.instance().discover()
         open_session(window)
-    assert [type(parent).__name__ for parent in asked] == ["SessionBar"]
+    assert [type(parent).__name__ for parent in asked] == ["FitWidget"]
 
 
 @pytest.mark.parametrize("part", ["image", "seeds"])

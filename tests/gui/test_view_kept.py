@@ -85,7 +85,7 @@ def test_the_slider_keeps_the_steps_of_the_image(app, viewer, pixels, spin, thic
     viewer.layers["seeds"].add(np.multiply(CENTER, thick))
     assert (viewer.dims.range, viewer.dims.current_step) == before
     widget.settings.max_iterations.setValue(3)
-    widget.seeds.shape.setCurrentText("sphere around each point")
+    widget.seeds.shape.setCurrentText("a sphere")
     # One that reaches out of the image.
     viewer.layers["seeds"].size = 2.2 * CENTER[0] * thick
     widget.start()

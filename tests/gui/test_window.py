@@ -238,7 +238,7 @@ def test_random_handling_raises_nothing(window, docked, spin, told, monkeypatch)
         docked.start,
         docked.stop,
         run.pause_button.click,
-        run.command_button.click,
+        docked.header.copy_action.trigger,
         lambda: run.rendered.setChecked(rng.random() < 0.5),
         lambda: run.residual.setChecked(rng.random() < 0.5),
         lambda: seeds.shape.setCurrentIndex(rng.randrange(2)),

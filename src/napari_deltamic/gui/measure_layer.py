@@ -4,7 +4,6 @@
 from pathlib import Path
 from typing import Annotated, Any, Optional
 
-import numpy as np
 from magicgui import magic_factory
 from napari.layers import Image, Surface
 from napari.qt.threading import FunctionWorker, create_worker
@@ -12,16 +11,14 @@ from napari.types import LayerDataTuple
 
 from ..common.writing import own_folder
 from ..errors import InputError
-from ..geometry import Mesh
-from ..measure import Known, Measurements, measure
+from ..measure import Known, measure
 from ..results.exchange import labels_of
 from ..results.measured_files import write_measurements
-from ..scene import Grid
 from .seeding.seed_kinds import mesh_of_surface
-from .viewing.frame import OWN, Frame, shape_of
+from .viewing.cell_features import labels_options
+from .viewing.frame import Frame, shape_of
 
 _WORLD = Frame((1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0), ("um",) * 3)
-AXES = ("z", "y", "x")
 
 
 def measure_surface(
@@ -59,34 +56,10 @@ def measure_surface(
                 write_measurements(written, mesh, measured, grid=grid)
         if grid is None:
             return []
-        return [_labels_layer(mesh, measured, grid, frame, f"{name}: cells")]
+        options = labels_options(measured.cells.rows, frame, f"{name}: cells")
+        return [(labels_of(mesh, grid), options, "labels")]
 
     return create_worker(work, _start_thread=True)
 
 
 measure_widget = magic_factory(measure_surface, call_button="Measure")
-
-
-def _labels_layer(mesh: Mesh, measured: Measurements, grid: Grid, frame: Frame, name: str) -> Any:
-    options = {
-        **frame.image_options(),
-        "axis_labels": AXES,
-        "name": name,
-        "opacity": 0.4,
-        "features": features_of(measured),
-        "metadata": {OWN: {"fit": True}},
-    }
-    return labels_of(mesh, grid), options, "labels"
-
-
-def features_of(measured: Measurements) -> dict[str, Any]:
-    """The table of cells as features of a Labels layer, a row for each label."""
-    table = measured.cells
-    found: dict[str, Any] = {"index": np.array(table.values("region"), np.int64)}
-    for column in table.columns[1:]:
-        values = table.values(column.name)
-        words = any(isinstance(v, str) for v in values)
-        if any(v is not None for v in values):
-            empty = "" if words else np.nan
-            found[column.name] = np.array([empty if v is None else v for v in values])
-    return found

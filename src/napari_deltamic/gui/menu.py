@@ -11,7 +11,7 @@ from .panels.preferences import PLUGIN
 
 def open_session(viewer: Viewer) -> None:
     """Ask for a session file and open it, in the widget of the plugin."""
-    fit_widget(viewer).sessions.open_button.click()
+    fit_widget(viewer).sessions.open_action.trigger()
 
 
 def fit_widget(viewer: Viewer) -> Any:

@@ -14,9 +14,12 @@ from ...fitting.default_accuracy import PRESETS, Preset, preset_accuracy
 STANDARD = "standard"
 # What the page of preferences offers; the dial also takes any other number.
 CHOICES: tuple[str, ...] = (*PRESETS, "1e-2", "3e-3", "1e-3", "3e-4", "1e-4", "1e-5")
-_EARLIER = {"auto": STANDARD, "0": "exact"}  # names by which the choices are also known
+# As the dial calls them; sessions and preferences keep the names.
+_WORDS: dict[str, str] = {"draft": "quick", "standard": "normal", "fine": "careful"}
+# Names by which the choices are also known.
+_EARLIER = {"auto": STANDARD, "0": "exact", **{word: name for name, word in _WORDS.items()}}
 _TIPS: dict[Preset, str] = {
-    "draft": "Five times coarser than standard. The fastest, but the rendering may move the "
+    "draft": "Five times coarser than normal. The fastest, but the rendering may move the "
     "surface more than the noise does: for a first look.",
     "standard": "As accurate as the noise of this image can tell: finer renderings take longer and "
     "do not improve the shape.",
@@ -32,7 +35,7 @@ _TIP = (
 
 
 class AccuracyDial(QComboBox):
-    """Draft, standard, fine, exact, or a number that is typed in.
+    """Quick, normal, careful, exact, or a number that is typed in.
 
     Parameters
     ----------
@@ -46,9 +49,9 @@ class AccuracyDial(QComboBox):
         self.setEditable(True)
         self.setInsertPolicy(QComboBox.InsertPolicy.NoInsert)
         for k, name in enumerate(PRESETS):
-            self.addItem(name)
+            self.addItem(shown_as(name))
             self.setItemData(k, f"<qt>{_TIPS[name]}</qt>", Qt.ItemDataRole.ToolTipRole)
-        rows = "".join(f"<br><b>{name}</b>: {_TIPS[name]}" for name in PRESETS)
+        rows = "".join(f"<br><b>{shown_as(name)}</b>: {_TIPS[name]}" for name in PRESETS)
         self.setToolTip(f"<qt>{_TIP}{rows}</qt>")
         self.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self.setMinimumContentsLength(8)
@@ -58,7 +61,7 @@ class AccuracyDial(QComboBox):
 
     @property
     def choice(self) -> str:
-        """What is shown: a name, or what was typed."""
+        """What is chosen: a name, or what was typed."""
         return chosen(self.currentText())
 
     def setting(self) -> float | None:
@@ -76,13 +79,18 @@ class AccuracyDial(QComboBox):
 
     def show_choice(self, choice: str) -> None:
         """Show a name or a number."""
-        self.setCurrentText(chosen(choice))
+        self.setCurrentText(shown_as(chosen(choice)))
 
 
 def chosen(text: str) -> str:
     """A choice as the dial shows it."""
     plain = text.strip().lower()
     return _EARLIER.get(plain, plain)
+
+
+def shown_as(choice: str) -> str:
+    """What the dial calls a choice."""
+    return _WORDS.get(choice, choice)
 
 
 def relative(choice: str) -> bool:
@@ -100,9 +108,8 @@ def accuracy_of(choice: str, noise: float) -> float:
     except ValueError:
         accuracy = -1.0
     if not 0 <= accuracy < 1:
-        raise InputError(
-            f"accuracy must be {', '.join(PRESETS)}, or a number from 0 to below 1, not '{choice}'"
-        )
+        names = ", ".join(map(shown_as, PRESETS))
+        raise InputError(f"accuracy must be {names}, or a number from 0 to below 1, not '{choice}'")
     return accuracy
 
 

@@ -209,12 +209,7 @@ class AccuracyForecast(QObject):
 
 def predicted(forecast: Forecast, guessed: bool = False) -> str:
     """A forecast in words; less certain where the size of the surfaces is a guess."""
-    about = "about " if guessed else ""
-    each, whole = forecast.seconds_per_iteration, forecast.seconds
-    return (
-        f"predicted: {about}{duration(each)} an iteration, "
-        f"{about}{duration(whole)} until it has converged"
-    )
+    return f"takes {'about ' * guessed}{duration(forecast.seconds)}"
 
 
 def pace(measured: float, forecast: Any, level: int) -> str:

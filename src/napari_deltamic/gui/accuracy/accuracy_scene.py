@@ -190,7 +190,7 @@ def _surfaces(
             guessed = True
             made.append(partial(_balls, centres, None))
     if not made:
-        raise InputError("no seeds yet: press 'Place seeds' and click inside each cell")
+        raise InputError("no cells yet: press 'Find cells', or 'Click cells' and click inside each")
     labelled = any(part.func is _balls_of_labels for part in made)
     near: SeedKind = "rough" if rough else "labels" if labelled else "image"
     return near, tuple(made), guessed

@@ -10,8 +10,8 @@ from qtpy.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 from ...accuracy.accuracy_chart import short, ways_chart
 from ...accuracy.chart import Chart
 from ...accuracy.tradeoff import Way, duration, with_front
-from ..panels.note import Note
 from ..qt import Signal
+from ..widgets import Note
 from .accuracy_plot import TradeoffPlot
 
 _START, _STOP = "Measure on this scene", "Stop measuring"

@@ -8,8 +8,8 @@ from qtpy.QtCore import QSignalBlocker, Qt
 from qtpy.QtWidgets import QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 from superqt import QLabeledDoubleSlider
 
-from ..panels.fields import note_label
 from ..qt import Signal
+from ..widgets import note_label
 
 Tool = Literal["nudge", "push", "pin"]
 TOOLS: tuple[Tool, ...] = ("nudge", "push", "pin")

@@ -8,9 +8,9 @@ from qtpy.QtCore import QSignalBlocker, Qt
 from qtpy.QtWidgets import QHBoxLayout, QPushButton, QSlider, QVBoxLayout, QWidget
 
 from ...results.timeline import Moment
-from ..panels.fields import note_label
 from ..qt import Signal
 from ..running.curves import explained
+from ..widgets import note_label
 
 
 class HistoryBar(QWidget):
@@ -31,10 +31,10 @@ class HistoryBar(QWidget):
         self.slider = QSlider(Qt.Orientation.Horizontal, self)
         self.slider.setToolTip("Look at earlier moments; a fit goes on meanwhile.")
         self.slider.setMinimumWidth(60)
-        self.live_button = QPushButton("Live", self)
+        self.live_button = QPushButton("Back to the end", self)
         self.live_button.setToolTip("Show the newest state again.")
         self.note = note_label()
-        self.go_on_button = QPushButton("Go on from here", self)
+        self.go_on_button = QPushButton("Continue from here", self)
         self._lay_out()
         self.undo_button.clicked.connect(self.undo)
         self.redo_button.clicked.connect(self.redo)
@@ -97,7 +97,7 @@ class HistoryBar(QWidget):
     def _show(self) -> None:
         looking = self._chosen is not None
         self.live_button.setVisible(looking)
-        self.live_button.setText("Live" if self._running else "Newest")
+        self.live_button.setText("Back to the end")
         self.go_on_button.setVisible(looking or (not self._running and bool(self._moments)))
         self.go_on_button.setToolTip(
             "The fit goes on from the state shown."

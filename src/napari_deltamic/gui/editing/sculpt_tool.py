@@ -22,6 +22,7 @@ from .carry import carried
 from .edit_bar import Tool
 from .edits import Edits
 
+_EARLIER = "This is an earlier moment: press 'Back to the end', or continue from here."
 _HIDDEN = "The surface is hidden: make its layer visible first."
 _OTHER_TIME = "The surface is that of another time point: go there first."
 _PUSH = 0.12  # of the brush's radius: how far a dab pushes
@@ -113,7 +114,9 @@ class Sculptor(QObject):
         if event.button != 1 or tool is None:
             return
         if self._panels.running.history.chosen is not None:
-            self._bar.say("This is an earlier moment: press Live first, or go on from here.")
+            self._bar.say(
+                "This is an earlier moment: press 'Back to the end' first, or continue from here."
+            )
             return
         if link is None or link.shown is None or self._control.present() is None:
             self._bar.say("There is no surface yet: run a fit first.")

@@ -11,12 +11,12 @@ from ...evidence import Recommendation
 from ...evidence.camera import Camera
 from ...evidence.candidates import CONSIDERED
 from ...scene.effects import KINDS, Effects
-from ..panels.note import Note
 from ..qt import Signal
+from ..widgets import Note
 from .effects_table import EffectsTable, spoken
 from .second_view_fields import SecondViewFields
 
-_START, _STOP = "Check effects", "Stop checking"
+_START, _STOP = "Check this image", "Stop checking"
 _TIP = (
     "<qt>Asks the image: fits it (or takes the present fit), and tells for each effect how clearly "
     "it is seen, by how much the surface is off without it, and what it costs. Takes as long as a "
@@ -97,8 +97,8 @@ class EffectsPanel(QWidget):
             recommended = spoken(more[0]) if len(more) == 1 else str(len(more))
             return f"{names or 'none'}; {recommended} recommended"
         if names or self.found is not None:
-            return names or "none; the image calls for none"
-        return "none; check what this image calls for"
+            return names or "none; no evidence for any"
+        return "none; check this image"
 
     # ------------------------------------------------------------------------------- evidence
 
@@ -136,7 +136,7 @@ class EffectsPanel(QWidget):
             self.progress.say(
                 f"recommended: {text}; choose a row to read why"
                 if names
-                else "the image calls for no other effects"
+                else "the image gives no evidence for other corrections"
             )
         self.described.emit()
 

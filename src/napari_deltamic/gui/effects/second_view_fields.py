@@ -13,11 +13,11 @@ from ...errors import InputError
 from ...fitting.job import SIGMA_IN_VOXELS
 from ...scene.effects import SecondView
 from ..connections import Connections
-from ..panels.fields import LayerChooser, TripleField, show_row
+from ..fields import TripleField
 from ..panels.image_panel import file_of
-from ..panels.note import Note
 from ..qt import Signal
 from ..viewing.frame import Frame, is_stack, shape_of
+from ..widgets import LayerChooser, Note, show_row
 
 _NONE = "none"
 

@@ -3,28 +3,27 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from qtpy.QtWidgets import (
-    QComboBox,
     QFileDialog,
-    QFormLayout,
     QHBoxLayout,
     QLabel,
     QMenu,
     QPushButton,
     QSizePolicy,
+    QVBoxLayout,
     QWidget,
 )
 
-from ...common.choices import IMAGE_FILES, Bead
+from ...common.choices import IMAGE_FILES
 from ...errors import InputError
 from ...images.stacks import read_voxel_size, stored_shape, write_image
 from ...runs.optics_settings import MeasuredOptics
-from ..panels.fields import Number, TripleField, show_row
-from ..panels.note import Note
+from ..fields import Form
 from ..qt import Signal
 from ..viewing.frame import Frame, is_stack, stack_of
+from ..widgets import Note
 
 _FILES = "images (*.tif *.tiff *.npy)"
 
@@ -54,41 +53,32 @@ class MeasuredFields(QWidget):
         self._menu = QMenu(self.layer_button)
         self._menu.aboutToShow.connect(self._fill)
         self.layer_button.setMenu(self._menu)
-        self.voxel_size = TripleField("Voxel size of the image of the bead, um.", self)
-        self.diameter = Number(self)
-        self.diameter.setSingleStep(0.05)
-        self.diameter.setSpecialValueText("much smaller than the PSF")
-        self.diameter.setToolTip("Diameter of the bead, um.")
-        self.bead = QComboBox(self)
-        self.bead.addItems(get_args(Bead))
-        self.bead.setToolTip("Stained throughout, or on its surface.")
+        self.form = Form(MeasuredOptics, ("voxel_size", "bead_diameter", "bead"), self)
+        fields = self.form.fields
+        self.voxel_size, self.bead = fields["voxel_size"], fields["bead"]
+        self.diameter = fields["bead_diameter"]
         self.note = Note(self, wrong=True)
         buttons = QHBoxLayout()
         for button in (self.layer_button, self.file_button):
             buttons.addWidget(button)
-        self._form = form = QFormLayout(self)
-        form.setContentsMargins(0, 0, 0, 0)
-        form.addRow("bead", buttons)
-        form.addRow(self.name)
-        form.addRow("voxel, um", self.voxel_size)
-        form.addRow("diameter, um", self.diameter)
-        form.addRow("stained", self.bead)
-        form.addRow(self.note)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.addLayout(buttons)
+        for row in (self.name, self.form, self.note):
+            layout.addWidget(row)
         self.file_button.clicked.connect(self._ask_file)
-        self.voxel_size.edited.connect(self._changed)
-        self.diameter.valueChanged.connect(self._changed)
-        self.bead.currentTextChanged.connect(self._changed)
+        self.form.edited.connect(self._changed)
         self._show_rows()
 
     def settings(self) -> MeasuredOptics:
         """The settings shown. InputError where there is no image."""
         if not self.file:
             raise InputError("choose the image of a bead: a layer or a file")
-        size, diameter = self.voxel_size.value(), self.diameter.value()
+        values = self.form.values()
+        diameter = values["bead_diameter"]
         if diameter > 50:
             raise InputError(f"a bead of {diameter:g} um: did you mean {diameter / 1000:g}?")
-        bead: Any = self.bead.currentText()
-        return MeasuredOptics(file=self.file, voxel_size=size, bead_diameter=diameter, bead=bead)
+        return MeasuredOptics(file=self.file, **values)
 
     def show_settings(self, settings: MeasuredOptics) -> None:
         """Show settings, without a signal."""
@@ -98,10 +88,7 @@ class MeasuredFields(QWidget):
             size = settings.voxel_size or _noted_size(settings.file)
         except InputError:
             size = None  # the file is gone: building the PSF says so
-        if size is not None:
-            self.voxel_size.set_value(size)
-        self.diameter.setValue(settings.bead_diameter)
-        self.bead.setCurrentText(settings.bead)
+        self.form.show_values(settings.model_copy(update={"voxel_size": size}))
         self.blockSignals(blocked)
 
     def complain(self, message: str) -> None:
@@ -113,7 +100,7 @@ class MeasuredFields(QWidget):
         size = _noted_size(path)
         self._show_file(path)
         if size is not None:
-            self.voxel_size.set_value(size)
+            self.form.show_value("voxel_size", size)
         self.edited.emit()
 
     def take_layer(self, layer: Any) -> None:
@@ -128,7 +115,7 @@ class MeasuredFields(QWidget):
                 return
             write_image(path, pixels, size)
         self._show_file(str(Path(path).absolute()))
-        self.voxel_size.set_value(size)
+        self.form.show_value("voxel_size", size)
         self.edited.emit()
 
     def forget(self) -> None:
@@ -144,8 +131,7 @@ class MeasuredFields(QWidget):
         self._show_rows()
 
     def _show_rows(self) -> None:
-        for field in (self.voxel_size, self.diameter, self.bead):
-            show_row(self._form, field, bool(self.file))
+        self.form.setVisible(bool(self.file))
 
     def _fill(self) -> None:
         self._menu.clear()

@@ -13,9 +13,9 @@ from ...errors import InputError
 from ...optics import GaussianPSF
 from ...runs.optics_settings import MeasuredOptics, MicroscopeOptics
 from ..background import Background
-from ..panels.fields import TripleField
-from ..panels.note import Note
+from ..fields import TripleField
 from ..qt import Signal
+from ..widgets import Note
 from .measured_fields import MeasuredFields
 from .objective_fields import ObjectiveFields
 from .psf_picture import PsfPicture

@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from qtpy.QtWidgets import QFormLayout, QGroupBox, QWidget
+from qtpy.QtWidgets import QFormLayout, QGroupBox, QHBoxLayout, QLabel, QPushButton, QWidget
 
 from ...common.choices import IMAGE_FILES, TIFF
 from ...errors import InputError
 from ...images.stacks import read_voxel_size, stored_shape
 from ..connections import Connections
+from ..fields import TripleField
 from ..qt import Signal
 from ..viewing.frame import (
     ORIGIN,
@@ -27,8 +28,8 @@ from ..viewing.frame import (
     unread_stack_of,
 )
 from ..viewing.kept_view import rescale
+from ..widgets import LayerChooser, note_label, sentence, show_row
 from .channels import ChannelChooser, channel_axes, channel_layer, why_unusable
-from .fields import LayerChooser, TripleField, note_label, sentence, show_row
 
 _READ_AGAIN = 200e6  # bytes; larger files are not opened a second time for their voxel size
 
@@ -39,17 +40,25 @@ class ImagePanel(QGroupBox):
     changed = Signal()
 
     def __init__(self, viewer: Any, parent: QWidget | None = None) -> None:
-        super().__init__("Image", parent)
+        super().__init__("1  Image", parent)
         self._viewer = viewer
         self.chooser = LayerChooser(viewer, is_stack, self)
         self.chooser.setToolTip("The 3D image of membranes to fit. Of a 4D one, the time shown.")
         self.voxel_size = TripleField("Voxel size, um. It is the scale of the image layer.", self)
         self.channels = ChannelChooser(self)
+        self.size_line = QLabel(self)
+        self.edit_size = QPushButton("Edit", self)
+        self.edit_size.setToolTip("<qt>Type another voxel size.</qt>")
+        self.edit_size.setCheckable(True)
         self.note = note_label()
+        size = QHBoxLayout()
+        size.addWidget(self.size_line, 1)
+        size.addWidget(self.edit_size)
         self._form = layout = QFormLayout(self)
         layout.addRow("layer", self.chooser)
         layout.addRow("channel", self.channels)
-        layout.addRow("voxel, um", self.voxel_size)
+        layout.addRow("voxel", size)
+        layout.addRow(self.voxel_size)
         layout.addRow(self.note)
         self._of_channels: Any = None  # the layer whose channels are offered
         self._asked: set[str] = set()  # files that were asked for their voxel size
@@ -61,6 +70,8 @@ class ImagePanel(QGroupBox):
         self.chooser.chosen.connect(self._show)
         self.channels.chosen.connect(self._take_channel)
         self.voxel_size.edited.connect(self._rescale)
+        self.edit_size.toggled.connect(self.voxel_size.setVisible)
+        self.voxel_size.hide()
         self._show()
 
     @property
@@ -123,7 +134,10 @@ class ImagePanel(QGroupBox):
     def _show(self) -> None:
         layer = self.layer
         self._listen_to(layer)
-        self.voxel_size.setEnabled(layer is not None)
+        for field in (self.voxel_size, self.edit_size):
+            field.setEnabled(layer is not None)
+        if layer is None:
+            self.size_line.setText("-")
         self._look()
         if layer is not None:
             self._take_size_of_file(layer)
@@ -175,12 +189,16 @@ class ImagePanel(QGroupBox):
             self.note.setText(str(error))
             return
         self.voxel_size.set_value(frame.voxel_size)
+        self.size_line.setText(" x ".join(f"{d:.3g}" for d in frame.voxel_size) + " µm")
+        unknown = um_per_unit(self.layer) is None and set(frame.voxel_size) == {1.0}
+        if unknown:
+            self.edit_size.setChecked(True)
         whole = (self.layer.data[0] if self.layer.multiscale else self.layer.data).shape
         text = " x ".join(map(str, whole[-3:])) + " voxels"
         if channel_axes(self.layer):
             times, planes = whole[:2]
             text += f", taken for {times} times of {planes} planes; if it has channels, choose one"
-        if um_per_unit(self.layer) is None and set(frame.voxel_size) == {1.0}:
+        if unknown:
             text += "; the voxel size is not known: enter it, or all lengths are in voxels"
         self.note.setText(text)
 

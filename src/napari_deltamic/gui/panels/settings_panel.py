@@ -1,22 +1,21 @@
-"""The settings of a fit: PSF, accuracy, density and the rest, each explained by its field."""
+"""The fit: how careful, and, folded away, everything else that can be chosen of it."""
 
 from __future__ import annotations
 
 import weakref
-from typing import Any, get_args
+from typing import Any
 
 from qtpy.QtWidgets import (
-    QCheckBox,
-    QComboBox,
     QFormLayout,
     QGroupBox,
     QHBoxLayout,
     QLabel,
-    QSpinBox,
+    QToolButton,
+    QVBoxLayout,
     QWidget,
 )
 
-from ...common.choices import DensityModel, Likelihood
+from ...common.description import described
 from ...fitting.default_accuracy import image_noise
 from ...fitting.job import SIGMA_IN_VOXELS
 from ...runs.settings import FitSettings, SceneSettings, validated
@@ -24,80 +23,60 @@ from ...scene.effects import Effects
 from ..accuracy.accuracy_dial import AccuracyDial
 from ..accuracy.accuracy_view import TradeoffView
 from ..effects.effects_panel import EffectsPanel
+from ..fields import Form, tip_of
 from ..optics.optics_panel import OpticsPanel
 from ..qt import Signal
-from .fold import Fold
-from .note import Note
+from ..widgets import Fold, Note
 
-_RARE = ("density", "likelihood", "max_iterations")
-_SWITCHES = {
-    "fit_psf": "fit the PSF too",
-    "remesh": "remesh slivers",
-    "collisions": "surfaces never cross",
-    "topology": "cells may change neighbours",
-}
+# Where else than among those for experts a setting is shown.
+_PSF, _BRIGHTNESS = ("fit_psf",), ("density",)
+_OWN = ("accuracy", *_PSF, *_BRIGHTNESS)
 
 
 class SettingsPanel(QGroupBox):
-    """Everything of the settings that the widget shows; ``changed`` comes from the user."""
+    """Everything of the settings that the widget shows; ``changed`` comes from the user.
+
+    ``advanced`` is the part that is shown elsewhere, folded away.
+    """
 
     changed = Signal()
 
     def __init__(self, viewer: Any, image_panel: Any, parent: QWidget | None = None) -> None:
-        super().__init__("Optics and fit", parent)
+        super().__init__("3  Fit", parent)
         self._image = image_panel
         self._sigma_given = False
         self._shown_for: Any = None  # a weak reference to the image that came with its PSF
-        self.optics = OpticsPanel(viewer, _tip(SceneSettings, "sigma"), self)
+        self.optics = OpticsPanel(viewer, tip_of(described(SceneSettings)["sigma"]), self)
         self.sigma = self.optics.sigma
-        self.switches = {name: QCheckBox(text, self) for name, text in _SWITCHES.items()}
-        self.fit_psf = self.switches["fit_psf"]
+        experts = [name for name in described(FitSettings) if name not in _OWN]
+        self.forms = [Form(FitSettings, names, self) for names in (_PSF, _BRIGHTNESS, experts)]
+        fields = {name: field for form in self.forms for name, field in form.fields.items()}
+        self.fit_psf, self.density = fields["fit_psf"], fields["density"]
+        self.likelihood, self.max_iterations = fields["likelihood"], fields["max_iterations"]
+        self.switches = {n: fields[n] for n in ("fit_psf", "remesh", "collisions", "topology")}
         self.effects = EffectsPanel(viewer, image_panel, self)
         self.accuracy = AccuracyDial(lambda: image_noise(image_panel.stack()), self)
         self.accuracy_number = QLabel(self)  # what the dial stands for
         self.outlook, self.pace = Note(self), Note(self)  # predicted, and measured, times
         self.tradeoff = TradeoffView(self)
-        self.density = QComboBox(self)
-        self.density.addItems(get_args(DensityModel))
-        self.likelihood = QComboBox(self)
-        self.likelihood.addItems(get_args(Likelihood))
-        self.max_iterations = QSpinBox(self)
-        self.max_iterations.setRange(1, 1_000_000)
-        layout = QFormLayout(self)
-        dial = QHBoxLayout()
-        dial.addWidget(self.accuracy, 1)
-        dial.addWidget(self.accuracy_number)
-        layout.addRow("accuracy", dial)
-        for row in (self.outlook, self.pace):
-            layout.addRow(row)
-        self.optics.layout().addWidget(self.fit_psf)  # type: ignore[union-attr]
-        self.psf_fold = Fold("", self.optics, self)
-        self.effects_fold = Fold("", self.effects, self)
-        self.more = Fold("Density, cost and more", self._rest(), self)
-        for fold in (self.psf_fold, self.effects_fold, self.more):
-            layout.addRow(fold)
-        for name in _RARE:
-            getattr(self, name).setToolTip(_tip(FitSettings, name))
-        for name, box in self.switches.items():
-            box.setToolTip(_tip(FitSettings, name))
+        self.psf_button = QToolButton(self)
+        self.advanced = self._lay_out()
         self.show_settings(FitSettings())
         typed: Any = self.accuracy.lineEdit()
         for signal in (
-            *(box.toggled for box in self.switches.values()),
+            *(form.edited for form in self.forms),
             self.effects.changed,
             self.accuracy.activated,
             typed.editingFinished,
-            self.density.currentTextChanged,
-            self.likelihood.currentTextChanged,
-            self.max_iterations.valueChanged,
         ):
             signal.connect(self._edited)
-        self.max_iterations.setKeyboardTracking(False)
         image_panel.changed.connect(self._guess_sigma)
         self.sigma.edited.connect(self._sigma_given_by_user)
         self.optics.changed.connect(self._edited)
         self.optics.described.connect(self._show_choices)
         self.effects.described.connect(self._show_choices)
+        self.fit_psf.toggled.connect(self._show_choices)
+        self.psf_button.clicked.connect(self._show_psf)
         self._guess_sigma()
         self._show_choices()
 
@@ -107,12 +86,7 @@ class SettingsPanel(QGroupBox):
 
     def other_settings(self) -> FitSettings:
         """The settings shown, without the accuracy."""
-        values = {
-            **{name: box.isChecked() for name, box in self.switches.items()},
-            "density": self.density.currentText(),
-            "likelihood": self.likelihood.currentText(),
-            "max_iterations": self.max_iterations.value(),
-        }
+        values = {name: value for form in self.forms for name, value in form.values().items()}
         settings: FitSettings = validated(FitSettings, values)
         return settings
 
@@ -130,12 +104,9 @@ class SettingsPanel(QGroupBox):
 
     def show_settings(self, settings: FitSettings) -> None:
         """Show settings."""
-        for name, box in self.switches.items():
-            box.setChecked(getattr(settings, name))
+        for form in self.forms:
+            form.show_values(settings)
         self.accuracy.show_accuracy(settings.accuracy)
-        self.density.setCurrentText(settings.density)
-        self.likelihood.setCurrentText(settings.likelihood)
-        self.max_iterations.setValue(settings.max_iterations)
 
     def show_sigma(self, sigma: tuple[float, float, float]) -> None:
         """Show PSF widths that are known, um."""
@@ -155,21 +126,55 @@ class SettingsPanel(QGroupBox):
         """Tick effects."""
         self.effects.show_effects(effects)
 
-    def _rest(self) -> QWidget:
-        rest = QWidget()
-        inner = QFormLayout(rest)
-        inner.setContentsMargins(0, 0, 0, 0)
-        inner.addRow(self.tradeoff)
-        for name in _RARE:
-            inner.addRow(name.replace("_", " "), getattr(self, name))
-        for name in ("remesh", "collisions", "topology"):
-            inner.addRow(self.switches[name])  # across both columns: a narrow dock has no room
-        return rest
+    # ----------------------------------------------------------------------------------- inside
 
-    def _show_choices(self) -> None:
+    def _lay_out(self) -> Fold:
+        dial = QHBoxLayout()
+        dial.addWidget(self.accuracy)
+        dial.addWidget(self.outlook, 1)
+        # napari's style would draw it as one of its square icons.
+        self.psf_button.setStyleSheet(
+            "QToolButton { border: none; background: transparent; text-decoration: underline; }"
+        )
+        self.psf_button.setText("change")
+        self.psf_button.setToolTip("Choose the PSF, and whether the fit estimates it.")
+        self.psf_line = Note(self)
+        psf = QHBoxLayout()
+        psf.addWidget(self.psf_line, 1)
+        psf.addWidget(self.psf_button)
+        layout = QVBoxLayout(self)
+        layout.addLayout(dial)
+        layout.addLayout(psf)
+
+        self.optics.layout().addWidget(self.forms[0])  # type: ignore[union-attr]
+        self.psf_fold = Fold("", self.optics, self)
+        self.effects_fold = Fold("", self.effects, self)
+        speed = QWidget(self)
+        rows = QFormLayout(speed)
+        rows.setContentsMargins(0, 0, 0, 0)
+        rows.addRow("error of the image", self.accuracy_number)
+        rows.addRow(self.pace)
+        rows.addRow(self.tradeoff)
+        self.speed_fold = Fold("Speed: what accuracy costs here", speed, self)
+        self.more = Fold("For experts", self.forms[2], self)
+        inner = QWidget(self)
+        column = QVBoxLayout(inner)
+        column.setContentsMargins(8, 0, 0, 0)
+        for part in (self.psf_fold, self.effects_fold, self.forms[1], self.speed_fold, self.more):
+            column.addWidget(part)
+        return Fold("Advanced: microscope, corrections, more", inner)
+
+    def _show_psf(self) -> None:
+        self.advanced.unfold()
+        self.psf_fold.unfold()
+
+    def _show_choices(self, checked: bool = False) -> None:
         """What is chosen is told while its fields are folded away."""
-        self.psf_fold.set_title(f"PSF: {self.optics.summary()}")
-        self.effects_fold.set_title(f"Effects: {self.effects.summary()}")
+        psf = self.optics.summary()
+        fitted = ", then estimated from the image" if self.fit_psf.isChecked() else ""
+        self.psf_line.say(f"PSF: {psf}{fitted}")
+        self.psf_fold.set_title(f"Microscope: {psf}")
+        self.effects_fold.set_title(f"Corrections: {self.effects.summary()}")
 
     def _guess_sigma(self) -> None:
         if self._shown_for is not None and self._shown_for() is not self._image.layer:
@@ -184,11 +189,3 @@ class SettingsPanel(QGroupBox):
 
     def _sigma_given_by_user(self) -> None:
         self._sigma_given, self._shown_for = True, None
-
-
-def _tip(model: Any, name: str) -> str:
-    return _rich(str(model.model_fields[name].description))
-
-
-def _rich(text: str) -> str:
-    return f"<qt>{text[0].upper()}{text[1:]}.</qt>"  # rich text is wrapped

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from math import nan
+from functools import partial
 from typing import Any
 
 from qtpy.QtCore import QEvent, QSignalBlocker, Qt
@@ -12,40 +12,19 @@ from qtpy.QtWidgets import (
     QAbstractItemView,
     QApplication,
     QHeaderView,
+    QMenu,
     QTableWidget,
     QTableWidgetItem,
     QWidget,
 )
 
-from ...evidence.residual import CellFit
-from ...measure.cells import CellRow
 from ...results.colouring import colour_of
 from ..qt import Signal
+from .cell_columns import COLUMNS, FIRST, CellColumn, is_number, value_of
 
-_COLUMNS = (
-    ("cell", "region", "{:.0f}", "Number of the cell; its colour is that of its surface."),
-    ("volume, µm³", "volume_um3", "{:.2f}", "Volume, um^3."),
-    ("area, µm²", "area_um2", "{:.2f}", "Area of the whole surface, walls included, um^2."),
-    ("sphericity", "sphericity", "{:.3f}", "1 for a sphere, less for any other shape."),
-)
-# Only there once the residual was looked at.
-_FITS = (
-    (
-        "explained",
-        "explained",
-        "{:.1%}",
-        "Share of what varies near the cell, beyond noise, that the fit explains.",
-    ),
-    (
-        "residual, z",
-        "residual_z",
-        "{:.1f}",
-        "Standard deviations by which the residual near the cell is larger than noise.",
-    ),
-)
-_FIT_KEYS = tuple(key for _, key, _, _ in _FITS)
-_ALL = (*_COLUMNS, *_FITS)
 _REGION = Qt.ItemDataRole.UserRole
+_OPEN = "The surface of this cell is not closed, or inside out."
+_WHY = {"explained": "Nothing near this cell varies by more than noise."}
 
 
 class CellTable(QTableWidget):
@@ -58,65 +37,92 @@ class CellTable(QTableWidget):
     chosen = Signal(tuple, bool)
 
     def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(0, len(_ALL), parent)
-        self._rows: dict[int, CellRow] = {}
+        super().__init__(0, len(COLUMNS), parent)
+        self._rows: dict[int, dict[str, Any]] = {}
         self._colours: Mapping[int, int] = {}
         self._told: tuple[int, ...] = ()
-        for column, (title, _, _, tip) in enumerate(_ALL):
-            item = QTableWidgetItem(title.replace(", ", "\n"))
-            item.setToolTip(f"{tip} Click to sort.")
-            self.setHorizontalHeaderItem(column, item)
+        self._wanted = set(FIRST)  # columns, by key; those without values are not shown
+        for number, column in enumerate(COLUMNS):
+            item = QTableWidgetItem(column.title)
+            item.setToolTip(f"<qt>{column.tip} Click to sort, right-click for columns.</qt>")
+            self.setHorizontalHeaderItem(number, item)
         rows: Any = self.verticalHeader()
         rows.setVisible(False)
         columns: Any = self.horizontalHeader()
-        columns.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
-        columns.setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
+        columns.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         columns.setHighlightSections(False)
-        columns.setMinimumSectionSize(30)
+        columns.setMinimumSectionSize(36)
+        columns.setStretchLastSection(True)
+        columns.setContextMenuPolicy(Qt.ContextMenuPolicy.CustomContextMenu)
+        columns.customContextMenuRequested.connect(self._ask_columns)
         self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
         self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
-        self.setMinimumHeight(90)
+        self.setMinimumHeight(120)
         self.setSortingEnabled(True)
         self.sortByColumn(0, Qt.SortOrder.AscendingOrder)
+        self.setAccessibleName("table of cells")
         self.setToolTip(
             "<qt>Choose a row to go to the cell, several with Ctrl or Shift; or click on cells in "
             "the viewer. Ctrl+C copies the rows chosen, or all.</qt>"
         )
         self.itemSelectionChanged.connect(self._selection_changed)
-        self._hide_fits(True)
+        self._hide_columns()
+
+    @property
+    def rows(self) -> tuple[Mapping[str, Any], ...]:
+        """What is known of the cells, by the names of the columns."""
+        return tuple(self._rows.values())
+
+    def known_columns(self) -> list[CellColumn]:
+        """Those in which a cell has something."""
+        return [c for c in COLUMNS if any(value_of(row, c.key) is not None for row in self.rows)]
+
+    def numbers(self, key: str) -> dict[int, float]:
+        """A column of numbers, by region; without the cells that have none."""
+        values: dict[int, Any] = {region: row.get(key) for region, row in self._rows.items()}
+        return {region: float(v) for region, v in values.items() if is_number(v)}
+
+    def show_column(self, key: str, shown: bool = True) -> None:
+        """Show a column, or hide it; the number of the cell stays."""
+        self._wanted = self._wanted | {key} if shown else self._wanted - {key}
+        self._hide_columns()
+
+    def fill_menu(self, menu: QMenu) -> None:
+        """A box for each column."""
+        menu.clear()
+        menu.setToolTipsVisible(True)
+        for column in self.known_columns()[1:]:
+            action: Any = menu.addAction(column.name)
+            action.setCheckable(True)
+            action.setChecked(column.key in self._wanted)
+            action.setToolTip(column.tip)
+            action.toggled.connect(partial(self.show_column, column.key))
 
     def show_rows(
-        self, rows: Collection[CellRow], colours: Mapping[int, int] | None = None
+        self, rows: Collection[Mapping[str, Any]], colours: Mapping[int, int] | None = None
     ) -> None:
         """Show measurements, as from ``measure_cells``; cells that are still there stay chosen.
 
         colours : of the cells, see ``colour_indices``; None: as they were.
         """
         self._colours = self._colours if colours is None else colours
-        self._hide_fits(not any("explained" in row for row in rows))
         before = self.chosen_regions()
         blocker = QSignalBlocker(self)
-        self._rows = {int(row["region"]): row for row in rows}
+        self._rows = {int(row["region"]): dict(row) for row in rows}
         self.setSortingEnabled(False)  # or rows would move while they are filled
         self.setRowCount(len(rows))
         for r, row in enumerate(rows):
-            for c, (_, key, form, _) in enumerate(_ALL):
-                self.setItem(r, c, _cell(row, key, form, self._colours))
+            for c, column in enumerate(COLUMNS):
+                self.setItem(r, c, _cell(row, column, self._colours))
         self.setSortingEnabled(True)
+        self._hide_columns()
         self._select(before)
         blocker.unblock()
         self._tell(by_hand=False)
 
-    def show_fits(self, cells: Collection[CellFit]) -> None:
-        """Show how well the cells are explained; nothing of it where there are none."""
-        fits = {cell.region: cell for cell in cells}
-        rows = [{k: v for k, v in row.items() if k not in _FIT_KEYS} for row in self._rows.values()]
-        for row in rows if fits else ():
-            fit = fits.get(int(row["region"]))
-            share = None if fit is None else fit.explained
-            row["explained"] = nan if share is None else share
-            row["residual_z"] = nan if fit is None else fit.z
-        self.show_rows(rows)
+    def show_more(self, more: Mapping[int, Mapping[str, Any]]) -> None:
+        """Add what else is known of cells, by region."""
+        self.show_rows([{**row, **more.get(region, {})} for region, row in self._rows.items()])
 
     def chosen_regions(self) -> tuple[int, ...]:
         """The regions of the rows selected, in the order in which they were."""
@@ -142,11 +148,11 @@ class CellTable(QTableWidget):
         """The rows selected, or all, as they are sorted: tab-separated, with a header."""
         model: Any = self.selectionModel()
         rows = sorted(i.row() for i in model.selectedRows()) or range(self.rowCount())
-        shown = [column for c, column in enumerate(_ALL) if not self.isColumnHidden(c)]
-        lines = [[title for title, _, _, _ in shown]]
+        shown = [column for c, column in enumerate(COLUMNS) if not self.isColumnHidden(c)]
+        lines = [[column.name for column in shown]]
         for r in rows:
             row = self._rows[self._region(r)]
-            lines.append([f"{row[key]:.10g}" for _, key, _, _ in shown])
+            lines.append([_exact(row.get(column.key)) for column in shown])
         return "\n".join("\t".join(line) for line in lines) + "\n"
 
     def copy(self) -> None:
@@ -176,9 +182,17 @@ class CellTable(QTableWidget):
 
     # ----------------------------------------------------------------------------------- inside
 
-    def _hide_fits(self, hidden: bool) -> None:
-        for column in range(len(_COLUMNS), len(_ALL)):
-            self.setColumnHidden(column, hidden)
+    def _hide_columns(self) -> None:
+        known = {column.key for column in self.known_columns()} if self._rows else set(FIRST)
+        for number, column in enumerate(COLUMNS):
+            shown = number == 0 or (column.key in self._wanted and column.key in known)
+            self.setColumnHidden(number, not shown)
+
+    def _ask_columns(self, place: Any) -> None:
+        menu = QMenu(self)
+        self.fill_menu(menu)
+        columns: Any = self.horizontalHeader()
+        menu.exec(columns.mapToGlobal(place))
 
     def _region(self, row: int) -> int:
         item: Any = self.item(row, 0)
@@ -207,26 +221,36 @@ class CellTable(QTableWidget):
 
 
 class _Item(QTableWidgetItem):
-    """Sorts by its number; what has none comes last."""
+    """Sorts by its number, or its words; what has none comes last."""
 
-    def __init__(self, text: str, value: float) -> None:
+    def __init__(self, text: str, value: Any) -> None:
         super().__init__(text)
-        self.value = value if value == value else float("inf")
+        number = float(value) if is_number(value) else float("inf")
+        self.key = (number, value if isinstance(value, str) else "~")
 
     def __lt__(self, other: QTableWidgetItem) -> bool:
-        return isinstance(other, _Item) and self.value < other.value
+        return isinstance(other, _Item) and self.key < other.key
 
 
-def _cell(row: CellRow, key: str, form: str, colours: Mapping[int, int]) -> QTableWidgetItem:
-    value = float(row.get(key, nan))
-    item = _Item(form.format(value) if value == value else "-", value)
-    item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-    region = int(row["region"])
-    if key == "region":
+def _cell(
+    row: Mapping[str, Any], column: CellColumn, colours: Mapping[int, int]
+) -> QTableWidgetItem:
+    value = value_of(row, column.key)
+    item = _Item(column.text(value), value)
+    side = Qt.AlignmentFlag.AlignLeft if isinstance(value, str) else Qt.AlignmentFlag.AlignRight
+    item.setTextAlignment(side | Qt.AlignmentFlag.AlignVCenter)
+    if column.key == "region":
+        region = int(row["region"])
         item.setForeground(QColor(*colour_of(region, colours)))
         item.setData(_REGION, region)
-    if value != value and key in _FIT_KEYS:
-        item.setToolTip("Nothing near this cell varies by more than noise.")
-    elif value != value:
-        item.setToolTip("The surface of this cell is not closed, or inside out.")
+    elif value is None and column.key in row:
+        item.setToolTip(f"<qt>{row.get('note') or _WHY.get(column.key, _OPEN)}</qt>")
+    elif isinstance(value, str):
+        item.setToolTip(f"<qt>{value}</qt>")
     return item
+
+
+def _exact(value: Any) -> str:
+    if value is None:
+        return ""
+    return f"{value:.10g}" if isinstance(value, int | float) else str(value)

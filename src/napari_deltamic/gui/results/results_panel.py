@@ -3,20 +3,34 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
-from qtpy.QtWidgets import QFileDialog, QGroupBox, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
+from qtpy.QtCore import QSignalBlocker
+from qtpy.QtWidgets import (
+    QComboBox,
+    QFileDialog,
+    QGroupBox,
+    QHBoxLayout,
+    QMenu,
+    QPushButton,
+    QVBoxLayout,
+    QWidget,
+)
 
+from ...common.writing import write_atomically
 from ...fitting import FitState
 from ...fitting.job import FitInput
 from ...geometry import Mesh, save_mesh
 from ...geometry.formats import MESH_FILES, MESH_FILES_LISTED, MESH_FILTERS
 from ...images.stacks import write_image
-from ...measure import measure_cells, write_csv
+from ...measure import measure_cells
+from ...measure.table import csv_text
 from ...results.colouring import colour_indices
 from ...results.report import History, write_results
 from ..qt import Signal
+from .cell_columns import value_of
 from .cell_table import CellTable
 
 IMAGE_FILES = "OME-TIFF (*.ome.tif *.ome.tiff);;ImageJ TIFF (*.tif *.tiff)"
@@ -33,34 +47,39 @@ class ResultsPanel(QGroupBox):
     cells_chosen = Signal(frozenset)
     saved = Signal(str)
     remarked = Signal(str)  # what a file cannot hold, for example
+    coloured = Signal()  # by another column
+    measured = Signal()  # more is known of the cells
+    labels_wanted = Signal()
 
     def __init__(self, guard: Callable[[Callable[[], None]], None], parent: QWidget | None = None):
-        super().__init__("Results", parent)
+        super().__init__("5  Results", parent)
         self._guard = guard  # runs what may fail, and shows in plain words why it did
         self.last: tuple[FitState, FitInput, History, float] | None = None
         self.table = CellTable(self)
         self.table.chosen.connect(self._chosen)
         layout = QVBoxLayout(self)
         layout.addWidget(self.table)
-        buttons = QHBoxLayout()
-        self.buttons = {
-            "Meshes...": self._ask_meshes,
-            "Table...": self._ask_table,
-            "Image...": self._ask_image,
-            "All...": self._ask_all,
-        }
-        tips = (
-            f"Save the meshes: {MESH_FILES_LISTED}, um.",
-            "Save the measurements as .csv, um.",
-            "Save the rendered image with its voxel size: .ome.tif, or .tif for ImageJ.",
-            "Save everything in a folder: meshes, image, measurements, settings, report, picture.",
+        self.colour = QComboBox(self)
+        self.colour.setToolTip("<qt>Colour the cells in the viewer by a column of the table.</qt>")
+        self.colour.setAccessibleName("colour cells by")
+        self.colour.setMinimumContentsLength(8)
+        self.colour.setSizeAdjustPolicy(
+            QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon
         )
-        for (title, slot), tip in zip(self.buttons.items(), tips, strict=True):
-            button = QPushButton(title, self)
-            button.setToolTip(tip)
-            button.clicked.connect(slot)
-            buttons.addWidget(button)
-        layout.addLayout(buttons)
+        self.columns = QPushButton("Columns", self)
+        self.columns.setToolTip("<qt>Choose what the table shows.</qt>")
+        self._shown = QMenu(self.columns)
+        self._shown.aboutToShow.connect(self._offer_columns)
+        self.columns.setMenu(self._shown)
+        self.export = QPushButton("Export", self)
+        self.export.setToolTip("<qt>Save what was found, or add the cells as labels.</qt>")
+        self.export.setMenu(self._export_menu())
+        row = QHBoxLayout()
+        for widget in (self.colour, self.columns, self.export):
+            row.addWidget(widget)
+        layout.addLayout(row)
+        self._offer_colours()
+        self.colour.currentIndexChanged.connect(self._colour_chosen)
         self.setEnabled(False)
         self.hide()
 
@@ -70,6 +89,17 @@ class ResultsPanel(QGroupBox):
         self._show_cells(state.mesh)
         self.setEnabled(True)
         self.show()
+
+    def show_more(self, cells: Mapping[int, Mapping[str, Any]]) -> None:
+        """Show what else is known of the cells, by region."""
+        self.table.show_more(cells)
+        self._offer_colours()
+        self.measured.emit()
+
+    @property
+    def coloured_by(self) -> str:
+        """The column that gives the cells their colours; '' for none."""
+        return str(self.colour.currentData() or "")
 
     def choose(self, region: int, add: bool = False) -> None:
         """Select the row of a region, as the only one or with (or without) the others; 0: none."""
@@ -89,7 +119,9 @@ class ResultsPanel(QGroupBox):
 
     def save_table(self, path: str) -> None:
         """Write the measurements."""
-        write_csv(measure_cells(self._result()[0].mesh), path)
+        names = [column.key for column in self.table.known_columns()]
+        rows = [{name: value_of(row, name) for name in names} for row in self.table.rows]
+        write_atomically(path, csv_text(names, rows).encode())
         self.saved.emit(path)
 
     def save_image(self, path: str) -> None:
@@ -112,13 +144,63 @@ class ResultsPanel(QGroupBox):
 
     def _show_cells(self, mesh: Mesh) -> None:
         self.table.show_rows(measure_cells(mesh), colour_indices(mesh))
+        self._offer_colours()
+
+    def _offer_colours(self) -> None:
+        """The columns of numbers; the one in use stays, where it can."""
+        before = self.coloured_by
+        blocker = QSignalBlocker(self.colour)
+        self.colour.clear()
+        self.colour.addItem("a colour for each cell", "")
+        for column in self.table.known_columns()[1:]:
+            if self.table.numbers(column.key):
+                self.colour.addItem(f"by {column.name}", column.key)
+        self.colour.setCurrentIndex(max(self.colour.findData(before), 0))
+        blocker.unblock()
+        self.coloured.emit()
+
+    def _offer_columns(self) -> None:
+        self.table.fill_menu(self._shown)
+
+    def _colour_chosen(self, index: int) -> None:
+        self.coloured.emit()
+
+    def _export_menu(self) -> QMenu:
+        menu = QMenu(self)
+        menu.setToolTipsVisible(True)
+        for title, slot, tip in (
+            ("Meshes...", self._ask_meshes, f"Save the meshes: {MESH_FILES_LISTED}, um."),
+            ("Table...", self._ask_table, "Save all columns as .csv, um."),
+            (
+                "Image...",
+                self._ask_image,
+                "Save the rendered image with its voxel size: .ome.tif, or .tif for ImageJ.",
+            ),
+            (
+                "All...",
+                self._ask_all,
+                "Save everything in a folder: meshes, image, measurements, settings, report.",
+            ),
+            (
+                "Labels layer",
+                self._ask_labels,
+                "Add the cells as a Labels layer with their measurements.",
+            ),
+        ):
+            action: Any = menu.addAction(title)
+            action.setToolTip(tip)
+            action.triggered.connect(slot)
+        return menu
+
+    def _ask_labels(self, checked: bool = False) -> None:
+        self.labels_wanted.emit()
 
     def _chosen(self, regions: tuple[int, ...], by_hand: bool) -> None:
         self.cells_chosen.emit(frozenset(regions))
         if by_hand and regions:
             self.cell_chosen.emit(self.table.center(regions[-1]))
 
-    def _ask_meshes(self) -> None:
+    def _ask_meshes(self, checked: bool = False) -> None:
         path, kind = QFileDialog.getSaveFileName(
             self, "Save meshes", f"mesh{MESH_FILES[0]}", MESH_FILTERS
         )
@@ -126,11 +208,11 @@ class ResultsPanel(QGroupBox):
             path += kind[kind.index("*") + 1 : -1]
         self._save(self.save_meshes, path)
 
-    def _ask_table(self) -> None:
+    def _ask_table(self, checked: bool = False) -> None:
         path, _ = QFileDialog.getSaveFileName(self, "Save table", "measurements.csv", "CSV (*.csv)")
         self._save(self.save_table, path)
 
-    def _ask_image(self) -> None:
+    def _ask_image(self, checked: bool = False) -> None:
         path, _ = QFileDialog.getSaveFileName(
             self, "Save rendered image", "rendered.ome.tif", IMAGE_FILES
         )
@@ -138,7 +220,7 @@ class ResultsPanel(QGroupBox):
             path += ".ome.tif"
         self._save(self.save_image, path)
 
-    def _ask_all(self) -> None:
+    def _ask_all(self, checked: bool = False) -> None:
         folder = QFileDialog.getExistingDirectory(self, "Folder for the results")
         self._save(self.save_all, folder)
 

@@ -220,7 +220,8 @@ def _seeds_shown(panels: Panels) -> dict[str, Any]:
 def _show_seeds(panels: Panels, shown: dict[str, Any]) -> None:
     seeds = panels.seeds
     if "start_as" in shown:
-        seeds.shape.setCurrentText(str(shown["start_as"]))
+        # Its words were others in earlier sessions.
+        seeds.use_spheres("sphere" in str(shown["start_as"]))
     if "radius" in shown:
         seeds.radius.setValue(float(shown["radius"]))
     if "cell_size" in shown:

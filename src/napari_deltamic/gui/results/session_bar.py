@@ -1,4 +1,4 @@
-"""The buttons that save and open sessions; files are written and read in the background."""
+"""What saves and opens sessions; files are written and read in the background."""
 
 from __future__ import annotations
 
@@ -6,18 +6,19 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from qtpy.QtWidgets import QFileDialog, QHBoxLayout, QPushButton, QWidget
+from qtpy.QtCore import QObject
+from qtpy.QtWidgets import QFileDialog, QWidget
 
 from ...errors import InputError
 from ...results.session_file import EXTENSION, Session, load_session, save_session
 from ..attempt import attempt
 from ..background import Background
-from ..qt import Signal
+from ..qt import QAction, Signal
 
 _KIND = f"deltaMic session (*{EXTENSION})"
 
 
-class SessionBar(QWidget):
+class SessionBar(QObject):
     """*Open session...* and *Save session...*.
 
     Parameters
@@ -25,7 +26,7 @@ class SessionBar(QWidget):
     capture : gives the session that is shown, and a remark about it ('' for none).
     restore : shows a session.
     warn : tells the user what went wrong, in a sentence.
-    parent : Qt's.
+    parent : Qt's, over which files are asked for.
     """
 
     saved = Signal(str)  # the path
@@ -35,29 +36,24 @@ class SessionBar(QWidget):
         capture: Callable[[], tuple[Session, str]],
         restore: Callable[[Session], None],
         warn: Callable[[str], None],
-        parent: QWidget | None = None,
+        parent: QWidget,
     ) -> None:
         super().__init__(parent)
+        self._shown_in = parent
         self._capture, self._restore, self._warn = capture, restore, warn
-        self.open_button = QPushButton(self)
-        self.open_button.setToolTip(
-            "<qt>Open a .deltamic file: image, seeds, settings, meshes, table and history come "
-            "back as they were.</qt>"
+        self.open_action, self.save_action = QAction(self), QAction(self)
+        self.open_action.setToolTip(
+            "Open a .deltamic file: image, cells, settings, meshes, table and history come back "
+            "as they were."
         )
-        self.save_button = QPushButton(self)
-        self.save_button.setToolTip(
-            "<qt>Save image, seeds, settings, meshes and history in one file. Of a 4D image, the "
-            "time that is fitted; all of it where cells were tracked. A large image takes seconds; "
-            "you can go on meanwhile.</qt>"
+        self.save_action.setToolTip(
+            "Save image, cells, settings, meshes and history in one file. Of a 4D image, the time "
+            "that is fitted; all of it where cells were tracked."
         )
         self._saving = Background(self._saved, self._not_saved)
         self._opening = Background(self._opened, self._not_opened)
-        layout = QHBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        for button in (self.open_button, self.save_button):
-            layout.addWidget(button)
-        self.open_button.clicked.connect(self._ask_open)
-        self.save_button.clicked.connect(self._ask_save)
+        self.open_action.triggered.connect(self._ask_open)
+        self.save_action.triggered.connect(self._ask_save)
         self._show(saving=False, opening=False)
 
     @property
@@ -99,13 +95,15 @@ class SessionBar(QWidget):
         self._show(opening=False)
         self._warn(reason)
 
-    def _ask_open(self) -> None:
-        path, _ = QFileDialog.getOpenFileName(self, "Open session", "", _KIND)
+    def _ask_open(self, checked: bool = False) -> None:
+        path, _ = QFileDialog.getOpenFileName(self._shown_in, "Open session", "", _KIND)
         if path:
             attempt(partial(self.open, path), self._warn)
 
-    def _ask_save(self) -> None:
-        path, _ = QFileDialog.getSaveFileName(self, "Save session", f"session{EXTENSION}", _KIND)
+    def _ask_save(self, checked: bool = False) -> None:
+        path, _ = QFileDialog.getSaveFileName(
+            self._shown_in, "Save session", f"session{EXTENSION}", _KIND
+        )
         if path:
             attempt(partial(self._save_as, path), self._warn)
 
@@ -118,13 +116,13 @@ class SessionBar(QWidget):
 
     def _show(self, saving: bool | None = None, opening: bool | None = None) -> None:
         """What is under way; None leaves it as it is."""
-        for button, busy, words in (
-            (self.open_button, opening, ("Open session...", "Opening ...")),
-            (self.save_button, saving, ("Save session...", "Saving ...")),
+        for action, busy, words in (
+            (self.open_action, opening, ("Open session...", "Opening ...")),
+            (self.save_action, saving, ("Save session...", "Saving ...")),
         ):
             if busy is not None:
-                button.setEnabled(not busy)
-                button.setText(words[busy])
+                action.setEnabled(not busy)
+                action.setText(words[busy])
 
 
 def _save(path: str, session: Session) -> str:

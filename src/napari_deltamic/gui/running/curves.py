@@ -24,7 +24,7 @@ class ExplainedCurve(Plot):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(
-            "explained",
+            "explained, noise included",
             "Share of the signal near the surfaces that the cells explain, noise included, over "
             "the iterations. Each line is a level: the image gets sharper, and its noise counts "
             "more, so that a new line begins lower.",

@@ -11,7 +11,7 @@ from ...fitting import FitState
 from ...fitting.job import FitInput
 from ...optics import GaussianPSF
 from ...results.report import effects_found
-from ..panels.fold import Fold
+from ..widgets import Fold
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from qtpy.QtCore import QObject, QSignalBlocker
 
+from ...common.description import described
 from ...errors import InputError
 from ...fitting import Change
 from ...fitting.job import optics_of, scene_with
@@ -17,15 +18,8 @@ from ..editing.edits import Edits
 from .composition import Live, Panels
 from .run_control import RunControl
 
-# Of a fit: its schedule is what it is on.
-_FIXED = ("levels",)
 _SCENE = {"voxel_size": "voxel size", "origin": "origin", "second_view": "second view"}
-_YES_NO = {
-    "fit_psf": ("the PSF is fitted too", "the PSF is held"),
-    "remesh": ("slivers are remeshed", "nothing is remeshed"),
-    "collisions": ("surfaces may not cross", "surfaces may cross"),
-    "topology": ("cells may change neighbours", "cells keep their neighbours"),
-}
+_FIT = described(FitSettings)
 
 
 class LiveSettings(QObject):
@@ -104,11 +98,12 @@ class LiveSettings(QObject):
         # The fit has the image of its second view, or has none.
         shown = scene.effects.replace(second_view=self._effects.second_view)
         assert self._fit is not None
-        changed = {
-            name: getattr(fit, name)
-            for name in FitSettings.model_fields
-            if name not in _FIXED and getattr(fit, name) != getattr(self._shown, name)
-        }
+        other = [name for name in _FIT if getattr(fit, name) != getattr(self._shown, name)]
+        later = [_FIT[name].title for name in other if not _FIT[name].live]
+        if later:
+            self._shown = fit
+            self._panels.running.tell(f"{' and '.join(later)}: from the next run on")
+        changed = {name: getattr(fit, name) for name in other if _FIT[name].live}
         if "accuracy" in changed:
             changed["accuracy"] = settings.accuracy.number()  # also where the noise decides
         words = [_words(name, value) for name, value in changed.items()]
@@ -133,7 +128,7 @@ class LiveSettings(QObject):
         optics = optics_of(scene)
         if present is None or type(optics) is type(present.state.optics):
             return optics
-        self._panels.running.tell("PSF of another kind: from the next run on")
+        self._panels.running.tell("The new PSF applies to the next run.")
         return None
 
     def _with_found(self, shown: Effects) -> Effects:
@@ -189,10 +184,9 @@ def _scene(settings: SceneSettings) -> dict[str, Any]:
 
 
 def _words(name: str, value: Any) -> str:
-    if name in _YES_NO:
-        return _YES_NO[name][0 if value else 1]
-    if name == "max_iterations":
-        return f"at most {value} iterations"
+    if isinstance(value, bool):
+        value = "yes" if value else "no"
     if isinstance(value, float):
         value = np.format_float_scientific(value, trim="-", exp_digits=1)
-    return f"{name.replace('_', ' ')} {'automatic' if value is None else value}"
+    found = _FIT[name]
+    return f"{found.title} {found.automatic if value is None else value}"

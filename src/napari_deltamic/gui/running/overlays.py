@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+import weakref
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -16,6 +17,8 @@ from ...evidence.voxel_variance import Variance, voxel_variance
 from ...fitting import FitState
 from ...fitting.checks import check_image
 from ...fitting.job import FitInput
+from ...measure import measure
+from ...measure.of_fit import known_of
 from ..background import Background
 from .composition import Live, Panels
 from .run_progress import Snapshot
@@ -29,11 +32,34 @@ class Compared:
     residual : (Z, Y, X) measured minus rendered, in standard deviations of the noise; None where
         it is not wanted.
     found : what the end of a fit leaves unexplained.
+    cells : all that is measured on the cells of the end of a fit, by region.
     """
 
     rendered: NDArray[np.float32]
     residual: NDArray[np.float32] | None = None
     found: Residual | None = None
+    cells: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Grades:
+    """From which share of the signal around the surfaces on, noise left out, a fit is called so.
+
+    From three real stacks (vesicles, an embryo, a gland): fits whose surfaces lay where they should
+    explained 79 to 95 %, those that were visibly wrong 11 to 45 %.
+    """
+
+    good: float = 0.75
+    fair: float = 0.5
+
+    def grade(self, explained: float | None) -> str:
+        """In a word; "" where it is not known."""
+        if explained is None:
+            return ""
+        return "good" if explained >= self.good else "fair" if explained >= self.fair else "poor"
+
+
+GRADES = Grades()
 
 
 class Spread:
@@ -62,7 +88,11 @@ class Overlays(QObject):
         # After the end nobody renders along the way, and it may take too long to wait for.
         self._background = Background(self._add, warn)
         self._spread = Spread()
+        self._found: Residual | None = None  # of the last fit
+        self._of: Any = None  # a weak reference to its image layer
         live.panels.append(self)
+        panels.running.go_to_worst.connect(self._go_to_worst)
+        panels.image.changed.connect(self._show_grade)
         panels.running.rendered_toggled.connect(self._toggled)
         panels.running.residual_toggled.connect(self._toggled)
 
@@ -87,16 +117,10 @@ class Overlays(QObject):
             self._background.ask(partial(_compared, *given))
 
     def show_result(self) -> None:
-        """Render the result, where that is wanted."""
+        """Render the result, and look at what it leaves unexplained."""
         run, last = self._live.run, self._panels.results.last
-        if self.wanted and last is not None and (run is None or not run.running):
-            spread = self._spread if self._residual else None
-            self._background.ask(partial(_of_result, last[0], last[1], spread))
-
-    def show_end(self) -> None:
-        """A fit has ended; its last image is shown already, but not what it leaves unexplained."""
-        if self._residual:
-            self.show_result()
+        if last is not None and (run is None or not run.running):
+            self._background.ask(partial(_of_result, last[0], last[1], self._spread))
 
     @property
     def _residual(self) -> bool:
@@ -104,21 +128,40 @@ class Overlays(QObject):
 
     def _add(self, images: Compared) -> None:
         link = self._live.link
-        if link is None or not self.wanted:
+        if link is None:
             return
-        link.show_rendered(images.rendered, images.residual)
-        self._show_layers()
         if images.found is not None:
-            self._panels.results.table.show_fits(images.found.cells)
-            self._panels.running.tell(_verdict(images.found))
+            self._found, self._of = images.found, weakref.ref(link.image_layer)
+            self._panels.results.show_more(images.cells)
+            self._show_grade()
+        if self.wanted:
+            link.show_rendered(images.rendered, images.residual)
+            self._show_layers()
+
+    def _show_grade(self) -> None:
+        """What is known of the result, while its image is chosen."""
+        running, found = self._panels.running, self._found
+        own = self._of is not None and self._of() is self._panels.image.layer
+        if found is None or not own or self._panels.results.last is None:
+            running.show_grade("", "")
+        else:
+            running.show_grade(GRADES.grade(found.explained), verdict(found), bool(found.spots))
+
+    def forget(self) -> None:
+        """What was found is of an earlier fit."""
+        self._found = None
+        self._background.drop()
+
+    def _go_to_worst(self) -> None:
+        link = self._live.link
+        if link is not None and self._found is not None and self._found.spots:
+            link.go_to(self._found.spots[0].position)
 
     def _toggled(self, checked: bool) -> None:
         if self._live.run is not None:
             self._live.run.show_rendered(self.wanted)
         if checked:
             self.show_result()
-        if not self._residual:
-            self._panels.results.table.show_fits(())
         self._show_layers()
 
     def _show_layers(self) -> None:
@@ -133,26 +176,36 @@ def _compared(rendered: NDArray[np.float32], job: FitInput, spread: Spread) -> C
     return Compared(rendered, ((job.image - rendered) / noise).astype(np.float32))
 
 
-def _of_result(state: FitState, job: FitInput, spread: Spread | None) -> Compared:
+def _of_result(state: FitState, job: FitInput, spread: Spread) -> Compared:
     """The images of the end of a fit, and where they do not agree."""
     rendered = state.rendered()
-    if spread is None:
-        return Compared(rendered)
     given = replace(state, _render=lambda: rendered)
     found = analyse_residual(
         job.image, job.grid, given, counted=job.counted, variance=spread.variance(job)
     )
-    return replace(_compared(rendered, job, spread), found=found)
+    cells = _measured(state, job, found)
+    return replace(_compared(rendered, job, spread), found=found, cells=cells)
 
 
-def _verdict(found: Residual) -> str:
-    """How much of the image is explained, in a sentence."""
+def _measured(state: FitState, job: FitInput, found: Residual) -> dict[int, dict[str, Any]]:
+    """All that is measured on each cell, and how well it is explained."""
+    known = {cell.region: cell.explained for cell in found.cells if cell.explained is not None}
+    table = measure(state.mesh, known_of(state, job.grid, explained=known)).cells
+    rows = {int(row["region"]): dict(row) for row in table.rows if row["region"] is not None}
+    for cell in found.cells:
+        if cell.region in rows:
+            rows[cell.region]["residual_z"] = cell.z
+    return rows
+
+
+def verdict(found: Residual) -> str:
+    """How much of the image the cells explain, in a sentence."""
     if found.explained is None:
-        return "nothing near the surfaces varies by more than noise"
-    text = f"{found.explained:.0%} of what varies near the surfaces is explained"
-    if not found.spots:
-        return text
-    spot = found.spots[0]
-    kind = "brighter" if spot.z > 0 else "darker"
-    z, y, x = spot.position
-    return f"{text}; most is left at z {z:.1f}, y {y:.1f}, x {x:.1f} um, {kind} than the model"
+        return "Nothing around the cells is brighter or darker than noise."
+    word = GRADES.grade(found.explained)
+    text = (
+        f"{word.capitalize()}: the cells explain {found.explained:.0%} of the signal around them."
+    )
+    if word == "poor":
+        text += " Look at the surfaces before you use them."
+    return text

@@ -197,6 +197,7 @@ class RunControl(QObject):
         running.curve.show_losses(history.loss, history.level, history.first)
         running.psf.show_sigma("now", state.optics.sigma_um)
         running.numbers.show_fit(state, job)
+        self._overlays.show_result()
         self.ended.emit()
 
     def go_on_from(self, mesh: Mesh, optics: Any, pinned: NDArray[np.bool_] | None) -> None:
@@ -266,6 +267,7 @@ class RunControl(QObject):
         assert self._live.link is not None
         self._words_of = weakref.ref(self._live.link.image_layer)
         self._fresh, self._asked = fresh, []
+        self._overlays.forget()
         run = FitRun(
             prepare,
             self._show,
@@ -379,7 +381,7 @@ class RunControl(QObject):
             self.replace_result(changed_by_hand(state, outcome.job, late), notes)
         elif late is not None and late.pinned is not None:
             self.pin_result(late.pinned)
-        self._overlays.show_end()
+        self._overlays.show_result()
         if self._lets_go:
             self.let_go()
 

@@ -1,4 +1,4 @@
-"""Run, pause and stop, and how the fit is getting on."""
+"""How a fit went: its verdict, its course, what is shown of it, and what can be mended."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from qtpy.QtWidgets import (
     QGroupBox,
     QHBoxLayout,
     QLabel,
-    QProgressBar,
     QPushButton,
     QVBoxLayout,
     QWidget,
@@ -20,87 +19,85 @@ from ...results.report import History
 from ...results.timeline import Moment
 from ..editing.edit_bar import EditBar
 from ..editing.history_bar import HistoryBar
-from ..panels.fields import note_label
-from ..panels.fold import Fold
 from ..qt import Signal
+from ..widgets import Fold, Note, note_label
 from .curves import ExplainedCurve, SigmaCurve
+from .footer import Footer
 from .live_numbers import LiveNumbers
 
-_COLOURS = {"converged": "#3fae6b", "ended": "#d99a1c", "stopped": "#d99a1c", "failed": "#e0564f"}
+_GREEN, _AMBER, _RED = "#3fae6b", "#d99a1c", "#e0564f"
+_COLOURS = {
+    "ended": _AMBER,
+    "stopped": _AMBER,
+    "failed": _RED,
+    "good": _GREEN,
+    "fair": _AMBER,
+    "poor": _RED,
+}
 
 
 class RunPanel(QGroupBox):
-    """Buttons, progress, PSF and what is explained; signals for what the user asks for."""
+    """What became of a fit, and what can be done with it; ``footer`` is shown elsewhere."""
 
-    run = Signal()
-    pause = Signal(bool)
-    stop = Signal()
-    copy_command = Signal()
     rendered_toggled = Signal(bool)
     residual_toggled = Signal(bool)
+    go_to_worst = Signal()
 
     def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__("Run", parent)
-        self.run_button = QPushButton("Run", self)
-        self.run_button.setToolTip("Fit from the seeds that are ticked, with the settings above.")
-        self.pause_button = QPushButton("Pause", self)
-        self.pause_button.setToolTip("Let the fit wait, and go on; it can be edited meanwhile.")
-        self.pause_button.setCheckable(True)
-        self.stop_button = QPushButton("Stop", self)
-        self.stop_button.setToolTip("End the fit; what it reached is kept.")
-        self.progress = QProgressBar(self)
-        self.progress.setTextVisible(True)
-        self.message = note_label()
+        super().__init__("4  Check", parent)
+        self.footer = footer = Footer(parent)
+        self.run, self.pause, self.stop = footer.run, footer.pause, footer.stop
+        self.run_button, self.pause_button = footer.run_button, footer.pause_button
+        self.stop_button, self.progress = footer.stop_button, footer.progress
+        self.message = footer.message
+        self.last_verdict = ("", "")
+        self._of_a_fit: tuple[QWidget, ...] = ()
         self.verdict = QLabel(self)
         self.verdict.setWordWrap(True)
+        self.grade = Note(self)
+        self.worst = QPushButton("Worst place", self)
+        self.worst.setToolTip("<qt>Go to where the image differs most from the model.</qt>")
         self.remarks = RemarkList(self)
-        self.note = note_label()
+        self.note = Note(self)
         self.edit = EditBar(self)
         self.history = HistoryBar(self)
         self.curve = ExplainedCurve(self)
         self.sigmas = SigmaCurve(self)
         self.psf = PsfTable(self)
         self.numbers = LiveNumbers(self)
-        self.rendered = QCheckBox("rendered image", self)
-        self.rendered.setToolTip("Show what the microscope would see of the present meshes.")
-        self.residual = QCheckBox("residual", self)
+        self.rendered = QCheckBox("model", self)
+        self.rendered.setToolTip(
+            "<qt>Show what the microscope would see of the present surfaces.</qt>"
+        )
+        self.residual = QCheckBox("difference", self)
         self.residual.setToolTip(
             "<qt>Show measured minus rendered image, in standard deviations of the noise: green is "
             "brighter than the model, magenta darker. After a fit the table tells how well each "
             "cell is explained.</qt>"
         )
-        self.command_button = QPushButton("Copy as command", self)
-        self.command_button.setToolTip("The command that repeats this run without a window.")
         self._lay_out()
-        self.run_button.clicked.connect(self.run)
-        self.pause_button.toggled.connect(self._pause)
-        self.stop_button.clicked.connect(self.stop)
-        self.command_button.clicked.connect(self.copy_command)
         self.rendered.toggled.connect(self.rendered_toggled)
         self.residual.toggled.connect(self.residual_toggled)
+        self.worst.clicked.connect(self.go_to_worst)
         self.set_running(False)
         self.sigmas.hide()
         # Until there is something to see, to edit, and to go back to.
-        self._of_a_fit = (self.curve, self.psf, self._shown, self.edit, self.history)
+        self._of_a_fit = (self.curve, self.course, self.psf, self._shown, self.edit, self.history)
         for row in self._of_a_fit:
             row.hide()
         self.say("")
         self.tell("")
         self.show_verdict("", "")
+        self.show_grade("", "")
 
     def set_running(self, running: bool) -> None:
         """Which buttons can be pressed."""
-        self.run_button.setEnabled(not running)
-        self.pause_button.setEnabled(running)
-        self.stop_button.setEnabled(running)
-        self.progress.setVisible(running)
+        self.footer.set_running(running)
         if running:
-            self.progress.setRange(0, 0)
             self.show_verdict("", "")
+            self.show_grade("", "")
             self.tell("")
             self.curve.show_losses([], [])
-        else:
-            self.pause_button.setChecked(False)
 
     def show_fit(self, shown: bool = True) -> None:
         """There is a fit: show all that belongs to one, or hide it, as it is of another image."""
@@ -108,16 +105,16 @@ class RunPanel(QGroupBox):
             row.setVisible(shown)
         self.sigmas.setVisible(shown and self.sigmas.varies)
         self.numbers.setVisible(shown and bool(self.numbers.texts()))
+        self._show_some()
 
     def say(self, text: str) -> None:
         """What is going on, in a line."""
-        self.message.setText(text)
-        self.message.setVisible(bool(text))
+        self.message.say(text)
 
     def tell(self, text: str) -> None:
         """What came of something that the user did, in a line."""
-        self.note.setText(text)
-        self.note.setVisible(bool(text))
+        self.note.say(text)
+        self._show_some()
 
     def show_progress(
         self,
@@ -128,59 +125,69 @@ class RunPanel(QGroupBox):
         remaining: float | None = None,
     ) -> None:
         """Where the fit is: iterations a second and, where it is known, s that remain."""
-        self.progress.setRange(0, levels)
-        self.progress.setValue(level - 1)
-        self.progress.setFormat(f"level {level} of {levels}")
+        self.footer.show_level(level, levels)
         self.say(progress_text(len(history.loss), rate, remaining))
         self.curve.show_losses(history.loss, history.level, history.first)
+        self.curve.show()
+        self._show_some()
 
     def show_verdict(self, verdict: str, text: str) -> None:
         """How it ended, in the first line of a text; those after it are remarks, in a list."""
         self.last_verdict = (verdict, text)
         said, *remarks = text.split("\n")
-        self.verdict.setStyleSheet(f"color: {_COLOURS.get(verdict, '')}; font-weight: bold;")
+        self.verdict.setStyleSheet(f"color: {_COLOURS.get(verdict, '')};")
         self.verdict.setText(said)
         self.verdict.setVisible(bool(said))
         self.remarks.show_remarks(remarks)
+        self._show_some()
+
+    def show_grade(self, grade: str, text: str, worst: bool = False) -> None:
+        """How well the shapes explain the image, in a sentence; '' for what is not known.
+
+        worst : whether there is a worst place to go to.
+        """
+        colour = _COLOURS.get(grade, "")
+        self.grade.setStyleSheet(f"color: {colour}; font-weight: bold;")
+        self.grade.say(text)
+        self.worst.setVisible(worst)
+        self._show_some()
 
     def show_sigmas(self, moments: Sequence[Moment]) -> None:
         """The widths of the PSF over the fit; nothing where they never changed."""
         self.sigmas.show_moments(moments)
         self.sigmas.setVisible(self.sigmas.varies)
 
-    def _pause(self, paused: bool) -> None:
-        self.pause_button.setText("Go on" if paused else "Pause")
-        self.pause.emit(paused)
+    def _show_some(self) -> None:
+        """The panel is there as long as it has something to say."""
+        parts = (*self._of_a_fit, self.verdict, self.note)
+        self.setHidden(all(part.isHidden() for part in parts))
 
     def _lay_out(self) -> None:
-        buttons = QHBoxLayout()
-        for button in (self.run_button, self.pause_button, self.stop_button):
-            buttons.addWidget(button)
         self._shown = QWidget(self)
         shown = QHBoxLayout(self._shown)
         shown.setContentsMargins(0, 0, 0, 0)
         for box in (QLabel("show", self), self.rendered, self.residual):
             shown.addWidget(box)
         shown.addStretch()
+        shown.addWidget(self.worst)
         plots = QHBoxLayout()
         for plot in (self.curve, self.sigmas):
             plots.addWidget(plot)
+        inner = QWidget(self)
+        numbers = QVBoxLayout(inner)
+        numbers.setContentsMargins(8, 0, 0, 0)
+        numbers.addWidget(self.psf)
+        numbers.addWidget(self.numbers)
+        self.course = Fold("Numbers that the fit moved", inner, self)
         layout = QVBoxLayout(self)
-        layout.addLayout(buttons)
-        parts: tuple[QWidget, ...] = (
-            self.progress,
-            self.message,
-            self.verdict,
-            self.remarks,
-            self.note,
-        )
-        for widget in parts:
+        layout.addWidget(self.grade)
+        layout.addWidget(self.verdict)
+        rest: tuple[QWidget, ...] = (self.note, self.remarks)
+        for widget in rest:
             layout.addWidget(widget)
         layout.addLayout(plots)
-        for widget in (self.history, self.edit, self.psf, self.numbers):
+        for widget in (self._shown, self.history, self.edit, self.course):
             layout.addWidget(widget)
-        layout.addWidget(self._shown)
-        layout.addWidget(self.command_button)
 
 
 def progress_text(iterations: int, rate: float, remaining: float | None) -> str:

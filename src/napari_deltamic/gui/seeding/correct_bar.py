@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from typing import Literal
 
-from qtpy.QtWidgets import QFileDialog, QHBoxLayout, QMenu, QPushButton, QVBoxLayout, QWidget
+from qtpy.QtWidgets import QFileDialog, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
-from ..panels.note import Note
-from ..qt import Signal
+from ..qt import QAction, Signal
+from ..widgets import Note
 
 Tool = Literal["split", "merge", "remove"]
 _TITLES: dict[Tool, str] = {"split": "Split / add", "merge": "Merge", "remove": "Remove"}
 _HINTS: dict[Tool, str] = {
     "split": "Click in the middle of a cell: one that is part of a larger label is cut off, "
     "one that was missed is added.",
-    "merge": "Click into two cells that are one, one after the other.",
+    "merge": "Click both halves of a cell, one after the other, to merge them.",
     "remove": "Click on what is no cell.",
 }
 _IN_3D = " Cells that were missed are added on slices only."
@@ -47,17 +47,11 @@ class CorrectBar(QWidget):
         self.undo_button.setToolTip("Undo the last correction (Ctrl+Z while a tool is in use).")
         self.undo_button.setFixedWidth(30)
         self.undo_button.setStyleSheet("padding: 2px; font-size: 15px;")
-        self.files = QPushButton("Clicks", self)
-        self.files.setToolTip(
-            "<qt>Save the clicks to a file, to repeat them on the labels that they were made on; "
-            "or make those of a file.</qt>"
-        )
-        menu = QMenu(self.files)
-        self.load_action = menu.addAction("Load clicks...")
-        self.save_action = menu.addAction("Save clicks...")
-        self.files.setMenu(menu)
+        self.load_action = QAction("Load clicks...", self)
+        self.save_action = QAction("Save clicks...", self)
+        self.load_action.setToolTip("Make the clicks of a file on these labels.")
+        self.save_action.setToolTip("Save the clicks, to repeat them on the same labels.")
         row.addWidget(self.undo_button)
-        row.addWidget(self.files)
         self.hint, self.count = Note(self), Note(self)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
@@ -66,12 +60,8 @@ class CorrectBar(QWidget):
         layout.addWidget(self.hint)
         layout.addWidget(self.count)
         self.undo_button.clicked.connect(self.undo)
-        for action, slot in (
-            (self.load_action, self._ask_load),
-            (self.save_action, self._ask_save),
-        ):
-            if action is not None:
-                action.triggered.connect(slot)
+        self.load_action.triggered.connect(self._ask_load)
+        self.save_action.triggered.connect(self._ask_save)
 
     @property
     def tool(self) -> Tool | None:
@@ -97,8 +87,7 @@ class CorrectBar(QWidget):
             text += f", {corrections} {'click' if corrections == 1 else 'clicks'}"
         self.count.say(text if corrections or self.tool is not None else "")
         self.undo_button.setEnabled(can_undo)
-        if self.save_action is not None:
-            self.save_action.setEnabled(corrections > 0)
+        self.save_action.setEnabled(corrections > 0)
 
     def say(self, text: str) -> None:
         """What a click did not do, or what it waits for."""
@@ -121,12 +110,12 @@ class CorrectBar(QWidget):
         self.explain()
         self.tool_chosen.emit(self.tool)
 
-    def _ask_load(self) -> None:
+    def _ask_load(self, checked: bool = False) -> None:
         path, _ = QFileDialog.getOpenFileName(self, "Load clicks", "", _KIND)
         if path:
             self.load.emit(path)
 
-    def _ask_save(self) -> None:
+    def _ask_save(self, checked: bool = False) -> None:
         path, _ = QFileDialog.getSaveFileName(self, "Save clicks", "clicks.csv", _KIND)
         if path:
             self.save.emit(path)

@@ -124,7 +124,7 @@ class Corrections(QObject):
             self._want(_Wanted(layer, [click]))
         elif self._first is None:
             self._first = click
-            self.bar.say("Now click into the cell that is one with it.")
+            self.bar.say("Click the other half of this cell to merge them.")
             self.renew()
         else:
             first, self._first = self._first, None

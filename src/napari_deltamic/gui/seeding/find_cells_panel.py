@@ -14,10 +14,10 @@ from superqt import QLabeledDoubleSlider
 
 from ...errors import InputError
 from ..background import Background
-from ..panels.fields import sentence
 from ..qt import Signal
 from ..viewing.colours import label_colormap
 from ..viewing.frame import Frame
+from ..widgets import sentence
 from .label_clicks import forget
 
 NAME = "found cells"

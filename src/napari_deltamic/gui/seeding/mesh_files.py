@@ -11,9 +11,9 @@ from qtpy.QtWidgets import QFileDialog, QPushButton, QWidget
 from ...errors import InputError
 from ...geometry.formats import MESH_FILES_LISTED, MESH_FILTER
 from ..background import Background
-from ..panels.fields import sentence
 from ..qt import Signal
 from ..viewing.mesh_layer import LoadedMesh, load_meshes, surface_layer
+from ..widgets import sentence
 
 
 class MeshFiles(QPushButton):
@@ -25,7 +25,7 @@ class MeshFiles(QPushButton):
     told = Signal()
 
     def __init__(self, viewer: Any, image_panel: Any, parent: QWidget | None = None) -> None:
-        super().__init__("Mesh file...", parent)
+        super().__init__("From file...", parent)
         self._viewer, self._image = viewer, image_panel
         self.message = ""
         self.setToolTip(

@@ -13,6 +13,8 @@ from .preview import Problem, Wanted
 from .seed_checks import PointSet, Remark, all_remarks
 from .seed_kinds import PointSeeds, Seeds, at_time, is_empty, mixed, seeds_from_layer, without_place
 
+NO_CELLS = "no cells yet: press 'Find cells', or 'Click cells' and click inside each"
+
 
 class SeedSources:
     """Reads the layers that are ticked in a list, for the image chosen in a panel."""
@@ -24,7 +26,9 @@ class SeedSources:
         """The seeds, copied. InputError where there are none, or they cannot be used."""
         layers = self._chosen.ticked()
         if not layers:
-            raise InputError("no seeds yet: press 'Place seeds' and click inside each cell")
+            raise InputError(
+                "no cells yet: press 'Find cells', or 'Click cells' and click inside each"
+            )
         point = self._point()
         filled = [layer for layer in layers if not is_empty(layer, point)]
         # Where all are empty, the first of them says so itself.

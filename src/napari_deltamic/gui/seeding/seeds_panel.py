@@ -20,11 +20,11 @@ from superqt import QLabeledDoubleSlider
 
 from ...errors import InputError
 from ..connections import Connections
-from ..panels.fields import note_label, sentence, show_row
 from ..qt import Signal
 from ..viewing.frame import Frame, made_by_fit
 from ..viewing.own_layers import Points as SeedPoints
 from ..viewing.own_layers import cut_by_slices
+from ..widgets import note_label, sentence, show_row
 from .corrections import Corrections
 from .find_cells_panel import FindCells
 from .mesh_files import MeshFiles
@@ -35,7 +35,7 @@ from .seed_list import SeedList
 from .seed_sources import SeedSources
 from .sphere_drawing import SphereDrawing
 
-_FOLLOW, _SPHERES = "membrane around each point", "sphere around each point"
+_FOLLOW, _SPHERES = "the membrane around the click", "a sphere"
 _WAIT = 100  # ms; changes that follow each other faster are looked at together
 
 
@@ -45,7 +45,7 @@ class SeedsPanel(QGroupBox):
     changed = Signal()
 
     def __init__(self, viewer: Any, image_panel: Any, parent: QWidget | None = None) -> None:
-        super().__init__("Seeds", parent)
+        super().__init__("2  Cells", parent)
         self._viewer, self._image = viewer, image_panel
         self._connections, self._of_layers = Connections(), Connections()
         self._time: tuple[int, ...] = ()
@@ -67,6 +67,10 @@ class SeedsPanel(QGroupBox):
     def spheres(self) -> bool:
         """Whether points are to be spheres."""
         return bool(self.shape.currentText() == _SPHERES)
+
+    def use_spheres(self, on: bool) -> None:
+        """Whether points are to be spheres."""
+        self.shape.setCurrentText(_SPHERES if on else _FOLLOW)
 
     def seeds(self, frame: Frame) -> Seeds:
         """The seeds chosen, copied. InputError where there are none, or they cannot be used."""
@@ -141,7 +145,7 @@ class SeedsPanel(QGroupBox):
         self.chooser = SeedList(self._viewer, self)
         self._sources = SeedSources(self._viewer, self._image, self.chooser)
         self.corrections = Corrections(self._viewer, self._image, self.chooser.ticked, self)
-        self.place = QPushButton("Place seeds", self)
+        self.place = QPushButton("Click cells", self)
         self.place.setToolTip(
             "<qt>Then click inside each cell, on any slice or in 3D (there, points lie at the "
             "depth of the middle of the view). Spheres are drawn: press at the centre, drag to "
@@ -156,10 +160,10 @@ class SeedsPanel(QGroupBox):
         )
         self.shape.setMinimumContentsLength(8)
         self.shape.setToolTip(
-            "<qt>'membrane' finds the dark region around each point, up to its bright membrane: "
-            "needs membranes that close, and takes seconds for a million voxels when the fit "
-            "starts. 'sphere' starts as large as drawn: at once, but farther from the membrane, so "
-            "the fit takes longer.</qt>"
+            "<qt>'The membrane' finds the dark region around each click, up to its bright "
+            "membrane: needs membranes that close, and takes seconds for a million voxels when the "
+            "fit starts. 'A sphere' starts as large as drawn: at once, but farther from the "
+            "membrane, so the fit takes longer.</qt>"
         )
         self.radius = QLabeledDoubleSlider(Qt.Orientation.Horizontal, self)
         self.radius.setToolTip(
@@ -173,15 +177,15 @@ class SeedsPanel(QGroupBox):
     def _lay_out(self) -> None:
         buttons = QHBoxLayout()
         buttons.setSpacing(4)
-        for button in (self.place, self.open_file, self.find_cells):
+        for button in (self.find_cells, self.place, self.open_file):
             buttons.addWidget(button)
         layout = QFormLayout(self)
         layout.addRow(buttons)
-        layout.addRow("cell size, um", self.find_cells.cell_size)
+        layout.addRow("size, µm", self.find_cells.cell_size)
         layout.addRow(self.chooser)
         layout.addRow(self.corrections.bar)
-        layout.addRow("start as", self.shape)
-        layout.addRow("radius, um", self.radius)
+        layout.addRow("start from", self.shape)
+        layout.addRow("radius, µm", self.radius)
         layout.addRow("", self.preview)
         layout.addRow(self.note)
         layout.addRow(self.remarks)
@@ -333,7 +337,7 @@ class SeedsPanel(QGroupBox):
             n = sum(len(layer.data) for layer in points)
             texts.append(f"{n} {'point' if n == 1 else 'points'}.")
         elif not layers:
-            texts.append("Press 'Place seeds' and click inside each cell.")
+            texts.append("Press 'Find cells', or 'Click cells' and click inside each.")
         self.note.setText(" ".join(filter(None, texts)))
 
     def _show_remarks(self) -> None:

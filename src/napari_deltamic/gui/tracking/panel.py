@@ -19,10 +19,10 @@ from qtpy.QtWidgets import (
 
 from ...measure import measure_cells
 from ...tracking import FrameResult, TrackSettings
-from ..panels.fields import note_label
 from ..qt import Signal
 from ..results.cell_table import CellTable
 from ..running.curves import explained
+from ..widgets import note_label
 from .work import Progress
 
 _COLOURS = {"done": "#3fae6b", "stopped": "#d99a1c", "failed": "#e0564f"}

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from napari.utils import Colormap
-from napari.utils.colormaps import DirectLabelColormap
+from napari.utils.colormaps import DirectLabelColormap, ensure_colormap
 from numpy.typing import NDArray
 
 from ...geometry import Mesh
@@ -21,7 +22,41 @@ _DIMMED = np.hstack([(1 - _DIM) * _TABLE[:, :3] + _DIM * _GREY, _OPAQUE])
 _BOTH = np.concatenate([_TABLE, _DIMMED])
 _GHOSTS = _BOTH.copy()
 _GHOSTS[len(_TABLE) :, 3] = 0.2  # in 3D one looks through them at what is chosen
+BY_VALUE = "viridis"
+_BY_VALUE = ensure_colormap(BY_VALUE)
 LIMITS = (0.0, float(len(_BOTH)))
+
+
+@dataclass(frozen=True)
+class ByValue:
+    """Cells coloured by a number of theirs, instead of each in its own colour.
+
+    values : region -> number; those without one are grey.
+    """
+
+    values: Mapping[int, float]
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """The smallest and the largest of the numbers."""
+        known = [value for value in self.values.values() if np.isfinite(value)]
+        low, high = (min(known), max(known)) if known else (0.0, 1.0)
+        return low, high if high > low else low + max(abs(low), 1.0) * 1e-3
+
+    def at(self, regions: Any) -> NDArray[np.float32]:
+        """The numbers of regions; NaN where there is none."""
+        names, inverse = np.unique(np.asarray(regions), return_inverse=True)
+        known = np.array([self.values.get(int(name), np.nan) for name in names], np.float32)
+        found: NDArray[np.float32] = known[inverse].reshape(np.shape(regions))
+        return found
+
+    def rgba(self, regions: Any) -> NDArray[np.float64]:
+        """(n, 4) the colours of regions."""
+        low, high = self.limits
+        share = (self.at(regions) - low) / (high - low)
+        colours = np.asarray(_BY_VALUE.map(np.nan_to_num(np.atleast_1d(share))), float)
+        colours[~np.isfinite(np.atleast_1d(share))] = (_GREY, _GREY, _GREY, 1.0)
+        return colours
 
 
 def region_colours(

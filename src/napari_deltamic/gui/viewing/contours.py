@@ -12,7 +12,7 @@ from ...geometry import Mesh
 from ...geometry.mesh import OUTSIDE
 from ...measure import section
 from ..plain import camera_of
-from .colours import region_colours
+from .colours import ByValue, region_colours
 from .frame import OWN, Frame
 from .own_layers import Vectors
 
@@ -45,6 +45,7 @@ class Contours:
         self.layer._update_thumbnail = _no_thumbnail
         self.colours: Mapping[int, int] = {}  # see ``colour_indices``
         self.chosen: frozenset[int] = frozenset()  # cells that are not dimmed; none: no cell is
+        self.by: ByValue | None = None  # instead of a colour for each
         self._empty = True
         self._pixels = _PIXELS
         self._um_of_pixel = 1.0  # where the width was last looked at
@@ -132,9 +133,11 @@ class Contours:
             # The name of one colour is much cheaper to set than an array of them.
             first = regions[0]
             several = bool((regions != first).any())
-            layer.edge_color = region_colours(
-                regions if several else first, self.chosen, self.colours
-            )
+            shown = regions if several else first
+            if self.by is not None:
+                layer.edge_color = self.by.rgba(shown)
+            else:
+                layer.edge_color = region_colours(shown, self.chosen, self.colours)
         self._empty = not len(vectors)
 
 

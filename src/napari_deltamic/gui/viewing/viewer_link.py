@@ -14,7 +14,8 @@ from ...results.colouring import colour_indices
 from ..connections import Connections
 from ..editing.pins import Pins
 from ..plain import camera_of
-from .colours import LIMITS, region_colormap, side_values
+from .cell_features import features_at
+from .colours import BY_VALUE, LIMITS, ByValue, region_colormap, side_values
 from .contours import Contours
 from .frame import OWN, Frame
 from .own_layers import Surface
@@ -120,6 +121,19 @@ class ViewerLink:
             self._set_surface(self.surface, self.shown)
         self._slice_changed()
 
+    def colour_by(self, values: Mapping[int, float] | None) -> None:
+        """Colour cells by a number of each, by region; None: each has its own colour."""
+        if values is None and self.contours.by is None:
+            return
+        by = self.contours.by = None if values is None else ByValue(values)
+        layer = self.surface
+        if layer is not None and layer in self.viewer.layers and self.shown is not None:
+            layer.colormap = region_colormap() if by is None else BY_VALUE
+            layer.contrast_limits = LIMITS if by is None else by.limits
+            self._apart, self._late = None, False
+            self._set_surface(layer, self.shown)
+        self._slice_changed()
+
     def show_rendered(self, rendered: NDArray[Any], residual: NDArray[Any] | None) -> None:
         """Show a rendered image and the residual, in standard deviations of the noise."""
         if self.rendered is None:
@@ -194,12 +208,26 @@ class ViewerLink:
             apart = self._apart = Apart.of(mesh)
             self._apart_of, self._values = mesh, None
         if self._values is None:
-            self._values = side_values(apart.sides, self.chosen, self.colours)
+            by = self.contours.by
+            if by is not None:
+                values = by.at(apart.sides.max(axis=1))
+                self._values = np.nan_to_num(values, nan=by.limits[0])
+            else:
+                self._values = side_values(apart.sides, self.chosen, self.colours)
             apart = self._apart = apart.first(mesh, self.chosen)
         return apart.vertices(mesh), apart.faces, self._values
 
+    def describe(self, rows: Sequence[Mapping[str, Any]]) -> None:
+        """Put measurements of the cells shown into the features of the surface."""
+        layer, apart = self.surface, self._apart
+        if layer is not None and apart is not None and layer in self.viewer.layers:
+            layer.features = features_at(rows, apart.sides.max(axis=1))
+
     def _set_surface(self, layer: Surface, mesh: Mesh) -> None:
-        layer.data = self._drawn(mesh)
+        drawn = self._drawn(mesh)
+        if len(layer.features.columns) and len(layer.features) != len(drawn[0]):
+            layer.features = None  # they are of other vertices
+        layer.data = drawn
         self._note(layer, mesh)
 
     def _note(self, layer: Surface, mesh: Mesh) -> None:

@@ -1,91 +1,27 @@
-"""Small inputs that several panels use."""
+"""Small widgets that several panels use: choosers of layers, notes, folds."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
-from qtpy.QtCore import QSignalBlocker
+from qtpy.QtCore import QSignalBlocker, Qt
+from qtpy.QtGui import QResizeEvent
 from qtpy.QtWidgets import (
     QComboBox,
-    QDoubleSpinBox,
     QFormLayout,
-    QHBoxLayout,
     QLabel,
     QSizePolicy,
+    QToolButton,
+    QVBoxLayout,
     QWidget,
 )
 
-from ..connections import Connections
-from ..qt import Signal
-from ..viewing.frame import made_by_fit
+from .connections import Connections
+from .qt import Signal
+from .viewing.frame import made_by_fit
 
-Triple = tuple[float, float, float]
-
-
-class TripleField(QWidget):
-    """Three positive numbers (um), Z, Y, X; ``edited`` comes only from the user."""
-
-    edited = Signal()
-
-    def __init__(self, tooltip: str, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        layout = QHBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(3)
-        self._boxes: list[QDoubleSpinBox] = []
-        for name in "ZYX":
-            box = QDoubleSpinBox(self)
-            box.setDecimals(4)
-            box.setRange(0.0001, 10000)
-            box.setSingleStep(0.01)
-            box.setPrefix(f"{name} ")
-            box.setToolTip(tooltip)
-            box.setKeyboardTracking(False)
-            # napari's style asks for 90 pixels, with which the dock could not be narrow.
-            # Without NoButtons, which in Qt 6.12 and that style leaves no room for the number.
-            box.setStyleSheet(
-                "QDoubleSpinBox { min-width: 50px; padding: 1px 2px; } "
-                "QDoubleSpinBox::up-button, QDoubleSpinBox::down-button { width: 0; border: none; }"
-            )
-            box.valueChanged.connect(self._emit)
-            layout.addWidget(box)
-            self._boxes.append(box)
-
-    def value(self) -> Triple:
-        """The numbers."""
-        z, y, x = (float(box.value()) for box in self._boxes)
-        return z, y, x
-
-    def set_value(self, values: Sequence[float]) -> None:
-        """Show numbers, without a signal."""
-        for box, value in zip(self._boxes, values, strict=True):
-            blocker = QSignalBlocker(box)
-            box.setValue(float(value))
-            blocker.unblock()
-
-    def _emit(self, value: float) -> None:
-        self.edited.emit()
-
-
-class Number(QDoubleSpinBox):
-    """A number that is 0 or more, without zeros at its end.
-
-    It is wide open: a value in another unit is to be named, not cut.
-    """
-
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self.setRange(0, 100_000)
-        self.setDecimals(4)
-        self.setKeyboardTracking(False)
-        self.setStyleSheet("QDoubleSpinBox { min-width: 60px; }")
-
-    def textFromValue(self, value: float) -> str:
-        """Qt's."""
-        text = super().textFromValue(value)
-        point = self.locale().decimalPoint()
-        return text.rstrip("0").rstrip(point) if point in text else text
+_ARROW = 30  # px of the button of a fold that are not for its text
 
 
 class LayerChooser(QComboBox):
@@ -187,3 +123,78 @@ def show_row(form: QFormLayout, field: QWidget, shown: bool) -> None:
     for part in (field, title):
         if part is not None:
             part.setVisible(shown)
+
+
+class Note(QLabel):
+    """A small line, wrapped, that is hidden while it is empty.
+
+    Parameters
+    ----------
+    wrong : whether what it says is that something cannot be used.
+    """
+
+    def __init__(self, parent: QWidget | None = None, *, wrong: bool = False) -> None:
+        super().__init__(parent)
+        self.setWordWrap(True)
+        self.setStyleSheet("font-size: 11px;" + " color: #e0564f;" * wrong)
+        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Minimum)
+        self.hide()
+
+    def say(self, text: str) -> None:
+        """Show a text, or nothing."""
+        if text != self.text():
+            self.setText(text)
+            self.setVisible(bool(text))
+
+
+class Fold(QWidget):
+    """A title with an arrow; a click on it shows the content, or hides it again.
+
+    A title that is longer than the panel is wide is cut; its tooltip has all of it.
+    """
+
+    def __init__(self, title: str, content: QWidget, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.title = ""
+        self.button = QToolButton(self)
+        self.button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
+        self.button.setCheckable(True)
+        # The text must not widen a narrow dock.
+        self.button.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        # napari's style would draw it as one of its square icons.
+        self.button.setStyleSheet(
+            "QToolButton { border: none; background: transparent; padding: 2px; }"
+        )
+        self.content = content
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(4)
+        layout.addWidget(self.button)
+        layout.addWidget(content)
+        self.button.toggled.connect(self.unfold)
+        self.set_title(title)
+        self.unfold(False)
+
+    def set_title(self, title: str) -> None:
+        """Show another title."""
+        self.title = title
+        self._cut()
+
+    def unfold(self, shown: bool = True) -> None:
+        """Show the content, or hide it."""
+        self.button.setChecked(shown)
+        arrow = Qt.ArrowType.DownArrow if shown else Qt.ArrowType.RightArrow
+        self.button.setArrowType(arrow)
+        self.content.setVisible(shown)
+
+    def resizeEvent(self, event: QResizeEvent | None) -> None:
+        """Qt's."""
+        super().resizeEvent(event)
+        self._cut()
+
+    def _cut(self) -> None:
+        room = self.width() - _ARROW
+        metrics = self.button.fontMetrics()
+        text = metrics.elidedText(self.title, Qt.TextElideMode.ElideRight, room)
+        self.button.setText(text)
+        self.button.setToolTip(self.title if text != self.title else "")

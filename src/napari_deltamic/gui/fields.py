@@ -1,0 +1,250 @@
+"""Inputs, and forms that are made of what settings say of themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from functools import partial
+from typing import Any
+
+from qtpy.QtCore import QSignalBlocker
+from qtpy.QtWidgets import (
+    QCheckBox,
+    QComboBox,
+    QDoubleSpinBox,
+    QFormLayout,
+    QHBoxLayout,
+    QLineEdit,
+    QSpinBox,
+    QWidget,
+)
+
+from ..common.description import Described, described
+from .qt import Signal
+from .widgets import Note, show_row
+
+Triple = tuple[float, float, float]
+_MOST = 1_000_000  # of a whole number without a limit
+
+
+def tip_of(found: Described) -> str:
+    """The tooltip of a setting; rich text, which Qt wraps."""
+    return f"<qt>{found.sentence}</qt>"
+
+
+class TripleField(QWidget):
+    """Three positive numbers (um), Z, Y, X; ``edited`` comes only from the user."""
+
+    edited = Signal()
+
+    def __init__(self, tooltip: str, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        layout = QHBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(3)
+        self._boxes: list[QDoubleSpinBox] = []
+        for name in "ZYX":
+            box = QDoubleSpinBox(self)
+            box.setDecimals(4)
+            box.setRange(0.0001, 10000)
+            box.setSingleStep(0.01)
+            box.setPrefix(f"{name} ")
+            box.setToolTip(tooltip)
+            box.setAccessibleName(f"{name}, um")
+            box.setKeyboardTracking(False)
+            # napari's style asks for 90 pixels, with which the dock could not be narrow.
+            # Without NoButtons, which in Qt 6.12 and that style leaves no room for the number.
+            box.setStyleSheet(
+                "QDoubleSpinBox { min-width: 50px; padding: 1px 2px; } "
+                "QDoubleSpinBox::up-button, QDoubleSpinBox::down-button { width: 0; border: none; }"
+            )
+            box.valueChanged.connect(self._emit)
+            layout.addWidget(box)
+            self._boxes.append(box)
+
+    def value(self) -> Triple:
+        """The numbers."""
+        z, y, x = (float(box.value()) for box in self._boxes)
+        return z, y, x
+
+    def set_value(self, values: Sequence[float]) -> None:
+        """Show numbers, without a signal."""
+        for box, value in zip(self._boxes, values, strict=True):
+            blocker = QSignalBlocker(box)
+            box.setValue(float(value))
+            blocker.unblock()
+
+    def _emit(self, value: float) -> None:
+        self.edited.emit()
+
+
+class Number(QDoubleSpinBox):
+    """A number that is 0 or more, without zeros at its end.
+
+    It is wide open: a value in another unit is to be named, not cut.
+    """
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setRange(0, 100_000)
+        self.setDecimals(4)
+        self.setKeyboardTracking(False)
+        self.setStyleSheet("QDoubleSpinBox { min-width: 60px; }")
+
+    def textFromValue(self, value: float) -> str:
+        """Qt's."""
+        text = super().textFromValue(value)
+        point = self.locale().decimalPoint()
+        return text.rstrip("0").rstrip(point) if point in text else text
+
+
+class Form(QWidget):
+    """A field for each setting of a settings object; ``edited`` comes from the user.
+
+    Titles, tips, choices, bounds and defaults are those of the settings. A number that may be left
+    open is open at 0. What was shown and is not edited stays as exact as it was.
+
+    Parameters
+    ----------
+    model : a settings object.
+    names : of the settings shown; None for all that are no parts.
+    parent : Qt's.
+    """
+
+    edited = Signal()
+
+    def __init__(
+        self,
+        model: type[Any],
+        names: Collection[str] | None = None,
+        parent: QWidget | None = None,
+    ) -> None:
+        super().__init__(parent)
+        self.described = {
+            name: found
+            for name, found in described(model).items()
+            if found.kind != "part" and (names is None or name in names)
+        }
+        self.form = QFormLayout(self)
+        self.form.setContentsMargins(0, 0, 0, 0)
+        self.fields: dict[str, Any] = {}
+        self.notes: dict[str, Note] = {}  # under each field: what is wrong with it
+        self._exact: dict[str, Any] = {}  # what is shown, until it is edited
+        for name, found in self.described.items():
+            field = _field(found, self)
+            field.setToolTip(tip_of(found))
+            field.setAccessibleName(found.label)
+            _edits(field).connect(partial(self._edited, name))
+            self.fields[name], self.notes[name] = field, Note(self, wrong=True)
+            if found.kind == "switch":  # across both columns: a narrow dock has no room
+                self.form.addRow(field)
+            else:
+                self.form.addRow(found.label, field)
+            self.form.addRow(self.notes[name])
+
+    def values(self) -> dict[str, Any]:
+        """What is shown, as plain values; together they may be no good."""
+        return {name: self.value(name) for name in self.fields}
+
+    def value(self, name: str) -> Any:
+        """One of them."""
+        return self._exact[name] if name in self._exact else _value(self.fields[name])
+
+    def show_values(self, settings: Any) -> None:
+        """Show a settings object; fields that it leaves open, and cannot be, stay as they are."""
+        for name in self.fields:
+            self.show_value(name, getattr(settings, name))
+
+    def show_value(self, name: str, value: Any) -> None:
+        """Show one value."""
+        _show(self.fields[name], value)
+        if value is not None:
+            self._exact[name] = value
+
+    def show_row(self, name: str, shown: bool) -> None:
+        """Show a field with its title, or hide it."""
+        show_row(self.form, self.fields[name], shown)
+
+    def _edited(self, name: str, value: Any = None) -> None:
+        self._exact.pop(name, None)
+        self.edited.emit()
+
+
+def _field(found: Described, parent: QWidget) -> QWidget:
+    if found.kind == "switch":
+        return QCheckBox(found.title, parent)
+    if found.kind == "whole":
+        whole = QSpinBox(parent)
+        whole.setRange(int(found.low or 0), int(found.high or _MOST))
+        whole.setKeyboardTracking(False)
+        return whole
+    if found.kind == "number":
+        number = Number(parent)
+        number.setSingleStep(found.step or 0.1)
+        if found.optional and found.start is None:
+            number.setSpecialValueText(found.automatic)
+        number.setValue(float(found.default or found.start or 0.0))
+        return number
+    if found.kind == "triple":
+        return TripleField(tip_of(found), parent)
+    if found.kind == "choice" or found.choices:
+        box = QComboBox(parent)
+        box.setEditable(found.kind == "text")
+        box.addItems(found.choices)
+        box.setCurrentText(str(found.default))
+        # Long names must not widen a narrow dock.
+        box.setMinimumContentsLength(8)
+        box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+        return box
+    line = QLineEdit(parent)
+    line.setPlaceholderText(found.automatic)
+    return line
+
+
+def _edits(field: Any) -> Any:
+    """The signal by which a field tells that the user has edited it."""
+    for kind, signal in (
+        (QCheckBox, "toggled"),
+        (QComboBox, "currentTextChanged"),
+        (TripleField, "edited"),
+        (QLineEdit, "editingFinished"),
+    ):
+        if isinstance(field, kind):
+            return getattr(field, signal)
+    return field.valueChanged
+
+
+def _value(field: Any) -> Any:
+    if isinstance(field, QCheckBox):
+        return field.isChecked()
+    if isinstance(field, QComboBox):
+        text = field.currentText()
+        return number_or_text(text) if field.isEditable() else text
+    if isinstance(field, QLineEdit):
+        words = field.text().replace(",", " ").split()
+        return [number_or_text(word) for word in words] or None
+    value = field.value()
+    return None if value == 0 and field.specialValueText() else value
+
+
+def _show(field: Any, value: Any) -> None:
+    if isinstance(field, QCheckBox):
+        field.setChecked(value)
+    elif isinstance(field, QComboBox):
+        field.setCurrentText(str(value))
+    elif isinstance(field, QLineEdit):
+        field.setText(" ".join(f"{part:g}" for part in value or ()))
+    elif isinstance(field, TripleField):
+        if value is not None:
+            field.set_value(value)
+    elif value is not None:
+        field.setValue(value)
+    elif field.specialValueText():
+        field.setValue(0)
+
+
+def number_or_text(text: str) -> str | float:
+    """A number as it was typed, or else the text in lower case."""
+    try:
+        return float(text.replace(",", "."))
+    except ValueError:
+        return text.strip().lower()
