@@ -1,9 +1,10 @@
-"""Measured numbers of fits whose truth is known in closed form, at 40 photons.
+"""Measured numbers whose truth is known, at 40 photons: shapes in closed form, another channel.
 
     python -m benchmarks.measurements [--draws N] [--page docs/measurements.md]
 
 Shapes are rendered from fine meshes, with Poisson noise, and fitted as ``fit`` does from a label
-image; their numbers are compared with those of the smooth shapes.
+image; their numbers are compared with those of the smooth shapes. The channel is one of 32 cells,
+with walls that differ ten times in brightness, 200 nm beside the mesh, its PSF wider than given.
 """
 
 from __future__ import annotations
@@ -22,8 +23,10 @@ from napari_deltamic.fitting.job import assemble, start
 from napari_deltamic.geometry import mesh_from_labels, sphere, torus
 from napari_deltamic.geometry.double_bubble import DoubleBubble
 from napari_deltamic.measure import Measurements, measure
+from napari_deltamic.measure.channel import channel_amounts
 from napari_deltamic.measure.of_fit import deviation_of, known_of
 from napari_deltamic.runs.settings import RunSettings, SceneSettings
+from napari_deltamic.scene import random_cells
 
 from .figure import Row, at_least, at_most
 from .page import put_between, table
@@ -31,6 +34,7 @@ from .page import put_between, table
 VOXEL, SIGMA, PHOTONS = 0.2, 0.26, 40.0
 FINE = 0.08  # um; edges of the meshes that images are made of
 RATIOS = (0.6, 1.0, 1.4, 1.8)  # of the shared wall's tension to those of the others
+SHIFT = 0.2  # um, of the channel
 RADIUS = 2.4  # um; of both caps of a double bubble with a flat wall
 
 
@@ -193,6 +197,41 @@ def without_noise() -> list[Row]:
     ]
 
 
+def channel() -> list[Row]:
+    """Amounts of a shifted channel on the walls of a foam."""
+    grid = nd.Grid((48, 64, 64), (0.25,) * 3)
+    mesh = random_cells(32, grid, "foam", 5)
+    rng = np.random.default_rng(0)
+    pairs, wall = mesh.interfaces()
+    regions = mesh.region_ids().tolist()
+    on_walls = 10 ** rng.uniform(-1, 0, len(pairs))
+    inside = dict(zip(regions, rng.uniform(0.02, 0.1, len(regions)).tolist(), strict=True))
+    moved = mesh.translated(np.array([1.0, -1.0, 1.0]) * SHIFT / np.sqrt(3))
+    optics = nd.GaussianPSF((0.36, 0.30, 0.30))
+    parts = (
+        nd.Surface(moved, on_walls[wall] / moved.membranes()),
+        nd.Solid(moved, inside),
+    )
+    made = nd.simulate(nd.Scene(parts, optics), grid, photons=PHOTONS, background=4.0, seed=1)
+    unit = made.parameters["amplitude"]
+    found = channel_amounts(made.image, grid, mesh, nd.GaussianPSF((0.30, 0.26, 0.26)))
+    areas = np.bincount(wall, mesh.areas(), len(pairs))
+    large = areas > (3 * np.prod(optics.sigma_um) ** (1 / 3)) ** 2
+    off = found.walls - unit * on_walls
+    z = (off / found.walls_se)[large]
+    relative = np.abs(off / (unit * on_walls))[large]
+    words = f"{large.sum()} walls larger than three PSF widths squared"
+    shift = np.linalg.norm(np.array(found.shift) - (moved.vertices[0] - mesh.vertices[0]))
+    within = f"{words}, rms {np.sqrt(np.mean(z**2)):.2f} standard errors"
+    return [
+        at_least(
+            "channel: walls within 2 standard errors", 95, 100 * np.mean(abs(z) <= 2), "%", within
+        ),
+        at_most("channel: error of a wall, median", 3, 100 * np.median(relative), "%", words),
+        Row("channel: error of its shift", "-", 1000 * float(shift), "nm", None, "of 200 nm"),
+    ]
+
+
 def main(argv: Sequence[str]) -> int:
     """Returns 1 if a figure falls short of what was asked."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.measurements", description=__doc__)
@@ -206,7 +245,7 @@ def main(argv: Sequence[str]) -> int:
             compare(shape, found, errors)
             last = ", ".join(f"{100 * e:+.2f} %" for e in errors.volume[-len(shape.volumes) :])
             print(f"{shape.name}, draw {seed}: volume {last} {why}", file=sys.stderr, flush=True)
-    rows = [*without_noise(), *rows_of(errors, chosen.draws)]
+    rows = [*without_noise(), *rows_of(errors, chosen.draws), *channel()]
     print(table(rows))
     if chosen.page is not None:
         put_between(chosen.page, "measurements", table(rows))

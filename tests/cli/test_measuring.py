@@ -153,3 +153,27 @@ def test_tables_are_not_replaced_unasked(bubble, run, fails, tmp_path):
     assert run(*arguments)[0] == 0
     assert "--overwrite" in fails(*arguments)
     assert run(*arguments, "--overwrite")[0] == 0
+
+
+def test_another_channel(bubble, run, fails, tmp_path):
+    mesh = nd.load_mesh(bubble)
+    grid = nd.Grid((34, 34, 44), (0.3, 0.3, 0.3))
+    light = 2000 * nd.render(mesh, grid, OPTICS).double().numpy() + 3
+    noisy = np.random.default_rng(0).poisson(light).astype(np.float32)
+    write_image(tmp_path / "channel.tif", noisy, grid.voxel_size)
+    arguments = ("measure", bubble, "--channel", tmp_path / "channel.tif")
+    assert "give --image" in fails(*arguments, "-o", tmp_path / "a")
+    arguments = (*arguments, "--image", tmp_path / "channel.tif")
+    assert "give --channel-sigma" in fails(*arguments, "-o", tmp_path / "b")
+    arguments = (*arguments, "--channel-sigma", *OPTICS.sigma_um, "--channel-on", "walls")
+    code, out, err = run(*arguments, "-o", tmp_path / "out")
+    assert code == 0, err
+    assert "the channel lies" in err
+    assert str(tmp_path / "out" / "channel_walls.csv") in out
+    found = {
+        (row["region_a"], row["region_b"]): float(row["light_per_um2"])
+        for row in rows(tmp_path / "out" / "channel_walls.csv")
+    }
+    # Two membranes where the cells touch.
+    expected = {("1", "0"): 2000, ("2", "0"): 2000, ("2", "1"): 4000}
+    assert found == pytest.approx(expected, rel=0.03)

@@ -14,6 +14,7 @@ from napari_deltamic.geometry import Mesh, box, sphere, torus
 from napari_deltamic.geometry.double_bubble import DoubleBubble
 from napari_deltamic.measure import Known, measure
 from napari_deltamic.measure.cells import COLUMNS
+from napari_deltamic.measure.channel_tables import CHANNEL_CELL_COLUMNS, CHANNEL_WALL_COLUMNS
 from napari_deltamic.measure.table import Column, table_of
 from napari_deltamic.scene import Grid
 
@@ -252,9 +253,10 @@ def test_the_docs_say_what_every_column_is():
         pytest.skip("not in a source tree")
     lines = page.read_text(encoding="utf-8").splitlines()
     told = [line for line in lines if line.startswith("| `") and line.count("|") == 4]
+    tables = [table.columns for table in measure(box((0, 0, 0), 1)).tables]
     wanted = [
         f"| `{c.name}` | {c.unit} | {c.meaning} |"
-        for table in measure(box((0, 0, 0), 1)).tables
-        for c in table.columns
+        for columns in (*tables, CHANNEL_WALL_COLUMNS, CHANNEL_CELL_COLUMNS)
+        for c in columns
     ]
     assert told == wanted

@@ -59,7 +59,7 @@ def source():
         "settings": {"image": "a & b.tif"},
     }
     known = Known(grid=GRID, explained={1: 0.75, 2: 0.85})
-    return Measurable("cells <1>", mesh, known, GRID, image, image, facts, ("mind this",))
+    return Measurable("cells <1>", mesh, known, GRID, image, image, None, facts, ("mind this",))
 
 
 def test_it_says_all_that_matters(source):

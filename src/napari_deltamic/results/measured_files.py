@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 from ..common.writing import make_folder, write_atomically, written_together
 from ..geometry import Mesh, save_mesh
 from ..images.stacks import write_image
-from ..measure import Measurements
+from ..measure import Measurements, Table
 from ..scene import Grid
 from .exchange import cells_apart, labels_grid, labels_of, wall_attributes
 
@@ -34,6 +35,7 @@ def write_measurements(
     grid: Grid | None = None,
     voxel_size: Triple | None = None,
     page: str = "",
+    further: Sequence[Table] = (),
 ) -> list[Path]:
     """Write what was measured on a mesh; files of the same names are replaced, all or none.
 
@@ -52,10 +54,12 @@ def write_measurements(
         um, of the labels; by default that of the image.
     page
         As from :func:`~.html_page.html_page`.
+    further
+        Tables besides, as those of another channel.
 
     Returns
     -------
-    list of paths, in the order of ``MEASURED``.
+    list of paths, in the order of ``MEASURED``, further tables after the three.
 
     Raises
     ------
@@ -70,7 +74,7 @@ def write_measurements(
     of_walls = wall_attributes(mesh, measured)
     paths = []
     with written_together(folder / "cells.csv"):
-        for table in measured.tables:
+        for table in (*measured.tables, *further):
             paths.append(folder / f"{table.name}.csv")
             write_atomically(paths[-1], table.to_csv().encode())
         for name, one, numbers in (("cells", apart, of_cells), ("walls", mesh, of_walls)):

@@ -32,6 +32,7 @@ class Measurable:
     name : of the file or folder.
     grid, image : of what it was fitted to, where that is known.
     rendered : (Z, Y, X) the image that the fit expects; None where it is not known.
+    sigma : um, Z Y X; widths of the PSF, where they are known.
     facts : what to say of the fit: settings, verdict, versions; plain values.
     remarks : what could not be found, a sentence each.
     """
@@ -42,6 +43,7 @@ class Measurable:
     grid: Grid | None = None
     image: NDArray[Any] | None = None
     rendered: NDArray[Any] | None = None
+    sigma: Triple | None = None
     facts: Mapping[str, Any] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
 
@@ -124,12 +126,13 @@ def _of_folder(path: Path, image: str | Path | None, voxel_size: Triple | None) 
     if (path / "rendered.tif").is_file():
         rendered, _ = read_image(path / "rendered.tif")
         rendered = rendered if rendered.shape == pixels.shape else None
+    sigma = _widths(report.get("optics"))
     known = Known(
         grid=grid,
-        resolution=_resolution(report.get("optics")),
+        resolution=0.0 if sigma is None else float(np.prod(sigma) ** (1 / 3)),
         explained=_explained(report.get("residual")),
     )
-    return Measurable(path.name, mesh, known, grid, pixels, rendered, report)
+    return Measurable(path.name, mesh, known, grid, pixels, rendered, sigma, report)
 
 
 def _of_session(path: Path, errors: bool) -> Measurable:
@@ -160,6 +163,7 @@ def _of_session(path: Path, errors: bool) -> Measurable:
         grid,
         pixels,
         state.rendered(),
+        state.optics.sigma_um,
         facts,
         tuple(remarks),
     )
@@ -182,14 +186,14 @@ def _report(path: Path) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def _resolution(optics: Any) -> float:
+def _widths(optics: Any) -> Triple | None:
+    """The PSF's widths that a report tells; None where it does not."""
     sigma = optics.get("sigma_um") if isinstance(optics, dict) else None
     try:
-        widths = np.asarray(sigma, np.float64)
+        z, y, x = (float(s) for s in sigma or ())
     except (TypeError, ValueError):
-        return 0.0
-    usable = widths.shape == (3,) and np.isfinite(widths).all() and (widths > 0).all()
-    return float(np.prod(widths) ** (1 / 3)) if usable else 0.0
+        return None
+    return (z, y, x) if all(0 < s < np.inf for s in (z, y, x)) else None
 
 
 def _explained(residual: Any) -> dict[int, float]:

@@ -39,6 +39,20 @@ def add_parser(commands: Any) -> None:
         metavar=TRIPLE,
         help="um, of the label image (default: as the image; without one there are no labels)",
     )
+    add("--channel", metavar="FILE", help="another channel: how much of it is on walls, in cells")
+    add(
+        "--channel-on",
+        choices=("both", "walls", "insides"),
+        default="both",
+        help="what shines in it (default: %(default)s)",
+    )
+    add(
+        "--channel-sigma",
+        nargs=3,
+        type=float,
+        metavar=TRIPLE,
+        help="um; standard deviations of its PSF, to start with (default: those of the fit)",
+    )
     add("--errors", action="store_true", help="also standard errors; of a session, and slow")
     add("--overwrite", action="store_true", help="replace the results in DIR")
     add("-o", "--output", required=True, metavar="DIR", help="folder for the results")
@@ -46,8 +60,8 @@ def add_parser(commands: Any) -> None:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    check_files(arguments, "source", "image")
-    for name in ("voxel_size", "label_voxel"):
+    check_files(arguments, "source", "image", "channel")
+    for name in ("voxel_size", "label_voxel", "channel_sigma"):
         size = getattr(arguments, name)
         if size is not None and not all(isfinite(d) and d > 0 for d in size):
             option = name.replace("_", "-")
