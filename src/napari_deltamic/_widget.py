@@ -38,13 +38,13 @@ from .gui.running.run_control import RunControl
 from .gui.running.run_panel import RunPanel
 from .gui.running.run_progress import Snapshot
 from .gui.running.worker import FitRun
-from .gui.seeding.seed_kinds import Seeds
 from .gui.seeding.seeds_panel import SeedsPanel
 from .gui.tracking.control import TrackControl
 from .gui.tracking.panel import TrackPanel
 from .gui.viewing.cell_features import labels_layer
 from .gui.viewing.viewer_link import ViewerLink
 from .results.exchange import labels_of
+from .runs.seeds import Seeds
 from .runs.settings import RunSettings
 
 _WIDTH = 390  # px
@@ -113,6 +113,7 @@ class FitWidget(QWidget):
         self.control.shown.connect(self._show_psf)
         self.control.ended.connect(self._show_last_psf)
         self.control.began.connect(self._show_check)
+        self.running.again.clicked.connect(self._fit_again)
         self.image.changed.connect(self._show_own_psf)
         self.results.cell_chosen.connect(self._go_to)
         self.results.cells_chosen.connect(self._highlight)
@@ -189,7 +190,9 @@ class FitWidget(QWidget):
     def _colour_cells(self) -> None:
         if self._live.link is not None:
             key = self.results.coloured_by
-            self._live.link.colour_by(self.results.table.numbers(key) if key else None)
+            numbers = self.results.table.numbers(key) if key else None
+            self._live.link.colour_by(numbers)
+            self.results.show_scale(numbers)
 
     def _describe_cells(self) -> None:
         if self._live.link is not None:
@@ -239,6 +242,12 @@ class FitWidget(QWidget):
     def _not_copied(self, reason: str) -> None:
         self.running.tell(reason)
         _warn(reason)
+
+    def _fit_again(self) -> None:
+        """With all that a fit can estimate."""
+        self.settings.fit_psf.setChecked(True)
+        self.settings.density.setCurrentText("smooth")
+        self.start()
 
     def _show_check(self, fresh: bool) -> None:
         """Scroll to what a fit shows, once it begins."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from napari_deltamic import _widget
-from napari_deltamic.gui.seeding import seed_kinds
+from napari_deltamic.runs import seeds
 
 from .conftest import CENTER
 from .seeding import PLACE
@@ -26,13 +26,13 @@ def mixture(make_widget, with_image, ball_labels, monkeypatch, tmp_path):
 
 
 def test_membranes_are_found_in_the_background(mixture, told, spin, monkeypatch, tmp_path):
-    threads, find = [], seed_kinds.seeds_from_points
+    threads, find = [], seeds.seeds_from_points
 
     def watched(*arguments, **options):
         threads.append(threading.current_thread())
         return find(*arguments, **options)
 
-    monkeypatch.setattr(seed_kinds, "seeds_from_points", watched)
+    monkeypatch.setattr(seeds, "seeds_from_points", watched)
     mixture.header.copy_action.trigger()
     assert mixture.commands.busy
     assert "command" in mixture.running.note.text()

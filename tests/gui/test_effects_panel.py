@@ -217,6 +217,14 @@ def test_a_wrong_shape_is_not_called_good(seeded, spin):
     spin(lambda: seeded.running.grade.text() != "", seconds=60)
     assert not seeded.running.grade.text().startswith("Good")
     assert "before you use them" in seeded.running.grade.text()
+    # What may help is a button.
+    seeded.settings.max_iterations.setValue(5)
+    seeded.running.again.click()
+    fit = seeded.control.run_settings().fit
+    assert (fit.fit_psf, fit.density) == (True, "smooth")
+    spin(lambda: seeded.results.last[1].settings.fit.fit_psf, seconds=60)
+    spin(lambda: seeded.running.grade.text() != "", seconds=60)
+    assert seeded.running.again.isHidden()
 
 
 def test_the_time_shown_is_checked(series_widget, viewer, series, spin):

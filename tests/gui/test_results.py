@@ -16,6 +16,7 @@ from napari_deltamic.cli.inputs import gather
 from napari_deltamic.cli.messages import Notes
 from napari_deltamic.fitting.job import FitInput
 from napari_deltamic.geometry import files, sphere
+from napari_deltamic.gui.results.cell_columns import COLUMNS
 from napari_deltamic.images.stacks import read_image, write_image
 from napari_deltamic.results.report import History
 from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
@@ -251,3 +252,50 @@ def test_a_file_that_is_gone(from_file, pixels):
     path, image = copied()
     assert path == str(folder / "image.tif")
     np.testing.assert_array_equal(image, pixels)
+
+
+def test_cells_are_coloured_by_a_column_and_described(ended, spin):
+    results, link = ended.results, ended.link
+    spin(lambda: ended.running.grade.text() != "", seconds=60)
+    own = np.array(link.surface.data[2])
+    at = results.colour.findData("volume_um3")
+    assert at > 0
+    results.colour.setCurrentIndex(at)
+    volume = results.table.numbers("volume_um3")[1]
+    np.testing.assert_allclose(link.surface.data[2], volume)
+    assert "volume" in results.scale.text()
+    assert link.surface.features["volume_um3"].to_numpy() == pytest.approx(volume)
+    assert len(link.surface.features) == len(link.surface.data[0])
+    results.colour.setCurrentIndex(0)
+    np.testing.assert_array_equal(link.surface.data[2], own)
+    assert results.scale.text() == ""
+
+
+def test_columns_are_chosen(ended, spin):
+    table = ended.results.table
+    spin(lambda: ended.running.grade.text() != "", seconds=60)
+    keys = [column.key for column in COLUMNS]
+    assert table.isColumnHidden(keys.index("half_axis_1_um"))
+    table.show_column("half_axis_1_um")
+    assert not table.isColumnHidden(keys.index("half_axis_1_um"))
+    assert "half axis 1, µm" in table.as_text().splitlines()[0]
+    menu = ended.results._shown
+    menu.aboutToShow.emit()
+    chosen = {action.text(): action for action in menu.actions()}
+    assert chosen["half axis 1, µm"].isChecked()
+    chosen["half axis 1, µm"].setChecked(False)
+    assert table.isColumnHidden(keys.index("half_axis_1_um"))
+    assert table.isColumnHidden(keys.index("pressure_per_um"))  # one cell has none
+    table.show_column("pressure_per_um")
+    assert table.isColumnHidden(keys.index("pressure_per_um"))
+
+
+def test_the_result_becomes_a_labels_layer_with_measurements(ended, viewer, spin):
+    spin(lambda: ended.running.grade.text() != "", seconds=60)
+    ended.results.labels_wanted.emit()
+    layer = viewer.layers["cell labels"]
+    inside = ended.link.frame.voxel_size
+    volume = np.count_nonzero(layer.data == 1) * np.prod(inside)
+    assert volume == pytest.approx(ended.results.table.numbers("volume_um3")[1], rel=0.1)
+    assert layer.features["volume_um3"].iloc[0] == ended.results.table.numbers("volume_um3")[1]
+    assert layer.features["index"].tolist() == [1]

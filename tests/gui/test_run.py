@@ -268,7 +268,7 @@ def test_the_command_repeats_the_run(seeded, with_image, tmp_path):
     assert job.settings == settings
     assert job.grid == grid
     np.testing.assert_array_equal(job.image, pixels)
-    start = seeds.mesh(pixels, grid)
+    start = seeds.make(pixels, grid)
     np.testing.assert_allclose(job.mesh.vertices_numpy(), start.vertices_numpy(), atol=1e-5)
 
 

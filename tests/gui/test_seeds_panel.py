@@ -80,7 +80,7 @@ def test_each_source_alone(panel, with_image, ball_labels):
     assert taken(panel).kind == "rough"
     panel.chooser.choose(points, False)
     labels = with_image.add_labels(ball_labels, **PLACE)
-    mesh = taken(panel).mesh(panel._image.stack(), grid_of(panel))
+    mesh = taken(panel).make(panel._image.stack(), grid_of(panel))
     assert mesh.region_ids().tolist() == [3]
     panel.chooser.choose(labels, False)
     with pytest.raises(InputError, match="no cells yet"):
@@ -95,7 +95,7 @@ def test_all_sources_mixed_give_regions_of_their_own(
     panel.use_file(str(mesh_file))
     spin(lambda: "start" in with_image.layers)
     seeds = taken(panel)
-    mesh = seeds.mesh(panel._image.stack(), grid_of(panel))
+    mesh = seeds.make(panel._image.stack(), grid_of(panel))
     assert len(mesh.region_ids()) == 3
     of_region = [mesh.faces[(mesh.regions == k).any(axis=1)] for k in mesh.region_ids()]
     middles = sorted(mesh.vertices_numpy()[np.unique(faces), 1].mean() for faces in of_region)
@@ -120,7 +120,7 @@ def test_points_of_several_layers_are_one_set(panel, with_image, tmp_path):
     with_image.add_points([np.add(CENTER, (0, 0.2, 0.2))], name="more", **FRAME)
     seeds = taken(panel)
     with pytest.warns(RepairWarning, match="points 1 and 2 lie in the same region"):
-        seeds.mesh(panel._image.stack(), grid_of(panel))
+        seeds.make(panel._image.stack(), grid_of(panel))
     path = seeds.save(tmp_path, panel._image.stack(), grid_of(panel))
     assert path.name == "seeds.csv"
     assert len(path.read_text().splitlines()) == 3
@@ -146,7 +146,7 @@ def test_the_command_repeats_a_mixed_run(
     settings = with_files(widget.run_settings(seeds), pixels, grid, seeds, tmp_path)
     words = shlex.split(command(settings, str(tmp_path / "result")))
     repeated = gather(build_parser().parse_args(words[1:]), Notes())
-    run = assemble(widget.run_settings(seeds), pixels, grid, seeds.mesh(pixels, grid), seeds.kind)
+    run = assemble(widget.run_settings(seeds), pixels, grid, seeds.make(pixels, grid), seeds.kind)
     assert repeated.settings.fit == run.settings.fit
     np.testing.assert_array_equal(repeated.mesh.faces, run.mesh.faces)
     np.testing.assert_array_equal(repeated.mesh.regions, run.mesh.regions)
@@ -169,7 +169,7 @@ def test_mesh_files_become_layers_in_the_frame_of_the_image(panel, with_image, m
     assert world.mean(axis=0) == pytest.approx(np.add((4.0, 3.4, 3.4), (1, 2, 3)), abs=0.05)
     panel.chooser.choose(layers[1], False)
     assert taken(panel).path == str(mesh_file)
-    mesh = taken(panel).mesh(None, None)
+    mesh = taken(panel).make(None, None)
     np.testing.assert_array_equal(mesh.vertices_numpy(), load_mesh(mesh_file).vertices_numpy())
 
 
@@ -199,7 +199,7 @@ def test_cells_found_are_seeds_that_can_be_corrected(panel, with_image, finder, 
     assert finder == [2.5]
     assert panel.find_cells.cell_size.value() == pytest.approx(2.5, abs=0.01)
     assert "Found 1 cell of about 2.5 um" in panel.note.text()
-    assert taken(panel).mesh(None, grid_of(panel)).region_ids().tolist() == [1]
+    assert taken(panel).make(None, grid_of(panel)).region_ids().tolist() == [1]
     panel.find_cells.cell_size.setValue(1.25)
     panel.chooser.choose(layer, False)
     panel.find_cells.click()

@@ -194,7 +194,7 @@ def test_seeds_of_all_kinds_come_back(make_widget, with_image, spin, tmp_path, r
     assert viewer.layers["painted"].data.dtype == np.uint16
     frame = after.image.frame()
     pixels, grid = after.image.stack(), frame.grid(image.data.shape)
-    one, other = (w.seeds.seeds(w.image.frame()).mesh(pixels, grid) for w in (widget, after))
+    one, other = (w.seeds.seeds(w.image.frame()).make(pixels, grid) for w in (widget, after))
     np.testing.assert_array_equal(one.vertices, other.vertices)
     np.testing.assert_array_equal(one.regions, other.regions)
     assert not after.results.isEnabled()

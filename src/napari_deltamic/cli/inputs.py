@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.choices import IMAGE_FILES
+from ..common.choices import AUTO
 from ..errors import InputError
 from ..fitting.checks import check_image
-from ..fitting.job import SIGMA_IN_VOXELS, FitInput, SeedKind, assemble
-from ..geometry import Mesh, load_mesh, mesh_from_labels, read_points_csv, seeds_from_points
-from ..geometry.formats import MESH_FILES
-from ..images.missing import filled
+from ..fitting.job import SIGMA_IN_VOXELS, FitInput, assemble
+from ..geometry import Mesh
 from ..images.stacks import VoxelSize, read_image
+from ..runs.seeds import SeedKind, seeds_of
 from ..runs.settings import FitSettings, RunSettings, SceneSettings, validated
 from ..scene import Grid
 from ..scene.effects import Effects
@@ -49,37 +48,18 @@ def gather(arguments: argparse.Namespace, notes: Notes) -> FitInput:
 
 
 def load_seeds(path: str, image: NDArray[Any], grid: Grid) -> tuple[Mesh, SeedKind]:
-    """Starting surfaces from a file, by its extension: mesh, label image, or points.
+    """Starting surfaces from a file or "auto", and how near to the membranes they lie.
 
-    Returns the mesh and how near to the membranes it lies: "rough" for meshes and spheres,
-    "labels", or "image" where all follows from points in the image alone (neighbours without a
-    point would then attract it). Raises InputError as the readers do.
+    Raises
+    ------
+    InputError
+        As the readers do; it names the file.
     """
-    kind = Path(path).suffix.lower()
-    if kind in MESH_FILES:
-        return load_mesh(path), "rough"
-    if kind in IMAGE_FILES:
-        labels, _ = read_image(path)
-        if labels.shape != grid.shape:
-            raise InputError(f"{path}: labels of shape {labels.shape}, the image {grid.shape}")
-        return _naming(path, mesh_from_labels, labels, grid.voxel_size, grid.origin), "labels"
-    if kind == ".csv":
-        points, radii = read_points_csv(path)
-        whole = filled(image)
-        mesh = _naming(path, seeds_from_points, whole, grid.voxel_size, points, radii, grid.origin)
-        spheres = radii is not None and bool((np.nan_to_num(radii) > 0).any())
-        return mesh, "rough" if spheres else "image"
-    known = ", ".join((*MESH_FILES, *IMAGE_FILES, ".csv"))
-    raise InputError(f"{path}: unknown extension '{kind}' for seeds; known are {known}")
-
-
-def _naming(path: str, function: Any, *arguments: Any) -> Mesh:
-    """The function's mesh; its InputError says which file it is about."""
+    seeds = seeds_of(path)
     try:
-        mesh: Mesh = function(*arguments)
+        return seeds.make(image, grid), seeds.kind
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    return mesh
 
 
 def run_values(
@@ -93,7 +73,7 @@ def run_values(
         given = getattr(arguments, name)
         if given is not None:
             # Absolute, so that run.toml can be used from any folder.
-            values[name] = str(Path(given).absolute())
+            values[name] = given if given == AUTO else str(Path(given).absolute())
     values["fit"] |= values_given(arguments, FitSettings)
     values["scene"] |= values_given(arguments, SceneSettings, ("voxel_size", "sigma"))
     optics = optics_values(arguments)

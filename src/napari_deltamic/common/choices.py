@@ -36,3 +36,5 @@ EFFECTS = (
 
 TIFF = (".tif", ".tiff")
 IMAGE_FILES = (*TIFF, ".npy")
+
+AUTO = "auto"  # in the place of a file of seeds: cells are looked for in the image

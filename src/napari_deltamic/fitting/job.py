@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +13,12 @@ from numpy.typing import NDArray
 from ..geometry import Mesh
 from ..optics import GaussianPSF, Optics
 from ..runs.optics_settings import optics_from_values
+from ..runs.seeds import SeedKind as SeedKind
 from ..runs.settings import NEAR_LEVELS, RunSettings, SceneSettings
 from ..scene import Grid
 from . import FitState, counted_voxels, fit
 from .default_accuracy import accuracy_for_image
 
-# How near to the membranes starting surfaces lie: "rough" for meshes and spheres, "labels", or
-# "image" where all follow from points in the image alone (neighbours without a point would then
-# attract them).
-SeedKind = Literal["rough", "labels", "image"]
 SIGMA_IN_VOXELS = 1.2  # where the user gives none
 
 

@@ -88,6 +88,7 @@ class RunFields(Settings):
     image: str = setting(title="image", tip="image file, .tif or .npy", flag=None)
     seeds: str = setting(
         title="cells",
-        tip="where the fit starts: a mesh, a label image, or a CSV (z,y,x or z,y,x,radius; um)",
+        tip="where the fit starts: a mesh, a label image, a CSV (z,y,x or z,y,x,radius; um), or "
+        "auto, which looks for the cells of the image",
         metavar="FILE",
     )

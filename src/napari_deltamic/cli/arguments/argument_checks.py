@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from ...common.choices import AUTO
 from ...errors import InputError
 
 
@@ -12,7 +13,8 @@ def check_files(arguments: argparse.Namespace, *names: str) -> None:
     """InputError unless the files that these arguments name are there."""
     for name in names:
         path = getattr(arguments, name)
-        if path is not None and not Path(path).exists():
+        asked = path is not None and not (name == "seeds" and path == AUTO)
+        if asked and not Path(path).exists():
             raise InputError(f"{path}: there is no such file")
 
 

@@ -137,7 +137,7 @@ class EffectsCheck(Inquiry):
             def prepare() -> FitInput:
                 pixels = read()
                 check_image(pixels, grid)
-                start = seeds.mesh(pixels, grid)
+                start = seeds.make(pixels, grid)
                 return assemble(run, pixels, grid, start, seeds.kind, second)
 
             return Question(prepare, None)

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from ...images.stacks import holds_image
 from ...runs.command import command
+from ...runs.seeds import Seeds
 from ...runs.settings import RunSettings
 from ...scene import Grid
 from ..background import Background
-from ..seeding.seed_kinds import Seeds
 from .run_files import needs_folder, with_files, with_second_file
 
 

@@ -30,7 +30,8 @@ from ...measure.table import csv_text
 from ...results.colouring import colour_indices
 from ...results.report import History, write_results
 from ..qt import Signal
-from .cell_columns import value_of
+from ..widgets import Note
+from .cell_columns import COLUMNS, value_of
 from .cell_table import CellTable
 
 IMAGE_FILES = "OME-TIFF (*.ome.tif *.ome.tiff);;ImageJ TIFF (*.tif *.tiff)"
@@ -78,6 +79,8 @@ class ResultsPanel(QGroupBox):
         for widget in (self.colour, self.columns, self.export):
             row.addWidget(widget)
         layout.addLayout(row)
+        self.scale = Note(self)
+        layout.addWidget(self.scale)
         self._offer_colours()
         self.colour.currentIndexChanged.connect(self._colour_chosen)
         self.setEnabled(False)
@@ -95,6 +98,15 @@ class ResultsPanel(QGroupBox):
         self.table.show_more(cells)
         self._offer_colours()
         self.measured.emit()
+
+    def show_scale(self, numbers: Mapping[int, float] | None) -> None:
+        """Between which numbers the colours lie; None: each cell has its own."""
+        column = next((c for c in COLUMNS if c.key == self.coloured_by), None)
+        if not numbers or column is None:
+            self.scale.say("")
+            return
+        low, high = (column.text(limit) for limit in (min(numbers.values()), max(numbers.values())))
+        self.scale.say(f"{column.name}: from {low} (dark blue) to {high} (yellow)")
 
     @property
     def coloured_by(self) -> str:

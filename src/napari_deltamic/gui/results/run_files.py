@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from ...geometry.formats import MESH_FILES
 from ...images.stacks import write_image
+from ...runs.seeds import Seeds
 from ...runs.settings import NEAR_LEVELS, RunSettings
 from ...scene import Grid
-from ..seeding.seed_kinds import Seeds
 
 
 def needs_folder(settings: RunSettings) -> bool:

@@ -145,6 +145,8 @@ class Overlays(QObject):
         if found is None or not own or self._panels.results.last is None:
             running.show_grade("", "")
         else:
+            fit = self._panels.results.last[1].settings.fit
+            running.estimates_all(fit.fit_psf and fit.density == "smooth")
             running.show_grade(GRADES.grade(found.explained), verdict(found), bool(found.spots))
 
     def forget(self) -> None:

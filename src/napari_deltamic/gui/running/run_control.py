@@ -21,11 +21,11 @@ from ...fitting.job import FitInput, assemble, scene_with
 from ...geometry import Mesh
 from ...results.report import History
 from ...results.timeline import Moment, Timeline
+from ...runs.seeds import Seeds
 from ...runs.settings import NEAR_LEVELS, RunSettings
 from ..attempt import attempt
 from ..editing.edits import Present, changed_by_hand
 from ..qt import Signal
-from ..seeding.seed_kinds import Seeds
 from ..viewing.frame import Frame
 from ..viewing.viewer_link import ViewerLink
 from .composition import Live, Panels
@@ -247,7 +247,7 @@ class RunControl(QObject):
 
         def prepare() -> FitInput:
             check_image(pixels, grid)  # which takes a while where the image is large
-            start = seeds.mesh(pixels, grid)
+            start = seeds.make(pixels, grid)
             job = assemble(settings, pixels, grid, start, seeds.kind, second)
             tell_doubts(job)
             return job

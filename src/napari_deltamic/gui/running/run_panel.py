@@ -52,11 +52,18 @@ class RunPanel(QGroupBox):
         self.message = footer.message
         self.last_verdict = ("", "")
         self._of_a_fit: tuple[QWidget, ...] = ()
+        self._all_estimated = False
         self.verdict = QLabel(self)
         self.verdict.setWordWrap(True)
         self.grade = Note(self)
         self.worst = QPushButton("Worst place", self)
         self.worst.setToolTip("<qt>Go to where the image differs most from the model.</qt>")
+        self.again = QPushButton("Fit again: estimate PSF and brightness", self)
+        self.again.setToolTip(
+            "<qt>Fit once more from these cells, and let the fit find how wide the PSF is and how "
+            "bright each part of the membranes is.</qt>"
+        )
+        self.again.hide()
         self.remarks = RemarkList(self)
         self.note = Note(self)
         self.edit = EditBar(self)
@@ -150,7 +157,12 @@ class RunPanel(QGroupBox):
         self.grade.setStyleSheet(f"color: {colour}; font-weight: bold;")
         self.grade.say(text)
         self.worst.setVisible(worst)
+        self.again.setVisible(grade in ("fair", "poor") and not self._all_estimated)
         self._show_some()
+
+    def estimates_all(self, yes: bool) -> None:
+        """Whether the fit estimated all that it can."""
+        self._all_estimated = yes
 
     def show_sigmas(self, moments: Sequence[Moment]) -> None:
         """The widths of the PSF over the fit; nothing where they never changed."""
@@ -181,6 +193,7 @@ class RunPanel(QGroupBox):
         self.course = Fold("Numbers that the fit moved", inner, self)
         layout = QVBoxLayout(self)
         layout.addWidget(self.grade)
+        layout.addWidget(self.again)
         layout.addWidget(self.verdict)
         rest: tuple[QWidget, ...] = (self.note, self.remarks)
         for widget in rest:

@@ -17,6 +17,7 @@ from qtpy.QtWidgets import QWidget
 from ...errors import InputError
 from ...geometry import Click, read_clicks_csv, write_clicks_csv
 from ...geometry.labels.label_edits import Action, Corrector
+from ...runs.seeds import LabelSeeds
 from ..attempt import attempt
 from ..background import Background
 from ..connections import Connections
@@ -24,7 +25,7 @@ from ..qt import Signal
 from ..viewing.frame import FloatArray, Frame
 from .correct_bar import CorrectBar, Tool
 from .label_clicks import Before, can_undo, clicks_of, note, put, undo
-from .seed_kinds import LabelSeeds, seeds_from_layer
+from .seed_kinds import seeds_from_layer
 
 _STILL = 5.0  # px: a mouse that moves further drags
 _UNDO = "Control-Z"

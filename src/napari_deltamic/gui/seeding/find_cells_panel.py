@@ -13,6 +13,8 @@ from qtpy.QtWidgets import QPushButton, QWidget
 from superqt import QLabeledDoubleSlider
 
 from ...errors import InputError
+from ...runs.seeds import FoundSeeds
+from ...scene import Grid
 from ..background import Background
 from ..qt import Signal
 from ..viewing.colours import label_colormap
@@ -168,11 +170,12 @@ class FindCells(QPushButton):
 
 
 def look(
-    image: NDArray[Any], voxel_size: tuple[float, ...], size: float | None
+    image: NDArray[Any], voxel_size: tuple[float, float, float], size: float | None
 ) -> tuple[float, NDArray[np.int32]]:
     """The cell size used (um; None: estimated) and the labels (Z, Y, X)."""
     # Imported when it is first needed, and in the thread, as that takes a while.
-    from ...geometry.labels.find_cells import find_cells, suggest_size
+    from ...geometry.labels.find_cells import suggest_size
 
     used = float(suggest_size(image, voxel_size)) if size is None else size
-    return used, np.asarray(find_cells(image, voxel_size, used), np.int32)
+    shape: Any = np.shape(image)
+    return used, FoundSeeds(used).labels(image, Grid(shape, voxel_size))

@@ -8,10 +8,11 @@ import numpy as np
 from napari.layers import Labels, Points
 
 from ...errors import InputError
+from ...runs.seeds import PointSeeds, Seeds, mixed
 from ..viewing.frame import Frame, shape_of, stack_of
 from .preview import Problem, Wanted
 from .seed_checks import PointSet, Remark, all_remarks
-from .seed_kinds import PointSeeds, Seeds, at_time, is_empty, mixed, seeds_from_layer, without_place
+from .seed_kinds import at_time, is_empty, seeds_from_layer, without_place
 
 NO_CELLS = "no cells yet: press 'Find cells', or 'Click cells' and click inside each"
 

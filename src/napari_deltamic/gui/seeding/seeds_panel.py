@@ -19,6 +19,7 @@ from qtpy.QtWidgets import (
 from superqt import QLabeledDoubleSlider
 
 from ...errors import InputError
+from ...runs.seeds import Seeds
 from ..connections import Connections
 from ..qt import Signal
 from ..viewing.frame import Frame, made_by_fit
@@ -30,7 +31,6 @@ from .find_cells_panel import FindCells
 from .mesh_files import MeshFiles
 from .preview import Preview, Wanted
 from .remarks import Remarks
-from .seed_kinds import Seeds
 from .seed_list import SeedList
 from .seed_sources import SeedSources
 from .sphere_drawing import SphereDrawing

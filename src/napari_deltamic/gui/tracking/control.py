@@ -12,6 +12,7 @@ from ...errors import InputError
 from ...fitting.job import FitInput, assemble, optics_of
 from ...results.session_file import SavedTracks
 from ...results.track_report import write_frame, write_tracks
+from ...runs.seeds import Seeds
 from ...runs.settings import validated
 from ...runs.track_run import TrackRun
 from ...scene import Grid
@@ -19,7 +20,6 @@ from ...tracking import FrameResult, TrackSettings
 from ..attempt import attempt
 from ..running.composition import Live, Panels
 from ..running.run_control import RunControl
-from ..seeding.seed_kinds import Seeds
 from ..viewing.frame import Frame
 from .layers import TrackLayers
 from .panel import TrackPanel
@@ -293,6 +293,6 @@ def _reopened(tracks: SavedTracks, frame: Frame, frames: Frames) -> TrackJob | N
 def _prepared(settings: TrackRun, frames: Frames, grid: Grid, seeds: Seeds) -> TrackJob:
     """The job, put together in the thread."""
     pixels = frames[settings.track.first]
-    first = assemble(settings, pixels, grid, seeds.mesh(pixels, grid), seeds.kind)
+    first = assemble(settings, pixels, grid, seeds.make(pixels, grid), seeds.kind)
     whole = settings.model_copy(update={"fit": first.settings.fit})
     return TrackJob(first, frames, whole, seeds.kind == "image")

@@ -1,0 +1,228 @@
+"""Where a fit starts: kinds of seeds, each of which makes surfaces; for commands and window."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, Protocol, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..common.choices import AUTO, IMAGE_FILES
+from ..common.writing import write_atomically
+from ..errors import InputError
+from ..geometry import (
+    Mesh,
+    load_mesh,
+    mesh_from_labels,
+    read_points_csv,
+    save_mesh,
+    seeds_from_points,
+)
+from ..geometry.formats import MESH_FILES
+from ..geometry.mesh import FloatArray
+from ..images.missing import filled
+from ..images.stacks import read_image, write_image
+from ..scene import Grid
+
+# How near to the membranes starting surfaces lie: "rough" for meshes and spheres, "labels", or
+# "image" where all follow from points in the image alone (neighbours without a point would then
+# attract them).
+SeedKind = Literal["rough", "labels", "image"]
+
+
+class Seeds(Protocol):
+    """Where a fit starts."""
+
+    @property
+    def kind(self) -> SeedKind:
+        """How near to the membranes the surfaces lie."""
+
+    @property
+    def path(self) -> str:
+        """The file that they are, or '' if they only live in the viewer."""
+
+    def make(self, image: NDArray[Any], grid: Grid) -> Mesh:
+        """The starting surfaces; may take seconds. InputError if they cannot be used."""
+
+    def save(self, folder: Path, image: NDArray[Any], grid: Grid) -> Path:
+        """Write what the command line takes as ``--seeds``."""
+
+
+@dataclass(frozen=True)
+class PointSeeds:
+    """A point inside each cell: a sphere where its radius (um) is known, else (nan, or without
+    radii) the surface that the image gives.
+    """
+
+    points: FloatArray
+    radii: FloatArray | None
+    path: str = ""
+
+    @property
+    def kind(self) -> SeedKind:
+        """See ``Seeds``."""
+        spheres = self.radii is not None and bool((np.nan_to_num(self.radii) > 0).any())
+        return "rough" if spheres else "image"
+
+    def make(self, image: NDArray[Any], grid: Grid) -> Mesh:
+        """See ``Seeds``."""
+        whole = filled(image)
+        return seeds_from_points(whole, grid.voxel_size, self.points, self.radii, grid.origin)
+
+    def save(self, folder: Path, image: NDArray[Any], grid: Grid) -> Path:
+        """See ``Seeds``."""
+        rows = self.points if self.radii is None else np.column_stack([self.points, self.radii])
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(["z", "y", "x", "radius"][: rows.shape[1]])
+        # An empty radius is one that is not known.
+        writer.writerows([[repr(float(v)) if v == v else "" for v in row] for row in rows])
+        path = folder / "seeds.csv"
+        write_atomically(path, text.getvalue().encode())
+        return path
+
+
+@dataclass(frozen=True)
+class LabelSeeds:
+    """A label image on the same voxels."""
+
+    labels: NDArray[Any]
+    path: str = ""
+    kind: SeedKind = "labels"
+
+    def make(self, image: NDArray[Any], grid: Grid) -> Mesh:
+        """See ``Seeds``."""
+        if self.labels.shape != grid.shape:
+            raise InputError(
+                f"the labels have shape {self.labels.shape}, the image {grid.shape}: "
+                "they must cover the same voxels"
+            )
+        return mesh_from_labels(self.labels, grid.voxel_size, grid.origin)
+
+    def save(self, folder: Path, image: NDArray[Any], grid: Grid) -> Path:
+        """See ``Seeds``."""
+        path = folder / "seeds.tif"
+        high = int(self.labels.max(initial=0))
+        if high > np.iinfo(np.uint16).max:
+            raise InputError(f"label {high} is too large for a label image file")
+        write_image(path, self.labels.astype(np.uint16), grid.voxel_size)
+        return path
+
+
+@dataclass(frozen=True)
+class MeshSeeds:
+    """Surfaces as they are."""
+
+    surface: Mesh
+    path: str = ""
+    kind: SeedKind = "rough"
+
+    def make(self, image: NDArray[Any], grid: Grid) -> Mesh:
+        """See ``Seeds``."""
+        return self.surface
+
+    def save(self, folder: Path, image: NDArray[Any], grid: Grid) -> Path:
+        """See ``Seeds``."""
+        path = folder / "seeds.ply"
+        save_mesh(self.surface, path)
+        return path
+
+
+@dataclass(frozen=True)
+class MixedSeeds:
+    """Seeds of several kinds; the surfaces of all, each with regions of its own."""
+
+    parts: tuple[Seeds, ...]
+    path: str = ""
+
+    @property
+    def kind(self) -> SeedKind:
+        """See ``Seeds``: as far from the membranes as any part."""
+        kinds = {part.kind for part in self.parts}
+        return next(kind for kind in get_args(SeedKind) if kind in kinds)
+
+    def make(self, image: NDArray[Any], grid: Grid) -> Mesh:
+        """See ``Seeds``."""
+        return Mesh.merge([part.make(image, grid) for part in self.parts])
+
+    def save(self, folder: Path, image: NDArray[Any], grid: Grid) -> Path:
+        """See ``Seeds``: a mesh file, which holds any mixture; may take seconds."""
+        return MeshSeeds(self.make(image, grid)).save(folder, image, grid)
+
+
+def mixed(parts: Sequence[Seeds]) -> Seeds:
+    """One seeds object of several.
+
+    Points go together, so that two in one cell are seen even if they are in two layers.
+    """
+    points = [part for part in parts if isinstance(part, PointSeeds)]
+    others = [part for part in parts if not isinstance(part, PointSeeds)]
+    together = [_joined(points), *others] if points else others
+    return together[0] if len(together) == 1 else MixedSeeds(tuple(together))
+
+
+def _joined(parts: Sequence[PointSeeds]) -> PointSeeds:
+    if len(parts) == 1:
+        return parts[0]
+    radii = None
+    if any(part.radii is not None for part in parts):
+        unknown = [np.full(len(part.points), np.nan) for part in parts]
+        radii = np.concatenate(
+            [
+                u if part.radii is None else part.radii
+                for u, part in zip(unknown, parts, strict=True)
+            ]
+        )
+    return PointSeeds(np.concatenate([part.points for part in parts]), radii)
+
+
+@dataclass(frozen=True)
+class FoundSeeds:
+    """The cells of a membrane image, found without a click."""
+
+    size: float | None = None  # um, the diameter of a typical cell; None: estimated
+    path: str = AUTO
+    kind: SeedKind = "labels"
+
+    def make(self, image: NDArray[Any], grid: Grid) -> Mesh:
+        """See ``Seeds``."""
+        return LabelSeeds(self.labels(image, grid)).make(image, grid)
+
+    def save(self, folder: Path, image: NDArray[Any], grid: Grid) -> Path:
+        """See ``Seeds``."""
+        return LabelSeeds(self.labels(image, grid)).save(folder, image, grid)
+
+    def labels(self, image: NDArray[Any], grid: Grid) -> NDArray[np.int32]:
+        """(Z, Y, X) the cells. InputError where there are none."""
+        # Imported where it is needed, as that takes a while.
+        from ..geometry.labels.find_cells import find_cells, suggest_size
+
+        whole = filled(image)
+        size = suggest_size(whole, grid.voxel_size) if self.size is None else self.size
+        return np.asarray(find_cells(whole, grid.voxel_size, size), np.int32)
+
+
+def seeds_of(path: str) -> Seeds:
+    """Seeds from a file, by its extension: mesh, label image, or points; or "auto".
+
+    Raises
+    ------
+    InputError
+        If the extension is unknown, or the file cannot be read.
+    """
+    if path == AUTO:
+        return FoundSeeds()
+    kind = Path(path).suffix.lower()
+    if kind in MESH_FILES:
+        return MeshSeeds(load_mesh(path), path)
+    if kind in IMAGE_FILES:
+        return LabelSeeds(read_image(path)[0], path)
+    if kind == ".csv":
+        return PointSeeds(*read_points_csv(path), path)
+    known = ", ".join((*MESH_FILES, *IMAGE_FILES, ".csv"))
+    raise InputError(f"{path}: unknown extension '{kind}' for seeds; known are {known}, or {AUTO}")

@@ -1,0 +1,77 @@
+"""Kinds of seeds: each makes surfaces, and what it saves makes the same again."""
+
+import numpy as np
+import pytest
+
+import napari_deltamic as nd
+from napari_deltamic.errors import InputError
+from napari_deltamic.geometry import sphere
+from napari_deltamic.runs.seeds import (
+    FoundSeeds,
+    LabelSeeds,
+    MeshSeeds,
+    PointSeeds,
+    mixed,
+    seeds_of,
+)
+
+GRID = nd.Grid((20, 24, 24), (0.3, 0.2, 0.2))
+CENTER = (2.9, 2.3, 2.3)
+
+
+@pytest.fixture(scope="module")
+def image():
+    """One cell, bright on its membrane."""
+    truth = sphere(CENTER, 1.3, edge_length=0.3)
+    rendered = nd.render(truth, GRID, nd.GaussianPSF((0.36, 0.24, 0.24))).numpy()
+    return 100 + 400 * rendered / rendered.max()
+
+
+def labels():
+    z, y, x = np.indices(GRID.shape) * np.reshape(GRID.voxel_size, (3, 1, 1, 1))
+    inside = (z - CENTER[0]) ** 2 + (y - CENTER[1]) ** 2 + (x - CENTER[2]) ** 2 < 1.2**2
+    return 7 * inside.astype(np.uint8)
+
+
+KINDS = {
+    "points": (PointSeeds(np.array([CENTER]), None), "image"),
+    "spheres": (PointSeeds(np.array([CENTER]), np.array([1.1])), "rough"),
+    "labels": (LabelSeeds(labels()), "labels"),
+    "mesh": (MeshSeeds(sphere(CENTER, 1.1, edge_length=0.4)), "rough"),
+    "found": (FoundSeeds(2.4), "labels"),
+}
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_a_kind_makes_a_closed_surface_and_saves_itself(name, image, tmp_path):
+    seeds, kind = KINDS[name]
+    mesh = seeds.make(image, GRID)
+    assert mesh.is_closed()
+    assert 2 < mesh.region_volume(int(mesh.region_ids()[0])) < 14  # 9.2 um^3 inside the membrane
+    assert seeds.kind == kind
+    again = seeds_of(str(seeds.save(tmp_path, image, GRID)))
+    np.testing.assert_allclose(again.make(image, GRID).bounds(), mesh.bounds(), atol=0.01)
+
+
+def test_of_a_mixture_all_parts_are_there(image):
+    apart = MeshSeeds(sphere((2.9, 1.0, 4.2), 0.4, edge_length=0.2))
+    both = mixed([KINDS["spheres"][0], apart])
+    assert len(both.make(image, GRID).region_ids()) == 2
+    assert both.kind == "rough"
+    assert mixed([apart]) is apart
+
+
+def test_auto_looks_for_cells(image):
+    seeds = seeds_of("auto")
+    assert isinstance(seeds, FoundSeeds)
+    assert seeds.path == "auto"
+    found = seeds.labels(image, GRID)
+    at = tuple(np.round(np.array(CENTER) / GRID.voxel_size).astype(int))
+    assert found[at] > 0
+
+
+def test_what_is_no_file_of_seeds(tmp_path):
+    with pytest.raises(InputError, match=r"unknown extension '\.doc'.*or auto"):
+        seeds_of(str(tmp_path / "seeds.doc"))
+    with pytest.raises(InputError, match="shape"):
+        LabelSeeds(np.ones((2, 2, 2), int)).make(np.zeros(GRID.shape), GRID)
