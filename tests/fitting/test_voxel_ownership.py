@@ -4,7 +4,7 @@ from numpy.testing import assert_array_equal
 
 from napari_deltamic import Grid, Mesh
 from napari_deltamic.fitting import counted_voxels
-from napari_deltamic.fitting.voxel_ownership import surface_voxels
+from napari_deltamic.fitting.voxel_ownership import counted_around, surface_voxels
 from napari_deltamic.geometry import box, sphere
 from synthetic import CENTER, GRID, OPTICS, RADIUS, TRUTH, measured
 
@@ -73,3 +73,30 @@ def test_surface_voxels_of_large_triangles_have_no_holes():
     grid = Grid((4, 120, 120), (1, 1, 1))
     surface = surface_voxels(box((1, 60, 60), (2, 100, 100)), grid)
     assert_array_equal(surface[2, 10:111, 10:111], True)
+
+
+def test_a_start_beside_its_membrane_gets_the_ground_of_its_cell(neighbours):
+    grid, image, other = neighbours
+    start = sphere(np.add(CENTER, (0.1, 0.2, 0.1)), 0.7 * RADIUS)
+    counted = counted_around(image, grid, start, OPTICS)
+    assert counted[from_surface(grid, CENTER, RADIUS) < 0.25].mean() > 0.98
+    assert counted[from_surface(grid, other, RADIUS) < 0.05].mean() < 0.02
+
+
+def test_a_start_in_no_dark_region_claims_nothing(neighbours):
+    grid, image, _ = neighbours
+    assert counted_around(image, grid, sphere((1.2, 1.2, 1.2), 0.3), OPTICS) is None
+
+
+def test_light_inside_a_cell_is_its_own():
+    inner = sphere(CENTER, 0.4 * RADIUS, subdivisions=3)
+    image = measured(GRID, Mesh.merge([TRUTH, inner]), noise=0)
+    assert counted_voxels(image, GRID, TRUTH, OPTICS).all()
+
+
+def test_haze_all_around_is_nobodys():
+    away = np.moveaxis(np.indices(GRID.shape), 0, -1) * GRID.voxel_size + GRID.origin
+    outside = np.linalg.norm(away - CENTER, axis=-1) > RADIUS
+    image = measured(noise=0)
+    hazy = image + 0.5 * (image.max() - image.min()) * outside
+    assert counted_voxels(hazy.astype(np.float32), GRID, TRUTH, OPTICS).mean() > 0.95

@@ -18,6 +18,7 @@ from ..runs.settings import NEAR_LEVELS, RunSettings, SceneSettings
 from ..scene import Grid
 from . import FitState, counted_voxels, fit
 from .default_accuracy import accuracy_for_image
+from .voxel_ownership import counted_around
 
 SIGMA_IN_VOXELS = 1.2  # where the user gives none
 
@@ -92,7 +93,8 @@ def assemble(
         found["accuracy"] = accuracy_for_image(image)
     settings = settings.model_copy(update={"fit": settings.fit.model_copy(update=found)})
     optics = optics_of(settings.scene)
-    counted = counted_voxels(image, grid, mesh, optics) if kind == "image" else None
+    ground = counted_around if kind == "rough" else counted_voxels
+    counted = ground(image, grid, mesh, optics)
     return FitInput(settings, image, grid, mesh, optics, counted, second, kind)
 
 
