@@ -12,7 +12,10 @@ from napari_deltamic.images.stacks import read_image, write_image
 from napari_deltamic.results.measured_files import MEASURED
 from napari_deltamic.results.report import History
 from napari_deltamic.results.session_file import SavedImage, SavedResult, Session, save_session
+from napari_deltamic.results.track_report import write_frame, write_tracks
 from napari_deltamic.runs.settings import RunSettings, SceneSettings
+from napari_deltamic.runs.track_run import TrackRun
+from napari_deltamic.tracking import FrameResult
 
 SIZE = (0.3, 0.2, 0.2)
 GRID = nd.Grid((20, 24, 24), SIZE)
@@ -177,3 +180,21 @@ def test_another_channel(bubble, run, fails, tmp_path):
     # Two membranes where the cells touch.
     expected = {("1", "0"): 2000, ("2", "0"): 2000, ("2", "1"): 4000}
     assert found == pytest.approx(expected, rel=0.03)
+
+
+def test_the_folder_of_tracks(run, fails, tmp_path):
+    pytest.importorskip("geff")
+    results = [
+        FrameResult(k, 10.0 * k, sphere((2, 2, 2 + 0.2 * k), 1.0, subdivisions=2)) for k in range(3)
+    ]
+    folder = tmp_path / "tracks"
+    folder.mkdir()
+    for result in results:
+        write_frame(folder, result)
+    scene = SceneSettings(voxel_size=SIZE, sigma=OPTICS.sigma_um)
+    write_tracks(folder, results, GRID, TrackRun(image="a.tif", seeds="b.ply", scene=scene), 1.0)
+    code, out, err = run("measure", folder, "-o", tmp_path / "out")
+    assert code == 0, err
+    assert out == [str(tmp_path / "out" / name) for name in ("tracks.geff", "tracks.csv")]
+    assert (tmp_path / "out" / "tracks.csv").read_text() == (folder / "tracks.csv").read_text()
+    assert "--overwrite" in fails("measure", folder, "-o", tmp_path / "out")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ..common.writing import own_folder
+from ..common.writing import own_folder, write_atomically
 from ..errors import InputError, failure
 from ..images.stacks import read_image
 from ..measure import Table, measure
@@ -13,14 +13,18 @@ from ..measure.channel import ChannelSettings, channel_amounts
 from ..measure.channel_tables import channel_tables
 from ..optics import GaussianPSF
 from ..results.html_page import html_page
+from ..results.lineage_graph import GEFF, write_geff
 from ..results.measured_files import write_measurements
 from ..results.measured_source import Measurable, Triple, measurable
+from ..results.track_report import holds_tracks, read_results, tracks_csv
 from .messages import Notes, tell
 
 
 def run(arguments: argparse.Namespace, notes: Notes) -> int:
     """Read, measure, write; prints the path of each result."""
     folder = Path(arguments.output)
+    if holds_tracks(arguments.source):
+        return _tracks(Path(arguments.source), folder, notes)
     try:
         source = measurable(
             arguments.source, arguments.image, _triple(arguments.voxel_size), arguments.errors
@@ -43,6 +47,19 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
             )
     except (MemoryError, RuntimeError) as error:
         raise failure(error) from error
+    for path in paths:
+        tell(path)
+    return 0
+
+
+def _tracks(source: Path, folder: Path, notes: Notes) -> int:
+    """What ``track`` wrote, as a table and as a graph for other tools."""
+    results = read_results(source)
+    with own_folder(folder):
+        notes.release()
+        table = folder / "tracks.csv"
+        paths = [write_geff(folder / GEFF, results), table]
+        write_atomically(table, tracks_csv(results).encode())
     for path in paths:
         tell(path)
     return 0

@@ -96,6 +96,11 @@ def tracks_csv(results: Sequence[FrameResult]) -> str:
     return text.getvalue()
 
 
+def holds_tracks(folder: str | os.PathLike[str]) -> bool:
+    """Whether ``track`` wrote its results to a folder."""
+    return all((Path(folder) / name).is_file() for name in ("tracks.csv", "report.json"))
+
+
 def read_results(folder: str | os.PathLike[str]) -> list[FrameResult]:
     """The frames that a run has written, to go on from.
 

@@ -12,7 +12,7 @@ from ..flags import TRIPLE
 from ..folders import check_folder
 from .argument_checks import check_files
 
-PRECIOUS = ("cells.csv", "walls.csv", "junctions.csv", "measurements.html")
+PRECIOUS = ("cells.csv", "walls.csv", "junctions.csv", "measurements.html", "tracks.geff")
 
 
 def add_parser(commands: Any) -> None:
@@ -22,13 +22,14 @@ def add_parser(commands: Any) -> None:
         help="volumes, areas, curvatures, contacts, angles, tensions: tables and files",
         description="Measure the cells, walls and junctions of a mesh. Writes cells.csv, "
         "walls.csv, junctions.csv, cells and walls as .vtk and .ply with these numbers on every "
-        "face, labels.ome.tif, and measurements.html, a page about it all.",
+        "face, labels.ome.tif, and measurements.html, a page about it all. Of tracks: tracks.csv "
+        "and tracks.geff, for other trackers.",
     )
     add = parser.add_argument
     add(
         "source",
         metavar="MESH_OR_SESSION",
-        help="mesh file (um), session (.deltamic), or the folder of a fit",
+        help="mesh file (um), session (.deltamic), or the folder that fit or track wrote",
     )
     add("--image", metavar="FILE", help="that the mesh was fitted to: says what its border cuts")
     add("--voxel-size", nargs=3, type=float, metavar=TRIPLE, help="um, of that image")
