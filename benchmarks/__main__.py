@@ -17,7 +17,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from napari_deltamic.fourier.cost import processor
+from napari_deltamic.accuracy.machine_costs import processor
 
 from .figure import Figure, MissingData, Options, Row, default_data_folder
 from .page import HEADINGS, cells, table

@@ -27,12 +27,12 @@ from napari_deltamic.accuracy.accuracy_chart import (
     way_facts,
     ways_chart,
 )
+from napari_deltamic.accuracy.calibration import calibrate
 from napari_deltamic.accuracy.chart import Chart
 from napari_deltamic.accuracy.forecast import forecast
 from napari_deltamic.accuracy.shape_error import DRAWS, photons_for, shape_errors
 from napari_deltamic.accuracy.tradeoff import Way, duration, measure_ways, with_front
 from napari_deltamic.fitting.default_accuracy import accuracy_for_image, image_noise
-from napari_deltamic.fourier.calibration import calibrate
 from napari_deltamic.fourier.cost import Costs
 from napari_deltamic.fourier.cuda import missing
 from napari_deltamic.geometry import sphere

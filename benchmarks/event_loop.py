@@ -218,8 +218,8 @@ def _opened(scene: str) -> tuple[Any, Any]:
     import napari
     from napari.components import ViewerModel
 
-    from napari_deltamic._widget import FitWidget
     from napari_deltamic.geometry import sphere
+    from napari_deltamic.gui.fit_widget import FitWidget
     from napari_deltamic.scene import samples
 
     shown = os.environ.get("QT_QPA_PLATFORM") != "offscreen"

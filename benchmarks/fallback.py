@@ -65,7 +65,7 @@ def measured(code: str) -> dict[str, float]:
 
 def main() -> None:
     """Print the table."""
-    from napari_deltamic.fourier.cost import processor
+    from napari_deltamic.accuracy.machine_costs import processor
     from napari_deltamic.fourier.native import threads
 
     print(f"{processor()}, {threads()} threads")

@@ -45,7 +45,7 @@ def opened() -> tuple[Any, Any]:
     """A viewer with the widget in its dock."""
     import napari
 
-    from napari_deltamic._widget import FitWidget
+    from napari_deltamic.gui.fit_widget import FitWidget
 
     viewer = napari.Viewer(show=True)
     viewer.theme = "dark"

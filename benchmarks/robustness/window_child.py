@@ -69,7 +69,7 @@ class Session:
 
     def dock(self) -> None:
         """Put the widget into the window."""
-        from napari_deltamic._widget import FitWidget
+        from napari_deltamic.gui.fit_widget import FitWidget
 
         self.widget = FitWidget(self.viewer)
         self.viewer.window.add_dock_widget(self.widget, name="deltaMic")

@@ -10,7 +10,8 @@ import pytest
 
 from napari_deltamic import fit
 from napari_deltamic.accuracy.forecast import forecast
-from napari_deltamic.fourier.cost import BUILT_IN, Rates, costs
+from napari_deltamic.accuracy.machine_costs import costs
+from napari_deltamic.fourier.cost import BUILT_IN, Rates
 from napari_deltamic.geometry import Mesh, sphere
 from napari_deltamic.results.report import History
 from napari_deltamic.runs.settings import NEAR_LEVELS, WIDE_LEVELS, FitSettings
@@ -251,10 +252,10 @@ def timed_fit(image, grid, mesh, optics, settings):
 @pytest.fixture
 def clock(monkeypatch, tmp_path):
     """Costs measured with the clock of the process."""
-    from napari_deltamic.fourier import calibration, cost
+    from napari_deltamic.accuracy import calibration, machine_costs
 
     monkeypatch.setenv("DELTAMIC_CACHE", str(tmp_path))
-    monkeypatch.setattr(cost, "_known", {})
+    monkeypatch.setattr(machine_costs, "_known", {})
     monkeypatch.setattr(calibration.time, "perf_counter", time.process_time)
 
 

@@ -7,8 +7,8 @@ import pytest
 from PIL import Image
 
 import napari_deltamic as nd
+from napari_deltamic.accuracy import machine_costs
 from napari_deltamic.accuracy.tradeoff import measure_ways
-from napari_deltamic.fourier import cost
 from napari_deltamic.fourier.cost import BUILT_IN
 
 SHAPE = ("--shape", "20", "24", "24")
@@ -20,7 +20,7 @@ SIGMA = ("--sigma", "0.36", "0.24", "0.24")
 def known_costs(monkeypatch):
     """Costs that need no measuring, and nothing slow."""
     monkeypatch.setattr("napari_deltamic.cli.accuracy_command.costs", lambda again: BUILT_IN)
-    monkeypatch.setattr(cost, "_known", {})
+    monkeypatch.setattr(machine_costs, "_known", {})
 
 
 def row(out, *words):

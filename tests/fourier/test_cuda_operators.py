@@ -9,6 +9,7 @@ from cuda_emulation import Emulated
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.fourier import closed_form, make_plan
+from napari_deltamic.fourier.cost import built_in
 from napari_deltamic.fourier.cuda import device, layout, operators, transform
 from napari_deltamic.fourier.cuda.build import OutOfMemoryWarning
 from napari_deltamic.fourier.cuda.device import NoGpuWarning
@@ -119,7 +120,9 @@ def test_the_plan_for_a_gpu_is_made_with_its_costs():
     arguments = ball.vertices_numpy(), ball.faces, (100,) * 3, (0.1,) * 3, (0.15,) * 3, 1e-3
     plan = make_plan(*arguments, device="cuda")
     assert plan.device == "cuda"
-    assert plan.expected_seconds < make_plan(*arguments).expected_seconds
+    there = built_in("cuda").seconds(plan.work, plan.single)
+    here = make_plan(*arguments)
+    assert there < built_in("cpu").seconds(here.work, here.single)
 
 
 def test_what_is_asked_for_and_missing_is_an_error_with_the_remedy(monkeypatch):

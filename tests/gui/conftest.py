@@ -28,7 +28,7 @@ with warnings.catch_warnings():
     import napari.viewer
     from qtpy.QtWidgets import QApplication
 
-    from napari_deltamic import _widget
+    from napari_deltamic.gui import fit_widget
     from napari_deltamic.gui.accuracy import accuracy_forecast
     from napari_deltamic.gui.panels import image_panel
     from napari_deltamic.gui.running import worker
@@ -36,8 +36,8 @@ with warnings.catch_warnings():
     from napari_deltamic.gui.tracking import work as tracking_work
 
 import napari_deltamic as nd
+from napari_deltamic.accuracy import machine_costs
 from napari_deltamic.fitting import fit
-from napari_deltamic.fourier import calibration
 from napari_deltamic.fourier.cost import BUILT_IN
 from napari_deltamic.geometry import sphere
 from napari_deltamic.tracking import track
@@ -52,7 +52,7 @@ STEP = np.array([0.0, 0.1, -0.1])  # um a frame, in the series
 def costs(monkeypatch):
     """No test waits until the machine has been measured."""
     found = replace(BUILT_IN, measured=True)
-    monkeypatch.setattr(calibration, "calibrate", lambda: found)
+    monkeypatch.setattr(machine_costs, "calibrate", lambda: found)
     return found
 
 
@@ -106,7 +106,7 @@ def make_widget(app, with_image, spin):
     made = []
 
     def make():
-        widget = _widget.FitWidget(with_image)
+        widget = fit_widget.FitWidget(with_image)
         made.append(widget)
         return widget
 
@@ -166,7 +166,7 @@ def told(monkeypatch):
     """What the widget tells the user in notifications."""
     texts = []
     for name in ("show_info", "show_warning"):
-        monkeypatch.setattr(_widget, name, texts.append)
+        monkeypatch.setattr(fit_widget, name, texts.append)
     return texts
 
 
@@ -258,7 +258,7 @@ def series_widget(app, viewer, series, spin):
         series, scale=(5, *SIZE), translate=(0, 1, 2, 3), units=("s", *("um",) * 3), name="movie"
     )
     viewer.dims.set_current_step(0, 0)
-    widget = _widget.FitWidget(viewer)
+    widget = fit_widget.FitWidget(viewer)
     widget.seeds.place.click()
     seeds = viewer.layers["seeds"]
     seeds.add(CENTER if seeds.ndim == 3 else (0, *CENTER))
@@ -308,7 +308,7 @@ def reopened(app, spin):
 
     def reopen(path):
         viewer = napari.components.ViewerModel()
-        widget = _widget.FitWidget(viewer)
+        widget = fit_widget.FitWidget(viewer)
         made.append(widget)
         widget.sessions.open(str(path))
         spin(lambda: not widget.sessions.busy and len(viewer.layers) > 0)

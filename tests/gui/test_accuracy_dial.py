@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 import napari_deltamic as nd
+from napari_deltamic.accuracy import machine_costs
 from napari_deltamic.accuracy.forecast import Forecast, LevelForecast, forecast
 from napari_deltamic.accuracy.tradeoff import duration
+from napari_deltamic.common.cache_folder import CACHE_VARIABLE
 from napari_deltamic.errors import InputError
 from napari_deltamic.fitting.default_accuracy import PRESETS, image_noise, preset_accuracy
-from napari_deltamic.fourier import calibration, cost
 from napari_deltamic.geometry import sphere
 from napari_deltamic.gui.accuracy.accuracy_dial import accuracy_of, usable_choice, written
 from napari_deltamic.gui.accuracy.accuracy_forecast import predicted
@@ -182,8 +183,8 @@ def test_the_first_time_the_machine_is_measured_in_the_background(
         assert gate.wait(20)
         return costs
 
-    monkeypatch.setenv(cost.CACHE_VARIABLE, str(tmp_path))
-    monkeypatch.setattr(calibration, "calibrate", slow)
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
+    monkeypatch.setattr(machine_costs, "calibrate", slow)
     for text in ("1e-3", "2e-3"):
         seeded.settings.accuracy.setCurrentText(text)
         if text == "1e-3":
@@ -217,8 +218,8 @@ def held_costs(monkeypatch, tmp_path, costs):
         assert gate.wait(20)
         return costs
 
-    monkeypatch.setenv(cost.CACHE_VARIABLE, str(tmp_path))
-    monkeypatch.setattr(calibration, "calibrate", slow)
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
+    monkeypatch.setattr(machine_costs, "calibrate", slow)
     yield gate, calls
     gate.set()
 

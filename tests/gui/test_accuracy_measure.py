@@ -9,10 +9,10 @@ import pytest
 from qtpy.QtCore import QEvent, QPointF, Qt
 from qtpy.QtGui import QMouseEvent
 
-from napari_deltamic import _widget
 from napari_deltamic.accuracy.tradeoff import Way
 from napari_deltamic.errors import InputError
 from napari_deltamic.fitting.default_accuracy import image_noise, preset_accuracy
+from napari_deltamic.gui import fit_widget
 from napari_deltamic.gui.accuracy import accuracy_measure
 from napari_deltamic.gui.accuracy.accuracy_view import TradeoffView
 
@@ -197,7 +197,7 @@ def test_closing_while_it_measures_releases_everything(measuring, with_image, sp
     _, gate, asked = measuring
 
     def measured_and_closed():
-        widget = _widget.FitWidget(with_image)
+        widget = fit_widget.FitWidget(with_image)
         spin(settled(widget))
         widget.measuring.start()
         spin(lambda: asked)

@@ -5,7 +5,7 @@ import pytest
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QAbstractSpinBox, QCheckBox, QComboBox, QPushButton, QSlider, QWidget
 
-from napari_deltamic import _widget
+from napari_deltamic.gui import fit_widget
 from napari_deltamic.gui.viewing.colours import region_colours
 
 from .conftest import CENTER, SIZE
@@ -17,7 +17,7 @@ NARROW = 320
 @pytest.fixture
 def docked(window, pixels):
     window.add_image(pixels, scale=SIZE, name="a long name of a series exported from somewhere")
-    widget = _widget.FitWidget(window)
+    widget = fit_widget.FitWidget(window)
     dock = window.window.add_dock_widget(widget, name="deltaMic")
     return widget, dock
 
@@ -39,7 +39,7 @@ def test_the_dock_may_be_narrow_whatever_it_shows(window, docked, spin):
     spin(seconds=0.2, must=False)
     assert dock.minimumSizeHint().width() <= NARROW
     # Nothing in the column is cut off.
-    column = widget.findChild(_widget._Column)
+    column = widget.findChild(fit_widget._Column)
     assert column.widget().minimumSizeHint().width() <= column.viewport().width()
 
 

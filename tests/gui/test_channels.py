@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from napari_deltamic import _widget
 from napari_deltamic.errors import InputError
+from napari_deltamic.gui import fit_widget
 
 from .conftest import CENTER, SHAPE, SIZE
 
 
 @pytest.fixture
 def widget(app, viewer):
-    widget = _widget.FitWidget(viewer)
+    widget = fit_widget.FitWidget(viewer)
     yield widget
     widget.close_links()
 

@@ -5,7 +5,7 @@ import threading
 import numpy as np
 import pytest
 
-from napari_deltamic import _widget
+from napari_deltamic.gui import fit_widget
 from napari_deltamic.runs import seeds
 
 from .conftest import CENTER
@@ -20,7 +20,7 @@ def mixture(make_widget, with_image, ball_labels, monkeypatch, tmp_path):
     widget.seeds.place.click()
     with_image.layers["seeds"].add(CENTER)
     monkeypatch.setattr(
-        _widget.QFileDialog, "getExistingDirectory", staticmethod(lambda *a: str(tmp_path))
+        fit_widget.QFileDialog, "getExistingDirectory", staticmethod(lambda *a: str(tmp_path))
     )
     return widget
 
@@ -39,7 +39,7 @@ def test_membranes_are_found_in_the_background(mixture, told, spin, monkeypatch,
     spin(lambda: not mixture.commands.busy)
     assert threads
     assert threading.main_thread() not in threads
-    text = _widget.QApplication.clipboard().text()
+    text = fit_widget.QApplication.clipboard().text()
     assert text.startswith("napari-deltamic fit ")
     assert str(tmp_path) in text
     assert told[-1] == f"copied: {text}"
@@ -57,7 +57,9 @@ def test_what_fails_is_told(mixture, with_image, told, spin):
 def test_closing_asks_nobody_any_more(mixture, told, spin, monkeypatch):
     asked = []
     monkeypatch.setattr(
-        _widget.QFileDialog, "getExistingDirectory", staticmethod(lambda *a: asked.append(a) or "")
+        fit_widget.QFileDialog,
+        "getExistingDirectory",
+        staticmethod(lambda *a: asked.append(a) or ""),
     )
     mixture.header.copy_action.trigger()
     mixture.close_links()

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from napari_deltamic import _widget
+from napari_deltamic.gui import fit_widget
 
 from .conftest import CENTER, SIZE
 from .mouse import Mouse
@@ -37,7 +37,7 @@ def click(window, widget, tool, place, spin):
 
 def test_the_tools_that_correct_labels_work(window, opened, spin):
     widget, labels = opened
-    assert isinstance(widget, _widget.FitWidget)
+    assert isinstance(widget, fit_widget.FitWidget)
     click(window, widget, "remove", (1.5, 1.2, 1.2), spin)
     assert not labels.data.any()
     click(window, widget, "split", CENTER, spin)  # one that was missed

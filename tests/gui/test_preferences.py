@@ -72,7 +72,8 @@ def test_a_new_widget_is_set_as_preferred(make_widget, monkeypatch, told):
         "na": 0.8,
     }
     monkeypatch.setattr(
-        "napari_deltamic._widget.read_preferences", lambda: (Preferences(**chosen), "a remark")
+        "napari_deltamic.gui.fit_widget.read_preferences",
+        lambda: (Preferences(**chosen), "a remark"),
     )
     widget = make_widget()
     assert widget.settings.fit_settings() == chosen["fit"].model_copy(update={"accuracy": 3e-4})

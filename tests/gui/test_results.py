@@ -10,12 +10,12 @@ import tifffile
 from napari.layers._source import layer_source
 
 import napari_deltamic as nd
-from napari_deltamic import _widget
 from napari_deltamic.cli import build_parser
 from napari_deltamic.cli.inputs import gather
 from napari_deltamic.cli.messages import Notes
 from napari_deltamic.fitting.job import FitInput
 from napari_deltamic.geometry import files, sphere
+from napari_deltamic.gui import fit_widget
 from napari_deltamic.gui.results.cell_columns import COLUMNS
 from napari_deltamic.images.stacks import read_image, write_image
 from napari_deltamic.results.report import History
@@ -208,12 +208,12 @@ def from_file(make_widget, with_image, pixels, tmp_path, monkeypatch, spin):
         layer = with_image.add_image(pixels, scale=SIZE)
     widget = make_widget()
     with_image.add_points([CENTER], name="seeds", ndim=3)
-    monkeypatch.setattr(_widget.QFileDialog, "getExistingDirectory", lambda *a: str(tmp_path))
+    monkeypatch.setattr(fit_widget.QFileDialog, "getExistingDirectory", lambda *a: str(tmp_path))
 
     def copied():
         widget.header.copy_action.trigger()
         spin(lambda: not widget.commands.busy)
-        words = shlex.split(_widget.QApplication.clipboard().text())
+        words = shlex.split(fit_widget.QApplication.clipboard().text())
         job = gather(build_parser().parse_args(words[1:]), Notes())
         return words[2], job.image
 

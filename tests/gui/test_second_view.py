@@ -104,7 +104,7 @@ def test_the_command_repeats_it(seeded, second, spin, tmp_path, monkeypatch):
     texts = []
     monkeypatch.setattr(seeded, "_folder", lambda: str(tmp_path))
     seeded.commands._ask_folder = lambda: str(tmp_path)
-    monkeypatch.setattr("napari_deltamic._widget.show_info", texts.append)
+    monkeypatch.setattr("napari_deltamic.gui.fit_widget.show_info", texts.append)
     seeded.settings.max_iterations.setValue(2)
     seeded._copy()
     spin(lambda: texts)

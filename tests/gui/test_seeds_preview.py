@@ -6,7 +6,7 @@ import weakref
 import numpy as np
 import pytest
 
-from napari_deltamic import _widget
+from napari_deltamic.gui import fit_widget
 from napari_deltamic.gui.seeding import preview
 
 from .conftest import CENTER, SHAPE, SIZE
@@ -99,7 +99,7 @@ def test_large_images_have_no_preview_until_it_is_wanted(panel):
 def test_closing_releases_a_panel_whose_preview_is_under_way(window, pixels, spin, held):
     gate, calls = held
     window.add_image(pixels, scale=SIZE, name="cell")
-    widget = _widget.FitWidget(window)
+    widget = fit_widget.FitWidget(window)
     window.window.add_dock_widget(widget, name="deltaMic")
     layer = add_points(widget.seeds, window, CENTER)
     widget.seeds.shape.setCurrentIndex(SPHERE)  # has listened to the mouse, too
@@ -134,7 +134,7 @@ def test_a_closed_panel_shows_nothing_more(panel, with_image, spin, held):
 
 def test_closing_the_dock_takes_the_preview_away(window, pixels, spin):
     window.add_image(pixels, scale=SIZE, name="cell")
-    widget = _widget.FitWidget(window)
+    widget = fit_widget.FitWidget(window)
     window.window.add_dock_widget(widget, name="deltaMic")
     add_points(widget.seeds, window, CENTER)
     spin(lambda: "cell start contours" in window.layers)

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from napari.layers import Labels, Surface
 
-from napari_deltamic import _widget
 from napari_deltamic.fitting import fit
 from napari_deltamic.geometry import sphere
+from napari_deltamic.gui import fit_widget
 from napari_deltamic.gui.running import worker
 from napari_deltamic.images.stacks import write_image
 from napari_deltamic.results.session_file import load_session
@@ -205,7 +205,7 @@ def test_of_a_series_the_time_that_is_shown_is_saved(app, pixels, spin, tmp_path
     viewer.add_image(np.stack([0 * pixels, pixels]), scale=(1, 0.3, 0.2, 0.2), name="film")
     viewer.add_points([[0, 1, 1, 1], [1, 2, 2, 2]], name="seeds", size=1.5)
     viewer.dims.set_current_step(0, 1)
-    widget = _widget.FitWidget(viewer)
+    widget = fit_widget.FitWidget(viewer)
     save(widget, tmp_path / "a.deltamic", spin)
     widget.close_links()
     after, _ = reopened(tmp_path / "a.deltamic")

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from napari_deltamic import _widget
 from napari_deltamic.errors import InputError
+from napari_deltamic.gui import fit_widget
 from napari_deltamic.gui.results import session
 from napari_deltamic.results.session_file import load_session, save_session
 from napari_deltamic.results.track_report import read_results
@@ -32,7 +32,7 @@ def reopened_here(app, viewer, spin, tmp_path):
         save_session(tmp_path / "a.deltamic", found)
         widget.close_links()
         viewer.layers.clear()
-        other = _widget.FitWidget(viewer)
+        other = fit_widget.FitWidget(viewer)
         made.append(other)
         session.restore(other.parts, load_session(tmp_path / "a.deltamic"))
         return other

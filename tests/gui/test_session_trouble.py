@@ -10,8 +10,9 @@ import npe2
 import numpy as np
 import pytest
 
-from napari_deltamic import _reader, _widget
+from napari_deltamic import _reader
 from napari_deltamic.geometry import files
+from napari_deltamic.gui import fit_widget
 from napari_deltamic.gui.results.session import capture, restore
 from napari_deltamic.gui.results.session_layers import save_layer
 from napari_deltamic.results.session_file import load_session
@@ -103,11 +104,13 @@ def test_a_session_that_is_dropped_opens_whole(window, seeded, spin, tmp_path, d
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         npe2.PluginManager.instance().discover()
-        own = _widget.FitWidget(window) if docked else None
+        own = fit_widget.FitWidget(window) if docked else None
         if docked:  # not by napari's menu
             window.window.add_dock_widget(own)
         window.open(str(path), plugin="napari-deltamic")
-    (widget,) = (w for w in window.window.dock_widgets.values() if isinstance(w, _widget.FitWidget))
+    (widget,) = (
+        w for w in window.window.dock_widgets.values() if isinstance(w, fit_widget.FitWidget)
+    )
     assert own is None or widget is own
     spin(lambda: not widget.sessions.busy)
     assert {layer.name for layer in window.layers} >= {"cell", "seeds", "cell cells"}
@@ -138,7 +141,7 @@ def test_capture_shares_the_pixels(seeded, with_image, spin):
     assert remark == ""
     assert np.shares_memory(session.image.pixels, with_image.layers["cell"].data)
     viewer = napari.components.ViewerModel()
-    widget = _widget.FitWidget(viewer)
+    widget = fit_widget.FitWidget(viewer)
     restore(widget.parts, session)
     assert np.shares_memory(viewer.layers["cell"].data, session.image.pixels)
     widget.close_links()

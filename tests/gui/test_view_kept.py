@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from napari.layers._source import layer_source
 
-from napari_deltamic import _widget
+from napari_deltamic.gui import fit_widget
 from napari_deltamic.images.stacks import write_image
 
 from .conftest import CENTER, SHAPE, SIZE
@@ -30,7 +30,7 @@ def seen(viewer, layer):
 @pytest.fixture
 def unscaled(app, viewer, pixels):
     layer = viewer.add_image(pixels, name="cell")
-    widget = _widget.FitWidget(viewer)
+    widget = fit_widget.FitWidget(viewer)
     yield widget, viewer, layer
     widget.close_links()
 
@@ -53,7 +53,7 @@ def test_the_view_stays_when_the_size_is_read(app, viewer, pixels, tmp_path):
         layer = viewer.add_image(pixels, name="cell")
     look(viewer, 6)
     before = seen(viewer, layer)
-    widget = _widget.FitWidget(viewer)
+    widget = fit_widget.FitWidget(viewer)
     assert tuple(layer.scale) == pytest.approx(SIZE)
     after = seen(viewer, layer)
     assert after[0] == before[0]
@@ -63,7 +63,7 @@ def test_the_view_stays_when_the_size_is_read(app, viewer, pixels, tmp_path):
 
 def test_an_image_that_is_opened_beside_the_widget_is_shown_whole(app, viewer, pixels, tmp_path):
     write_image(tmp_path / "cell.tif", pixels, SIZE)
-    widget = _widget.FitWidget(viewer)
+    widget = fit_widget.FitWidget(viewer)
     with layer_source(path=str(tmp_path / "cell.tif")):
         layer = viewer.add_image(pixels, name="cell")
     assert tuple(layer.scale) == pytest.approx(SIZE)
@@ -80,7 +80,7 @@ def test_the_slider_keeps_the_steps_of_the_image(app, viewer, pixels, spin, thic
     layer = viewer.add_image(pixels, scale=size, name="cell")
     viewer.dims.set_current_step(0, 4)
     before = viewer.dims.range, viewer.dims.current_step
-    widget = _widget.FitWidget(viewer)
+    widget = fit_widget.FitWidget(viewer)
     widget.seeds.place.click()
     viewer.layers["seeds"].add(np.multiply(CENTER, thick))
     assert (viewer.dims.range, viewer.dims.current_step) == before

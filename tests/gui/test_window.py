@@ -13,8 +13,7 @@ import pytest
 from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QPushButton
 
-from napari_deltamic import _widget
-from napari_deltamic.gui import closing
+from napari_deltamic.gui import closing, fit_widget
 
 from .conftest import CENTER, SIZE
 from .mouse import Mouse
@@ -31,7 +30,7 @@ def unit(rng):
 def dock(viewer, pixels):
     """A widget in a dock, with an image and a seed."""
     viewer.add_image(pixels, scale=SIZE, name="cell")
-    widget = _widget.FitWidget(viewer)
+    widget = fit_widget.FitWidget(viewer)
     viewer.window.add_dock_widget(widget, name="deltaMic")
     widget.seeds.place.click()
     viewer.layers["seeds"].add(CENTER)
@@ -141,12 +140,12 @@ def test_napari_opens_the_widget_of_the_manifest(window):
         warnings.simplefilter("ignore")
         npe2.PluginManager.instance().discover()
         _, widget = window.window.add_plugin_dock_widget("napari-deltamic")
-    assert isinstance(widget, _widget.FitWidget)
+    assert isinstance(widget, fit_widget.FitWidget)
 
 
 def test_random_handling_raises_nothing(window, docked, spin, told, monkeypatch):
     """A few hundred actions in any order."""
-    monkeypatch.setattr(_widget.QFileDialog, "getExistingDirectory", lambda *a, **k: "")
+    monkeypatch.setattr(fit_widget.QFileDialog, "getExistingDirectory", lambda *a, **k: "")
     rng = random.Random(0)
     run, seeds, image = docked.running, docked.seeds, docked.image
     history = run.history

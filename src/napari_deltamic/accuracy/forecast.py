@@ -14,13 +14,13 @@ from ..fitting.checks import FEWEST_VOXELS
 from ..fitting.default_accuracy import accuracy_for_image
 from ..fitting.level import LevelShape, level_shape
 from ..fourier.cost import Costs, Work
-from ..fourier.cost import costs as known_costs
 from ..fourier.plan import Method, Plan
 from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..runs.settings import WIDE_LEVELS, FitSettings
 from ..scene import Grid, Renderer
 from ..scene.effects import Effects, as_effects
+from .machine_costs import costs as known_costs
 
 # Iterations of a level, from measured fits with other settings by default: cow and fish at 64^3
 # from a sphere, without noise and with 40 and 10 photons, levels 5 to 1: 10 to 20, then 30 each,
@@ -274,7 +274,7 @@ def forecast(
         leave the accuracy to its noise.
     costs
         Of this machine; by default those kept from an earlier measurement, if any
-        (``napari_deltamic.fourier.cost.costs(measure=True)`` measures them, in about a second).
+        (``machine_costs.costs(measure=True)`` measures them, in about a second).
 
     Raises
     ------

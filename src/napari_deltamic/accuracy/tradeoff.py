@@ -16,7 +16,6 @@ from torch import Tensor
 from ..errors import InputError
 from ..fourier import Band, Plan, make_plan
 from ..fourier.cost import Costs, count_work
-from ..fourier.cost import costs as known_costs
 from ..fourier.plan import Method, _edge_phases, check_accuracy
 from ..fourier.quadrature import DEGREES, rule
 from ..fourier.spreading import choose_spreading
@@ -25,6 +24,7 @@ from ..optics import Optics
 from ..scene.formation import padded_shape
 from ..scene.grid import Grid
 from ..scene.memory import Peak
+from .machine_costs import costs as known_costs
 
 THRESHOLDS = (1e-1, 1e-2, 1e-3, 1e-4)  # of |OTF|, at the edge of a band
 PLANNED = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 1e-4, 1e-5, 1e-6)  # accuracies asked of the planner

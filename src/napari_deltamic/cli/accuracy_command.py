@@ -26,6 +26,7 @@ from ..accuracy.accuracy_chart import (
     ways_table,
 )
 from ..accuracy.forecast import Forecast, forecast
+from ..accuracy.machine_costs import costs
 from ..accuracy.shape_error import DRAWS, ShapeError, photons_for, shape_errors
 from ..accuracy.tradeoff import Way, duration, measure_ways, with_front
 from ..common.writing import make_folder, write_atomically
@@ -34,7 +35,6 @@ from ..fitting import fit
 from ..fitting.checks import check_mesh
 from ..fitting.default_accuracy import accuracy_for, image_noise
 from ..fitting.job import FitInput
-from ..fourier.cost import costs
 from ..fourier.cuda import missing
 from ..fourier.native import simd_level, threads
 from ..geometry import Mesh, load_mesh

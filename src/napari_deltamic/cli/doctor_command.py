@@ -14,10 +14,10 @@ from typing import Any
 import torch
 
 from .. import __version__
+from ..accuracy.machine_costs import costs, expected_seconds, processor
 from ..errors import InputError
 from ..fitting.factors import DRIVER, driver_is_found
-from ..fourier import native, simd_level
-from ..fourier.cost import costs, processor
+from ..fourier import Plan, native, simd_level
 from ..fourier.cuda import compiler, missing
 from ..fourier.cuda.driver import driver_version
 from ..fourier.devices import choose_device
@@ -155,13 +155,13 @@ def _used() -> dict[str, str]:
         other: Method = "closed form" if plan.method == "particle-mesh" else "particle-mesh"
         rest = Renderer(mesh, grid, optics, accuracy, method=other, device=device).plan
         found[f"accuracy {accuracy:g}"] = (
-            f"{plan.method}: about {_time(plan.expected_seconds)} an iteration {where}; "
-            f"{rest.method}: {_time(rest.expected_seconds)}"
+            f"{plan.method}: about {_time(plan)} an iteration {where}; {rest.method}: {_time(rest)}"
         )
     found["accuracy 0"] = "closed form at every wavevector: it is exact"
     return found
 
 
-def _time(seconds: float) -> str:
+def _time(plan: Plan) -> str:
+    seconds = expected_seconds(plan.work, plan.single, plan.device)
     value, unit = (seconds, "s") if seconds >= 1 else (1e3 * seconds, "ms")
     return f"{value:.0f} {unit}" if value >= 10 else f"{value:.1f} {unit}"

@@ -1,37 +1,25 @@
-"""What computing costs: work counted beforehand, times rates measured on this machine.
+"""What computing costs: work counted beforehand, times the seconds that each kind of it takes.
 
 A rendering is a handful of kinds of work (pairs of a face and a wavevector, points, cells of a
-kernel, cells of an FFT, pixels). `calibrate` times a few small renderings in less than a second and
-solves for the seconds that each kind takes. The rates are kept on disk, so that a machine is
-measured once; nothing but a forecast depends on them.
+kernel, cells of an FFT, pixels). Nothing is timed here: the choice between the methods goes by
+built-in costs, those of a machine are measured by :mod:`napari_deltamic.accuracy.calibration`.
 """
 
 from __future__ import annotations
 
-import json
-import os
-import platform
-import sys
-from dataclasses import asdict, astuple, dataclass, fields
-from functools import cache
+from dataclasses import astuple, dataclass
 from math import log2, prod
-from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
-from ..common.writing import write_atomically
-from ..errors import InputError
 from .band import Band
-from .native import native, simd_level, threads
 from .quadrature import Rule
 from .spreading import NODE, POINT, ROW, Spreading
 
-_FORMAT = 2  # of the file; a change of what is measured raises it
 # rad: below 2 a triangle takes the series (csrc/triangle_ft.h), but a block of wavevectors with
 # phases on either side takes both branches.
 _SMALL_PHASE = 1.2
-CACHE_VARIABLE = "DELTAMIC_CACHE"
 
 
 @dataclass(frozen=True)
@@ -168,130 +156,6 @@ def _image_pixels(band: Band, shape: tuple[int, int, int]) -> float:
         (shape[0] * shape[1] * n[2] / 2, n[2]),
     )
     return float(sum(size * log2(length + 1) for size, length in passes))
-
-
-# ------------------------------------------------------------------------------ kept on disk
-
-_known: dict[tuple[str, int], Costs] = {}  # in this process, by file and threads
-
-
-def costs(measure: bool = False, again: bool = False) -> Costs:
-    """The costs of this machine: those kept from an earlier measurement, if there are any.
-
-    Parameters
-    ----------
-    measure
-        Whether to measure (:func:`calibrate`) where nothing is kept, or what is kept belongs to
-        another machine or version; otherwise ``BUILT_IN`` is taken. Rendering and fitting never
-        measure: they take the same time and the same choices whether or not it was done.
-    again
-        Whether to measure although something is kept, which may be from a busy moment.
-    """
-    path = cache_file()
-    key = (str(path), threads())
-    if key in _known and not again and (_known[key].measured or not measure):
-        return _known[key]
-    found = None if again else _read(path)
-    if again or (found is None and measure):
-        from .calibration import calibrate
-
-        found = calibrate()
-        _write(path, found)
-    _known[key] = found or BUILT_IN
-    return _known[key]
-
-
-def cache_file() -> Path:
-    """Where the costs are kept; the environment variable DELTAMIC_CACHE names another folder."""
-    folder = os.environ.get(CACHE_VARIABLE)
-    if folder:
-        return Path(folder) / f"costs-{threads()}.json"
-    home = os.path.expanduser("~")  # unlike Path.home it never fails
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA") or os.path.join(home, "AppData", "Local")
-    elif sys.platform == "darwin":
-        base = os.path.join(home, "Library", "Caches")
-    else:
-        base = os.environ.get("XDG_CACHE_HOME") or os.path.join(home, ".cache")
-    return Path(base) / "napari-deltamic" / f"costs-{threads()}.json"
-
-
-@cache
-def _version() -> str:
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        return version("napari-deltamic")
-    except PackageNotFoundError:
-        return "unknown"
-
-
-def _whose() -> dict[str, Any]:
-    """What costs depend on: they are stale where one of these has changed."""
-    try:
-        level = simd_level() if native() is not None else "none"
-    except InputError:
-        level = "unknown"
-    return {
-        "format": _FORMAT,
-        "version": _version(),
-        "machine": f"{platform.system()} {platform.machine()}, {processor()}",
-        "cores": os.cpu_count(),
-        "threads": threads(),
-        "instructions": level,
-    }
-
-
-@cache
-def processor() -> str:
-    """Name of the processor, as well as the system tells it."""
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine() or "unknown"
-
-
-def _read(path: Path) -> Costs | None:
-    """The costs in a file; None where there are none, or of another machine, or damaged ones."""
-    try:
-        kept = json.loads(path.read_text(encoding="utf-8"))
-        if kept["of"] != _whose():
-            return None
-        return _from_plain(kept["costs"])
-    except (OSError, ValueError, TypeError, KeyError):
-        return None
-
-
-def _from_plain(plain: dict[str, Any]) -> Costs:
-    """Raises ValueError, TypeError or KeyError where these are no costs."""
-    values: dict[str, Any] = {}
-    for f in fields(Costs):
-        value = plain[f.name]
-        if isinstance(value, dict):
-            value = Rates(**{r.name: _cost(value[r.name]) for r in fields(Rates)})
-        elif f.name != "measured":
-            value = _cost(value)
-        values[f.name] = value
-    return Costs(**values)
-
-
-def _cost(value: Any) -> float:
-    if not 0 <= float(value) < 1:  # seconds for a unit of anything
-        raise ValueError(f"{value} is no cost")
-    return float(value)
-
-
-def _write(path: Path, found: Costs) -> None:
-    """Keep for the next time; a folder that cannot be written to is no reason to fail."""
-    text = json.dumps({"of": _whose(), "costs": asdict(found)}, indent=1) + "\n"
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(path, text.encode())
-    except (OSError, InputError):
-        pass
 
 
 # One core of 2024, measured with `calibrate`. The choice between the methods is always made with

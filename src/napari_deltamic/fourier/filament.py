@@ -19,7 +19,7 @@ from torch.utils.checkpoint import checkpoint
 from ..errors import InputError
 from .band import Band
 from .closed_form import row_wavevectors
-from .cost import Work, costs, count_work
+from .cost import Work, count_work
 from .particle_mesh import elements_ft
 from .plan import (
     EXACT_BELOW,
@@ -136,11 +136,6 @@ class LinePlan:
     spreading: Spreading | None
     rules: list[tuple[Rule, np.ndarray]] = field(repr=False)
     work: Work
-
-    @property
-    def expected_seconds(self) -> float:
-        """Of one rendering with its gradient, by the particle-mesh."""
-        return costs().seconds(self.work, self.single)
 
     def transform(self, vertices: Tensor, elements: Tensor, weights: Tensor) -> Tensor:
         """u_hat on the box of the band, differentiable in vertices and weights.

@@ -15,7 +15,7 @@ from torch import Tensor
 from ..errors import InputError
 from .band import Band, band_error, threshold_for
 from .closed_form import band_ft
-from .cost import Work, built_in, costs, count_work
+from .cost import Work, built_in, count_work
 from .particle_mesh import elements_ft
 from .points import Points
 from .quadrature import Rule, choose_rules
@@ -70,12 +70,6 @@ class Plan:
     expected_error: float
     work: Work
     device: str = "cpu"
-
-    @property
-    def expected_seconds(self) -> float:
-        """Of one rendering with its gradient, at the costs of this machine where they are known."""
-        known = costs() if self.device == "cpu" else built_in(self.device)
-        return known.seconds(self.work, self.single)
 
     @property
     def tolerance(self) -> float:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from napari_deltamic.errors import InputError
 
 from .pairs import unique_pairs
+from .trimesh_exchange import from_trimesh, to_trimesh
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -299,16 +300,12 @@ class Mesh:
 
     def to_trimesh(self) -> Any:
         """The same as a ``trimesh.Trimesh``; see :func:`.trimesh_exchange.to_trimesh`."""
-        from .trimesh_exchange import to_trimesh
-
-        return to_trimesh(self)
+        return to_trimesh(self.vertices_numpy(), self.faces, self.regions)
 
     @staticmethod
     def from_trimesh(other: Any) -> Mesh:
         """The mesh of a ``trimesh.Trimesh``; see :func:`.trimesh_exchange.from_trimesh`."""
-        from .trimesh_exchange import from_trimesh
-
-        return from_trimesh(other)
+        return Mesh(*from_trimesh(other))
 
     # ---- several meshes ---------------------------------------------------------------------
 

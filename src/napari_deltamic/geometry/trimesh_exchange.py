@@ -5,44 +5,47 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..errors import InputError
-from .files.with_trimesh import outward
-from .mesh import Mesh
+from napari_deltamic.errors import InputError
 
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 _SIDES = ("region_a", "region_b")  # as .ply and .vtk files call them
 
 
-def to_trimesh(mesh: Mesh) -> Any:
-    """A ``trimesh.Trimesh`` of a mesh, vertices in x, y, z (um), none joined or left out.
+def to_trimesh(vertices: FloatArray, faces: IntArray, regions: IntArray) -> Any:
+    """A ``trimesh.Trimesh``, vertices in x, y, z (um), none joined or left out.
 
+    The arrays are those of a :class:`~.mesh.Mesh`: vertices (V, 3) in Z, Y, X, faces and regions.
     Its ``face_attributes`` hold the regions as ``region_a`` and ``region_b``. Faces look away from
     the larger region number, thus outward; a wall between two cells is there once, so that only
     ``mesh.region_surface(k).to_trimesh()`` is watertight where cells share walls.
     """
     import trimesh  # slow to import
 
-    faces = outward(mesh.faces, mesh.regions)
-    regions = np.sort(mesh.regions, axis=1)[:, ::-1]
+    sorted_regions = np.sort(regions, axis=1)[:, ::-1]
     made: Any = trimesh.Trimesh(
-        mesh.vertices_numpy()[:, ::-1],
-        faces,
-        face_attributes=dict(zip(_SIDES, regions.T, strict=True)),
+        vertices[:, ::-1],
+        outward(faces, regions),
+        face_attributes=dict(zip(_SIDES, sorted_regions.T, strict=True)),
         process=False,
     )
     return made
 
 
-def from_trimesh(other: Any) -> Mesh:
-    """The mesh of a ``trimesh.Trimesh`` with vertices in x, y, z (um), unchanged and unrepaired.
+def from_trimesh(other: Any) -> tuple[FloatArray, Any, Any]:
+    """What makes the mesh of a ``trimesh.Trimesh`` with vertices in x, y, z (um), unrepaired.
+
+    Vertices (V, 3) in Z, Y, X, faces (F, 3) and regions (F, 2), as they stand there.
 
     Regions are its ``face_attributes`` ``region_a`` and ``region_b``; without them all is one
-    region, (1, 0).
+    region, (1, 0), and None here.
 
     Raises
     ------
     InputError
-        If it has no triangles, or what no :class:`~.mesh.Mesh` may have.
+        If it has no triangles.
     """
     faces = getattr(other, "faces", None)
     if faces is None or not hasattr(other, "vertices"):
@@ -51,4 +54,9 @@ def from_trimesh(other: Any) -> Mesh:
     regions = None
     if all(side in given for side in _SIDES):
         regions = np.column_stack([np.asarray(given[side]) for side in _SIDES])
-    return Mesh(np.asarray(other.vertices, np.float64)[:, ::-1], np.asarray(faces), regions)
+    return np.asarray(other.vertices, np.float64)[:, ::-1], np.asarray(faces), regions
+
+
+def outward(faces: IntArray, regions: IntArray) -> IntArray:
+    """Faces wound from the larger region number to the smaller, thus to the outside."""
+    return np.where((regions[:, 0] < regions[:, 1])[:, None], faces[:, ::-1], faces)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import napari
 
-from .._widget import FitWidget
 from ..geometry import Mesh
 from ..runs.settings import RunSettings
 from ..scene.samples import Sample
+from .fit_widget import FitWidget
 from .viewing.colours import LIMITS, region_colormap, vertex_values
 
 

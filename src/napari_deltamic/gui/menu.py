@@ -16,7 +16,7 @@ def open_session(viewer: Viewer) -> None:
 
 def fit_widget(viewer: Viewer) -> Any:
     """The widget of the plugin in a viewer's window, docked if there is none yet."""
-    from .._widget import FitWidget
+    from .fit_widget import FitWidget
 
     # Someone may have docked it without napari's menus, which then know nothing of it.
     docked = [one for one in viewer.window.dock_widgets.values() if isinstance(one, FitWidget)]

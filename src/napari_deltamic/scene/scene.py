@@ -120,11 +120,6 @@ class SceneRenderer:
         assert total is not None, "a scene has structures"
         return total
 
-    @property
-    def expected_seconds(self) -> float:
-        """Of one rendering with its gradient, at the costs of this machine where they are known."""
-        return sum(t.expected_seconds for t in self.transforms)
-
     def image(self) -> Tensor:
         """Image (Z, Y, X): fluorophores seen in each voxel."""
         otf = self.formation.otf(self.scene.optics, self.axes)

@@ -81,10 +81,6 @@ class Transform(Protocol):
     def single(self) -> bool:
         """Whether it is in single precision."""
 
-    @property
-    def expected_seconds(self) -> float:
-        """Of one rendering with its gradient, at the costs of this machine where they are known."""
-
     def __call__(self) -> Tensor:
         """u_hat; two boxes where the PSF changes with depth. Differentiable."""
 
@@ -101,10 +97,6 @@ class _Planned:
     @property
     def single(self) -> bool:
         return self.plan.single
-
-    @property
-    def expected_seconds(self) -> float:
-        return self.plan.expected_seconds
 
     def __call__(self) -> Tensor:
         return self.compute()

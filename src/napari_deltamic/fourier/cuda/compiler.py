@@ -12,9 +12,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from ...common.cache_folder import cache_folder
 from ...common.writing import write_atomically
 from ...errors import InputError
-from ..cost import cache_file
 from .build import Build
 
 SOURCE = "mesh_ft_cuda.cu"
@@ -125,7 +125,7 @@ def _is_ours(path: Path) -> bool:
 
 def kept_folder() -> Path:
     """Where compiled kernels are kept."""
-    return cache_file().parent / "kernels"
+    return cache_folder() / "kernels"
 
 
 def _kept_file(build: Build, target: str) -> Path:

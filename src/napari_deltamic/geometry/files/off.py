@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from napari_deltamic.geometry.files.raw import RawMesh
-from napari_deltamic.geometry.files.with_trimesh import outward, read_with_trimesh
+from napari_deltamic.geometry.files.with_trimesh import read_with_trimesh
 from napari_deltamic.geometry.mesh import FloatArray, IntArray
+from napari_deltamic.geometry.trimesh_exchange import outward
 
 
 def read_off(data: bytes) -> RawMesh:

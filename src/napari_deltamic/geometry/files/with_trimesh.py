@@ -1,4 +1,4 @@
-"""What formats of one surface share: reading by trimesh, and faces that look outward."""
+"""What several formats share: reading by trimesh."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from napari_deltamic.geometry.files.raw import RawMesh
-from napari_deltamic.geometry.mesh import IntArray
 
 
 def read_with_trimesh(data: bytes, kind: str) -> tuple[RawMesh, Any]:
@@ -24,8 +23,3 @@ def read_with_trimesh(data: bytes, kind: str) -> tuple[RawMesh, Any]:
         faces.append(np.asarray(getattr(part, "faces", faces[0]), dtype=np.int64) + offset)
         offset += len(xyz[-1])
     return RawMesh(np.concatenate(xyz), np.concatenate(faces)), parts[0] if parts else None
-
-
-def outward(faces: IntArray, regions: IntArray) -> IntArray:
-    """Faces wound from the larger region number to the smaller, thus to the outside."""
-    return np.where((regions[:, 0] < regions[:, 1])[:, None], faces[:, ::-1], faces)

@@ -10,10 +10,10 @@ from qtpy.QtCore import QObject, QTimer
 
 from ...accuracy.accuracy_chart import short
 from ...accuracy.forecast import Forecast
+from ...accuracy.machine_costs import costs
 from ...accuracy.tradeoff import duration
 from ...errors import InputError
 from ...fitting.default_accuracy import PRESETS
-from ...fourier.cost import costs
 from ..background import Background
 from ..qt import Signal
 from ..running.composition import Live, Panels

@@ -8,10 +8,10 @@ from typing import Any
 
 from qtpy.QtCore import QObject
 
+from ...accuracy.machine_costs import costs
 from ...accuracy.tradeoff import Way, measure_ways
 from ...errors import InputError
 from ...fitting.default_accuracy import image_noise
-from ...fourier.cost import costs
 from ..attempt import words_of
 from ..background import BackgroundSteps
 from ..running.composition import Live, Panels

@@ -13,10 +13,10 @@ from napari.layers import Labels, Points, Surface
 from numpy.typing import NDArray
 
 from ...accuracy.forecast import Forecast, forecast
+from ...accuracy.machine_costs import costs
 from ...errors import InputError
 from ...fitting.default_accuracy import image_noise
 from ...fitting.job import SeedKind, optics_of
-from ...fourier.cost import costs
 from ...geometry import Mesh, sphere
 from ...geometry.labels.meshes import EDGE_IN_VOXELS
 from ...optics import Optics

@@ -17,35 +17,35 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
-from .gui.accuracy.accuracy_forecast import AccuracyForecast
-from .gui.accuracy.accuracy_measure import MeasureControl
-from .gui.attempt import attempt
-from .gui.closing import ask_before_closing
-from .gui.editing.interaction import Interaction
-from .gui.effects.effects_check import EffectsCheck
-from .gui.header import Header
-from .gui.panels.image_panel import ImagePanel
-from .gui.panels.preferences import read_preferences
-from .gui.panels.settings_panel import SettingsPanel
-from .gui.plain import unwrapped
-from .gui.results.command_copy import CommandCopy, Wanted
-from .gui.results.results_panel import ResultsPanel
-from .gui.results.selection import ClickSelection
-from .gui.results.session import Parts, capture, restore
-from .gui.results.session_bar import SessionBar
-from .gui.running.composition import Live, Panels
-from .gui.running.run_control import RunControl
-from .gui.running.run_panel import RunPanel
-from .gui.running.run_progress import Snapshot
-from .gui.running.worker import FitRun
-from .gui.seeding.seeds_panel import SeedsPanel
-from .gui.tracking.control import TrackControl
-from .gui.tracking.panel import TrackPanel
-from .gui.viewing.cell_features import labels_layer
-from .gui.viewing.viewer_link import ViewerLink
-from .results.exchange import labels_of
-from .runs.seeds import Seeds
-from .runs.settings import RunSettings
+from ..results.exchange import labels_of
+from ..runs.seeds import Seeds
+from ..runs.settings import RunSettings
+from .accuracy.accuracy_forecast import AccuracyForecast
+from .accuracy.accuracy_measure import MeasureControl
+from .attempt import attempt
+from .closing import ask_before_closing
+from .editing.interaction import Interaction
+from .effects.effects_check import EffectsCheck
+from .header import Header
+from .panels.image_panel import ImagePanel
+from .panels.preferences import read_preferences
+from .panels.settings_panel import SettingsPanel
+from .plain import unwrapped
+from .results.command_copy import CommandCopy, Wanted
+from .results.results_panel import ResultsPanel
+from .results.selection import ClickSelection
+from .results.session import Parts, capture, restore
+from .results.session_bar import SessionBar
+from .running.composition import Live, Panels
+from .running.run_control import RunControl
+from .running.run_panel import RunPanel
+from .running.run_progress import Snapshot
+from .running.worker import FitRun
+from .seeding.seeds_panel import SeedsPanel
+from .tracking.control import TrackControl
+from .tracking.panel import TrackPanel
+from .viewing.cell_features import labels_layer
+from .viewing.viewer_link import ViewerLink
 
 _WIDTH = 390  # px
 

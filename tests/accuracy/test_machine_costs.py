@@ -8,9 +8,11 @@ import pytest
 import torch
 
 import napari_deltamic as nd
-from napari_deltamic.fourier import cost, make_plan
-from napari_deltamic.fourier.calibration import calibrate
-from napari_deltamic.fourier.cost import BUILT_IN, Rates, Work, cache_file, costs
+from napari_deltamic.accuracy import machine_costs
+from napari_deltamic.accuracy.calibration import calibrate
+from napari_deltamic.accuracy.machine_costs import costs, costs_file, expected_seconds
+from napari_deltamic.fourier import make_plan
+from napari_deltamic.fourier.cost import BUILT_IN, Rates, Work
 from napari_deltamic.geometry import sphere
 from napari_deltamic.scene import Renderer
 
@@ -26,7 +28,7 @@ def renderer(side=30, accuracy=1e-2, method=None, mesh=MESH):
 def folder(tmp_path, monkeypatch):
     """An empty cache, and a process that has not looked for one yet."""
     monkeypatch.setenv("DELTAMIC_CACHE", str(tmp_path / "deep" / "cache"))
-    monkeypatch.setattr(cost, "_known", {})
+    monkeypatch.setattr(machine_costs, "_known", {})
     return tmp_path / "deep" / "cache"
 
 
@@ -39,7 +41,7 @@ def measured(monkeypatch):
         count.append(1)
         return replace(BUILT_IN, vertex=2 * BUILT_IN.vertex, measured=True)
 
-    monkeypatch.setattr("napari_deltamic.fourier.calibration.calibrate", twice)
+    monkeypatch.setattr("napari_deltamic.accuracy.machine_costs.calibrate", twice)
     return count
 
 
@@ -105,13 +107,15 @@ def test_calibration_measures_every_cost():
 
 def test_expected_seconds_are_those_of_this_machine(folder, measured, monkeypatch):
     plan = renderer().plan
-    before = plan.expected_seconds
+    before = expected_seconds(plan.work, plan.single)
     assert before == pytest.approx(BUILT_IN.seconds(plan.work, plan.single))
     dear = replace(
         BUILT_IN, single_gradient=Rates(*(10 * r for r in astuple(BUILT_IN.single_gradient)))
     )
-    monkeypatch.setattr(cost, "_known", {(str(cache_file()), torch.get_num_threads()): dear})
-    assert plan.expected_seconds == pytest.approx(10 * before)
+    monkeypatch.setattr(
+        machine_costs, "_known", {(str(costs_file()), torch.get_num_threads()): dear}
+    )
+    assert expected_seconds(plan.work, plan.single) == pytest.approx(10 * before)
 
 
 def test_the_method_does_not_depend_on_the_machine(monkeypatch):
@@ -121,7 +125,9 @@ def test_the_method_does_not_depend_on_the_machine(monkeypatch):
     usual = make_plan(*arguments).method
     assert usual == "particle-mesh"
     free = replace(BUILT_IN, single_gradient=Rates(0, 0, 0, 0, 1, 1, 1, 0))
-    monkeypatch.setattr("napari_deltamic.fourier.plan.costs", lambda: free)
+    known = {(str(costs_file()), torch.get_num_threads()): free}
+    monkeypatch.setattr(machine_costs, "_known", known)
+    assert costs() is free
     assert make_plan(*arguments).method == usual
 
 
@@ -139,13 +145,13 @@ def test_costs_are_measured_once(folder, measured, monkeypatch):
     found = costs(measure=True)
     assert found.vertex == 2 * BUILT_IN.vertex
     assert costs() is found
-    monkeypatch.setattr(cost, "_known", {})  # another process
+    monkeypatch.setattr(machine_costs, "_known", {})  # another process
     assert costs() == found
     assert costs(measure=True) == found
     assert len(measured) == 1
     assert costs(again=True).measured
     assert len(measured) == 2
-    kept = json.loads(cache_file().read_text())["of"]
+    kept = json.loads(costs_file().read_text())["of"]
     assert kept["threads"] == torch.get_num_threads()
     assert kept["version"] == nd.__version__
     assert kept["machine"]
@@ -181,15 +187,15 @@ SPOILT = {
 @pytest.mark.parametrize("how", SPOILT)
 def test_what_is_stale_or_damaged_is_measured_again(folder, measured, monkeypatch, how):
     costs(measure=True)
-    SPOILT[how](cache_file())
-    monkeypatch.setattr(cost, "_known", {})
+    SPOILT[how](costs_file())
+    monkeypatch.setattr(machine_costs, "_known", {})
     assert costs() is BUILT_IN
     assert costs(measure=True).measured
     assert len(measured) == 2
 
 
 def test_a_file_in_the_way_of_the_folder(tmp_path, measured, monkeypatch):
-    monkeypatch.setattr(cost, "_known", {})
+    monkeypatch.setattr(machine_costs, "_known", {})
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("DELTAMIC_CACHE", str(tmp_path / "file" / "below"))
     assert costs(measure=True).measured
@@ -200,10 +206,10 @@ def test_where_they_are_kept_by_default(monkeypatch, tmp_path):
     monkeypatch.delenv("DELTAMIC_CACHE")
     monkeypatch.setattr("sys.platform", "linux")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert cache_file().parent == tmp_path / "napari-deltamic"
+    assert costs_file().parent == tmp_path / "napari-deltamic"
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setenv("HOME", str(tmp_path))
-    assert cache_file().parent == tmp_path / ".cache" / "napari-deltamic"
+    assert costs_file().parent == tmp_path / ".cache" / "napari-deltamic"
     monkeypatch.setattr("sys.platform", "win32")
     monkeypatch.setenv("LOCALAPPDATA", str(tmp_path / "local"))
-    assert cache_file().parent == tmp_path / "local" / "napari-deltamic"
+    assert costs_file().parent == tmp_path / "local" / "napari-deltamic"

@@ -16,16 +16,16 @@ from scipy.optimize import nnls
 from scipy.sparse.linalg import splu
 from torch import Tensor
 
+from ..fourier.band import Band
+from ..fourier.closed_form import band_ft
+from ..fourier.cost import BUILT_IN, Costs, Rates, Work, count_work
+from ..fourier.particle_mesh import elements_ft
+from ..fourier.plan import _edge_phases, make_plan
+from ..fourier.points import Points
+from ..fourier.quadrature import rule
+from ..fourier.spreading import choose_spreading, gaussian
 from ..geometry.mesh import Mesh
 from ..geometry.primitives import sphere
-from .band import Band
-from .closed_form import band_ft
-from .cost import BUILT_IN, Costs, Rates, Work, count_work
-from .particle_mesh import elements_ft
-from .plan import _edge_phases, make_plan
-from .points import Points
-from .quadrature import rule
-from .spreading import choose_spreading, gaussian
 
 _BUDGET = 0.8  # s, after which no further round is begun
 _ROUNDS = 5

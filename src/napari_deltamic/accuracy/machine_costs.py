@@ -1,0 +1,138 @@
+"""What computing costs on this machine: measured once in less than a second, and kept on disk.
+
+Nothing but a forecast depends on it: what a rendering does is chosen with built-in costs.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from dataclasses import asdict, fields
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from ..common.cache_folder import cache_folder
+from ..common.writing import write_atomically
+from ..errors import InputError
+from ..fourier.cost import BUILT_IN, Costs, Rates, Work, built_in
+from ..fourier.native import native, simd_level, threads
+from .calibration import calibrate
+
+_FORMAT = 2  # of the file; a change of what is measured raises it
+
+_known: dict[tuple[str, int], Costs] = {}  # in this process, by file and threads
+
+
+def costs(measure: bool = False, again: bool = False) -> Costs:
+    """The costs of this machine: those kept from an earlier measurement, if there are any.
+
+    Parameters
+    ----------
+    measure
+        Whether to measure (:func:`calibrate`) where nothing is kept, or what is kept belongs to
+        another machine or version; otherwise ``BUILT_IN`` is taken. Rendering and fitting never
+        measure: they take the same time and the same choices whether or not it was done.
+    again
+        Whether to measure although something is kept, which may be from a busy moment.
+    """
+    path = costs_file()
+    key = (str(path), threads())
+    if key in _known and not again and (_known[key].measured or not measure):
+        return _known[key]
+    found = None if again else _read(path)
+    if again or (found is None and measure):
+        found = calibrate()
+        _write(path, found)
+    _known[key] = found or BUILT_IN
+    return _known[key]
+
+
+def costs_file() -> Path:
+    """Where the costs are kept; see :func:`.cache_folder.cache_folder`."""
+    return cache_folder() / f"costs-{threads()}.json"
+
+
+def expected_seconds(work: Work, single: bool, device: str = "cpu") -> float:
+    """Of one rendering with its gradient, at the costs of this machine where they are known."""
+    known = costs() if device == "cpu" else built_in(device)
+    return known.seconds(work, single)
+
+
+@cache
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("napari-deltamic")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def _whose() -> dict[str, Any]:
+    """What costs depend on: they are stale where one of these has changed."""
+    try:
+        level = simd_level() if native() is not None else "none"
+    except InputError:
+        level = "unknown"
+    return {
+        "format": _FORMAT,
+        "version": _version(),
+        "machine": f"{platform.system()} {platform.machine()}, {processor()}",
+        "cores": os.cpu_count(),
+        "threads": threads(),
+        "instructions": level,
+    }
+
+
+@cache
+def processor() -> str:
+    """Name of the processor, as well as the system tells it."""
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine() or "unknown"
+
+
+def _read(path: Path) -> Costs | None:
+    """The costs in a file; None where there are none, or of another machine, or damaged ones."""
+    try:
+        kept = json.loads(path.read_text(encoding="utf-8"))
+        if kept["of"] != _whose():
+            return None
+        return _from_plain(kept["costs"])
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
+
+
+def _from_plain(plain: dict[str, Any]) -> Costs:
+    """Raises ValueError, TypeError or KeyError where these are no costs."""
+    values: dict[str, Any] = {}
+    for f in fields(Costs):
+        value = plain[f.name]
+        if isinstance(value, dict):
+            value = Rates(**{r.name: _cost(value[r.name]) for r in fields(Rates)})
+        elif f.name != "measured":
+            value = _cost(value)
+        values[f.name] = value
+    return Costs(**values)
+
+
+def _cost(value: Any) -> float:
+    if not 0 <= float(value) < 1:  # seconds for a unit of anything
+        raise ValueError(f"{value} is no cost")
+    return float(value)
+
+
+def _write(path: Path, found: Costs) -> None:
+    """Keep for the next time; a folder that cannot be written to is no reason to fail."""
+    text = json.dumps({"of": _whose(), "costs": asdict(found)}, indent=1) + "\n"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, text.encode())
+    except (OSError, InputError):
+        pass
