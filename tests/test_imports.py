@@ -153,6 +153,7 @@ def test_no_circle_of_modules():
     left = {
         name: {to for to in imported(name, path) if to in known and to != name}
         for name, path in known.items()
+        # The checkpoint names the run for its types only.
         if path.name != "__init__.py" and name != "napari_deltamic.fitting.checkpoint"
     }
     # What imports nothing that is left can be taken away; what stays then is in a circle.
