@@ -120,6 +120,19 @@ def test_engine_code_names_no_gui_library():
     assert wrong == []
 
 
+def test_no_panel_knows_another_and_the_window_knows_no_command():
+    gui = {n: p for n, p in modules().items() if n.startswith("napari_deltamic.gui.")}
+    panels = {name for name in gui if name.endswith("_panel") and "find_cells" not in name}
+    assert len(panels) >= 6
+    wrong = [
+        f"{name} imports {target}"
+        for name, path in gui.items()
+        for target in imported_from(name, path)
+        if target.startswith("napari_deltamic.cli") or (name in panels and target in panels)
+    ]
+    assert wrong == []
+
+
 def test_relative_imports_are_understood():
     path = PACKAGE / "fourier" / "plan.py"
     targets = set(imported("napari_deltamic.fourier.plan", path))

@@ -17,16 +17,20 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
+from ..common.description import described
 from ..results.exchange import labels_of
 from ..runs.seeds import Seeds
-from ..runs.settings import RunSettings
+from ..runs.settings import RunSettings, SceneSettings
 from .accuracy.accuracy_forecast import AccuracyForecast
 from .accuracy.accuracy_measure import MeasureControl
 from .attempt import attempt
 from .closing import ask_before_closing
 from .editing.interaction import Interaction
 from .effects.effects_check import EffectsCheck
+from .effects.effects_panel import EffectsPanel
+from .fields import tip_of
 from .header import Header
+from .optics.optics_panel import OpticsPanel
 from .panels.image_panel import ImagePanel
 from .panels.preferences import read_preferences
 from .panels.settings_panel import SettingsPanel
@@ -76,7 +80,9 @@ class FitWidget(QWidget):
         self.header = Header(self)
         self.image = ImagePanel(viewer, self)
         self.seeds = SeedsPanel(viewer, self.image, self)
-        self.settings = SettingsPanel(viewer, self.image, self)
+        optics = OpticsPanel(viewer, tip_of(described(SceneSettings)["sigma"]), self)
+        effects = EffectsPanel(viewer, self.image, self)
+        self.settings = SettingsPanel(self.image, optics, effects, self)
         self.running = RunPanel(self)
         self.track_panel = TrackPanel(self)
         self.results = ResultsPanel(lambda action: attempt(action, _warn), self)

@@ -14,9 +14,9 @@ from ...fitting.job import SIGMA_IN_VOXELS
 from ...scene.effects import SecondView
 from ..connections import Connections
 from ..fields import TripleField
-from ..panels.image_panel import file_of
 from ..qt import Signal
 from ..viewing.frame import Frame, is_stack, shape_of
+from ..viewing.layer_files import file_of
 from ..widgets import LayerChooser, Note, show_row
 
 _NONE = "none"

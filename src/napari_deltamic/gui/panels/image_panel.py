@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from qtpy.QtWidgets import QFormLayout, QGroupBox, QHBoxLayout, QLabel, QPushButton, QWidget
 
-from ...common.choices import IMAGE_FILES, TIFF
+from ...common.choices import TIFF
 from ...errors import InputError
-from ...images.stacks import read_voxel_size, stored_shape
+from ...images.stacks import read_voxel_size
 from ..connections import Connections
 from ..fields import TripleField
 from ..qt import Signal
@@ -23,11 +23,11 @@ from ..viewing.frame import (
     Frame,
     finite,
     is_stack,
-    stack_of,
     um_per_unit,
     unread_stack_of,
 )
 from ..viewing.kept_view import rescale
+from ..viewing.layer_files import file_of
 from ..widgets import LayerChooser, note_label, sentence, show_row
 from .channels import ChannelChooser, channel_axes, channel_layer, why_unusable
 
@@ -237,16 +237,3 @@ class ImagePanel(QGroupBox):
         self._scaled = layer
         if layer is not None:
             layer.events.scale.connect(self._show_size)
-
-
-def file_of(layer: Any) -> str:
-    """The file that a 3D image layer was opened from, if an image of its shape is in it; else ''.
-
-    The pixels may have been edited since: see :func:`.stacks.holds_image`.
-    """
-    path = layer.source.path
-    if not path or layer.ndim != 3 or Path(path).suffix.lower() not in IMAGE_FILES:
-        return ""
-    if stored_shape(path) != stack_of(layer, ()).shape:
-        return ""  # a crop, a channel, a time point
-    return str(Path(path).absolute())

@@ -22,9 +22,7 @@ from ...runs.settings import FitSettings, SceneSettings, validated
 from ...scene.effects import Effects
 from ..accuracy.accuracy_dial import AccuracyDial
 from ..accuracy.accuracy_view import TradeoffView
-from ..effects.effects_panel import EffectsPanel
-from ..fields import Form, tip_of
-from ..optics.optics_panel import OpticsPanel
+from ..fields import Form
 from ..qt import Signal
 from ..widgets import Fold, Note
 
@@ -37,16 +35,24 @@ class SettingsPanel(QGroupBox):
     """Everything of the settings that the widget shows; ``changed`` comes from the user.
 
     ``advanced`` is the part that is shown elsewhere, folded away.
+
+    Parameters
+    ----------
+    image_panel : gives the image and its frame.
+    optics, effects : the parts that hold the PSF and the corrections.
+    parent : Qt's.
     """
 
     changed = Signal()
 
-    def __init__(self, viewer: Any, image_panel: Any, parent: QWidget | None = None) -> None:
+    def __init__(
+        self, image_panel: Any, optics: Any, effects: Any, parent: QWidget | None = None
+    ) -> None:
         super().__init__("3  Fit", parent)
         self._image = image_panel
         self._sigma_given = False
         self._shown_for: Any = None  # a weak reference to the image that came with its PSF
-        self.optics = OpticsPanel(viewer, tip_of(described(SceneSettings)["sigma"]), self)
+        self.optics, self.effects = optics, effects
         self.sigma = self.optics.sigma
         experts = [name for name in described(FitSettings) if name not in _OWN]
         self.forms = [Form(FitSettings, names, self) for names in (_PSF, _BRIGHTNESS, experts)]
@@ -54,7 +60,6 @@ class SettingsPanel(QGroupBox):
         self.fit_psf, self.density = fields["fit_psf"], fields["density"]
         self.likelihood, self.max_iterations = fields["likelihood"], fields["max_iterations"]
         self.switches = {n: fields[n] for n in ("fit_psf", "remesh", "collisions", "topology")}
-        self.effects = EffectsPanel(viewer, image_panel, self)
         self.accuracy = AccuracyDial(lambda: image_noise(image_panel.stack()), self)
         self.accuracy_number = QLabel(self)  # what the dial stands for
         self.outlook, self.pace = Note(self), Note(self)  # predicted, and measured, times
@@ -146,7 +151,7 @@ class SettingsPanel(QGroupBox):
         layout.addLayout(dial)
         layout.addLayout(psf)
 
-        self.optics.layout().addWidget(self.forms[0])  # type: ignore[union-attr]
+        self.optics.layout().addWidget(self.forms[0])
         self.psf_fold = Fold("", self.optics, self)
         self.effects_fold = Fold("", self.effects, self)
         speed = QWidget(self)

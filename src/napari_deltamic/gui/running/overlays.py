@@ -157,7 +157,13 @@ class Overlays(QObject):
     def _go_to_worst(self) -> None:
         link = self._live.link
         if link is not None and self._found is not None and self._found.spots:
-            link.go_to(self._found.spots[0].position)
+            spot = self._found.spots[0]
+            link.go_to(spot.position)
+            kind = "brighter" if spot.z > 0 else "darker"
+            self._panels.running.tell(
+                f"In the middle of the view the image is {kind} than the model, by "
+                f"{abs(spot.z):.0f} standard deviations of the noise."
+            )
 
     def _toggled(self, checked: bool) -> None:
         if self._live.run is not None:

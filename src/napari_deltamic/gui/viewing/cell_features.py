@@ -9,6 +9,7 @@ import numpy as np
 from napari.layers import Labels
 from numpy.typing import NDArray
 
+from .colours import label_colormap
 from .frame import OWN, Frame
 
 _AXES = ("z", "y", "x")
@@ -55,7 +56,9 @@ def labels_layer(
     labels: NDArray[Any], rows: Iterable[Mapping[str, Any]], frame: Frame, name: str
 ) -> Labels:
     """Cells as a Labels layer with their measurements."""
-    return Labels(labels, **labels_options(rows, frame, name))
+    layer = Labels(labels, **labels_options(rows, frame, name))
+    layer.colormap = label_colormap(labels)
+    return layer
 
 
 def labels_options(rows: Iterable[Mapping[str, Any]], frame: Frame, name: str) -> dict[str, Any]:
