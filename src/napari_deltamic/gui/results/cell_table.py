@@ -241,7 +241,8 @@ def _cell(
     item.setTextAlignment(side | Qt.AlignmentFlag.AlignVCenter)
     if column.key == "region":
         region = int(row["region"])
-        item.setForeground(QColor(*colour_of(region, colours)))
+        # Beside the number, which could not be read in a pale colour on a light theme.
+        item.setData(Qt.ItemDataRole.DecorationRole, QColor(*colour_of(region, colours)))
         item.setData(_REGION, region)
     elif value is None and column.key in row:
         item.setToolTip(f"<qt>{row.get('note') or _WHY.get(column.key, _OPEN)}</qt>")

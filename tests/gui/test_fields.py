@@ -1,0 +1,87 @@
+"""The forms of the window are made of what settings say of themselves."""
+
+import pytest
+
+from napari_deltamic.common.description import described
+from napari_deltamic.errors import InputError
+from napari_deltamic.gui.fields import Form
+from napari_deltamic.gui.optics.objective_fields import ObjectiveFields
+from napari_deltamic.runs.optics_settings import MeasuredOptics, MicroscopeOptics
+from napari_deltamic.runs.settings import FitSettings
+from napari_deltamic.runs.track_settings import TrackSettings
+
+
+def fields_of(widget):
+    return {name: field for form in widget.settings.forms for name, field in form.fields.items()}
+
+
+def test_every_setting_of_a_fit_is_in_the_window_once(make_widget):
+    widget = make_widget()
+    forms = widget.settings.forms
+    names = [name for form in forms for name in form.fields]
+    assert sorted([*names, "accuracy"]) == sorted(described(FitSettings))
+    for name, found in described(FitSettings).items():
+        if name != "accuracy":
+            assert found.sentence in fields_of(widget)[name].toolTip()
+            assert fields_of(widget)[name].accessibleName() == found.label
+
+
+@pytest.mark.parametrize("model", [FitSettings, MicroscopeOptics, MeasuredOptics, TrackSettings])
+def test_a_form_has_a_field_for_each_setting(app, model):
+    form = Form(model)
+    assert set(form.fields) == set(described(model))
+    titles = [form.form.itemAt(k) for k in range(form.form.count())]
+    words = [item.widget().text() for item in titles if hasattr(item.widget(), "text")]
+    for found in described(model).values():
+        assert found.label in words or found.title in words
+
+
+def test_what_is_shown_stays_exact_until_it_is_edited(make_widget):
+    widget = make_widget()
+    odd = FitSettings(
+        bending=1 / 3,
+        tolerance=1e-12,
+        levels=(10 / 3, 1.0),
+        smoothing=0,
+        device="cpu",
+        density="smooth",
+        remesh=False,
+        max_iterations=2_000_000,
+    )
+    widget.settings.show_settings(odd)
+    assert widget.settings.fit_settings() == odd
+    fields_of(widget)["bending"].setValue(6)
+    assert widget.settings.fit_settings() == odd.model_copy(update={"bending": 6.0})
+
+
+def test_numbers_are_typed_as_one_writes_them(make_widget):
+    widget = make_widget()
+    levels = fields_of(widget)["levels"]
+    levels.setText("4, 2 1")
+    levels.editingFinished.emit()
+    assert widget.settings.fit_settings().levels == (4, 2, 1)
+    levels.setText("")
+    levels.editingFinished.emit()
+    assert widget.settings.fit_settings().levels is None
+    for wrong in ("1 2", "much"):
+        levels.setText(wrong)
+        levels.editingFinished.emit()
+        with pytest.raises(InputError, match="levels"):
+            widget.settings.fit_settings()
+
+
+def test_a_number_that_may_be_open_is_open_at_zero(app):
+    fields = ObjectiveFields()
+    fields.modality.setCurrentText("confocal")
+    assert fields.value("excitation") is None
+    assert fields.numbers["excitation"].text() == "automatic"
+    fields.numbers["excitation"].setValue(0.488)
+    assert fields.settings().excitation == 0.488
+
+
+def test_what_a_fit_cannot_take_over_is_for_the_next_run(begun, spin):
+    fields_of(begun)["device"].setCurrentText("cpu")
+    assert begun.running.note.text() == "computed on: from the next run on"
+    fields_of(begun)["bending"].setValue(6)
+    spin(lambda: begun.run.job.settings.fit.bending == 6)
+    assert begun.run.job.settings.fit.device == "auto"
