@@ -79,7 +79,7 @@ def test_labels_must_lie_on_the_voxels():
     labels = np.zeros(SHAPE, int)
     labels[1:5, 1:7, 1:9] = 2
     good = seeds_from_layer(Labels(labels, scale=(0.3, 0.2, 0.2)), frame, (), spheres=False)
-    mesh = good.mesh(np.zeros(SHAPE), frame.grid(SHAPE))
+    mesh = good.make(np.zeros(SHAPE), frame.grid(SHAPE))
     assert mesh.region_ids().tolist() == [2]
     with pytest.raises(InputError, match="scale"):
         seeds_from_layer(Labels(labels), frame, (), spheres=False)

@@ -14,6 +14,7 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
+from napari_deltamic._widget import FitWidget
 from napari_deltamic.gui.widgets import Fold
 
 from .seeding import PLACE
@@ -112,6 +113,14 @@ def test_what_is_rare_is_in_the_menu(shown):
         "Copy as command",
         "Simulate cells...",
     ]
+
+
+def test_without_an_image_no_width_is_made_up(app, viewer, spin):
+    widget = FitWidget(viewer)
+    assert widget.settings.psf_line.text() == "PSF: 1.2 voxels wide"
+    viewer.add_image(np.zeros((4, 8, 8)), scale=(0.5, 0.2, 0.2), units=("um",) * 3)
+    assert widget.settings.psf_line.text() == "PSF: Gaussian 0.60 (z), 0.24 (yx) um"
+    widget.close_links()
 
 
 def test_the_psf_can_be_changed_from_its_line(shown, spin):

@@ -177,6 +177,8 @@ class SettingsPanel(QGroupBox):
         """What is chosen is told while its fields are folded away."""
         psf = self.optics.summary()
         fitted = ", then estimated from the image" if self.fit_psf.isChecked() else ""
+        if self._image.layer is None and not self._sigma_given:
+            psf = f"{SIGMA_IN_VOXELS} voxels wide"  # of an image that is still to come
         self.psf_line.say(f"PSF: {psf}{fitted}")
         self.psf_fold.set_title(f"Microscope: {psf}")
         self.effects_fold.set_title(f"Corrections: {self.effects.summary()}")
@@ -188,6 +190,7 @@ class SettingsPanel(QGroupBox):
         if self._image.layer is not None and not self._sigma_given:
             sizes = self._image.voxel_size.value()
             self.optics.show_sigma([SIGMA_IN_VOXELS * d for d in sizes])
+        self._show_choices()
 
     def _edited(self, value: Any = None) -> None:
         self.changed.emit()
