@@ -14,7 +14,7 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
-from napari_deltamic._widget import FitWidget
+from napari_deltamic.gui.fit_widget import FitWidget
 from napari_deltamic.gui.widgets import Fold
 
 from .seeding import PLACE
