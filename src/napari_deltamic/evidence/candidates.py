@@ -9,16 +9,13 @@ import torch
 
 from ..errors import InputError
 from ..optics import Optics
-from ..scene.effects import KINDS, Effect, Effects, Halo
+from ..scene.effects import KINDS, Effect, Effects
 from ..scene.effects.base import VoxelEffect
 
-# A halo's width is not told by its derivative where it holds no light, so several are tried.
-_HALO_WIDTHS = (3.0, 6.0, 12.0)  # of the PSF in the plane
-_NEEDS_MORE = ("second_view",)  # it is data: whether there is a second image, none can tell
 CONSIDERED = tuple(
     name
     for name, kind in KINDS.items()
-    if not issubclass(kind, VoxelEffect) and name not in _NEEDS_MORE
+    if not issubclass(kind, VoxelEffect) and not kind.needs_data
 )
 
 
@@ -31,7 +28,7 @@ def chosen_candidates(names: Sequence[str] | None, present: Effects) -> tuple[st
         If one is unknown, or cannot be judged by one image.
     """
     for name in names or ():
-        if name in _NEEDS_MORE:
+        if name in KINDS and KINDS[name].needs_data:
             raise InputError(
                 f"{name} is data, which no single image can call for: name its file among the "
                 "effects of the fit"
@@ -47,13 +44,13 @@ def chosen_candidates(names: Sequence[str] | None, present: Effects) -> tuple[st
 
 def variants(name: str, optics: Optics) -> list[Effect]:
     """The effect where it changes nothing; several where its derivative depends on how."""
-    neutral = KINDS[name].neutral()
-    if not isinstance(neutral, Halo):
-        return [neutral]
-    bounds = Halo.bounds["width"]
+    found = [KINDS[name].neutral()]
     base = float(np.mean(optics.sigma_um[1:]))
-    widths = (min(max(k * base, bounds.low), bounds.high) for k in _HALO_WIDTHS)
-    return [neutral.model_copy(update={"width": w}) for w in widths]
+    for field, tried in KINDS[name].tried_widths.items():
+        bounds = KINDS[name].bounds[field]
+        widths = [min(max(k * base, bounds.low), bounds.high) for k in tried]
+        found = [one.model_copy(update={field: w}) for one in found for w in widths]
+    return found
 
 
 def allowed(effect: Effect, present: Effects) -> bool:

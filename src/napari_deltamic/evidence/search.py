@@ -196,8 +196,8 @@ class Search:
         neutral = type(effect).neutral()
         if effect.bounds:
             change = effect.parameters().numpy() - neutral.parameters().numpy()
-            if effect.name == "halo":  # its width says nothing about how much there is of it
-                change[1] = 0.0
+            # How far it reaches says nothing about how much there is of it.
+            change[[value.name in effect.tried_widths for value in effect.values()]] = 0.0
         else:
             change = np.ones(1)
         without = at.without(own, at.residual + (columns @ change) * at.root)

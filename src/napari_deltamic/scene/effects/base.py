@@ -85,6 +85,12 @@ class Effect(BaseModel):
         Names of effects that the image cannot tell from this one: only one of them can be fitted.
     bounds
         Field -> bounds of its numbers; a field may hold several.
+    tried_widths
+        Field -> values, in widths of the PSF in the plane, that are tried when the effect is
+        judged. Such a number says how far the effect reaches and nothing of how much there is of
+        it, so that the derivative in it is zero where the effect changes nothing.
+    needs_data
+        Whether it is data: no single image can say that it is called for.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -95,6 +101,8 @@ class Effect(BaseModel):
     cost: ClassVar[Cost] = Cost()
     contradicts: ClassVar[tuple[str, ...]] = ()
     bounds: ClassVar[dict[str, Bounds]] = {}
+    tried_widths: ClassVar[dict[str, tuple[float, ...]]] = {}
+    needs_data: ClassVar[bool] = False
 
     fit: bool = Field(default=True, description="whether its numbers are fitted")
 

@@ -47,6 +47,7 @@ class Halo(TransferEffect):
         "fraction": Bounds("1", 0.0, 0.8, 0.1),
         "width": Bounds("um", 0.05, 10.0, 1.0),
     }
+    tried_widths: ClassVar[dict[str, tuple[float, ...]]] = {"width": (3.0, 6.0, 12.0)}
 
     fraction: Annotated[float, Field(ge=0, le=0.8)] = Field(
         default=0.02, description="share of the light in the halo"

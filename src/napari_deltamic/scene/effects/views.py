@@ -21,6 +21,7 @@ class SecondView(Effect):
         "that one resolves is lost"
     )
     cost: ClassVar[Cost] = Cost(images=1, bands=2)
+    needs_data: ClassVar[bool] = True
 
     fit: bool = Field(default=False, description="its PSF is held")
     sigma: tuple[Width, Width, Width] = Field(
