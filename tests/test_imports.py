@@ -161,6 +161,16 @@ def test_every_module_that_is_imported_exists():
     assert wrong == []
 
 
+def test_the_window_does_not_know_the_command_line():
+    wrong = [
+        f"{name} imports {target}"
+        for name, path in modules().items()
+        for target in imported(name, path)
+        if name.split(".")[1:2] == ["gui"] and target.startswith("napari_deltamic.cli")
+    ]
+    assert wrong == []
+
+
 def test_no_circle_of_modules():
     known = modules()
     left = {
