@@ -139,6 +139,7 @@ BAD = {
     "a wrong value": (("stacks", "--accuracy", "-1"), "accuracy"),
     "a folder": (("output.toml",), "-o is not for a batch"),
     "another option": (("option.toml",), "--fast"),
+    "no seeds": (("stacks", "--workers", "0"), "where does the fit of a start"),
     "workers": (("stacks", "--workers", "-1"), "--workers must be 0 or more"),
     "both": (("stacks", "--workers", "1", "--scheduler", "tcp://x:1"), "leave out --workers"),
 }
@@ -153,8 +154,8 @@ def test_what_no_batch_can_be(fails, tmp_path, monkeypatch, name):
     Path("key.toml").write_text('[[runs]]\nimag = "a.tif"\n')
     Path("text.toml").write_text("images = [")
     Path("twice.toml").write_text('images = ["x/a.tif", "y/a.npy"]\n')
-    Path("output.toml").write_text('images = ["a.tif"]\noptions = ["-o", "x"]\n')
-    Path("option.toml").write_text('images = ["a.tif"]\noptions = ["--fast"]\n')
+    Path("output.toml").write_text('images = ["a.tif"]\nseeds = "auto"\noptions = ["-o", "x"]\n')
+    Path("option.toml").write_text('images = ["a.tif"]\nseeds = "auto"\noptions = ["--fast"]\n')
     arguments, says = BAD[name]
     first, rest = arguments[0], arguments[1:]
     assert says in fails("batch", first, "-o", "out", *rest)
@@ -164,14 +165,16 @@ def test_what_no_batch_can_be(fails, tmp_path, monkeypatch, name):
 def test_a_folder_with_other_files_is_left_alone(fails, stacks, tmp_path):
     (tmp_path / "out" / "one").mkdir(parents=True)
     (tmp_path / "out" / "one" / "thesis.txt").write_text("mine")
-    assert "not of a batch" in fails("batch", stacks, "--workers", 0, "-o", tmp_path / "out")
+    assert "not of a batch" in fails("batch", stacks, *SEEDS, "-o", tmp_path / "out")
     assert (tmp_path / "out" / "one" / "thesis.txt").read_text() == "mine"
 
 
 def test_a_scheduler_that_does_not_answer(fails, stacks, tmp_path, monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr("napari_deltamic.cli.cluster._PATIENCE", 0.2)
-    said = fails("batch", stacks, "--scheduler", "tcp://127.0.0.1:9", "-o", tmp_path / "out")
+    said = fails(
+        "batch", stacks, *SEEDS, "--scheduler", "tcp://127.0.0.1:9", "-o", tmp_path / "out"
+    )
     assert "does not answer" in said
 
 

@@ -92,9 +92,15 @@ def _state(path: Path) -> list[int] | None:
 
 
 def _check_options(jobs: Sequence[BatchJob]) -> None:
-    """InputError for options that no fit takes, before any work."""
+    """InputError for options that no fit takes, and where seeds are missing, before any work."""
     from . import build_parser
 
+    for job in jobs:
+        if job.seeds is None and "--settings" not in job.options:
+            raise InputError(
+                f"where does the fit of {job.name} start? give --seeds: a pattern such as "
+                "'{stem}_labels.tif', or auto"
+            )
     parser = build_parser()
     for options in dict.fromkeys(job.options for job in jobs):
         for word in ("-o", "--output", "--resume"):
