@@ -260,3 +260,30 @@ def test_the_docs_say_what_every_column_is():
         for c in columns
     ]
     assert told == wanted
+
+
+@pytest.mark.parametrize("kind", ["soup", "holes", "noise", "flat", "windings"])
+def test_whatever_the_mesh_there_is_a_number_or_nothing(bubble, kind):
+    """No exception, no NaN, no warning (which would be an error here)."""
+    rng = np.random.default_rng(0)
+    v, faces, regions = bubble.vertices_numpy(), bubble.faces, bubble.regions
+    for _ in range(8):
+        if kind == "soup":
+            n = int(rng.integers(3, 12))
+            corners = rng.normal(0, 1, (n, 3)) * 10.0 ** rng.integers(-6, 6)
+            some = [rng.choice(n, 3, replace=False) for _ in range(rng.integers(1, 20))]
+            mesh = Mesh(corners, some, [rng.choice(5, 2, replace=False) for _ in some])
+        elif kind == "holes":
+            kept = rng.random(len(faces)) < rng.uniform(0.2, 1)
+            mesh = Mesh(v, faces[kept], regions[kept])
+        elif kind == "noise":
+            mesh = bubble.with_vertices(v + rng.normal(0, rng.choice([0.05, 0.5, 3]), v.shape))
+        elif kind == "flat":
+            squeezed = v.copy()
+            squeezed[:, rng.integers(3)] *= rng.choice([0, 1e-9])
+            mesh = bubble.with_vertices(squeezed)
+        else:
+            turned = rng.random(len(faces)) < 0.3
+            mesh = Mesh(v, faces, np.where(turned[:, None], regions[:, ::-1], regions))
+        density = rng.random(len(mesh.faces))
+        check_no_silent_nan(measure(mesh, Known(grid=ROUND, density=density, resolution=0.3)))

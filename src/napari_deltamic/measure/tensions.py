@@ -226,7 +226,7 @@ def _weighted(
 ) -> tuple[FloatArray, FloatArray]:
     """Weighted least squares, and standard errors from those of the values and what is left."""
     root = np.sqrt(weight)
-    inverse = np.linalg.inv((rows * weight[:, None]).T @ rows)
+    inverse = np.linalg.pinv((rows * weight[:, None]).T @ rows, hermitian=True)
     response = inverse @ (rows * weight[:, None]).T
     found = response @ values
     left = root * (rows @ found - values)
