@@ -61,8 +61,8 @@ def test_nothing_is_ticked_before_the_user_does(panel):
     assert panel.effects() == Effects()
     assert panel.summary() == "none; bulk recommended"
     row = panel.table.row_of("bulk")
-    assert row == {"effect": "bulk", "evidence": "12.3", "bias": "85", "cost": "3.2"}
-    assert panel.table.row_of("pixel_integration")["evidence"] == ""
+    assert row == {"effect": "bulk", "how": "12.3", "shift": "85", "slower": "3.2"}
+    assert panel.table.row_of("pixel_integration")["how"] == ""
     assert "gain 2" in panel.remarks.text()
 
 

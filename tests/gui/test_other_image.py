@@ -92,7 +92,7 @@ def test_recommendations_are_of_their_image(seeded, spin, other, monkeypatch):
     choose(seeded, "other")
     assert "recommended" not in view.summary()
     assert view.take_button.isHidden()
-    assert view.table.row_of("bulk")["evidence"] == ""
+    assert view.table.row_of("bulk")["how"] == ""
     assert "another image" in view.progress.text()
     choose(seeded, "cell")
     assert view.summary() == "none; bulk recommended"

@@ -21,9 +21,9 @@ from ..qt import Signal
 
 _COLUMNS = (
     ("effect", "Tick an effect to compute it: in a fit that runs at once, else in the next one."),
-    ("evidence", "Standard deviations by which the image asks for it."),
-    ("bias\nnm", "By how much the surface is off without it, as predicted."),
-    ("cost\nms", "What an iteration takes longer with it, as predicted."),
+    ("how\nsure", "Standard deviations by which the image asks for it."),
+    ("shift\nnm", "By how much the surface is off without it, as predicted."),
+    ("slower\nms", "What an iteration takes longer with it, as predicted."),
 )
 _BOXES = (
     "QTableWidget::indicator { border: 1px solid #8d99a6; background: transparent; }"
