@@ -205,6 +205,16 @@ NB_MODULE(_remesh, m) {
         const auto pieces = region_pieces(table_of<3>(face_edges), Regions(regions).places(regions), edges);
         return copied<std::int64_t>(pieces.data(), pieces.size() / 2, 2);
     });
+    m.def("connected", [](Given<std::int64_t> links, std::size_t count) {
+        const std::size_t n = rows_of(links, "links", 2);
+        require(static_cast<std::int64_t>(count) < most_rows, "too many to link");
+        below(links, count, "a link names what is not there");
+        Sets sets(count);
+        for (std::size_t i = 0; i < n; ++i)
+            sets.join(static_cast<std::int32_t>(links.data()[2 * i]), static_cast<std::int32_t>(links.data()[2 * i + 1]));
+        const auto number = sets.numbers();
+        return copied<std::int64_t>(number.data(), number.size(), 1);
+    });
     nb::class_<Guard>(m, "Guard")
         .def("__init__",
              [](Guard* self, Given<std::int64_t> edges, Given<std::int64_t> faces, Given<double> near, double contact,

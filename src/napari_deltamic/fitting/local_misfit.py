@@ -36,10 +36,13 @@ class Misfit:
     variance
         Of one near the surface, times the voxels that one independent voxel stands for; see
         :func:`~.tempering.tempered_variance`.
+    weights
+        (Z, Y, X).
     """
 
     residual: FloatArray
     variance: float
+    weights: torch.Tensor
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,7 @@ def misfit_of(
     optics: Optics,
     effects: Effects,
     accuracy: float,
+    like: Misfit | None = None,
 ) -> Misfit:
     """Residuals of a shape at the image's own sharpness, whatever the level.
 
@@ -72,6 +76,8 @@ def misfit_of(
         As of a fit.
     density
         (F,) of the faces.
+    like
+        Of the shape to compare with: voxels count alike.
     """
     with torch.no_grad():
         given = mesh, problem.grid, optics, accuracy
@@ -80,7 +86,11 @@ def misfit_of(
     added = offset(effects, problem.grid)
     measured = measured if added is None else measured - added
     counted = problem.counted_with(effects)
-    weights = _weights(problem, measured.numpy(), counted, optics, effects)
+    weights = (
+        _weights(problem, measured.numpy(), counted, optics, effects)
+        if like is None
+        else like.weights
+    )
     known = torch.from_numpy(counted)
     near = (known & (rendered > _NEAR * rendered.max())).reshape(-1).nonzero()[:, 0]
     some = (t.reshape(-1)[near] for t in (rendered, measured, weights))
@@ -91,7 +101,7 @@ def misfit_of(
     index = near.numpy()
     some_left = residual.reshape(-1)[index]
     variance = tempered_variance(some_left, index, problem.grid.shape, widths, 1e-300)
-    return Misfit(residual, variance)
+    return Misfit(residual, variance, weights)
 
 
 def gaps(

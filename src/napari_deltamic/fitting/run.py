@@ -268,7 +268,9 @@ class Run:
         """Change what only a trial can tell; whether it did."""
         if not self._topology_may_change:
             return False
-        while places := self.policy.worth_a_trial(self.shape, max(self.optics.sigma_um)):
+        width = max(self.optics.sigma_um)
+        candidates = self.policy.candidates(self.shape, width)
+        while places := self.policy.worth_a_trial(candidates, self.shape, width):
             known = len(self.policy.futile), self.policy.most
             if self._change(places, tried=True):
                 return True
@@ -297,7 +299,8 @@ class Run:
         assert trial is not None
         reach = BEYOND * max(self.optics.sigma_um)
         points = [place.points for place in trial.places]
-        found = gaps(self.problem, trial.misfit, self._misfit(), points, reach, self.optics)
+        after = self._misfit(trial.misfit)
+        found = gaps(self.problem, trial.misfit, after, points, reach, self.optics)
         self.policy, judged = self.policy.judged(trial, found)
         for place in judged.undecided:
             self.events += (_undecided(place),)
@@ -314,11 +317,11 @@ class Run:
             self.events += ("undone, as the image speaks against it",)
         return True
 
-    def _misfit(self) -> Misfit:
+    def _misfit(self, like: Misfit | None = None) -> Misfit:
         density = Density(self.shape.mesh, self.settings.density, 1.0)
         faces = density.faces_numpy(self._log(density))
         given = self.optics, self.effects, self.settings.image_accuracy
-        return misfit_of(self.problem, self.shape.mesh, faces, *given)
+        return misfit_of(self.problem, self.shape.mesh, faces, *given, like)
 
     def _log(self, density: Density) -> FloatArray:
         log = self.shape.log_density

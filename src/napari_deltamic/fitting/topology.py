@@ -131,11 +131,8 @@ class TopologyPolicy:
         lasting = sorted(lasting, key=lambda p: p.width)[: self.most]
         return replace(self, seen=tuple(found)), lasting
 
-    def worth_a_trial(self, shape: Shape, width: float) -> list[ThinPlace]:
-        """Where another shape might explain the image, none near another.
-
-        width : um, largest of the PSF.
-        """
+    def candidates(self, shape: Shape, width: float) -> list[ThinPlace]:
+        """Where another shape might explain the image; width : um, largest of the PSF."""
         if self.late >= _LATE:
             return []
         mesh, edge = shape.mesh, median_edge(shape.mesh)
@@ -146,9 +143,14 @@ class TopologyPolicy:
         places += _narrowest([p for p in thin if p.width < _NARROW * edge])
         places += _slits(thin, _ONE * width, seen=_SEEN * width**2 / edge**2)
         walls = small_walls(mesh, size**2, _CLOSE * edge)
-        places += sorted([*walls, *short_junctions(mesh, size)], key=lambda p: p.width)
-        chosen: list[ThinPlace] = []
-        for place in self._free(shape, places, self.futile):
+        return places + sorted([*walls, *short_junctions(mesh, size)], key=lambda p: p.width)
+
+    def worth_a_trial(
+        self, candidates: Sequence[ThinPlace], shape: Shape, width: float
+    ) -> list[ThinPlace]:
+        """Those of the candidates that are tried now: none near another."""
+        edge, chosen = median_edge(shape.mesh), list[ThinPlace]()
+        for place in self._free(shape, candidates, self.futile):
             if any(_reverts(place, q, edge) for q in self.past):
                 continue
             near = (cKDTree(p.points).query(place.points)[0].min() for p in chosen)

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
 
 from ..errors import InputError
+from .connected import connected
 from .mesh import OUTSIDE, FloatArray, IntArray, Mesh
 
 
@@ -133,9 +132,7 @@ def _together(mesh: Mesh, within: np.ndarray, corners: IntArray) -> np.ndarray:
     within[corners] = True
     edges = mesh.edges()
     edges = edges[within[edges].all(axis=1)]
-    n = len(within)
-    graph = sp.coo_matrix((np.ones(len(edges), np.int8), (edges[:, 0], edges[:, 1])), shape=(n, n))
-    piece = connected_components(graph, directed=False)[1]
+    piece = connected(edges, len(within))
     return within & (piece == piece[corners[0]])
 
 

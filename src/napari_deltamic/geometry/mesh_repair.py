@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from napari_deltamic.errors import InputError
+from napari_deltamic.geometry.connected import connected
 from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, IntArray, Mesh, to_numpy
 from napari_deltamic.geometry.windings import fix_windings
 
@@ -121,8 +120,8 @@ def _merged(
     unique, first, inverse = np.unique(points, axis=0, return_index=True, return_inverse=True)
     diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
     pairs = cKDTree(unique).query_pairs(MERGE_TOLERANCE * diagonal, output_type="ndarray")
-    graph = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(unique), len(unique)))
-    n_groups, group = connected_components(graph, directed=False)
+    group = connected(pairs, len(unique))
+    n_groups = int(group.max()) + 1
     if n_groups == len(points):
         return points, faces
     _note(messages, len(points) - n_groups, "merged {} into others", "duplicate vertex")
@@ -277,8 +276,5 @@ def _patches(edge: IntArray, n_edges: int) -> IntArray:
     """Number the groups of faces, (n, 3) edges each, that hang together by edges."""
     n_faces = len(edge)
     rows = np.repeat(np.arange(n_faces), 3)
-    graph = coo_matrix(
-        (np.ones(3 * n_faces), (rows, n_faces + edge.reshape(-1))),
-        shape=(n_faces + n_edges, n_faces + n_edges),
-    )
-    return connected_components(graph, directed=False)[1][:n_faces].astype(np.int64)
+    links = np.column_stack([rows, n_faces + edge.reshape(-1)])
+    return connected(links, n_faces + n_edges)[:n_faces]

@@ -9,10 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import ndimage
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from napari_deltamic.errors import InputError, RepairWarning
+from napari_deltamic.geometry.connected import connected
 from napari_deltamic.geometry.contacts import label_contacts
 from napari_deltamic.geometry.labels.label_repair import repair_labels, share_out_gaps
 from napari_deltamic.geometry.labels.partition import TooCoarse, partition_mesh, with_volumes
@@ -200,9 +199,7 @@ def _without_gaps(numbers: IntArray, size: FloatArray, gap: float | None) -> Int
 def _touching(numbers: IntArray, count: int) -> list[IntArray]:
     """Labels in groups that touch; each group a sorted array."""
     met, faces = label_contacts(numbers)
-    met = met[faces >= _LEAST_CONTACT] - 1
-    links = coo_array((np.ones(len(met)), (met[:, 0], met[:, 1])), shape=(count, count))
-    group = connected_components(links, directed=False)[1]
+    group = connected(met[faces >= _LEAST_CONTACT] - 1, count)
     return [np.flatnonzero(group == g) + 1 for g in np.unique(group)]
 
 

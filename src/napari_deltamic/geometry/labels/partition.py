@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from napari_deltamic.errors import InputError
+from napari_deltamic.geometry.connected import connected
 from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, IntArray, Mesh
 
 MAX_NODES = 30_000_000  # a typing error in edge_length should not fill the memory
@@ -239,7 +238,6 @@ def _unpinched(vertices: FloatArray, quads: IntArray) -> tuple[FloatArray, IntAr
     order = np.argsort(keys, kind="stable")
     same = keys[order][1:] == keys[order][:-1]
     left, right = owners[order][:-1][same], owners[order][1:][same]
-    links = coo_array((np.ones(len(left)), (left, right)), shape=(len(corners),) * 2)
-    fan = connected_components(links, directed=False)[1]
+    fan = connected(np.column_stack([left, right]), len(corners))
     fans, place = np.unique(fan, return_index=True)
     return vertices[corners[place]], np.searchsorted(fans, fan).reshape(-1, 4)

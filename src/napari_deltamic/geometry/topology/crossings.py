@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from napari_deltamic.geometry.compiled import native
+from napari_deltamic.geometry.connected import connected
 from napari_deltamic.geometry.mesh import IntArray, Mesh
 
 
@@ -77,7 +76,4 @@ class CrossingWalls:
 
 
 def _pieces(mesh: Mesh) -> IntArray:
-    edges, n = mesh.edges(), len(mesh.vertices)
-    graph = coo_matrix((np.ones(len(edges)), edges.T), shape=(n, n))
-    pieces: IntArray = connected_components(graph, directed=False)[1].astype(np.int64)
-    return pieces
+    return connected(mesh.edges(), len(mesh.vertices))

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-
+from napari_deltamic.geometry.connected import connected
 from napari_deltamic.geometry.mesh import OUTSIDE, Mesh
 from napari_deltamic.geometry.topology.submesh import Census
 from napari_deltamic.geometry.topology.thin_places import ThinPlace
@@ -73,8 +70,8 @@ def surface_shape(mesh: Mesh, region: int) -> Shape:
     """Pieces of a region's surface, and its Euler characteristic."""
     surface = mesh.region_surface(region)
     edges, n = surface.edges(), len(surface.vertices)
-    graph = coo_matrix((np.ones(len(edges)), edges.T), shape=(n, n))
-    return int(connected_components(graph, directed=False)[0]), n - len(edges) + len(surface.faces)
+    pieces = int(connected(edges, n).max(initial=-1)) + 1
+    return pieces, n - len(edges) + len(surface.faces)
 
 
 def _listed(pairs: set[tuple[int, int]]) -> str:

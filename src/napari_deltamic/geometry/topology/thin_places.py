@@ -6,11 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from napari_deltamic.geometry.compiled import native
+from napari_deltamic.geometry.connected import connected
 from napari_deltamic.geometry.contacts import walls
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
 
@@ -114,7 +113,7 @@ def small_walls(mesh: Mesh, area: float, apart: float = 0.0) -> list[ThinPlace]:
     pairs, wall = mesh.interfaces()
     vertices, areas, meet = mesh.vertices_numpy(), mesh.areas(), _regions_at(mesh)
     places = []
-    for row in np.flatnonzero((pairs > 0).all(1)):
+    for row in _with_small_pieces(mesh, pairs, wall, area):
         own = np.flatnonzero(wall == row)
         corners, corner = np.unique(mesh.faces[own], return_inverse=True)
         piece = _pieces_of(corner.reshape(-1, 3), vertices[corners], apart)
@@ -130,6 +129,18 @@ def small_walls(mesh: Mesh, area: float, apart: float = 0.0) -> list[ThinPlace]:
     return places
 
 
+def _with_small_pieces(mesh: Mesh, pairs: IntArray, wall: IntArray, area: float) -> IntArray:
+    """Walls between two cells with a piece, of faces that share a vertex, smaller than an area."""
+    n = len(mesh.vertices)
+    corners, corner = np.unique(wall[:, None] * n + mesh.faces, return_inverse=True)
+    corner = corner.reshape(-1, 3)
+    links = np.concatenate([corner[:, :2], corner[:, 1:]])
+    piece = connected(links, len(corners))[corner[:, 0]]
+    small = np.bincount(piece, mesh.areas()) < area
+    rows = np.unique(wall[small[piece]])
+    return rows[(pairs[rows] > 0).all(1)]
+
+
 def short_junctions(mesh: Mesh, length: float) -> list[ThinPlace]:
     """Junctions of three regions shorter than ``length`` um between two that do not touch.
 
@@ -143,22 +154,23 @@ def short_junctions(mesh: Mesh, length: float) -> list[ThinPlace]:
     triples, triple = np.unique(around[rows], axis=0, return_inverse=True)
     vertices, meet = mesh.vertices_numpy(), _regions_at(mesh)
     touching = walls(mesh)
+    touching = {tuple(sorted(pair)) for pair in mesh.interfaces()[0].tolist()}
+    # Lines: edges of the same three regions that share a vertex.
+    keys = triple.reshape(-1, 1) * len(vertices) + edges[rows]
+    corners, corner = np.unique(keys, return_inverse=True)
+    corner = corner.reshape(-1, 2)
+    line_of = connected(corner, len(corners))
+    extent = np.linalg.norm(vertices[edges[rows, 1]] - vertices[edges[rows, 0]], axis=1)
+    extent = np.bincount(line_of[corner[:, 0]], extent)
     places = []
-    for k, three in enumerate(triples):
-        own = edges[rows[triple.reshape(-1) == k]]
-        corners, corner = np.unique(own, return_inverse=True)
-        corner = corner.reshape(-1, 2)
-        graph = coo_matrix((np.ones(len(own)), corner.T), shape=(len(corners),) * 2)
-        piece = connected_components(graph, directed=False)[1]
-        extent = np.linalg.norm(vertices[own[:, 1]] - vertices[own[:, 0]], axis=1)
-        extent = np.bincount(piece[corner[:, 0]], extent)
-        for p in np.flatnonzero(extent < length):
-            line = corners[piece == p]
-            ends = tuple(np.flatnonzero(meet[line].any(0) & ~three).tolist())
-            if len(ends) == 2 and ends not in touching:
-                points = np.concatenate([vertices[line], [vertices[line].mean(0)]])
-                regions = tuple(np.flatnonzero(three).tolist())
-                places.append(ThinPlace(regions, ends, points, float(extent[p])))
+    for p in np.flatnonzero(extent < length):
+        own = corners[line_of == p]
+        line, three = own % len(vertices), triples[own[0] // len(vertices)]
+        ends = tuple(np.flatnonzero(meet[line].any(0) & ~three).tolist())
+        if len(ends) == 2 and ends not in touching:
+            points = np.concatenate([vertices[line], [vertices[line].mean(0)]])
+            regions = tuple(np.flatnonzero(three).tolist())
+            places.append(ThinPlace(regions, ends, points, float(extent[p])))
     return places
 
 
@@ -167,9 +179,7 @@ def _pieces_of(faces: IntArray, points: FloatArray, apart: float) -> IntArray:
     links = np.concatenate([faces[:, :2], faces[:, 1:]])
     if apart > 0:
         links = np.concatenate([links, cKDTree(points).query_pairs(apart, output_type="ndarray")])
-    graph = coo_matrix((np.ones(len(links)), links.T), shape=(len(points),) * 2)
-    piece: IntArray = connected_components(graph, directed=False)[1][faces[:, 0]]
-    return piece
+    return connected(links, len(points))[faces[:, 0]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,6 +282,5 @@ def _near_each_other(points: FloatArray, reach: float) -> list[IntArray]:
     index = np.floor(2 * points / reach).astype(np.int64)
     cells, cell = np.unique(index, axis=0, return_inverse=True)
     pairs = cKDTree(cells).query_pairs(2.5, output_type="ndarray")
-    graph = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(cells),) * 2)
-    group = connected_components(graph, directed=False)[1][cell.reshape(-1)]
+    group = connected(pairs, len(cells))[cell.reshape(-1)]
     return [np.flatnonzero(group == g) for g in range(int(group.max()) + 1)]

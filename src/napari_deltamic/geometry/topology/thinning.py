@@ -12,10 +12,9 @@ from itertools import permutations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from napari_deltamic.geometry.connected import connected
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
 from napari_deltamic.geometry.topology.submesh import Change, Part
 from napari_deltamic.geometry.topology.thin_places import ThinPlace
@@ -166,10 +165,8 @@ def _patch(mesh: Mesh, mask: Mask, place: ThinPlace, seeds: Mask | None = None) 
     edge = mesh.face_edges()[rows].reshape(-1)
     face = np.repeat(np.arange(len(rows)), 3)
     edges, index = np.unique(edge, return_inverse=True)
-    graph = coo_matrix(
-        (np.ones(len(face)), (face, len(rows) + index)), shape=(len(rows) + len(edges),) * 2
-    )
-    number = connected_components(graph, directed=False)[1][: len(rows)]
+    links = np.column_stack([face, len(rows) + index])
+    number = connected(links, len(rows) + len(edges))[: len(rows)]
     patch[rows[number == number[np.searchsorted(rows, first)]]] = True
     return patch
 

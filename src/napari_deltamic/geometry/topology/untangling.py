@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from napari_deltamic.errors import InputError
+from napari_deltamic.geometry.connected import connected
 from napari_deltamic.geometry.labels.partition import partition_mesh
 from napari_deltamic.geometry.labels.voxels import region_windings
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
@@ -74,8 +73,7 @@ def _crossing_clusters(mesh: Mesh, found: IntArray) -> list[IntArray]:
     """Rows of the faces of each cluster, of vertices that hang together or cross, where any do."""
     vertices = mesh.edges()[found[:, 0]][:, 0]
     links = np.concatenate([mesh.edges(), np.column_stack([vertices, mesh.faces[found[:, 1], 0]])])
-    graph = coo_matrix((np.ones(len(links)), links.T), shape=(len(mesh.vertices),) * 2)
-    cluster = connected_components(graph, directed=False)[1]
+    cluster = connected(links, len(mesh.vertices))
     # A cell may have several pieces.
     own = cluster[mesh.faces[:, 0]]
     return [np.flatnonzero(own == k) for k in np.unique(cluster[vertices])]
