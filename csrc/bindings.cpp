@@ -279,4 +279,5 @@ NB_MODULE(_mesh_ft, m) {
     bind<double>(m, "f64");
     bind_particle_mesh(m);
     bind_spectra(m);
+    bind_explain(m);
 }

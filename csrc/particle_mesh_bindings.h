@@ -3,3 +3,4 @@
 
 void bind_particle_mesh(nanobind::module_& m);
 void bind_spectra(nanobind::module_& m);
+void bind_explain(nanobind::module_& m);

@@ -15,7 +15,7 @@ EDGE = 0.14
 
 def worst(step, gradient=None, tolerance=0.0, mesh=BALL, width=2 * EDGE):
     gradient = -step if gradient is None else gradient
-    return Patches(mesh, width).worst(mesh.vertices_numpy(), step, gradient, tolerance)
+    return Patches(mesh, width).worst(mesh.vertices_numpy(), step, gradient, tolerance, 0.1)
 
 
 def test_a_surface_that_moves_as_a_whole_moves_by_that():

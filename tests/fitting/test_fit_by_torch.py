@@ -33,5 +33,5 @@ def test_a_fit_ends_where_that_of_the_compiled_loops_does(monkeypatch, accuracy)
     ours, by_torch = (np.asarray(e.mesh.vertices_numpy()) for e in ends)
     assert ours.shape == by_torch.shape
     # Rounding that a fit carries along, against the size of the cell.
-    assert np.abs(ours - by_torch).max() < (1e-3 if accuracy > 3e-5 else 1e-7) * 2.4
+    assert np.abs(ours - by_torch).max() < (1e-3 if accuracy > 3e-5 else 3e-7) * 2.4
     assert ends[0].loss == pytest.approx(ends[1].loss, rel=1e-3)

@@ -12,6 +12,7 @@ import torch
 from torch.overrides import TorchFunctionMode
 
 import napari_deltamic as nd
+from napari_deltamic.fitting import likelihood
 from napari_deltamic.fitting.posterior import Posterior
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import FitSettings
@@ -63,6 +64,8 @@ def read_in_each_evaluation(monkeypatch, **settings):
         return evaluation
 
     monkeypatch.setattr(Posterior, "__call__", counted)
+    # A device has no loop that explains an image in one go.
+    monkeypatch.setattr(likelihood, "compiled", lambda device: False)
     image = nd.render(TRUTH, GRID, OPTICS, 1e-2)
     given = FitSettings(accuracy=1e-2, levels=(1.0,), max_iterations=8, **settings)
     list(nd.fit(image, GRID, START, OPTICS, settings=given))

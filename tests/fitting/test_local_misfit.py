@@ -1,8 +1,8 @@
 """Where a shape is wrong, the image near it is explained worse, in nats; elsewhere it is not."""
 
 import numpy as np
-import torch
 import pytest
+import torch
 
 from napari_deltamic import GaussianPSF, Grid, Mesh, render
 from napari_deltamic.fitting.local_misfit import Misfit, gaps, misfit_of

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from napari_deltamic.fitting.metric import Metric
+from napari_deltamic.fitting.preconditioner import Preconditioners
 from napari_deltamic.fitting.shape import Shape
 from napari_deltamic.fitting.variables import Variables
 from napari_deltamic.geometry import sphere
@@ -15,7 +16,7 @@ N = len(BALL.vertices)
 def metric(model="smooth", fitted=True, pinned=None, stiffness=1.0, firmness=50.0, numbers=3):
     shape = Shape.begun(BALL, model)
     shape = shape if pinned is None else shape.with_pins(pinned)
-    found = Metric(shape, 2.0, stiffness, firmness, 0.3, 1.0, fitted)
+    found = Metric(Preconditioners(), shape, 2.0, stiffness, firmness, 0.3, 1.0, fitted)
     a = np.random.default_rng(0).normal(size=(numbers, numbers))
     found.measure(a @ a.T + np.eye(numbers))
     return found

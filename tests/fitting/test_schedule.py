@@ -1,5 +1,6 @@
 """When a level ends."""
 
+from dataclasses import replace
 from functools import reduce
 
 import pytest
@@ -47,6 +48,27 @@ def test_the_last_level_rests_where_little_moves_or_is_gained(remaining):
     progress = after(7 * [1.0])
     assert rests(progress, remaining)
     assert not rests(progress, MUCH)
+
+
+def test_a_large_surface_rests_though_a_few_patches_move():
+    progress = after((S.patience + 1) * [1.0])
+    few = Remaining(1.0, 10.0, 0, share=S.moving)
+    assert not rests(progress, few)
+    progress = replace(progress, held_at=0)
+    assert rests(progress, few)
+    assert not rests(replace(progress, held_at=1), few)
+    assert not rests(progress, Remaining(1.0, 10.0, 0, share=1.1 * S.moving))
+
+
+def test_voxels_stay_once_renewing_them_explains_no_more():
+    progress = Progress().posed(1.0, 4.0, S, left=2.0)
+    assert not progress.held
+    assert not progress.posed(1.0, 4.0, S, left=1.9).held
+    assert not progress.posed(1.0, 2.0, S, left=2.0).held  # its variance is another one
+    held = progress.posed(1.0, 4.0, S, left=1.99)
+    assert held.held
+    assert held.posed(1.0, 4.0, S, left=1.0).held
+    assert not held.released().held
 
 
 def test_one_look_is_not_rest():

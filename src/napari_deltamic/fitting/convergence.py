@@ -25,11 +25,18 @@ class Remaining:
         Nats.
     vertex
         In its middle.
+    share
+        Of all patches: those that would move and gain more than asked.
     """
 
     move: float
     gain: float
     vertex: int
+    share: float = 1.0
+
+    def moves(self, tolerance: float, gain: float) -> bool:
+        """Whether that is more than um and nats that count as rest."""
+        return self.move > tolerance and self.gain > gain and np.isfinite(self.move)
 
 
 class Patches:
@@ -47,7 +54,12 @@ class Patches:
         self._around: sp.csr_matrix = sp.eye(n, format="csr") + adjacency(mesh)
 
     def worst(
-        self, vertices: FloatArray, step: FloatArray, gradient: FloatArray, width: float
+        self,
+        vertices: FloatArray,
+        step: FloatArray,
+        gradient: FloatArray,
+        width: float,
+        least: float,
     ) -> Remaining:
         """The patch with most to gain among those that would move by more than ``width`` um.
 
@@ -58,6 +70,8 @@ class Patches:
             gradient.
         width
             um.
+        least
+            Nats that count as a gain.
         """
         normal = vertex_normals(vertices, self._faces)
         along = (step * normal).sum(1)
@@ -70,7 +84,8 @@ class Patches:
         gain = gain / count * self._size()
         far = np.where(move > width, gain, -np.inf)
         at = int(np.argmax(far if np.isfinite(far).any() else move))
-        return Remaining(float(move[at]), float(max(gain[at], 0.0)), at)
+        share = float(((move > width) & (gain > least)).mean())
+        return Remaining(float(move[at]), float(max(gain[at], 0.0)), at, share)
 
     def _size(self) -> float:
         """Vertices of a patch, about."""

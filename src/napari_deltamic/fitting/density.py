@@ -75,11 +75,18 @@ class Density:
             pull = pull + _ROUGH * (self._rough @ log)
         return 0.5 * dot(log, pull), pull
 
+    def centred(self, log: FloatArray) -> FloatArray:
+        """The same of mean density 1; the amplitude takes the factor.
+
+        Steps would take hundreds of iterations to that, and which voxels count depends on it.
+        """
+        return log - np.log(self._mean(log)) if len(log) else log
+
     def bounded(self, log: FloatArray) -> FloatArray:
         """The same within the limits, of mean density 1."""
         if not len(log):
             return log
-        return np.clip(log - np.log(self._mean(log)), -LIMIT, LIMIT)
+        return np.clip(self.centred(log), -LIMIT, LIMIT)
 
     def estimate(self, ratio: FloatArray, smoother: Preconditioner) -> FloatArray:
         """(V,) log density from the brightness of the image where the surface lies.

@@ -54,6 +54,7 @@ class Descent:
         self._metric, self._width, self._limit = metric, width, limit
         self._memory = Memory(self._guess, metric.first_scale, learnt)
         self._evaluations = 0
+        self._ahead: tuple[Evaluation, Variables] | None = None  # asked for twice
 
     def begin(self, posterior: Posterior, at: Variables) -> None:
         """Go down an objective from here."""
@@ -68,7 +69,7 @@ class Descent:
 
     def move_to(self, at: Variables, now: Evaluation) -> None:
         """Go on from another place of the same objective."""
-        self._memory.forget()
+        self._forget()
         self.at, self.now = at, now
 
     def taken(self) -> int:
@@ -91,12 +92,18 @@ class Descent:
                 return True
             if not known:
                 return False
-            self._memory.forget()
+            self._forget()
         return False
+
+    def _forget(self) -> None:
+        self._memory.forget()
+        self._ahead = None
 
     def direction(self) -> Variables:
         """The step to where the objective is thought to be least."""
-        return self._direction(self.now.gradient)
+        if self._ahead is None or self._ahead[0] is not self.now:
+            self._ahead = self.now, self._direction(self.now.gradient)
+        return self._ahead[1]
 
     def _direction(self, gradient: Variables) -> Variables:
         flat = gradient.flat()

@@ -187,7 +187,8 @@ class Level:
 
     def rendered(self, renderer: Renderer, transform: Tensor, otf: Tensor) -> Tensor:
         """Image per voxel of the fine grid, whatever the spacing of this one."""
-        return renderer.image(transform, otf) * self.volume_ratio
+        image = renderer.image(transform, otf)
+        return image if self.volume_ratio == 1 else image * self.volume_ratio
 
     def brightness(
         self, vertices: np.ndarray, rendered: Tensor, found: Match, effects: Effects

@@ -11,6 +11,8 @@ from torch import Tensor
 
 from ..common.choices import Likelihood
 from ..fourier.devices import widest
+from ..fourier.explain import explain
+from ..fourier.real_fft import compiled
 from ..scene.effects import Camera
 
 _BLOCK = 4096  # values that are added up in one go
@@ -134,6 +136,9 @@ def total(values: Tensor) -> Tensor:
     return total(values[:whole].view(-1, _BLOCK).sum(1)) + values[whole:].sum()
 
 
+_LEAST = 0.05  # amplitude, of the ratio of the standard deviations of measured and rendered image
+
+
 def solve_scale(rendered: Tensor, measured: Tensor, weights: Tensor) -> tuple[float, float, bool]:
     """Amplitude and background of the weighted least squares; whether the bound was met.
 
@@ -157,7 +162,7 @@ def scale_on_device(
     wm = w * m
     squares = total(wm * m)
     varies, var_m = squares > 0, squares.clamp(min=tiny)
-    least = 0.05 * torch.sqrt(total(w * y * y) / var_m)
+    least = _LEAST * torch.sqrt(total(w * y * y) / var_m)
     amplitude = total(wm * y) / var_m
     bounded = (amplitude < least) | ~varies
     amplitude = torch.where(varies, torch.maximum(amplitude, least), 0.0)
@@ -181,3 +186,26 @@ def match(rendered: Tensor, measured: Tensor, weights: Tensor) -> tuple[Tensor, 
     told = torch.stack([squares.detach(), squares.detach() / scale, a, b, bounded.to(wide)])
     value, loss, amplitude, background, bound = told.tolist()
     return squares, Match(value, loss, amplitude, background, bool(bound))
+
+
+def explained(
+    image: Tensor, index: Tensor, measured: Tensor, weights: Tensor
+) -> tuple[Tensor, Match]:
+    """As :func:`match`, of some voxels of a rendered image; compiled where that can be had.
+
+    Parameters
+    ----------
+    image
+        Rendered, any shape.
+    index
+        (N,) flat indices of the voxels that count, each once and in order.
+    measured, weights
+        (N,) of these voxels.
+    """
+    singles = measured.dtype == weights.dtype == torch.float32
+    if singles and len(index) and compiled(image.device):
+        squares, told = explain(image, index, measured, weights, _LEAST)
+        return squares, Match(*told)
+    # Unlike indexing, whose gradient sorts, since an index might come twice.
+    values = image.to(index.device).reshape(-1).index_select(0, index)
+    return match(values, measured, weights)

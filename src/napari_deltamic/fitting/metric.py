@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from ..geometry.mesh import FloatArray
-from .preconditioner import Preconditioner
+from .preconditioner import Preconditioners
 from .shape import Shape
 from .variables import Variables
 
@@ -14,6 +14,7 @@ from .variables import Variables
 # change the image alike, but densities are smoothed once, displacements twice.
 _DENSITY = 0.1
 _SMOOTHEST = 1e3  # lambda, where the image says next to nothing
+_STEP = 1.25  # between lambdas: in between, the same factors serve
 
 
 class Metric:
@@ -21,6 +22,8 @@ class Metric:
 
     Parameters
     ----------
+    factored
+        What is factored already.
     shape
         As it is when the metric is made; pinned vertices stay.
     smoothing
@@ -31,7 +34,7 @@ class Metric:
     width
         um: of the blurred PSF.
     at_junctions
-        Weight of edges that leave a junction; see :class:`Preconditioner`.
+        Weight of edges that leave a junction; see :class:`~.preconditioner.Preconditioner`.
     density_fitted
         Whether densities move.
 
@@ -43,6 +46,7 @@ class Metric:
 
     def __init__(
         self,
+        factored: Preconditioners,
         shape: Shape,
         smoothing: float,
         stiffness: float,
@@ -59,11 +63,12 @@ class Metric:
         self.first_scale = 1.0 / max(firmness * share * width**2, 1e-300)
         stiff = float(np.sqrt(stiffness / max(3 * firmness, 1e-300))) / max(share, 1e-300)
         held = shape.pinned if shape.pinned.any() else None
-        smoothing = min(max(smoothing, stiff), _SMOOTHEST)
-        self._mover = Preconditioner(mesh, smoothing, held, at_junctions)
+        if stiff > smoothing > 0:
+            smoothing *= _STEP ** round(np.log(min(stiff, _SMOOTHEST) / smoothing) / np.log(_STEP))
+        self._mover = factored.of(mesh, smoothing, held, at_junctions)
         self._smooth = shape.model == "smooth" and density_fitted
         if self._smooth:
-            self._smoother = Preconditioner(mesh, 1.0, None, at_junctions)
+            self._smoother = factored.of(mesh, 1.0, None, at_junctions)
         self._imaging: FloatArray = np.zeros((0, 0))
 
     def measure(self, curvature: FloatArray) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from ..scene.effects import Effects
 from .density import Density
 from .imaging import Imaging
 from .level import Level, Voxels
-from .likelihood import Match, match, total
+from .likelihood import Match, explained, total
 from .posterior import Posterior, Prior, View
 from .preconditioner import Preconditioner
 from .shape import Shape
@@ -39,6 +40,10 @@ class Posed:
         Planned for the surface there.
     variance
         Of the first image's residuals, see :class:`View`.
+    left
+        Weighted squares that are left of the first image where the fit is, over their weights.
+    best
+        Of each image: the least variance over the mean weight, of all objectives of the level.
     firmness
         Second derivative of its misfit by a displacement of a piece of surface along its normal,
         for each um^2 of it: nats / um^4.
@@ -48,6 +53,8 @@ class Posed:
     at: Variables
     renderer: Renderer
     variance: float
+    left: float
+    best: tuple[float, ...]
     firmness: float
 
 
@@ -58,6 +65,8 @@ def pose(
     imaging: Imaging,
     density_fitted: bool,
     tempered: bool,
+    best: tuple[float, ...] = (),
+    held: Sequence[View] = (),
 ) -> Posed:
     """The objective at a level, from where the surface is now.
 
@@ -73,14 +82,20 @@ def pose(
     tempered
         Whether residuals are taken to be as correlated as they are; while the shape is still far
         off they are correlated because of that.
+    best
+        Of the objective before. Where a surface has once explained the image better, what another
+        one leaves is not noise: it would grow with the smoothness that it asks for.
+    held
+        Views of the objective before, where voxels, weights and variances stay what they are.
     """
     level, second = levels
-    log = np.zeros(len(density)) if shape.log_density is None else shape.log_density
+    known = shape.log_density
+    log = np.zeros(len(density)) if known is None else density.centred(known)
     at = Variables(shape.mesh.vertices_numpy(), log, *imaging.numbers())
     renderer = level.renderer(shape.mesh, imaging.optics, imaging.effects)
     look = _Look(level, renderer, density, imaging)
     rendered = look.rendered(at)
-    voxels = look.voxels(at, rendered)
+    voxels = held[0].voxels if held else look.voxels(at, rendered)
     if density_fitted and shape.log_density is None and density.model == "smooth":
         found = look.found(voxels, rendered)
         ratio = level.brightness(at.vertices, rendered, found, imaging.effects)
@@ -88,17 +103,31 @@ def pose(
         at = replace(at, density=density.estimate(ratio, smoother))
         rendered = look.rendered(at)
     found = look.found(voxels, rendered)
-    variance = look.variance(voxels, rendered, found, tempered)
-    views = [View(voxels, variance)]
-    if second is not None:
+    views = list(held) or [View(voxels, look.variance(voxels, rendered, found, tempered))]
+    if second is not None and not held:
         views.append(look.second_view(second, at, tempered))
+    if tempered and not held:
+        views, best = _as_once_explained(views, best)
+    variance = views[0].variance
     stiffness = level.settings.bending
     width = float(np.prod(imaging.optics.sigma_um)) ** (1 / 3)
     bending = BendingEnergy(shape.mesh), JunctionBending(shape.mesh, width)
     prior = Prior(*bending, stiffness, density, imaging)
     posterior = Posterior(level, renderer, views, prior, density_fitted)
     firmness = look.firmness(voxels, rendered, found) / variance
-    return Posed(posterior, at, renderer, variance, firmness)
+    left = found.squares / max(float(total(voxels.weights)), 1e-300)
+    return Posed(posterior, at, renderer, variance, left, best, firmness)
+
+
+def _as_once_explained(
+    views: list[View], best: tuple[float, ...]
+) -> tuple[list[View], tuple[float, ...]]:
+    """The views with the least variance that any objective of the level had."""
+    weights = [float(total(view.voxels.weights)) / len(view.voxels.weights) for view in views]
+    now = tuple(view.variance / weight for view, weight in zip(views, weights, strict=True))
+    best = tuple(map(min, now, best)) if len(best) == len(now) else now
+    each = zip(views, weights, best, strict=True)
+    return [replace(view, variance=weight * least) for view, weight, least in each], best
 
 
 @dataclass(frozen=True)
@@ -143,7 +172,7 @@ class _Look:
     def found(self, voxels: Voxels, rendered: Tensor, level: Level | None = None) -> Match:
         """How well the image is explained."""
         measured = self._measured(voxels, level or self.level)
-        return match(voxels.of(rendered), measured, voxels.weights)[1]
+        return explained(rendered, voxels.index, measured, voxels.weights)[1]
 
     def variance(
         self,

@@ -20,7 +20,7 @@ from .density import Density
 from .imaging import Imaging, Now, effect_columns, optics_columns
 from .lbfgs import dot
 from .level import Level, Voxels
-from .likelihood import Match, match, total
+from .likelihood import Match, explained, match, total
 from .variables import Variables
 
 
@@ -130,7 +130,8 @@ class Posterior:
             otf = renderer.otf(optics if view.optics is None else view.optics)
             image = self._level.rendered(renderer, spectrum, otf)
             voxels = view.voxels
-            squares, found = match(voxels.of(image), self._measured(view, effects), voxels.weights)
+            measured = self._measured(view, effects)
+            squares, found = explained(image, voxels.index, measured, voxels.weights)
             nats = nats.to(squares) + squares / (2 * view.variance)
             if told is None:
                 told, first = found, (image, otf)

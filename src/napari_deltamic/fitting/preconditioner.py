@@ -88,6 +88,30 @@ class Preconditioner:
         return b if self.smoothing == 0 else self._solve(b)
 
 
+class Preconditioners:
+    """Those of the present triangles, each factored once."""
+
+    def __init__(self) -> None:
+        self._faces = np.zeros((0, 3), np.int64)
+        self._made: dict[tuple[float, float, bytes], Preconditioner] = {}
+
+    def of(
+        self, mesh: Mesh, smoothing: float, held: np.ndarray | None, at_junctions: float
+    ) -> Preconditioner:
+        """See :class:`Preconditioner`."""
+        if mesh.faces is not self._faces:
+            self._faces, self._made = mesh.faces, {}
+        key = smoothing, at_junctions, b"" if held is None else np.packbits(held).tobytes()
+        if key not in self._made:
+            while len(self._made) >= _KEPT:
+                del self._made[next(iter(self._made))]
+            self._made[key] = Preconditioner(mesh, smoothing, held, at_junctions)
+        return self._made[key]
+
+
+_KEPT = 3  # factorisations: that of displacements, of densities, and one of before
+
+
 def _at_junctions(a: sp.csr_matrix, mesh: Mesh, weight: float) -> sp.csr_matrix:
     ends = np.sort(mesh.faces[:, [1, 2, 2, 0, 0, 1]].reshape(-1, 2), axis=1)
     edges, faces = np.unique(ends, axis=0, return_counts=True)

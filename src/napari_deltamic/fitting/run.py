@@ -27,7 +27,7 @@ from .level import Level
 from .local_misfit import Misfit, gaps, misfit_of
 from .metric import Metric
 from .pose import Posed, pose
-from .preconditioner import NEAR_JUNCTIONS
+from .preconditioner import NEAR_JUNCTIONS, Preconditioners
 from .problem import Problem
 from .schedule import Progress, Schedule
 from .shape import Shape
@@ -54,12 +54,13 @@ class Run:
         self.seed = checkpoint.seed(mesh)
         self.shape = Shape.begun(mesh, settings.density)
         self.growth, self.upkeep = GrowthAlarm(mesh), Upkeep(mesh, min(optics.sigma_um))
-        self.guard = CollisionGuard(settings.collisions)
+        self.guard, self.factored = CollisionGuard(settings.collisions), Preconditioners()
         self.policy, self.trial = TopologyPolicy(), None
+        self.posed: Posed
         self.iteration = self.evaluations = 0
         self.changed_at = 0  # the iteration of the last change: the patience starts anew
         self.level_number = 0
-        self.progress = Progress()
+        self.progress, self.remaining = Progress(), Remaining(0.0, 0.0, 0)
         self.learnt: Learnt | None = None  # while the unknowns are the same
         self.remark = ""  # for the next state
         self.events: tuple[str, ...] = ()
@@ -141,15 +142,17 @@ class Run:
             self.optics, self.effects, self.first_optics, self.settings.fit_psf and fitted, fitted
         )
         given = (level, self.other), self.shape, self.density, self.imaging
-        self.posed = pose(*given, self._density_fitted, self._last)
+        held = self.posed.posterior.views if self.progress.held and self._last else ()
+        self.posed = pose(*given, self._density_fitted, self._last, self.progress.best, held)
         self._take_numbers(self.posed.at)
         self.guard.watch(mesh)
         self.patches = Patches(mesh, min(self.optics.sigma_um))
         known = self.learnt if self.learnt and self.learnt.fits(len(self.posed.at.flat())) else None
         self.descent = Descent(self._metric(self.posed), level.width, self._limited, known)
         self.descent.begin(self.posed.posterior, self.posed.at)
-        value, variance = self.descent.now.value, self.posed.variance
-        self.progress = self.progress.posed(value, variance, self.schedule)
+        posed, value = self.posed, self.descent.now.value
+        told = posed.variance, self.schedule, posed.left, posed.best
+        self.progress = self.progress.posed(value, *told)
         self.evaluations += self.descent.taken()
         self.due = False
 
@@ -162,6 +165,7 @@ class Run:
 
     def _metric(self, posed: Posed) -> Metric:
         return Metric(
+            self.factored,
             self.shape,
             self.level.smoothing,
             self.settings.bending,
@@ -205,6 +209,8 @@ class Run:
         away = self.descent.at.vertices - self.posed.at.vertices
         limit = 0.97 * s.strayed_far * self.level.width
         strayed = float((np.linalg.norm(away, axis=1) > limit).mean()) > s.strayed
+        if strayed:
+            self.progress = self.progress.released()
         self.due = self.progress.since_posed >= s.renewed_every or strayed or not moved
         self.learnt = self.descent.learnt()
 
@@ -214,7 +220,8 @@ class Run:
         """Whether the level is done; at the last one, topology is tried before."""
         if not self._last:
             return self.progress.coarse_ends(self.schedule)
-        self.progress = self.progress.looked(self._remaining(), self._tolerance, self.schedule)
+        self.remaining = self._remaining()
+        self.progress = self.progress.looked(self.remaining, self._tolerance, self.schedule)
         if not self.progress.at_rest(self.schedule):
             return False
         if not self.progress.settled and self.progress.stuck <= 1:
@@ -238,7 +245,7 @@ class Run:
         # What the guard holds back has come as far as it can.
         free = (self.guard.held < self.schedule.held)[:, None]
         gradient = free * self.descent.now.gradient.vertices
-        return self.patches.worst(at, free * step, gradient, self._tolerance)
+        return self.patches.worst(at, free * step, gradient, self._tolerance, self.schedule.gain)
 
     def _level_ends(self) -> None:
         if self.trial is not None:
@@ -330,7 +337,7 @@ class Run:
     # ------------------------------------------------------------------------------ triangles
 
     def _retriangulate(self, shape: Shape) -> None:
-        self.shape, self.learnt = shape, None
+        self.shape, self.learnt, self.progress = shape, None, self.progress.released()
         self.growth = GrowthAlarm(shape.mesh)
 
     def _remesh(self) -> None:
@@ -444,7 +451,11 @@ class Run:
         message = stuck or ("converged" if finished else "")
         message = message or f"stopped after {self.iteration} iterations, before it converged"
         further = "" if stuck else told_shrunken(points)
-        return "; ".join(filter(None, (message, told, further))), finished and not stuck
+        moving = ""
+        if finished and not stuck and self.remaining.moves(self._tolerance, self.schedule.gain):
+            z, y, x = self.shape.mesh.vertices_numpy()[self.remaining.vertex]
+            moving = f"the surface still moves at ({z:.1f}, {y:.1f}, {x:.1f}) um"
+        return "; ".join(filter(None, (message, told, further, moving))), finished and not stuck
 
     def load(self, kept: dict[str, np.ndarray]) -> None:
         """Take over a checkpoint; raises InputError if it belongs to another mesh."""

@@ -29,6 +29,12 @@ class Schedule:
         Nats. The last level ends when no patch as wide as the PSF that would move by more than the
         tolerance would gain more: with 0.1, none is further from where it belongs than half of
         its own standard deviation.
+    moving
+        Or when no more than this share of the patches would, and voxels and weights have stayed
+        the same for a while: on large surfaces there is always one in a crumpled place. It is
+        named. Less than one patch of a small one.
+    patience
+        Iterations that make that while.
     rests
         Iterations in a row for which that must hold: single ones are met by chance.
     held
@@ -36,6 +42,10 @@ class Schedule:
     level_variance
         Share by which the variance of the residuals may change from one objective to the next
         before that counts.
+    worth_renewing
+        Share by which the squares that are left must have fallen since the objective before: else
+        its voxels and weights stay. Voxels that follow a surface where the image shows what no
+        mesh describes would have it move for ever (seen on an embryo with foreign light).
     """
 
     renewed_every: int = 20
@@ -45,9 +55,12 @@ class Schedule:
     coarse_gain: float = 0.02
     coarse_most: int = 30
     gain: float = 0.1
+    moving: float = 0.005
+    patience: int = 40
     rests: int = 2
     held: int = 3
     level_variance: float = 0.1
+    worth_renewing: float = 0.01
 
 
 @dataclass(frozen=True)
@@ -64,6 +77,10 @@ class Progress:
         Of the objective since then, nats, its first one included.
     variance
         Of the residuals in it; 0 before the first.
+    left, best
+        See :class:`~.pose.Posed`.
+    held_at
+        Iteration from which on voxels and weights stay what they are; -1 while they do not.
     settled
         Whether the variance is about that of the objective before.
     stuck
@@ -76,16 +93,46 @@ class Progress:
     since_posed: int = 0
     values: tuple[float, ...] = field(default=())
     variance: float = 0.0
+    left: float = 0.0
+    best: tuple[float, ...] = field(default=())
+    held_at: int = -1
     settled: bool = False
     stuck: int = 0
     rests: int = 0
 
-    def posed(self, value: float, variance: float, schedule: Schedule) -> Progress:
-        """The objective is another one."""
+    @property
+    def held(self) -> bool:
+        """Whether voxels and weights stay what they are."""
+        return self.held_at >= 0
+
+    def posed(
+        self,
+        value: float,
+        variance: float,
+        schedule: Schedule,
+        left: float = 0.0,
+        best: tuple[float, ...] = (),
+    ) -> Progress:
+        """The objective is another one; value : at its start, nats. The rest: see ``Posed``."""
         change = abs(variance / self.variance - 1) if self.variance > 0 else 1.0
         settled = change < schedule.level_variance
-        begun = replace(self, since_posed=0, values=(value,), rests=0)
-        return replace(begun, variance=variance, settled=settled)
+        fallen = 1 - left / self.left if self.left > 0 else 1.0
+        begins = not self.held and settled and fallen < schedule.worth_renewing
+        return replace(
+            self,
+            since_posed=0,
+            values=(value,),
+            rests=0,
+            variance=variance,
+            left=left,
+            best=best,
+            settled=settled,
+            held_at=self.iterations if begins else self.held_at,
+        )
+
+    def released(self) -> Progress:
+        """The surface goes elsewhere: voxels and weights have to follow."""
+        return replace(self, held_at=-1, left=0.0)
 
     def stepped(self, value: float, moved: bool) -> Progress:
         """One iteration more; whether it found a way down."""
@@ -107,7 +154,9 @@ class Progress:
 
     def looked(self, remaining: Remaining, tolerance: float, schedule: Schedule) -> Progress:
         """Whether hardly anything is left to gain has been looked at. tolerance : um."""
-        little = remaining.move <= tolerance or remaining.gain <= schedule.gain
+        moves = remaining.move > tolerance and remaining.gain > schedule.gain
+        waited = self.held and self.iterations - self.held_at >= schedule.patience
+        little = not moves or (waited and remaining.share <= schedule.moving)
         rests = little and self.since_posed >= schedule.window
         return replace(self, rests=self.rests + 1 if rests else 0)
 

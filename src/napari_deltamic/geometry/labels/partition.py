@@ -59,7 +59,8 @@ def with_volumes(mesh: Mesh, volumes: dict[int, float], rounds: int = 8) -> Mesh
     sides[mesh.regions == OUTSIDE] = 0
     wanted = np.array([volumes[int(k)] for k in names])
     for _ in range(rounds):
-        lacking = wanted - [mesh.region_volume(int(k)) for k in names]
+        present = mesh.volumes()
+        lacking = wanted - [present[int(k)] for k in names]
         areas, normals = mesh.areas(), mesh.normals()
         stiffness = np.zeros((len(names) + 1,) * 2)
         for one, other in ((0, 1), (1, 0)):

@@ -1,0 +1,72 @@
+"""How well a rendered image explains a measured one, by the compiled loops."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from .native import native, threads
+
+Told = tuple[float, float, float, float, bool]
+
+
+def explain(
+    image: Tensor, index: Tensor, measured: Tensor, weights: Tensor, least: float
+) -> tuple[Tensor, Told]:
+    """Weighted squares that amplitude and background leave, differentiable in the image.
+
+    Two passes over the voxels that count, the gradient in passing; the same bits for every number
+    of threads.
+
+    Parameters
+    ----------
+    image
+        Rendered, any shape, on the CPU.
+    index
+        (N,) flat indices of the voxels that count, each once and in order.
+    measured, weights
+        (N,) float32, of these voxels.
+    least
+        Bound of the amplitude, of the ratio of the standard deviations of both images.
+
+    Returns
+    -------
+    The squares, and: their value, that relative to the squares around the mean, amplitude,
+    background, and whether the amplitude met its bound.
+
+    Raises
+    ------
+    ValueError
+        If voxels are named twice, out of order, or not in the image.
+    """
+    told: list[Told] = []
+    squares: Tensor = _Explain.apply(image, index, measured, weights, least, told)
+    return squares, told[0]
+
+
+class _Explain(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any,
+        image: Tensor,
+        index: Tensor,
+        measured: Tensor,
+        weights: Tensor,
+        least: float,
+        told: list[Told],
+    ) -> Tensor:
+        name = "explain_f32" if image.dtype == torch.float32 else "explain_f64"
+        some = (image.contiguous().reshape(-1), index, measured, weights)
+        given = (t.detach().contiguous().numpy() for t in some)
+        pull, squares, scatter, amplitude, background, bounded = getattr(native(), name)(
+            *given, least, threads()
+        )
+        ctx.pull = torch.from_numpy(pull).reshape(image.shape)
+        told.append((squares, squares / max(scatter, 1e-30), amplitude, background, bounded))
+        return torch.tensor(squares, dtype=torch.float64)
+
+    @staticmethod
+    def backward(ctx: Any, by: Tensor) -> tuple[Tensor | None, ...]:
+        return ctx.pull * by.to(ctx.pull.dtype), None, None, None, None, None
