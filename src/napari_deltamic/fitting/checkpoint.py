@@ -99,9 +99,7 @@ def _take_over(run: Run, found: dict[str, np.ndarray]) -> None:
         setattr(run, name, int(plain[name]))
     run.upkeep.resume(plain["upkeep"])
     progress = plain["progress"]
-    run.progress = Progress(
-        **{**progress, "values": tuple(progress["values"]), "best": tuple(progress["best"])}
-    )
+    run.progress = Progress(**{**progress, "values": tuple(progress["values"])})
     run.policy = TopologyPolicy.from_dict(plain["policy"])
     run.learnt = _learnt(found)
 

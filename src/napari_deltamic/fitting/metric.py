@@ -14,7 +14,6 @@ from .variables import Variables
 # change the image alike, but densities are smoothed once, displacements twice.
 _DENSITY = 0.1
 _SMOOTHEST = 1e3  # lambda, where the image says next to nothing
-_STEP = 1.25  # between lambdas: in between, the same factors serve
 
 
 class Metric:
@@ -63,8 +62,7 @@ class Metric:
         self.first_scale = 1.0 / max(firmness * share * width**2, 1e-300)
         stiff = float(np.sqrt(stiffness / max(3 * firmness, 1e-300))) / max(share, 1e-300)
         held = shape.pinned if shape.pinned.any() else None
-        if stiff > smoothing > 0:
-            smoothing *= _STEP ** round(np.log(min(stiff, _SMOOTHEST) / smoothing) / np.log(_STEP))
+        smoothing = min(max(smoothing, stiff), _SMOOTHEST)
         self._mover = factored.of(mesh, smoothing, held, at_junctions)
         self._smooth = shape.model == "smooth" and density_fitted
         if self._smooth:

@@ -25,6 +25,8 @@ from .shape import Shape
 from .tempering import tempered_variance
 from .variables import Variables
 
+_LEFT = 0.05  # share of its voxels by which a surface may have left those that are held
+
 
 @dataclass(frozen=True, eq=False)
 class Posed:
@@ -42,8 +44,8 @@ class Posed:
         Of the first image's residuals, see :class:`View`.
     left
         Weighted squares that are left of the first image where the fit is, over their weights.
-    best
-        Of each image: the least variance over the mean weight, of all objectives of the level.
+    held
+        Whether voxels, weights and variances are those of before.
     firmness
         Second derivative of its misfit by a displacement of a piece of surface along its normal,
         for each um^2 of it: nats / um^4.
@@ -54,7 +56,7 @@ class Posed:
     renderer: Renderer
     variance: float
     left: float
-    best: tuple[float, ...]
+    held: bool
     firmness: float
 
 
@@ -65,7 +67,6 @@ def pose(
     imaging: Imaging,
     density_fitted: bool,
     tempered: bool,
-    best: tuple[float, ...] = (),
     held: Sequence[View] = (),
 ) -> Posed:
     """The objective at a level, from where the surface is now.
@@ -82,11 +83,9 @@ def pose(
     tempered
         Whether residuals are taken to be as correlated as they are; while the shape is still far
         off they are correlated because of that.
-    best
-        Of the objective before. Where a surface has once explained the image better, what another
-        one leaves is not noise: it would grow with the smoothness that it asks for.
     held
-        Views of the objective before, where voxels, weights and variances stay what they are.
+        Views of the objective before, where voxels, weights and variances stay what they are: as
+        long as the surface has not left them.
     """
     level, second = levels
     known = shape.log_density
@@ -95,7 +94,10 @@ def pose(
     renderer = level.renderer(shape.mesh, imaging.optics, imaging.effects)
     look = _Look(level, renderer, density, imaging)
     rendered = look.rendered(at)
-    voxels = held[0].voxels if held else look.voxels(at, rendered)
+    voxels = look.voxels(at, rendered)
+    if held and _left_out(voxels, held[0].voxels, level.grid.shape) > _LEFT:
+        held = ()
+    voxels = held[0].voxels if held else voxels
     if density_fitted and shape.log_density is None and density.model == "smooth":
         found = look.found(voxels, rendered)
         ratio = level.brightness(at.vertices, rendered, found, imaging.effects)
@@ -103,11 +105,11 @@ def pose(
         at = replace(at, density=density.estimate(ratio, smoother))
         rendered = look.rendered(at)
     found = look.found(voxels, rendered)
-    views = list(held) or [View(voxels, look.variance(voxels, rendered, found, tempered))]
-    if second is not None and not held:
-        views.append(look.second_view(second, at, tempered))
-    if tempered and not held:
-        views, best = _as_once_explained(views, best)
+    views = list(held)
+    if not held:
+        views = [look.view(voxels, rendered, found, tempered)]
+        if second is not None:
+            views.append(look.second_view(second, at, tempered))
     variance = views[0].variance
     stiffness = level.settings.bending
     width = float(np.prod(imaging.optics.sigma_um)) ** (1 / 3)
@@ -116,18 +118,14 @@ def pose(
     posterior = Posterior(level, renderer, views, prior, density_fitted)
     firmness = look.firmness(voxels, rendered, found) / variance
     left = found.squares / max(float(total(voxels.weights)), 1e-300)
-    return Posed(posterior, at, renderer, variance, left, best, firmness)
+    return Posed(posterior, at, renderer, variance, left, bool(held), firmness)
 
 
-def _as_once_explained(
-    views: list[View], best: tuple[float, ...]
-) -> tuple[list[View], tuple[float, ...]]:
-    """The views with the least variance that any objective of the level had."""
-    weights = [float(total(view.voxels.weights)) / len(view.voxels.weights) for view in views]
-    now = tuple(view.variance / weight for view, weight in zip(views, weights, strict=True))
-    best = tuple(map(min, now, best)) if len(best) == len(now) else now
-    each = zip(views, weights, best, strict=True)
-    return [replace(view, variance=weight * least) for view, weight, least in each], best
+def _left_out(now: Voxels, before: Voxels, shape: tuple[int, int, int]) -> float:
+    """Share of voxels that would count now, but did not before."""
+    known = torch.zeros(int(np.prod(shape)), dtype=torch.bool, device=before.index.device)
+    known[before.index] = True
+    return 1 - float(known[now.index].double().mean())
 
 
 @dataclass(frozen=True)
@@ -174,15 +172,15 @@ class _Look:
         measured = self._measured(voxels, level or self.level)
         return explained(rendered, voxels.index, measured, voxels.weights)[1]
 
-    def variance(
+    def view(
         self,
         voxels: Voxels,
         rendered: Tensor,
         found: Match,
         tempered: bool,
         level: Level | None = None,
-    ) -> float:
-        """Of the residuals; not less than that of what the rendering leaves out."""
+    ) -> View:
+        """The image; the variance of its residuals is not less than that of what is left out."""
         level = level or self.level
         measured = self._measured(voxels, level)
         root = torch.sqrt(voxels.weights)
@@ -190,20 +188,21 @@ class _Look:
         residual = _double((measured - signal - found.background) * root)
         least = level.accuracy**2 * float(np.mean(_double(signal * root) ** 2))
         alone = max(float(np.mean(residual**2)), least, 1e-300)
+        optics = None if level is self.level else level.optics
         if not tempered:
-            return alone
+            return View(voxels, alone, optics)
         widths = level.factor * np.asarray(self.imaging.optics.sigma_um)
         widths = widths / np.asarray(level.grid.voxel_size)
         index = voxels.index.cpu().numpy()
-        return tempered_variance(residual, index, level.grid.shape, tuple(widths), alone)
+        given = residual, index, level.grid.shape, tuple(widths)
+        return View(voxels, tempered_variance(*given, alone), optics)
 
     def second_view(self, level: Level, at: Variables, tempered: bool) -> View:
         """The second image, with a background and an amplitude of its own."""
         rendered = self.rendered(at, level=level)
         voxels = self.voxels(at, rendered, level)
         found = self.found(voxels, rendered, level)
-        variance = self.variance(voxels, rendered, found, tempered, level)
-        return View(voxels, variance, level.optics)
+        return self.view(voxels, rendered, found, tempered, level)
 
     def firmness(self, voxels: Voxels, rendered: Tensor, found: Match) -> float:
         """Of a flat membrane, before it is divided by the variance.

@@ -143,7 +143,7 @@ class Run:
         )
         given = (level, self.other), self.shape, self.density, self.imaging
         held = self.posed.posterior.views if self.progress.held and self._last else ()
-        self.posed = pose(*given, self._density_fitted, self._last, self.progress.best, held)
+        self.posed = pose(*given, self._density_fitted, self._last, held)
         self._take_numbers(self.posed.at)
         self.guard.watch(mesh)
         self.patches = Patches(mesh, min(self.optics.sigma_um))
@@ -151,7 +151,9 @@ class Run:
         self.descent = Descent(self._metric(self.posed), level.width, self._limited, known)
         self.descent.begin(self.posed.posterior, self.posed.at)
         posed, value = self.posed, self.descent.now.value
-        told = posed.variance, self.schedule, posed.left, posed.best
+        if not posed.held:
+            self.progress = self.progress.freed()
+        told = posed.variance, self.schedule, posed.left
         self.progress = self.progress.posed(value, *told)
         self.evaluations += self.descent.taken()
         self.due = False

@@ -77,7 +77,7 @@ class Progress:
         Of the objective since then, nats, its first one included.
     variance
         Of the residuals in it; 0 before the first.
-    left, best
+    left
         See :class:`~.pose.Posed`.
     held_at
         Iteration from which on voxels and weights stay what they are; -1 while they do not.
@@ -94,7 +94,6 @@ class Progress:
     values: tuple[float, ...] = field(default=())
     variance: float = 0.0
     left: float = 0.0
-    best: tuple[float, ...] = field(default=())
     held_at: int = -1
     settled: bool = False
     stuck: int = 0
@@ -111,7 +110,6 @@ class Progress:
         variance: float,
         schedule: Schedule,
         left: float = 0.0,
-        best: tuple[float, ...] = (),
     ) -> Progress:
         """The objective is another one; value : at its start, nats. The rest: see ``Posed``."""
         change = abs(variance / self.variance - 1) if self.variance > 0 else 1.0
@@ -125,10 +123,13 @@ class Progress:
             rests=0,
             variance=variance,
             left=left,
-            best=best,
             settled=settled,
             held_at=self.iterations if begins else self.held_at,
         )
+
+    def freed(self) -> Progress:
+        """Voxels and weights are chosen anew."""
+        return replace(self, held_at=-1)
 
     def released(self) -> Progress:
         """The surface goes elsewhere: voxels and weights have to follow."""

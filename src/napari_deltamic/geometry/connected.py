@@ -6,8 +6,8 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from .compiled import native
 from .mesh import IntArray
-from .native import native
 
 
 def connected(links: IntArray, count: int) -> IntArray:

@@ -19,7 +19,7 @@ from napari_deltamic.geometry.topology.thin_places import ThinPlace
 
 _Flip = Callable[[Mesh, ThinPlace, float], Change | None]
 _Way = Callable[[Mesh, list[int], ThinPlace], FloatArray]
-_OPENED = (0.3, 0.12, 0.06, 0.03)  # edge lengths by which sides are drawn apart; less where they cross
+_OPENED = (0.3, 0.12, 0.06, 0.03)  # edge lengths: sides are drawn apart, less where they cross
 
 
 def flipped(part: Part, place: ThinPlace, edge: float) -> Iterator[Change]:

@@ -154,7 +154,6 @@ def short_junctions(mesh: Mesh, length: float) -> list[ThinPlace]:
     triples, triple = np.unique(around[rows], axis=0, return_inverse=True)
     vertices, meet = mesh.vertices_numpy(), _regions_at(mesh)
     touching = walls(mesh)
-    touching = {tuple(sorted(pair)) for pair in mesh.interfaces()[0].tolist()}
     # Lines: edges of the same three regions that share a vertex.
     keys = triple.reshape(-1, 1) * len(vertices) + edges[rows]
     corners, corner = np.unique(keys, return_inverse=True)
