@@ -80,10 +80,11 @@ def rng_of(name: str, draw: int, commit: str) -> np.random.Generator:
 def made(name: str, draw: int, commit: str) -> Scene:
     """The scene of a kind."""
     rng = rng_of(name, draw, commit)
-    return _scene(f"{name}-{draw}", KINDS[name](rng), rng)
+    return scene_of(f"{name}-{draw}", KINDS[name](rng), rng)
 
 
-def _scene(name: str, recipe: Recipe, rng: np.random.Generator) -> Scene:
+def scene_of(name: str, recipe: Recipe, rng: np.random.Generator) -> Scene:
+    """Render what a recipe says."""
     size = (recipe.aspect, 1.0, 1.0)
     unit = 0.2  # um; the engine must not depend on it
     voxel = (size[0] * unit, unit, unit)

@@ -17,6 +17,7 @@ from ..common.writing import interrupts_held, own_folder, write_atomically
 from ..errors import PROGRAM, InputError, failure
 from ..evidence import analyse_residual
 from ..evidence.sanity import tell_doubts
+from ..evidence.verdict import facts_of, judged
 from ..fitting import FitState, fit
 from ..fitting.job import FitInput, start
 from ..images.stacks import write_image
@@ -143,6 +144,8 @@ class _Run:
         seconds = time.monotonic() - self.started
         left = analyse_residual(job.image, job.grid, state, counted=job.counted)
         self.further["residual"] = residual_as_plain(left)
+        found = judged(facts_of(job, state, left))
+        self.further["verdict"] = found.as_plain()
         paths = write_results(
             self.folder,
             state,
@@ -164,6 +167,7 @@ class _Run:
             f"{how} ({state.iteration} iterations, {seconds:.1f} s, loss {state.loss:.4g})",
             file=sys.stderr,
         )
+        print(f"shapes: {found.sentence()}", file=sys.stderr)
         with interrupts_held():
             if state.converged:
                 self.checkpoint.unlink(missing_ok=True)

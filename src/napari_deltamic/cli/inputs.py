@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..common.choices import AUTO
 from ..errors import InputError
+from ..evidence.first_sigma import plausible_sigma
 from ..fitting.checks import check_image
 from ..fitting.job import SIGMA_IN_VOXELS, FitInput, assemble
 from ..geometry import Mesh
@@ -33,18 +34,32 @@ def gather(arguments: argparse.Namespace, notes: Notes) -> FitInput:
     scene["voxel_size"] = voxel_size_of(scene.get("voxel_size"), found, values["image"], notes)
     settings: RunSettings = validated(RunSettings, values)
     if settings.scene.sigma is None and settings.scene.optics is None:
-        sigma = [SIGMA_IN_VOXELS * d for d in settings.scene.voxel_size]
-        notes.add(
-            f"no sigma given: {_shown(sigma)} um (Z Y X), {SIGMA_IN_VOXELS} voxels, is used"
-            + ("" if settings.fit.fit_psf else "; --fit-psf would fit it")
-        )
-        scene["sigma"] = sigma
+        scene["sigma"] = _assumed_sigma(image, settings, notes)
         settings = validated(RunSettings, values)
     grid = Grid(image.shape, settings.scene.voxel_size, settings.scene.origin)
     image = _without_bad(image, arguments.missing_nan, notes)
     check_image(image, grid)
     mesh, kind = load_seeds(settings.seeds, image, grid)
     return assemble(settings, image, grid, mesh, kind)
+
+
+def _assumed_sigma(
+    image: NDArray[Any], settings: RunSettings, notes: Notes
+) -> tuple[float, float, float]:
+    """um, Z Y X: as wide as the blur of the image; 1.2 voxels where it does not tell."""
+    size = settings.scene.voxel_size
+    told = plausible_sigma(image, size) if image.ndim == 3 else None
+    sigma = told or (
+        SIGMA_IN_VOXELS * size[0],
+        SIGMA_IN_VOXELS * size[1],
+        SIGMA_IN_VOXELS * size[2],
+    )
+    how = "as wide as the blur of the image" if told else f"{SIGMA_IN_VOXELS} voxels"
+    notes.add(
+        f"no sigma given: {_shown(sigma)} um (Z Y X), {how}, is used"
+        + ("" if settings.fit.fit_psf else "; --fit-psf would fit it")
+    )
+    return sigma
 
 
 def load_seeds(path: str, image: NDArray[Any], grid: Grid) -> tuple[Mesh, SeedKind]:

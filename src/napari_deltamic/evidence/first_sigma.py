@@ -22,6 +22,9 @@ _LARGEST_ERROR = 0.25  # relative
 _SHAPE_ERROR = 0.08  # relative: surfaces do not face every direction alike (spheres, ellipsoids)
 _LONGEST_WAVE = 0.5  # of the image's side: longer ones tell its frame
 _CROP = 3_000_000  # voxels
+# A width that can be used: told by the voxels, and not of something else than a PSF.
+_IN_VOXELS = (0.5, 4.0)
+_Z_OVER_YX = (0.7, 7.0)  # of a thin light sheet with its error, of a low aperture
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,25 @@ def first_sigma(image: np.ndarray, voxel_size: tuple[float, float, float]) -> Fi
         return FirstSigma(nothing, nothing)
     kz, k, count, power = _rings(pixels, voxel_size)
     return _fitted(kz, k, count, power, voxel_size)
+
+
+def plausible_sigma(
+    image: np.ndarray, voxel_size: tuple[float, float, float]
+) -> tuple[float, float, float] | None:
+    """um, Z Y X; a first PSF for a fit, as wide as the blur of the image.
+
+    None where the spectrum does not tell both widths, or tells what no light microscope has.
+    """
+    found = first_sigma(image, voxel_size)
+    if found.z.value is None or found.yx.value is None:
+        return None
+    z, yx = found.z.value, found.yx.value
+    in_voxels = z / voxel_size[0], yx / max(voxel_size[1:])
+    if not all(_IN_VOXELS[0] <= width <= _IN_VOXELS[1] for width in in_voxels):
+        return None
+    if not _Z_OVER_YX[0] <= z / yx <= _Z_OVER_YX[1]:
+        return None
+    return z, yx, yx
 
 
 def _prepared(pixels: np.ndarray) -> np.ndarray:

@@ -31,7 +31,8 @@ class SceneFields(Settings):
     sigma: Triple | None = setting(
         None,
         title="widths of the PSF",
-        tip="standard deviations of the PSF, Z Y X; where not given: 1.2 voxels",
+        tip="standard deviations of the PSF, Z Y X; where not given: as the command reads them "
+        "from the image, else 1.2 voxels",
         unit="um",
         live=True,
     )

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from qtpy.QtCore import QObject
 
 from ...evidence.residual import Residual, analyse_residual
+from ...evidence.verdict import Verdict, facts_of, judged
 from ...evidence.voxel_variance import Variance, voxel_variance
 from ...fitting import FitState
 from ...fitting.checks import check_image
@@ -33,33 +34,14 @@ class Compared:
         it is not wanted.
     found : what the end of a fit leaves unexplained.
     cells : all that is measured on the cells of the end of a fit, by region.
+    verdict : what is to be thought of the end of a fit.
     """
 
     rendered: NDArray[np.float32]
     residual: NDArray[np.float32] | None = None
     found: Residual | None = None
     cells: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Grades:
-    """From which share of the signal around the surfaces on, noise left out, a fit is called so.
-
-    From three real stacks (vesicles, an embryo, a gland): fits whose surfaces lay where they should
-    explained 79 to 95 %, those that were visibly wrong 11 to 45 %.
-    """
-
-    good: float = 0.75
-    fair: float = 0.5
-
-    def grade(self, explained: float | None) -> str:
-        """In a word; "" where it is not known."""
-        if explained is None:
-            return ""
-        return "good" if explained >= self.good else "fair" if explained >= self.fair else "poor"
-
-
-GRADES = Grades()
+    verdict: Verdict | None = None
 
 
 class Spread:
@@ -89,6 +71,7 @@ class Overlays(QObject):
         self._background = Background(self._add, warn)
         self._spread = Spread()
         self._found: Residual | None = None  # of the last fit
+        self._verdict: Verdict | None = None
         self._of: Any = None  # a weak reference to its image layer
         live.panels.append(self)
         panels.running.go_to_worst.connect(self._go_to_worst)
@@ -132,6 +115,7 @@ class Overlays(QObject):
             return
         if images.found is not None:
             self._found, self._of = images.found, weakref.ref(link.image_layer)
+            self._verdict = images.verdict
             self._panels.results.show_more(images.cells)
             self._show_grade()
         if self.wanted:
@@ -140,14 +124,14 @@ class Overlays(QObject):
 
     def _show_grade(self) -> None:
         """What is known of the result, while its image is chosen."""
-        running, found = self._panels.running, self._found
+        running, found, verdict = self._panels.running, self._found, self._verdict
         own = self._of is not None and self._of() is self._panels.image.layer
-        if found is None or not own or self._panels.results.last is None:
+        if found is None or verdict is None or not own or self._panels.results.last is None:
             running.show_grade("", "")
         else:
             fit = self._panels.results.last[1].settings.fit
             running.estimates_all(fit.fit_psf and fit.density == "smooth")
-            running.show_grade(GRADES.grade(found.explained), verdict(found), bool(found.spots))
+            running.show_grade(verdict.grade, told(found, verdict), bool(found.spots))
 
     def forget(self) -> None:
         """What was found is of an earlier fit."""
@@ -192,7 +176,8 @@ def _of_result(state: FitState, job: FitInput, spread: Spread) -> Compared:
         job.image, job.grid, given, counted=job.counted, variance=spread.variance(job)
     )
     cells = _measured(state, job, found)
-    return replace(_compared(rendered, job, spread), found=found, cells=cells)
+    verdict = judged(facts_of(job, state, found, rendered))
+    return replace(_compared(rendered, job, spread), found=found, cells=cells, verdict=verdict)
 
 
 def _measured(state: FitState, job: FitInput, found: Residual) -> dict[int, dict[str, Any]]:
@@ -206,14 +191,17 @@ def _measured(state: FitState, job: FitInput, found: Residual) -> dict[int, dict
     return rows
 
 
-def verdict(found: Residual) -> str:
-    """How much of the image the cells explain, in a sentence."""
+def told(found: Residual, verdict: Verdict) -> str:
+    """The grade, how much of the image the cells explain, and why it is no better."""
     if found.explained is None:
         return "Nothing around the cells is brighter or darker than noise."
-    word = GRADES.grade(found.explained)
     text = (
-        f"{word.capitalize()}: the cells explain {found.explained:.0%} of the signal around them."
+        f"{verdict.grade.capitalize()}: the cells explain {found.explained:.0%} of the signal "
+        "around them."
     )
-    if word == "poor":
+    reasons = [reason for reason in verdict.reasons if "is explained" not in reason]
+    if reasons:
+        text += f" {'; '.join(reasons)}."
+    if verdict.grade == "poor":
         text += " Look at the surfaces before you use them."
     return text

@@ -1,0 +1,103 @@
+"""What makes a fit good, fair or poor."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import napari_deltamic as nd
+from napari_deltamic.evidence import analyse_residual
+from napari_deltamic.evidence.verdict import CellFacts, Facts, facts_of, judged
+from napari_deltamic.fitting import fit
+from napari_deltamic.fitting.job import FitInput
+from napari_deltamic.geometry import sphere
+from napari_deltamic.geometry.labels.voxels import voxel_labels
+from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
+
+FINE = Facts(True, 0.95, 1.0, False, (CellFacts(1, 0.95, 0.01, 1.3),))
+
+
+def test_a_fit_without_fault_is_good():
+    found = judged(FINE)
+    assert (found.grade, found.reasons) == ("good", ())
+    assert found.sentence() == "good"
+
+
+@pytest.mark.parametrize(
+    ("change", "grade", "word"),
+    [
+        ({"finished": False}, "poor", "come to an end"),
+        ({"explained": 0.6}, "fair", "60% of the signal"),
+        ({"explained": 0.2}, "poor", "20% of the signal"),
+        ({"explained": None}, "poor", "noise"),
+        ({"width": 2.4}, "fair", "2.4 times as wide"),
+        ({"width": 0.5}, "fair", "2 times as sharp"),
+        ({"narrow": True}, "fair", "narrower than voxels"),
+    ],
+)
+def test_what_concerns_all(change, grade, word):
+    found = judged(replace(FINE, **change))
+    assert found.grade == grade
+    assert word in found.sentence()
+
+
+@pytest.mark.parametrize(
+    ("change", "grade", "word"),
+    [
+        ({"explained": 0.3}, "poor", "30%"),
+        ({"stray": 0.4}, "fair", "light inside"),
+        ({"growth": 5.0}, "fair", "swallowed"),
+        ({"growth": 0.05}, "poor", "shrunk"),
+        ({"cut": True}, "fair", "border"),
+        ({"inside": 0.4}, "fair", "light inside"),
+        ({"inside": -0.4}, "fair", "light around"),
+        ({"compact": 0.4}, "fair", "crumpled"),
+    ],
+)
+def test_what_concerns_one_cell(change, grade, word):
+    found = judged(replace(FINE, cells=(replace(FINE.cells[0], **change),)))
+    assert found.cells[0].grade == found.grade == grade
+    assert word in found.sentence()
+
+
+def test_one_bad_cell_spoils_no_other_and_is_named():
+    cells = (*(CellFacts(k, 0.9, 0.0, 1.0) for k in range(1, 6)), CellFacts(6, 0.2))
+    found = judged(replace(FINE, cells=cells))
+    assert found.grade == "good"
+    assert "poor: cell 6" in found.reasons
+    assert [cell.grade for cell in found.cells] == ["good"] * 5 + ["poor"]
+
+
+def test_growth_is_compared_with_the_other_cells():
+    alike = tuple(CellFacts(k, 0.9, 0.0, 4.0) for k in range(1, 7))
+    assert judged(replace(FINE, cells=alike)).grade == "good"
+    one = (*alike, CellFacts(7, 0.9, 0.0, 20.0))
+    assert [c.grade for c in judged(replace(FINE, cells=one)).cells] == ["good"] * 6 + ["fair"]
+
+
+def test_facts_of_a_fit():
+    size, shape = (0.2, 0.2, 0.2), (24, 24, 24)
+    grid, optics = nd.Grid(shape, size), nd.GaussianPSF((0.24, 0.24, 0.24))
+    truth = sphere((2.3, 2.3, 2.3), 1.5, edge_length=0.3)
+    image = nd.render(truth, grid, optics).numpy()
+    image = np.random.default_rng(0).poisson(20 + 200 * image / image.max()).astype(np.float32)
+    start = sphere((2.3, 2.3, 2.3), 1.2, edge_length=0.4)
+    scene = SceneSettings(voxel_size=size, sigma=optics.sigma_um)
+    run = RunSettings(image="", seeds="", scene=scene, fit=FitSettings())
+    *_, state = fit(image, grid, start, optics, settings=run.fit)
+    job = FitInput(run, image, grid, start, optics, None)
+    facts = facts_of(job, state, analyse_residual(image, grid, state))
+    assert facts.finished
+    assert facts.explained > 0.95
+    assert facts.width == pytest.approx(1, abs=0.2)
+    (cell,) = facts.cells
+    assert cell.growth == pytest.approx((1.5 / 1.2) ** 3, rel=0.1)
+    assert not cell.cut
+    assert cell.inside == pytest.approx(0, abs=0.05)
+    assert cell.compact == pytest.approx(1, abs=0.05)
+    assert judged(facts).grade == "good"
+    hazy = image + 80 * (voxel_labels(truth, shape, size) == 0)
+    hazy_job = replace(job, image=hazy.astype(np.float32))
+    assert facts_of(hazy_job, state, analyse_residual(image, grid, state)).cells[0].inside < -0.2
+    moved = replace(state, mesh=state.mesh.translated((-0.75, 0, 0)))
+    assert facts_of(job, moved, analyse_residual(image, grid, state)).cells[0].cut
