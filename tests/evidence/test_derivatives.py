@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from napari_deltamic import GaussianPSF, Grid, Mesh
-from napari_deltamic.evidence.fitted_scene import Scene
+from napari_deltamic.evidence.fitted_scene import FittedScene
 from napari_deltamic.evidence.image_model import ImageModel
 from napari_deltamic.evidence.modes import shape_modes
 from napari_deltamic.evidence.transforms import Transforms
@@ -26,7 +26,7 @@ INDEX = np.arange(np.prod(GRID.shape))
 
 def scene(effects):
     density = 1 + 0.3 * np.sin(np.arange(len(CELLS.faces)))
-    return Scene(CELLS, OPTICS, effects, 10.0, 2.0, density)
+    return FittedScene(CELLS, OPTICS, effects, 10.0, 2.0, density)
 
 
 @pytest.mark.parametrize("effects", [Effects(), Effects.of(Bulk(density=0.3)), ALL])
