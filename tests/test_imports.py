@@ -26,7 +26,7 @@ ORDER = (
     "accuracy",
     "results",
 )
-GUI = ("gui", "_reader", "_writer")
+GUI = ("gui", "_reader", "_widget", "_writer")
 
 
 def modules():

@@ -158,6 +158,15 @@ def test_a_folder_that_is_a_file(tmp_path):
 
 
 def test_ctrl_c_waits():
+    # A job in the background of a shell is begun without the handler of Python.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        _interrupted()
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _interrupted():
     reached = []
 
     def stopped():

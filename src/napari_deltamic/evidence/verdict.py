@@ -263,7 +263,7 @@ def facts_of(
     growth = _growth(job.mesh, state.mesh)
     cut = _cut(state.mesh, job.grid)
     inside, compact = _inside(job, state), _compactness(job.mesh, state.mesh)
-    bulk = state.effects.bulk is not None  # then it is in the model
+    modelled = state.effects.light_inside
     explained = {cell.region: cell.explained for cell in left.cells}
     light: dict[int, float] = {}
     for spot in left.spots:
@@ -275,7 +275,7 @@ def facts_of(
             light.get(region, 0.0) / max(total * area / whole, 1e-30),
             growth.get(region),
             region in cut,
-            None if bulk else inside.get(region),
+            None if modelled else inside.get(region),
             compact.get(region),
         )
         for region, area in areas.items()

@@ -121,6 +121,11 @@ class Effects(BaseModel):
         """Names of those that are there."""
         return tuple(effect.name for effect in self.present())
 
+    @property
+    def light_inside(self) -> bool:
+        """Whether cells shine from inside."""
+        return self.bulk is not None
+
     def replace(self, **changed: Effect | None) -> Effects:
         """The same with some changed, added, or (None) absent."""
         return _made(type(self), {**dict(self), **changed})
