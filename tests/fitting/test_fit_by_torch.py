@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import napari_deltamic as nd
-from napari_deltamic.fitting import level
+from napari_deltamic.fitting import level, likelihood
 from napari_deltamic.fourier import particle_mesh, real_fft
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import FitSettings
@@ -23,6 +23,8 @@ def test_a_fit_ends_where_that_of_the_compiled_loops_does(monkeypatch, accuracy)
         return Renderer(*given, **named, method="particle-mesh")
 
     monkeypatch.setattr(level, "Renderer", by_particle_mesh)
+    # What explains the image is the same for both here; its loops have a test of their own.
+    monkeypatch.setattr(likelihood, "compiled", lambda device: False)
     ends = []
     for compiled in (True, False):
         for module in (particle_mesh, real_fft):
@@ -33,5 +35,5 @@ def test_a_fit_ends_where_that_of_the_compiled_loops_does(monkeypatch, accuracy)
     ours, by_torch = (np.asarray(e.mesh.vertices_numpy()) for e in ends)
     assert ours.shape == by_torch.shape
     # Rounding that a fit carries along, against the size of the cell.
-    assert np.abs(ours - by_torch).max() < (1e-3 if accuracy > 3e-5 else 3e-7) * 2.4
+    assert np.abs(ours - by_torch).max() < (1e-3 if accuracy > 3e-5 else 1e-7) * 2.4
     assert ends[0].loss == pytest.approx(ends[1].loss, rel=1e-3)
