@@ -118,7 +118,7 @@ def shapes(setting: Setting, facts: dict[str, Any]) -> str:
         some: dict[str, Any] = {"draws": DRAWS}
         if setting.quick:
             short_fit = FitSettings(levels=NEAR_LEVELS, max_iterations=40)
-            some = {"draws": 1, "accuracies": (1e-1, 1e-2), "settings": short_fit}
+            some = {"draws": 1, "choices": ("quick", "normal"), "settings": short_fit}
         found = list(shape_errors(sample.truth, sample.grid, sample.optics, photons, **some))
         voxel = min(sample.grid.voxel_size)
         facts[sample.name] = {"noise": noise, **shape_facts(found, voxel)}
@@ -130,12 +130,13 @@ def shapes(setting: Setting, facts: dict[str, Any]) -> str:
             f"{shape_answer(found)} Noise of a voxel: {noise:.3f} of the range of the image; "
             f"the default for it is {default}.",
             "",
-            "| accuracy | surface error | in voxels | spread | time of a fit |",
-            "|---:|---:|---:|---:|---:|",
+            "| choice | predicted | surface error | in voxels | spread | edges | time of a fit |",
+            "|---|---:|---:|---:|---:|---:|---:|",
         ]
         parts += [
-            f"| {short(e.accuracy)} | {1e3 * e.mean:.3g} nm | {e.mean / voxel:.3f} "
-            f"| {1e3 * e.spread:.2g} nm | {duration(e.seconds)} |"
+            f"| {e.choice} | {1e3 * e.dialled.predicted:.3g} nm | {1e3 * e.mean:.3g} nm "
+            f"| {e.mean / voxel:.3f} | {1e3 * e.spread:.2g} nm | {e.dialled.edge:.2g} um "
+            f"| {duration(e.seconds)} |"
             for e in found
         ]
         parts.append("")

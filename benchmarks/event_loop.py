@@ -16,7 +16,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import Any
 
@@ -148,20 +148,24 @@ class Watch:
 def watched() -> Watch:
     """A watch over everything that is called on the main thread while a fit runs."""
     from napari_deltamic.gui.editing.edits import Edits
-    from napari_deltamic.gui.editing.history import History
-    from napari_deltamic.gui.running.overlays import Overlays
+    from napari_deltamic.gui.editing.history_bar import HistoryBar
+    from napari_deltamic.gui.running.judging import Judging
     from napari_deltamic.gui.running.run_control import RunControl
-    from napari_deltamic.gui.running.worker import FitRun
     from napari_deltamic.gui.viewing.viewer_link import ViewerLink
+    from napari_deltamic.gui.work import Work
 
     watch = Watch()
-    watch.over(FitRun, "_show", "_finish")
-    watch.over(RunControl, "start", "stop")
-    watch.over(Overlays, "_toggled", "_add")
-    watch.over(ViewerLink, "_slice_changed", "_view_changed")
-    watch.over(History, "_look_at")
+    watch.over(Work, "_tick", "start", "stop")
+    watch.over(RunControl, "start")
+    watch.over(Judging, "_add", "_view_changed")
+    watch.over(ViewerLink, "slice_changed")
+    watch.over(HistoryBar, "_slid")
     watch.over(Edits, "shift")
     return watch
+
+
+def _note(times: list[float], snapshot: Any) -> None:
+    times.append(time.perf_counter())
 
 
 def measure(scene: str, seconds: float) -> dict[str, Any]:
@@ -173,7 +177,8 @@ def measure(scene: str, seconds: float) -> dict[str, Any]:
     watch = watched()
     viewer, widget = _opened(scene)
     snapshots: list[float] = []
-    widget.control.shown.connect(lambda snapshot: snapshots.append(time.perf_counter()))
+    noted = partial(_note, snapshots)
+    widget.doc.shown.connect(noted)
     timer = QTimer()
     timer.setTimerType(Qt.TimerType.PreciseTimer)
     timer.timeout.connect(watch.beat)
@@ -254,16 +259,16 @@ def _user(viewer: Any, widget: Any) -> Any:
         for share in (0.1, 0.5, 0.8, 1.0):
             history.slider.setValue(int(share * history.slider.maximum()))
             yield
-        if widget.control.present() is not None:
+        if widget.doc.present() is not None:
             shift = np.zeros((len(widget.link.mesh.vertices), 3))
             shift[: len(shift) // 10] = random.normal(scale=0.1, size=3)
-            widget.interaction.edits.shift(shift, "nudge")
+            widget.edits.shift(shift, "nudge")
         yield
         viewer.dims.ndisplay = 3
         for _ in range(8):
             yield
         viewer.dims.ndisplay = 2
-        widget.running.rendered.setChecked(not widget.running.rendered.isChecked())
+        widget.doc.look("image" if widget.doc.view == "model" else "model")
         yield
 
 

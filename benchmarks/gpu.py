@@ -30,7 +30,7 @@ from napari_deltamic.fourier.cuda.build import SINGLE
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure import surface_distance
 from napari_deltamic.runs.settings import FitSettings
-from napari_deltamic.scene import Renderer
+from napari_deltamic.scene import Renderer, Scene
 
 from .__main__ import as_table, measure
 from .figure import (
@@ -221,7 +221,7 @@ def _iteration(
     for _ in range(iterations - 1):
         next(states)
     each = (place.now() - begun) / (iterations - 1)
-    return each, Renderer(start, grid, optics, accuracy, device=place.device).plan.method
+    return each, Renderer(Scene.of(start, optics), grid, accuracy, device=place.device).plan.method
 
 
 def iterations(place: Place) -> list[Row]:

@@ -16,7 +16,7 @@ from napari_deltamic.accuracy.tradeoff import duration
 from napari_deltamic.fourier import Band
 from napari_deltamic.fourier.closed_form import band_ft
 from napari_deltamic.geometry import sphere
-from napari_deltamic.scene import Renderer
+from napari_deltamic.scene import Renderer, Scene
 
 from . import paper_scheme
 from .figure import NARROW, SIGMA, timed, wavevectors
@@ -124,7 +124,7 @@ def closed(threshold: float) -> Callable[[Mesh, int], Point]:
 def particle_mesh(mesh: Mesh, side: int) -> Point:
     """The particle-mesh at the accuracy of the curves, value and gradient."""
     grid, optics = Grid((side,) * 3, (1.0,) * 3), GaussianPSF(SIGMA)
-    renderer = Renderer(mesh, grid, optics, ACCURACY, method="particle-mesh")
+    renderer = Renderer(Scene.of(mesh, optics), grid, ACCURACY, method="particle-mesh")
     v = torch.from_numpy(mesh.vertices_numpy().copy()).requires_grad_()
 
     def both() -> None:

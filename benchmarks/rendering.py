@@ -14,7 +14,7 @@ from torch import Tensor
 
 from napari_deltamic import Mesh, render
 from napari_deltamic.optics import Optics
-from napari_deltamic.scene import Renderer
+from napari_deltamic.scene import Renderer, Scene
 
 from .figure import (
     Figure,
@@ -35,7 +35,7 @@ def render_and_gradient(options: Options) -> list[Row]:
     """An image at accuracy 1e-3 with its gradient: time and measured error."""
     accuracy, mesh = 1e-3, cow(options)
     (grid, optics), target = scene(), torch.randn(100, 100, 100)
-    renderer = Renderer(mesh, grid, optics, accuracy)
+    renderer = Renderer(Scene.of(mesh, optics), grid, accuracy)
     v = tensors(mesh)[0].requires_grad_()
 
     def forward() -> Tensor:
@@ -81,9 +81,10 @@ def growth(options: Options) -> list[Row]:
         faces, timings = [], []
         for count in counts:
             mesh = sphere_of(count, voxels, 0.3 * voxels)
-            renderer = Renderer(mesh, *scene(voxels), 1e-2, method=method)
+            grid, optics = scene(voxels)
+            renderer = Renderer(Scene.of(mesh, optics), grid, 1e-2, method=method)
             v = tensors(mesh)[0].requires_grad_()
-            timings.append(timed(_one_rendering(renderer, v, scene(voxels)[1]), 3))
+            timings.append(timed(_one_rendering(renderer, v, optics), 3))
             faces.append(len(mesh.faces))
         wall, cpu = (slope(faces, [getattr(t, k) for t in timings]) for k in ("wall", "cpu"))
         range_ = f"{faces[0]} to {faces[-1]} faces at {voxels}^3, 1e-2"
@@ -94,9 +95,10 @@ def growth(options: Options) -> list[Row]:
     timings, work = [], []
     for side in sides:
         mesh = sphere_of(5_000, side, 20.0)
-        renderer = Renderer(mesh, *scene(side), 1e-3, method="particle-mesh")
+        grid, optics = scene(side)
+        renderer = Renderer(Scene.of(mesh, optics), grid, 1e-3, method="particle-mesh")
         v = tensors(mesh)[0].requires_grad_()
-        timings.append(timed(_one_rendering(renderer, v, scene(side)[1]), 3))
+        timings.append(timed(_one_rendering(renderer, v, optics), 3))
         work.append(side**3 * np.log2(side**3))
     wall, cpu = (slope(work, [getattr(t, k) for t in timings]) for k in ("wall", "cpu"))
     each = ", ".join(f"{n}^3: {1e3 * t.wall:.3g} ms" for n, t in zip(sides, timings, strict=True))

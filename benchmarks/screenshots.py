@@ -107,7 +107,7 @@ def embryo() -> None:
     wait(lambda: not correcting.busy)
     shot(viewer, "correct.png")
     widget.settings.density.setCurrentText("smooth")
-    widget.running.rendered.setChecked(False)
+    widget.doc.look("image")
     widget.start()
     wait(lambda: widget.run is not None and not widget.run.running, 2.0)
     viewer.reset_view()

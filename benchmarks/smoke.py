@@ -46,7 +46,7 @@ while not widget.run.history.loss or widget.run.running:
     time.sleep(0.01)
     assert time.monotonic() < until, "the fit did not end"
 viewer.screenshot("window.png", canvas_only=False, flash=False)
-message = widget.control.present().state.message
+message = widget.doc.present().state.message
 print(napari.__version__, QApplication.instance().platformName(), message)
 viewer.close()
 """

@@ -20,7 +20,7 @@ from .figure import Figure, MissingData, Options, Row, at_least, at_most
 
 CENTRES = Path(__file__).parent / "data_points" / "vesicles_GUV.csv"
 VOXEL_SIZE = (0.34, 0.133, 0.133)
-WORDS = ["--density", "smooth", "--fit-psf", "--overwrite"]
+WORDS = ["--overwrite"]
 
 
 def words(image: Path, centres: Path) -> list[str]:

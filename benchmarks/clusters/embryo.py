@@ -21,7 +21,7 @@ from napari_deltamic.images.stacks import read_image
 from napari_deltamic.measure import ridge_distance
 from napari_deltamic.measure.image_similarity import image_similarity
 from napari_deltamic.results.picture import picture
-from napari_deltamic.runs.settings import FitSettings
+from napari_deltamic.runs.settings import NEAR_LEVELS, FitSettings
 
 from ..figure import Figure, MissingData, Options, Row, at_least, at_most
 
@@ -31,8 +31,7 @@ MOST_CLICKS = 10
 VOXEL_SIZE = (4.0, 1.0, 1.0)
 SIGMA = (4.0, 1.4, 1.4)
 CELL, EDGE, GAP, REACH = 55.0, 5.0, 4.0, 8.0
-# Seeds lie within a width of the PSF of the membranes, and a blur hides which are dim: one level.
-SETTINGS = FitSettings(levels=(1.0,), density="smooth", smoothing=1.0, tolerance=4e-3)
+SETTINGS = FitSettings(levels=NEAR_LEVELS)  # as the command line fits labels
 BAR_DISTANCE, BAR_SECONDS = 0.5, 180.0
 
 

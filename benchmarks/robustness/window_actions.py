@@ -47,7 +47,7 @@ def _fitting(s: Session) -> list[Action]:
         w = s.widget
         if s.running:
             return
-        w.image.chooser.choose(s.viewer.layers["cell"])
+        w.doc.image.choose(s.viewer.layers["cell"])
         w.settings.accuracy.setCurrentText("1e-2")
         w.settings.max_iterations.setValue(rng.choice([5, 40, 2000]))
         w.seeds.place.click()
@@ -94,11 +94,11 @@ def _fitting(s: Session) -> list[Action]:
         ("go on from here", lambda: history().go_on_button.click()),
         ("undo", lambda: history().undo_button.click()),
         ("redo", lambda: history().redo_button.click()),
-        ("pause", lambda: s.widget.running.pause_button.click()),
+        ("pause", lambda: s.widget.footer.pause_button.click()),
         ("run", lambda: s.widget.start()),
         ("stop", lambda: s.widget.stop()),
-        ("rendered", lambda: s.widget.running.rendered.setChecked(rng.random() < 0.5)),
-        ("residual", lambda: s.widget.running.residual.setChecked(rng.random() < 0.5)),
+        ("view", lambda: s.widget.running.view.setCurrentIndex(rng.randrange(4))),
+        ("slices", lambda: s.widget.running.slice.activated.emit(rng.randrange(3))),
         ("row", lambda: s.widget.results.table.selectRow(0)),
         ("wait", lambda: s.spin(0.15)),
     ]
@@ -115,8 +115,8 @@ def _settings(s: Session) -> list[Action]:
         table.tick(rng.choice(["bulk", "halo", "attenuation", "pixel_integration"]))
 
     def check() -> None:
-        s.widget.checking.start()
-        s.did["checks"] += s.widget.checking.busy
+        s.widget.settings.effects.start()
+        s.did["checks"] += s.widget.settings.effects.busy
 
     return [
         ("fit psf", lambda: of().fit_psf.setChecked(rng.random() < 0.5)),
@@ -130,7 +130,7 @@ def _settings(s: Session) -> list[Action]:
         ("kind of psf", lambda: of().optics.kind.setCurrentIndex(rng.randrange(3))),
         ("effect", effect),
         ("check effects", check),
-        ("stop the check", lambda: s.widget.checking.stop()),
+        ("stop the check", lambda: s.widget.doc.work.stop(at_once=True)),
         ("use recommended", lambda: of().effects.take_button.click()),
         ("measure", lambda: of().tradeoff.findChildren(_button())[0].click()),
         ("second view", lambda: _any_item(s, of().effects.second.chooser)),
@@ -254,7 +254,7 @@ def _images(s: Session) -> list[Action]:
         ("remove a layer", drop),
         ("choose an image", lambda: _any_item(s, s.widget.image.chooser)),
         ("choose a channel", lambda: _any_item(s, s.widget.image.channels)),
-        ("choose the cell", lambda: s.widget.image.chooser.choose(s.viewer.layers["cell"])),
+        ("choose the cell", lambda: s.widget.doc.image.choose(s.viewer.layers["cell"])),
         (
             "voxel size",
             lambda: s.widget.image.voxel_size._boxes[0].setValue(rng.uniform(0.2, 0.4)),
@@ -284,10 +284,10 @@ def _others(s: Session) -> list[Action]:
         path = s.folder / "a.deltamic"
         if s.running or len(s.viewer.layers) > 12 or not s.offscreen or not save():
             return
-        saved, last = load_session(path).result, s.widget.results.last
+        saved, last = load_session(path).result, s.widget.doc.result
         if saved is not None and last is not None:
             mesh = saved.state.mesh.vertices_numpy()
-            if not np.array_equal(mesh, last[0].mesh.vertices_numpy()):
+            if not np.array_equal(mesh, last.state.mesh.vertices_numpy()):
                 s.wrong("the session has not the result that is shown")
         s.did["sessions"] += saved is not None
         s.widget.sessions.open(str(path))
@@ -301,7 +301,7 @@ def _others(s: Session) -> list[Action]:
             s.did["docks"] += 1
 
     def save_meshes() -> None:
-        if s.widget.results.last is not None:
+        if s.widget.doc.result is not None:
             s.widget.results.save_meshes(str(s.folder / "a.ply"))
 
     def track() -> None:
@@ -364,7 +364,7 @@ def _frame(s: Session) -> Any:
     from napari_deltamic.errors import InputError
 
     try:
-        return s.widget.image.frame()
+        return s.widget.doc.image.frame()
     except InputError:
         return None
 

@@ -129,12 +129,13 @@ class Session:
             self.wrong("the image is gone")
         elif not np.array_equal(layers["cell"].data, self.pixels):
             self.wrong("the pixels of the image were changed")
-        last = self.widget.results.last
+        records = self.widget.doc.records.values()
+        last = next((one for one in records if one.state is not None), None)
         if last is None and self.had_result:
             self.wrong("the result of the last fit is gone")
         if last is not None:
             self.had_result = True
-            if not np.isfinite(last[0].mesh.vertices_numpy()).all():
+            if not np.isfinite(last.state.mesh.vertices_numpy()).all():
                 self.wrong("the result is not finite")
 
     def _raised(self, kind: Any, error: Any, trace: Any) -> None:

@@ -105,8 +105,14 @@ def _volume_sd(given: Arrays, grid: Any, state: Any, settings: Any) -> float | N
         module = _from("fitting.errors_of_measures", "inference.errors_of_measures")
     except ModuleNotFoundError:
         return None
-    found = module.predicted_volume_sd(given["image"], grid, state, settings)
-    return float(next(iter(found.values())).sandwich)
+    if hasattr(module, "predicted_volume_sd"):
+        found = module.predicted_volume_sd(given["image"], grid, state, settings)
+        return float(next(iter(found.values())).sandwich)
+    from napari_deltamic.measure.of_fit import replicas_at
+
+    pairs = replicas_at(given["image"], grid, state, settings).pairs()
+    region = int(state.mesh.region_ids()[0])
+    return float(np.std([a.volumes()[region] - b.volumes()[region] for a, b in pairs]) / 2)
 
 
 def _pushed(mesh: Any, points: Any, by: float, radius: float) -> Any:
@@ -157,13 +163,13 @@ def finufft(job: Values, given: Arrays) -> tuple[Values, Arrays]:
     Knows more of the package than the other tasks: ``rules`` and ``band`` of a plan. It runs in the
     present version only.
     """
-    from napari_deltamic.scene import Renderer
+    from napari_deltamic.scene import Renderer, Scene
 
     sys.path.append(str(Path(__file__).parent))
     from with_finufft import measured  # type: ignore[import-not-found]
 
     mesh, grid = _mesh(given, "start"), _grid(job, given["exact"].shape)
-    plan = Renderer(mesh, grid, nd.GaussianPSF(job["sigma"]), job["accuracy"]).plan
+    plan = Renderer(Scene.of(mesh, nd.GaussianPSF(job["sigma"])), grid, job["accuracy"]).plan
     mass = mesh.areas() * mesh.membranes()
     corners = mesh.vertices_numpy()[mesh.faces]
     points = [(rule.barycentric @ corners[faces]).reshape(-1, 3) for rule, faces in plan.rules]
@@ -179,9 +185,12 @@ def _planned(
     """An evaluation as a fit makes them, the plan being there already; and its points."""
     import torch
 
-    from napari_deltamic.scene import Renderer
+    from napari_deltamic import scene
 
-    renderer = Renderer(mesh, grid, optics, accuracy)
+    if hasattr(scene.Scene, "of"):
+        renderer = scene.Renderer(scene.Scene.of(mesh, optics), grid, accuracy)
+    else:  # an older version
+        renderer = scene.Renderer(mesh, grid, optics, accuracy)
 
     def evaluation() -> tuple[Any, Any]:
         image = renderer.image(renderer.transform(vertices), renderer.otf(optics))

@@ -18,6 +18,8 @@ from napari_deltamic.accuracy.chart import PALETTE, Chart, Note, Series, time_te
 from napari_deltamic.accuracy.shape_error import ShapeError
 from napari_deltamic.accuracy.tradeoff import Way, with_front
 from napari_deltamic.errors import InputError
+from napari_deltamic.fitting.shape_dial import Dialled
+from napari_deltamic.runs.fit_settings import SHAPE_CHOICES
 
 
 def chart(*series, notes=(), **more):
@@ -141,19 +143,17 @@ def test_chart_of_ways():
 
 
 def errors(*means):
-    accuracies = (1e-1, 1e-2, 1e-3)
-    return [
-        ShapeError(a, (0.9 * m, m, 1.1 * m), 100.0, s)
-        for a, m, s in zip(accuracies, means, (1, 2, 4), strict=True)
-    ]
+    dialled = [Dialled(edge, 1e-2, 0.02, 0.025) for edge in (0.9, 0.6, 0.3)]
+    given = zip(SHAPE_CHOICES, dialled, means, (1, 2, 4), strict=True)
+    return [ShapeError(c, d, (0.9 * m, m, 1.1 * m), 100.0, s) for c, d, m, s in given]
 
 
 @pytest.mark.parametrize(
     ("means", "says"),
     [
-        ((0.03, 0.0202, 0.02), "Below accuracy 1e-2 the shape stops improving"),
-        ((0.0201, 0.02, 0.02), "as good at accuracy 1e-1, the coarsest tried"),
-        ((0.04, 0.03, 0.02), "improves down to accuracy 1e-3, the finest tried"),
+        ((0.03, 0.0202, 0.02), "normal is enough"),
+        ((0.0201, 0.02, 0.02), "quick is enough"),
+        ((0.04, 0.03, 0.02), "careful is enough"),
     ],
 )
 def test_answer(means, says):
@@ -165,12 +165,13 @@ def test_table_and_chart_of_shapes():
     found = errors(0.03, 0.0202, 0.02)
     lines = shape_table(found, 0.1).splitlines()
     assert len(lines) == 4
-    assert "30 nm" in lines[1]
+    assert lines[1].split()[:5] == ["quick", "25", "nm", "30", "nm"]
     assert "0.300 voxel" in lines[1]
     assert [line.endswith("enough") for line in lines] == [False, False, True, False]
     drawn = shape_chart(found, "Shapes")
-    assert drawn.notes[0].text == "enough: 1e-2"
+    assert [note.text for note in drawn.notes] == list(SHAPE_CHOICES)
     assert drawn.series[0].y == pytest.approx([30, 20.2, 20])
+    assert drawn.series[1].y == pytest.approx([25, 25, 25])
     drawn.image()
 
 

@@ -14,14 +14,16 @@ from napari_deltamic.accuracy.machine_costs import costs, costs_file, expected_s
 from napari_deltamic.fourier import make_plan
 from napari_deltamic.fourier.cost import BUILT_IN, Rates, Work
 from napari_deltamic.geometry import sphere
-from napari_deltamic.scene import Renderer
+from napari_deltamic.scene import Renderer, Scene
 
 OPTICS = nd.GaussianPSF(0.15)
 MESH = sphere((1.5, 1.5, 1.5), 0.9, subdivisions=2)
 
 
 def renderer(side=30, accuracy=1e-2, method=None, mesh=MESH):
-    return Renderer(mesh, nd.Grid((side,) * 3, (0.1,) * 3), OPTICS, accuracy, method=method)
+    return Renderer(
+        Scene.of(mesh, OPTICS), nd.Grid((side,) * 3, (0.1,) * 3), accuracy, method=method
+    )
 
 
 @pytest.fixture

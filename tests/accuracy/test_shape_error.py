@@ -6,20 +6,22 @@ import pytest
 import napari_deltamic as nd
 from napari_deltamic.accuracy.shape_error import (
     ShapeError,
+    enough,
     photons_for,
     shape_errors,
     shrunk,
     simulated,
-    stops_improving,
 )
 from napari_deltamic.fitting.default_accuracy import image_noise
-from napari_deltamic.geometry import box, sphere
+from napari_deltamic.fitting.shape_dial import Dialled
+from napari_deltamic.geometry import sphere
+from napari_deltamic.runs.fit_settings import SHAPE_CHOICES
 from napari_deltamic.runs.settings import NEAR_LEVELS, FitSettings
 
 GRID = nd.Grid((20, 22, 24), (0.2, 0.2, 0.2))
 OPTICS = nd.GaussianPSF(0.3)
 TRUTH = sphere((1.9, 2.1, 2.3), 1.1, subdivisions=2)
-SHORT = FitSettings(levels=NEAR_LEVELS, max_iterations=50)
+SHORT = FitSettings(levels=NEAR_LEVELS, max_iterations=50, fit_psf=False)
 
 
 def test_simulated_images():
@@ -44,25 +46,28 @@ def test_photons_for_a_noise():
     assert photons_for(0.0, TRUTH, GRID, OPTICS) == float("inf")
 
 
-def test_shape_errors_are_worst_where_the_rendering_is():
-    """Of something with edges: a sphere is as round when it is blurred."""
-    truth = box((1.9, 2.1, 2.3), 1.8, edge_length=0.3)
+def test_shape_errors_fall_along_the_dial():
+    """Of a ball whose edges are long: flat triangles are what is off."""
+    truth = sphere((1.9, 2.1, 2.3), 1.3, edge_length=0.15)
+    start = sphere((1.9, 2.1, 2.3), 1.2, edge_length=0.5)
     seen = []
     found = list(
         shape_errors(
-            truth, GRID, OPTICS, 2000, settings=SHORT, accuracies=(1e-2, 0.4), draws=2,
-            progress=lambda done, of: seen.append((done, of)),
+            truth, GRID, OPTICS, 1000, start=start, settings=SHORT, choices=("quick", "careful"),
+            draws=2, progress=lambda done, of: seen.append((done, of)),
         )
     )  # fmt: skip
-    assert [e.accuracy for e in found] == [0.4, 1e-2]
+    assert [e.choice for e in found] == ["quick", "careful"]
     assert [len(e.errors) for e in found] == [2, 2]
-    assert found[0].mean > 1.3 * found[1].mean
-    assert found[1].mean < 0.2 * GRID.voxel_size[0]
-    assert 0 < found[1].spread < found[1].mean
-    assert found[0].seconds > 0
-    assert found[0].iterations == 50
+    quick, careful = found
+    assert quick.dialled.edge > careful.dialled.edge
+    assert quick.dialled.predicted > careful.dialled.predicted
+    assert quick.mean > 1.3 * careful.mean
+    assert careful.mean < 0.2 * GRID.voxel_size[0]
+    assert 0 < careful.spread < careful.mean
+    assert quick.seconds > 0
     assert seen == [(1, 4), (2, 4), (3, 4), (4, 4)]
-    assert stops_improving(found) == 1e-2
+    assert enough(found) == "careful"
 
 
 def test_shape_errors_can_be_stopped():
@@ -78,22 +83,24 @@ def test_a_surface_outside_the_image():
         simulated(far, GRID, OPTICS, 100, seed=0)
 
 
-def errors(**means):
-    return [ShapeError(float(a[1:].replace("_", "-")), (m,), 1, 1) for a, m in means.items()]
+def errors(*means):
+    took = Dialled(0.3, 1e-2, 0.02, 1.0)
+    given = zip(SHAPE_CHOICES, means, strict=False)
+    return [ShapeError(c, took, (m,), 1, n) for n, (c, m) in enumerate(given)]
 
 
-def test_where_it_stops_improving():
-    assert stops_improving(errors(a1e_1=3.0, a1e_2=1.04, a1e_3=1.0)) == 1e-2
-    assert stops_improving(errors(a1e_1=1.04, a1e_2=1.06, a1e_3=1.0)) == 1e-3
-    assert stops_improving(errors(a1e_1=1.0, a1e_2=0.9, a1e_3=1.0)) == 1e-1  # luck does not count
-    assert stops_improving(errors(a1e_1=0.9, a1e_2=1.0)) == 1e-1
-    with pytest.raises(nd.InputError, match="no accuracy"):
-        stops_improving([])
+def test_what_is_enough():
+    assert enough(errors(3.0, 1.04, 1.0)) == "normal"
+    assert enough(errors(1.04, 1.06, 1.0)) == "quick"
+    assert enough(errors(1.2, 1.06, 1.0)) == "careful"
+    with pytest.raises(nd.InputError, match="no choice"):
+        enough([])
 
 
 def test_one_draw_has_no_spread():
-    assert ShapeError(1e-2, (3.0,), 1, 1).spread == 0
-    assert ShapeError(1e-2, (3.0, 5.0), 1, 1).mean == 4
+    took = Dialled(0.3, 1e-2, 0.02, 1.0)
+    assert ShapeError("quick", took, (3.0,), 1, 1).spread == 0
+    assert ShapeError("quick", took, (3.0, 5.0), 1, 1).mean == 4
 
 
 def test_shrunk_about_each_piece():

@@ -9,6 +9,7 @@ from PIL import Image
 import napari_deltamic as nd
 from napari_deltamic.accuracy import machine_costs
 from napari_deltamic.accuracy.tradeoff import measure_ways
+from napari_deltamic.fitting.shape_dial import Dialled
 from napari_deltamic.fourier.cost import BUILT_IN
 
 SHAPE = ("--shape", "20", "24", "24")
@@ -92,8 +93,10 @@ def test_shape_error(data, tmp_path, run, monkeypatch):
 
     def few(truth, grid, optics, photons, **options):
         asked.update(options, photons=photons)
-        for accuracy, error in ((1e-1, 0.02), (1e-2, 0.0102), (1e-3, 0.01)):
-            yield module.ShapeError(accuracy, (error, error * 1.1), 40, 0.5)
+        took = Dialled(0.4, 1e-2, 0.02, 0.012)
+        given = ("quick", 0.02), ("normal", 0.0102), ("careful", 0.01)
+        for n, (choice, error) in enumerate(given):
+            yield module.ShapeError(choice, took, (error, error * 1.1), 40, 0.5 + n)
 
     monkeypatch.setattr(module, "shape_errors", few)
     monkeypatch.setattr(module, "measure_ways", lambda *a, **k: list(measure_ways(*a, **k))[:2])
@@ -103,13 +106,14 @@ def test_shape_error(data, tmp_path, run, monkeypatch):
     )
     assert code == 0, err
     assert (asked["photons"], asked["draws"]) == (50, 2)
-    assert "Below accuracy 1e-2 the shape stops improving, given this noise (2 draws)." in out
-    assert row(out, "enough").split()[0] == "1e-2"
+    assert "normal is enough for the shape, given this noise (2 draws)." in out
+    assert row(out, "careful").split()[1:5] == ["12", "nm", "10.5", "nm"]
     assert (tmp_path / "shape.png").is_file()
     facts = json.loads((tmp_path / "accuracy.json").read_text())["shape"]
-    assert facts["enough"] == 1e-2
-    assert facts["accuracies"][2]["mean_nm"] == pytest.approx(10.5)
-    assert facts["accuracies"][2]["mean_voxels"] == pytest.approx(0.0525)
+    assert facts["enough"] == "normal"
+    assert facts["choices"][2]["mean_nm"] == pytest.approx(10.5)
+    assert facts["choices"][2]["predicted_nm"] == pytest.approx(12)
+    assert facts["choices"][2]["mean_voxels"] == pytest.approx(0.0525)
 
 
 def test_shape_error_of_an_image_is_at_its_noise(data, run, monkeypatch):
@@ -119,7 +123,7 @@ def test_shape_error_of_an_image_is_at_its_noise(data, run, monkeypatch):
 
     def one(truth, grid, optics, photons, **options):
         asked.update(truth=truth, photons=photons)
-        yield module.ShapeError(1e-2, (0.01,), 40, 0.5)
+        yield module.ShapeError("normal", Dialled(0.4, 1e-2, 0.02, 0.01), (0.01,), 40, 0.5)
 
     monkeypatch.setattr(module, "shape_errors", one)
     monkeypatch.setattr(module, "measure_ways", lambda *a, **k: list(measure_ways(*a, **k))[:1])

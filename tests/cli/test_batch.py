@@ -1,6 +1,7 @@
 """Many fits: what is fitted, what is skipped, what a kill leaves, and the tables."""
 
 import csv
+import errno
 import os
 import signal
 import subprocess
@@ -10,8 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from napari_deltamic.cli import build_parser
+from napari_deltamic.cli import build_parser, cluster
 from napari_deltamic.cli.arguments.batch_arguments import fit_words
+from napari_deltamic.common import writing
 from napari_deltamic.errors import InputError
 from napari_deltamic.images.stacks import read_image, write_image
 from napari_deltamic.runs.batch import batch_jobs
@@ -75,6 +77,36 @@ def test_other_options_fit_again(run, stacks, tmp_path):
     assert [row["iterations"] for row in second] == ["5", "5"]
 
 
+def test_a_full_disk_keeps_what_is_finished(run, fails, stacks, tmp_path, monkeypatch):
+    """One sentence, the first image is whole, and with room again the rest follows."""
+    (stacks / "bad.tif").unlink()
+    arguments = ("batch", stacks, *SEEDS, "--workers", 0, "-o", tmp_path / "out", *FAST)
+    plain = writing._written
+
+    def no_room(target, data):
+        if target.parent.name != "one":
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return plain(target, data)
+
+    def fill(*told):
+        monkeypatch.setattr(writing, "_written", no_room)
+        return fitted(*told)
+
+    fitted = cluster.fit_in_folder
+    monkeypatch.setattr(cluster, "fit_in_folder", fill)
+    code, lines, err = run(*arguments)
+    assert code == 2
+    assert lines == []
+    assert "Traceback" not in err
+    assert err.splitlines()[-1].startswith("napari-deltamic: error: ")
+    assert err.endswith("No space left on device\n")
+    monkeypatch.undo()
+    code, _, err = run(*arguments)
+    assert code == 0
+    assert "1 of 2 are done already" in err
+    assert [row["status"] for row in rows(tmp_path / "out" / "summary.csv")] == ["ended"] * 2
+
+
 def child(*arguments):
     return subprocess.Popen(
         [sys.executable, "-m", "napari_deltamic", *map(str, arguments)],
@@ -132,7 +164,7 @@ def test_a_batch_file(run, stacks, tmp_path):
 BAD = {
     "missing": (("none",), "there is no such file or folder"),
     "no image": (("empty",), "there is no image"),
-    "an unknown key": (("key.toml",), "runs.0.imag"),
+    "an unknown key": (("key.toml",), "runs.0.imag: there is no such setting"),
     "no toml": (("text.toml",), "text.toml"),
     "two of a name": (("twice.toml",), "two images are named a"),
     "an unknown option": (("stacks", "--workers", "0", "--fast"), "--fast"),
@@ -176,6 +208,18 @@ def test_a_scheduler_that_does_not_answer(fails, stacks, tmp_path, monkeypatch):
         "batch", stacks, *SEEDS, "--scheduler", "tcp://127.0.0.1:9", "-o", tmp_path / "out"
     )
     assert "does not answer" in said
+
+
+def test_seeds_are_no_images_in_a_folder_named_from_here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("stacks").mkdir()
+    for name in ("a.tif", "a_labels.tif"):
+        (tmp_path / "stacks" / name).write_text("")
+    (job,) = batch_jobs("stacks", "{stem}_labels.tif")
+    assert (job.image, job.seeds) == (
+        tmp_path / "stacks" / "a.tif",
+        str(tmp_path / "stacks" / "a_labels.tif"),
+    )
 
 
 def test_seeds_are_no_images(tmp_path):

@@ -40,7 +40,7 @@ def fitted(data, run, seen, tmp_path):
     image = tmp_path / "cell.tif"
     image.write_bytes((data / "cell.tif").read_bytes())
     folder = tmp_path / "fitted"
-    code, _, err = run("fit", image, "--seeds", data / "start.ply", "-o", folder)
+    code, _, err = run("fit", image, "--seeds", data / "start.ply", "--residual", "-o", folder)
     assert code == 0, err
     return folder, image
 
@@ -116,15 +116,38 @@ def test_a_session(data, run, tmp_path):
     code, _, err = run("measure", tmp_path / "a.deltamic", "--errors", "-o", tmp_path / "out")
     assert code == 0, err
     row = rows(tmp_path / "out" / "cells.csv")[0]
-    assert float(row["volume_um3"]) == pytest.approx(state.mesh.volumes()[1], rel=1e-8)
+    found = float(row["volume_um3"]) + float(row["volume_bias_um3"])
+    assert found == pytest.approx(state.mesh.volumes()[1], rel=1e-7)
     assert float(row["density"]) == pytest.approx(1)
     assert 0.5 < float(row["explained"]) < 1
-    assert 0 < float(row["volume_se_um3"]) < 0.1 * float(row["volume_um3"])
+    # The surface is not where a fit would end: that is part of the error.
+    assert 0 < float(row["volume_se_um3"]) < 0.2 * float(row["volume_um3"])
     assert row["cut_by_border"] == "no"
     save_session(tmp_path / "b.deltamic", Session(settings, image))
     code, _, err = run("measure", tmp_path / "b.deltamic", "-o", tmp_path / "none")
     assert code == 2
     assert "no result to measure" in err
+
+
+@pytest.mark.parametrize("kind", ["tif", "zarr"])
+def test_the_images_of_a_fit(fitted, run, tmp_path, kind):
+    """Rendered, residual and labels come back as they were, with their voxel size."""
+    if kind == "zarr":
+        pytest.importorskip("zarr")
+    folder, _ = fitted
+    out = tmp_path / "out"
+    code, lines, err = run("measure", folder, "--images", kind, "-o", out)
+    assert code == 0, err
+    read = {}
+    for name in ("rendered", "residual", "labels"):
+        path = out / f"{name}.ome.{kind}"
+        assert str(path) in lines
+        read[name], size = read_image(path)
+        assert size == pytest.approx(SIZE)
+    np.testing.assert_array_equal(read["rendered"], read_image(folder / "rendered.tif")[0])
+    np.testing.assert_array_equal(np.unique(read["labels"]), [0, 1])
+    expected = read_image(folder / "residual.tif")[0]
+    np.testing.assert_allclose(read["residual"], expected, rtol=1e-4, atol=1e-4)
 
 
 BAD = {
@@ -134,6 +157,11 @@ BAD = {
     "far away": (("far.ply", "--image", "image.tif"), "outside of the image"),
     "image without sizes": (("ball.ply", "--image", "plain.npy"), "give --voxel-size"),
     "voxels": (("ball.ply", "--label-voxel", 0, 1, 1), "--label-voxel must be three positive"),
+    "images of a mesh": (("ball.ply", "--images", "tif"), "give --image"),
+    "images without a fit": (
+        ("ball.ply", "--image", "image.tif", "--images", "zarr"),
+        "needs a session, or the folder of a fit",
+    ),
     "errors of a mesh": (("ball.ply", "--errors"), "need a session"),
 }
 
@@ -182,6 +210,28 @@ def test_another_channel(bubble, run, fails, tmp_path):
     assert found == pytest.approx(expected, rel=0.03)
 
 
+def test_an_open_surface_and_a_channel_of_another_shape(run, fails, tmp_path):
+    """A number or a reason, in every row; nowhere NaN."""
+    ball = sphere((2.9, 2.3, 2.3), 1.2)
+    nd.save_mesh(Mesh(ball.vertices, ball.faces[5:]), tmp_path / "open.ply")
+    arguments = ("measure", tmp_path / "open.ply", "-o", tmp_path / "out")
+    code, _, err = run(*arguments)
+    assert code == 0, err
+    (row,) = rows(tmp_path / "out" / "cells.csv")
+    assert row["volume_um3"] == row["handles"] == ""
+    assert float(row["area_um2"]) > 0
+    assert "open" in row["note"]
+    for name in ("cells", "walls", "junctions"):
+        assert "nan" not in (tmp_path / "out" / f"{name}.csv").read_text().lower()
+    for name, shape in (("image", GRID.shape), ("other", (5, 6, 7))):
+        write_image(tmp_path / f"{name}.tif", np.ones(shape, np.float32), SIZE)
+    options = ("--image", tmp_path / "image.tif", "--channel", tmp_path / "other.tif")
+    said = fails(*arguments[:2], *options, "--channel-sigma", 0.3, 0.2, 0.2, "-o", tmp_path / "b")
+    assert "other.tif" in said
+    assert "shape" in said
+    assert not (tmp_path / "b").exists()
+
+
 def test_the_folder_of_tracks(run, fails, tmp_path):
     pytest.importorskip("geff")
     results = [
@@ -197,4 +247,6 @@ def test_the_folder_of_tracks(run, fails, tmp_path):
     assert code == 0, err
     assert out == [str(tmp_path / "out" / name) for name in ("tracks.geff", "tracks.csv")]
     assert (tmp_path / "out" / "tracks.csv").read_text() == (folder / "tracks.csv").read_text()
+    said = fails("measure", folder, "--images", "tif", "-o", tmp_path / "none")
+    assert "leave out --images" in said
     assert "--overwrite" in fails("measure", folder, "-o", tmp_path / "out")

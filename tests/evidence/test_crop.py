@@ -3,7 +3,7 @@
 import numpy as np
 
 from napari_deltamic import Grid, Mesh, render
-from napari_deltamic.evidence.crop import part_of
+from napari_deltamic.evidence.crop import crop_of
 from napari_deltamic.geometry import mesh_from_labels, sphere
 from napari_deltamic.optics import GaussianPSF
 
@@ -13,7 +13,7 @@ WIDTH = np.array([0.2, 0.2, 0.2])
 def test_one_cell_is_taken_whole():
     grid = Grid((30, 40, 40), (0.2, 0.2, 0.2))
     ball = sphere((3, 4, 4), 1.5)
-    part = part_of(np.ones(grid.shape, bool), grid, ball, None, WIDTH)
+    part = crop_of(np.ones(grid.shape, bool), grid, ball, None, WIDTH)
     assert part.mesh is ball
     assert part.of == 1
     assert len(part.index) == np.prod(part.grid.shape) or len(part.index) > 1000
@@ -23,7 +23,7 @@ def test_a_few_of_many_cells_are_judged_around_the_middle():
     grid = Grid((20, 120, 120), (0.2, 0.2, 0.2))
     places = [(2, y, x) for y in (4, 12, 20) for x in (4, 12, 20)]
     mesh = Mesh.merge([sphere(p, 1.4, subdivisions=2) for p in places])
-    part = part_of(np.ones(grid.shape, bool), grid, mesh, None, WIDTH)
+    part = crop_of(np.ones(grid.shape, bool), grid, mesh, None, WIDTH)
     assert part.of == 9
     assert len(part.cells) == 6
     assert 5 in part.cells  # in the middle
@@ -40,7 +40,7 @@ def test_a_piece_shows_what_the_whole_image_shows_there():
         labels[4:12, y : y + 16, x : x + 16] = k + 1
     mesh = mesh_from_labels(labels, grid.voxel_size)
     optics = GaussianPSF((0.2, 0.2, 0.2))
-    part = part_of(np.ones(grid.shape, bool), grid, mesh, None, WIDTH)
+    part = crop_of(np.ones(grid.shape, bool), grid, mesh, None, WIDTH)
     whole = render(mesh, grid, optics, 1e-4).numpy()[part.box].reshape(-1)[part.index]
     piece = render(part.mesh, part.grid, optics, 1e-4, density=part.density).numpy()
     piece = piece.reshape(-1)[part.index]

@@ -12,7 +12,7 @@ from napari_deltamic.evidence.image_model import ImageModel
 from napari_deltamic.evidence.modes import shape_modes
 from napari_deltamic.evidence.transforms import Transforms
 from napari_deltamic.geometry import sphere
-from napari_deltamic.scene import Renderer
+from napari_deltamic.scene import Renderer, Scene
 from napari_deltamic.scene.effects import Attenuation, Bulk, DepthPSF, Effects, Halo
 
 GRID = Grid((14, 18, 30), (0.3, 0.2, 0.2))
@@ -26,12 +26,12 @@ INDEX = np.arange(np.prod(GRID.shape))
 
 def scene(effects):
     density = 1 + 0.3 * np.sin(np.arange(len(CELLS.faces)))
-    return FittedScene(CELLS, OPTICS, effects, 10.0, 2.0, density)
+    return FittedScene.of(CELLS, OPTICS, effects, density).scaled(10.0, 2.0)
 
 
 @pytest.mark.parametrize("effects", [Effects(), Effects.of(Bulk(density=0.3)), ALL])
 def test_parts_make_the_whole(effects):
-    renderer = Renderer(CELLS, GRID, OPTICS, 1e-3, effects=effects)
+    renderer = Renderer(Scene.of(CELLS, OPTICS, effects), GRID, 1e-3)
     own = scene(effects)
     whole = renderer.transform(torch.tensor(CELLS.vertices_numpy()), torch.tensor(own.density))
     kept = Transforms()
@@ -73,7 +73,9 @@ def test_columns_of_the_shape_are_those_of_the_whole_image(effects):
     for k in (0, 3, len(modes) - 1):
         ends = [
             model.expected(
-                replace(own, mesh=CELLS.with_vertices(vertices + side * h * modes.fields[k]))
+                own.with_surface(
+                    CELLS.with_vertices(vertices + side * h * modes.fields[k]), own.density
+                )
             )
             for side in (1, -1)
         ]
@@ -87,7 +89,7 @@ def test_columns_of_the_density_are_those_of_the_whole_image():
     field = (CELLS.regions == 2).any(1).astype(float)
     column = model.density_columns(own, field[None])[:, 0]
     ends = [
-        model.expected(replace(own, density=own.density * np.exp(s * 0.01 * field)))
+        model.expected(own.with_surface(CELLS, own.density * np.exp(s * 0.01 * field)))
         for s in (1, -1)
     ]
     change = (ends[0] - ends[1]) / 0.02

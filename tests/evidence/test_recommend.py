@@ -41,7 +41,7 @@ def test_light_from_inside_is_found_with_its_strength_bias_and_price(filled):
     assert found.recommended == ("bulk",)
     assert found.effects.bulk.density == pytest.approx(0.15, rel=0.25)
     bulk = of(found, "bulk")
-    assert bulk.score > 15
+    assert bulk.score > 10
     assert bulk.bias_voxels > 0.05
     assert bulk.bias_nm == pytest.approx(1e3 * bulk.bias_voxels * min(VOXEL))
     assert bulk.cost_ms > of(found, "attenuation").cost_ms
@@ -77,7 +77,10 @@ def test_an_effect_that_is_there_is_not_asked_for_again(filled):
 
 def test_what_hardly_moves_the_surface_is_seen_but_not_recommended():
     image = photons(Effects.of(Attenuation(per_um=0.05)), seed=2)
-    found = ask(image, fitted(image), ["attenuation", "bleaching"])
+    even = fitted(image, density="uniform")  # else the brightness of the surface follows depth
+    settings = SETTINGS.model_copy(update={"density": "uniform"})
+    given = image, GRID, even.mesh, OPTICS, settings, ["attenuation", "bleaching"]
+    found = recommend(*given, fitted=even)
     first = max(found.evidence, key=lambda e: abs(e.score))
     assert abs(first.score) > found.threshold
     assert first.recommended == (first.bias_voxels >= 0.02)

@@ -7,7 +7,9 @@ import pytest
 
 import napari_deltamic as nd
 from napari_deltamic.evidence import analyse_residual
-from napari_deltamic.evidence.verdict import CellFacts, Facts, facts_of, judged
+from napari_deltamic.evidence.fit_facts import facts_of
+from napari_deltamic.evidence.predicted_error import PredictedError, ShapeDeviation
+from napari_deltamic.evidence.verdict import CellFacts, Facts, judged
 from napari_deltamic.fitting import fit
 from napari_deltamic.fitting.job import FitInput
 from napari_deltamic.geometry import sphere
@@ -60,6 +62,25 @@ def test_what_concerns_one_cell(change, grade, word):
     assert word in found.sentence()
 
 
+@pytest.mark.parametrize(
+    ("parts", "grade", "word"),
+    [
+        ((0.02, 0.0, 0.01), "good", "off by about 4 nm"),
+        ((0.5, 0.1, 0.1), "fair", "0.52 voxels, most of it by the noise"),
+        ((0.1, 0.6, 0.1), "fair", "iterations that are missing"),
+        ((0.1, 0.1, 0.1, 2.0), "poor", "what the model lacks (light inside)"),
+    ],
+)
+def test_a_predicted_error_decides(parts, grade, word):
+    off = ShapeDeviation(*(0.2 * part for part in parts))
+    error = PredictedError(off, {1: off}, "light inside")
+    found = judged(replace(FINE, error=error, voxel=0.2))
+    assert found.grade == found.cells[0].grade == grade
+    assert word in found.sentence()
+    assert found.by_region()[1].shape_error == pytest.approx(off.total)
+    assert found.as_plain()["error"]["whole_um"]["total"] == pytest.approx(off.total)
+
+
 def test_one_bad_cell_spoils_no_other_and_is_named():
     cells = (*(CellFacts(k, 0.9, 0.0, 1.0) for k in range(1, 6)), CellFacts(6, 0.2))
     found = judged(replace(FINE, cells=cells))
@@ -96,8 +117,14 @@ def test_facts_of_a_fit():
     assert cell.inside == pytest.approx(0, abs=0.05)
     assert cell.compact == pytest.approx(1, abs=0.05)
     assert judged(facts).grade == "good"
+    assert facts.error.unknown == ""
+    # Of 200 photons and a surface of 0.2 um voxels: a few nm, and nothing that it lacks.
+    assert 0.0005 < facts.error.whole.total < 0.02
     hazy = image + 80 * (voxel_labels(truth, shape, size) == 0)
     hazy_job = replace(job, image=hazy.astype(np.float32))
-    assert facts_of(hazy_job, state, analyse_residual(image, grid, state)).cells[0].inside < -0.2
+    hazy_facts = facts_of(hazy_job, state, analyse_residual(image, grid, state))
+    assert hazy_facts.cells[0].inside < -0.2
+    assert hazy_facts.error.lacks
+    assert hazy_facts.error.whole.alternative > 3 * facts.error.whole.noise
     moved = replace(state, mesh=state.mesh.translated((-0.75, 0, 0)))
     assert facts_of(job, moved, analyse_residual(image, grid, state)).cells[0].cut

@@ -97,7 +97,8 @@ def states_after(last, states):
 def test_takes_another_psf(image):
     states, _ = begun(image)
     wide = GaussianPSF(0.2)
-    state = states.send(Change(optics=wide))
+    held = QUICK.model_copy(update={"fit_psf": False})
+    state = states.send(Change(optics=wide, settings=held))
     assert state.optics.sigma_um == wide.sigma_um
     assert finished(states, state).optics.sigma_um == wide.sigma_um
 

@@ -6,7 +6,7 @@ import pytest
 from napari_deltamic import Change, Mesh, fit
 from napari_deltamic.fitting import collisions as module
 from napari_deltamic.fitting.collisions import CollisionGuard
-from napari_deltamic.fitting.triangle_quality import Upkeep
+from napari_deltamic.fitting.triangle_quality import Remeshing
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.remeshing import Remeshed, can_remesh
 from napari_deltamic.geometry.topology.crossings import crosses
@@ -290,8 +290,8 @@ def test_a_remeshing_that_makes_surfaces_cross_is_not_taken(two, monkeypatch):
         none = np.zeros((n, carried.shape[1])), np.zeros(n, bool), np.full(n, -1)
         return Remeshed(crossing, *none, 0, 0, 0)
 
-    monkeypatch.setattr(Upkeep, "wanted", lambda self, mesh: not tried)
-    monkeypatch.setattr(Upkeep, "renewed", renewed)
+    monkeypatch.setattr(Remeshing, "wanted", lambda self, mesh: not tried)
+    monkeypatch.setattr(Remeshing, "renewed", renewed)
     *_, last = fit(image, GRID, starts, OPTICS, settings=AT_ONCE)
     assert len(tried) == 1
     assert np.array_equal(last.mesh.faces, starts.faces)

@@ -6,6 +6,7 @@ from napari_deltamic import GaussianPSF, Grid, InputError, Mesh, fit, render
 from napari_deltamic.fitting.likelihood import match
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import FitSettings
+from napari_deltamic.scene import expected_image
 from synthetic import (
     CENTER,
     GRID,
@@ -79,8 +80,9 @@ def test_fits_the_psf(image, wrong):
     assert apart(last.mesh) < 0.05
 
 
-def test_the_psf_is_held_by_default(states):
-    assert states[-1][0].optics.sigma_um == OPTICS.sigma_um
+def test_the_psf_is_held_where_that_is_asked(image):
+    last = fitted(image, start(), settings=FitSettings(fit_psf=False))
+    assert last.optics.sigma_um == OPTICS.sigma_um
 
 
 # ------------------------------------------------------------------------- generator contract
@@ -120,8 +122,9 @@ def test_rendered_shows_the_image(states, image):
 def test_rendered_is_of_its_own_state(states):
     # Asked of an early state after the fit: amplitude and mesh are those of that moment.
     early, vertices = states[0]
-    expected = render(early.mesh.with_vertices(vertices), GRID, OPTICS).numpy()
-    expected = early.amplitude * expected + early.background
+    given = early.mesh.with_vertices(vertices), GRID, early.optics, 1e-3
+    scale = early.amplitude, early.background
+    expected = expected_image(*given, *scale, density=early.density, light=early.light)
     np.testing.assert_allclose(early.rendered(), expected, rtol=1e-5)
 
 

@@ -29,7 +29,7 @@ def test_a_checkpoint_is_of_the_state_or_shortly_before(image, tmp_path):
     [
         (25, FitSettings(levels=(2.0, 1.0)), 1e-6),
         (45, FitSettings(levels=(1.5, 1.0), fit_psf=True), 1e-6),
-        (20, FitSettings(levels=(1.5, 1.0), density="smooth"), 1e-6),
+        (20, FitSettings(levels=(1.5, 1.0), density="uniform"), 1e-6),
     ],
 )
 def test_a_resumed_fit_ends_as_the_uninterrupted_one(image, tmp_path, at, settings, within):
@@ -64,7 +64,7 @@ def test_refuses_the_checkpoint_of_another_fit(image, checkpoint):
     with pytest.raises(InputError, match="checkpoint"):
         resume(image, checkpoint, levels=(1.0,))
     with pytest.raises(InputError, match="checkpoint"):
-        resume(image, checkpoint, density="smooth")
+        resume(image, checkpoint, density="uniform")
     with pytest.raises(InputError, match="checkpoint"):
         resume(image, checkpoint, optics=GaussianPSF(covariance=np.eye(3) * 0.13**2))
 

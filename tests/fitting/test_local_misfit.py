@@ -81,7 +81,7 @@ def test_a_shape_is_no_better_than_itself():
 
 def test_where_nothing_lies_there_is_no_gap():
     given = problem(photographed(balls(), 0))
-    nothing = Misfit(np.zeros(GRID.shape), 1.0, torch.ones(GRID.shape))
+    nothing = Misfit(np.zeros(GRID.shape), 1.0, 1.0, torch.ones(GRID.shape))
     (gap,) = gaps(given, nothing, nothing, [np.full((1, 3), 50.0)], REACH, OPTICS)
     assert (gap.nats, gap.error) == (0, 0)
 

@@ -2,10 +2,8 @@ import sys
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
 import torch
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.sparse.linalg import spsolve
 
 from napari_deltamic import Mesh
 from napari_deltamic.fitting.optimiser import AdamUniform
@@ -15,8 +13,6 @@ from napari_deltamic.fitting.preconditioner import (
     components,
 )
 from napari_deltamic.geometry import sphere
-from napari_deltamic.geometry.foam import foam
-from napari_deltamic.geometry.remeshing import can_remesh
 
 
 @pytest.fixture
@@ -117,51 +113,3 @@ def test_no_gradient_no_step():
     step = AdamUniform(np.array([0, 0, 1]), 3).step(torch.zeros(3, 3, dtype=torch.float64))
     assert_array_equal(step, 0)
     assert AdamUniform(np.arange(0), 1).step(torch.zeros(0, 1)).shape == (0, 1)
-
-
-def test_state_round_trip(gradient):
-    pieces = np.zeros(len(gradient), int)
-    one, other = AdamUniform(pieces, 3), AdamUniform(pieces, 3)
-    one.step(gradient)
-    other.load(one.state())
-    assert_array_equal(one.step(gradient.flip(0)), other.step(gradient.flip(0)))
-    assert other.count == 2
-
-
-def test_restart_forgets(gradient):
-    adam = AdamUniform(np.zeros(len(gradient), int), 3)
-    first = adam.step(gradient)
-    adam.step(100 * gradient)
-    adam.restart()
-    assert_array_equal(adam.step(gradient), first)
-
-
-def test_held_vertices_do_not_move_and_their_neighbours_hardly(mesh, gradient, library):
-    held = np.arange(len(mesh.vertices)) == 7
-    step = Preconditioner(mesh, 20, held=held).solve(torch.ones_like(gradient))
-    assert_array_equal(step[7], 0)
-    near = adjacency(mesh)[7].indices
-    far = np.linalg.norm(mesh.vertices - mesh.vertices[7], axis=1) > 1.5
-    assert 0 < step[near].max() < 0.8 * step[far].min()
-
-
-def test_held_vertices_without_smoothing(mesh, gradient):
-    held = np.arange(len(mesh.vertices)) < 3
-    step = Preconditioner(mesh, 0, held=held).solve(gradient)
-    assert_array_equal(step[:3], 0)
-    assert_array_equal(step[3:], gradient[3:])
-
-
-@pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
-def test_a_wall_is_not_held_straight_across_its_junctions():
-    mesh = foam(np.array([(0, 0, 0), (0, 0, 1.4)]), np.ones(2), 0.25)
-    ends = np.sort(mesh.faces[:, [1, 2, 2, 0, 0, 1]].reshape(-1, 2), axis=1)
-    edges, faces = np.unique(ends, axis=0, return_counts=True)
-    junction = np.zeros(len(mesh.vertices), bool)
-    junction[edges[faces > 2]] = True
-    push = junction[:, None] * np.ones((1, 3))
-    moved = Preconditioner(mesh, 10.0, at_junctions=0.3).solve(torch.from_numpy(push))[:, 0]
-    a = adjacency(mesh)
-    plain = sp.eye(len(moved)) + 10.0 * (sp.diags(np.asarray(a.sum(1)).ravel()) - a)
-    uniform = spsolve(plain.tocsc(), junction.astype(float))
-    assert moved[junction].mean() > 1.3 * uniform[junction].mean()

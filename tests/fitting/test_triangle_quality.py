@@ -5,7 +5,7 @@ import pytest
 
 from napari_deltamic import Change, InputError, Mesh, fit
 from napari_deltamic.fitting.growth_alarm import GrowthAlarm
-from napari_deltamic.fitting.triangle_quality import Upkeep, median_edge
+from napari_deltamic.fitting.triangle_quality import Remeshing, median_edge
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.remeshing import can_remesh, smallest_angles
 from napari_deltamic.runs.settings import FitSettings
@@ -98,11 +98,11 @@ def test_a_checkpoint_of_another_start_is_refused(image, tmp_path):
 def test_what_cannot_get_better_is_not_tried_for_ever():
     # A corner where four walls meet stays as it is: its slivers can only be left alone.
     mesh = squeezed(30.0, 1)
-    upkeep = Upkeep(mesh, VOXEL)
-    done = upkeep.renewed(
+    remeshing = Remeshing(mesh, VOXEL)
+    done = remeshing.renewed(
         mesh, np.zeros((len(mesh.vertices), 0)), np.ones(len(mesh.vertices), bool)
     )
-    assert not upkeep.wanted(done.mesh)
+    assert not remeshing.wanted(done.mesh)
 
 
 def test_growth_is_told_across_a_remeshing():

@@ -13,7 +13,7 @@ from napari_deltamic.errors import SlowPathWarning
 from napari_deltamic.fourier import Band, simd_level
 from napari_deltamic.fourier.closed_form import band_ft
 from napari_deltamic.geometry import box, sphere
-from napari_deltamic.scene import Renderer
+from napari_deltamic.scene import Renderer, Scene
 from reference import quadrature_ft
 
 
@@ -178,7 +178,8 @@ def test_compiled_functions_agree():
     mesh = sphere((1.0, 1.0, 1.0), 0.6, subdivisions=1)
     grid, optics, xi = nd.Grid((12, 12, 12), (0.2, 0.2, 0.2)), nd.GaussianPSF(0.3), wavevectors(5)
     renderers = [
-        Renderer(mesh, grid, optics, 1e-3, method=m) for m in ("closed form", "particle-mesh")
+        Renderer(Scene.of(mesh, optics), grid, 1e-3, method=m)
+        for m in ("closed form", "particle-mesh")
     ]
     faces, rho = torch.as_tensor(mesh.faces), torch.ones(len(mesh.faces), dtype=torch.float64)
     otfs = [r.otf(optics) for r in renderers]

@@ -18,7 +18,7 @@ from napari_deltamic.fourier.closed_form import band_ft
 from napari_deltamic.fourier.cost import BUILT_IN
 from napari_deltamic.fourier.quadrature import DEGREES, choose_rules, rule
 from napari_deltamic.geometry import box, sphere
-from napari_deltamic.scene import Renderer
+from napari_deltamic.scene import Renderer, Scene
 
 METHODS = (None, "closed form", "particle-mesh")
 ACCURACIES = (1e-2, 1e-3, 1e-4, 1e-5)
@@ -68,7 +68,7 @@ def exact_image(name, optics, folder=None):
 
 def check_accuracy(name, optics, accuracy, method, folder=None):
     mesh, exact = mesh_named(name, folder), exact_image(name, optics, folder)
-    renderer = Renderer(mesh, GRID, optics, accuracy, method=method)
+    renderer = Renderer(Scene.of(mesh, optics), GRID, accuracy, method=method)
     u = renderer.transform(torch.from_numpy(mesh.vertices_numpy()))
     image = renderer.image(u, renderer.otf(optics))
     error = float((image - exact).norm() / exact.norm())
@@ -104,7 +104,7 @@ def test_so_is_the_image_under_tilted_optics(accuracy, method):
 def test_accuracy_zero_is_the_closed_form_everywhere():
     mesh = SHAPES["large triangles"]
     for method in METHODS:
-        plan = Renderer(mesh, GRID, OPTICS, 0, method=method).plan
+        plan = Renderer(Scene.of(mesh, OPTICS), GRID, 0, method=method).plan
         assert plan.method == "closed form"
         assert not plan.single
         assert plan.expected_error == 0
@@ -114,7 +114,7 @@ def test_accuracy_zero_is_the_closed_form_everywhere():
 
 def test_a_coarser_accuracy_never_costs_more():
     mesh = mesh_named("large triangles")
-    plans = [Renderer(mesh, GRID, OPTICS, a).plan for a in (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)]
+    plans = [Renderer(Scene.of(mesh, OPTICS), GRID, a).plan for a in (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)]
     seconds = [BUILT_IN.seconds(p.work, p.single) for p in plans]
     assert seconds == sorted(seconds, reverse=True)
     counts = [p.band.count for p in plans]

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 import napari_deltamic as nd
 from napari_deltamic.fourier.solid import contrasts, solid_ft, solid_transform
 from napari_deltamic.geometry import Mesh, box, sphere
-from napari_deltamic.scene import Renderer
+from napari_deltamic.scene import Renderer, Scene
 from reference import DIGITS, exact_simplex
 
 BAR = {torch.float32: 1e-5, torch.float64: 1e-12}
@@ -226,7 +226,7 @@ def test_both_ways_agree_in_value_and_gradients(shape):
     weights = torch.ones(len(mesh.region_ids()), dtype=torch.float64)
     contrast = contrasts(mesh.regions, mesh.region_ids(), weights)
     exact, plain = (
-        spread_out(mesh, Renderer(mesh, GRID, OPTICS, 1e-7, method=m), contrast)
+        spread_out(mesh, Renderer(Scene.of(mesh, OPTICS), GRID, 1e-7, method=m), contrast)
         for m in ("closed form", "particle-mesh")
     )
     for name, one, other in zip(("image", "vertices"), exact, plain, strict=False):
@@ -238,7 +238,7 @@ def test_both_ways_agree_in_value_and_gradients(shape):
 
 def test_walls_between_cells_that_shine_alike_show_nothing():
     mesh = two_cells()[0].translated((0.6, 0.7, 0.2))
-    renderer = Renderer(mesh, GRID, OPTICS, 1e-7, method="particle-mesh")
+    renderer = Renderer(Scene.of(mesh, OPTICS), GRID, 1e-7, method="particle-mesh")
     alike = torch.tensor([1.0, 1.0], dtype=torch.float64)
     contrast = contrasts(mesh.regions, mesh.region_ids(), alike)
     found = []
@@ -256,7 +256,7 @@ def test_walls_between_cells_that_shine_alike_show_nothing():
 def test_gradient_follows_from_finite_differences():
     """Of the particle-mesh, whose gradient is not that of its own rounding errors."""
     mesh = sphere(CENTRE, 0.6, subdivisions=0)
-    renderer = Renderer(mesh, GRID, OPTICS, 1e-9, method="particle-mesh")
+    renderer = Renderer(Scene.of(mesh, OPTICS), GRID, 1e-9, method="particle-mesh")
     ones = torch.ones(len(mesh.faces), dtype=torch.float64)
     otf = renderer.otf(OPTICS)
 

@@ -7,7 +7,7 @@ import napari_deltamic as nd
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure import surface_distance
 from napari_deltamic.runs.settings import FitSettings
-from napari_deltamic.scene import Renderer
+from napari_deltamic.scene import Renderer, Scene
 
 GRID, OPTICS = nd.Grid((40, 40, 40), (0.1, 0.1, 0.1)), nd.GaussianPSF(0.15)
 METHODS = ("closed form", "particle-mesh")
@@ -15,7 +15,9 @@ METHODS = ("closed form", "particle-mesh")
 
 def image_and_gradient(device, method, accuracy, effects=()):
     mesh = sphere((2.0, 1.9, 2.1), 1.1, subdivisions=3)
-    renderer = Renderer(mesh, GRID, OPTICS, accuracy, method=method, device=device, effects=effects)
+    renderer = Renderer(
+        Scene.of(mesh, OPTICS, effects), GRID, accuracy, method=method, device=device
+    )
     v = torch.tensor(mesh.vertices, device=device, requires_grad=True)
     image = renderer.image(renderer.transform(v), renderer.otf(OPTICS))
     weight = torch.linspace(-1, 1, image.numel(), device=device, dtype=image.dtype)

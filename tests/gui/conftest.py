@@ -30,13 +30,14 @@ with warnings.catch_warnings():
 
     from napari_deltamic.gui import fit_widget
     from napari_deltamic.gui.accuracy import accuracy_forecast
-    from napari_deltamic.gui.panels import image_panel
+    from napari_deltamic.gui.document import Document
     from napari_deltamic.gui.running import worker
     from napari_deltamic.gui.seeding import preview, seeds_panel
-    from napari_deltamic.gui.tracking import work as tracking_work
+    from napari_deltamic.gui.tracking import track_work as tracking_work
 
 import napari_deltamic as nd
 from napari_deltamic.accuracy import machine_costs
+from napari_deltamic.common.cache_folder import CACHE_VARIABLE
 from napari_deltamic.fitting import fit
 from napari_deltamic.fourier.cost import BUILT_IN
 from napari_deltamic.geometry import sphere
@@ -49,8 +50,9 @@ STEP = np.array([0.0, 0.1, -0.1])  # um a frame, in the series
 
 
 @pytest.fixture(autouse=True)
-def costs(monkeypatch):
-    """No test waits until the machine has been measured."""
+def costs(monkeypatch, tmp_path):
+    """No test waits until the machine has been measured, or learns how long fits take here."""
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
     found = replace(BUILT_IN, measured=True)
     monkeypatch.setattr(machine_costs, "calibrate", lambda: found)
     return found
@@ -120,8 +122,10 @@ def make_widget(app, with_image, spin):
 
 @pytest.fixture
 def seeded(make_widget, with_image):
-    """A widget with a seed placed in the cell as a small sphere."""
+    """A widget with a seed placed in the cell as a small sphere; little is fitted besides."""
     widget = make_widget()
+    widget.settings.fit_psf.setChecked(False)
+    widget.settings.density.setCurrentText("uniform")
     widget.seeds.place.click()
     with_image.layers["seeds"].add(CENTER)
     widget.seeds.shape.setCurrentText("a sphere")
@@ -208,12 +212,10 @@ def _without_gl(monkeypatch):
 
 @pytest.fixture
 def panel(app, with_image):
-    """The panel of seeds and that of the image, without the rest of the widget."""
-    image = image_panel.ImagePanel(with_image)
-    panel = seeds_panel.SeedsPanel(with_image, image)
-    yield panel
-    for part in (panel, image):
-        part.close_links()
+    """The panel of the cells, without the rest of the widget."""
+    doc = Document(with_image)
+    yield seeds_panel.SeedsPanel(doc)
+    doc.close()
 
 
 @pytest.fixture

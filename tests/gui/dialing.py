@@ -3,7 +3,9 @@
 
 def settled(widget):
     seeds = widget.seeds
-    return lambda: not (seeds._later.isActive() or seeds.preview.busy or widget.forecast.busy)
+    return lambda: (
+        not (seeds._later.isActive() or seeds.preview.busy or widget.settings.forecast.busy)
+    )
 
 
 def running(widget):

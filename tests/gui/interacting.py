@@ -25,4 +25,4 @@ def right_end(widget):
 
 
 def notes(widget):
-    return [m.note for m in widget.control.timeline.moments if m.note]
+    return [m.note for m in widget.doc.timeline.moments if m.note]

@@ -1,6 +1,6 @@
 """What the tests of sessions share."""
 
-from napari_deltamic.gui.results.cell_columns import COLUMNS, FIRST
+from napari_deltamic.results.cell_columns import COLUMNS, FIRST
 
 AT_ONCE = [k for k, column in enumerate(COLUMNS) if column.key in FIRST[:4]]
 
@@ -42,13 +42,12 @@ def shown(widget):
         "radius": seeds.radius.value(),
         "cells": cells(widget),
         "verdict": (running.verdict.text(), running.verdict.styleSheet()),
-        "psf": [running.psf.shown(row) for row in ("start", "now")],
-        "loss": [(line.x, line.y) for line in running.curve._lines],
+        "numbers": running.numbers.texts(),
+        "loss": [(line.x, line.y) for line in running.curve.lines],
         "history": [
-            (m.iteration, m.loss, m.note, m.optics.sigma_um)
-            for m in widget.control.timeline.moments
+            (m.iteration, m.loss, m.note, m.optics.sigma_um) for m in widget.doc.timeline.moments
         ],
         "slider": (running.history.slider.maximum(), running.history.slider.isEnabled()),
-        "boxes": (running.rendered.isChecked(), running.residual.isChecked()),
+        "view": widget.doc.view,
         "can be saved": widget.results.isEnabled(),
     }

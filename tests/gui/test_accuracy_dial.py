@@ -11,6 +11,7 @@ import pytest
 import napari_deltamic as nd
 from napari_deltamic.accuracy import machine_costs
 from napari_deltamic.accuracy.forecast import Forecast, LevelForecast, forecast
+from napari_deltamic.accuracy.renewed_forecast import RenewedForecast
 from napari_deltamic.accuracy.tradeoff import duration
 from napari_deltamic.common.cache_folder import CACHE_VARIABLE
 from napari_deltamic.errors import InputError
@@ -19,9 +20,8 @@ from napari_deltamic.geometry import sphere
 from napari_deltamic.gui.accuracy.accuracy_dial import accuracy_of, usable_choice, written
 from napari_deltamic.gui.accuracy.accuracy_forecast import predicted
 from napari_deltamic.gui.accuracy.accuracy_scene import Outlook
-from napari_deltamic.gui.accuracy.renewed_forecast import RenewedForecast
 from napari_deltamic.gui.results.session import capture, restore
-from napari_deltamic.gui.running import run_progress
+from napari_deltamic.gui.running import worker
 from napari_deltamic.runs.command import command
 from napari_deltamic.runs.settings import NEAR_LEVELS, FitSettings
 
@@ -37,7 +37,10 @@ EDGE = 3 * min(SIZE)
 def expected(widget, pixels, mesh, costs, **settings):
     """The forecast of what is shown, made without the widget."""
     sigma = widget.settings.sigma.value()
-    return forecast(pixels, GRID, mesh, nd.GaussianPSF(sigma), FitSettings(**settings), costs=costs)
+    shown = widget.settings
+    chosen = {"density": shown.density.currentText(), "fit_psf": shown.fit_psf.isChecked()}
+    given = FitSettings(**{**chosen, **settings})
+    return forecast(pixels, GRID, mesh, nd.GaussianPSF(sigma), given, costs=costs)
 
 
 def in_words(found, about=""):
@@ -202,7 +205,7 @@ def test_closing_the_widget_while_the_forecast_is_made(seeded, make_widget, spin
     widget = make_widget()
     spin(lambda: "measuring" in widget.settings.outlook.text())
     widget.close_links()
-    assert not widget.forecast.busy
+    assert not widget.settings.forecast.busy
     gate.set()
     spin(seconds=0.2, must=False)
     assert "measuring" in widget.settings.outlook.text(), "nobody was told"
@@ -241,16 +244,12 @@ def test_a_run_shows_its_own_forecast(seeded, spin, endless):
 def test_measured_beside_predicted(seeded, spin, endless):
     seeded.control._forecaster = lambda job: Forecast(LEVELS, True)
     seeded.start()
-    pace = seeded.settings.pace
-    spin(lambda: "predicted" in pace.text())
-    level = seeded.run.state.level
-    spin(lambda: pace.text().endswith(f"{duration(0.01 * seeded.run.state.level)} predicted"))
-    assert seeded.run.state.level >= level
-    assert " an iteration, " in pace.text()
+    spin(lambda: seeded.run.state is not None)
     seeded.stop()
     spin(lambda: not running(seeded))
-    assert pace.text().startswith("last run: ")
-    assert pace.text().endswith(f"{duration(Forecast(LEVELS, True).seconds)} predicted")
+    text = seeded.settings.pace.text()
+    assert text.startswith("the last fit took ")
+    assert text.endswith(f"{duration(Forecast(LEVELS, True).seconds)} predicted")
 
 
 def test_the_next_run_is_predicted_by_what_the_last_one_took(seeded, spin):
@@ -265,37 +264,17 @@ def test_the_next_run_is_predicted_by_what_the_last_one_took(seeded, spin):
     assert learned.seconds < 0.1
     seeded.start()
     spin(lambda: not running(seeded))
-    assert seeded.run.forecast == whole.after(learned)
+    assert seeded.run.forecast.seconds == pytest.approx(whole.after(learned).seconds)
+    assert seeded.run.forecast.iterations == whole.after(learned).iterations
     # Also in words, before a third one starts.
-    known = seeded._live.experience
-    spin(lambda: not seeded.forecast.busy)
-    seeded.forecast._show(Outlook(0.1, 1e-2, whole, guessed=False))
+    known = seeded.doc.learned.about(whole.kind)
+    spin(lambda: not seeded.settings.forecast.busy)
+    seeded.settings.forecast._show(Outlook(0.1, 1e-2, whole, guessed=False))
     assert seeded.settings.outlook.text() == predicted(whole.after(known))
 
 
-def test_the_time_that_is_measured_is_that_of_the_fit(seeded, spin, monkeypatch):
-    """With a clock of our own: 40 ms an iteration, whatever the machine does."""
-    seeded.forecast._live.run = SimpleNamespace(
-        history=SimpleNamespace(loss=[0.0] * 10), seconds=1.0, forecast=Forecast(LEVELS, True)
-    )
-    run = seeded.forecast._live.run
-    job = SimpleNamespace(settings=SimpleNamespace(fit=FitSettings()))
-    snapshot = SimpleNamespace(state=SimpleNamespace(level=2), job=job)
-    seeded.forecast._running(snapshot)
-    assert seeded.settings.pace.text() == ""
-    run.history.loss, run.seconds = [0.0] * 20, 1.4
-    seeded.forecast._running(snapshot)
-    assert seeded.settings.pace.text() == "40 ms an iteration, 20 ms predicted"
-    snapshot.state.level = 3  # which is slower, and measured by itself
-    seeded.forecast._running(snapshot)
-    run.history.loss, run.seconds = [0.0] * 25, 2.0
-    seeded.forecast._running(snapshot)
-    assert seeded.settings.pace.text() == "0.12 s an iteration, 30 ms predicted"
-    seeded.forecast._live.run = None
-
-
 def test_time_that_a_fit_was_paused_does_not_count(seeded, spin, endless, monkeypatch):
-    monkeypatch.setattr(run_progress, "FORECAST_EVERY", 0.01)
+    monkeypatch.setattr(worker, "FORECAST_EVERY", 0.01)
     elapsed = []
 
     def remaining(history, state, seconds=None):
@@ -305,11 +284,11 @@ def test_time_that_a_fit_was_paused_does_not_count(seeded, spin, endless, monkey
     seeded.control._forecaster = lambda job: SimpleNamespace(remaining_seconds=remaining, levels=())
     seeded.start()
     spin(lambda: elapsed and elapsed[-1] > 0)
-    seeded.running.pause_button.click()
+    seeded.footer.pause_button.click()
     spin(seconds=0.1, must=False)
     before, asked = seeded.run.seconds, len(elapsed)
     spin(seconds=1.0, must=False)
-    seeded.running.pause_button.click()
+    seeded.footer.pause_button.click()
     spin(lambda: len(elapsed) > asked)
     assert 0 < elapsed[asked] < before + 0.5
 
@@ -357,9 +336,24 @@ def test_a_session_keeps_the_name(seeded, make_widget, spin):
     restore(other.parts, session)
     assert other.settings.accuracy.choice == "draft"
     assert other.settings.fit_settings() == session.settings.fit
-    old = replace(session, panels={})
-    restore(other.parts, old)
+    # An earlier version kept the number alone.
+    fit = session.settings.fit.model_copy(update={"shape_error": "normal"})
+    settings = session.settings.model_copy(update={"fit": fit})
+    restore(other.parts, replace(session, panels={}, settings=settings))
     assert other.settings.accuracy.choice == written(number)
+
+
+def test_a_length_is_taken_for_the_shape(seeded):
+    dial = seeded.settings.accuracy
+    dial.setCurrentText("20 nm")
+    found = seeded.settings.fit_settings()
+    assert (found.accuracy, found.shape_error) == (None, "20nm")
+    dial.setCurrentText("quick")
+    assert seeded.settings.fit_settings().shape_error == "quick"
+    seeded.settings.show_settings(found)
+    assert dial.choice == "20nm"
+    dial.setCurrentText("3e-3")
+    assert seeded.settings.fit_settings().shape_error == "normal"
 
 
 def test_the_command_names_a_number(seeded, pixels):
@@ -380,5 +374,5 @@ def test_another_image_has_another_noise(seeded, with_image, pixels, spin):
     smooth = np.full(SHAPE, 100, np.float32) + np.arange(SHAPE[2], dtype=np.float32)
     before = dial.number()
     layer = with_image.add_image(smooth, scale=SIZE, name="smooth")
-    seeded.image.chooser.choose(layer)
+    seeded.doc.image.choose(layer)
     assert dial.number() == preset_accuracy("draft", image_noise(smooth)) != before

@@ -6,6 +6,7 @@ from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QAbstractSpinBox, QCheckBox, QComboBox, QPushButton, QSlider, QWidget
 
 from napari_deltamic.gui import fit_widget
+from napari_deltamic.gui.seeding.find_cells_button import FoundCells
 from napari_deltamic.gui.viewing.colours import region_colours
 
 from .conftest import CENTER, SIZE
@@ -34,7 +35,7 @@ def test_the_dock_may_be_narrow_whatever_it_shows(window, docked, spin):
     settings.optics.kind.setCurrentText("from the objective")
     settings.optics.objective.modality.setCurrentText("spinning disk")
     widget.running.edit.use("pin")
-    for row in (widget.running.pause_button, widget.running.history.live_button):
+    for row in (widget.footer.pause_button, widget.running.history.live_button):
         row.show()
     spin(seconds=0.2, must=False)
     assert dock.minimumSizeHint().width() <= NARROW
@@ -53,7 +54,7 @@ def test_the_voxel_size_can_be_read(docked, spin):
 
 def test_what_belongs_to_a_fit_is_hidden_until_there_is_one(seeded, spin):
     running = seeded.running
-    parts = (running.curve, running.psf, running.edit, running.history, seeded.results)
+    parts = (running.curve, running.edit, running.history, seeded.results)
     assert all(part.isHidden() for part in parts)
     seeded.start()
     spin(lambda: not seeded.run.running)
@@ -86,8 +87,8 @@ def test_found_cells_make_room_and_have_the_colours_of_the_result(
     widget = make_widget()
     finder = widget.seeds.find_cells
     assert finder.cell_size.isHidden()
-    finder._asked = (with_image.layers["cell"], widget.image.frame())
-    finder._show((1.0, ball_labels.astype(np.int32)))
+    finder._asked = (with_image.layers["cell"], widget.doc.image.frame())
+    finder._show(FoundCells(1.0, ball_labels.astype(np.int32)))
     assert not finder.cell_size.isHidden()
     layer = with_image.layers["found cells"]
     np.testing.assert_allclose(layer.get_color(3), region_colours(3), atol=1e-6)

@@ -33,7 +33,7 @@ def test_what_to_do_is_one_sentence(widget, viewer, told, shape, options, words)
     widget.seeds.place.click()
     assert words in widget.seeds.note.text()
     with pytest.raises(InputError, match="picture"):
-        widget.image.stack()
+        widget.doc.image.stack()
     viewer.layers.clear()
     assert widget.image.note.text().startswith("Open a 3D image")
 
@@ -63,10 +63,10 @@ def test_a_channel_becomes_a_layer(widget, viewer, pixels, axis, series, spin):
     named = f"2 of 2, along axis {axis + 1 - (axis > 0 and series) + series}"
     assert named in channels(widget)
     choose(widget, named)
-    layer = widget.image.layer
+    layer = widget.doc.image.layer
     assert layer.name == "both, channel 2"
     assert widget.image.voxel_size.value() == pytest.approx(SIZE)
-    np.testing.assert_array_equal(widget.image.stack(), pixels)
+    np.testing.assert_array_equal(widget.doc.image.stack(), pixels)
     assert not viewer.layers["both"].visible
     assert not channels(widget)
     if not series:

@@ -5,7 +5,8 @@ import threading
 import numpy as np
 import pytest
 
-from napari_deltamic.gui import fit_widget
+from napari_deltamic.gui.results import command_copy
+from napari_deltamic.images.stacks import write_image
 from napari_deltamic.runs import seeds
 
 from .conftest import CENTER
@@ -20,7 +21,7 @@ def mixture(make_widget, with_image, ball_labels, monkeypatch, tmp_path):
     widget.seeds.place.click()
     with_image.layers["seeds"].add(CENTER)
     monkeypatch.setattr(
-        fit_widget.QFileDialog, "getExistingDirectory", staticmethod(lambda *a: str(tmp_path))
+        command_copy.QFileDialog, "getExistingDirectory", staticmethod(lambda *a: str(tmp_path))
     )
     return widget
 
@@ -39,7 +40,7 @@ def test_membranes_are_found_in_the_background(mixture, told, spin, monkeypatch,
     spin(lambda: not mixture.commands.busy)
     assert threads
     assert threading.main_thread() not in threads
-    text = fit_widget.QApplication.clipboard().text()
+    text = command_copy.QApplication.clipboard().text()
     assert text.startswith("napari-deltamic fit ")
     assert str(tmp_path) in text
     assert told[-1] == f"copied: {text}"
@@ -57,7 +58,7 @@ def test_what_fails_is_told(mixture, with_image, told, spin):
 def test_closing_asks_nobody_any_more(mixture, told, spin, monkeypatch):
     asked = []
     monkeypatch.setattr(
-        fit_widget.QFileDialog,
+        command_copy.QFileDialog,
         "getExistingDirectory",
         staticmethod(lambda *a: asked.append(a) or ""),
     )
@@ -66,3 +67,13 @@ def test_closing_asks_nobody_any_more(mixture, told, spin, monkeypatch):
     spin(seconds=0.2, must=False)
     assert not asked
     assert not told
+
+
+def test_a_folder_gets_a_batch_file(mixture, told, tmp_path):
+    write_image(tmp_path / "a.tif", np.ones((4, 5, 6), np.float32), (0.3, 0.2, 0.2))
+    mixture.header.folder_action.trigger()
+    assert told[-1].startswith("copied: napari-deltamic batch ")
+    assert command_copy.QApplication.clipboard().text() in told[-1]
+    assert 'images = ["a.tif"]' in (tmp_path / "batch.toml").read_text()
+    mixture.header.folder_action.trigger()
+    assert "is there already" in told[-1]

@@ -7,7 +7,7 @@ import pytest
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import correct_labels, read_clicks_csv
-from napari_deltamic.gui.panels.image_panel import ImagePanel
+from napari_deltamic.gui.document import Document
 from napari_deltamic.gui.results.session_layers import save_layer, seed_layer
 from napari_deltamic.gui.seeding.seeds_panel import SeedsPanel
 
@@ -35,11 +35,10 @@ def scene():
 def seeds(app, viewer, scene):
     """The panel of seeds with the image, and a way to give it labels and click into them."""
     viewer.add_image(scene[0], name="two", **PLACE)
-    image = ImagePanel(viewer)
-    panel = SeedsPanel(viewer, image)
+    doc = Document(viewer)
+    panel = SeedsPanel(doc)
     yield panel
-    for part in (panel, image):
-        part.close_links()
+    doc.close()
 
 
 @pytest.fixture
@@ -343,7 +342,7 @@ def test_another_image_ends_what_is_said_of_the_work(seeds, viewer, joined, scen
     corrections.bar.use("remove")
     corrections.click(np.array(LEFT))
     assert "working" in told(seeds)[0]
-    seeds._image.chooser.choose(viewer.add_image(scene[0], name="again", **PLACE))
+    seeds._doc.image.choose(viewer.add_image(scene[0], name="again", **PLACE))
     assert "working" not in told(seeds)[0]
 
 

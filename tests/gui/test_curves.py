@@ -2,28 +2,26 @@
 
 import pytest
 
-from napari_deltamic.gui.editing.history_bar import HistoryBar
-from napari_deltamic.gui.running.curves import ExplainedCurve
+from napari_deltamic.gui.running.plots import ExplainedCurve
 from napari_deltamic.results.timeline import Moment
 
 
 def test_each_level_is_a_line_of_what_is_explained(app):
     curve = ExplainedCurve()
     curve.show_losses([0.5, 0.3, 0.2, 0.6, 0.4], [1, 1, 1, 2, 2], first=11)
-    lines = curve._lines
-    assert [(line.x, line.text) for line in lines] == [([11, 12, 13], ""), ([14, 15], "60.0 %")]
+    lines = curve.lines
+    assert [line.x for line in lines] == [[11, 12, 13], [14, 15]]
+    assert curve.text == "60.0 %"
     assert lines[0].y == pytest.approx([50, 70, 80])
     assert lines[1].y == pytest.approx([40, 60])
-    assert curve._marks == [14]
-    assert "explained" in curve._title
     for n in range(6):  # also before there is a line to draw
         curve.show_losses([0.5, 0.3, 0.2, 0.6, 0.4][:n], [1, 1, 1, 2, 2][:n])
         curve.resize(200, 90)
         curve.grab()
 
 
-def test_the_history_tells_it_too(app):
-    bar = HistoryBar()
+def test_the_history_tells_it_too(make_widget):
+    bar = make_widget().running.history
     bar.show_moments([Moment(k, 0.4 - 0.1 * k, None, None) for k in (1, 2)], running=False)
     bar.slider.setValue(0)
     assert bar.note.text() == "iteration 1, 70.0 % explained"

@@ -9,10 +9,10 @@ import pytest
 from napari_deltamic.evidence import Evidence
 from napari_deltamic.evidence.camera import Camera
 from napari_deltamic.evidence.estimate import Finding, unknown
-from napari_deltamic.gui.effects import effects_check
+from napari_deltamic.gui.document import Document
+from napari_deltamic.gui.effects import effects_panel
 from napari_deltamic.gui.effects.effects_panel import EffectsPanel
-from napari_deltamic.gui.panels.image_panel import ImagePanel
-from napari_deltamic.gui.results.cell_columns import COLUMNS
+from napari_deltamic.results.cell_columns import COLUMNS
 from napari_deltamic.scene.effects import Bulk, Effects
 
 pytestmark = pytest.mark.usefixtures("soon")
@@ -35,7 +35,7 @@ def recommendation(*evidence):
 
 @pytest.fixture
 def panel(app, viewer):
-    return EffectsPanel(viewer, ImagePanel(viewer))
+    return EffectsPanel(Document(viewer))
 
 
 @pytest.fixture
@@ -50,7 +50,7 @@ def asked(monkeypatch):
         more["progress"]("looking at halo")
         return recommendation(BULK, HALO)
 
-    monkeypatch.setattr(effects_check, "recommend", recommend)
+    monkeypatch.setattr(effects_panel, "recommend", recommend)
     yield gate, calls
     gate.release(99)
 
@@ -104,11 +104,11 @@ def test_the_image_and_its_seeds_are_asked_in_the_background(seeded, spin, asked
     view = seeded.settings.effects
     seeded.settings.max_iterations.setValue(5)
     view.button.click()
-    assert seeded.checking.busy
+    assert seeded.settings.effects.busy
     assert view.button.text() == "Stop checking"
     spin(lambda: view.progress.text() == "looking at bulk ...")
     gate.release()
-    spin(lambda: not seeded.checking.busy)
+    spin(lambda: not seeded.settings.effects.busy)
     assert view.found.recommended == ("bulk",)
     assert seeded.settings.effects_fold.title == "Corrections: none; bulk recommended"
     assert calls[0]["fitted"].iteration == 5
@@ -122,16 +122,16 @@ def test_a_fit_that_converged_is_not_done_again(seeded, spin, asked):
     gate.release()
     seeded.start()
     spin(lambda: not seeded.run.running, seconds=60)
-    state = seeded.results.last[0]
+    state = seeded.doc.result.state
     assert state.converged
     seeded.settings.effects.button.click()
-    spin(lambda: not seeded.checking.busy)
+    spin(lambda: not seeded.settings.effects.busy)
     assert calls[0]["fitted"] is state
     seeded.settings.effects.table.tick("attenuation")
     seeded.settings.max_iterations.setValue(3)
     gate.release()
     seeded.settings.effects.button.click()
-    spin(lambda: not seeded.checking.busy, seconds=60)
+    spin(lambda: not seeded.settings.effects.busy, seconds=60)
     assert calls[1]["fitted"] is not state
     assert calls[1]["effects"].names == ("attenuation",)
 
@@ -143,7 +143,7 @@ def test_a_check_can_be_stopped(seeded, spin, asked):
     view.button.click()
     spin(lambda: view.progress.text() == "looking at bulk ...")
     view.button.click()
-    assert not seeded.checking.busy
+    assert not seeded.settings.effects.busy
     assert view.progress.text() == "stopped"
     gate.release()
     spin(seconds=0.3, must=False)
@@ -153,7 +153,7 @@ def test_a_check_can_be_stopped(seeded, spin, asked):
 def test_without_seeds_it_says_what_is_missing(make_widget):
     widget = make_widget()
     widget.settings.effects.button.click()
-    assert not widget.checking.busy
+    assert not widget.settings.effects.busy
     assert "Click cells" in widget.settings.effects.progress.text()
 
 
@@ -173,12 +173,12 @@ def test_an_accepted_effect_goes_into_the_fit_that_runs(seeded, spin, endless):
     seeded.stop()
     spin(lambda: not seeded.run.running)
     assert view.button.isEnabled()
-    assert seeded.results.last[1].settings.scene.effects.names == ("bulk",)
+    assert seeded.doc.result.job.settings.scene.effects.names == ("bulk",)
 
 
 def test_the_residual_is_in_standard_deviations_and_cells_are_judged(seeded, with_image, spin):
     table, n = seeded.results.table, EXPLAINED
-    seeded.running.residual.setChecked(True)
+    seeded.doc.look("difference")
     seeded.start()
     spin(lambda: not seeded.run.running, seconds=60)
     assert table.isColumnHidden(n)
@@ -189,7 +189,7 @@ def test_the_residual_is_in_standard_deviations_and_cells_are_judged(seeded, wit
     assert "explained" in table.as_text().splitlines()[0]
     assert table.item(0, n).text().endswith("%")
     assert layer.visible
-    seeded.running.residual.setChecked(False)
+    seeded.doc.look("image")
     assert not layer.visible
 
 
@@ -201,10 +201,10 @@ def test_every_fit_is_graded_without_being_asked(seeded, with_image, pixels, spi
     assert share > 0.75
     assert seeded.running.grade.text().startswith("Good: the cells explain")
     # Of another image nothing is known.
-    own = seeded.image.layer
-    seeded.image.chooser.choose(with_image.add_image(pixels[::-1].copy(), name="other"))
+    own = seeded.doc.image.layer
+    seeded.doc.image.choose(with_image.add_image(pixels[::-1].copy(), name="other"))
     assert seeded.running.grade.text() == ""
-    seeded.image.chooser.choose(own)
+    seeded.doc.image.choose(own)
     assert seeded.running.grade.text().startswith("Good")
 
 
@@ -220,9 +220,9 @@ def test_a_wrong_shape_is_not_called_good(seeded, spin):
     # What may help is a button.
     seeded.settings.max_iterations.setValue(5)
     seeded.running.again.click()
-    fit = seeded.control.run_settings().fit
+    fit = seeded.doc.run_settings().fit
     assert (fit.fit_psf, fit.density) == (True, "smooth")
-    spin(lambda: seeded.results.last[1].settings.fit.fit_psf, seconds=60)
+    spin(lambda: seeded.doc.result.job.settings.fit.fit_psf, seconds=60)
     spin(lambda: seeded.running.grade.text() != "", seconds=60)
     assert seeded.running.again.isHidden()
 
@@ -232,14 +232,12 @@ def test_the_time_shown_is_checked(series_widget, viewer, series, spin):
     series_widget.settings.max_iterations.setValue(2)
     series_widget.start()
     spin(lambda: not series_widget.run.running)
-    assert series_widget.checking._asked().prepare().image.shape == series[0].shape
-    np.testing.assert_array_equal(series_widget.checking._asked().prepare().image, series[0])
-    series_widget.checking.note_asked()
+    assert series_widget.settings.effects.asked().prepare().image.shape == series[0].shape
+    np.testing.assert_array_equal(series_widget.settings.effects.asked().prepare().image, series[0])
     viewer.dims.set_current_step(0, 2)
     if viewer.layers["seeds"].ndim == 4:
         viewer.layers["seeds"].add((2, *viewer.layers["seeds"].data[0][-3:]))
-    np.testing.assert_array_equal(series_widget.checking._asked().prepare().image, series[2])
-    assert series_widget.checking.stale
+    np.testing.assert_array_equal(series_widget.settings.effects.asked().prepare().image, series[2])
 
 
 def test_an_image_is_read_in_the_thread(seeded, with_image, spin, asked):
@@ -261,11 +259,11 @@ def test_an_image_is_read_in_the_thread(seeded, with_image, spin, asked):
 
     lazy = Lazy(layer.data)
     layer._data = lazy
-    spin(lambda: not seeded.forecast.busy)
+    spin(lambda: not seeded.settings.forecast.busy)
     lazy.readers.clear()
-    seeded.checking.start()
+    seeded.settings.effects.start()
     assert main not in lazy.readers
     asked[0].release(9)
-    spin(lambda: not seeded.checking.busy)
+    spin(lambda: not seeded.settings.effects.busy)
     assert lazy.readers
     assert main not in lazy.readers

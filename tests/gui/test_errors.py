@@ -7,9 +7,9 @@ import pytest
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.gui.attempt import attempt
-from napari_deltamic.gui.background import Background
 from napari_deltamic.gui.running import worker
-from napari_deltamic.gui.tracking import work
+from napari_deltamic.gui.tracking import track_work
+from napari_deltamic.gui.work import Background
 
 LOGGER = "napari_deltamic.gui.attempt"
 
@@ -49,7 +49,13 @@ def test_a_fit(seeded, spin, told, monkeypatch, caplog, where):
     if where == "the thread":
         monkeypatch.setattr(worker, "start", broken)
     else:
-        monkeypatch.setattr(seeded.running, "show_progress", broken)
+        drawn, draw = [], seeded.running.curve.show_losses
+
+        def broken_once(*arguments):
+            drawn.append(True)
+            (broken if len(drawn) == 1 else draw)(*arguments)
+
+        monkeypatch.setattr(seeded.running.curve, "show_losses", broken_once)
     seeded.start()
     spin(lambda: not seeded.run.running)
     assert "the log shows where" in told[-1]
@@ -58,7 +64,7 @@ def test_a_fit(seeded, spin, told, monkeypatch, caplog, where):
 
 
 def test_tracking(series_widget, spin, told, monkeypatch, caplog):
-    monkeypatch.setattr(work, "track", broken)
+    monkeypatch.setattr(track_work, "track", broken)
     series_widget.tracking.start()
     spin(lambda: not series_widget.tracking.running)
     assert tracebacks(caplog) == [KeyError]

@@ -19,9 +19,9 @@ def test_every_setting_of_a_fit_is_in_the_window_once(make_widget):
     widget = make_widget()
     forms = widget.settings.forms
     names = [name for form in forms for name in form.fields]
-    assert sorted([*names, "accuracy"]) == sorted(described(FitSettings))
+    assert sorted([*names, "accuracy", "shape_error"]) == sorted(described(FitSettings))
     for name, found in described(FitSettings).items():
-        if name != "accuracy":
+        if name not in ("accuracy", "shape_error"):
             assert found.sentence in fields_of(widget)[name].toolTip()
             assert fields_of(widget)[name].accessibleName() == found.label
 

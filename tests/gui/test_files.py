@@ -8,7 +8,7 @@ import napari_deltamic as nd
 from napari_deltamic import _reader, _writer
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import sphere
-from napari_deltamic.gui.panels.image_panel import ImagePanel
+from napari_deltamic.gui.image_source import ImageSource
 from napari_deltamic.gui.seeding.seed_kinds import mesh_of_surface
 from napari_deltamic.scene import samples as _sample_data
 
@@ -121,7 +121,7 @@ def test_a_mesh_file_lands_on_an_image_that_lies_elsewhere(cells, viewer, tmp_pa
     before, after = (Layer.create(*read(tmp_path / "a.ply")) for _ in range(2))
     viewer.add_layer(before)
     viewer.add_layer(image)
-    panel = ImagePanel(viewer)
+    panel = ImageSource(viewer)
     viewer.add_layer(after)
     frame = panel.frame()
     for layer in (before, after):
@@ -137,12 +137,12 @@ def test_a_mesh_file_lands_on_an_image_that_lies_elsewhere(cells, viewer, tmp_pa
 def test_a_mesh_file_stays_where_the_user_or_another_image_has_it(cells, viewer, tmp_path):
     nd.save_mesh(cells, tmp_path / "a.ply")
     viewer.add_image(np.zeros((4, 5, 6)), name="at zero")
-    panel = ImagePanel(viewer)
+    panel = ImageSource(viewer)
     placed, moved = (Layer.create(*read(tmp_path / "a.ply")) for _ in range(2))
     viewer.add_layer(placed)
     moved.translate = (0, 0, 7)
     viewer.add_image(np.zeros((4, 5, 6)), translate=(3, 3, 3), name="elsewhere")
-    panel.chooser.choose(viewer.layers["elsewhere"])
+    panel.choose(viewer.layers["elsewhere"])
     viewer.add_layer(moved)
     assert tuple(placed.translate) == (0, 0, 0)
     assert tuple(moved.translate) == (0, 0, 7)

@@ -6,10 +6,9 @@ from napari.layers import Image, Labels, Points, Surface
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import sphere
-from napari_deltamic.gui.plain import camera_of
 from napari_deltamic.gui.seeding.seed_kinds import mesh_of_surface, seeds_from_layer
 from napari_deltamic.gui.viewing.contours import Contours, sliced_axis
-from napari_deltamic.gui.viewing.frame import OWN, Frame, is_stack, stack_of
+from napari_deltamic.gui.viewing.frame import OWN, Frame, camera_of, is_stack, stack_of
 from napari_deltamic.gui.viewing.viewer_link import ViewerLink
 from napari_deltamic.measure import section
 from napari_deltamic.scene.effects import Effects

@@ -4,13 +4,13 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from napari_deltamic.gui.running.run_panel import duration, progress_text
+from napari_deltamic.gui.running.footer import duration, progress_text
 
 from .interacting import notes, right_end, use, vertices
 
 
 def test_looking_back_while_the_fit_goes_on(begun, spin):
-    spin(lambda: len(begun.control.timeline.moments) > 8)
+    spin(lambda: len(begun.doc.timeline.moments) > 8)
     bar = begun.running.history
     bar.slider.setValue(1)
     moment = bar.chosen
@@ -26,17 +26,17 @@ def test_looking_back_while_the_fit_goes_on(begun, spin):
 
 
 def test_going_on_from_an_earlier_moment(begun, spin):
-    spin(lambda: len(begun.control.timeline.moments) > 8)
+    spin(lambda: len(begun.doc.timeline.moments) > 8)
     bar = begun.running.history
     bar.slider.setValue(0)
     first = bar.chosen.mesh.vertices_numpy()
     bar.go_on_button.click()
     spin(lambda: "back to iteration 1" in notes(begun))
-    moment = next(m for m in begun.control.timeline.moments if m.note)
+    moment = next(m for m in begun.doc.timeline.moments if m.note)
     np.testing.assert_array_equal(moment.mesh.vertices_numpy(), first)
     assert bar.chosen is None
     assert begun.link.shown is begun.link.mesh
-    begun.running.pause_button.click()
+    begun.footer.pause_button.click()
     spin(seconds=0.2, must=False)
     bar.undo_button.click()
     spin(lambda: notes(begun)[-1].startswith("undo"))
@@ -44,7 +44,7 @@ def test_going_on_from_an_earlier_moment(begun, spin):
 
 
 def test_a_fit_that_has_ended_goes_on_from_a_moment(ended, spin):
-    bar, timeline = ended.running.history, ended.control.timeline
+    bar, timeline = ended.running.history, ended.doc.timeline
     bar.slider.setValue(0)
     first, n = bar.chosen.mesh.vertices_numpy(), timeline.moments[-1].iteration
     bar.go_on_button.click()
@@ -67,14 +67,14 @@ def test_undo_and_redo(ended):
     use(ended, "pin", 0.4).drag(right_end(ended))
     assert bar.undo_button.toolTip() == "Undo: pin"
     bar.undo_button.click()
-    assert not ended.interaction.edits.pinned.any()
+    assert not ended.edits.pinned.any()
     bar.undo_button.click()
     np.testing.assert_array_equal(vertices(ended), start)
     assert not bar.undo_button.isEnabled()
     bar.redo_button.click()
     np.testing.assert_array_equal(vertices(ended), pushed)
     bar.redo_button.click()
-    assert ended.interaction.edits.pinned.any()
+    assert ended.edits.pinned.any()
     assert not bar.redo_button.isEnabled()
 
 
@@ -85,40 +85,43 @@ def test_undo_of_settings_shows_them_again(begun, spin):
     begun.running.history.undo_button.click()
     spin(lambda: begun.run.job.settings.fit.density == before)
     assert begun.settings.density.currentText() == before
-    assert begun.interaction.edits.redo_note == "brightness smooth"
+    assert begun.edits.redo_note == "brightness smooth"
 
 
 def test_a_new_run_forgets_the_old_one(ended, spin):
     use(ended, "pin", 0.4).drag(right_end(ended))
-    old = ended.control.timeline
+    old = ended.doc.timeline
     ended.start()
-    spin(lambda: ended.control.timeline is not old)
-    assert not ended.interaction.edits.pinned.any()
-    assert not ended.interaction.edits.undo_note
+    spin(lambda: ended.doc.timeline is not old)
+    assert not ended.edits.pinned.any()
+    assert not ended.edits.undo_note
 
 
 def test_a_failed_start_keeps_the_last_result(ended, with_image, spin, told):
-    timeline, state = ended.control.timeline, ended.results.last[0]
+    timeline, state = ended.doc.timeline, ended.doc.result.state
     with_image.layers["seeds"].data = [[50, 50, 50]]
     ended.seeds.shape.setCurrentIndex(0)
     ended.start()
     spin(lambda: not ended.run.running)
-    assert ended.control.timeline is timeline
-    assert ended.results.last[0] is state
+    assert ended.doc.timeline is timeline
+    assert ended.doc.result.state is state
     use(ended, "push").drag(right_end(ended))
     assert notes(ended)[-1] == "push"
 
 
 def test_remaining_time_is_told_where_it_is_known(begun, spin):
-    spin(lambda: begun.running.message.text().endswith("left"))
+    spin(lambda: " left; " in begun.footer.message.text())
     begun.stop()
     spin(lambda: not begun.run.running)
-    for left, text in ((42.0, "about 42 s left"), (None, "a second")):
+    text = begun.footer.message.text
+    for left in (42.0, None):
+        known = left is not None
         begun.control._forecaster = lambda job, left=left: SimpleNamespace(
             remaining_seconds=lambda history, state, elapsed: left
         )
         begun.start()
-        spin(lambda text=text: begun.running.message.text().endswith(text))
+        spin(lambda: text().endswith("a second"))
+        spin(lambda known=known: text().startswith("about 42 s left") is known)
         begun.stop()
         spin(lambda: not begun.run.running)
     assert "left" not in progress_text(10, 3.0, None)
@@ -133,15 +136,15 @@ def test_remaining_time_is_told_where_it_is_known(begun, spin):
 
 
 def test_the_rendered_image_follows_the_result(ended, with_image, spin):
-    ended.running.rendered.setChecked(True)
+    ended.doc.look("model")
     spin(lambda: "cell rendered" in with_image.layers)
     layer = with_image.layers["cell rendered"]
     assert layer.visible
     before = layer.data.copy()
     use(ended, "push").drag(right_end(ended))
     spin(lambda: not np.array_equal(layer.data, before))
-    np.testing.assert_allclose(layer.data, ended.results.last[0].rendered())
-    ended.running.rendered.setChecked(False)
+    np.testing.assert_allclose(layer.data, ended.doc.result.state.rendered())
+    ended.doc.look("image")
     assert not layer.visible
 
 
@@ -150,7 +153,7 @@ def test_a_surface_that_was_hidden_is_the_newest_when_it_is_shown(begun, with_im
     assert not layer.visible
     n = len(begun.run.history.loss)
     spin(lambda: len(begun.run.history.loss) > n + 10)
-    begun.running.pause_button.click()
+    begun.footer.pause_button.click()
     spin(seconds=0.2, must=False)
     assert not np.allclose(layer.data[0], vertices(begun), atol=1e-4)  # saved the time
     with_image.dims.ndisplay = 3

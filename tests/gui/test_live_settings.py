@@ -24,14 +24,13 @@ def test_settings_are_taken_over(begun, spin):
     assert (fit_settings.fit_psf, fit_settings.likelihood) == (True, "gaussian")
     begun.stop()
     spin(lambda: not begun.run.running)
-    assert begun.results.last[1].settings.fit.accuracy == 1e-4
+    assert begun.doc.result.job.settings.fit.accuracy == 1e-4
 
 
 def test_the_psf_is_taken_over(begun, spin):
     begun.settings.sigma._boxes[0].setValue(0.5)
     spin(lambda: begun.run.state.optics.sigma_um[0] == pytest.approx(0.5))
-    spin(lambda: begun.running.psf.shown("now")[0] == "0.500")
-    spin(lambda: begun.running.sigmas.isVisibleTo(begun.running))
+    spin(lambda: any(now.startswith("0.5 ") for _, _, now in begun.running.numbers.texts()))
 
 
 def test_effects_are_taken_over_and_taken_back(begun, spin):
@@ -45,7 +44,7 @@ def test_effects_are_taken_over_and_taken_back(begun, spin):
     assert begun.run.job.settings.scene.effects.names == ("pixel_integration", "attenuation")
     assert panel.effects_fold.title == "Corrections: pixel integration, attenuation"
     for left in (("attenuation",), ()):
-        begun.interaction.edits.undo()
+        begun.edits.undo()
         spin(lambda left=left: begun.run.state.effects.names == left)
         assert panel.scene_settings().effects.names == left
 
@@ -68,7 +67,7 @@ def test_the_voxel_size_is_for_the_next_run(begun, spin):
 
 
 def test_another_image_is_for_the_next_run(begun, with_image, pixels, spin):
-    begun.image.chooser.choose(with_image.add_image(pixels.max() - pixels, name="other"))
+    begun.doc.image.choose(with_image.add_image(pixels.max() - pixels, name="other"))
     assert "goes on with 'cell'; the next run takes 'other'" in begun.running.note.text()
     n = len(begun.run.history.loss)
     spin(lambda: len(begun.run.history.loss) > n + 3)
@@ -77,8 +76,8 @@ def test_another_image_is_for_the_next_run(begun, with_image, pixels, spin):
 
 def test_a_tool_that_fails_says_why_and_keeps_the_verdict(ended, told):
     verdict = ended.running.verdict.text()
-    edits = ended.interaction.edits
-    ended.control.tried(lambda: edits.shift(np.full_like(vertices(ended), 500.0), "nudge"))
+    edits = ended.edits
+    ended.doc.guarded(lambda: edits.shift(np.full_like(vertices(ended), 500.0), "nudge"))
     assert "outside the image" in told[-1]
     assert "outside the image" in ended.running.note.text()
     assert ended.running.verdict.text() == verdict
@@ -88,7 +87,7 @@ def test_a_tool_that_fails_says_why_and_keeps_the_verdict(ended, told):
 def test_a_change_that_the_fit_refuses_does_not_end_it(begun, spin, told):
     away = begun.link.mesh.translated((500, 500, 500))
     with pytest.raises(InputError, match="outside"):
-        begun.interaction.edits.change(Change(mesh=away), "nudge")
+        begun.edits.change(Change(mesh=away), "nudge")
     begun.run.change(Change(mesh=away))  # past the first check
     spin(lambda: bool(told))
     assert "not changed" in told[-1]
@@ -126,5 +125,5 @@ def test_undo_though_the_panels_show_what_cannot_be_used(begun, with_image, spin
     begun.settings.sigma._boxes[0].setValue(0.5)
     spin(lambda: begun.run.state.optics.sigma_um[0] == pytest.approx(0.5))
     with_image.layers["cell"].scale = np.multiply(SIZE, (1, -1, 1))
-    begun.interaction.edits.undo()
+    begun.edits.undo()
     spin(lambda: begun.run.state.optics.sigma_um[0] != pytest.approx(0.5))

@@ -5,10 +5,12 @@ import pytest
 
 import napari_deltamic as nd
 from napari_deltamic.fitting.job import optics_of, scene_with
+from napari_deltamic.gui.document import Document
 from napari_deltamic.gui.optics import measured_fields
 from napari_deltamic.gui.optics.optics_panel import GAUSSIAN, MEASURED, OBJECTIVE, OpticsPanel
-from napari_deltamic.gui.running.live_numbers import LiveNumbers, MovedNumber
+from napari_deltamic.gui.running.live_numbers import LiveNumbers
 from napari_deltamic.images.stacks import write_image
+from napari_deltamic.results.moved_numbers import MovedNumber
 from napari_deltamic.runs.command import optics_flags
 from napari_deltamic.runs.optics_settings import MicroscopeOptics, optics_from_values
 from napari_deltamic.runs.settings import SceneSettings
@@ -20,7 +22,7 @@ WATER = {"kind": "microscope", "na": 0.8, "wavelength": 0.6, "immersion": "water
 
 @pytest.fixture
 def panel(app, with_image):
-    panel = OpticsPanel(with_image, "widths")
+    panel = OpticsPanel(Document(with_image), "widths")
     panel.objective.show_settings(optics_from_values(WATER))
     yield panel
     panel.close_links()
@@ -154,7 +156,7 @@ def test_a_fit_with_the_psf_of_an_objective_shows_its_numbers(seeded, spin):
     seeded.settings.max_iterations.setValue(8)
     seeded.start()
     spin(lambda: not seeded.run.running, seconds=60)
-    state, job, *_ = seeded.results.last
+    state, job = seeded.doc.result.of_fit()
     assert type(state.optics).__name__ == "VectorialPSF"
     assert job.settings.scene.sigma is None
     [(name, start, now)] = seeded.running.numbers.texts()
@@ -191,6 +193,6 @@ def test_numbers_of_an_objective_go_into_a_fit_that_runs(seeded, spin, endless):
     seeded.settings.optics.objective.numbers["na"].setValue(0.9)
     spin(lambda: float(seeded.run.state.optics.values["na"]) == 0.9)
     assert seeded.run.job.settings.scene.optics.na == 0.9
-    seeded.interaction.edits.undo()
+    seeded.edits.undo()
     spin(lambda: float(seeded.run.state.optics.values["na"]) == 0.8)
     assert seeded.settings.scene_settings().optics.na == pytest.approx(0.8)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from napari_deltamic.gui.effects import effects_check
-from napari_deltamic.gui.seeding import find_cells_panel
+from napari_deltamic.gui.effects import effects_panel
+from napari_deltamic.gui.seeding import find_cells_button
 from napari_deltamic.runs.settings import FitSettings
 
 from .conftest import SIZE
@@ -25,13 +25,13 @@ def other(with_image, pixels):
 def choose(widget, name):
     chooser = widget.image.chooser
     chooser.setCurrentIndex(chooser.findText(name))
-    assert widget.image.layer.name == name
+    assert widget.doc.image.layer.name == name
 
 
 def of_a_fit(widget):
     """What a result is told by: is any of it to be seen?"""
     running = widget.running
-    parts = (running.verdict, running.note, running.curve, running.psf, running.edit)
+    parts = (running.verdict, running.note, running.curve, running.edit)
     parts += (running.history, running.numbers, widget.results, widget.settings.pace)
     return [part for part in parts if not part.isHidden()]
 
@@ -58,16 +58,18 @@ def test_a_fit_that_fails_does_not_take_over_the_last_result(seeded, with_image,
     assert seeded.running.last_verdict[0] == "failed"
     assert not seeded.running.verdict.isHidden()
     assert seeded.results.isHidden()
-    assert seeded.control.present() is None
+    assert seeded.doc.present() is None
     choose(seeded, "cell")
     assert not seeded.results.isHidden()
-    assert seeded.running.last_verdict == ("", "")  # not that of the other image
+    assert seeded.running.last_verdict[0] != "failed"  # that is of the other image
 
 
 def test_found_cells_are_of_their_image(make_widget, with_image, spin, other, monkeypatch):
     labels = np.zeros(with_image.layers["cell"].data.shape, np.int32)
     labels[5:12, 5:15, 5:15] = 1
-    monkeypatch.setattr(find_cells_panel, "look", lambda *arguments: (2.0, labels))
+    monkeypatch.setattr(
+        find_cells_button, "look", lambda *arguments: find_cells_button.FoundCells(2.0, labels)
+    )
     widget = make_widget()
     widget.seeds.find_cells.click()
     spin(lambda: "Found 1 cell" in widget.seeds.note.text())
@@ -82,10 +84,10 @@ def test_found_cells_are_of_their_image(make_widget, with_image, spin, other, mo
 
 
 def test_recommendations_are_of_their_image(seeded, spin, other, monkeypatch):
-    monkeypatch.setattr(effects_check, "recommend", lambda *a, **k: recommendation(BULK, HALO))
+    monkeypatch.setattr(effects_panel, "recommend", lambda *a, **k: recommendation(BULK, HALO))
     seeded.settings.show_settings(FitSettings(max_iterations=2))
-    seeded.checking.start()
-    spin(lambda: not seeded.checking.busy)
+    seeded.settings.effects.start()
+    spin(lambda: not seeded.settings.effects.busy)
     view = seeded.settings.effects
     assert view.summary() == "none; bulk recommended"
     other()

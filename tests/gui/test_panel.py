@@ -15,6 +15,7 @@ from qtpy.QtWidgets import (
 )
 
 from napari_deltamic.gui.fit_widget import FitWidget
+from napari_deltamic.gui.seeding.find_cells_button import FoundCells
 from napari_deltamic.gui.widgets import Fold
 
 from .seeding import PLACE
@@ -69,8 +70,8 @@ def test_few_controls_are_in_sight_before_a_fit(shown, with_image, ball_labels, 
     assert 10 < len(in_sight(shown)) <= MOST
     # The most: cells were found, and may be corrected.
     finder = shown.seeds.find_cells
-    finder._asked = (with_image.layers["cell"], shown.image.frame())
-    finder._show((1.0, ball_labels.astype(np.int32)))
+    finder._asked = (with_image.layers["cell"], shown.doc.image.frame())
+    finder._show(FoundCells(1.0, ball_labels.astype(np.int32)))
     spin(seconds=0.3, must=False)
     assert shown.seeds.corrections.bar.isVisible()
     names = [type(control).__name__ for control in in_sight(shown)]
@@ -79,9 +80,9 @@ def test_few_controls_are_in_sight_before_a_fit(shown, with_image, ball_labels, 
 
 def test_fit_stop_and_progress_are_always_in_sight(shown, with_image, ball_labels, spin, endless):
     with_image.add_labels(ball_labels, **PLACE)
-    footer = shown.running.footer
+    footer = shown.footer
     shown.start()
-    spin(lambda: len(shown.control.timeline.moments) > 2)
+    spin(lambda: len(shown.doc.timeline.moments) > 2)
     for fold in shown.findChildren(Fold):
         fold.unfold()
     shown.image.edit_size.setChecked(True)
@@ -111,15 +112,17 @@ def test_what_is_rare_is_in_the_menu(shown):
         "Load clicks...",
         "Save clicks...",
         "Copy as command",
+        "Run on a folder...",
         "Simulate cells...",
     ]
 
 
 def test_without_an_image_no_width_is_made_up(app, viewer, spin):
     widget = FitWidget(viewer)
-    assert widget.settings.psf_line.text() == "PSF: 1.2 voxels wide"
+    assert widget.settings.psf_line.text() == "PSF: 1.2 voxels wide, then estimated from the image"
     viewer.add_image(np.zeros((4, 8, 8)), scale=(0.5, 0.2, 0.2), units=("um",) * 3)
-    assert widget.settings.psf_line.text() == "PSF: Gaussian 0.60 (z), 0.24 (yx) um"
+    told = "PSF: Gaussian 0.60 (z), 0.24 (yx) um, then estimated from the image"
+    assert widget.settings.psf_line.text() == told
     widget.close_links()
 
 

@@ -31,7 +31,7 @@ def opened(window, pixels, ball_labels):
 def click(window, widget, tool, place, spin):
     widget.seeds.corrections.bar.use(tool)
     window.dims.set_point(0, 1 + place[0])
-    Mouse(window, SimpleNamespace(frame=widget.image.frame())).drag(place)
+    Mouse(window, SimpleNamespace(frame=widget.doc.image.frame())).drag(place)
     spin(lambda: not widget.seeds.corrections.busy)
 
 

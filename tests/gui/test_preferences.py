@@ -78,9 +78,9 @@ def test_a_new_widget_is_set_as_preferred(make_widget, monkeypatch, told):
     widget = make_widget()
     assert widget.settings.fit_settings() == chosen["fit"].model_copy(update={"accuracy": 3e-4})
     assert widget.settings.accuracy.choice == "3e-4"
-    assert widget.running.rendered.isChecked()
+    assert widget.doc.view == "model"
     assert not widget.seeds.preview.isChecked()
-    assert widget.control.interval == 0.25
+    assert widget.doc.work.interval == 0.25
     scene = widget.settings.scene_settings()
     assert scene.effects == Effects.of(Bulk(density=0.2))
     assert (scene.optics.modality, scene.optics.na) == ("widefield", 0.8)

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from napari_deltamic.fitting import Change, fit
+from napari_deltamic.fitting.pending import Waiting
 from napari_deltamic.geometry import sphere
+from napari_deltamic.geometry.carry import carried, same_triangles
 from napari_deltamic.geometry.remeshing import can_remesh
 from napari_deltamic.geometry.remeshing import remesh as remeshed
-from napari_deltamic.gui.editing.carry import carried, same_triangles
 from napari_deltamic.gui.running import worker
-from napari_deltamic.gui.running.waiting import Waiting
 from napari_deltamic.results.session_file import load_session, save_session
 
 from .conftest import CENTER
@@ -56,7 +56,7 @@ def begun(make_widget, with_image, spin, gate):
     """A fit that runs."""
     widget = make_widget()
     mesh = START
-    frame = widget.image.frame()
+    frame = widget.doc.image.frame()
     with_image.add_surface((mesh.vertices_numpy(), mesh.faces), **frame.layer_options())
     with_image.dims.set_point(0, CENTER[0] + 1)
     widget.start()
@@ -72,7 +72,7 @@ def remesh(widget, gate, spin):
 
 
 def pin_right(widget):
-    edits, mesh = widget.interaction.edits, widget.link.mesh
+    edits, mesh = widget.edits, widget.link.mesh
     edits.pin(mesh.vertices_numpy()[:, 2] > CENTER[2] + 0.5, True, mesh)
 
 
@@ -82,11 +82,11 @@ def test_pins_shown_are_those_of_the_fit(begun, with_image, gate, spin):
     n = int(begun.run.state.pinned.sum())
     places = begun.run.state.mesh.vertices_numpy()[begun.run.state.pinned]
     remesh(begun, gate, spin)
-    begun.running.pause_button.click()
+    begun.footer.pause_button.click()
     spin(seconds=0.2, must=False)
     state, marks = begun.run.state, with_image.layers["cell pinned"]
     assert state.pinned.sum() >= n
-    np.testing.assert_array_equal(begun.interaction.edits.pinned, state.pinned)
+    np.testing.assert_array_equal(begun.edits.pinned, state.pinned)
     np.testing.assert_allclose(marks.data, begun.link.mesh.vertices_numpy()[state.pinned])
     assert {tuple(p) for p in places} <= {tuple(p) for p in marks.data}
     assert begun.running.edit.pins.text().startswith(f"Free {state.pinned.sum()} ")
@@ -99,7 +99,7 @@ def test_undo_and_redo_of_pins_across_a_remeshing(begun, gate, spin):
     bar = begun.running.history
     bar.undo_button.click()
     spin(lambda: begun.run.state.pinned is None)
-    assert not begun.interaction.edits.pinned.any()
+    assert not begun.edits.pinned.any()
     bar.redo_button.click()
     spin(lambda: begun.run.state.pinned is not None)
     state = begun.run.state
@@ -111,10 +111,10 @@ def test_undo_of_a_nudge_brings_the_triangles_and_the_pins_back(begun, gate, spi
     spin(lambda: begun.run.state.pinned is not None)
     old = begun.run.state.mesh
     pinned = begun.run.state.pinned.copy()
-    begun.interaction.edits.shift(np.full((len(old.vertices), 3), 0.05), "nudge", old)
-    spin(lambda: any(m.note == "nudge" for m in begun.control.timeline.moments))
+    begun.edits.shift(np.full((len(old.vertices), 3), 0.05), "nudge", old)
+    spin(lambda: any(m.note == "nudge" for m in begun.doc.timeline.moments))
     remesh(begun, gate, spin)
-    begun.running.pause_button.click()
+    begun.footer.pause_button.click()
     spin(seconds=0.2, must=False)
     begun.running.history.undo_button.click()
     spin(lambda: same_triangles(begun.link.mesh, old))
@@ -132,8 +132,8 @@ def test_a_stroke_during_which_the_fit_is_remeshed(begun, gate, spin):
     remesh(begun, gate, spin)
     far = begun.link.mesh.vertices_numpy()[:, 2].max()
     mouse.release(place + 0.5 * ALONG_X)
-    spin(lambda: any(m.note == "nudge" for m in begun.control.timeline.moments))
-    moment = next(m for m in begun.control.timeline.moments if m.note == "nudge")
+    spin(lambda: any(m.note == "nudge" for m in begun.doc.timeline.moments))
+    moment = next(m for m in begun.doc.timeline.moments if m.note == "nudge")
     assert moment.mesh.vertices_numpy()[:, 2].max() > far + 0.2
     assert begun.run.running
 
@@ -141,7 +141,7 @@ def test_a_stroke_during_which_the_fit_is_remeshed(begun, gate, spin):
 def test_looking_back_across_a_remeshing_and_going_on_from_there(begun, with_image, gate, spin):
     pin_right(begun)
     spin(lambda: begun.run.state.pinned is not None)
-    spin(lambda: len(begun.control.timeline.moments) > 3)
+    spin(lambda: len(begun.doc.timeline.moments) > 3)
     before = remesh(begun, gate, spin)
     bar = begun.running.history
     spin(lambda: begun.running.history.slider.maximum() > 1)
@@ -150,16 +150,16 @@ def test_looking_back_across_a_remeshing_and_going_on_from_there(begun, with_ima
     assert len(with_image.layers["cell pinned"].data) in (0, begun.run.state.pinned.sum())
     begun.results.choose(1)
     bar.go_on_button.click()
-    spin(lambda: any("back to" in m.note for m in begun.control.timeline.moments))
+    spin(lambda: any("back to" in m.note for m in begun.doc.timeline.moments))
     assert begun.run.state.pinned is not None
     begun.stop()
     spin(lambda: not begun.run.running)
     begun.running.history.go_on_button.click()  # a new run, with the pins
     spin(lambda: begun.run.running and len(begun.run.history.loss) > 3)
-    assert begun.interaction.edits.pinned.any()
+    assert begun.edits.pinned.any()
     begun.stop()
     spin(lambda: not begun.run.running)
-    np.testing.assert_array_equal(begun.interaction.edits.pinned, begun.results.last[0].pinned)
+    np.testing.assert_array_equal(begun.edits.pinned, begun.doc.result.state.pinned)
 
 
 def test_cells_can_be_chosen_while_the_surface_is_hidden(begun, with_image, gate, spin):
@@ -177,13 +177,13 @@ def test_a_session_keeps_the_pins_of_other_triangles(begun, gate, spin, tmp_path
     remesh(begun, gate, spin)
     begun.stop()
     spin(lambda: not begun.run.running)
-    pinned = begun.results.last[0].pinned
+    pinned = begun.doc.result.state.pinned
     begun.sessions.save(str(tmp_path / "kept.deltamic"))
     spin(lambda: not begun.sessions.busy)
     begun.sessions.open(str(tmp_path / "kept.deltamic"))
     spin(lambda: not begun.sessions.busy)
-    np.testing.assert_array_equal(begun.results.last[0].pinned, pinned)
-    np.testing.assert_array_equal(begun.interaction.edits.pinned, pinned)
+    np.testing.assert_array_equal(begun.doc.result.state.pinned, pinned)
+    np.testing.assert_array_equal(begun.edits.pinned, pinned)
     marks = [layer for layer in begun.link.viewer.layers if layer.name.startswith("cell pinned")]
     assert len(marks[-1].data) == pinned.sum()
     damaged = load_session(tmp_path / "kept.deltamic")

@@ -15,9 +15,9 @@ from napari_deltamic.cli.inputs import gather
 from napari_deltamic.cli.messages import Notes
 from napari_deltamic.fitting.job import FitInput
 from napari_deltamic.geometry import files, sphere
-from napari_deltamic.gui import fit_widget
-from napari_deltamic.gui.results.cell_columns import COLUMNS
+from napari_deltamic.gui.results import command_copy
 from napari_deltamic.images.stacks import read_image, write_image
+from napari_deltamic.results.cell_columns import COLUMNS
 from napari_deltamic.results.report import History
 from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
 
@@ -69,7 +69,7 @@ def test_the_rendered_image_is_ome_with_its_voxel_size_in_um(widget, tmp_path):
         pixels = tifffile.xml2dict(tif.ome_metadata)["OME"]["Image"]["Pixels"]
         assert tuple(pixels[f"PhysicalSize{a}"] for a in "ZYX") == pytest.approx(SIZE)
         assert {pixels[f"PhysicalSize{a}Unit"] for a in "ZYX"} == {"µm"}
-        np.testing.assert_array_equal(tif.asarray(), widget.results.last[0].rendered())
+        np.testing.assert_array_equal(tif.asarray(), widget.doc.result.state.rendered())
     assert read_image(path)[1] == pytest.approx(SIZE)
 
 
@@ -208,12 +208,12 @@ def from_file(make_widget, with_image, pixels, tmp_path, monkeypatch, spin):
         layer = with_image.add_image(pixels, scale=SIZE)
     widget = make_widget()
     with_image.add_points([CENTER], name="seeds", ndim=3)
-    monkeypatch.setattr(fit_widget.QFileDialog, "getExistingDirectory", lambda *a: str(tmp_path))
+    monkeypatch.setattr(command_copy.QFileDialog, "getExistingDirectory", lambda *a: str(tmp_path))
 
     def copied():
         widget.header.copy_action.trigger()
         spin(lambda: not widget.commands.busy)
-        words = shlex.split(fit_widget.QApplication.clipboard().text())
+        words = shlex.split(command_copy.QApplication.clipboard().text())
         job = gather(build_parser().parse_args(words[1:]), Notes())
         return words[2], job.image
 
@@ -279,7 +279,7 @@ def test_columns_are_chosen(ended, spin):
     table.show_column("half_axis_1_um")
     assert not table.isColumnHidden(keys.index("half_axis_1_um"))
     assert "half axis 1, µm" in table.as_text().splitlines()[0]
-    menu = ended.results._shown
+    menu = ended.results.columns.menu()
     menu.aboutToShow.emit()
     chosen = {action.text(): action for action in menu.actions()}
     assert chosen["half axis 1, µm"].isChecked()
@@ -292,7 +292,7 @@ def test_columns_are_chosen(ended, spin):
 
 def test_the_result_becomes_a_labels_layer_with_measurements(ended, viewer, spin):
     spin(lambda: ended.running.grade.text() != "", seconds=60)
-    ended.results.labels_wanted.emit()
+    ended.results.add_labels()
     layer = viewer.layers["cell labels"]
     inside = ended.link.frame.voxel_size
     volume = np.count_nonzero(layer.data == 1) * np.prod(inside)

@@ -25,7 +25,7 @@ def second(with_image, pixels, seeded):
     """A layer, chosen as the second view of the widget."""
     layer = with_image.add_image(pixels[:, ::-1].copy(), name="side", **PLACE)
     fields = seeded.settings.effects.second
-    fields.chooser.choose(layer)
+    fields.choice.choose(layer)
     fields.sigma.set_value(SIGMA)
     return fields
 
@@ -80,7 +80,7 @@ def test_its_image_reaches_the_fit(seeded, second, spin, monkeypatch, pixels):
 def test_a_layer_off_the_voxels_is_refused_in_words(seeded, with_image, told, shape, change, says):
     layer = with_image.add_image(np.random.default_rng(0).random(shape), **{**PLACE, **change})
     fields = seeded.settings.effects.second
-    fields.chooser.choose(layer)
+    fields.choice.choose(layer)
     assert says in fields.note.text()
     assert "resample it on the image's voxels first" in fields.note.text()
     seeded.start()
@@ -102,11 +102,11 @@ def test_a_fit_under_way_keeps_the_second_view_that_it_has(seeded, second, spin,
 
 def test_the_command_repeats_it(seeded, second, spin, tmp_path, monkeypatch):
     texts = []
-    monkeypatch.setattr(seeded, "_folder", lambda: str(tmp_path))
-    seeded.commands._ask_folder = lambda: str(tmp_path)
+    dialog = "napari_deltamic.gui.results.command_copy.QFileDialog.getExistingDirectory"
+    monkeypatch.setattr(dialog, staticmethod(lambda *a: str(tmp_path)))
     monkeypatch.setattr("napari_deltamic.gui.fit_widget.show_info", texts.append)
     seeded.settings.max_iterations.setValue(2)
-    seeded._copy()
+    seeded.commands.copy()
     spin(lambda: texts)
     words = shlex.split(texts[-1].removeprefix("copied: "))
     assert str(tmp_path / "second.tif") in texts[-1]
@@ -128,17 +128,17 @@ def test_a_session_keeps_it(seeded, second, spin, tmp_path, with_image, pixels):
     assert second.layer.name == "side"
     assert second.sigma.value() == SIGMA
     np.testing.assert_array_equal(second.pixels(), pixels[:, ::-1])
-    np.testing.assert_array_equal(seeded.results.last[1].second, pixels[:, ::-1])
-    seeded.control.go_on_from(seeded.results.last[0].mesh, seeded.results.last[0].optics, None)
+    np.testing.assert_array_equal(seeded.doc.result.job.second, pixels[:, ::-1])
+    seeded.control.go_on_from(seeded.doc.result.state.mesh, seeded.doc.result.state.optics, None)
     spin(done(seeded))
     assert seeded.run.state.effects.second_view is not None
 
 
 def test_series_are_tracked_without_it(seeded, second, with_image, pixels, told):
     movie = with_image.add_image(np.stack([pixels, pixels]), scale=(1, *SIZE), name="movie")
-    seeded.image.chooser.choose(movie)
+    seeded.doc.image.choose(movie)
     side = with_image.add_image(pixels, scale=SIZE, name="other")
-    second.chooser.choose(side)
+    second.choice.choose(side)
     seeded.tracking.start()
     assert "a second view cannot be tracked" in told[-1]
 
@@ -161,5 +161,5 @@ def test_what_is_wrong_is_no_more_said_once_it_is_right(seeded, second):
 
 
 def test_its_voxels_are_not_read_to_know_how_many_there_are(seeded, second, monkeypatch):
-    monkeypatch.setattr(seeded.image, "stack", lambda layer=None: pytest.fail("read"))
+    monkeypatch.setattr(seeded.doc.image, "stack", lambda layer=None: pytest.fail("read"))
     assert second.view() is not None

@@ -16,9 +16,9 @@ from napari_deltamic.cli.messages import Notes
 from napari_deltamic.errors import InputError, RepairWarning
 from napari_deltamic.fitting.job import assemble
 from napari_deltamic.geometry import sphere
-from napari_deltamic.gui.results.run_files import with_files
-from napari_deltamic.gui.seeding import find_cells_panel, mesh_files
+from napari_deltamic.gui.seeding import find_cells_button
 from napari_deltamic.runs.command import command
+from napari_deltamic.runs.run_files import with_files
 from napari_deltamic.runs.settings import NEAR_LEVELS
 
 from .conftest import CENTER, SHAPE, SIZE
@@ -47,7 +47,12 @@ def finder(monkeypatch):
         labels[5:12, 5:12, 5:12] = len(asked)
         return labels
 
-    fake = types.SimpleNamespace(find_cells=find, suggest_size=lambda image, voxel_size: 2.5)
+    found = [types.SimpleNamespace(size=size, cells=n) for size, n in ((2.5, 1), (1.5, 9))]
+    fake = types.SimpleNamespace(
+        find_cells=find,
+        suggest_size=lambda image, voxel_size: 2.5,
+        suggest_sizes=lambda image, voxel_size: found,
+    )
     monkeypatch.setitem(sys.modules, NAME, fake)
     return asked
 
@@ -173,9 +178,13 @@ def test_mesh_files_become_layers_in_the_frame_of_the_image(panel, with_image, m
     np.testing.assert_array_equal(mesh.vertices_numpy(), load_mesh(mesh_file).vertices_numpy())
 
 
-def test_a_file_that_is_no_mesh_is_told_in_words(panel, tmp_path, spin, monkeypatch):
+def test_a_file_that_is_no_mesh_is_told_in_words(panel, tmp_path, spin):
     said = []
-    monkeypatch.setattr(mesh_files, "show_warning", said.append)
+
+    def hear(text):
+        said.append(text)
+
+    panel._doc.warned.connect(hear)
     bad = tmp_path / "bad.ply"
     bad.write_text("no mesh")
     panel.use_file(str(bad))
@@ -198,7 +207,8 @@ def test_cells_found_are_seeds_that_can_be_corrected(panel, with_image, finder, 
     assert tuple(layer.translate) == (1, 2, 3)
     assert finder == [2.5]
     assert panel.find_cells.cell_size.value() == pytest.approx(2.5, abs=0.01)
-    assert "Found 1 cell of about 2.5 um" in panel.note.text()
+    assert "Found 1 cell of about 2.5 µm" in panel.note.text()
+    assert "9 of 1.5 µm" in panel.note.text()
     assert taken(panel).make(None, grid_of(panel)).region_ids().tolist() == [1]
     panel.find_cells.cell_size.setValue(1.25)
     panel.chooser.choose(layer, False)
@@ -207,6 +217,9 @@ def test_cells_found_are_seeds_that_can_be_corrected(panel, with_image, finder, 
     assert finder[1] == pytest.approx(1.25, abs=0.01)
     assert [one.name for one in with_image.layers].count("found cells") == 1
     assert panel.chooser.ticked() == [layer]
+    panel.note.linkActivated.emit("1.5")
+    spin(lambda: layer.data.max() == 3)
+    assert finder[2] == pytest.approx(1.5)
 
 
 def test_no_cells_found_is_told_in_words(panel, with_image, finder, spin):
@@ -222,9 +235,9 @@ def test_a_second_press_starts_anew(panel, with_image, spin, monkeypatch):
     def look(image, voxel_size, size):
         sizes.append(size)
         assert gate.wait(20)
-        return 1.0, np.full(image.shape, len(sizes), np.int32)
+        return find_cells_button.FoundCells(1.0, np.full(image.shape, len(sizes), np.int32))
 
-    monkeypatch.setattr(find_cells_panel, "look", look)
+    monkeypatch.setattr(find_cells_button, "look", look)
     for _ in range(3):
         panel.find_cells.click()
         spin(lambda: sizes)
@@ -239,9 +252,9 @@ def test_a_search_for_cells_is_given_up_with_its_image(panel, with_image, spin, 
 
     def look(image, voxel_size, size):
         assert gate.wait(20)
-        return 1.0, np.ones(image.shape, np.int32)
+        return find_cells_button.FoundCells(1.0, np.ones(image.shape, np.int32))
 
-    monkeypatch.setattr(find_cells_panel, "look", look)
+    monkeypatch.setattr(find_cells_button, "look", look)
     panel.find_cells.click()
     del with_image.layers["cell"]
     gate.set()

@@ -25,7 +25,7 @@ def test_a_click_is_followed_by_contours_and_a_surface(panel, with_image, spin):
     assert str(seeds.mode) == "add"
     assert [layer.name for layer in panel.chooser.ticked()] == ["seeds"]
     assert panel.chooser.count() == 1, "what the plugin shows is no source"
-    assert "cell start" not in with_image.layers, "only needed in 3D"
+    assert not with_image.layers["cell start"].visible, "only of use in 3D"
     with_image.dims.ndisplay = 3
     surface = with_image.layers["cell start"]
     world = np.asarray(surface.data[0]) * surface.scale + surface.translate

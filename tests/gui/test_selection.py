@@ -12,7 +12,7 @@ from qtpy.QtWidgets import QApplication
 import napari_deltamic as nd
 from napari_deltamic.geometry import sphere
 from napari_deltamic.gui.results.cell_table import CellTable
-from napari_deltamic.gui.results.selection import ClickSelection, region_at, region_in_slice
+from napari_deltamic.gui.results.selection import ClickSelection, region_at
 from napari_deltamic.gui.viewing.colours import (
     LIMITS,
     region_colormap,
@@ -22,6 +22,7 @@ from napari_deltamic.gui.viewing.colours import (
 from napari_deltamic.gui.viewing.frame import Frame
 from napari_deltamic.gui.viewing.viewer_link import ViewerLink
 from napari_deltamic.measure import measure_cells
+from napari_deltamic.measure.picking import region_in_slice
 
 CENTERS = {2: (2.0, 2.0, 2.0), 5: (2.0, 2.0, 5.0), 9: (2.0, 5.5, 2.0)}
 RADII = {2: 0.8, 5: 1.2, 9: 1.0}
@@ -100,13 +101,13 @@ def test_a_click_in_3d_finds_the_cell_in_front(viewer, link, direction):
 
 
 def test_of_a_wall_the_cell_behind_it_is_meant():
-    from napari_deltamic.gui.results.selection import _behind
+    from napari_deltamic.measure.picking import region_behind
 
     ball = sphere((0, 0, 0), 1, edge_length=0.5)
     wall = nd.Mesh(ball.vertices, ball.faces, np.tile([3, 4], (len(ball.faces), 1)))
     face = int(np.argmax(wall.normals()[:, 2]))  # normals point out of region 3 into region 4
-    assert _behind(wall, face, np.array([0, 0, -1.0])) == 3
-    assert _behind(wall, face, np.array([0, 0, 1.0])) == 4
+    assert region_behind(wall, face, np.array([0, 0, -1.0])) == 3
+    assert region_behind(wall, face, np.array([0, 0, 1.0])) == 4
 
 
 # ---- what is chosen is seen ----------------------------------------------------------------------
@@ -151,7 +152,7 @@ def test_contours_are_dimmed_too(viewer, link):
 def test_nothing_chosen_costs_nothing(link, monkeypatch):
     """Values are neither computed nor changed by updates of the same mesh."""
     values = link.surface.data[2]
-    monkeypatch.setattr("napari_deltamic.gui.viewing.viewer_link.side_values", None)
+    monkeypatch.setattr("napari_deltamic.gui.viewing.mesh_layers.side_values", None)
     link.show_mesh(link.mesh.with_vertices(link.mesh.vertices_numpy() + 0.01))
     link.highlight(frozenset())
     np.testing.assert_array_equal(link.surface.data[2], values)

@@ -29,9 +29,9 @@ def test_psf_and_effects_come_back_with_what_was_fitted(seeded, spin, tmp_path, 
     save(seeded, tmp_path / "a.deltamic", spin)
     _, after = reopened(tmp_path / "a.deltamic")
     assert after.settings.scene_settings() == seeded.settings.scene_settings()
-    one, other = seeded.results.last[0], after.results.last[0]
+    one, other = seeded.doc.result.state, after.doc.result.state
     assert one.optics.described() == other.optics.described()
-    assert one.optics.described() != seeded.results.last[1].optics.described()
+    assert one.optics.described() != seeded.doc.result.job.optics.described()
     assert one.effects == other.effects
     assert after.running.numbers.texts() == seeded.running.numbers.texts()
 
@@ -45,11 +45,11 @@ def test_a_session_holds_the_image_of_its_bead(seeded, spin, tmp_path, told, reo
     seeded.settings.max_iterations.setValue(3)
     seeded.start()
     spin(done(seeded), seconds=60)
-    before = seeded.results.last[0].optics
+    before = seeded.doc.result.state.optics
     save(seeded, tmp_path / "a.deltamic", spin)
     path.unlink()
     _, after = reopened(tmp_path / "a.deltamic")
-    assert after.results.last[0].optics.sigma_um == pytest.approx(before.sigma_um)
+    assert after.doc.result.state.optics.sigma_um == pytest.approx(before.sigma_um)
     assert after.settings.scene_settings().optics.build().sigma_um == pytest.approx(before.sigma_um)
 
 
@@ -57,7 +57,7 @@ def test_a_reopened_session_is_the_same(seeded, with_image, spin, tmp_path, told
     with_image.layers["cell"].contrast_limits = (120, 333)
     with_image.layers["cell"].colormap = "viridis"
     before = fitted(seeded, spin)
-    before.running.rendered.setChecked(True)
+    before.doc.look("model")
     with_image.dims.set_point(0, 4.0)
     save(before, tmp_path / "a.deltamic", spin)
     assert told[-1] == f"saved {tmp_path / 'a.deltamic'}"
@@ -124,14 +124,14 @@ def test_a_reopened_session_goes_on(seeded, spin, tmp_path, reopened):
     widget.results.save_all(str(tmp_path / "all"))
     assert (tmp_path / "all" / "report.json").exists()
     widget.running.history.slider.setValue(0)
-    first = widget.control.timeline.moments[0]
+    first = widget.doc.timeline.moments[0]
     np.testing.assert_allclose(
         viewer.layers["cell cells"].data[0], first.mesh.vertices_numpy(), atol=1e-5
     )
-    before = len(widget.control.timeline.moments)
-    widget.running.history.go_on.emit()
+    before = len(widget.doc.timeline.moments)
+    widget.running.history.go_on()
     spin(lambda: widget.run is not None and not widget.run.running)
-    assert len(widget.control.timeline.moments) > before
+    assert len(widget.doc.timeline.moments) > before
     assert widget.running.verdict.text().startswith("stopped after 12")
     widget.settings.max_iterations.setValue(9)
     widget.start()
@@ -157,16 +157,15 @@ def test_while_a_fit_runs_its_newest_state_is_saved(seeded, spin, tmp_path, monk
     spin(done(seeded))
 
 
-def test_sessions_are_not_opened_over_a_running_fit(
-    seeded, with_image, spin, tmp_path, monkeypatch, told
-):
+def test_sessions_are_not_opened_over_a_running_fit(seeded, with_image, spin, tmp_path, told):
     save(fitted(seeded, spin), tmp_path / "a.deltamic", spin)
-    monkeypatch.setattr(worker.FitRun, "running", property(lambda run: True))
+    seeded.doc.work.task = seeded.run  # as if it still ran
     n = len(with_image.layers)
     seeded.sessions.open(str(tmp_path / "a.deltamic"))
     spin(lambda: not seeded.sessions.busy)
     assert "stop it" in told[-1]
     assert len(with_image.layers) == n
+    seeded.doc.work.task = None
 
 
 def test_seeds_of_all_kinds_come_back(make_widget, with_image, spin, tmp_path, reopened):
@@ -182,7 +181,7 @@ def test_seeds_of_all_kinds_come_back(make_widget, with_image, spin, tmp_path, r
             (ball.vertices, ball.faces),
             name="ball",
             metadata={"deltamic": {"regions": regions}},
-            **widget.image.frame().layer_options(),
+            **widget.doc.image.frame().layer_options(),
         )
     )
     with_image.add_points([[0, 0, 0]], name="not ticked")
@@ -192,9 +191,9 @@ def test_seeds_of_all_kinds_come_back(make_widget, with_image, spin, tmp_path, r
     assert [layer.name for layer in after.seeds.chooser.ticked()] == ["painted", "ball"]
     np.testing.assert_array_equal(viewer.layers["painted"].data, labels)
     assert viewer.layers["painted"].data.dtype == np.uint16
-    frame = after.image.frame()
-    pixels, grid = after.image.stack(), frame.grid(image.data.shape)
-    one, other = (w.seeds.seeds(w.image.frame()).make(pixels, grid) for w in (widget, after))
+    frame = after.doc.image.frame()
+    pixels, grid = after.doc.image.stack(), frame.grid(image.data.shape)
+    one, other = (w.seeds.seeds(w.doc.image.frame()).make(pixels, grid) for w in (widget, after))
     np.testing.assert_array_equal(one.vertices, other.vertices)
     np.testing.assert_array_equal(one.regions, other.regions)
     assert not after.results.isEnabled()

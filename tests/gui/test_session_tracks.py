@@ -71,7 +71,7 @@ def test_what_was_stopped_goes_on_after_reopening(widget, spin, slow, reopened_h
     widget.tracking.start()
     slow += [1, 1]
     spin(lambda: len(widget.tracking.results) == 2, 60)
-    widget.track_panel.stop_button.click()
+    widget.footer.stop_button.click()
     spin(ended(widget))
     other = reopened_here(widget)
     assert other.track_panel.go_on_button.isVisibleTo(other.track_panel)
@@ -88,7 +88,7 @@ def test_a_fit_of_one_time_comes_back_at_its_time(widget, viewer, spin, reopened
     spin(ended(widget), 60)
     viewer.dims.set_current_step(0, 1)
     widget.settings.max_iterations.setValue(3)
-    widget.running.rendered.setChecked(True)
+    widget.doc.look("model")
     widget.start()
     spin(lambda: widget.run is not None and not widget.run.running, 60)
     viewer.dims.set_current_step(0, 3)
@@ -112,7 +112,7 @@ def test_no_session_is_opened_while_cells_are_tracked(widget, spin, slow):
 def test_the_rendered_image_is_there_at_its_time_only(widget, viewer, spin):
     viewer.dims.set_current_step(0, 1)
     widget.settings.max_iterations.setValue(3)
-    widget.running.rendered.setChecked(True)
+    widget.doc.look("model")
     widget.start()
     spin(lambda: widget.run is not None and not widget.run.running, 60)
     spin(lambda: widget.link.rendered is not None)
@@ -120,8 +120,8 @@ def test_the_rendered_image_is_there_at_its_time_only(widget, viewer, spin):
     assert rendered.visible
     viewer.dims.set_current_step(0, 2)
     assert not rendered.visible
-    widget.running.rendered.setChecked(False)
+    widget.doc.look("image")
     viewer.dims.set_current_step(0, 1)
     assert not rendered.visible
-    widget.running.rendered.setChecked(True)
+    widget.doc.look("model")
     assert rendered.visible

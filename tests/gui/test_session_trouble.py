@@ -23,7 +23,7 @@ from .sessions import fitted, save, shown
 def test_a_result_of_another_image_is_left_out_and_told(seeded, with_image, spin, tmp_path, told):
     fitted(seeded, spin)
     with_image.add_image(np.random.default_rng(0).random((5, 6, 7)), name="other")
-    seeded.image.chooser.choose(with_image.layers["other"])
+    seeded.doc.image.choose(with_image.layers["other"])
     save(seeded, tmp_path / "a.deltamic", spin)
     assert any("not in this session" in text for text in told)
     assert load_session(tmp_path / "a.deltamic").result is None
@@ -100,7 +100,7 @@ def test_the_reader_opens_the_layers(seeded, with_image, spin, tmp_path):
 def test_a_session_that_is_dropped_opens_whole(window, seeded, spin, tmp_path, docked):
     path = tmp_path / "a.deltamic"
     save(fitted(seeded, spin), path, spin)
-    before = len(seeded.control.timeline.moments)
+    before = len(seeded.doc.timeline.moments)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         npe2.PluginManager.instance().discover()
@@ -120,7 +120,7 @@ def test_a_session_that_is_dropped_opens_whole(window, seeded, spin, tmp_path, d
         spin(lambda one=one: one.running.grade.text() != "")
     assert widget.running.grade.text() == seeded.running.grade.text()
     assert widget.results.table.rows == seeded.results.table.rows
-    assert len(widget.control.timeline.moments) == before
+    assert len(widget.doc.timeline.moments) == before
     widget.close_links()
 
 

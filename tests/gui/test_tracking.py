@@ -8,7 +8,7 @@ import pytest
 
 from napari_deltamic._writer import write_surface
 from napari_deltamic.errors import InputError
-from napari_deltamic.gui.tracking import work
+from napari_deltamic.gui.tracking import track_work
 from napari_deltamic.gui.viewing.frame import OWN
 from napari_deltamic.results.track_report import read_results
 from napari_deltamic.tracking import track
@@ -85,15 +85,15 @@ def test_stop_keeps_the_frames_that_are_done_and_go_on_tracks_the_rest(
     widget, viewer, spin, slow, tmp_path
 ):
     widget.tracking.start()
-    assert not widget.running.run_button.isEnabled()
+    assert not widget.footer.run_button.isEnabled()
     slow += [1, 1]
     spin(lambda: len(widget.tracking.results) == 2, 60)
-    assert "of 4" in widget.track_panel.progress.text()
-    widget.track_panel.stop_button.click()
+    assert "of 4" in widget.footer.message.text()
+    widget.footer.stop_button.click()
     spin(ended(widget))
     assert widget.track_panel.verdict.text().startswith("stopped by you (2 frames are kept")
     assert set(viewer.layers["movie tracked cells"].data[0][:, 0]) == {0, 1}
-    assert widget.running.run_button.isEnabled()
+    assert widget.footer.run_button.isEnabled()
     slow += [1] * 4
     assert widget.track_panel.go_on_button.isVisibleTo(widget.track_panel)
     widget.track_panel.go_on_button.click()
@@ -130,7 +130,7 @@ def test_an_error_of_the_engine_is_told_in_words(widget, spin, monkeypatch, told
         yield next(track(*arguments, **options))
         raise InputError("it cannot be")
 
-    monkeypatch.setattr(work, "track", broken)
+    monkeypatch.setattr(track_work, "track", broken)
     widget.tracking.start()
     spin(ended(widget))
     assert told[-1] == "it cannot be"

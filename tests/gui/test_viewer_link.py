@@ -13,7 +13,9 @@ def test_the_rendered_image_is_shown_though_the_measured_one_was_removed(viewer)
     link = ViewerLink(viewer, layer, Frame.of(layer), lost.append)
     link.show_mesh(sphere((3, 3, 3), 2, edge_length=1))
     viewer.layers.remove(layer)
-    link.show_rendered(pixels, pixels)
+    link.take_images(pixels, pixels)
+    for view in ("model", "difference"):
+        link.look(view)
     link.close()
     assert lost == ["the image layer was removed"]
     assert {"cell rendered", "cell residual"} <= {one.name for one in viewer.layers}

@@ -14,6 +14,7 @@ from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QPushButton
 
 from napari_deltamic.gui import closing, fit_widget
+from napari_deltamic.gui.results import command_copy
 
 from .conftest import CENTER, SIZE
 from .mouse import Mouse
@@ -49,19 +50,16 @@ def test_closing_the_dock_ends_and_releases_everything(window, pixels, spin, end
     run = widget.run
     spin(lambda history=run.history: len(history.loss) > 5)
     widget.running.edit.use("push")
-    spin(lambda control=widget.control: len(control.timeline.moments) > 3)
+    spin(lambda doc=widget.doc: len(doc.timeline.moments) > 3)
     widget.running.history.slider.setValue(1)
-    hands = widget.interaction
-    parts = (widget.image, widget.seeds, widget.control, hands, hands.edits, hands.sculptor)
-    refs = [weakref.ref(x) for x in (widget, run, widget.link, widget.control.timeline, *parts)]
+    parts = (widget.image, widget.seeds, widget.control, widget.edits, widget.sculptor)
+    refs = [weakref.ref(x) for x in (widget, run, widget.link, widget.doc.timeline, *parts)]
     n = len(refs)
     window.window.remove_dock_widget(widget)
     assert not run.running
     assert not [c for c in window.mouse_drag_callbacks if "deltamic" in str(c)]
-    del widget, run, hands, parts
-    spin(seconds=0.4, must=False)
-    gc.collect()
-    assert [ref() for ref in refs] == [None] * n
+    del widget, run, parts
+    spin(lambda: gc.collect() >= 0 and [ref() for ref in refs] == [None] * n)
 
 
 @pytest.fixture
@@ -145,7 +143,7 @@ def test_napari_opens_the_widget_of_the_manifest(window):
 
 def test_random_handling_raises_nothing(window, docked, spin, told, monkeypatch):
     """A few hundred actions in any order."""
-    monkeypatch.setattr(fit_widget.QFileDialog, "getExistingDirectory", lambda *a, **k: "")
+    monkeypatch.setattr(command_copy.QFileDialog, "getExistingDirectory", lambda *a, **k: "")
     rng = random.Random(0)
     run, seeds, image = docked.running, docked.seeds, docked.image
     history = run.history
@@ -236,10 +234,9 @@ def test_random_handling_raises_nothing(window, docked, spin, told, monkeypatch)
         *own,
         docked.start,
         docked.stop,
-        run.pause_button.click,
+        docked.footer.pause_button.click,
         docked.header.copy_action.trigger,
-        lambda: run.rendered.setChecked(rng.random() < 0.5),
-        lambda: run.residual.setChecked(rng.random() < 0.5),
+        lambda: run.view.setCurrentIndex(rng.randrange(4)),
         lambda: seeds.shape.setCurrentIndex(rng.randrange(2)),
         lambda: seeds.radius.setValue(rng.uniform(0.5, 2)),
         seeds.place.click,

@@ -8,7 +8,6 @@ from napari_deltamic.geometry import Mesh, box, sphere, torus
 from napari_deltamic.geometry.double_bubble import DoubleBubble
 from napari_deltamic.measure.discrete_curvature import (
     cell_curvature,
-    turning_gradient,
     wall_curvature,
 )
 from napari_deltamic.measure.sides import Sides
@@ -110,19 +109,3 @@ def test_a_wall_of_two_triangles_has_no_inside():
     assert found.inside.tolist() == [0]
     assert np.isnan(found.mean[0])
     assert np.isnan(found.gaussian[0])
-
-
-def test_gradient_of_the_mean_curvature_integral():
-    """Against differences, on a cluster with ridges along its junction."""
-    mesh = DoubleBubble(2.0, (1.0, 0.9, 0.8), 0.2).mesh(0.8)
-    sides = Sides.of(mesh)
-    rng = np.random.default_rng(0)
-    move = rng.normal(0, 1.0, mesh.vertices_numpy().shape)
-    step = 1e-6
-    ends = [
-        cell_curvature(Sides.of(mesh.with_vertices(mesh.vertices_numpy() + s * move))).mean
-        for s in (step, -step)
-    ]
-    slope = (ends[0] - ends[1]) / (2 * step)
-    found = [(turning_gradient(sides, k) * move).sum() for k in range(2)]
-    np.testing.assert_allclose(found, slope, rtol=1e-5)

@@ -12,6 +12,8 @@ from shapes import kelvin_cell
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import Mesh, box, sphere, torus
 from napari_deltamic.geometry.double_bubble import DoubleBubble
+from napari_deltamic.geometry.judgement import Judgement
+from napari_deltamic.geometry.replicas import Replicas
 from napari_deltamic.measure import Known, measure
 from napari_deltamic.measure.cells import COLUMNS
 from napari_deltamic.measure.channel_tables import CHANNEL_CELL_COLUMNS, CHANNEL_WALL_COLUMNS
@@ -191,27 +193,60 @@ def test_densities_of_another_mesh_are_refused(bubble):
         measure(bubble, Known(density=np.full(len(bubble.faces), np.nan)))
 
 
-def test_errors_come_from_the_gradient(bubble):
-    """Of a displacement of all vertices by one number of unit deviation, along one direction."""
+def replicas(mesh, **changed):
+    """Of a fit that is exact, but for what is given."""
+    v = mesh.vertices_numpy()
+    given = {"settled": v, "smooth": mesh, "refitted": v, "pulled": v, "finer": 16}
+    return Replicas(mesh, **{**given, "scatter": np.zeros((1, *v.shape)), **changed})
+
+
+def test_errors_are_the_scatter_of_replicas():
+    """A sphere whose radius is unsure by 0.1: volume and area follow, it stays a sphere."""
     mesh = sphere((0, 0, 0), 3.0, subdivisions=3)
-    outwards = mesh.vertices_numpy() / 3.0
-
-    def deviation(gradient):
-        return abs(float((gradient * outwards).sum())) * 0.1
-
-    row = the_row(mesh, Known(deviation=deviation))
-    # A sphere whose radius is unsure by 0.1: volume and area follow, the shape stays a sphere.
-    assert row["volume_se_um3"] == pytest.approx(3 * row["volume_um3"] / 3.0 * 0.1)
-    assert row["area_se_um2"] == pytest.approx(2 * row["area_um2"] / 3.0 * 0.1)
-    assert row["sphericity_se"] == pytest.approx(0, abs=1e-12)
-    mean = row["mean_curvature_per_um"]
-    assert row["mean_curvature_se_per_um"] == pytest.approx(mean / 3.0 * 0.1)
-    wall = measure(mesh, Known(deviation=deviation)).walls.rows[0]
+    outwards = 0.1 * mesh.vertices_numpy() / 3.0
+    known = Known(replicas=replicas(mesh, scatter=outwards[None]))
+    plain, row = the_row(mesh), the_row(mesh, known)
+    assert row["volume_se_um3"] == pytest.approx(plain["volume_um3"] * 0.1, rel=2e-3)
+    assert row["area_se_um2"] == pytest.approx(2 * plain["area_um2"] / 3.0 * 0.1, rel=2e-3)
+    assert row["sphericity_se"] == pytest.approx(0, abs=1e-9)
+    mean = plain["mean_curvature_per_um"]
+    assert row["mean_curvature_se_per_um"] == pytest.approx(mean / 3.0 * 0.1, rel=2e-3)
+    wall = measure(mesh, known).walls.rows[0]
     assert wall["area_se_um2"] == pytest.approx(row["area_se_um2"])
+    # (r + d)^2 and (r - d)^2 are d^2 more than r^2 in the mean.
+    assert row["area_bias_um2"] == pytest.approx(plain["area_um2"] * (0.1 / 3.0) ** 2, rel=1e-6)
+
+
+def test_numbers_are_corrected_by_what_flat_triangles_and_the_prior_are_off_by():
+    mesh, fine = (sphere((0, 0, 0), 3.0, subdivisions=n) for n in (2, 4))
+    v = mesh.vertices_numpy()
+    exact = 4 / 3 * np.pi * 27
+    row = the_row(mesh, Known(replicas=replicas(mesh, smooth=fine)))
+    assert abs(the_row(mesh)["volume_um3"] / exact - 1) > 0.03
+    assert row["volume_um3"] == pytest.approx(exact, rel=2e-3)
+    assert row["area_um2"] == pytest.approx(4 * np.pi * 9, rel=2e-3)
+    # The prior has shrunk it; with more patience it would have grown, which is no mean error.
+    plain = the_row(mesh)["volume_um3"]
+    row = the_row(mesh, Known(replicas=replicas(mesh, pulled=0.99 * v, settled=1.02 * v)))
+    assert row["volume_bias_um3"] == pytest.approx((0.99**3 - 1) * plain)
+    assert row["volume_se_um3"] == pytest.approx((1.02**3 - 1) * plain, rel=1e-2)
+
+
+def test_what_cannot_be_measured_on_replicas_has_no_error(bubble):
+    """Draws that tear a cell open, or turn it inside out, say nothing of its volume."""
+    v = bubble.vertices_numpy()
+    measured = measure(bubble, Known(replicas=replicas(bubble, scatter=-2 * v[None])))
+    check_no_silent_nan(measured)
+    row, plain = measured.cells.rows[0], measure(bubble).cells.rows[0]
+    assert row["volume_se_um3"] is None
+    assert row["volume_um3"] == plain["volume_um3"]
 
 
 def test_what_a_fit_explains_and_doubts_is_passed_on():
-    row = the_row(sphere((0, 0, 0), 2.0), Known(explained={1: 0.9}, doubts={1: "shrank away"}))
+    row = the_row(
+        sphere((0, 0, 0), 2.0),
+        Known(explained={1: 0.9}, judgements={1: Judgement("poor", 0.2, "shrank away")}),
+    )
     assert row["explained"] == 0.9
     assert "shrank away" in row["note"]
 
@@ -242,7 +277,7 @@ def test_units_are_at_the_end_of_names():
 
 
 def test_numbers_that_are_none_become_empty():
-    table = table_of("t", [Column("a", "", ""), Column("b", "", "")], [{"a": float("inf")}])
+    table = table_of("t", [Column("a", ""), Column("b", "")], [{"a": float("inf")}])
     assert table.rows == ({"a": None, "b": None},)
     assert table.to_csv() == "a,b\n,\n"
 

@@ -5,7 +5,7 @@ import torch
 
 import napari_deltamic as nd
 from napari_deltamic.geometry import sphere
-from napari_deltamic.scene import Renderer
+from napari_deltamic.scene import Renderer, Scene
 
 GRID = nd.Grid((24, 32, 32), (0.2, 0.1, 0.1))
 MESH = sphere((2.3, 1.55, 1.55), 0.9, subdivisions=3)
@@ -22,7 +22,7 @@ OPTICS = {
 
 
 def rendered(optics, accuracy, blur):
-    renderer = Renderer(MESH, GRID, optics, accuracy, blur=blur)
+    renderer = Renderer(Scene.of(MESH, optics), GRID, accuracy, blur=blur)
     vertices = torch.tensor(MESH.vertices_numpy())
     return renderer.image(renderer.transform(vertices), renderer.otf(optics)).double(), renderer
 
@@ -41,7 +41,7 @@ def test_a_mixture_of_one_width_asks_for_no_more_than_its_gaussian():
     sigma = (0.3, 0.15, 0.15)
     one, mix = nd.GaussianPSF(sigma), nd.GaussianMixturePSF([sigma, sigma], [1, 1])
     for accuracy in (1e-2, 1e-3):
-        counts = [Renderer(MESH, GRID, o, accuracy).plan.band.count for o in (one, mix)]
+        counts = [Renderer(Scene.of(MESH, o), GRID, accuracy).plan.band.count for o in (one, mix)]
         assert counts[1] == pytest.approx(counts[0], rel=0.35)
 
 
@@ -60,7 +60,7 @@ def test_rendering_is_differentiable_in_the_optics():
     for step in (1e-3, -1e-3):
         near = nd.ScalarPSF(0.9, 0.52, 1.333, extent=EXTENT)
         moved = near._with_values({**near.values, "na": na.detach() + step})
-        renderer = Renderer(MESH, GRID, near, 1e-4)
+        renderer = Renderer(Scene.of(MESH, near), GRID, 1e-4)
         box = renderer.transform(torch.tensor(MESH.vertices_numpy()))
         sums.append(float((renderer.image(box, renderer.otf(moved)) ** 2).sum()))
     assert float(found) == pytest.approx((sums[0] - sums[1]) / 2e-3, rel=2e-3)

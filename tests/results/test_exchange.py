@@ -84,6 +84,33 @@ def test_faces_carry_the_numbers_of_their_wall_and_cell(folder, mesh, measured, 
         np.testing.assert_array_equal(cells[name], np.array(measured.cells.values(name))[own])
 
 
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", ["walls", "cells"])
+def test_vtk_through_pyvista_loses_nothing(folder, mesh, measured, name):
+    pyvista = pytest.importorskip("pyvista")
+    read = pyvista.read(folder / f"{name}.vtk")
+    table = measured.walls if name == "walls" else measured.cells
+    if name == "walls":
+        expected, row = mesh, mesh.interfaces()[1]
+    else:
+        expected, _ = cells_apart(mesh, measured)
+        row = expected.regions.max(axis=1) - 1
+    # Files hold x, y, z.
+    np.testing.assert_array_equal(np.asarray(read.points)[:, ::-1], expected.vertices)
+    corners = np.asarray(read.faces).reshape(-1, 4)
+    assert (corners[:, 0] == 3).all()
+    sets = [np.sort(faces, axis=1) for faces in (corners[:, 1:], expected.faces)]
+    np.testing.assert_array_equal(*sets)
+    numbers = [c.name for c in table.columns if c.name in read.cell_data]
+    assert len(numbers) >= 9
+    for column in numbers:
+        values = [np.nan if v is None else v for v in table.values(column)]
+        np.testing.assert_array_equal(read.cell_data[column], np.array(values, float)[row])
+    for region in (0, 1):
+        side = f"region_{'ab'[region]}"
+        np.testing.assert_array_equal(read.cell_data[side], expected.regions[:, region])
+
+
 def test_cells_apart_are_closed_and_share_nothing(mesh, measured):
     apart, numbers = cells_apart(mesh, measured)
     assert apart.is_closed()

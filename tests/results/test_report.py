@@ -85,6 +85,14 @@ def test_all_files(tmp_path, mesh, rendered):
     assert RunSettings.from_toml(folder / "run.toml") == RUN
 
 
+def test_the_numbers_that_decide_are_kept_with_a_result(tmp_path, mesh, rendered):
+    state, history = a_state(mesh, rendered), a_history(mesh, rendered)
+    write_results(tmp_path, state, rendered, GRID, RUN, history, 1.5)
+    rules = json.loads((tmp_path / "report.json").read_text())["rules"]
+    assert rules["topology"]["certain"] == 3.0
+    assert rules["schedule"]["window"] == 5
+
+
 def test_report_tells_what_became_of_the_effects(tmp_path, mesh, rendered):
     scene = RUN.scene.model_copy(update={"effects": Effects.of("halo", "pixel_integration")})
     run = RUN.model_copy(update={"scene": scene})
@@ -128,7 +136,7 @@ def test_report(tmp_path, mesh, rendered):
             f"sigma_{axis}": {"value": pytest.approx(value), "unit": "um", "fitted": True}
             for axis, value in zip("zyx", (0.48, 0.24, 0.24), strict=True)
         },
-        "fitted": False,
+        "fitted": True,
     }
     assert report["effects"] == []
     assert report["converged"] is True

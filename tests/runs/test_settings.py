@@ -77,11 +77,11 @@ GOOD = 'image = "a"\nseeds = "b"\n[scene]\nvoxel_size = [1, 1, 1]\n'
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "image: Field required"),
+        ("", "image: it must be given"),
         ('image = "a"\nseeds = "b"\n', "scene"),
-        ("colour = 1\n" + GOOD, "colour: Extra inputs"),
-        (GOOD + "zoom = 2\n", "scene.zoom: Extra inputs"),
-        (GOOD + "[fit]\nspeed = 1\n", "fit.speed: Extra inputs"),
+        ("colour = 1\n" + GOOD, "colour: there is no such setting"),
+        (GOOD + "zoom = 2\n", "scene.zoom: there is no such setting"),
+        (GOOD + "[fit]\nspeed = 1\n", "fit.speed: there is no such setting"),
         (GOOD + 'sigma = "wide"\n', "scene.sigma"),
         (GOOD + "sigma = [1, 1]\n", "scene.sigma"),
         (GOOD + "sigma = [1, 1, 0]\n", "scene.sigma: sigma must be positive"),

@@ -9,7 +9,7 @@ from torch.autograd import gradcheck
 import napari_deltamic as nd
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import sphere
-from napari_deltamic.scene import Renderer, expected_image
+from napari_deltamic.scene import Renderer, Scene, expected_image
 from napari_deltamic.scene.effects import (
     KINDS,
     REFUSED,
@@ -186,7 +186,7 @@ def test_gains_of_a_coarse_grid_are_those_of_the_image():
 def test_gradient_in_the_vertices(names):
     mesh = sphere(CENTRE, 0.4, subdivisions=0)
     grid = nd.Grid((6, 6, 7), (0.3, 0.3, 0.3), origin=tuple(CENTRE - 0.8))
-    renderer = Renderer(mesh, grid, OPTICS, 0, effects=Effects.of(*(PRESENT[n] for n in names)))
+    renderer = Renderer(Scene.of(mesh, OPTICS, Effects.of(*(PRESENT[n] for n in names))), grid, 0)
     otf = renderer.otf(OPTICS)
     v = torch.tensor(mesh.vertices_numpy(), requires_grad=True)
     assert gradcheck(lambda v: renderer.image(renderer.transform(v), otf), (v,), fast_mode=True)

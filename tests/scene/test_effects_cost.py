@@ -13,7 +13,7 @@ from napari_deltamic.fitting import level
 from napari_deltamic.fourier import particle_mesh
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import FitSettings
-from napari_deltamic.scene import Renderer
+from napari_deltamic.scene import Renderer, Scene
 from napari_deltamic.scene.effects import (
     KINDS,
     Attenuation,
@@ -49,8 +49,9 @@ class Plain(Renderer):
     """The formula of rendering, without any notion of an effect."""
 
     def transform(self, vertices, density=None):
-        weight = self._membranes if density is None else self._membranes * density
-        return self.plan.transform(vertices - self._origin, self._faces, weight)
+        (of,) = self._planned
+        weight = of._membranes if density is None else of._membranes * density
+        return self.plan.transform(vertices - of._origin, of._faces, weight)
 
     def otf(self, optics):
         otf = optics.otf(self._axes)
@@ -97,7 +98,10 @@ def rendered(renderer):
 @pytest.mark.parametrize("method", ["closed form", "particle-mesh"])
 def test_absent_effects_change_no_bit_of_an_image(method, one_thread):
     for own, plain in zip(
-        *(rendered(r(BALL, GRID, OPTICS, 1e-3, method=method)) for r in (Renderer, Plain)),
+        *(
+            rendered(kind(Scene.of(BALL, OPTICS), GRID, 1e-3, method=method))
+            for kind in (Renderer, Plain)
+        ),
         strict=True,
     ):
         assert torch.equal(own, plain)
@@ -106,7 +110,7 @@ def test_absent_effects_change_no_bit_of_an_image(method, one_thread):
 def test_absent_effects_run_no_operation(one_thread):
     done = []
     for kind in (Renderer, Plain):
-        renderer = kind(BALL, GRID, OPTICS, 1e-3, effects=Effects())
+        renderer = kind(Scene.of(BALL, OPTICS), GRID, 1e-3)
         with Operations() as operations:
             rendered(renderer)
         done.append(operations.done)
@@ -158,7 +162,7 @@ class Transforms:
 
 def work(effects):
     """Passes over the band for the OTF, over the image, and mesh transforms of one rendering."""
-    renderer = Renderer(BALL, GRID, OPTICS, 1e-3, effects=effects, method="particle-mesh")
+    renderer = Renderer(Scene.of(BALL, OPTICS, effects), GRID, 1e-3, method="particle-mesh")
     vertices = torch.tensor(BALL.vertices_numpy())
     with torch.no_grad():
         with Operations() as of_otf:
@@ -183,7 +187,7 @@ def test_present_effects_take_the_operations_that_they_state(name):
 
 def ratio(effects, method, mesh, grid):
     """Time of an image with its gradient, with the effects relative to without; taken in turns."""
-    both = [Renderer(mesh, grid, OPTICS, 1e-3, effects=e, method=method) for e in (effects, ())]
+    both = [Renderer(Scene.of(mesh, OPTICS, e), grid, 1e-3, method=method) for e in (effects, ())]
     taken = []
     for _ in range(8):
         pair = []

@@ -10,7 +10,7 @@ import napari_deltamic as nd
 from napari_deltamic.errors import InputError
 from napari_deltamic.fourier.quadrature import rule
 from napari_deltamic.geometry import Mesh, box, sphere
-from napari_deltamic.scene import Renderer
+from napari_deltamic.scene import Renderer, Scene
 
 SIGMA = (0.3, 0.22, 0.25)
 GRID = nd.Grid((20, 27, 24), (0.2, 0.11, 0.13), origin=(-2.1, 3.0, 10.0))
@@ -161,12 +161,12 @@ def test_a_mesh_far_outside_is_not_seen():
 def test_a_mesh_in_other_units_is_refused():
     """A vertex that flew off, a file in other units: a period that holds it fills any memory."""
     with pytest.raises(InputError, match="are the units the same"):
-        Renderer(BALL.translated([1e3, 1e3, 1e3]), GRID, nd.GaussianPSF(SIGMA), 1e-3)
+        Renderer(Scene.of(BALL.translated([1e3, 1e3, 1e3]), nd.GaussianPSF(SIGMA)), GRID, 1e-3)
 
 
 def test_the_plan_is_moved_with_a_mesh_that_moves_within_the_margin():
     optics = nd.GaussianPSF(SIGMA)
-    renderer = Renderer(BALL, GRID, optics, 1e-3, margin=0.3)
+    renderer = Renderer(Scene.of(BALL, optics), GRID, 1e-3, margin=0.3)
     for shift in ([0.29, -0.29, 0.29], [-0.29, 0.29, 0.29]):
         mesh = BALL.translated(shift)
         assert renderer.holds_for(mesh.vertices)
@@ -199,7 +199,7 @@ def test_density_multiplies_membranes():
 
 def test_further_blur_adds_in_squares():
     blur = (0.1, 0.2, 0.15)
-    renderer = Renderer(BALL, GRID, nd.GaussianPSF(SIGMA), 1e-4, blur=blur)
+    renderer = Renderer(Scene.of(BALL, nd.GaussianPSF(SIGMA)), GRID, 1e-4, blur=blur)
     u = renderer.transform(torch.from_numpy(BALL.vertices))
     image = renderer.image(u, renderer.otf(nd.GaussianPSF(SIGMA)))
     assert relative_error(image, spatial_image(BALL, GRID, np.hypot(SIGMA, blur))) < 1e-4

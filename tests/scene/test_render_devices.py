@@ -9,7 +9,7 @@ import torch
 import napari_deltamic as nd
 from napari_deltamic.fourier import Band
 from napari_deltamic.geometry import sphere
-from napari_deltamic.scene import Renderer
+from napari_deltamic.scene import Renderer, Scene
 
 MESH = sphere((1.0, 1.0, 1.0), 0.6, subdivisions=1)
 GRID = nd.Grid((12, 13, 14), (0.2, 0.2, 0.2))
@@ -20,7 +20,7 @@ OPTICS = nd.GaussianPSF(0.3)
 @pytest.mark.parametrize("vertices_on", ["cpu", "meta"])
 def test_images_are_formed_on_the_device(vertices_on, effects):
     renderer = Renderer(
-        MESH, GRID, OPTICS, 1e-3, method="particle-mesh", device="meta", effects=effects
+        Scene.of(MESH, OPTICS, effects), GRID, 1e-3, method="particle-mesh", device="meta"
     )
     v = torch.zeros(MESH.vertices.shape, dtype=torch.float64, device=vertices_on)
     transform = renderer.transform(v, torch.ones(len(MESH.faces)))
@@ -31,7 +31,7 @@ def test_images_are_formed_on_the_device(vertices_on, effects):
 
 
 def test_gradients_come_back_to_where_the_vertices_are():
-    renderer = Renderer(MESH, GRID, OPTICS, 1e-3, method="particle-mesh", device="meta")
+    renderer = Renderer(Scene.of(MESH, OPTICS), GRID, 1e-3, method="particle-mesh", device="meta")
     v = torch.zeros(MESH.vertices.shape, dtype=torch.float64, device="meta", requires_grad=True)
     image = renderer.image(renderer.transform(v), renderer.otf(OPTICS))
     (gradient,) = torch.autograd.grad(image.sum(), v)
@@ -40,7 +40,7 @@ def test_gradients_come_back_to_where_the_vertices_are():
 
 
 def test_the_otf_of_the_same_optics_is_made_once():
-    renderer = Renderer(MESH, GRID, OPTICS, 1e-3, method="particle-mesh", device="meta")
+    renderer = Renderer(Scene.of(MESH, OPTICS), GRID, 1e-3, method="particle-mesh", device="meta")
     first = renderer.otf(OPTICS)
     assert renderer.otf(OPTICS) is first
     assert renderer.otf(nd.GaussianPSF(0.2)) is not first

@@ -11,8 +11,8 @@ from napari_deltamic.optics import microscope
 from napari_deltamic.scene import (
     Filament,
     Points,
+    Renderer,
     Scene,
-    SceneRenderer,
     Solid,
     Surface,
     render_scene,
@@ -209,7 +209,7 @@ BAD = {
         lambda: render_scene(Scene(Points(SPOTS * 1e4), OPTICS), GRID),
         "are the units the same",
     ),
-    "accuracy": (lambda: SceneRenderer(scene_of("all"), GRID, 1.5), "accuracy must be"),
+    "accuracy": (lambda: Renderer(scene_of("all"), GRID, 1.5), "accuracy must be"),
 }
 
 

@@ -14,7 +14,7 @@ from scipy.ndimage import gaussian_filter
 
 import napari_deltamic as nd
 from napari_deltamic.geometry import Mesh, box, sphere
-from napari_deltamic.scene import Renderer
+from napari_deltamic.scene import Renderer, Scene
 
 GRID = nd.Grid((24, 26, 25), (0.1, 0.1, 0.1))
 LONG = nd.Grid((20, 20, 450), (0.1, 0.1, 0.1))
@@ -88,7 +88,7 @@ def _target(grid):
 def image_and_gradient(mesh, grid, optics, accuracy, method, device="cpu"):
     """The image and the vertex gradient of its inner product with a smooth random image."""
     v = torch.tensor(mesh.vertices_numpy(), device=device, requires_grad=True)
-    renderer = Renderer(mesh, grid, optics, accuracy, method=method, device=device)
+    renderer = Renderer(Scene.of(mesh, optics), grid, accuracy, method=method, device=device)
     image = renderer.image(renderer.transform(v), renderer.otf(optics)).to(torch.float64)
     (gradient,) = torch.autograd.grad((image * _target(grid).to(device)).sum(), v)
     return image.detach().cpu(), gradient.cpu()

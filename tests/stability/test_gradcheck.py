@@ -8,7 +8,7 @@ from torch.autograd import gradcheck
 import napari_deltamic as nd
 from napari_deltamic.fitting.likelihood import match
 from napari_deltamic.geometry import Mesh
-from napari_deltamic.scene import Renderer
+from napari_deltamic.scene import Renderer, Scene
 
 VOXEL = (0.31, 0.2, 0.24)  # anisotropic
 SHAPES = [(5, 6, 7), (6, 5, 4), (4, 4, 4), (5, 5, 5), (1, 6, 5)]  # odd and even along each axis
@@ -36,7 +36,7 @@ def test_image(shape, method, accuracy):
     mesh, grid, v, rho = scene(shape)
     sigma = torch.tensor(SIGMA, dtype=torch.float64, requires_grad=True)
     # The plan is made once: where it changes, the image changes by what the accuracy leaves out.
-    renderer = Renderer(mesh, grid, nd.GaussianPSF(SIGMA), accuracy, method=method)
+    renderer = Renderer(Scene.of(mesh, nd.GaussianPSF(SIGMA)), grid, accuracy, method=method)
 
     def image(v, rho, sigma):
         return renderer.image(renderer.transform(v, rho), renderer.otf(nd.GaussianPSF(sigma)))
@@ -61,7 +61,7 @@ def test_tilted_psf():
     mesh, grid, v, _ = scene((5, 6, 7))
     optics = nd.GaussianPSF(covariance=TILTED)
     p = optics.parameters().clone().requires_grad_()
-    renderer = Renderer(mesh, grid, optics, 0)
+    renderer = Renderer(Scene.of(mesh, optics), grid, 0)
 
     def image(v, p):
         return renderer.image(renderer.transform(v), renderer.otf(optics.with_parameters(p)))
@@ -74,7 +74,7 @@ def test_loss(method, accuracy):
     """With amplitude and background solved for: their own derivatives vanish at the optimum."""
     mesh, grid, v, rho = scene((6, 7, 8))
     sigma = torch.tensor(SIGMA, dtype=torch.float64, requires_grad=True)
-    renderer = Renderer(mesh, grid, nd.GaussianPSF(SIGMA), accuracy, method=method)
+    renderer = Renderer(Scene.of(mesh, nd.GaussianPSF(SIGMA)), grid, accuracy, method=method)
     start = renderer.image(renderer.transform(v.detach()), renderer.otf(nd.GaussianPSF(SIGMA)))
     rng = np.random.default_rng(0)
     noise = torch.from_numpy(rng.normal(size=grid.shape)) * start.std()

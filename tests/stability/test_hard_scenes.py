@@ -6,7 +6,7 @@ from scene_errors import ACCURACIES, scene_errors, scenes
 
 import napari_deltamic as nd
 from napari_deltamic.geometry import sphere
-from napari_deltamic.scene import Renderer
+from napari_deltamic.scene import Renderer, Scene
 
 METHODS = ("particle-mesh", "closed form")
 
@@ -40,7 +40,7 @@ def test_a_psf_far_below_a_voxel_costs_no_more_points(sigma, method):
     mesh = sphere((1.0, 1.0, 1.0), 0.6, subdivisions=1)
     grid = nd.Grid((20, 21, 22), (0.1, 0.1, 0.1))
     optics = nd.GaussianPSF(sigma)
-    renderer = Renderer(mesh, grid, optics, 1e-3, method=method)
+    renderer = Renderer(Scene.of(mesh, optics), grid, 1e-3, method=method)
     assert renderer.plan.points < 200 * len(mesh.faces)
     image, exact = (nd.render(mesh, grid, optics, a, method=method) for a in (1e-3, 0))
     assert (image - exact).norm() < 1e-3 * exact.norm()

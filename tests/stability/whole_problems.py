@@ -20,7 +20,7 @@ from napari_deltamic.fitting.likelihood import ImageNoise, match
 from napari_deltamic.fitting.run import Run
 from napari_deltamic.geometry import Mesh, sphere
 from napari_deltamic.runs.settings import FitSettings
-from napari_deltamic.scene import Renderer
+from napari_deltamic.scene import Renderer, Scene
 
 GRID = nd.Grid((24, 26, 25), (0.1, 0.1, 0.1))
 OPTICS = nd.GaussianPSF((0.16, 0.14, 0.15))
@@ -53,7 +53,7 @@ def gradient_errors(method: str, accuracy: float, likelihood: str) -> dict[str, 
     """
     mesh, optics = start(), nd.GaussianPSF((0.17, 0.15, 0.14))
     measured = torch.from_numpy(photons(TRUTH, GRID, OPTICS, 1)).reshape(-1)
-    renderer = Renderer(mesh, GRID, optics, accuracy, method=method)
+    renderer = Renderer(Scene.of(mesh, optics), GRID, accuracy, method=method)
     inputs = {
         "vertices": torch.tensor(mesh.vertices_numpy()),
         "PSF": optics.parameters().detach().clone(),

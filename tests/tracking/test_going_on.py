@@ -36,7 +36,9 @@ def test_a_dark_frame_right_after_going_on_is_left_out():
 @pytest.mark.parametrize("series", [list, iter], ids=["sequence", "iterator"])
 def test_going_on_starts_from_the_last_mesh_and_psf(series):
     images = drifting(3)
-    done = tracked(images[:2])
+    held = NEAR.model_copy(update={"fit_psf": False})
+    states = track(images[:2], GRID, ball(), OPTICS, held)
+    done = [state.done for state in states if state.done is not None]
     assert done[1].psf == pytest.approx(tuple(OPTICS.parameters().tolist()))
     wider = [replace(r, psf=tuple(p + 0.1 for p in r.psf)) for r in done]
     settings = NEAR.model_copy(update={"fit_psf": True})
@@ -69,7 +71,8 @@ def test_good_divisions_are_kept_where_others_are_not(monkeypatch):
     def proposals(before, mesh):
         return [w for w in walls if w.cell in mesh.region_ids()]
 
-    monkeypatch.setattr(module, "_ROUNDS", 1)
+    once = replace(module.RULES.divisions, rounds=1)
+    monkeypatch.setattr(module, "RULES", replace(module.RULES, divisions=once))
     monkeypatch.setattr(module._Tracker, "_fit", fitted)
     monkeypatch.setattr(module, "Residual", lambda *arguments: None)
     monkeypatch.setattr(module, "proposals", proposals)

@@ -9,11 +9,14 @@ from typing import Any
 import numpy as np
 
 from .chart import Chart, Note, Series, time_text
-from .shape_error import ShapeError, stops_improving
+from .shape_error import ShapeError, enough
 from .tradeoff import Way, duration
 
 _WAYS = ("way", "image", "with gradient", "memory", "image error", "gradient error", "")
-_SHAPES = ("accuracy", "surface error", "", "spread", "iterations", "time of a fit", "")
+_SHAPES = (
+    *("choice", "predicted", "surface error", "", "spread", "edges", "image accuracy"),
+    *("iterations", "time of a fit", ""),
+)
 
 
 def ways_table(ways: Sequence[Way]) -> str:
@@ -44,34 +47,31 @@ def _way_cells(way: Way) -> tuple[str, ...]:
 
 
 def shape_table(found: Sequence[ShapeError], voxel: float) -> str:
-    """Aligned columns: accuracy, error of the surface in nm and voxels, its spread, times."""
-    stop = stops_improving(found)
+    """Aligned columns: choice, predicted and measured error of the surface, what it takes."""
+    stop = enough(found)
     rows = [
         (
-            short(e.accuracy),
+            e.choice,
+            f"{1e3 * e.dialled.predicted:.3g} nm",
             f"{1e3 * e.mean:.3g} nm",
             f"{e.mean / voxel:.3f} voxel",
             f"{1e3 * e.spread:.2g} nm",
+            f"{e.dialled.edge:.2g} um",
+            short(e.dialled.accuracy),
             f"{e.iterations:.0f}",
             duration(e.seconds),
-            "enough" if e.accuracy == stop else "",
+            "enough" if e.choice == stop else "",
         )
         for e in found
     ]
-    return aligned([_SHAPES, *rows], left=(len(_SHAPES) - 1,))
+    return aligned([_SHAPES, *rows], left=(0, len(_SHAPES) - 1))
 
 
 def shape_answer(found: Sequence[ShapeError]) -> str:
-    """Which accuracy is enough, in a sentence."""
-    stop = stops_improving(found)
-    finest, coarsest = (f(e.accuracy for e in found) for f in (min, max))
+    """Which choice is enough, in a sentence."""
     draws = len(found[0].errors)
     given = f"given this noise ({draws} draw{'s' if draws > 1 else ''})"
-    if stop == coarsest:
-        return f"The shape is as good at accuracy {short(stop)}, the coarsest tried, {given}."
-    if stop == finest:
-        return f"The shape improves down to accuracy {short(stop)}, the finest tried, {given}."
-    return f"Below accuracy {short(stop)} the shape stops improving, {given}."
+    return f"{enough(found)} is enough for the shape, {given}."
 
 
 def ways_chart(ways: Sequence[Way], title: str) -> Chart:
@@ -120,17 +120,18 @@ def _series(name: str, ways: Sequence[Way], colour: int, marker: Any, line: bool
 
 
 def shape_chart(found: Sequence[ShapeError], title: str) -> Chart:
-    """Error of the fitted surface against the time of a fit, with the spread over the draws."""
-    stop = stops_improving(found)
+    """Error of the fitted surface against the time of a fit, measured and predicted."""
     x = [e.seconds for e in found]
     y = [1e3 * e.mean for e in found]
     spread = [(1e3 * min(e.errors), 1e3 * max(e.errors)) for e in found]
-    notes = [
-        Note(e.seconds, 1e3 * e.mean, f"enough: {short(e.accuracy)}")
-        for e in found
-        if e.accuracy == stop
+    notes = [Note(e.seconds, 1e3 * e.mean, e.choice) for e in found]
+    predicted = [1e3 * e.dialled.predicted for e in found]
+    series = [
+        Series(
+            "measured: mean, and range of the draws", x, y, 0, "circle", line=True, spread=spread
+        ),
+        Series("predicted", x, predicted, 1, "triangle"),
     ]
-    series = [Series("mean, and range of the draws", x, y, 0, "circle", line=True, spread=spread)]
     return Chart(
         title,
         "time of a fit",
@@ -151,11 +152,15 @@ def way_facts(way: Way) -> dict[str, Any]:
 def shape_facts(found: Sequence[ShapeError], voxel: float) -> dict[str, Any]:
     """Errors of the surface as plain values, for JSON."""
     return {
-        "enough": stops_improving(found),
+        "enough": enough(found),
         "answer": shape_answer(found),
-        "accuracies": [
+        "choices": [
             {
-                "accuracy": e.accuracy,
+                "choice": e.choice,
+                "predicted_nm": 1e3 * e.dialled.predicted,
+                "edge_um": e.dialled.edge,
+                "accuracy": e.dialled.accuracy,
+                "tolerance": e.dialled.tolerance,
                 "mean_nm": 1e3 * e.mean,
                 "mean_voxels": e.mean / voxel,
                 "spread_nm": 1e3 * e.spread,

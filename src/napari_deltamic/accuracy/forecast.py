@@ -19,8 +19,9 @@ from ..geometry.contacts import contacts
 from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..runs.settings import WIDE_LEVELS, FitSettings
-from ..scene import Grid, Renderer
+from ..scene import Grid, Renderer, Scene
 from ..scene.effects import Effects, as_effects
+from .experience import Experience
 from .machine_costs import costs as known_costs
 
 # Iterations of a level, from measured fits with other settings by default: cow and fish at 64^3
@@ -42,10 +43,11 @@ _TRUNCATED = 3.5  # standard deviations; see level.py
 _EVERY_PLAN, _EVERY_LOOK = 20, 10  # iterations; see level.py
 _EVERY_PSF, _PSF_BELOW = 5, 2.5  # iterations, blur; see fit.py
 _TEACH = 5  # iterations without which a fit teaches nothing
+_NOTHING = Experience()
 _FARTHEST = 30.0  # as a forecast can be off at most; what is more was something else
 
 
-class Course(Protocol):
+class FitHistory(Protocol):
     """The course of a fit so far, as :class:`napari_deltamic.results.report.History` keeps it."""
 
     level: list[int]
@@ -95,25 +97,6 @@ class LevelForecast:
 
 
 @dataclass(frozen=True)
-class Experience:
-    """What a fit took, in parts of what was forecast.
-
-    Attributes
-    ----------
-    seconds
-        Of an iteration.
-    iterations
-        Until it had converged.
-    blurs
-        Of its levels: another sequence of levels needs other numbers of iterations.
-    """
-
-    seconds: float = 1.0
-    iterations: float = 1.0
-    blurs: tuple[float, ...] = ()
-
-
-@dataclass(frozen=True)
 class Forecast:
     """What a fit is expected to take, level by level.
 
@@ -123,10 +106,16 @@ class Forecast:
         Those that will be run.
     measured
         Whether the costs were measured on this machine, or are those of another one.
+    kind
+        Of the fit: those of one kind need like numbers of iterations.
+    learned
+        From earlier fits, which is in the levels already.
     """
 
     levels: tuple[LevelForecast, ...]
     measured: bool
+    kind: str = ""
+    learned: Experience = _NOTHING
 
     @property
     def seconds(self) -> float:
@@ -144,7 +133,7 @@ class Forecast:
         return self.levels[-1].seconds_per_iteration
 
     def remaining_seconds(
-        self, history: Course, state: Where, elapsed: float | None = None
+        self, history: FitHistory, state: Where, elapsed: float | None = None
     ) -> float | None:
         """Seconds until the fit has converged; None while nothing is known.
 
@@ -179,7 +168,7 @@ class Forecast:
             pace = float((elapsed / spent) ** trust)
         return left * pace
 
-    def experience(self, history: Course, state: Where, elapsed: float) -> Experience | None:
+    def experience(self, history: FitHistory, state: Where, elapsed: float) -> Experience | None:
         """What a fit of which this is the forecast teaches about the next; None if nothing.
 
         Parameters
@@ -193,13 +182,14 @@ class Forecast:
         if len(history.level) < _TEACH or spent <= 0 or elapsed <= 0:
             return None
         done, wanted = self._done(history, state.level, ended=state.converged)
-        return Experience(
-            _within(elapsed / spent), _within(done / wanted if wanted else 1.0), self._blurs
-        )
+        more = done / wanted if wanted else 1.0
+        known = self.learned
+        seconds, iterations = known.seconds * elapsed / spent, known.iterations * more
+        return Experience(_within(seconds), _within(iterations))
 
     def after(self, earlier: Experience) -> Forecast:
-        """The same, corrected by how far off an earlier one was."""
-        more = earlier.iterations if earlier.blurs == self._blurs else 1.0
+        """The same, corrected by how far off earlier ones were."""
+        more = earlier.iterations
         levels = [
             replace(
                 level,
@@ -209,18 +199,14 @@ class Forecast:
             )
             for level in self.levels
         ]
-        return replace(self, levels=tuple(levels))
+        return replace(self, levels=tuple(levels), learned=earlier)
 
-    @property
-    def _blurs(self) -> tuple[float, ...]:
-        return tuple(level.blur for level in self.levels)
-
-    def _spent(self, history: Course) -> float:
+    def _spent(self, history: FitHistory) -> float:
         """Seconds that the iterations so far should have taken."""
         counts = ((level, _count(history, level.number)) for level in self.levels)
         return sum(a.preparation + n * a.seconds_per_iteration for a, n in counts if n)
 
-    def _done(self, history: Course, present: int, *, ended: bool = False) -> tuple[int, int]:
+    def _done(self, history: FitHistory, present: int, *, ended: bool = False) -> tuple[int, int]:
         """Iterations of the levels that are over, and how many had been expected of them.
 
         The present level counts as far as it has come, unless it has ended too.
@@ -234,7 +220,7 @@ class Forecast:
                 wanted += level.iterations if over else min(here, level.iterations)
         return done, wanted
 
-    def _more(self, history: Course, present: int) -> float:
+    def _more(self, history: FitHistory, present: int) -> float:
         """Iterations that the levels need, in parts of what was expected, by those so far."""
         done, wanted = self._done(history, present)
         if not done or not wanted:
@@ -242,7 +228,7 @@ class Forecast:
         return float((done / wanted) ** (wanted / (wanted + _FIRST)))
 
 
-def _count(history: Course, number: int) -> int:
+def _count(history: FitHistory, number: int) -> int:
     """Iterations that a level has had."""
     return sum(1 for one in history.level if one == number)
 
@@ -268,6 +254,7 @@ def forecast(
     counted: np.ndarray | None = None,
     effects: Effects | Sequence[str] = (),
     costs: Costs | None = None,
+    touching: bool | None = None,
 ) -> Forecast:
     """What a fit with these arguments is expected to take; nothing is rendered.
 
@@ -279,6 +266,8 @@ def forecast(
     costs
         Of this machine; by default those kept from an earlier measurement, if any
         (``machine_costs.costs(measure=True)`` measures them, in about a second).
+    touching
+        Whether cells touch, where the mesh only is about as large as they are; None: see the mesh.
 
     Raises
     ------
@@ -293,7 +282,8 @@ def forecast(
     surface = _surface(mesh)
     share = 1.0 if counted is None else float(np.mean(np.asarray(counted, dtype=bool)))
     found: list[LevelForecast] = []
-    tried = settings.topology and settings.collisions and bool(contacts(mesh))
+    tried = settings.topology and settings.collisions
+    tried = tried and (bool(contacts(mesh)) if touching is None else touching)
     for number, factor in enumerate(factors, 1):
         shape = level_shape(grid, optics, settings, factor)
         voxels = _seen(shape, grid) * share
@@ -301,12 +291,10 @@ def forecast(
             continue
         near = min(voxels, _near(shape.grid, optics, settings.reach, factor, surface))
         plan = Renderer(
-            mesh,
+            Scene.of(mesh, optics, chosen),
             shape.grid,
-            optics,
             shape.accuracy,
             blur=shape.blur,
-            effects=chosen,
             frame=grid,
             margin=2 * shape.width,
         ).plan
@@ -326,7 +314,10 @@ def forecast(
         )
     if sum(level.iterations for level in found) > settings.max_iterations:
         found = _cut(found, settings.max_iterations)
-    return Forecast(tuple(found), costs.measured)
+    blurs = "-".join(f"{factor:g}" for factor in factors)
+    cells = "touching" if tried else "apart"
+    kind = f"{blurs} {cells} {settings.density}{' psf' * settings.fit_psf}"
+    return Forecast(tuple(found), costs.measured, kind)
 
 
 def _cut(levels: Sequence[LevelForecast], most: int) -> list[LevelForecast]:

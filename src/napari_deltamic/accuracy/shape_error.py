@@ -1,4 +1,4 @@
-"""What accuracy costs in shape: surfaces fitted at several accuracies, against a known one."""
+"""What the dial gives in shape: surfaces fitted at several of its choices, against a known one."""
 
 from __future__ import annotations
 
@@ -13,14 +13,16 @@ from ..errors import InputError
 from ..fitting import FitState, fit
 from ..fitting.default_accuracy import image_noise
 from ..fitting.preconditioner import components
+from ..fitting.shape_dial import Dialled, Situation, dialled, with_edges
 from ..geometry.mesh import Mesh
 from ..measure.surface_distance import surface_distance
 from ..optics import Optics
+from ..runs.fit_settings import SHAPE_CHOICES
 from ..runs.settings import NEAR_LEVELS, FitSettings
 from ..scene import Grid, render
 from .tradeoff import check_visible
 
-ACCURACIES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 1e-4)
+CHOICES = SHAPE_CHOICES
 DRAWS = 3
 DARK = 0.1  # background of a simulated image, relative to its peak
 ENOUGH = 1.05  # times the least error: what is no longer an improvement
@@ -30,19 +32,22 @@ _FEWEST, _MOST = 0.1, 1e6  # photons at the peak
 
 @dataclass(frozen=True)
 class ShapeError:
-    """The error of surfaces fitted at one accuracy.
+    """The error of surfaces fitted at one choice of the dial.
 
     Attributes
     ----------
-    accuracy
-        Of the rendered images; 0 is exact.
+    choice
+        quick, normal, careful, or a length such as 20nm.
+    dialled
+        What it stands for, and what is predicted of it.
     errors
         um, one for each noise draw: mean distance of the fitted surface to the true one.
     iterations, seconds
         Of one fit, means over the draws.
     """
 
-    accuracy: float
+    choice: str
+    dialled: Dialled
     errors: tuple[float, ...]
     iterations: float
     seconds: float
@@ -98,14 +103,14 @@ def shape_errors(
     *,
     start: Mesh | None = None,
     settings: FitSettings | None = None,
-    accuracies: Sequence[float] = ACCURACIES,
+    choices: Sequence[str] = CHOICES,
     draws: int = DRAWS,
     progress: Callable[[int, int], None] | None = None,
     should_stop: Callable[[], bool] | None = None,
 ) -> Iterator[ShapeError]:
-    """Fit simulated images of a surface at several accuracies, coarse ones first.
+    """Fit simulated images of a surface at several choices of the dial.
 
-    Every accuracy meets the same noise draws.
+    Every choice meets the same noise draws.
 
     Parameters
     ----------
@@ -128,12 +133,18 @@ def shape_errors(
     settings = settings or FitSettings(levels=NEAR_LEVELS)
     images = [simulated(truth, grid, optics, photons, seed) for seed in range(draws)]
     done = 0
-    for accuracy in sorted(accuracies, reverse=True):
+    now = Situation.of(start, grid, optics.sigma_um, image_noise(images[0]))
+    for choice in choices:
+        wanted = dialled(choice, now)
+        begun = with_edges(start, wanted.edge)
+        given = settings.model_copy(
+            update={"accuracy": wanted.accuracy, "tolerance": wanted.tolerance}
+        )
         errors, iterations, seconds = [], [], []
         for image in images:
             began = time.perf_counter()
             last: FitState | None = None
-            for state in fit(image, grid, start, optics, accuracy, settings=settings):
+            for state in fit(image, grid, begun, optics, settings=given):
                 last = state
                 if should_stop is not None and should_stop():
                     return
@@ -143,27 +154,21 @@ def shape_errors(
             errors.append(surface_distance(last.mesh, truth, _SAMPLES).mean)
             done += 1
             if progress is not None:
-                progress(done, draws * len(accuracies))
-        yield ShapeError(accuracy, tuple(errors), mean(iterations), mean(seconds))
+                progress(done, draws * len(choices))
+        yield ShapeError(choice, wanted, tuple(errors), mean(iterations), mean(seconds))
 
 
-def stops_improving(found: Sequence[ShapeError]) -> float:
-    """The coarsest accuracy whose shape is as good as the best, to a twentieth.
+def enough(found: Sequence[ShapeError]) -> str:
+    """The quickest choice whose shape is as good as the best, to a twentieth.
 
-    Two independent errors add in squares, so an accuracy that adds a twentieth has a third of the
+    Two independent errors add in squares, so a choice that adds a twentieth has a third of the
     effect of everything else.
     """
     if not found:
-        raise InputError("no accuracy was measured")
-    ordered = sorted(found, key=lambda e: e.accuracy)
-    # Against the finest one, not the least: that one may be luck.
-    best = ordered[0].mean
-    answer = ordered[0].accuracy
-    for error in ordered[1:]:
-        if error.mean > ENOUGH * best:
-            break
-        answer = error.accuracy
-    return answer
+        raise InputError("no choice of the dial was measured")
+    best = min(e.mean for e in found)
+    good = [e for e in found if e.mean <= ENOUGH * best]
+    return min(good, key=lambda e: e.seconds).choice
 
 
 def shrunk(mesh: Mesh, share: float = 0.1) -> Mesh:

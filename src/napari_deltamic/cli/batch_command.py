@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from .. import __version__
+from ..common.choices import ZARR
 from ..common.writing import make_folder, own_folder, write_atomically
 from ..errors import InputError
 from ..results.batch_tables import DONE, FAILED, is_done, write_tables
@@ -78,17 +79,18 @@ def _wanted(job: BatchJob) -> str:
     facts = {
         "version": __version__,
         "words": job.words(Path("."))[:-2],
-        "files": [_state(path) for path in (job.image, Path(job.seeds or ""))],
+        "files": [_state(job.image), None if job.seeds is None else _state(Path(job.seeds))],
     }
     return json.dumps(facts, indent=1) + "\n"
 
 
 def _state(path: Path) -> list[int] | None:
-    """Size and time of a file."""
-    if not path.is_file():
+    """Size and time of a file, or of all files of an OME-Zarr folder."""
+    inside = path.rglob("*") if path.suffix.lower() == ZARR else [path]
+    states = [file.stat() for file in inside if file.is_file()]
+    if not states:
         return None
-    state = path.stat()
-    return [state.st_size, state.st_mtime_ns]
+    return [sum(s.st_size for s in states), max(s.st_mtime_ns for s in states)]
 
 
 def _check_options(jobs: Sequence[BatchJob]) -> None:

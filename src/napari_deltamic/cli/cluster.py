@@ -5,12 +5,13 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import sys
 import traceback
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..errors import InputError
+from ..errors import Failure, InputError, one_line
 from ..runs.batch import BatchJob
 
 _PATIENCE = 20.0  # s; until a scheduler has to answer
@@ -49,6 +50,8 @@ def outcomes(
     ------
     InputError
         If Dask is not installed, or the scheduler does not answer.
+    Failure
+        If the scheduler is gone before all jobs have ended.
     """
     if workers == 0 and scheduler is None:
         for job in jobs:
@@ -67,9 +70,21 @@ def outcomes(
             for job in jobs
         }
         for future in as_completed(list(futures)):
+            if future.cancelled():  # which nobody but a lost connection does
+                raise Failure(
+                    "the connection to the scheduler was lost; what is finished is kept, and the "
+                    "same command goes on from there"
+                )
             error = future.exception()
-            # A worker that died over and over, say: its images are told, the others go on.
-            yield futures[future], f"{type(error).__name__}: {error}" if error else future.result()
+            # A worker that died over and over, say: its image failed, the others go on.
+            yield futures[future], _in_words(error) if error else future.result()
+
+
+def _in_words(error: BaseException) -> str:
+    """Why a job has no result at all."""
+    if type(error).__name__ == "KilledWorker":
+        return "each process that fitted it was killed; it may need more memory than there is"
+    return one_line(f"{type(error).__name__}: {error}")
 
 
 @contextlib.contextmanager
@@ -83,6 +98,8 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
             reason = " ".join(str(error).split()) or type(error).__name__
             raise InputError(f"the scheduler {scheduler} does not answer: {reason}") from None
         with client:
+            if not client.scheduler_info()["workers"]:
+                print(f"{scheduler} has no workers yet: waiting for the first", file=sys.stderr)
             yield client
         return
     # Processes, as each fit computes; nothing listens to other machines.

@@ -13,7 +13,10 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from ..common.writing import make_folder, write_atomically
+from ..evidence import analyse_residual
+from ..evidence.fit_facts import verdict_of
 from ..fitting import FitState, fit
+from ..fitting.job import FitInput
 from ..geometry import Mesh, save_mesh, sphere
 from ..images.stacks import write_image
 from ..measure import surface_distance
@@ -86,7 +89,13 @@ def run_headless(sample: Sample, folder: Path) -> None:
         history.add(state)
     seconds = time.monotonic() - started
     assert state is not None, "a fit yields at least one state"
-    paths = write_results(folder, state, sample.image, sample.grid, settings, history, seconds)
+    job = FitInput(settings, sample.image, sample.grid, mesh, psf, None)
+    left = analyse_residual(sample.image, sample.grid, state)
+    found = verdict_of(job, state, left)
+    given = state, sample.image, sample.grid, settings, history, seconds
+    explained = {c.region: c.explained for c in left.cells if c.explained is not None}
+    paths = write_results(folder, *given, explained=explained, verdict=found)
+    print(f"shapes: {found.sentence()}")
     for line in summary(sample, state, seconds):
         print(line)
     print(f"written to {folder.absolute()}:")

@@ -26,7 +26,7 @@ from ..fourier.plan import Method
 from ..geometry import sphere
 from ..optics import GaussianPSF
 from ..results.report import PACKAGES
-from ..scene import Grid, Renderer
+from ..scene import Grid, Renderer, Scene
 from .messages import Notes
 
 EXTRAS = ("trimesh", "tifffile", "pydantic", "napari", "PyQt6", "cuda-bindings")
@@ -151,9 +151,9 @@ def _used() -> dict[str, str]:
     where = "here, as was measured" if costs().measured else "on one core of 2024"
     where = where if device.type == "cpu" else "on a data-centre GPU, as is estimated"
     for accuracy in (1e-2, 1e-3, 1e-5):
-        plan = Renderer(mesh, grid, optics, accuracy, device=device).plan
+        plan = Renderer(Scene.of(mesh, optics), grid, accuracy, device=device).plan
         other: Method = "closed form" if plan.method == "particle-mesh" else "particle-mesh"
-        rest = Renderer(mesh, grid, optics, accuracy, method=other, device=device).plan
+        rest = Renderer(Scene.of(mesh, optics), grid, accuracy, method=other, device=device).plan
         found[f"accuracy {accuracy:g}"] = (
             f"{plan.method}: about {_time(plan)} an iteration {where}; {rest.method}: {_time(rest)}"
         )

@@ -16,12 +16,13 @@ from tqdm import tqdm
 from ..common.writing import interrupts_held, own_folder, write_atomically
 from ..errors import PROGRAM, InputError, failure
 from ..evidence import analyse_residual
+from ..evidence.fit_facts import verdict_of
 from ..evidence.sanity import tell_doubts
-from ..evidence.verdict import facts_of, judged
 from ..fitting import FitState, fit
 from ..fitting.job import FitInput, start
 from ..images.stacks import write_image
 from ..results.report import History, write_results
+from ..runs.fit_settings import asked_error
 from .arguments.fit_arguments import CHECKPOINT
 from .inputs import gather
 from .messages import Notes, tell
@@ -45,6 +46,7 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
         job = gather(arguments, notes)
         check_second_view(job.settings.scene)
         doubts = tell_doubts(job)
+        _tell_outlook(job, notes)
         states = fit(
             job.image,
             job.grid,
@@ -62,6 +64,16 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
         course = _Run(job, folder, notes, auto, arguments.residual)
         course.further["sanity"] = [asdict(doubt) for doubt in doubts]
         return course.complete(states)
+
+
+def _tell_outlook(job: FitInput, notes: Notes) -> None:
+    """Whether the image allows the shape that is asked for."""
+    asked = asked_error(job.settings.fit.shape_error)
+    if asked is not None and job.predicted is not None and job.predicted > 1.1 * asked:
+        notes.add(
+            f"a shape within {1000 * asked:.0f} nm is not to be had from this image: about "
+            f"{1000 * job.predicted:.0f} nm is"
+        )
 
 
 class _Run:
@@ -144,8 +156,7 @@ class _Run:
         seconds = time.monotonic() - self.started
         left = analyse_residual(job.image, job.grid, state, counted=job.counted)
         self.further["residual"] = residual_as_plain(left)
-        found = judged(facts_of(job, state, left))
-        self.further["verdict"] = found.as_plain()
+        found = verdict_of(job, state, left)
         paths = write_results(
             self.folder,
             state,
@@ -157,6 +168,7 @@ class _Run:
             warnings=self.notes.texts,
             further=self.further,
             explained={c.region: c.explained for c in left.cells if c.explained is not None},
+            verdict=found,
         )
         if self.residual:
             tif = self.folder / "residual.tif"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,8 +34,7 @@ def gather(arguments: argparse.Namespace, notes: Notes) -> FitInput:
     scene["voxel_size"] = voxel_size_of(scene.get("voxel_size"), found, values["image"], notes)
     settings: RunSettings = validated(RunSettings, values)
     if settings.scene.sigma is None and settings.scene.optics is None:
-        scene["sigma"] = _assumed_sigma(image, settings, notes)
-        settings = validated(RunSettings, values)
+        settings = with_first_psf(settings, image, notes, "fit_psf" in values["fit"])
     grid = Grid(image.shape, settings.scene.voxel_size, settings.scene.origin)
     image = _without_bad(image, arguments.missing_nan, notes)
     check_image(image, grid)
@@ -43,23 +42,26 @@ def gather(arguments: argparse.Namespace, notes: Notes) -> FitInput:
     return assemble(settings, image, grid, mesh, kind)
 
 
-def _assumed_sigma(
-    image: NDArray[Any], settings: RunSettings, notes: Notes
-) -> tuple[float, float, float]:
-    """um, Z Y X: as wide as the blur of the image; 1.2 voxels where it does not tell."""
+_Run = TypeVar("_Run", bound=RunSettings)
+
+
+def with_first_psf(settings: _Run, image: NDArray[Any], notes: Notes, decided: bool) -> _Run:
+    """Settings with a PSF as wide as the blur of the image; 1.2 voxels where it does not tell.
+
+    It is a guess, so the fit goes on from it, unless it was decided whether to.
+    """
     size = settings.scene.voxel_size
     told = plausible_sigma(image, size) if image.ndim == 3 else None
-    sigma = told or (
-        SIGMA_IN_VOXELS * size[0],
-        SIGMA_IN_VOXELS * size[1],
-        SIGMA_IN_VOXELS * size[2],
-    )
+    z, y, x = (float(s) for s in told or (SIGMA_IN_VOXELS * d for d in size))
+    sigma = (z, y, x)
     how = "as wide as the blur of the image" if told else f"{SIGMA_IN_VOXELS} voxels"
+    fit = settings.fit if decided else settings.fit.model_copy(update={"fit_psf": True})
     notes.add(
-        f"no sigma given: {_shown(sigma)} um (Z Y X), {how}, is used"
-        + ("" if settings.fit.fit_psf else "; --fit-psf would fit it")
+        f"no sigma given: {_shown(sigma)} um (Z Y X), {how}, is "
+        + ("where the fit of the PSF starts" if fit.fit_psf else "used; --fit-psf would fit it")
     )
-    return sigma
+    scene = settings.scene.model_copy(update={"sigma": sigma})
+    return settings.model_copy(update={"scene": scene, "fit": fit})
 
 
 def load_seeds(path: str, image: NDArray[Any], grid: Grid) -> tuple[Mesh, SeedKind]:

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ..common.writing import own_folder, write_atomically
 from ..errors import InputError, failure
+from ..evidence.residual import residual_map
 from ..images.stacks import read_image
 from ..measure import Table, measure
 from ..measure.channel import ChannelSettings, channel_amounts
@@ -24,6 +29,7 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
     """Read, measure, write; prints the path of each result."""
     folder = Path(arguments.output)
     if holds_tracks(arguments.source):
+        _check_of_tracks(arguments)
         return _tracks(Path(arguments.source), folder, notes)
     try:
         source = measurable(
@@ -32,6 +38,7 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
         for remark in source.remarks:
             notes.add(remark)
         further = () if arguments.channel is None else _channel(arguments, source, notes)
+        images = _images(arguments, source)
         measured = measure(source.mesh, source.known)
         with own_folder(folder):
             notes.release()
@@ -44,12 +51,35 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
                 voxel_size=size,
                 page=html_page(source, measured),
                 further=further,
+                images=images,
+                image_suffix=".ome.zarr" if arguments.images == "zarr" else ".ome.tif",
             )
     except (MemoryError, RuntimeError) as error:
         raise failure(error) from error
     for path in paths:
         tell(path)
     return 0
+
+
+def _images(arguments: argparse.Namespace, source: Measurable) -> dict[str, NDArray[Any]]:
+    """What the fit expects, and what it leaves, where that was asked for."""
+    if arguments.images is None:
+        return {}
+    if source.image is None or source.grid is None:
+        raise InputError("--images needs the image of the mesh: give --image")
+    if source.rendered is None or source.sigma is None:
+        raise InputError("--images needs a session, or the folder of a fit with its rendered.tif")
+    rendered = np.asarray(source.rendered, np.float32)
+    left = residual_map(source.image, source.grid, rendered, GaussianPSF(source.sigma))
+    return {"rendered": rendered, "residual": left}
+
+
+def _check_of_tracks(arguments: argparse.Namespace) -> None:
+    """InputError for options that say something of one image."""
+    for name in ("image", "voxel_size", "label_voxel", "channel", "images", "errors"):
+        if getattr(arguments, name):
+            option = name.replace("_", "-")
+            raise InputError(f"tracks become a table and a graph: leave out --{option}")
 
 
 def _tracks(source: Path, folder: Path, notes: Notes) -> int:

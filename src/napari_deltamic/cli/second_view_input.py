@@ -37,12 +37,12 @@ def with_second_view(scene: dict[str, Any], arguments: argparse.Namespace) -> No
     present = scene.get("effects") or Effects()
     if not isinstance(present, Effects):  # plain values, of a run.toml
         present = validated(Effects, present)
-    scene["effects"] = present.replace(second_view=view)
+    scene["effects"] = present.adding(view)
 
 
 def check_second_view(scene: SceneSettings) -> None:
     """InputError if a second view's file notes another voxel size than that of the image."""
-    view = scene.effects.second_view
+    view = scene.effects.view
     path = None if view is None or not view.image else Path(view.image)
     if path is None or path.suffix.lower() not in TIFF or not path.is_file():
         return  # where there is no such file, the fit says so

@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from ..common.writing import own_folder, written_together
 from ..errors import PROGRAM, InputError, failure
-from ..fitting.job import SIGMA_IN_VOXELS, FitInput, assemble
+from ..fitting.job import FitInput, assemble
 from ..images.series import ImageSeries, open_series
 from ..results.track_report import FILES, mesh_name, read_results, write_frame, write_tracks
 from ..runs.settings import validated
@@ -24,7 +24,7 @@ from ..scene import Grid
 from ..tracking import FrameResult, track
 from .arguments.track_arguments import track_values
 from .folders import check_folder
-from .inputs import load_seeds, run_values, voxel_size_of
+from .inputs import load_seeds, run_values, voxel_size_of, with_first_psf
 from .messages import Notes, tell
 
 _PRECIOUS = (*FILES, mesh_name(0))
@@ -73,10 +73,6 @@ def _gather(arguments: argparse.Namespace, notes: Notes) -> _Job:
     )
     values["track"] = {**values.get("track", {}), **track_values(arguments)}
     settings: TrackRun = validated(TrackRun, values)
-    if settings.scene.sigma is None and settings.scene.optics is None:
-        scene["sigma"] = [SIGMA_IN_VOXELS * d for d in settings.scene.voxel_size]
-        notes.add(f"no sigma given: {SIGMA_IN_VOXELS} voxels are used")
-        settings = validated(TrackRun, values)
     first = settings.track.first
     if first >= len(images):
         raise InputError(
@@ -85,6 +81,9 @@ def _gather(arguments: argparse.Namespace, notes: Notes) -> _Job:
     shape = images.shape[1:]
     grid = Grid((shape[0], shape[1], shape[2]), settings.scene.voxel_size, settings.scene.origin)
     image = _seeded(images, first, arguments.missing_nan, notes)
+    if settings.scene.sigma is None and settings.scene.optics is None:
+        # Held unless asked: frames differ, the microscope does not.
+        settings = with_first_psf(settings, image, notes, decided=True)
     mesh, kind = load_seeds(settings.seeds, image, grid)
     job = assemble(settings, image, grid, mesh, kind)
     done = read_results(arguments.resume) if arguments.resume is not None else []

@@ -9,6 +9,9 @@ from typing import Literal
 DeviceChoice = Literal["auto", "cpu", "cuda", "mps"]
 DensityModel = Literal["uniform", "interface", "smooth"]
 Likelihood = Literal["poisson", "gaussian", "paper"]
+# What shines; auto: what the image says.
+Structure = Literal["membrane", "interior", "both"]
+StructureChoice = Literal["auto", "membrane", "interior", "both"]
 
 Modality = Literal["widefield", "confocal", "spinning disk", "light sheet"]
 PSFModel = Literal["gaussian", "scalar", "gibson-lanni", "vectorial", "pupil"]
@@ -35,6 +38,7 @@ EFFECTS = (
 )
 
 TIFF = (".tif", ".tiff")
-IMAGE_FILES = (*TIFF, ".npy")
+ZARR = ".zarr"  # a folder
+IMAGE_FILES = (*TIFF, ".npy", ZARR)
 
 AUTO = "auto"  # in the place of a file of seeds: cells are looked for in the image

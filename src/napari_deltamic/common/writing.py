@@ -7,6 +7,7 @@ import os
 import platform
 import re
 import secrets
+import shutil
 import signal
 import stat
 import sys
@@ -92,6 +93,29 @@ def written_together(last: str | os.PathLike[str]) -> Iterator[None]:
         _together.reset(token)
         for temporary, _ in batch:
             _forget(temporary)
+
+
+@contextmanager
+def folder_atomically(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """A folder to write to that takes the place of another one at the end, whole.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written. What was there is then as before.
+    """
+    path = Path(path)
+    aside = path.with_name(f".{path.name}-{secrets.token_hex(8)}")
+    try:
+        yield aside
+        with interrupts_held():
+            if path.exists():
+                shutil.rmtree(path)
+            aside.rename(path)
+    except OSError as error:
+        raise _unwritable(path, error) from error
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
 
 
 @contextmanager

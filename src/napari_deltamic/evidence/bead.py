@@ -20,16 +20,10 @@ from ..optics.measured import bead_transform, checked_sizes, checked_stack
 from ..scene import Grid
 from .bead_slices import Disturbance, Slices, Term, normal_equations
 from .camera import camera_from_image
+from .evidence_rules import BEAD
 
 Staining = Literal["solid", "shell", "rim"]
-_DIFFERENCE = 1e-3  # of the PSF's parameters
-_PLACE_STEP = 1e-3  # um
-_LEAST_FIRST = 0.2  # um: the least diameter that a search for it starts from
 _HALF_WIDTH = 2.355  # full width at half maximum of a Gaussian of sigma 1
-_DIAMETERS = (1e-2, 50.0)  # um
-_FIRST_CORE, _CORES = 0.7, (0.02, 0.98)  # of the diameter of a bead stained at its rim
-_SETTLED = 1e-4  # relative fall of the residual
-_ACCURACY = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +141,7 @@ def fit_bead(
                 damping = max(damping / 10, 1e-9)
                 break
             damping *= 10
-        if fallen < _SETTLED:
+        if fallen < BEAD.settled:
             break
     return problem.found(p, linear)
 
@@ -171,7 +165,7 @@ class _Problem:
         self._last: tuple[Tensor, Optics] | None = None
         self.grid = Grid(pixels.shape, voxel_size)
         self.optics = optics
-        reach = np.asarray(optics.reach(_ACCURACY))
+        reach = np.asarray(optics.reach(BEAD.accuracy))
         shape = [
             next_fast_len(n + ceil(r / d), real=True)
             for n, r, d in zip(pixels.shape, reach, voxel_size, strict=True)
@@ -190,9 +184,9 @@ class _Problem:
         low, high = optics.limits()
         bounds = [(-np.inf, np.inf)] * 3
         if diameter is None:
-            bounds.append((log(_DIAMETERS[0]), log(_DIAMETERS[1])))
+            bounds.append((log(BEAD.diameters[0]), log(BEAD.diameters[1])))
         if bead == "rim":
-            bounds.append(_CORES)
+            bounds.append(BEAD.cores)
         self._low = torch.cat([low.detach(), torch.tensor([b[0] for b in bounds])]).double()
         self._high = torch.cat([high.detach(), torch.tensor([b[1] for b in bounds])]).double()
 
@@ -206,7 +200,7 @@ class _Problem:
         if self._diameter is None:
             own.append(log(self._apparent_diameter(signal)))
         if self._staining == "rim":
-            own.append(_FIRST_CORE)
+            own.append(BEAD.first_core)
         known = self.optics.parameters().detach()
         return torch.cat([known, torch.tensor(own, dtype=torch.float64), self.slices.start()])
 
@@ -216,7 +210,7 @@ class _Problem:
         bright = (signal > 0.5 * signal.max()).sum((1, 2)).max()
         own = _HALF_WIDTH * float(np.mean(self.optics.width()[1:]))
         squared = 4 / pi * float(bright) * pixel - own**2
-        return min(max(squared, _LEAST_FIRST**2), _DIAMETERS[1] ** 2 / 4) ** 0.5
+        return min(max(squared, BEAD.least_first**2), BEAD.diameters[1] ** 2 / 4) ** 0.5
 
     def bounded(self, p: Tensor) -> Tensor:
         """Parameters within their bounds."""
@@ -296,7 +290,7 @@ class _Problem:
         with torch.no_grad():
             for i in range(len(self._low)):
                 change = torch.zeros_like(p)
-                change[i] = _DIFFERENCE if i < self.count else _PLACE_STEP
+                change[i] = BEAD.difference if i < self.count else BEAD.place_step
                 wide = self.image(p + change) - self.image(p - change)
                 found.append((wide / (2 * float(change[i])), self.slices.all))
             found += self.slices.terms(self.spectrum(p), p[len(self._low) :])

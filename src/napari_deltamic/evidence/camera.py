@@ -17,18 +17,13 @@ import numpy as np
 from scipy.ndimage import correlate1d, minimum_filter, uniform_filter
 
 from .estimate import Finding, unknown
+from .evidence_rules import CAMERA
 
 _SECOND = np.array([1.0, -2.0, 1.0]) / sqrt(6)  # along each axis: what it leaves of smooth parts is
 _SQUARES = _SECOND**2  # of sixth order; the mean with these weights is that of the noise it leaves
 # How many voxels share one independent square: squared autocorrelation of the filter's noise.
 _SHARED = (1 + 2 * (4 / 9 + 1 / 36)) ** 3
 _WHITE = -2 / 3  # correlation of neighbours in filtered white noise
-_COLOURED = 0.06  # how far from it the noise of neighbouring voxels is related
-_BINS, _FEWEST = 48, 60
-_LARGEST_ERROR = 0.2  # of the gain, relative: beyond it the image does not tell
-_DARK_RADIUS = 2  # voxels around one by whose mean it is called dark
-_FEWEST_DARK = 2000
-_LOOKED_AT = 4_000_000  # voxels
 
 
 @dataclass(frozen=True)
@@ -138,7 +133,7 @@ def _unusable(pixels: np.ndarray, finite: np.ndarray) -> str:
 
 def _middle(shape: tuple[int, ...]) -> tuple[slice, ...]:
     """The middle of a stack that is larger than what needs to be looked at."""
-    share = min(1.0, (_LOOKED_AT / float(np.prod(shape))) ** 0.5)
+    share = min(1.0, (CAMERA.looked_at / float(np.prod(shape))) ** 0.5)
     kept = [shape[0], *(max(5, int(n * share)) for n in shape[1:])]
     return tuple(slice((n - k) // 2, (n - k) // 2 + k) for n, k in zip(shape, kept, strict=True))
 
@@ -176,7 +171,7 @@ def _line(values: np.ndarray, usable: np.ndarray) -> tuple[NoiseLine | None, str
     if spread <= 1e-7 * float(np.abs(m).max()):
         return None, "the image has no noise"
     related = [_neighbours(noise, whole, axis) for axis in range(3)]
-    if max(abs(c - _WHITE) for c in related) > _COLOURED:
+    if max(abs(c - _WHITE) for c in related) > CAMERA.coloured:
         return None, (
             "the noise of neighbouring voxels is related: the image was filtered, resampled or "
             "deconvolved"
@@ -188,7 +183,7 @@ def _line(values: np.ndarray, usable: np.ndarray) -> tuple[NoiseLine | None, str
     if len(n) < 4:
         return None, "the image has too few levels of brightness"
     slope, intercept, error = _weighted_line(x, v, n)
-    if not slope > 0 or error > _LARGEST_ERROR * slope:
+    if not slope > 0 or error > CAMERA.largest_error * slope:
         return None, "the noise does not grow with brightness as that of counted photons does"
     return NoiseLine(slope, intercept, error, float(x[0]), float(x[-1])), ""
 
@@ -211,13 +206,13 @@ def _binned(
     """Number of voxels, mean and mean square of the noise in bins of the brightness around."""
     low, high = np.quantile(around, (0.001, 0.9995))
     # Even in the square root of brightness: there counted photons spread alike.
-    edges = low + (high - low) * np.linspace(0, 1, _BINS + 1) ** 2
+    edges = low + (high - low) * np.linspace(0, 1, CAMERA.bins + 1) ** 2
     which = np.digitize(around, edges) - 1
     found = []
-    for k in range(_BINS):
+    for k in range(CAMERA.bins):
         inside = which == k
         n = int(inside.sum())
-        if n < _FEWEST:
+        if n < CAMERA.fewest:
             continue
         r = noise[inside].astype(np.float64)
         # Structure finer than the PSF (hot voxels) is cut, the tails of the noise are not.
@@ -258,11 +253,11 @@ def _dark_voxels(values: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, np
 
     A voxel is dark by its neighbours, not by itself, so that the noise of those chosen is not cut.
     """
-    width = 2 * _DARK_RADIUS + 1
+    width = 2 * CAMERA.dark_radius + 1
     n = width**3
     around = (uniform_filter(values, width, mode="nearest") * n - values) / (n - 1)
     whole = minimum_filter(usable, size=width, mode="constant", cval=0)
-    if whole.sum() < _FEWEST_DARK:
+    if whole.sum() < CAMERA.fewest_dark:
         return np.zeros(0), np.zeros(0)
     level = mode(around[whole])
     below = around[whole & (around < level)]
@@ -286,7 +281,7 @@ def mode(values: np.ndarray) -> float:
 def _dark(values: np.ndarray, usable: np.ndarray, line: NoiseLine) -> tuple[Finding, Finding]:
     """Read noise and offset, with what light there is in the dark parts taken away."""
     dark, d = _dark_voxels(values, usable)
-    if len(d) < _FEWEST_DARK:
+    if len(d) < CAMERA.fewest_dark:
         nothing = unknown("the image has no dark part")
         return nothing, nothing
     d = d - d.mean()
@@ -320,7 +315,7 @@ def _level(values: np.ndarray, finite: np.ndarray, low: float | None) -> Finding
     if low is not None:
         return unknown(f"dark voxels were cut at {low:g}")
     dark, _ = _dark_voxels(values, finite)
-    if len(dark) < _FEWEST_DARK:
+    if len(dark) < CAMERA.fewest_dark:
         return unknown("the image has no dark part")
     error = float(dark.std() / sqrt(len(dark)))
     return Finding(float(dark.mean()), error, "level of the dark parts, light in them included")

@@ -10,14 +10,11 @@ from scipy.ndimage import distance_transform_edt
 from ..fitting.voxel_ownership import surface_voxels
 from ..geometry.mesh import Mesh
 from ..scene import Grid
-
-REACH = 8.0  # widths of the PSF from the surface up to which voxels are evidence
-_MOST_CELLS = 6  # more tell hardly more of what all have in common, and take longer
-_SEEN = 5.0  # widths beyond the piece from which light still falls into it
+from .evidence_rules import JUDGING
 
 
 @dataclass(frozen=True)
-class Part:
+class Crop:
     """A piece of an image and what is judged in it.
 
     Attributes
@@ -45,9 +42,9 @@ class Part:
     of: int
 
 
-def part_of(
+def crop_of(
     usable: np.ndarray, grid: Grid, mesh: Mesh, density: np.ndarray | None, width: np.ndarray
-) -> Part:
+) -> Crop:
     """The cells nearest to the middle of the image, and the usable voxels that belong to them.
 
     Parameters
@@ -64,7 +61,7 @@ def part_of(
     cells = _central(mesh, every, grid)
     spacing = np.asarray(grid.voxel_size) / width
     own = _distance(mesh, cells, grid, spacing)
-    near = own <= REACH
+    near = own <= JUDGING.reach
     if len(cells) < len(every):
         near &= own <= _distance(mesh, np.setdiff1d(every, cells), grid, spacing)
     found = usable & near
@@ -75,13 +72,13 @@ def part_of(
     z, y, x = np.asarray(grid.origin) + first * np.asarray(grid.voxel_size)
     shape = (box[0].stop - first[0], box[1].stop - first[1], box[2].stop - first[2])
     piece = Grid(shape, grid.voxel_size, (float(z), float(y), float(x)))
-    seen, weight = _near_piece(mesh, density, piece, _SEEN * width)
-    return Part(piece, box, seen, weight, cells, np.flatnonzero(found[box]), len(every))
+    seen, weight = _near_piece(mesh, density, piece, JUDGING.seen * width)
+    return Crop(piece, box, seen, weight, cells, np.flatnonzero(found[box]), len(every))
 
 
 def _central(mesh: Mesh, regions: np.ndarray, grid: Grid) -> np.ndarray:
     """A few neighbouring regions around the middle of the image."""
-    if len(regions) <= _MOST_CELLS:
+    if len(regions) <= JUDGING.most_cells:
         return regions
     v = mesh.vertices_numpy()
     middles = np.array(
@@ -89,7 +86,7 @@ def _central(mesh: Mesh, regions: np.ndarray, grid: Grid) -> np.ndarray:
     )
     first, last = grid.extent
     start = middles[np.argmin(((middles - (first + last) / 2) ** 2).sum(1))]
-    nearest = np.argsort(((middles - start) ** 2).sum(1), kind="stable")[:_MOST_CELLS]
+    nearest = np.argsort(((middles - start) ** 2).sum(1), kind="stable")[: JUDGING.most_cells]
     return np.sort(regions[nearest])
 
 

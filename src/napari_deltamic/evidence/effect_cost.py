@@ -12,15 +12,15 @@ from ..fourier.cost import BUILT_IN, Costs, Work
 from ..fourier.plan import Plan
 from ..geometry.mesh import Mesh
 from ..optics import Optics
-from ..scene import Grid, Renderer
+from ..scene import Grid, Renderer, Scene
 from ..scene.effects import Effect, Effects
 
 _PASSES = 6.0  # over the voxels that the loss and its gradient take
 _LONGEST, _FEWEST = 0.2, 3  # seconds of timing, repeats
 
 
-class Prices:
-    """Prices of effects in a fit of a scene on this machine.
+class EffectCosts:
+    """What effects cost in a fit of a scene on this machine.
 
     What an effect states is in renderings, and so is its price here: in those of the scene, which
     are timed. Rates kept from another moment, when the machine was busier or idler, would not do.
@@ -41,7 +41,7 @@ class Prices:
     def __init__(
         self, mesh: Mesh, grid: Grid, optics: Optics, effects: Effects, accuracy: float
     ) -> None:
-        self._renderer = Renderer(mesh, grid, optics, accuracy, effects=effects)
+        self._renderer = Renderer(Scene.of(mesh, optics, effects), grid, accuracy)
         self._grid = grid
         plan = self._renderer.plan
         self.seconds = self._timed(mesh, optics)

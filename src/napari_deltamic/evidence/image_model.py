@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,14 +11,13 @@ from torch import Tensor
 
 from ..fourier import Plan
 from ..scene import Grid, Renderer
-from ..scene.effects import Effect, Effects, OffsetEffect
+from ..scene.columns import Now, effect_columns, optics_columns
+from ..scene.effects import Effect, Effects
 from .fitted_scene import FittedScene
 from .modes import ShapeModes
 from .surface import SurfaceColumns
 from .transforms import Transforms
 
-_PSF_CHANGE = 1e-2
-_CHANGE = 0.05  # of an effect's scale
 _MARGIN = 2.0  # widths that vertices may move before a renderer is planned anew
 _NARROWED = 0.95  # of the PSF: a narrower one has a wider band
 
@@ -66,7 +65,8 @@ class ImageModel:
         frame: Grid | None = None,
     ) -> None:
         self.grid, self.accuracy, self.frame = grid, accuracy, frame or grid
-        self._index = torch.from_numpy(np.asarray(index, dtype=np.int64))
+        self._index = np.asarray(index, dtype=np.int64)
+        self._voxels = _Voxels(torch.from_numpy(self._index))
         self._width = min(scene.optics.sigma_um)
         self._transforms = Transforms()
         self._plan_for(scene)
@@ -77,11 +77,9 @@ class ImageModel:
 
     def _plan(self, scene: FittedScene) -> _Planned:
         renderer = Renderer(
-            scene.mesh,
+            scene,
             self.grid,
-            scene.optics,
             self.accuracy,
-            effects=scene.effects,
             frame=self.frame,
             margin=_MARGIN * self._width,
         )
@@ -104,8 +102,8 @@ class ImageModel:
             held = self._padded[names] = self._plan(scene)
         return held.renderer.with_effects(scene.effects)
 
-    def _voxels(self, image: Tensor) -> np.ndarray:
-        found: np.ndarray = image.reshape(-1)[self._index].to(torch.float64).numpy()
+    def _seen(self, image: Tensor) -> np.ndarray:
+        found: np.ndarray = self._voxels.of(image).to(torch.float64).numpy()
         return found
 
     @torch.no_grad()
@@ -113,7 +111,7 @@ class ImageModel:
         """(N,) of the rendered image, before amplitude and background."""
         renderer = self._renderer_for(scene)
         transform = self._transforms.of(renderer, scene)
-        return self._voxels(renderer.image(transform, renderer.otf(scene.optics)))
+        return self._seen(renderer.image(transform, renderer.otf(scene.optics)))
 
     def expected(self, scene: FittedScene) -> np.ndarray:
         """(N,) of the expected image."""
@@ -123,7 +121,7 @@ class ImageModel:
         """(N,) of the expected image, from that of the rendered one."""
         values = scene.amplitude * rendered + scene.background
         added = self._renderer_for(scene).offset()
-        return values if added is None else values + self._voxels(added)
+        return values if added is None else values + self._seen(added)
 
     def shape_columns(self, scene: FittedScene, modes: ShapeModes) -> np.ndarray:
         """(N, K): change of the expected image for a coefficient of 1 um of each mode."""
@@ -134,63 +132,72 @@ class ImageModel:
         return self._of_surface(scene).density(fields)
 
     def _of_surface(self, scene: FittedScene) -> SurfaceColumns:
-        index = self._index.numpy()
-        return SurfaceColumns(scene, self.grid, self.frame, index, self.accuracy)
+        return SurfaceColumns(scene, self.grid, self.frame, self._index, self.accuracy)
 
     @torch.no_grad()
     def psf_columns(self, scene: FittedScene) -> np.ndarray:
         """(N, P): for each of the PSF's parameters."""
-        renderer = self._renderer_for(scene)
-        transform = self._transforms.of(renderer, scene)
-        p = scene.optics.parameters().detach()
-        columns = []
-        for k in range(len(p)):
-            step = torch.zeros_like(p)
-            step[k] = _PSF_CHANGE
-            otf = renderer.otf(scene.optics.with_parameters(p + step)) - renderer.otf(
-                scene.optics.with_parameters(p - step)
-            )
-            column = self._voxels(renderer.image(transform, otf))
-            columns.append(column * (scene.amplitude / (2 * _PSF_CHANGE)))
-        return _stacked(columns, len(self._index))
+        return _stacked(optics_columns(self._now(scene)), len(self._index))
 
+    @torch.no_grad()
     def effect_columns(self, scene: FittedScene, effect: Effect) -> np.ndarray:
         """(N, P): for each of an effect's parameters, about the values that it has.
 
         One column, the whole difference that it makes, for an effect without numbers.
         """
-        if not effect.bounds:
-            without = replace(scene, effects=scene.effects.without(effect.name))
-            having = replace(scene, effects=scene.effects.replace(**{effect.name: effect}))
-            return _stacked([self.expected(having) - self.expected(without)], len(self._index))
-        p = effect.parameters()
-        columns = []
-        for k in range(len(p)):
-            step = torch.zeros_like(p)
-            step[k] = 1.0 if isinstance(effect, OffsetEffect) else _CHANGE
-            ends: list[Any] = [effect.with_parameters(p + side * step) for side in (1, -1)]
-            # At a bound only one side is allowed.
-            between = float(ends[0].parameters()[k] - ends[1].parameters()[k])
-            if between <= 0:
-                columns.append(np.zeros(len(self._index)))
-                continue
-            if isinstance(effect, OffsetEffect):
-                added = [self._added(e) for e in ends]
-            else:
-                added = [
-                    self.expected(replace(scene, effects=scene.effects.replace(**{e.name: e})))
-                    for e in ends
-                ]
-            columns.append((added[0] - added[1]) / between)
-        return _stacked(columns, len(self._index))
+        having = scene.with_effects(scene.effects.adding(effect))
+        if effect.bounds:
+            return _stacked(effect_columns(self._now(having), effect), len(self._index))
+        without = scene.with_effects(scene.effects.without(effect.name))
+        change = torch.from_numpy(self.expected(having) - self.expected(without))
+        return _stacked([change], len(self._index))
 
-    def _added(self, effect: OffsetEffect) -> np.ndarray:
-        return self._voxels(effect.offset(self.grid, self.frame).expand(self.grid.shape))
+    def _now(self, scene: FittedScene) -> Now:
+        """Where its derivatives are taken."""
+        renderer = self._renderer_for(scene)
+        spectrum, otf = self._transforms.of(renderer, scene), renderer.otf(scene.optics)
+        return Now(
+            _Forming(self.grid, self.frame),
+            renderer,
+            scene.optics,
+            scene.effects,
+            lambda other: self._transforms.of(other, scene.with_effects(other.effects)),
+            spectrum,
+            otf,
+            self._voxels.of(renderer.image(spectrum, otf)),
+            self._voxels,
+            scene.amplitude,
+        )
 
 
-def _stacked(columns: list[np.ndarray], length: int) -> np.ndarray:
+@dataclass(frozen=True)
+class _Forming:
+    """See :class:`~napari_deltamic.scene.columns.Forming`."""
+
+    grid: Grid
+    frame: Grid
+
+    def rendered(self, renderer: Renderer, transform: Tensor, otf: Tensor) -> Tensor:
+        """As the renderer forms it."""
+        return renderer.image(transform, otf)
+
+
+@dataclass(frozen=True)
+class _Voxels:
+    """Flat indices (N,) of the voxels that count."""
+
+    index: Tensor
+
+    def of(self, image: Tensor) -> Tensor:
+        """(N,) values in an image (Z, Y, X)."""
+        return image.reshape(-1)[self.index]
+
+
+def _stacked(columns: list[Tensor], length: int) -> np.ndarray:
     """(N, K), stored column by column."""
-    return np.array(columns).T if columns else np.zeros((0, length)).T
+    if not columns:
+        return np.zeros((0, length)).T
+    return np.array([c.to(torch.float64).numpy() for c in columns]).T
 
 
 def parameters_of(effects: Effects) -> list[tuple[Effect, int]]:

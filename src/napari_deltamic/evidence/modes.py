@@ -12,13 +12,12 @@ from scipy.sparse.linalg import eigsh
 from ..common.choices import DensityModel
 from ..fitting.preconditioner import adjacency
 from ..geometry.mesh import Mesh
+from .evidence_rules import MODES
 
-_DENSITY_MODES = 9
 # Vertices up to which a dense solver is quicker: 0.005 against 0.014 s at 362 on a sphere, 0.032
 # against 0.022 s at 642, 0.060 against 0.031 s at 812. It also lets no other thread of Python run
 # (SciPy's LAPACK keeps the interpreter's lock): with 1500, a window stood still for half a second.
 _DENSE = 500
-_PER_REGION = ((2, 25), (6, 16), (20, 9))  # up to so many regions: modes of each; 4 beyond
 
 
 @dataclass(frozen=True)
@@ -69,7 +68,7 @@ def shape_modes(
     wanted = mesh.region_ids() if regions is None else np.asarray(regions)
     wanted = wanted[wanted != 0]
     if count is None:
-        count = next((n for most, n in _PER_REGION if len(wanted) <= most), 4)
+        count = next((n for most, n in MODES.per_region if len(wanted) <= most), MODES.many)
     laplacian = adjacency(mesh)
     fields = [f for r in wanted for f in _of_region(mesh, int(r), laplacian, count)]
     return _normalised(mesh, np.array(fields))
@@ -99,7 +98,7 @@ def density_fields(mesh: Mesh, model: DensityModel, regions: np.ndarray) -> np.n
     for region in regions:
         faces = (mesh.regions == region).any(1)
         where = np.unique(mesh.faces[faces])
-        scalars = _smoothest(links[where][:, where], min(_DENSITY_MODES, len(where) - 2))
+        scalars = _smoothest(links[where][:, where], min(MODES.density, len(where) - 2))
         for scalar in scalars.T:
             values = np.zeros(len(mesh.vertices))
             values[where] = scalar / max(float(np.abs(scalar).max()), 1e-12)
@@ -160,7 +159,7 @@ def _normalised(mesh: Mesh, fields: np.ndarray) -> ShapeModes:
         left = along[k] / size[k]
         left = left - basis.T @ (basis @ left)
         rest = float(np.linalg.norm(left))
-        if rest > 1e-2:
+        if rest > MODES.alike:
             kept.append(k)
             basis = np.vstack([basis, left / rest])
     fields = fields[kept] / size[kept, None, None]

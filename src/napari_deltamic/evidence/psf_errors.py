@@ -62,14 +62,7 @@ def psf_standard_errors(
     seen = spread.reshape(-1)[index]
     if not (seen > 0).all():
         raise InputError("the variance of the noise must be positive in every voxel that counts")
-    scene = FittedScene(
-        state.mesh,
-        state.optics,
-        effects or Effects(),
-        state.amplitude,
-        state.background,
-        None if np.ptp(state.density) == 0 else state.density,
-    )
+    scene = FittedScene.of_state(state, effects or Effects())
     model = ImageModel(scene, grid, index, _ACCURACY)
     psf = model.psf_columns(scene)
     linear = np.stack([model.rendered(scene), np.ones(len(index))], 1)

@@ -16,17 +16,14 @@ from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..runs.settings import FitSettings
 from ..scene import Grid
-from ..scene.effects import Camera as CameraEffect
-from ..scene.effects import Effect, Effects, Missing, as_effects
+from ..scene.effects import KINDS, Detection, Effects, VoxelEffect, as_effects
 from .camera import Camera, camera_from_image, failed_slices
 from .candidates import chosen_candidates, points_inwards
-from .effect_cost import Prices
+from .effect_cost import EffectCosts
+from .evidence_rules import JUDGING
 from .fitted_scene import FittedScene
 from .search import Judged, Search
 from .voxel_variance import voxel_variance
-
-_MISFIT = 1.3  # of the variance of noise: worth a remark
-NEGLIGIBLE = 0.02  # voxels: an effect that moves the surface by less is not worth its price
 
 
 @dataclass(frozen=True)
@@ -163,8 +160,8 @@ def recommend(
     accuracy = settings.accuracy
     if accuracy is None:
         accuracy = accuracy_for_image(pixels, known)
-    prices = Prices(fitted.mesh, grid, fitted.optics.detach(), present, accuracy)
-    found = _outcome(search, names, present, camera, prices)
+    costs = EffectCosts(fitted.mesh, grid, fitted.optics.detach(), present, accuracy)
+    found = _outcome(search, names, present, camera, costs)
     return with_detection(found, search, pixels, known)
 
 
@@ -173,7 +170,7 @@ def _outcome(
     names: tuple[str, ...],
     present: Effects,
     camera: Camera,
-    prices: Prices,
+    costs: EffectCosts,
 ) -> Recommendation:
     voxel = min(search.part.grid.voxel_size)
     evidence = []
@@ -187,8 +184,8 @@ def _outcome(
                 judged.score.z,
                 1e3 * bias,
                 bias / voxel,
-                prices.milliseconds(judged.effect),
-                judged.chosen and clear and bias >= NEGLIGIBLE * voxel,
+                costs.milliseconds(judged.effect),
+                judged.chosen and clear and bias >= JUDGING.negligible * voxel,
                 _reason(judged, bias, voxel, search),
             )
         )
@@ -213,40 +210,32 @@ def with_detection(
     They need no score: that a voxel is full, or a slice the same everywhere, is seen. What counts
     is by how much such voxels move the surface where they are left in.
     """
-    camera, voxel = found.camera, min(search.part.grid.voxel_size)
-    seen: list[tuple[Effect, np.ndarray, str]] = []
-    full = camera.saturation.value
-    if full is not None and found.effects.camera is None:
-        where = known & (pixels >= full)
-        seen.append((_camera_effect(camera, pixels), where, f"voxels are full, at {full:g}"))
-    slices = failed_slices(pixels)
-    if slices and found.effects.missing is None:
-        where = np.zeros(pixels.shape, bool)
-        where[list(slices)] = True
-        seen.append((Missing(slices=slices), where, "voxels lie in slices without an image"))
+    voxel, detection = min(search.part.grid.voxel_size), _detection(found.camera, pixels)
     rows, effects = list(found.evidence), found.effects
-    for effect, where, what in seen:
+    for name, kind in KINDS.items():
+        effect = kind.seen(detection) if issubclass(kind, VoxelEffect) else None
+        if effect is None or name in found.effects.names:
+            continue
+        where = known & effect.missing(pixels)
         score, bias = search.left_in(where)
-        taken = bias >= NEGLIGIBLE * voxel
-        reason = f"{int(where.sum())} {what}; left in, they would move the surface by {_nm(bias)}"
-        rows.append(Evidence(effect.name, score, 1e3 * bias, bias / voxel, 0.0, taken, reason))
-        if taken:
-            effects = effects.replace(**{effect.name: effect})
+        taken = bias >= JUDGING.negligible * voxel
+        what = f"{int(where.sum())} {effect.about_missing()}"
+        reason = f"{what}; left in, they would move the surface by {_nm(bias)}"
+        rows.append(Evidence(name, score, 1e3 * bias, bias / voxel, 0.0, taken, reason))
+        effects = effects.adding(effect) if taken else effects
     rows.sort(key=lambda e: not e.recommended)
     return replace(found, effects=effects, evidence=tuple(rows))
 
 
-def _camera_effect(camera: Camera, pixels: np.ndarray) -> CameraEffect:
+def _detection(camera: Camera, pixels: np.ndarray) -> Detection:
     """What the image tells of the camera; where it does not, the same noise for all voxels."""
-    full, line = camera.saturation.value, camera.line
+    told, line = (camera.saturation.value, failed_slices(pixels)), camera.line
     if line is None:
         low, noise = float(pixels.min()), voxel_noise(pixels, np.ones(pixels.shape, bool))
-        return CameraEffect(
-            gain=1e-6 * max(noise, 1e-6), offset=low, read_noise=noise, saturation=full
-        )
+        return Detection(1e-6 * max(noise, 1e-6), low, noise, *told)
     offset = line.lowest if camera.offset.value is None else camera.offset.value
     read = np.sqrt(max(line.slope * offset + line.intercept, 0.0))
-    return CameraEffect(gain=line.slope, offset=offset, read_noise=float(read), saturation=full)
+    return Detection(line.slope, offset, float(read), *told)
 
 
 def _remarks(search: Search, voxel: float) -> tuple[str, ...]:
@@ -256,14 +245,14 @@ def _remarks(search: Search, voxel: float) -> tuple[str, ...]:
     if len(part.cells) < part.of:
         found.append(f"judged by {len(part.cells)} of {part.of} cells, around the middle")
     misfit = search.misfit()
-    if misfit > _MISFIT:
+    if misfit > JUDGING.misfit:
         found.append(
             f"what is left varies {misfit:.1f} times as much as noise: scores are relative to it"
         )
     density = search.density()
     if density is not None and abs(density.z) > search.threshold:
         bias = search.refit.modes.size(density.shape)
-        if bias >= NEGLIGIBLE * voxel:
+        if bias >= JUDGING.negligible * voxel:
             found.append(
                 f"the density varies over the surface (z = {density.z:.1f}): fitted as uniform it "
                 f"moves the surface by {_nm(bias)}; the density 'smooth' would fit it"
@@ -281,7 +270,7 @@ def _reason(judged: Judged, bias: float, voxel: float, search: Search) -> str:
         shown = f"{seen}" + (f" ({numbers})" if numbers else "")
         if abs(score.z) <= search.threshold:
             return f"{shown}: no longer clear beside the others"
-        if bias < NEGLIGIBLE * voxel:
+        if bias < JUDGING.negligible * voxel:
             return f"seen, {shown}, but leaving it out would move the surface by {_nm(bias)} only"
         return f"{shown}; leaving it out would move the surface by {_nm(bias)}"
     others = [n for n in effect.contradicts if n in search.scene.effects.names]

@@ -15,22 +15,11 @@ import torch
 from scipy.linalg import lu_factor, lu_solve
 
 from ..fitting.likelihood import solve_scale
+from .evidence_rules import REFIT
 from .fitted_scene import FittedScene
 from .image_model import ImageModel, parameters_of, with_changed
 from .modes import ShapeModes
 from .voxel_variance import Variance
-
-_LARGEST_PSF = 0.15  # of one step, in the PSF's own numbers
-_PRIOR = 2.0  # widths of the PSF: standard deviation of what a mode may be
-_PRIOR_DENSITY = 1.0  # of the logarithm
-_HALVINGS = 4
-_MOST_STEPS = 6
-_ENOUGH = 2e-5  # of the loss: steps that gain less are the last
-_LITTLE = 1e-2  # of the loss: after a step that gains less the next has the same derivatives
-# Derivatives in the surface hold while it moves by so many widths of the PSF at most, and the image
-# changes by such a share of itself.
-_NEAR = 0.3, 0.15
-_FRESH = 0.03, 0.01
 
 
 @dataclass(frozen=True)
@@ -162,7 +151,7 @@ class Refit:
     def _surface_columns(self, scene: FittedScene, image: np.ndarray, fresh: bool) -> _Surface:
         """Derivatives in shape and density, by far the dearest: kept while little has changed."""
         held = self._held
-        limits = _FRESH if fresh else _NEAR
+        limits = REFIT.fresh if fresh else REFIT.near
         if held is None or not held.hold_for(scene, image, *limits):
             shape = self.model.shape_columns(scene, self.modes)
             density = self.model.density_columns(scene, self.density)
@@ -186,8 +175,8 @@ class Refit:
         columns = np.concatenate([shape, linear, psf, *effects, density], axis=1)
         columns *= root[:, None]
         prior = np.zeros(columns.shape[1])
-        prior[: len(self.modes)] = 1 / (_PRIOR * min(scene.optics.sigma_um)) ** 2
-        prior[columns.shape[1] - density.shape[1] :] = 1 / _PRIOR_DENSITY**2
+        prior[: len(self.modes)] = 1 / (REFIT.prior * min(scene.optics.sigma_um)) ** 2
+        prior[columns.shape[1] - density.shape[1] :] = 1 / REFIT.prior_density**2
         return Linearised(
             columns,
             (self.measured - expected) * root,
@@ -209,12 +198,12 @@ class Refit:
         k = at.modes + 2
         if at.psf:
             largest = float(np.abs(whole[k : k + at.psf]).max())
-            whole = whole * min(1.0, _LARGEST_PSF / max(largest, 1e-12))
+            whole = whole * min(1.0, REFIT.largest_psf / max(largest, 1e-12))
         moved = float(np.abs(np.tensordot(whole[: at.modes], self.modes.fields, axes=1)).max())
         whole = whole * min(1.0, min(scene.optics.sigma_um) / max(moved, 1e-12))
         before = float((at.residual**2).sum())
         share = 1.0
-        for _ in range(_HALVINGS):
+        for _ in range(REFIT.halvings):
             tried = self._moved(scene, share * whole, at)
             loss = self.loss(tried, at.root)
             if loss < before:
@@ -229,12 +218,14 @@ class Refit:
         if at.psf:
             p = optics.parameters().detach()
             optics = optics.with_parameters(p + torch.from_numpy(change[k + 2 : k + 2 + at.psf]))
+        density = self._dimmed(scene, change[len(change) - at.density :])
+        moved = scene.with_surface(
+            scene.mesh.with_vertices(vertices), 1.0 if density is None else density
+        )
         return replace(
-            scene,
-            mesh=scene.mesh.with_vertices(vertices),
+            moved,
             optics=optics,
             effects=with_changed(scene.effects, change[k + 2 + at.psf :]),
-            density=self._dimmed(scene, change[len(change) - at.density :]),
             amplitude=scene.amplitude + float(change[k]),
             background=scene.background + float(change[k + 1]),
         )
@@ -248,11 +239,11 @@ class Refit:
     def settled(self, scene: FittedScene) -> tuple[FittedScene, Linearised]:
         """The scene after steps as long as they lower the loss, and its derivatives there."""
         at = self.linearised(scene, fresh=False)
-        for _ in range(_MOST_STEPS):
+        for _ in range(REFIT.most_steps):
             scene, gain = self.step(scene, at)
-            if gain < _ENOUGH:
+            if gain < REFIT.enough:
                 break
-            if gain > _LITTLE:
+            if gain > REFIT.little:
                 at = self.linearised(scene, fresh=False)
             else:
                 expected = self.model.expected(scene)
@@ -266,4 +257,4 @@ class Refit:
         added = expected - scene.amplitude * rendered - scene.background
         rest, weights = self.measured - added, 1 / self.variance(expected)
         a, b, _ = solve_scale(*(torch.from_numpy(t) for t in (rendered, rest, weights)))
-        return replace(scene, amplitude=a, background=b)
+        return scene.scaled(a, b)

@@ -17,12 +17,8 @@ from ..fitting.state import FitState
 from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..scene import Grid
+from .evidence_rules import RESIDUAL
 from .voxel_variance import Variance, voxel_variance
-
-_NEAR = 3.0  # widths of the PSF from a surface: what is its cell's
-_SPOT = 3.0  # standard deviations: what belongs to a spot
-_FALSE_SPOTS = 0.05  # expected in an image that the model explains
-_MOST_SPOTS = 50
 
 
 @dataclass(frozen=True)
@@ -130,8 +126,7 @@ def analyse_residual(
     if expected.shape != pixels.shape:
         raise InputError(f"the fit is of an image of shape {expected.shape}, not {pixels.shape}")
     spread = np.sqrt((variance or voxel_variance(image, pixels, known))(expected))
-    deviation = np.where(known, (pixels - expected) / spread, 0).astype(np.float32)
-    sigma = np.asarray(fitted.optics.sigma_um) / np.asarray(grid.voxel_size)
+    deviation, sigma = _deviation(pixels, known, expected, spread), _voxels(fitted.optics, grid)
     smooth = smoothed(deviation, known, sigma)
     threshold = highest_by_chance(int(known.sum()), sigma)
     near, region = _surroundings(fitted.mesh, grid, fitted.optics)
@@ -152,12 +147,42 @@ def analyse_residual(
     )
     whole = _explained(values, left, weights)[0] if len(near) > 1 else None
     return Residual(
-        np.where(known, smooth, np.nan).astype(np.float32),
-        tuple(found[:_MOST_SPOTS]),
+        _with_gaps(smooth, known),
+        tuple(found[: RESIDUAL.most_spots]),
         threshold,
         whole,
         cells,
     )
+
+
+def residual_map(image: np.ndarray, grid: Grid, expected: np.ndarray, optics: Optics) -> np.ndarray:
+    """The map of :func:`analyse_residual`, of an image and what was expected of it.
+
+    Raises
+    ------
+    InputError
+        As :func:`napari_deltamic.fit` does for images.
+    """
+    pixels, known = check_image(image, grid)
+    spread = np.sqrt(voxel_variance(image, pixels, known)(expected))
+    deviation = _deviation(pixels, known, expected, spread)
+    return _with_gaps(smoothed(deviation, known, _voxels(optics, grid)), known)
+
+
+def _deviation(
+    pixels: np.ndarray, known: np.ndarray, expected: np.ndarray, spread: np.ndarray
+) -> np.ndarray:
+    """Measured minus expected in standard deviations; 0 where missing."""
+    return np.where(known, (pixels - expected) / spread, 0).astype(np.float32)
+
+
+def _voxels(optics: Optics, grid: Grid) -> np.ndarray:
+    """Widths of the PSF in voxels."""
+    return np.asarray(optics.sigma_um) / np.asarray(grid.voxel_size)
+
+
+def _with_gaps(smooth: np.ndarray, known: np.ndarray) -> np.ndarray:
+    return np.where(known, smooth, np.nan).astype(np.float32)
 
 
 def highest_by_chance(voxels: int, sigma: np.ndarray) -> float:
@@ -171,7 +196,7 @@ def highest_by_chance(voxels: int, sigma: np.ndarray) -> float:
     factor = 2 * max(cells, 1.0) * (4 * log(2)) ** 1.5 / (2 * pi) ** 2
 
     def beyond(z: float) -> float:
-        return factor * (z**2 - 1) * exp(-(z**2) / 2) - _FALSE_SPOTS
+        return factor * (z**2 - 1) * exp(-(z**2) / 2) - RESIDUAL.false_spots
 
     return float(brentq(beyond, 2.0, 12.0)) if beyond(2.0) > 0 else 3.0
 
@@ -208,15 +233,17 @@ def _surroundings(mesh: Mesh, grid: Grid, optics: Optics) -> tuple[np.ndarray, n
     width = np.asarray(optics.sigma_um)
     size, origin = np.asarray(grid.voxel_size), np.asarray(grid.origin)
     vertices = mesh.vertices_numpy()
-    low = np.floor((vertices.min(0) - _NEAR * width - origin) / size).astype(int)
-    high = np.ceil((vertices.max(0) + _NEAR * width - origin) / size).astype(int) + 1
+    low = np.floor((vertices.min(0) - RESIDUAL.near * width - origin) / size).astype(int)
+    high = np.ceil((vertices.max(0) + RESIDUAL.near * width - origin) / size).astype(int) + 1
     low, high = np.clip(low, 0, grid.shape), np.clip(high, 0, grid.shape)
     block = [np.arange(a, b) for a, b in zip(low, high, strict=True)]
     index = np.stack(np.meshgrid(*block, indexing="ij"), -1).reshape(-1, 3)
     flat = np.ravel_multi_index(tuple(index.T), grid.shape) if len(index) else np.zeros(0, int)
     tree = cKDTree(vertices[mesh.faces].mean(1) / width)
-    distance, face = tree.query((origin + index * size) / width, distance_upper_bound=_NEAR + 1)
-    near = distance <= _NEAR
+    distance, face = tree.query(
+        (origin + index * size) / width, distance_upper_bound=RESIDUAL.near + 1
+    )
+    near = distance <= RESIDUAL.near
     sides = mesh.regions[face[near]]
     return flat[near], np.where(sides[:, 0] != 0, sides[:, 0], sides[:, 1])
 
@@ -245,7 +272,7 @@ def _spots(
     sign: int,
 ) -> Sequence[Spot]:
     """Connected places above three standard deviations, whose peaks are above the threshold."""
-    labels, count = label(sign * smooth > _SPOT)
+    labels, count = label(sign * smooth > RESIDUAL.spot)
     if not count:
         return []
     numbers = np.arange(1, count + 1)

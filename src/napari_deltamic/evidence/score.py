@@ -9,12 +9,8 @@ import numpy as np
 from scipy.special import ndtri_exp
 from scipy.stats import chi2
 
+from .evidence_rules import JUDGING
 from .refit import Linearised
-
-_HIDDEN = 0.02  # of a column, left beside shape and the rest: less cannot be told from them
-_LARGEST_Z = 99.0
-_BLOCKS = 4.0, 8.0, 16.0, 32.0  # widths of the PSF; the noise of nearer voxels is related by it
-_FEWEST_BLOCKS = 12  # fewer do not tell a variance
 
 
 @dataclass(frozen=True)
@@ -65,7 +61,7 @@ def score(at: Linearised, columns: np.ndarray, blocks: Sequence[np.ndarray]) -> 
     size = np.linalg.norm(g, axis=0)
     free = at.left(g)
     left = np.linalg.norm(free, axis=0)
-    told = left > _HIDDEN * np.maximum(size, 1e-300)
+    told = left > JUDGING.hidden * np.maximum(size, 1e-300)
     nothing = np.zeros(columns.shape[1])
     if not told.any() or not size.any():
         return Score(0.0, 0.0, nothing, np.zeros(at.modes), hidden=True)
@@ -98,11 +94,11 @@ def equivalent_z(surprise: float, numbers: int) -> float:
     if surprise <= 0:
         return 0.0
     if numbers == 1:
-        return min(float(np.sqrt(surprise)), _LARGEST_Z)
+        return min(float(np.sqrt(surprise)), JUDGING.largest_z)
     log_tail = float(chi2.logsf(surprise, numbers))
     if not np.isfinite(log_tail) or log_tail < -4000:
-        return min(float(np.sqrt(surprise)), _LARGEST_Z)
-    return min(max(float(-ndtri_exp(log_tail - np.log(2))), 0.0), _LARGEST_Z)
+        return min(float(np.sqrt(surprise)), JUDGING.largest_z)
+    return min(max(float(-ndtri_exp(log_tail - np.log(2))), 0.0), JUDGING.largest_z)
 
 
 def block_sizes(
@@ -110,9 +106,9 @@ def block_sizes(
 ) -> list[np.ndarray]:
     """Blocks from a few widths of the PSF (3,) voxels on, as long as there are enough of them."""
     found: list[np.ndarray] = []
-    for size in _BLOCKS:
+    for size in JUDGING.blocks:
         blocks = blocks_of(index, shape, np.maximum(np.rint(size * width), 3))
-        if found and blocks.max() + 1 < _FEWEST_BLOCKS:
+        if found and blocks.max() + 1 < JUDGING.fewest_blocks:
             break
         found.append(blocks)
     return found

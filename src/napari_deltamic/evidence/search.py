@@ -13,7 +13,8 @@ from ..runs.settings import FitSettings
 from ..scene import Grid
 from ..scene.effects import Effect, Effects
 from .candidates import allowed, at_estimate, beyond_bounds, points_inwards, variants
-from .crop import part_of
+from .crop import crop_of
+from .evidence_rules import JUDGING
 from .fitted_scene import FittedScene
 from .image_model import ImageModel, parameters_of
 from .modes import density_fields, shape_modes
@@ -21,8 +22,6 @@ from .refit import Refit
 from .score import Score, block_sizes, score
 from .voxel_variance import Variance
 
-_ACCURACY = 1e-3  # of the images, or finer: small effects are judged by them
-_MOST_ROUNDS = 10
 _EXPLAINED = "the others explain it"
 _UNCLEAR = "not clear beside the misfit that is left"
 _AT_BOUND = "only a number at its bound would explain it: it passes for something else"
@@ -73,21 +72,14 @@ class Search:
     ) -> None:
         density = None if np.ptp(fitted.density) == 0 else fitted.density
         width = np.asarray(fitted.optics.sigma_um)
-        self.part = part = part_of(usable, grid, fitted.mesh, density, width)
+        self.part = part = crop_of(usable, grid, fitted.mesh, density, width)
         index = part.index
         self.blocks = block_sizes(index, part.grid.shape, width / np.asarray(grid.voxel_size))
-        scene = FittedScene(
-            part.mesh,
-            fitted.optics.detach(),
-            effects,
-            fitted.amplitude,
-            fitted.background,
-            part.density,
-        )
-        self.held = effects.names
+        scene = FittedScene.of_state(fitted, effects, part.mesh, part.density)
+        self.held = scene.effects.names
         self.dropped: dict[str, str] = {}  # name -> why; they are not taken twice
         self.frame, self.image = grid, image
-        self.model = ImageModel(scene, part.grid, index, _ACCURACY, frame=grid)
+        self.model = ImageModel(scene, part.grid, index, JUDGING.accuracy, frame=grid)
         measured = image[part.box].reshape(-1)[index].astype(np.float64)
         modes = shape_modes(part.mesh, part.cells)
         fields = density_fields(part.mesh, settings.density, part.cells)
@@ -107,7 +99,7 @@ class Search:
         what they explain beside the misfit nearby, and in the end only those stay that are clear
         beside all the misfit that is left.
         """
-        for _ in range(_MOST_ROUNDS):
+        for _ in range(JUDGING.most_rounds):
             left = (n for n in names if n not in {*self.dropped, *self.scene.effects.names})
             found = [self.judged(n) for n in left]
             clear = [
@@ -128,8 +120,7 @@ class Search:
 
     def _take(self, best: Judged) -> None:
         effect = at_estimate(best.effect, best.score.estimate)
-        effects = self.scene.effects.replace(**{effect.name: effect})
-        self._settle(replace(self.scene, effects=effects))
+        self._settle(self.scene.with_effects(self.scene.effects.adding(effect)))
 
     def _drop_least(self, size: Callable[[Score], float], why: str) -> str | None:
         """Take out the effect of the smallest score if it is not above the threshold.
@@ -151,7 +142,7 @@ class Search:
             return None
         name = least.effect.name
         self.dropped[name] = _AT_BOUND if beyond_bounds(least.effect) else why
-        self._settle(replace(self.scene, effects=self.scene.effects.without(name)))
+        self._settle(self.scene.with_effects(self.scene.effects.without(name)))
         return name
 
     def judged(self, name: str) -> Judged:
@@ -186,7 +177,7 @@ class Search:
         if not allowed(effect, self.scene.effects):
             # Beside what passes for it the two cannot be rendered together; alone they can.
             others = self.scene.effects.without(*effect.contradicts)
-            return self.model.effect_columns(replace(self.scene, effects=others), effect)
+            return self.model.effect_columns(self.scene.with_effects(others), effect)
         return self.model.effect_columns(self.scene, effect)
 
     def _without(self, effect: Effect) -> Score:
@@ -229,7 +220,7 @@ class Search:
         index = np.flatnonzero(where[self.part.box])
         if not len(index):
             return 0.0, 0.0
-        model = ImageModel(self.scene, self.part.grid, index, _ACCURACY, frame=self.frame)
+        model = ImageModel(self.scene, self.part.grid, index, JUDGING.accuracy, frame=self.frame)
         rendered = model.rendered(self.scene)
         expected = model.measured(rendered, self.scene)
         root = 1 / np.sqrt(self.refit.variance(expected))

@@ -14,12 +14,7 @@ from scipy.ndimage import gaussian_filter
 from ..fitting.likelihood import voxel_noise
 from .camera import mode
 from .estimate import Finding, unknown
-
-_BRIGHT = 0.02  # share of a slice's voxels that its structures are judged by
-_FEWEST = 6  # slices with structures
-_SMOOTHED = 1.0  # voxels: of slices before they are compared
-_LEAST_ERROR = 0.02  # voxels, of the peak of a correlation: shares of a voxel are not told better
-_LARGEST_SHIFT = 4  # voxels, of neighbouring slices
+from .evidence_rules import SLICES
 
 
 def fading(image: np.ndarray, spacing: float) -> Finding:
@@ -36,11 +31,11 @@ def fading(image: np.ndarray, spacing: float) -> Finding:
     brightness, dark, noise = _slice_brightness(pixels)
     shows = np.isfinite(brightness) & (brightness > dark + 4 * noise)
     if not shows.any():
-        return unknown(f"fewer than {_FEWEST} slices hold structures")
+        return unknown(f"fewer than {SLICES.fewest} slices hold structures")
     # Slices that only graze the structures, or hold none, say nothing about the light.
     shows[shows] = brightness[shows] - dark > 0.25 * np.nanmax(brightness - dark)
-    if shows.sum() < _FEWEST:
-        return unknown(f"fewer than {_FEWEST} slices hold structures")
+    if shows.sum() < SLICES.fewest:
+        return unknown(f"fewer than {SLICES.fewest} slices hold structures")
     z = np.flatnonzero(shows) * float(spacing)
     y = np.log(brightness[shows] - dark)
     z = z - z.mean()
@@ -57,8 +52,8 @@ def _slice_brightness(pixels: np.ndarray) -> tuple[np.ndarray, float, float]:
     if not known.any():
         return np.full(len(pixels), np.nan), 0.0, 0.0
     dark = mode(pixels[known])
-    smooth = gaussian_filter(np.where(known, pixels, dark), (0, _SMOOTHED, _SMOOTHED))
-    count = max(8, int(_BRIGHT * pixels[0].size))
+    smooth = gaussian_filter(np.where(known, pixels, dark), (0, SLICES.smoothed, SLICES.smoothed))
+    count = max(8, int(SLICES.bright * pixels[0].size))
     flat = np.sort(np.where(known, smooth, -np.inf).reshape(len(pixels), -1), axis=1)[:, -count:]
     with np.errstate(invalid="ignore"):
         means = np.where(np.isfinite(flat).all(1), flat.mean(1), np.nan)
@@ -87,8 +82,8 @@ def drift(image: np.ndarray, voxel_size: tuple[float, float, float]) -> tuple[Fi
     brightness, dark, noise = _slice_brightness(pixels)
     shows = np.isfinite(brightness) & (brightness > dark + 4 * noise)
     runs = np.flatnonzero(shows)
-    if len(runs) < _FEWEST or min(pixels.shape[1:]) < 16:
-        nothing = unknown(f"fewer than {_FEWEST} slices hold structures")
+    if len(runs) < SLICES.fewest or min(pixels.shape[1:]) < 16:
+        nothing = unknown(f"fewer than {SLICES.fewest} slices hold structures")
         return nothing, nothing
     first, last = int(runs[0]), int(runs[-1]) + 1
     slices = np.where(np.isfinite(pixels[first:last]), pixels[first:last], dark) - dark
@@ -98,7 +93,7 @@ def drift(image: np.ndarray, voxel_size: tuple[float, float, float]) -> tuple[Fi
     size = np.asarray(voxel_size[1:])
     # Two steps and the shift over both should close; how far they do not is the error.
     open_by = (next_one[:-1] + next_one[1:] - over_next) * size
-    error = float(np.sqrt(np.mean(open_by**2) / 3 + (_LEAST_ERROR * size.mean()) ** 2))
+    error = float(np.sqrt(np.mean(open_by**2) / 3 + (SLICES.least_error * size.mean()) ** 2))
     steps = next_one * size
     rate = np.median(steps, axis=0) / voxel_size[0]
     spread = 1.4826 * np.median(np.abs(steps - np.median(steps, axis=0)), axis=0)
@@ -133,7 +128,7 @@ def _shifts(one: np.ndarray, other: np.ndarray, shape: tuple[int, ...]) -> np.nd
     fx = np.fft.rfftfreq(shape[1])[None]
     low = np.exp(-2 * (np.pi * 1.0) ** 2 * (fy**2 + fx**2))
     correlation = np.fft.irfft2(np.fft.rfft2(correlation) * low, s=shape)
-    r = _LARGEST_SHIFT
+    r = SLICES.largest_shift
     near = np.roll(correlation, (r, r), axis=(1, 2))[:, : 2 * r + 1, : 2 * r + 1]
     found = np.zeros((len(one), 2))
     for k, field in enumerate(near):

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from ..geometry.mesh import Mesh
-from ..scene import Grid, Renderer
+from ..scene import Grid, Renderer, Scene
 from ..scene.effects.object_side import ObjectSide, Surfaces
 from .fitted_scene import FittedScene
 from .modes import ShapeModes
@@ -40,10 +40,8 @@ class SurfaceColumns:
         self.scene, self.grid, self.frame, self.index = scene, grid, frame, index
         self.accuracy = max(accuracy, _ACCURACY)
         self._reach = np.asarray(scene.optics.reach(self.accuracy))
-        effects = scene.effects
-        for effect in (effects.halo, effects.depth_psf):
-            if effect is not None:
-                self._reach = np.hypot(self._reach, effect.reach(self.accuracy))
+        for effect in scene.effects.present():
+            self._reach = np.hypot(self._reach, effect.reach(self.accuracy))
 
     def shape(self, modes: ShapeModes) -> np.ndarray:
         """Change of the expected image for a coefficient of 1 um of each mode."""
@@ -134,11 +132,9 @@ class _Piece:
         # The inside is no part of it: its derivative is on the surface.
         effects = scene.effects.without("bulk")
         renderer = Renderer(
-            mesh,
+            Scene.of(mesh, scene.optics, effects),
             grid,
-            scene.optics,
             columns.accuracy,
-            effects=effects,
             frame=columns.frame,
             margin=_MOVE * min(scene.optics.sigma_um),
         )
@@ -162,7 +158,7 @@ class _Piece:
             placed = torch.from_numpy(v - np.asarray(self.renderer.grid.origin))
             plain = self.renderer.plan.transform(placed, torch.from_numpy(self.mesh.faces), layer)
             # A solid is seen half through either PSF.
-            change = change + (plain if self.scene.effects.depth_psf is None else plain / 2)
+            change = change + (plain if self.scene.effects.depth is None else plain / 2)
         return self.renderer.image(change, self.otf)
 
     def dimmed(self, field: np.ndarray) -> Tensor:

@@ -49,7 +49,7 @@ class Transforms:
 
         seen = self._part(whose, ("seen", on_faces), lambda: side().seen())
         deep = inside = None
-        if effects.depth_psf is not None:
+        if effects.depth is not None:
             deep = self._part(whose, ("deep", on_faces), lambda: side().deep())
         if effects.bulk is not None and effects.bulk.density != 0:
             unit = effects.bulk.model_copy(update={"density": 1.0})

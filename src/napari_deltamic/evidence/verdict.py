@@ -1,27 +1,18 @@
 """Good, fair or poor: what is to be thought of the shapes that a fit found.
 
 That a fit has converged says that its iterations ended, nothing of the shape. `judged` is a pure
-function of a few facts; `facts_of` gathers them. A predicted error of the shape can join them.
+function of a few facts, the predicted error of the shape first among them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, field
 from statistics import median
 from typing import Any, Literal
 
-import numpy as np
-from scipy.ndimage import distance_transform_edt
-
-from ..fitting.job import FitInput
-from ..fitting.state import FitState
-from ..fitting.voxel_ownership import surface_voxels
-from ..geometry.labels.voxels import voxel_labels
-from ..geometry.mesh import Mesh
-from ..scene import Grid
-from .first_sigma import first_sigma
-from .residual import Residual
+from ..geometry.judgement import Judgement
+from .predicted_error import PredictedError, ShapeDeviation
 
 Grade = Literal["good", "fair", "poor"]
 _ORDER: tuple[Grade, ...] = ("good", "fair", "poor")
@@ -52,6 +43,8 @@ class VerdictSettings:
         0.9 to 1 where the shape was found, below 0.6 where it crumpled or swallowed a neighbour.
     psf_voxels
         Narrowest PSF that an image can tell, in voxels.
+    error_good, error_fair
+        Largest predicted error of the shape, in voxels (the geometric mean of their sides).
     """
 
     good: float = 0.75
@@ -63,11 +56,11 @@ class VerdictSettings:
     inside: float = 0.12
     compact: float = 0.65
     psf_voxels: float = 0.6
+    error_good: float = 0.3
+    error_fair: float = 1.0
 
 
 SETTINGS = VerdictSettings()
-_DEEP, _FAR = 2.5, 6.0  # widths of the PSF from a surface: what its own light hardly reaches
-_FEWEST = 30  # voxels that a mean brightness is taken from
 
 
 @dataclass(frozen=True)
@@ -118,6 +111,10 @@ class Facts:
         Whether a PSF that was fitted became narrower than an image can tell.
     cells
         One for each.
+    error
+        What is predicted of the shapes.
+    voxel
+        um: geometric mean of the sides of a voxel.
     """
 
     finished: bool
@@ -125,39 +122,59 @@ class Facts:
     width: float | None = None
     narrow: bool = False
     cells: tuple[CellFacts, ...] = ()
+    error: PredictedError = field(default_factory=PredictedError)
+    voxel: float = 1.0
 
 
 @dataclass(frozen=True)
 class CellVerdict:
-    """A grade of one cell, and why it is no better."""
+    """A grade of one cell, why it is no better, and the predicted error of its shape, um."""
 
     region: int
     grade: Grade
     reasons: tuple[str, ...] = ()
+    shape_error_um: float | None = None
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """A grade of a fit and of each cell, and why they are no better."""
+    """A grade of a fit and of each cell, why they are no better, and the predicted error."""
 
     grade: Grade
     reasons: tuple[str, ...]
     cells: tuple[CellVerdict, ...]
+    error: PredictedError = field(default_factory=PredictedError)
 
     def as_plain(self) -> dict[str, Any]:
         """For JSON."""
-        return asdict(self)
+        found = asdict(self)
+        whole = self.error.whole
+        found["error"] = {
+            "whole_um": None if whole is None else {**asdict(whole), "total": whole.total},
+            "lacks": self.error.lacks,
+            "unknown": self.error.unknown,
+        }
+        return found
+
+    def by_region(self) -> dict[int, Judgement]:
+        """For tables: grade, predicted error and reasons of each cell."""
+        return {
+            cell.region: Judgement(cell.grade, cell.shape_error_um, "; ".join(cell.reasons))
+            for cell in self.cells
+        }
 
     def sentence(self) -> str:
-        """For a user: the grade, and why."""
-        return f"{self.grade}" + (f": {'; '.join(self.reasons)}" if self.reasons else "")
+        """For a user: the grade, the predicted error, and why."""
+        whole = self.error.whole
+        about = "" if whole is None else f", off by about {1000 * whole.total:.0f} nm"
+        return f"{self.grade}{about}" + (f": {'; '.join(self.reasons)}" if self.reasons else "")
 
 
 def judged(facts: Facts, settings: VerdictSettings = SETTINGS) -> Verdict:
     """The grade: that of most cells, lowered by what concerns all; one bad cell spoils no other."""
     whole = _of_whole(facts, settings)
     usual = _usual_growth(facts.cells)
-    cells = tuple(_of_cell(cell, usual, settings) for cell in facts.cells)
+    cells = tuple(_of_cell(cell, usual, facts, settings) for cell in facts.cells)
     grade = _worst(grade for grade, _ in whole)
     reasons = [text for _, text in whole]
     for word in _ORDER[1:]:
@@ -170,7 +187,7 @@ def judged(facts: Facts, settings: VerdictSettings = SETTINGS) -> Verdict:
             reasons += [text for text in cells[0].reasons if text not in reasons]
         else:
             reasons.append(f"{word}: {_cells(bad)}")
-    return Verdict(grade, tuple(reasons), cells)
+    return Verdict(grade, tuple(reasons), cells, facts.error)
 
 
 def _of_whole(facts: Facts, settings: VerdictSettings) -> list[tuple[Grade, str]]:
@@ -198,8 +215,11 @@ def _of_whole(facts: Facts, settings: VerdictSettings) -> list[tuple[Grade, str]
     return found
 
 
-def _of_cell(cell: CellFacts, usual: float, settings: VerdictSettings) -> CellVerdict:
+def _of_cell(cell: CellFacts, usual: float, facts: Facts, settings: VerdictSettings) -> CellVerdict:
     found: list[tuple[Grade, str]] = []
+    predicted = facts.error.cells.get(cell.region)
+    if predicted is not None:
+        found += _of_error(predicted, facts, settings)
     if cell.explained is not None and cell.explained < settings.good:
         word: Grade = "fair" if cell.explained >= settings.fair else "poor"
         found.append((word, f"{cell.explained:.0%} of the signal around it is explained"))
@@ -224,7 +244,26 @@ def _of_cell(cell: CellFacts, usual: float, settings: VerdictSettings) -> CellVe
             found.append(("poor", f"it has shrunk to {growth:.0%} of its volume"))
     if cell.cut:
         found.append(("fair", "the border of the image cuts it: what lies beyond is a guess"))
-    return CellVerdict(cell.region, _worst(g for g, _ in found), tuple(text for _, text in found))
+    grade, reasons = _worst(g for g, _ in found), tuple(text for _, text in found)
+    error = None if predicted is None else predicted.total
+    return CellVerdict(cell.region, grade, reasons, error)
+
+
+def _of_error(
+    predicted: ShapeDeviation, facts: Facts, settings: VerdictSettings
+) -> list[tuple[Grade, str]]:
+    off = predicted.total / facts.voxel
+    if off <= settings.error_good:
+        return []
+    word: Grade = "fair" if off <= settings.error_fair else "poor"
+    parts = {
+        "the noise": predicted.noise,
+        "iterations that are missing": predicted.settling,
+        "the prior on its shape": predicted.prior,
+        f"what the model lacks ({facts.error.lacks})": predicted.alternative,
+    }
+    most = max(parts, key=lambda name: parts[name])
+    return [(word, f"its surface is off by about {off:.2g} voxels, most of it by {most}")]
 
 
 def _usual_growth(cells: Iterable[CellFacts]) -> float:
@@ -239,121 +278,3 @@ def _worst(grades: Iterable[Grade]) -> Grade:
 def _cells(regions: list[int]) -> str:
     shown = ", ".join(map(str, regions[:12])) + (" and more" if len(regions) > 12 else "")
     return f"cell{'s' * (len(regions) > 1)} {shown}"
-
-
-# Facts ----------------------------------------------------------------------------------------
-
-
-def facts_of(
-    job: FitInput, state: FitState, left: Residual, rendered: np.ndarray | None = None
-) -> Facts:
-    """What is known of a fit.
-
-    Parameters
-    ----------
-    left
-        What it does not explain.
-    rendered
-        (Z, Y, X) image of the state, where it is known already.
-    """
-    image = state.rendered() if rendered is None else rendered
-    total = float(np.abs(np.asarray(image) - state.background).sum())
-    areas = _areas(state.mesh)
-    whole = sum(areas.values()) or 1.0
-    growth = _growth(job.mesh, state.mesh)
-    cut = _cut(state.mesh, job.grid)
-    inside, compact = _inside(job, state), _compactness(job.mesh, state.mesh)
-    modelled = state.effects.light_inside
-    explained = {cell.region: cell.explained for cell in left.cells}
-    light: dict[int, float] = {}
-    for spot in left.spots:
-        light[spot.region] = max(light.get(spot.region, 0.0), abs(spot.light))
-    cells = tuple(
-        CellFacts(
-            region,
-            explained.get(region),
-            light.get(region, 0.0) / max(total * area / whole, 1e-30),
-            growth.get(region),
-            region in cut,
-            None if modelled else inside.get(region),
-            compact.get(region),
-        )
-        for region, area in areas.items()
-    )
-    sigma, size = np.asarray(state.optics.sigma_um), np.asarray(job.grid.voxel_size)
-    fitted = job.settings.fit.fit_psf
-    narrow = fitted and bool((sigma < SETTINGS.psf_voxels * size).any())
-    width = _width(np.asarray(job.image), job.grid, sigma)
-    return Facts(state.converged, left.explained, width, narrow, cells)
-
-
-def _width(image: np.ndarray, grid: Grid, sigma: np.ndarray) -> float | None:
-    """Of the blur in the plane, over that of the PSF; voxels blur, too."""
-    told = first_sigma(image, grid.voxel_size).yx.value
-    return None if told is None else told / float(max(sigma[1:]))
-
-
-def _areas(mesh: Mesh) -> dict[int, float]:
-    areas = mesh.areas()
-    return {int(r): float(areas[(mesh.regions == r).any(1)].sum()) for r in mesh.region_ids()}
-
-
-def _growth(start: Mesh, end: Mesh) -> dict[int, float]:
-    before: Mapping[int, float] = start.volumes()
-    return {
-        region: abs(volume / before[region])
-        for region, volume in end.volumes().items()
-        if before.get(region)
-    }
-
-
-def _compactness(start: Mesh, end: Mesh) -> dict[int, float]:
-    before, after = _roundness(start), _roundness(end)
-    return {r: value / before[r] for r, value in after.items() if before.get(r)}
-
-
-def _roundness(mesh: Mesh) -> dict[int, float]:
-    """Area of the sphere of the volume of each region, over its own."""
-    areas = _areas(mesh)
-    return {
-        region: float(np.cbrt(np.pi) * (6 * abs(volume)) ** (2 / 3) / areas[region])
-        for region, volume in mesh.volumes().items()
-        if areas.get(region)
-    }
-
-
-def _inside(job: FitInput, state: FitState) -> dict[int, float]:
-    """Brightness deep inside of each region less that outside, over that of the surface."""
-    grid, mesh = job.grid, state.mesh
-    image = np.asarray(job.image)
-    known = np.isfinite(image)
-    if job.counted is not None:
-        known = known & job.counted
-    labels = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
-    surface = surface_voxels(mesh, grid)
-    if not (surface & known).any():
-        return {}
-    widths = np.asarray(grid.voxel_size) / np.asarray(state.optics.sigma_um)
-    away = distance_transform_edt(~surface, sampling=widths)
-    deep = known & (away > _DEEP)
-    outer = deep & (labels == 0) & (away < _FAR)
-    if outer.sum() < _FEWEST:
-        return {}
-    dark, bright = float(image[outer].mean()), float(np.median(image[surface & known]))
-    found = {}
-    for region in mesh.region_ids():
-        own = deep & (labels == region)
-        if own.sum() >= _FEWEST:
-            level = float(image[own].mean())
-            found[int(region)] = (level - dark) / max(bright - min(level, dark), 1e-30)
-    return found
-
-
-def _cut(mesh: Mesh, grid: Grid) -> set[int]:
-    """Cells whose surface comes within a voxel of the border of the image."""
-    low, high = (np.asarray(side) for side in grid.extent)
-    half = np.asarray(grid.voxel_size) / 2
-    places = mesh.vertices_numpy()
-    outside = np.logical_or(places < low + half, places > high - half)
-    beyond = np.flatnonzero(outside.any(axis=1))
-    return {int(r) for r in np.unique(mesh.regions[np.isin(mesh.faces, beyond).any(1)]) if r}

@@ -87,6 +87,14 @@ class Patches:
         share = float(((move > width) & (gain > least)).mean())
         return Remaining(float(move[at]), float(max(gain[at], 0.0)), at, share)
 
+    def means(self, values: FloatArray) -> FloatArray:
+        """(V,) means of one number for each vertex over the patch around it."""
+        count = np.ones(len(values))
+        for _ in range(self._rings):
+            values, count = self._around @ values, self._around @ count
+        found: FloatArray = values / count
+        return found
+
     def _size(self) -> float:
         """Vertices of a patch, about."""
         r = self._rings

@@ -1,15 +1,15 @@
-"""The curvature of a log posterior along normals: Gauss-Newton steps, and the errors of measures.
+"""The curvature of a log posterior: Gauss-Newton steps, and the errors of measures.
 
 ``H = J' W J + kappa B''`` with J the derivatives of the measured images by displacements of
-vertices along their normals, W one over the variance of each voxel, and B'' the curvature of the
-bending energy. Amplitudes, backgrounds, PSF and effects follow the surface: they are eliminated by
-their normal equations. Densities are held, and so is all that moves vertices along the surface.
+vertices along their normals (across junctions, in two directions), W one over the variance of each
+voxel, and B'' the curvature of the bending energy. Amplitudes, backgrounds, PSF and effects follow
+the surface: they are eliminated by their normal equations. Densities are held, and so is all that
+moves vertices along the surface.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -18,7 +18,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from ..errors import InputError
 from ..geometry.mesh import FloatArray, Mesh
-from .convergence import vertex_normals
+from .directions import Directions
 from .factors import on_host
 from .likelihood import solve_scale
 from .normal_jacobian import Colouring, normal_jacobian
@@ -33,22 +33,6 @@ _DENSE = 4_000  # vertices: up to here LAPACK is faster than a sparse factor (a 
 _RIDGE = 1e-9  # of the mean diagonal: for vertices that no voxel sees and no prior holds
 
 Solve = Callable[[FloatArray], FloatArray]
-
-
-@dataclass(frozen=True)
-class Deviations:
-    """Standard deviations of one measured number.
-
-    Attributes
-    ----------
-    posterior
-        If the variances of voxels were those that the objective takes them to be.
-    sandwich
-        With the variance that voxels really have, by their residuals, each for itself.
-    """
-
-    posterior: float
-    sandwich: float
 
 
 class Curvature:
@@ -72,16 +56,16 @@ class Curvature:
     def __init__(
         self, posterior: Posterior, at: Variables, mesh: Mesh, held: np.ndarray | None = None
     ) -> None:
-        colouring = _colouring(posterior, at, mesh)
+        self.directions = Directions.of(mesh, at.vertices)
+        colouring = _colouring(posterior, at, mesh, self.directions)
         why = _too_much(colouring, posterior)
         if why:
             raise InputError(why)
-        self._at = at
-        self._free = np.ones(len(at.vertices)) if held is None else 1.0 - np.asarray(held, float)
-        self.normals = vertex_normals(at.vertices, mesh.faces)
+        free = np.ones(len(at.vertices)) if held is None else 1.0 - np.asarray(held, float)
+        self._free = free[self.directions.vertex]
         images = posterior.images(at)
         views = zip(posterior.views, images, posterior.measured(at), strict=True)
-        jacobians = normal_jacobian(posterior, at, self.normals, colouring)
+        jacobians = normal_jacobian(posterior, at, self.directions, colouring)
         weights, residuals, columns, scaled = [], [], [], []
         for number, ((view, image, measured), jacobian) in enumerate(
             zip(views, jacobians, strict=True)
@@ -102,37 +86,85 @@ class Curvature:
     def _factor(self, posterior: Posterior, at: Variables) -> None:
         prior, held = posterior.prior, sp.diags(self._free)
         weighted = sp.diags(self._weights) @ self._jacobian
-        given = at.vertices, self.normals
+        # With one direction for all, the matrix of each coordinate.
+        given = at.vertices, np.broadcast_to([1.0, 0.0, 0.0], at.vertices.shape)
         bend = prior.bending.curvature(*given) + prior.junctions.curvature(*given)
-        bend = prior.stiffness * bend
+        bend = prior.stiffness * self.directions.restricted(bend)
         matrix = (self._jacobian.T @ weighted + held @ bend @ held).tocsr()
         ridge = _RIDGE * float(matrix.diagonal().mean())
         # Rows of vertices that stay, or that have no normal, are those of a diagonal.
         empty = matrix.diagonal() <= 0
         self._surface = (matrix + sp.diags(np.where(empty, 1.0, ridge))).tocsr()
         self._solve_surface = _factored(self._surface)
-        self._mixed = self._own.T @ weighted  # (K, V), K: amplitudes, backgrounds, PSF, effects
-        known = np.zeros(self._own.shape[1])
-        known[self._own.shape[1] - len(at.optics) - len(at.effects) :] = (
-            prior.imaging.prior_curvature()
-        )
-        self._followers = self._own.T @ (self._weights[:, None] * self._own) + np.diag(known)
+        self._mixed = self._own.T @ weighted  # (K, D), K: amplitudes, backgrounds, PSF, effects
+        self._followers = self._own.T @ (self._weights[:, None] * self._own)
+        first = self._own.shape[1] - len(at.optics) - len(at.effects)
+        self._followers[first:, first:] += prior.imaging.prior_curvature()
         self._solved_mixed = self._solve_surface(np.ascontiguousarray(self._mixed.T))
         self._rest = self._followers - self._mixed @ self._solved_mixed
 
     def matrix(self) -> FloatArray:
-        """(V, V) the second derivatives, all that follows eliminated: nats / um^2."""
+        """(D, D) the second derivatives, all that follows eliminated: nats / um^2."""
         follow = np.linalg.solve(self._followers, self._mixed)
         found: FloatArray = self._surface.toarray() - self._mixed.T @ follow
         return (found + found.T) / 2
 
     def solve(self, right: FloatArray) -> FloatArray:
-        """(V,) the inverse of the second derivatives times a vector (Sherman-Morrison-Woodbury)."""
-        first = self._solve_surface(right[:, None])[:, 0]
-        return first + self._solved_mixed @ np.linalg.solve(self._rest, self._mixed @ first)
+        """(D,) the inverse of the second derivatives times a vector, or (D, K) times several.
+
+        By the formula of Sherman, Morrison and Woodbury.
+        """
+        first = self._solve_surface(np.ascontiguousarray(right.reshape(len(right), -1)))
+        first = first + self._solved_mixed @ np.linalg.solve(self._rest, self._mixed @ first)
+        return first.reshape(right.shape)
+
+    def follows(self, image: FloatArray) -> FloatArray:
+        """(D,) or (D, K): what the surface follows changes (N,) or (N, K) of the images by."""
+        weighted = (self._weights * image.T).T
+        own = np.linalg.solve(self._followers, self._own.T @ weighted)
+        return self._free_times(self.solve(self._jacobian.T @ weighted - self._mixed.T @ own))
+
+    def response(self, pull: FloatArray) -> FloatArray:
+        """(V, 3) where the surface gives way to, with all that follows, pulled by (V, 3) nats / um.
+
+        The inverse of the second derivatives times the pull.
+        """
+        along = self._free * self.directions.along(pull)
+        return self.directions.displaced(self._free * self.solve(along))
+
+    @property
+    def residual(self) -> FloatArray:
+        """(N,) measured minus rendered, of all voxels that count."""
+        return self._residual
+
+    def amplitudes(self, columns: FloatArray) -> FloatArray:
+        """(m,) how much of further columns (N, m) of the image explains most of the residual.
+
+        Surface, amplitudes, backgrounds, PSF and effects follow.
+        """
+        return self._alternative(columns)[0]
+
+    def alternative(self, columns: FloatArray) -> tuple[float, FloatArray]:
+        """What further columns (N, m) gain, nats, and (D,) what the surface then moves by."""
+        amplitudes, gain, followed = self._alternative(columns)
+        return gain, -followed @ amplitudes
+
+    def _alternative(self, columns: FloatArray) -> tuple[FloatArray, float, FloatArray]:
+        followed = self.follows(columns)
+        rest = columns - self._jacobian @ followed
+        weighted = self._weights[:, None] * rest
+        rest = rest - self._own @ np.linalg.solve(self._followers, self._own.T @ weighted)
+        right = rest.T @ (self._weights * self._residual)
+        inner = rest.T @ (self._weights[:, None] * columns)
+        found = np.linalg.pinv((inner + inner.T) / 2, rcond=1e-9, hermitian=True) @ right
+        return found, float(right @ found) / 2, followed
+
+    def _free_times(self, along: FloatArray) -> FloatArray:
+        found: FloatArray = (self._free * along.T).T
+        return found
 
     def image_change(self, along: FloatArray) -> FloatArray:
-        """(N,) what displacements (V,) along normals change the images by, and all that follows."""
+        """(N,) what displacements (D,) change the images by, with all that follows."""
         return self._jacobian @ along - self._own @ np.linalg.solve(
             self._followers, self._mixed @ along
         )
@@ -145,7 +177,7 @@ class Curvature:
         gradient
             Of the objective, there or nearby.
         """
-        along = self._free * (gradient.vertices * self.normals).sum(1)
+        along = self._free * self.directions.along(gradient.vertices)
         n, pull = len(gradient.optics), np.zeros(len(self._followers))
         imaging = np.concatenate([gradient.optics, gradient.effects])
         # Amplitudes and backgrounds are at their optimum: nothing pulls them.
@@ -153,27 +185,14 @@ class Curvature:
         step = -self.solve(along - self._mixed.T @ np.linalg.solve(self._followers, pull))
         follow = np.linalg.solve(self._followers, -pull - self._mixed @ step)
         rest = follow[len(pull) - len(imaging) :]
-        moved = (self._free * step)[:, None] * self.normals
+        moved = self.directions.displaced(self._free * step)
         return Variables(moved, np.zeros_like(gradient.density), rest[:n], rest[n:])
-
-    def deviations(self, by_vertices: FloatArray) -> Deviations:
-        """Of a number with this gradient by vertices (V, 3).
-
-        With ``x = H^-1 g`` the variance is ``g' x``, or ``x' J' W R W J x`` with the squares R of
-        residuals (the sandwich of P. J. Huber, "The behavior of maximum likelihood estimates under
-        nonstandard conditions", 1967).
-        """
-        gradient = self._free * (by_vertices * self.normals).sum(1)
-        moved = self.solve(gradient)
-        scores = self._weights * self._residual * self.image_change(moved)
-        return Deviations(
-            float(np.sqrt(max(gradient @ moved, 0.0))), float(np.sqrt((scores**2).sum()))
-        )
 
 
 def affordable(posterior: Posterior, at: Variables, mesh: Mesh) -> bool:
     """Whether a curvature takes no more than about a minute on one core."""
-    return not _too_much(_colouring(posterior, at, mesh), posterior)
+    directions = Directions.of(mesh, at.vertices)
+    return not _too_much(_colouring(posterior, at, mesh, directions), posterior)
 
 
 def _too_much(colouring: Colouring, posterior: Posterior) -> str:
@@ -185,12 +204,14 @@ def _too_much(colouring: Colouring, posterior: Posterior) -> str:
     return ""
 
 
-def _colouring(posterior: Posterior, at: Variables, mesh: Mesh) -> Colouring:
+def _colouring(
+    posterior: Posterior, at: Variables, mesh: Mesh, directions: Directions
+) -> Colouring:
     widths = np.asarray(posterior.prior.imaging.optics.sigma_um) * posterior.level.factor
     for view in posterior.views:
         if view.optics is not None:
             widths = np.maximum(widths, np.asarray(view.optics.sigma_um) * posterior.level.factor)
-    return Colouring.of(at.vertices, mesh.edges(), widths)
+    return Colouring.of(at.vertices, mesh.edges(), widths, directions.vertex)
 
 
 def _scale(image: FloatArray, measured: FloatArray, weight: FloatArray) -> tuple[float, float]:
@@ -215,26 +236,3 @@ def _factored(matrix: sp.csr_matrix) -> Solve:
         return lambda right: cho_solve(factor, right)
     solver = on_host(matrix.tocoo())
     return lambda right: solver(torch.from_numpy(right)).numpy()
-
-
-def volume_gradient(mesh: Mesh, region: int) -> FloatArray:
-    """(V, 3) of the volume of a region by vertices, um^2.
-
-    Raises
-    ------
-    InputError
-        If the mesh has no such region, or it is not closed.
-    """
-    if not mesh.is_closed(region):
-        raise InputError(f"region {region} is not closed: it has no volume")
-    a, b = mesh.regions.T
-    side = (a == region).astype(float) - (b == region)
-    # A third of the area vector of each face belongs to each of its corners.
-    each = (side * mesh.areas() / 3)[:, None] * mesh.normals()
-    sums = [np.bincount(mesh.faces.ravel(), np.repeat(c, 3), len(mesh.vertices)) for c in each.T]
-    return np.stack(sums, 1)
-
-
-def volume_sd(curvature: Curvature, mesh: Mesh, region: int) -> Deviations:
-    """Standard deviation of the volume of a closed region, um^3."""
-    return curvature.deviations(volume_gradient(mesh, region))

@@ -28,6 +28,8 @@ _LOOKED_AT = 400_000  # voxels
 Preset = Literal["draft", "standard", "fine", "exact"]
 PRESETS: tuple[Preset, ...] = get_args(Preset)
 # Relative to what the noise asks for, since no number is coarse or fine of itself.
+# As the dial calls them.
+PRESET_OF: dict[str, Preset] = {"quick": "draft", "normal": "standard", "careful": "fine"}
 _TIMES: dict[Preset, float] = {"draft": 5.0, "standard": 1.0, "fine": 0.1, "exact": 0.0}
 
 

@@ -18,6 +18,7 @@ from .variables import Variables
 # effects it is. (The prototypes' caps; those of effects are wider than any of them needs.)
 _FAR, _FAR_DENSITY, _FAR_OPTICS, _FAR_EFFECTS = 0.6, 0.5, 0.3, 10.0
 _ARMIJO = 1e-4  # share of the predicted gain that a step must bring (Nocedal & Wright, 2006)
+_LONGEST = 1e6  # widths: a step longer than this is shortened as a whole before it is capped
 _HELD = 0.1  # of its step that guard or bounds take from a vertex which counts as held back
 _SHORTER = 6  # times that a step is shortened before the past is forgotten
 
@@ -66,11 +67,6 @@ class Descent:
     def learnt(self) -> Learnt:
         """What another descent of the same unknowns may begin with."""
         return self._memory.learnt()
-
-    def move_to(self, at: Variables, now: Evaluation) -> None:
-        """Go on from another place of the same objective."""
-        self._forget()
-        self.at, self.now = at, now
 
     def taken(self) -> int:
         """Evaluations since this was last asked."""
@@ -167,11 +163,14 @@ class Descent:
 
     def _capped(self, step: Variables) -> Variables:
         """A step with no part longer than it may be; one wild vertex does not hold back others."""
-        far = np.sqrt((step.vertices**2).sum(1, keepdims=True)) / (_FAR * self._width)
+        # Where an amplitude jumps, a step may be so long that its square is no number.
+        longest = float(np.abs(step.vertices).max(initial=0.0)) / (_LONGEST * self._width)
+        vertices = step.vertices / max(longest, 1.0)
+        far = np.sqrt((vertices**2).sum(1, keepdims=True)) / (_FAR * self._width)
         optics = np.abs(step.optics).max(initial=0.0) / _FAR_OPTICS
         rest = max(optics, np.abs(step.effects).max(initial=0.0) / _FAR_EFFECTS)
         return Variables(
-            step.vertices / np.maximum(far, 1.0),
+            vertices / np.maximum(far, 1.0),
             np.clip(step.density, -_FAR_DENSITY, _FAR_DENSITY),
             step.optics / max(rest, 1.0),
             step.effects / max(rest, 1.0),

@@ -1,4 +1,4 @@
-"""Standard deviations of what is measured on a fitted surface, predicted from one image."""
+"""The objective where a fit has ended, for the errors of what is measured there."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import numpy as np
 from ..errors import InputError
 from ..runs.settings import FitSettings
 from ..scene import Grid
+from ..scene.light import structure_of
 from .checks import check_image, hot_voxels
-from .curvature import Curvature, Deviations, volume_sd
 from .default_accuracy import accuracy_for_image
 from .density import Density
 from .imaging import Imaging
@@ -20,7 +20,11 @@ from .state import FitState
 
 
 def posed_at(
-    image: np.ndarray, grid: Grid, state: FitState, settings: FitSettings | None = None
+    image: np.ndarray,
+    grid: Grid,
+    state: FitState,
+    settings: FitSettings | None = None,
+    may_count: np.ndarray | None = None,
 ) -> Posed:
     """The objective of the last level, from where a fit has ended.
 
@@ -32,42 +36,28 @@ def posed_at(
         The end of the fit.
     settings
         Those of the fit.
+    may_count
+        (Z, Y, X) bool: voxels that may count; None for all.
 
     Raises
     ------
     InputError
-        For an image that a fit would refuse, for densities that are not uniform, and for a second
-        view.
+        For an image that a fit would refuse, and for a second view.
     """
     settings = settings or FitSettings()
-    if settings.density != "uniform" or state.effects.second_view is not None:
-        raise InputError("exact errors are there for uniform densities and one view only")
+    if state.effects.view is not None:
+        raise InputError("exact errors are there for one view only")
     pixels, known = check_image(image, grid)
+    known = known if may_count is None else known & may_count
     problem = Problem(pixels, known & ~hot_voxels(pixels, known), grid)
     accuracy = accuracy_for_image(pixels, known) if settings.accuracy is None else settings.accuracy
     settings = settings.model_copy(update={"accuracy": accuracy})
     counted = problem.counted_with(state.effects)
-    halo = 0.0 if state.effects.halo is None else state.effects.halo.width
-    level = Level(
-        problem.image, counted, grid, state.optics, settings, state.effects, 1.0, None, halo
-    )
-    shape = Shape.begun(state.mesh, "uniform")
-    density = Density(state.mesh, "uniform", min(state.optics.sigma_um))
+    given = problem.image, counted, grid, state.optics, settings, state.effects
+    level = Level(*given, 1.0, spread=state.effects.spread)
+    density = Density(state.mesh, settings.density, min(state.optics.sigma_um))
+    log = None if state.density is None else density.of_faces(state.density)
+    shape = Shape.begun(state.mesh, settings.density).moved(state.mesh.vertices_numpy(), log)
     optics = state.optics.detach()
     imaging = Imaging(optics, state.effects, optics, settings.fit_psf, True)
-    return pose((level, None), shape, density, imaging, True, True)
-
-
-def predicted_volume_sd(
-    image: np.ndarray, grid: Grid, state: FitState, settings: FitSettings | None = None
-) -> dict[int, Deviations]:
-    """Standard deviation of the volume of each closed region, um^3, from the curvature at the end.
-
-    Parameters and errors are those of :func:`posed_at`, and an error where there are too many
-    vertices or voxels.
-    """
-    posed = posed_at(image, grid, state, settings)
-    curvature = Curvature(posed.posterior, posed.at, state.mesh, state.pinned)
-    mesh = state.mesh
-    closed = [int(r) for r in mesh.region_ids() if r != 0 and mesh.is_closed(int(r))]
-    return {region: volume_sd(curvature, mesh, region) for region in closed}
+    return pose((level, None), shape, density, imaging, False, True, (), structure_of(state.light))

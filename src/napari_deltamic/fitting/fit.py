@@ -104,19 +104,18 @@ def fit(
         return as_in_the_paper(Problem(pixels, known, grid), mesh, optics, settings, effects)
     mesh, repairs = _apart(mesh, settings)
     view = None
-    if effects.second_view is not None:
-        view = Pixels(second, grid, effects.second_view)
+    if effects.view is not None:
+        view = Pixels(second, grid, effects.view)
         if counted is not None:
             view.restricted(counted)
     problem = Problem(pixels, known, grid, view)
     problem.counted_with(effects)  # refuses what leaves too few
     run = Run(problem, mesh, optics, settings, effects)
     if resume is not None:
-        run.load(load_checkpoint(resume))
-    remarks = list(repairs)
+        run.resume(load_checkpoint(resume))
+    run.say(*repairs)
     if hot.any():
-        remarks += [f"{hot.sum()} hot voxels, brighter than any PSF can make one, are left out"]
-    run.remark = "; ".join(remarks)
+        run.say(f"{hot.sum()} hot voxels, brighter than any PSF can make one, are left out")
     return _states(run)
 
 
@@ -128,10 +127,9 @@ def _states(run: Run) -> Generator[FitState, Change | None, None]:
         yield from run.states()
         return
     except torch.OutOfMemoryError:
-        if run.settings.device == "cpu":
+        if not run.leave_device():
             raise
-    run.settings = run.settings.model_copy(update={"device": "cpu"})
-    run.remark = "the memory of the GPU does not suffice: the fit goes on on the CPU"
+    run.say("the memory of the GPU does not suffice: the fit goes on on the CPU")
     yield from run.states()
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,19 +9,16 @@ import torch
 from torch import Tensor
 
 from ..geometry.mesh import FloatArray
-from ..optics import Optics
-from ..scene import Renderer
-from ..scene.effects import Effect, Effects, GainEffect, OffsetEffect, TransferEffect
-from .level import Level, Voxels
+from ..optics import GaussianPSF, Optics
+from ..scene.effects import Effect, Effects
 
-_DIFFERENCE = 1e-3  # of optics' parameters
-_EFFECT_DIFFERENCE = 1e-2  # of effects', in units of their scale
 # Standard deviation of the prior on a parameter of the PSF, as a share of how far it may go: 0.5 of
 # a log width, of which starts wrong by a factor of two are found (benchmarks/speed).
 _PRIOR = 0.36
+# Standard deviation of log(width along Y / width along X) around what it is at the start:
+# objectives are round, and more of a difference is of what the model does not show.
+_ROUND = 0.002
 _EFFECT_PRIOR = 100.0  # the same of an effect's, in units of its scale: their bounds say enough
-
-Transform = Callable[[Renderer], Tensor]  # of the present mesh and density
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,103 +83,24 @@ class Imaging:
         self, optics: FloatArray, effects: FloatArray
     ) -> tuple[float, FloatArray, FloatArray]:
         """Nats, and their gradients (P,), (E,)."""
-        pull = np.zeros(0)
-        value = 0.0
-        if len(optics):
-            _, high = (t.numpy() for t in self.start.limits())
-            center = self.start.parameters().detach().numpy()
-            pull = (optics - center) / (_PRIOR * (high - center)) ** 2
-            value += 0.5 * float(pull @ (optics - center))
+        away = optics - self.start.parameters().detach().numpy() if len(optics) else np.zeros(0)
+        pull = self._optics_precision(len(optics)) @ away
         drawn = effects / _EFFECT_PRIOR**2
-        return value + 0.5 * float(drawn @ effects), pull, drawn
+        return 0.5 * float(pull @ away) + 0.5 * float(drawn @ effects), pull, drawn
 
     def prior_curvature(self) -> FloatArray:
-        """(P + E,) second derivatives of the prior."""
-        p, e = self.numbers()
-        here = np.zeros(0)
-        if len(p):
-            low, high = (t.numpy() for t in self.start.limits())
-            here = (_PRIOR * (high - low) / 2) ** -2.0
-        return np.concatenate([here, np.full(len(e), _EFFECT_PRIOR**-2.0)])
+        """(P + E, P + E) second derivatives of the prior."""
+        p, e = (len(numbers) for numbers in self.numbers())
+        found = np.eye(p + e) / _EFFECT_PRIOR**2
+        found[:p, :p] = self._optics_precision(p)
+        return found
 
-
-@dataclass(frozen=True)
-class Now:
-    """Where derivatives of an image by its PSF and effects are taken.
-
-    Attributes
-    ----------
-    level, renderer, optics, effects
-        As they are.
-    transform
-        Transforms the present mesh for a renderer with other effects.
-    spectrum, otf, image
-        Of the present mesh; the image at the voxels that count.
-    voxels
-        Those.
-    amplitude
-        Of the image.
-    """
-
-    level: Level
-    renderer: Renderer
-    optics: Optics
-    effects: Effects
-    transform: Transform
-    spectrum: Tensor
-    otf: Tensor
-    image: Tensor
-    voxels: Voxels
-    amplitude: float
-
-
-def optics_columns(now: Now) -> list[Tensor]:
-    """(N,) derivatives of the measured image by each parameter of the PSF."""
-    p = now.optics.parameters()
-    columns = []
-    for i in range(len(p)):
-        change = torch.zeros_like(p)
-        change[i] = _DIFFERENCE
-        up, down = (
-            now.renderer.otf(now.optics.with_parameters(p + sign * change)) for sign in (1, -1)
-        )
-        difference = now.level.rendered(now.renderer, now.spectrum, up - down)
-        columns.append(now.amplitude / (2 * _DIFFERENCE) * now.voxels.of(difference))
-    return columns
-
-
-def effect_columns(now: Now, effect: Effect) -> list[Tensor]:
-    """(N,) derivatives of the measured image by each of the effect's parameters."""
-    p = effect.parameters()
-    columns = []
-    for i in range(len(p)):
-        change = torch.zeros_like(p)
-        change[i] = _EFFECT_DIFFERENCE
-        # Where a bound is near, the difference is one-sided.
-        up, down = effect.with_parameters(p + change), effect.with_parameters(p - change)
-        width = float((up.parameters() - down.parameters())[i])
-        columns.append(_difference(now, up, down, effect) / width)
-    return columns
-
-
-def _difference(now: Now, up: Effect, down: Effect, effect: Effect) -> Tensor:
-    """What the measured image changes by, from one value of an effect to another."""
-    grid, frame, voxels = now.level.grid, now.level.frame, now.voxels
-    if isinstance(effect, OffsetEffect):
-        assert isinstance(up, OffsetEffect)
-        assert isinstance(down, OffsetEffect)
-        change = up.offset(grid, frame) - down.offset(grid, frame)
-        return voxels.of(change.expand(grid.shape)).to(now.image.dtype)
-    if isinstance(effect, GainEffect):
-        assert isinstance(up, GainEffect)
-        assert isinstance(down, GainEffect)
-        ratio = (up.gain(grid, frame) - down.gain(grid, frame)) / effect.gain(grid, frame)
-        factor = voxels.of(ratio.expand(grid.shape)).to(now.image.dtype)
-        return now.amplitude * now.image * factor
-    ends = [now.renderer.with_effects(now.effects.replace(**{effect.name: e})) for e in (up, down)]
-    spectrum, otf = now.spectrum, now.otf
-    if isinstance(effect, TransferEffect) or effect.name == "depth_psf":
-        otf = ends[0].otf(now.optics) - ends[1].otf(now.optics)
-    else:
-        spectrum = now.transform(ends[0]) - now.transform(ends[1])
-    return now.amplitude * voxels.of(now.level.rendered(now.renderer, spectrum, otf))
+    def _optics_precision(self, count: int) -> FloatArray:
+        """(P, P) of the prior on the PSF's parameters, P being ``count``."""
+        if not count:
+            return np.zeros((0, 0))
+        low, high = (t.numpy() for t in self.start.limits())
+        found = np.diag((_PRIOR * (high - low) / 2) ** -2.0)
+        if isinstance(self.start, GaussianPSF):
+            found[1:3, 1:3] += np.array([[1.0, -1.0], [-1.0, 1.0]]) / _ROUND**2
+        return found

@@ -14,10 +14,11 @@ from ..geometry import Mesh
 from ..optics import GaussianPSF, Optics
 from ..runs.optics_settings import optics_from_values
 from ..runs.seeds import SeedKind as SeedKind
-from ..runs.settings import NEAR_LEVELS, RunSettings, SceneSettings
+from ..runs.settings import NEAR_LEVELS, FitSettings, RunSettings, SceneSettings
 from ..scene import Grid
 from . import FitState, counted_voxels, fit
-from .default_accuracy import accuracy_for_image
+from .default_accuracy import image_noise
+from .shape_dial import Situation, dialled, with_edges
 from .voxel_ownership import counted_around
 
 SIGMA_IN_VOXELS = 1.2  # where the user gives none
@@ -31,6 +32,8 @@ class FitInput:
     counted : (Z, Y, X) bool: voxels that may count; None for all.
     second : (Z, Y, X) second view, where the settings have one; None for that of its file.
     kind : how near to the membranes the mesh lies.
+    predicted : um, mean distance to the true surface that is to be expected; None where it is not
+        known.
     """
 
     settings: RunSettings
@@ -41,6 +44,7 @@ class FitInput:
     counted: NDArray[np.bool_] | None
     second: NDArray[Any] | None = None
     kind: SeedKind = "rough"
+    predicted: float | None = None
 
     @property
     def has_missing(self) -> bool:
@@ -89,13 +93,19 @@ def assemble(
     found: dict[str, Any] = {}
     if kind != "rough" and settings.fit.levels is None:
         found["levels"] = NEAR_LEVELS
-    if settings.fit.accuracy is None:
-        found["accuracy"] = accuracy_for_image(image)
-    settings = settings.model_copy(update={"fit": settings.fit.model_copy(update=found)})
     optics = optics_of(settings.scene)
+    now = Situation.of(mesh, grid, optics.sigma_um, image_noise(image))
+    wanted = dialled(settings.fit.shape_error, now)
+    mesh = with_edges(mesh, wanted.edge)
+    if settings.fit.accuracy is None:
+        found["accuracy"] = wanted.accuracy
+    if settings.fit.tolerance == FitSettings().tolerance:
+        found["tolerance"] = wanted.tolerance
+    settings = settings.model_copy(update={"fit": settings.fit.model_copy(update=found)})
     ground = counted_around if kind == "rough" else counted_voxels
     counted = ground(image, grid, mesh, optics)
-    return FitInput(settings, image, grid, mesh, optics, counted, second, kind)
+    given = settings, image, grid, mesh, optics, counted, second, kind
+    return FitInput(*given, predicted=wanted.predicted)
 
 
 def start(job: FitInput, resume: str | Path | None = None) -> Iterator[FitState]:

@@ -38,6 +38,21 @@ class Learnt:
         """Whether it is about so many unknowns."""
         return bool(self.pairs) and len(self.pairs[0][0]) == count
 
+    def saved(self) -> dict[str, np.ndarray]:
+        """What a checkpoint keeps."""
+        if not self.pairs:
+            return {}
+        steps, changes = (np.stack(of_all) for of_all in zip(*self.pairs, strict=True))
+        return {"steps": steps, "changes": changes, "scale": np.array(self.scale)}
+
+    @classmethod
+    def loaded(cls, found: dict[str, np.ndarray]) -> Learnt | None:
+        """What :meth:`saved` kept; None where it kept nothing."""
+        if "steps" not in found:
+            return None
+        pairs = tuple(zip(found["steps"], found["changes"], strict=True))
+        return cls(pairs, float(found["scale"]))
+
 
 class Memory:
     """The last steps, and what they changed the gradient by.

@@ -18,7 +18,7 @@ from ..geometry.mesh import Mesh
 from ..optics import GaussianPSF, Optics
 from ..optics.sharpest import Sharpest
 from ..runs.settings import FitSettings
-from ..scene import Grid, Renderer
+from ..scene import Grid, Renderer, Scene
 from ..scene.effects import Effects
 from ..scene.render import offset
 from .checks import FEWEST_VOXELS
@@ -102,8 +102,8 @@ class Level:
         Another PSF that images are rendered through.
     own_optics
         The PSF of this image, where it is not that of the fit.
-    halo
-        um: voxels count as far from the surface's own image as this, where there is a halo.
+    spread
+        um: voxels count as far from the surface's own image as this, where effects spread light.
     """
 
     def __init__(
@@ -116,7 +116,7 @@ class Level:
         effects: Effects,
         factor: float,
         second: GaussianPSF | None = None,
-        halo: float = 0.0,
+        spread: float = 0.0,
         own_optics: GaussianPSF | None = None,
     ) -> None:
         self.factor = factor
@@ -137,9 +137,9 @@ class Level:
         self.usable = int(self._counted.sum()) >= FEWEST_VOXELS
         if self.usable:
             self.noise = ImageNoise(
-                self.target[self._counted], settings.likelihood, camera=effects.camera
+                self.target[self._counted], settings.likelihood, camera=effects.detector
             )
-        self._halo = None if effects.halo is None else halo
+        self._spread = spread if effects.spread > 0 else 0.0
 
     def _blurred(self, image: np.ndarray, counted: np.ndarray, grid: Grid) -> tuple[Tensor, ...]:
         """Blurred image, and the voxels whose blur rests mostly, and at all, on counted ones."""
@@ -164,22 +164,29 @@ class Level:
 
     # ------------------------------------------------------------------------------- rendering
 
-    def renderer(self, mesh: Mesh, optics: Optics, effects: Effects) -> Renderer:
+    def renderer(
+        self,
+        mesh: Mesh,
+        optics: Optics,
+        effects: Effects,
+        accuracy: float | None = None,
+        insides: bool = False,
+    ) -> Renderer:
         """A renderer planned for this mesh, and for what a fit may make of it until it is renewed.
 
+        Of the level's accuracy, or a finer one.
+
         With a PSF that is being fitted the band reaches further: cut at today's width, it would
-        hide what a sharper PSF explains.
+        hide what a sharper PSF explains. insides : whether they may shine, too.
         """
         sharper: Any = optics if not self.settings.fit_psf else optics.sharpened(_SHARPER)
         if self._second is not None:
             sharper = Sharpest(sharper, self._second)
         return Renderer(
-            mesh,
+            Scene.of(mesh, sharper, effects, None, insides),
             self.grid,
-            sharper,
-            self.accuracy,
+            self.accuracy if accuracy is None else min(accuracy, self.accuracy),
             blur=self.blur,
-            effects=effects,
             frame=self.frame,
             margin=4 * self.width,
             device=self.device,
@@ -191,16 +198,25 @@ class Level:
         return image if self.volume_ratio == 1 else image * self.volume_ratio
 
     def brightness(
-        self, vertices: np.ndarray, rendered: Tensor, found: Match, effects: Effects
+        self,
+        vertices: np.ndarray,
+        rendered: Tensor,
+        found: Match,
+        effects: Effects,
+        inside: Tensor | None = None,
     ) -> np.ndarray:
         """(V,) measured over rendered brightness at vertices (V, 3) um.
 
-        Both without the background of the match; 1 where hardly any shows, or nothing is known.
+        Both without the background of the match, and without what of the rendering is light from
+        inside; 1 where hardly any shows, or nothing is known.
         """
         at = ((vertices - np.asarray(self.grid.origin)) / np.asarray(self.grid.voxel_size)).T
         added = self.offset(effects)
         measured = (self.target if added is None else self.target - added) - found.background
         shown = rendered.detach() * found.amplitude
+        if inside is not None:
+            further = inside.detach() * found.amplitude
+            measured, shown = measured - further.to(measured), shown - further
         known = self._known.to(measured.dtype)
         one, other, share = (
             map_coordinates(image.cpu().numpy(), at, order=1, mode="nearest")
@@ -214,21 +230,19 @@ class Level:
 
     # ---------------------------------------------------------------------------------- voxels
 
-    def voxels(
-        self, rendered: Tensor, effects: Effects, plain: Callable[[Effects], Tensor], width: float
-    ) -> Voxels:
-        """The voxels that count: near the surface, known, weighted by the likelihood.
+    def near(
+        self, membranes: Tensor, effects: Effects, plain: Callable[[Effects], Tensor], width: float
+    ) -> Tensor:
+        """(N,) flat indices of the voxels that count: known, and near the surface.
 
         Parameters
         ----------
-        rendered
+        membranes
             (Z, Y, X) image of the surface as it is now, with these effects.
         effects
             As they are now.
         plain
-            Renders the same with other effects: a halo is seen everywhere, and would have
-            everything count; an inside darker than the outside would leave out voxels just because
-            they are dark.
+            Renders the same with other effects: some hide how far the surface's image reaches.
         width
             um: largest of the PSF that it was rendered through.
 
@@ -237,12 +251,23 @@ class Level:
         InputError
             If the image is flat there.
         """
-        hiding = self._hiding(effects)
+        hiding = [e.name for e in effects.present() if e.hides_reach()]
         least = self._image_at_reach(width)
-        near = (plain(effects.without(*hiding)) if hiding else rendered) > least
-        if hiding and self._halo is not None:
-            near = _dilated(near, [self._halo / d for d in self.grid.voxel_size])
-        index = self._varied(near & self._counted)
+        near = (plain(effects.without(*hiding)) if hiding else membranes) > least
+        if hiding and self._spread > 0:
+            near = _dilated(near, [self._spread / d for d in self.grid.voxel_size])
+        return self._varied(near & self._counted)
+
+    def weighted(self, index: Tensor, rendered: Tensor, effects: Effects) -> Voxels:
+        """Some voxels, weighted by the likelihood.
+
+        Parameters
+        ----------
+        index
+            (N,) flat indices.
+        rendered
+            (Z, Y, X) image of what shines as it is now, with these effects.
+        """
         measured, model = self.target.reshape(-1)[index], rendered.reshape(-1)[index]
         if self.noise.kind != "poisson":
             return Voxels(index, measured, self.noise.weights(measured, None))
@@ -265,11 +290,6 @@ class Level:
         if not bool(values.min() < values.max()):
             raise InputError("the image is flat wherever the mesh reaches: start nearer to it")
         return index
-
-    def _hiding(self, effects: Effects) -> tuple[str, ...]:
-        """Effects that hide how far from the surface its own image reaches."""
-        dark = effects.bulk is not None and effects.bulk.density < 0
-        return ("halo",) * (self._halo is not None) + ("bulk",) * dark
 
     def _image_at_reach(self, width: float) -> float:
         """What a flat membrane of density 1 gives a voxel at the reach from it."""

@@ -13,7 +13,7 @@ from ..common.choices import Likelihood
 from ..fourier.devices import widest
 from ..fourier.explain import explain
 from ..fourier.real_fft import compiled
-from ..scene.effects import Camera
+from ..scene.effects import DetectorEffect
 
 _BLOCK = 4096  # values that are added up in one go
 
@@ -51,7 +51,7 @@ class ImageNoise:
         measured: Tensor,
         kind: Likelihood,
         floor: float = 0.05,
-        camera: Camera | None = None,
+        camera: DetectorEffect | None = None,
     ) -> None:
         self.kind = kind
         sample = measured.reshape(-1)[:: max(1, measured.numel() // 200_000)]

@@ -11,8 +11,9 @@ from scipy.spatial import cKDTree
 
 from ..geometry.mesh import FloatArray, Mesh
 from ..optics import Optics
-from ..scene import render
+from ..scene import Renderer, Scene
 from ..scene.effects import Effects
+from ..scene.light import MEMBRANES, Light
 from ..scene.render import offset
 from .lbfgs import dot
 from .likelihood import ImageNoise, solve_scale
@@ -36,12 +37,15 @@ class Misfit:
     variance
         Of one near the surface, times the voxels that one independent voxel stands for; see
         :func:`~.tempering.tempered_variance`.
+    independent
+        Share of its voxels that are independent.
     weights
         (Z, Y, X).
     """
 
     residual: FloatArray
     variance: float
+    independent: float
     weights: torch.Tensor
 
 
@@ -64,6 +68,7 @@ def misfit_of(
     effects: Effects,
     accuracy: float,
     like: Misfit | None = None,
+    light: Light = MEMBRANES,
 ) -> Misfit:
     """Residuals of a shape at the image's own sharpness, whatever the level.
 
@@ -78,10 +83,13 @@ def misfit_of(
         (F,) of the faces.
     like
         Of the shape to compare with: voxels count alike.
+    light
+        What shines.
     """
+    scene = Scene.of(mesh, optics, effects, density, light.interior != 0)
     with torch.no_grad():
-        given = mesh, problem.grid, optics, accuracy
-        rendered = render(*given, density=density, effects=effects).double()
+        renderer = Renderer(scene, problem.grid, accuracy)
+        rendered = renderer.image(renderer.transform(light=light), renderer.otf(optics)).double()
     measured = torch.from_numpy(problem.image).double()
     added = offset(effects, problem.grid)
     measured = measured if added is None else measured - added
@@ -92,7 +100,7 @@ def misfit_of(
         else like.weights
     )
     known = torch.from_numpy(counted)
-    near = (known & (rendered > _NEAR * rendered.max())).reshape(-1).nonzero()[:, 0]
+    near = (known & (rendered.abs() > _NEAR * rendered.abs().max())).reshape(-1).nonzero()[:, 0]
     some = (t.reshape(-1)[near] for t in (rendered, measured, weights))
     amplitude, background, _ = solve_scale(*some)
     left = torch.sqrt(weights) * (measured - amplitude * rendered - background)
@@ -101,7 +109,8 @@ def misfit_of(
     index = near.numpy()
     some_left = residual.reshape(-1)[index]
     variance = tempered_variance(some_left, index, problem.grid.shape, widths, 1e-300)
-    return Misfit(residual, variance, weights)
+    alone = float(np.mean(some_left**2))
+    return Misfit(residual, variance, alone / variance, weights)
 
 
 def gaps(
@@ -150,7 +159,7 @@ def _weights(
     smooth = gaussian_filter(np.where(counted, measured, 0.0), widths)
     smooth = torch.from_numpy(smooth / np.maximum(share, 1e-6))
     seen = torch.from_numpy(measured[counted])
-    return ImageNoise(seen, "poisson", camera=effects.camera).weights(smooth)
+    return ImageNoise(seen, "poisson", camera=effects.detector).weights(smooth)
 
 
 def _voxels_near(problem: Problem, points: FloatArray, reach: float) -> np.ndarray:

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from ..geometry.mesh import FloatArray, IntArray
 from ..scene import Grid
+from .directions import Directions
 from .posterior import Posterior
 from .variables import Variables
 
@@ -29,11 +30,11 @@ class Colouring:
     Attributes
     ----------
     colour
-        (V,) from 0.
+        (D,) from 0: of each direction of each vertex.
     reach
         Widths of the PSF: how far from a vertex voxels see it.
     places
-        (V, 3) vertices in widths of the PSF.
+        (D, 3) vertices in widths of the PSF.
     """
 
     colour: IntArray
@@ -41,7 +42,13 @@ class Colouring:
     places: FloatArray
 
     @classmethod
-    def of(cls, vertices: FloatArray, edges: IntArray, widths: FloatArray) -> Colouring:
+    def of(
+        cls,
+        vertices: FloatArray,
+        edges: IntArray,
+        widths: FloatArray,
+        each: IntArray | None = None,
+    ) -> Colouring:
         """A greedy one.
 
         Parameters
@@ -50,10 +57,13 @@ class Colouring:
             (V, 3) um and (E, 2).
         widths
             (3,) um of the PSF, Z Y X.
+        each
+            (D,) vertices that get a colour, some several times; by default each once.
         """
         places = vertices / widths
         ends = places[edges]
         edge = float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)))
+        places = places if each is None else places[each]
         reach = _REACH + edge
         colour = np.full(len(places), -1, np.int64)
         for vertex, near in enumerate(cKDTree(places).query_ball_point(places, 2 * reach)):
@@ -70,9 +80,9 @@ class Colouring:
 
 
 def normal_jacobian(
-    posterior: Posterior, at: Variables, normals: FloatArray, colouring: Colouring
+    posterior: Posterior, at: Variables, directions: Directions, colouring: Colouring
 ) -> list[sp.csr_matrix]:
-    """(N, V) of each view: derivatives of its rendering by displacements along normals, 1/um.
+    """(N, D) of each view: derivatives of its rendering by displacements along directions, 1/um.
 
     Vertices of one colour are moved together, and each voxel's change belongs to the one within
     reach: one rendering for each colour (A. R. Curtis, M. J. D. Powell, J. K. Reid, "On the
@@ -82,10 +92,10 @@ def normal_jacobian(
     ----------
     posterior, at
         The objective and where.
-    normals
-        (V, 3) unit vectors.
-    colouring
+    directions
         Of the vertices there.
+    colouring
+        Of the directions.
     """
     base = posterior.images(at)
     widths = _widths(posterior, at)
@@ -99,11 +109,11 @@ def normal_jacobian(
     groups = np.split(order, np.cumsum(np.bincount(colouring.colour))[:-1])
     for group in groups:
         vertices = at.vertices.copy()
-        vertices[group] += step * normals[group]
+        vertices[directions.vertex[group]] += step * directions.way[group]
         moved = posterior.images(replace(at, vertices=vertices))
         for part, seen, now, before in zip(parts, views, moved, base, strict=True):
             change = (now - before) / step
-            part += [change[seen[vertex]] for vertex in group]
+            part += [change[seen[one]] for one in group]
     return [
         _matrix(part, seen, order, len(before))
         for part, seen, before in zip(parts, views, base, strict=True)
@@ -118,7 +128,7 @@ def _widths(posterior: Posterior, at: Variables) -> FloatArray:
 
 
 def _seen(grid: Grid, index: IntArray, widths: FloatArray, colouring: Colouring) -> list[IntArray]:
-    """Of each vertex: rows of the voxels that see it."""
+    """Of each direction: rows of the voxels that see its vertex."""
     at = np.stack(np.unravel_index(index, grid.shape), 1)
     centres = (at * np.asarray(grid.voxel_size) + np.asarray(grid.origin)) / widths
     found = cKDTree(centres).query_ball_point(colouring.places, colouring.reach)

@@ -12,8 +12,7 @@ class AdamUniform:
 
     From Nicolet et al. 2021 (see :class:`Preconditioner`), who take the largest squared gradient of
     the whole mesh; here each connected piece has its own, so that a large cell does not hold back a
-    small one. The moments live on the device of the gradients; what is carried along and kept in
-    checkpoints are arrays of the host.
+    small one. The moments live on the device of the gradients.
 
     Parameters
     ----------
@@ -49,30 +48,3 @@ class AdamUniform:
         scale = torch.sqrt(self.second / (1 - b2**self.count))
         scale = torch.where(scale > 0, scale, 1.0)
         return self.first / (1 - b1**self.count) / scale[self._pieces, None]
-
-    def restart(self) -> None:
-        """Forget the past: the loss has changed."""
-        self.count = 0
-        self.first = torch.zeros_like(self.first)
-        self.second = torch.zeros_like(self.second)
-
-    def carried(self) -> np.ndarray:
-        """(V, C + 1) what vertices have to take along where their number changes."""
-        each = torch.cat([self.first, self.second[self._pieces, None]], 1)
-        return each.cpu().numpy()
-
-    def carry_on(self, pieces: np.ndarray, carried: np.ndarray) -> None:
-        """Go on with other vertices, and what they took along."""
-        self._pieces = torch.as_tensor(pieces.astype(np.int64))
-        self.first = torch.tensor(carried[:, :-1])
-        self.second = torch.from_numpy(np.bincount(pieces, carried[:, -1]) / np.bincount(pieces))
-
-    def state(self) -> dict[str, np.ndarray]:
-        """What a checkpoint keeps."""
-        moments = {"first": self.first.cpu().numpy(), "second": self.second.cpu().numpy()}
-        return {"count": np.array(self.count), **moments}
-
-    def load(self, state: dict[str, np.ndarray]) -> None:
-        """Take over what a checkpoint kept."""
-        self.count = int(state["count"])
-        self.first, self.second = torch.tensor(state["first"]), torch.tensor(state["second"])

@@ -16,7 +16,7 @@ from ..errors import InputError
 from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..runs.settings import FitSettings
-from ..scene import Renderer, expected_image
+from ..scene import Renderer, Scene, expected_image
 from ..scene.effects import Effects
 from .change import Change
 from .likelihood import Match, match
@@ -57,7 +57,7 @@ def as_in_the_paper(
     for iteration in range(1, settings.max_iterations + 1):
         if renderer is None or iteration % _PLAN_EVERY == 0:
             now = mesh.with_vertices(vertices.detach().numpy().copy())
-            given = now, problem.grid, optics, settings.image_accuracy
+            given = Scene.of(now, optics), problem.grid, settings.image_accuracy
             renderer = Renderer(*given, margin=2 * width)
         optics = optics.with_parameters(numbers) if settings.fit_psf else optics
         image = renderer.image(renderer.transform(vertices), renderer.otf(optics))

@@ -9,12 +9,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..common.choices import Structure
 from ..fourier.devices import for_objects
 from ..geometry.bending import BendingEnergy
 from ..geometry.junction_bending import JunctionBending
 from ..geometry.mesh import FloatArray
 from ..scene import Renderer
 from ..scene.effects import Effects
+from ..scene.light import MEMBRANES, Light
+from .amplitudes import light_of
 from .density import Density
 from .imaging import Imaging
 from .level import Level, Voxels
@@ -68,6 +71,7 @@ def pose(
     density_fitted: bool,
     tempered: bool,
     held: Sequence[View] = (),
+    structure: Structure = "membrane",
 ) -> Posed:
     """The objective at a level, from where the surface is now.
 
@@ -86,37 +90,42 @@ def pose(
     held
         Views of the objective before, where voxels, weights and variances stay what they are: as
         long as the surface has not left them.
+    structure
+        What may shine.
     """
     level, second = levels
     known = shape.log_density
     log = np.zeros(len(density)) if known is None else density.centred(known)
     at = Variables(shape.mesh.vertices_numpy(), log, *imaging.numbers())
-    renderer = level.renderer(shape.mesh, imaging.optics, imaging.effects)
-    look = _Look(level, renderer, density, imaging)
-    rendered = look.rendered(at)
-    voxels = look.voxels(at, rendered)
+    given = shape.mesh, imaging.optics, imaging.effects
+    renderer = level.renderer(*given, insides=structure != "membrane")
+    look = _Look(level, renderer, density, imaging, structure)
+    voxels, light = look.voxels(at)
     if held and _left_out(voxels, held[0].voxels, level.grid.shape) > _LEFT:
         held = ()
     voxels = held[0].voxels if held else voxels
-    if density_fitted and shape.log_density is None and density.model == "smooth":
+    rendered = look.rendered(at, light)
+    begins = density_fitted and shape.log_density is None and density.model == "smooth"
+    if begins and light.membrane:
         found = look.found(voxels, rendered)
-        ratio = level.brightness(at.vertices, rendered, found, imaging.effects)
+        inside = look.rendered(at, replace(light, membrane=0.0)) if light.interior else None
+        ratio = level.brightness(at.vertices, rendered, found, imaging.effects, inside)
         smoother = Preconditioner(shape.mesh, level.smoothing)
         at = replace(at, density=density.estimate(ratio, smoother))
-        rendered = look.rendered(at)
+        rendered = look.rendered(at, light)
     found = look.found(voxels, rendered)
     views = list(held)
     if not held:
         views = [look.view(voxels, rendered, found, tempered)]
         if second is not None:
-            views.append(look.second_view(second, at, tempered))
+            views.append(look.second_view(second, at, light, tempered))
     variance = views[0].variance
     stiffness = level.settings.bending
     width = float(np.prod(imaging.optics.sigma_um)) ** (1 / 3)
     bending = BendingEnergy(shape.mesh), JunctionBending(shape.mesh, width)
     prior = Prior(*bending, stiffness, density, imaging)
-    posterior = Posterior(level, renderer, views, prior, density_fitted)
-    firmness = look.firmness(voxels, rendered, found) / variance
+    posterior = Posterior(level, renderer, views, prior, density_fitted, structure)
+    firmness = look.firmness(voxels, rendered, found, light) / variance
     left = found.squares / max(float(total(voxels.weights)), 1e-300)
     return Posed(posterior, at, renderer, variance, left, bool(held), firmness)
 
@@ -136,9 +145,14 @@ class _Look:
     renderer: Renderer
     density: Density
     imaging: Imaging
+    structure: Structure
 
     def rendered(
-        self, at: Variables, effects: Effects | None = None, level: Level | None = None
+        self,
+        at: Variables,
+        light: Light,
+        effects: Effects | None = None,
+        level: Level | None = None,
     ) -> Tensor:
         """(Z, Y, X) with the effects as they are now, or others."""
         level, imaging = level or self.level, self.imaging
@@ -147,19 +161,33 @@ class _Look:
         with torch.no_grad():
             vertices = torch.from_numpy(at.vertices.copy()).to(there)
             weights = self.density.faces(torch.from_numpy(at.density).to(there))
-            spectrum = renderer.transform(vertices, weights)
+            spectrum = renderer.transform(vertices, weights, light)
             otf = renderer.otf(level.optics or imaging.optics)
             return level.rendered(renderer, spectrum, otf)
 
-    def voxels(self, at: Variables, rendered: Tensor, level: Level | None = None) -> Voxels:
-        """Those that count."""
+    def voxels(
+        self, at: Variables, light: Light | None = None, level: Level | None = None
+    ) -> tuple[Voxels, Light]:
+        """Those that count, and what shines, where it is not told."""
         level = level or self.level
         width = max((level.optics or self.imaging.optics).sigma_um)
+        membranes = self.rendered(at, MEMBRANES, level=level)
 
         def plain(effects: Effects) -> Tensor:
-            return self.rendered(at, effects, level)
+            return self.rendered(at, MEMBRANES, effects, level)
 
-        return level.voxels(rendered, self.imaging.effects, plain, width)
+        index = level.near(membranes, self.imaging.effects, plain, width)
+        flat = level.target.reshape(-1)[index]
+        voxels = Voxels(index, flat, torch.ones_like(flat))
+
+        def shown(one: Light) -> Tensor:
+            image = membranes if one == MEMBRANES else self.rendered(at, one, level=level)
+            return voxels.of(image)
+
+        measured = self._measured(voxels, level)
+        light = light or light_of(self.structure, shown, measured, voxels.weights)
+        rendered = membranes if light == MEMBRANES else self.rendered(at, light, level=level)
+        return level.weighted(index, rendered, self.imaging.effects), light
 
     def _measured(self, voxels: Voxels, level: Level) -> Tensor:
         added = level.offset(self.imaging.effects)
@@ -190,26 +218,29 @@ class _Look:
         alone = max(float(np.mean(residual**2)), least, 1e-300)
         optics = None if level is self.level else level.optics
         if not tempered:
-            return View(voxels, alone, optics)
+            return View(voxels, alone, 1.0, optics)
         widths = level.factor * np.asarray(self.imaging.optics.sigma_um)
         widths = widths / np.asarray(level.grid.voxel_size)
         index = voxels.index.cpu().numpy()
         given = residual, index, level.grid.shape, tuple(widths)
-        return View(voxels, tempered_variance(*given, alone), optics)
+        variance = tempered_variance(*given, alone)
+        return View(voxels, variance, alone / variance, optics)
 
-    def second_view(self, level: Level, at: Variables, tempered: bool) -> View:
+    def second_view(self, level: Level, at: Variables, light: Light, tempered: bool) -> View:
         """The second image, with a background and an amplitude of its own."""
-        rendered = self.rendered(at, level=level)
-        voxels = self.voxels(at, rendered, level)
+        rendered = self.rendered(at, light, level=level)
+        voxels, _ = self.voxels(at, light, level)
         found = self.found(voxels, rendered, level)
         return self.view(voxels, rendered, found, tempered, level)
 
-    def firmness(self, voxels: Voxels, rendered: Tensor, found: Match) -> float:
-        """Of a flat membrane, before it is divided by the variance.
+    def firmness(self, voxels: Voxels, rendered: Tensor, found: Match, light: Light) -> float:
+        """Of a flat surface, before it is divided by the variance.
 
-        Of amplitude a it has the image a v g(n), with v the volume that a voxel of the rendering
-        stands for and g a Gaussian of width s along its normal: the squares of its derivative add
-        up to a^2 v^2 / (4 sqrt(pi) s^3 V) for each um^2, V being the volume of a voxel.
+        A membrane of amplitude a has the image a v g(n), with v the volume that a voxel of the
+        rendering stands for and g a Gaussian of width s along its normal: the squares of its
+        derivative add up to a^2 v^2 / (4 sqrt(pi) s^3 V) for each um^2, V being the volume of a
+        voxel. An inside of amplitude c ends as c v times the integral of g, whose derivative's
+        squares add up to c^2 v^2 / (2 sqrt(pi) s V); one is even, the other odd, so both add up.
         """
         level = self.level
         values = voxels.of(rendered).clamp(min=0)
@@ -217,7 +248,8 @@ class _Look:
         volume = float(np.prod(level.grid.voxel_size))
         width = level.factor * float(np.prod(self.imaging.optics.sigma_um)) ** (1 / 3)
         brightness = found.amplitude * volume * level.volume_ratio
-        return weight * brightness**2 / (4 * np.sqrt(np.pi) * width**3 * volume)
+        sharp = light.membrane**2 / (4 * width**3) + light.interior**2 / (2 * width)
+        return weight * brightness**2 * sharp / (np.sqrt(np.pi) * volume)
 
 
 def _double(values: Tensor) -> FloatArray:

@@ -30,11 +30,11 @@ class Schedule:
         tolerance would gain more: with 0.1, none is further from where it belongs than half of
         its own standard deviation.
     moving
-        Or when no more than this share of the patches would, and voxels and weights have stayed
-        the same for a while: on large surfaces there is always one in a crumpled place. It is
-        named. Less than one patch of a small one.
+        Or, after a while, when no more than this share of the patches would: on large surfaces
+        there are always some where the image shows what no mesh describes. The worst is named.
+        About one patch of a small surface.
     patience
-        Iterations that make that while.
+        Iterations of the level that make that while.
     rests
         Iterations in a row for which that must hold: single ones are met by chance.
     held
@@ -55,8 +55,8 @@ class Schedule:
     coarse_gain: float = 0.02
     coarse_most: int = 30
     gain: float = 0.1
-    moving: float = 0.005
-    patience: int = 40
+    moving: float = 0.01
+    patience: int = 80
     rests: int = 2
     held: int = 3
     level_variance: float = 0.1
@@ -79,8 +79,8 @@ class Progress:
         Of the residuals in it; 0 before the first.
     left
         See :class:`~.pose.Posed`.
-    held_at
-        Iteration from which on voxels and weights stay what they are; -1 while they do not.
+    held
+        Whether voxels and weights stay what they are.
     settled
         Whether the variance is about that of the objective before.
     stuck
@@ -94,15 +94,10 @@ class Progress:
     values: tuple[float, ...] = field(default=())
     variance: float = 0.0
     left: float = 0.0
-    held_at: int = -1
+    held: bool = False
     settled: bool = False
     stuck: int = 0
     rests: int = 0
-
-    @property
-    def held(self) -> bool:
-        """Whether voxels and weights stay what they are."""
-        return self.held_at >= 0
 
     def posed(
         self,
@@ -115,7 +110,7 @@ class Progress:
         change = abs(variance / self.variance - 1) if self.variance > 0 else 1.0
         settled = change < schedule.level_variance
         fallen = 1 - left / self.left if self.left > 0 else 1.0
-        begins = not self.held and settled and fallen < schedule.worth_renewing
+        little = settled and fallen < schedule.worth_renewing
         return replace(
             self,
             since_posed=0,
@@ -124,16 +119,16 @@ class Progress:
             variance=variance,
             left=left,
             settled=settled,
-            held_at=self.iterations if begins else self.held_at,
+            held=self.held or little,
         )
 
     def freed(self) -> Progress:
         """Voxels and weights are chosen anew."""
-        return replace(self, held_at=-1)
+        return replace(self, held=False)
 
     def released(self) -> Progress:
         """The surface goes elsewhere: voxels and weights have to follow."""
-        return replace(self, held_at=-1, left=0.0)
+        return replace(self, held=False, left=0.0)
 
     def stepped(self, value: float, moved: bool) -> Progress:
         """One iteration more; whether it found a way down."""
@@ -156,7 +151,7 @@ class Progress:
     def looked(self, remaining: Remaining, tolerance: float, schedule: Schedule) -> Progress:
         """Whether hardly anything is left to gain has been looked at. tolerance : um."""
         moves = remaining.move > tolerance and remaining.gain > schedule.gain
-        waited = self.held and self.iterations - self.held_at >= schedule.patience
+        waited = self.iterations >= schedule.patience
         little = not moves or (waited and remaining.share <= schedule.moving)
         rests = little and self.since_posed >= schedule.window
         return replace(self, rests=self.rests + 1 if rests else 0)

@@ -9,7 +9,7 @@ from ..images.stacks import read_image
 from ..optics import GaussianPSF, Optics
 from ..runs.settings import FitSettings
 from ..scene import Grid
-from ..scene.effects import Effects, SecondView
+from ..scene.effects import Effects, ViewEffect
 from .checks import check_image
 from .level import Level
 
@@ -32,10 +32,10 @@ class Pixels:
         If there is no image, or it does not lie on the grid.
     """
 
-    def __init__(self, image: np.ndarray | None, grid: Grid, view: SecondView) -> None:
+    def __init__(self, image: np.ndarray | None, grid: Grid, view: ViewEffect) -> None:
         if image is None:
             if not view.image:
-                raise InputError("second_view has no image: name its file by 'image'")
+                raise InputError(f"{view.name} has no image: name its file by 'image'")
             image = read_image(view.image)[0]
         try:
             self.values, self.known = check_image(image, grid)
@@ -52,6 +52,6 @@ class Pixels:
     ) -> Level:
         """This image at the level of the first: the same grid and blur."""
         # Those of the first image's background and camera are not those of this one.
-        own = effects.without("background", "camera", "missing")
+        own = effects.of_a_further_image()
         given = self.values, self.known, grid, optics, settings, own, factor
         return Level(*given, own_optics=self.optics)

@@ -15,6 +15,7 @@ from ..geometry.archive import opened
 from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..scene.effects import Effects
+from ..scene.light import MEMBRANES, Light
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,8 @@ class FitState:
         Measured image = amplitude * rendered image + background.
     effects
         Optional parts of image formation, with their numbers as they are now.
+    light
+        What shines: membranes, insides, or both, and how much of each.
     blur
         Width of both images at this level, in widths of the PSF.
     converged
@@ -60,6 +63,7 @@ class FitState:
     background: float
     blur: float
     effects: Effects = field(default_factory=Effects)
+    light: Light = MEMBRANES
     converged: bool = False
     message: str = ""
     pinned: np.ndarray | None = None

@@ -16,30 +16,80 @@ from .local_misfit import Gap, Misfit
 from .shape import Shape
 from .triangle_quality import median_edge
 
-# As shares of the median edge:
-_THIN = 0.25  # what is thinner may give way
-_SMALL = 0.5  # walls smaller than this, of an edge length squared, may go
-# At the end of a fit, what is larger is tried too: necks and holes up to a width, walls to an area
-# and junctions to a length.
-_NARROW, _SMALL_AT_END = 1.6, 1.0
-_CLOSE = 0.5  # parts of a wall nearer to each other than this go together
-_SAME = 2.5  # places nearer to each other than this are the same place
-# Counts and others:
-_WIDENS = 1.2  # a place that has become this much wider since it was last seen is left alone
-TRIAL = 12  # iterations after which a change is judged, if the fit has not come to rest before
-TRIAL_AT_MOST = 40  # the same where the image alone decides: what has not relaxed tells too little
-# Standard errors of their log likelihood gap by which two shapes must differ to be told apart.
-_CERTAIN = 3.0
-# Widths of the PSF: radius of a piece that may vanish, how far around a change it is judged, and
-# how far apart changes are that are judged together.
-_PIECE, BEYOND, _ALONE = 2.0, 2.0, 3.0
-_SEEN = 20.0  # widths squared: area of a slit that is worth a trial (chosen on foams)
-_ONE = 2.0  # distance of two membranes below which they have one peak (Sparrow's criterion)
-SHARP = 2.0  # blur, in widths of the PSF, up to which images can tell what touches what
-_OFTEN = 3  # changes at one place in a fit
-_ALL = 10**6  # places at a time
+_ALL = 10**6  # more places than there are: no limit
 _KEPT = ("seen", "past", "left_alone", "hopeless", "futile")  # lists of places in a checkpoint
-_LATE = 3  # times that trials of which nothing came put off the end of a fit
+
+
+@dataclass(frozen=True)
+class TopologyRules:
+    """When the topology may change, and when a change stays.
+
+    Attributes
+    ----------
+    thin
+        Median edges: what is thinner may give way. The guard holds surfaces apart at a thousandth;
+        a quarter is what triangles of that size can no longer show.
+    small
+        Median edges squared: walls smaller than that may go: they are less than a triangle.
+    narrow, small_at_end
+        Median edges: what is tried at the end of a fit, when nothing presses: necks and holes as
+        narrow, walls and junctions as small. Two rows of triangles face each other there.
+    close, same
+        Median edges: parts of a wall nearer to each other go together; places nearer to each other
+        are the same place, which remeshing would otherwise make another one.
+    widens
+        A place that has become this much wider since it was last seen is left alone: it opens by
+        itself.
+    patience, patience_tried
+        Iterations after which a change is judged, if the fit has not come to rest before; more
+        where the image alone decides, since what has not relaxed tells too little.
+    certain
+        Standard errors of their log likelihood gap by which two shapes must differ: at three, one
+        change of 740 that nothing speaks for would stay by chance.
+    piece, beyond, alone
+        Widths of the PSF: radius of a piece that may vanish, how far around a change it is judged,
+        and how far apart changes are that are judged together: so far that their images hardly
+        overlap.
+    slit
+        Widths squared: area of a slit that is worth a trial; chosen on foams
+        (``python -m benchmarks.clusters``).
+    one_peak
+        Widths: distance of two membranes below which they have one peak (Sparrow's criterion).
+    sharp
+        Blur, in widths of the PSF, up to which images can tell what touches what: with more, two
+        membranes four widths of the PSF apart would have one peak.
+    often
+        Changes at one place in a fit: what flips back and forth would go on for ever.
+    late
+        Times that trials of which nothing came put off the end of a fit; each costs ``patience``
+        iterations.
+    """
+
+    thin: float = 0.25
+    small: float = 0.5
+    narrow: float = 1.6
+    small_at_end: float = 1.0
+    close: float = 0.5
+    same: float = 2.5
+    widens: float = 1.2
+    patience: int = 12
+    patience_tried: int = 40
+    certain: float = 3.0
+    piece: float = 2.0
+    beyond: float = 2.0
+    alone: float = 3.0
+    slit: float = 20.0
+    one_peak: float = 2.0
+    sharp: float = 2.0
+    often: int = 3
+    late: int = 3
+
+    def patience_for(self, trial: Trial) -> int:
+        """Iterations until a change is judged."""
+        return self.patience_tried if trial.tried else self.patience
+
+
+RULES = TopologyRules()
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,9 +173,9 @@ class TopologyPolicy:
     def pressing(self, shape: Shape, blur: float) -> tuple[TopologyPolicy, list[ThinPlace]]:
         """Places that have been thin for a while, narrowest first."""
         edge = median_edge(shape.mesh)
-        places = thin_places(shape.mesh, _THIN * edge, apart=_SAME * edge)
+        places = thin_places(shape.mesh, RULES.thin * edge, apart=RULES.same * edge)
         if blur > 1:  # else the image tells, at the end
-            places += small_walls(shape.mesh, _SMALL * edge**2)
+            places += small_walls(shape.mesh, RULES.small * edge**2)
         found = self._free(shape, places, self.hopeless)
         lasting = [p for p in found if any(_lasts(p, q, edge) for q in self.seen)]
         lasting = sorted(lasting, key=lambda p: p.width)[: self.most]
@@ -133,16 +183,16 @@ class TopologyPolicy:
 
     def candidates(self, shape: Shape, width: float) -> list[ThinPlace]:
         """Where another shape might explain the image; width : um, largest of the PSF."""
-        if self.late >= _LATE:
+        if self.late >= RULES.late:
             return []
         mesh, edge = shape.mesh, median_edge(shape.mesh)
-        size = max(_SMALL_AT_END * edge, width)
-        places = small_pieces(mesh, 4 / 3 * np.pi * (_PIECE * width) ** 3)
-        reach = max(_NARROW * edge, _ONE * width)
-        thin = thin_places(mesh, reach, _SAME * edge, _neck_or_slit)
-        places += _narrowest([p for p in thin if p.width < _NARROW * edge])
-        places += _slits(thin, _ONE * width, seen=_SEEN * width**2 / edge**2)
-        walls = small_walls(mesh, size**2, _CLOSE * edge)
+        size = max(RULES.small_at_end * edge, width)
+        places = small_pieces(mesh, 4 / 3 * np.pi * (RULES.piece * width) ** 3)
+        reach = max(RULES.narrow * edge, RULES.one_peak * width)
+        thin = thin_places(mesh, reach, RULES.same * edge, _neck_or_slit)
+        places += _narrowest([p for p in thin if p.width < RULES.narrow * edge])
+        places += _slits(thin, RULES.one_peak * width, seen=RULES.slit * width**2 / edge**2)
+        walls = small_walls(mesh, size**2, RULES.close * edge)
         return places + sorted([*walls, *short_junctions(mesh, size)], key=lambda p: p.width)
 
     def worth_a_trial(
@@ -154,7 +204,7 @@ class TopologyPolicy:
             if any(_reverts(place, q, edge) for q in self.past):
                 continue
             near = (cKDTree(p.points).query(place.points)[0].min() for p in chosen)
-            if min(near, default=np.inf) > _ALONE * width:
+            if min(near, default=np.inf) > RULES.alone * width:
                 chosen.append(place)
         return sorted(chosen, key=lambda p: p.width)[: self.most]
 
@@ -177,7 +227,7 @@ class TopologyPolicy:
         """What becomes of a change, from how much better the image near its places is explained."""
         kept, undone, undecided = [], [], []
         for place, gap in zip(trial.places, gaps, strict=True):
-            clear = _CERTAIN * gap.error
+            clear = RULES.certain * gap.error
             if gap.nats >= (clear if _needs_evidence(place, trial.tried) else -clear):
                 kept.append(place)
                 continue
@@ -200,9 +250,9 @@ class TopologyPolicy:
         pins = shape.mesh.vertices_numpy()[shape.pinned]
         found = []
         for place in places:
-            pinned = len(pins) and cKDTree(pins).query(place.points)[0].min() < _SAME * edge
+            pinned = len(pins) and cKDTree(pins).query(place.points)[0].min() < RULES.same * edge
             alone = any(_same(place, q, edge) for q in (*self.left_alone, *given_up))
-            again = sum(_meet(place, q, edge) for q in self.past) >= _OFTEN
+            again = sum(_meet(place, q, edge) for q in self.past) >= RULES.often
             if not (pinned or alone or again):
                 found.append(place)
         return found
@@ -263,7 +313,7 @@ def _places(lists: list[list[Any]]) -> tuple[ThinPlace, ...]:
 
 
 def _lasts(now: ThinPlace, before: ThinPlace, edge: float) -> bool:
-    return _same(now, before, edge) and now.width < _WIDENS * before.width
+    return _same(now, before, edge) and now.width < RULES.widens * before.width
 
 
 def _same(one: ThinPlace, other: ThinPlace, edge: float) -> bool:
@@ -278,4 +328,4 @@ def _reverts(now: ThinPlace, before: ThinPlace, edge: float) -> bool:
 
 
 def _meet(one: ThinPlace, other: ThinPlace, edge: float) -> bool:
-    return bool(cKDTree(one.points).query(other.points)[0].min() < _SAME * edge)
+    return bool(cKDTree(one.points).query(other.points)[0].min() < RULES.same * edge)

@@ -21,7 +21,7 @@ _FEWEST = 600  # vertices: with fewer, triangles cost less than the image
 _FAR_OFF = 1.4  # from a length, by which factor edges count as of another one
 
 
-class Upkeep:
+class Remeshing:
     """Remeshes a surface when too many of its triangles have become slivers.
 
     The edge length is that which the surface had at the start: the user's choice. On levels that

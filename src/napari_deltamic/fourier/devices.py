@@ -35,11 +35,6 @@ def for_objects(device: torch.device) -> torch.device:
     return torch.device("cpu") if device.type == "mps" else device
 
 
-def has_own_memory(device: torch.device) -> bool:
-    """Whether the host has to wait for a device, and to copy, to see what it has computed."""
-    return device.type != "cpu"
-
-
 def widest(device: torch.device) -> torch.dtype:
     """The most precise real type that a device holds."""
     return torch.float32 if device.type == "mps" else torch.float64

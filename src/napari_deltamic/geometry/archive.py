@@ -52,8 +52,8 @@ class ArchiveWriter:
         self._zip.writestr(name, text.encode())
 
     def add_json(self, name: str, values: Any) -> None:
-        """Add plain values."""
-        self.add_text(name, json.dumps(values, indent=1))
+        """Add plain values; numpy's numbers count as such."""
+        self.add_text(name, json.dumps(values, indent=1, default=_plain))
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Make the file. InputError if it cannot be written; what was there is then as before."""
@@ -192,3 +192,9 @@ def _fill(stream: Any, flat: NDArray[np.uint8]) -> None:
             raise InputError("it ends too early")
         view[done : done + len(piece)] = piece
         done += len(piece)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{type(value).__name__} is no plain value")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 
+from psygnal import EmitLoopError
+
 from ..errors import InputError, failure
 
 _log = logging.getLogger(__name__)
@@ -16,6 +18,8 @@ def words_of(error: Exception, shape: Sequence[int] | None = None) -> str:
 
     shape : of the image, which tells how much memory is needed.
     """
+    while isinstance(error, EmitLoopError) and isinstance(error.__cause__, Exception):
+        error = error.__cause__  # of what was told of a change
     if isinstance(error, InputError):
         return str(error)
     _log.error("unexpected error", exc_info=error)

@@ -18,6 +18,7 @@ class Header(QWidget):
     """A menu button and a button for the docs."""
 
     copy_command = Signal()
+    run_folder = Signal()
     simulate = Signal()
 
     def __init__(self, parent: QWidget | None = None) -> None:
@@ -31,6 +32,10 @@ class Header(QWidget):
         self.help.setAccessibleName("help")
         self.help.setFixedWidth(30)
         self.copy_action = self._action("Copy as command", self.copy_command)
+        self.folder_action = self._action("Run on a folder...", self.run_folder)
+        self.folder_action.setToolTip(
+            "Writes batch.toml with these settings beside the stacks, and copies its command."
+        )
         self.simulate_action = self._action("Simulate cells...", self.simulate)
         self.copy_action.setToolTip("The command that repeats this run without a window.")
         self.menu.setToolTipsVisible(True)

@@ -1,4 +1,4 @@
-"""Entries of napari's menus that are no widgets."""
+"""Entries of napari's menus and of its command palette that are no widgets."""
 
 from __future__ import annotations
 
@@ -12,6 +12,31 @@ from .panels.preferences import PLUGIN
 def open_session(viewer: Viewer) -> None:
     """Ask for a session file and open it, in the widget of the plugin."""
     fit_widget(viewer).sessions.open_action.trigger()
+
+
+def find_cells(viewer: Viewer) -> None:
+    """Find the cells of the image chosen."""
+    fit_widget(viewer).seeds.find_cells.start()
+
+
+def fit_or_stop(viewer: Viewer) -> None:
+    """Start a fit of what is chosen, or end what runs."""
+    fit_widget(viewer).start_or_stop()
+
+
+def pause_or_resume(viewer: Viewer) -> None:
+    """Let the fit wait, or go on."""
+    fit_widget(viewer).footer.pause_button.click()
+
+
+def go_to_worst(viewer: Viewer) -> None:
+    """Go to where the image differs most from the model."""
+    fit_widget(viewer).running.go_to_worst()
+
+
+def next_view(viewer: Viewer) -> None:
+    """Look at the image, the model, the difference, or both beside each other, in turn."""
+    fit_widget(viewer).doc.look_further()
 
 
 def fit_widget(viewer: Viewer) -> Any:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 from qtpy.QtCore import QSignalBlocker, Qt
@@ -10,97 +11,65 @@ from qtpy.QtGui import QResizeEvent
 from qtpy.QtWidgets import (
     QComboBox,
     QFormLayout,
+    QHBoxLayout,
     QLabel,
+    QPushButton,
     QSizePolicy,
     QToolButton,
     QVBoxLayout,
     QWidget,
 )
 
-from .connections import Connections
+from .layer_choice import LayerChoice
 from .qt import Signal
-from .viewing.frame import made_by_fit
 
 _ARROW = 30  # px of the button of a fold that are not for its text
 
 
 class LayerChooser(QComboBox):
-    """The layers of a viewer that can be used for something; ``chosen`` says that it is another.
-
-    Parameters
-    ----------
-    viewer : a napari viewer or its model.
-    accepts : whether a layer can be used.
-    nothing : the first entry, for no layer; then none is chosen but by the user. '' for no such.
-    """
-
-    chosen = Signal()
+    """Shows a choice of layers, and lets the user make it."""
 
     def __init__(
-        self,
-        viewer: Any,
-        accepts: Callable[[Any], bool],
-        parent: QWidget | None = None,
-        *,
-        nothing: str = "",
+        self, choice: LayerChoice, parent: QWidget | None = None, *, nothing: str = "none"
     ) -> None:
         super().__init__(parent)
-        self._viewer, self._accepts, self._nothing = viewer, accepts, nothing
-        self._layers: list[Any] = []
-        self._last: Any = None
-        # Long layer names must not widen a narrow dock.
-        self.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-        self.setMinimumContentsLength(12)
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
-        self.connections = Connections()
-        events = viewer.layers.events
-        for emitter in (events.inserted, events.removed, events.reordered, events.renamed):
-            # After the viewer itself, which shows a layer that is new.
-            self.connections.connect(emitter, self.refresh, position="last")
-        self.currentIndexChanged.connect(self._told)
-        self.refresh()
+        self.choice, self._nothing = choice, nothing
+        be_narrow(self)
+        choice.listed.connect(self._show)
+        self.currentIndexChanged.connect(self._chosen)
+        self._show()
 
-    def layer(self) -> Any:
-        """The layer chosen, or None."""
-        index = self.currentIndex()
-        return self._layers[index] if 0 <= index < len(self._layers) else None
+    def _shown(self) -> list[Any]:
+        return [None, *self.choice.layers] if self.choice.optional else self.choice.layers
 
-    def choose(self, layer: Any) -> None:
-        """Choose a layer."""
-        if layer in self._layers:
-            self.setCurrentIndex(self._layers.index(layer))
-
-    def refresh(self, event: Any = None) -> None:
-        """Look at the viewer's layers again; the choice stays where it can."""
-        before = self.layer()
+    def _show(self) -> None:
         blocker = QSignalBlocker(self)
-        self._layers = [layer for layer in self._viewer.layers if self._accepts(layer)]
-        names = [layer.name for layer in self._layers]
-        if self._nothing:
-            self._layers, names = [None, *self._layers], [self._nothing, *names]
+        layers = self._shown()
         self.clear()
-        self.addItems(names)
-        if before in self._layers:
-            self.setCurrentIndex(self._layers.index(before))
-        elif self._nothing:
-            self.setCurrentIndex(0)
-        else:
-            # The layers that a fit adds are only used where someone chooses them.
-            others = [k for k, layer in enumerate(self._layers) if not made_by_fit(layer)]
-            self.setCurrentIndex(others[-1] if others else -1)
+        self.addItems([self._nothing if layer is None else layer.name for layer in layers])
+        chosen = self.choice.layer
+        self.setCurrentIndex(layers.index(chosen) if chosen in layers else -1)
         blocker.unblock()
-        self._told()
 
-    def close_links(self) -> None:
-        """Listen to the viewer no more, and let its layers go."""
-        self.connections.undo()
-        self._layers = []
-        self._last = None
+    def _chosen(self, index: int) -> None:
+        layers = self._shown()
+        if 0 <= index < len(layers):
+            self.choice.choose(layers[index])
 
-    def _told(self, index: int = 0) -> None:
-        if self.layer() is not self._last:
-            self._last = self.layer()
-            self.chosen.emit()
+
+def be_narrow(box: QComboBox, characters: int = 12) -> None:
+    """Long names must not widen a narrow dock."""
+    box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+    box.setMinimumContentsLength(characters)
+    box.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+
+
+def narrow_box(parent: QWidget, name: str, characters: int = 12) -> QComboBox:
+    """A box that long names do not widen."""
+    box = QComboBox(parent)
+    box.setAccessibleName(name)
+    be_narrow(box, characters)
+    return box
 
 
 def sentence(text: str) -> str:
@@ -145,6 +114,50 @@ class Note(QLabel):
         if text != self.text():
             self.setText(text)
             self.setVisible(bool(text))
+
+
+class ToolButtons(QWidget):
+    """A row of buttons for tools of the mouse, of which one or none is in use.
+
+    Parameters
+    ----------
+    tools : title and tip of each, by name.
+    parent : Qt's.
+    """
+
+    chosen = Signal(object)  # a tool, or None
+
+    def __init__(self, tools: Mapping[str, tuple[str, str]], parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.buttons: dict[str, QPushButton] = {}
+        self.row = QHBoxLayout(self)
+        self.row.setContentsMargins(0, 0, 0, 0)
+        self.row.setSpacing(4)
+        for tool, (title, tip) in tools.items():
+            button = self.buttons[tool] = QPushButton(title, self)
+            button.setCheckable(True)
+            button.setToolTip(f"<qt>{tip}</qt>")
+            button.clicked.connect(partial(self._clicked, tool))
+            self.row.addWidget(button, 1)
+
+    @property
+    def tool(self) -> str | None:
+        """The tool in use."""
+        return next((tool for tool, button in self.buttons.items() if button.isChecked()), None)
+
+    def use(self, tool: str | None) -> None:
+        """Take up a tool, or lay it down."""
+        if tool != self.tool:
+            self._check(tool)
+            self.chosen.emit(tool)
+
+    def _clicked(self, tool: str, checked: bool) -> None:
+        self._check(tool if checked else None)
+        self.chosen.emit(self.tool)
+
+    def _check(self, tool: str | None) -> None:
+        for name, button in self.buttons.items():
+            button.setChecked(name == tool)
 
 
 class Fold(QWidget):

@@ -13,9 +13,10 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from ..common.choices import IMAGE_FILES, TIFF
+from ..common.choices import IMAGE_FILES, TIFF, ZARR
 from ..common.reading import one_reason, quiet
 from ..errors import InputError
+from .ome_zarr import open_zarr
 from .stacks import VoxelSize, read_image, read_voxel_size, stored_shape
 from .stacks import tiff_voxel_size as _size_in
 
@@ -56,8 +57,8 @@ def open_series(path: str | os.PathLike[str]) -> ImageSeries:
     Parameters
     ----------
     path : path
-        A .tif, .tiff or .npy file (T, Z, Y, X); a folder of 3D files; or a pattern such as
-        ``movie/t*.tif``. Files are sorted by the numbers in their names.
+        A .tif, .tiff, .npy or OME-Zarr file (T, Z, Y, X); a folder of 3D files; or a pattern such
+        as ``movie/t*.tif``. Files are sorted by the numbers in their names.
 
     Raises
     ------
@@ -66,18 +67,20 @@ def open_series(path: str | os.PathLike[str]) -> ImageSeries:
         several channels, or frames of different shapes.
     """
     text = os.fspath(path)
-    if os.path.isdir(text):
+    kind = Path(text).suffix.lower()
+    if os.path.isdir(text) and kind != ZARR:
         files = [str(p) for p in Path(text).iterdir() if p.suffix.lower() in IMAGE_FILES]
         return _of_files(text, files)
     if not os.path.exists(text) and glob.has_magic(text):
         return _of_files(text, glob.glob(text, recursive=True))
-    kind = Path(text).suffix.lower()
     if not os.path.exists(text):
         raise InputError(f"{text}: there is no such file")
     if kind not in IMAGE_FILES:
         known = ", ".join(IMAGE_FILES)
         raise InputError(f"{text}: unknown image extension '{kind}'; known are {known}")
     try:
+        if kind == ZARR:
+            return _of_zarr(text)
         return _of_tiff(text) if kind in TIFF else _of_npy(text)
     except InputError as error:
         raise InputError(f"{text}: {error}") from None
@@ -121,6 +124,18 @@ def _of_npy(path: str) -> ImageSeries:
         array = np.load(path, mmap_mode="r", allow_pickle=False)
     _check(array.shape, "")
     return _of_array(lambda t: np.array(array[t]), array.shape, None)
+
+
+def _of_zarr(path: str) -> ImageSeries:
+    found = open_zarr(path)
+    shape, axes = tuple(found.array.shape), found.axes
+    if axes == "TCZYX" and shape[1] == 1:
+        _check((shape[0], *shape[2:]), "TZYX")
+        return _of_array(
+            lambda t: _native(found.array[t, 0]), (shape[0], *shape[2:]), found.voxel_size
+        )
+    _check(shape, axes)
+    return _of_array(lambda t: _native(found.array[t]), shape, found.voxel_size)
 
 
 def _of_tiff(path: str) -> ImageSeries:

@@ -15,11 +15,13 @@ import numpy as np
 import tifffile
 from numpy.typing import ArrayLike, NDArray
 
-from ..common.choices import IMAGE_FILES, TIFF
+from ..common.choices import IMAGE_FILES, TIFF, ZARR
 from ..common.reading import quiet
 from ..common.writing import write_atomically
 from ..errors import InputError
 from .missing import unmasked
+from .ome_zarr import ZarrImage, open_zarr, write_zarr
+from .units import unit_um
 
 VoxelSize = tuple[float, float, float]
 # What is in a file: the array, the names of its axes, the voxel size.
@@ -28,24 +30,6 @@ _Reader = Callable[[Path], _Stored]
 
 # A voxel side outside of this range (um) is no microscope's: the metadata is wrong.
 _PLAUSIBLE = (1e-4, 1e4)
-_UNITS_UM = {
-    "pm": 1e-6,
-    "å": 1e-4,
-    "angstrom": 1e-4,
-    "nm": 1e-3,
-    "nanometer": 1e-3,
-    "nanometre": 1e-3,
-    "um": 1.0,
-    "micron": 1.0,
-    "microns": 1.0,
-    "micrometer": 1.0,
-    "micrometre": 1.0,
-    "mm": 1e3,
-    "millimeter": 1e3,
-    "cm": 1e4,
-    "inch": 2.54e4,
-    "m": 1e6,
-}
 _REFUSED = {
     "C": "several channels: save the membrane channel alone",
     "S": "several channels (colours): save one as a grey image",
@@ -59,7 +43,8 @@ def read_image(path: str | os.PathLike[str]) -> tuple[NDArray[Any], VoxelSize | 
     Parameters
     ----------
     path : path
-        A .tif or .tiff file (OME, ImageJ or plain; the first series), or .npy.
+        A .tif or .tiff file (OME, ImageJ or plain; the first series), .npy, or a .zarr folder
+        (OME-Zarr; its finest resolution).
 
     Returns
     -------
@@ -73,7 +58,7 @@ def read_image(path: str | os.PathLike[str]) -> tuple[NDArray[Any], VoxelSize | 
         Naming the file and the reason: missing, unknown extension, empty, damaged, not 3D, several
         channels or time points, complex or other values that are no intensities.
     """
-    array, axes, voxel_size = _read(path, _read_tiff, _read_npy)
+    array, axes, voxel_size = _read(path, _read_tiff, _read_npy, _read_zarr)
     with _naming(path):
         return _checked(array, axes), voxel_size
 
@@ -86,18 +71,20 @@ def read_voxel_size(path: str | os.PathLike[str]) -> VoxelSize | None:
     InputError
         As :func:`read_image`, but damage among the pixels is not seen.
     """
-    array, axes, voxel_size = _read(path, _tiff_header, _npy_header)
+    array, axes, voxel_size = _read(path, _tiff_header, _npy_header, _zarr_header)
     with _naming(path):
         _checked(array, axes)
     return voxel_size
 
 
-def _read(path: str | os.PathLike[str], tiff: _Reader, npy: _Reader) -> _Stored:
+def _read(path: str | os.PathLike[str], tiff: _Reader, npy: _Reader, zarr: _Reader) -> _Stored:
     path = Path(path)
     if path.suffix.lower() not in IMAGE_FILES:
         known = ", ".join(IMAGE_FILES)
         raise InputError(f"{path}: unknown image extension '{path.suffix}'; known are {known}")
     with _naming(path):
+        if path.suffix.lower() == ZARR and path.exists():
+            return zarr(path)
         if path.stat().st_size == 0:
             raise InputError("the file is empty")
         return (tiff if path.suffix.lower() in TIFF else npy)(path)
@@ -125,7 +112,8 @@ def write_image(
     """Write a stack with its voxel size; the file appears whole or not at all.
 
     A .tif is an ImageJ hyperstack where that can hold the values (uint8, uint16, float32), else an
-    OME-TIFF, as is a name that ends in .ome.tif. A .npy file holds no voxel size.
+    OME-TIFF, as is a name that ends in .ome.tif. A .npy file holds no voxel size. A .zarr is an
+    OME-Zarr folder.
 
     Parameters
     ----------
@@ -148,6 +136,9 @@ def write_image(
     kind = path.suffix.lower()
     if kind not in IMAGE_FILES:
         raise InputError(f"{path}: unknown image extension '{path.suffix}'; use .tif")
+    if kind == ZARR:
+        write_zarr(path, array, (z, y, x))
+        return
     if kind == ".npy":
         np.save(buffer, array)
     elif array.dtype in (np.uint8, np.uint16, np.float32) and not _named_ome(path):
@@ -174,7 +165,9 @@ def stored_shape(path: str | os.PathLike[str]) -> tuple[int, ...] | None:
     """
     path = Path(path)
     try:
-        if path.suffix.lower() in TIFF:
+        if path.suffix.lower() == ZARR:
+            shape = open_zarr(path).array.shape
+        elif path.suffix.lower() in TIFF:
             with quiet("tifffile"), tifffile.TiffFile(path) as tif:
                 shape = tif.series[0].shape
         else:
@@ -227,6 +220,21 @@ def _read_tiff(path: Path) -> _Stored:
         series = tif.series[0]
         _check_size(path, series.shape, series.dtype)
         return series.asarray(), series.axes, tiff_voxel_size(tif)
+
+
+def _read_zarr(path: Path) -> _Stored:
+    found = open_zarr(path)
+    _checked(*_zarr_outline(found))  # before anything is read
+    return np.asarray(found.array[...]), found.axes, _plausible(found.voxel_size)
+
+
+def _zarr_header(path: Path) -> _Stored:
+    found = open_zarr(path)
+    return (*_zarr_outline(found), _plausible(found.voxel_size))
+
+
+def _zarr_outline(found: ZarrImage) -> tuple[NDArray[Any], str]:
+    return _without_pixels(found.array.shape, np.dtype(found.array.dtype)), found.axes
 
 
 def _npy_header(path: Path) -> _Stored:
@@ -291,6 +299,10 @@ def tiff_voxel_size(tif: tifffile.TiffFile) -> VoxelSize | None:
         size = _ome_size(tif) if tif.is_ome else _imagej_size(tif) if tif.is_imagej else None
     except (ValueError, KeyError, TypeError, ZeroDivisionError, ElementTree.ParseError):
         return None
+    return _plausible(size)
+
+
+def _plausible(size: VoxelSize | None) -> VoxelSize | None:
     low, high = _PLAUSIBLE
     # This comparison is also false for NaN.
     return size if size and all(low <= d <= high for d in size) else None
@@ -303,7 +315,7 @@ def _ome_size(tif: tifffile.TiffFile) -> VoxelSize | None:
         return None
     sides = []
     for name in "ZYX":
-        unit = _unit_um(pixels.get(f"PhysicalSize{name}Unit", "um"))
+        unit = unit_um(pixels.get(f"PhysicalSize{name}Unit", "um"))
         value = pixels.get(f"PhysicalSize{name}")
         if value is None or unit is None:
             return None
@@ -313,7 +325,7 @@ def _ome_size(tif: tifffile.TiffFile) -> VoxelSize | None:
 
 def _imagej_size(tif: tifffile.TiffFile) -> VoxelSize | None:
     metadata = tif.imagej_metadata or {}
-    unit = _unit_um(str(metadata.get("unit", "")))
+    unit = unit_um(str(metadata.get("unit", "")))
     if unit is None or "spacing" not in metadata:
         return None
     tags = tif.pages.first.tags
@@ -322,10 +334,3 @@ def _imagej_size(tif: tifffile.TiffFile) -> VoxelSize | None:
         count, length = tags[name].value  # pixels per unit, as a fraction
         sides.append(length / count)
     return sides[0] * unit, sides[1] * unit, sides[2] * unit
-
-
-def _unit_um(name: str) -> float | None:
-    """How many um the unit is; None if it is no length ('pixel')."""
-    # ImageJ writes the micro sign escaped; there are two characters for it.
-    plain = name.replace("\\u00B5", "µ").strip().lower()
-    return _UNITS_UM.get(plain.replace("µ", "u").replace("μ", "u"))

@@ -9,68 +9,58 @@ import numpy as np
 from napari_deltamic.geometry.contacts import neighbours
 from napari_deltamic.geometry.mesh import OUTSIDE
 from napari_deltamic.measure.cells import measure_cells, moments, principal_axes
-from napari_deltamic.measure.discrete_curvature import cell_curvature, turning_gradient
-from napari_deltamic.measure.known import Known, area_gradient, volume_gradient
+from napari_deltamic.measure.discrete_curvature import cell_curvature
+from napari_deltamic.measure.known import Known
 from napari_deltamic.measure.sides import Sides
-from napari_deltamic.measure.table import Column, Table, Value, notes, table_of
+from napari_deltamic.measure.standard_errors import error_columns
+from napari_deltamic.measure.table import Table, Value, columns, notes, table_of
 from napari_deltamic.measure.tensions import Estimate
 
 CELL_COLUMNS = (
-    Column("region", "", "number of the cell in mesh and labels"),
-    Column("volume_um3", "um^3", "enclosed volume: sum over faces of signed tetrahedra"),
-    Column("area_um2", "um^2", "of its whole surface, walls to other cells included"),
-    Column(
-        "sphericity",
-        "",
-        "pi^(1/3) (6 V)^(2/3) / A: area of the ball of the same volume over the area; 1 for a ball",
+    *columns(
+        """
+        region: number of the cell in mesh and labels
+        volume_um3: enclosed volume: sum over faces of signed tetrahedra
+        area_um2: of its whole surface, walls to other cells included
+        sphericity: pi^(1/3) (6 V)^(2/3) / A: area of the ball of the same volume over the area;
+            1 for a ball
+        centroid_z_um: centre of the volume
+        centroid_y_um: centre of the volume
+        centroid_x_um: centre of the volume
+        n_contacts: number of other cells with which it shares a wall
+        neighbours: their numbers, with spaces between
+        contact_area_um2: area of its walls to other cells
+        free_area_um2: area of its walls to the outside
+        half_axis_1_um: longest half axis of the ellipsoid of equal second moments
+        half_axis_2_um: the middle one
+        half_axis_3_um: the shortest one
+        axis_1_z: direction of the longest axis; its largest component is positive
+        axis_1_y: direction of the longest axis
+        axis_1_x: direction of the longest axis
+        mean_curvature_integral_um: integral of (k1 + k2) / 2 over the surface: 1/2 sum over
+            edges of length times turn of the normal (Steiner); ridges along junctions count; 4 pi r
+            for a ball
+        mean_curvature_per_um: this integral over the area; 1 / r for a ball
+        gaussian_curvature_integral: integral of k1 k2: sum over vertices of 2 pi minus the
+            angles there
+        handles: holes through the cell, from Gauss and Bonnet: 1 - that integral / (4 pi); 0
+            for a ball, 1 for a torus
+        density: mean density of its membranes relative to that of all, by area
+        pressure_per_um: above the outside, by Laplace's law over its walls, in mean tensions of
+            the cluster
+        """
     ),
-    Column("centroid_z_um", "um", "centre of the volume"),
-    Column("centroid_y_um", "um", "centre of the volume"),
-    Column("centroid_x_um", "um", "centre of the volume"),
-    Column("n_contacts", "", "number of other cells with which it shares a wall"),
-    Column("neighbours", "", "their numbers, with spaces between"),
-    Column("contact_area_um2", "um^2", "area of its walls to other cells"),
-    Column("free_area_um2", "um^2", "area of its walls to the outside"),
-    Column("half_axis_1_um", "um", "longest half axis of the ellipsoid of equal second moments"),
-    Column("half_axis_2_um", "um", "the middle one"),
-    Column("half_axis_3_um", "um", "the shortest one"),
-    Column("axis_1_z", "", "direction of the longest axis; its largest component is positive"),
-    Column("axis_1_y", "", "direction of the longest axis"),
-    Column("axis_1_x", "", "direction of the longest axis"),
-    Column(
-        "mean_curvature_integral_um",
-        "um",
-        "integral of (k1 + k2) / 2 over the surface: 1/2 sum over edges of length times turn of "
-        "the normal (Steiner); ridges along junctions count; 4 pi r for a ball",
+    *error_columns("cells"),
+    *columns(
+        """
+        cut_by_border: yes where it reaches beyond the outermost voxels, else no
+        explained: share of what varies around it that the fit explains
+        grade: good, fair or poor: what is to be thought of its shape
+        shape_error_um: what its surface is thought to be off by: noise, misfit, prior, what the
+            model lacks
+        note: why cells of this row are empty, and what to mind
+        """
     ),
-    Column("mean_curvature_per_um", "1/um", "this integral over the area; 1 / r for a ball"),
-    Column(
-        "gaussian_curvature_integral",
-        "",
-        "integral of k1 k2: sum over vertices of 2 pi minus the angles there",
-    ),
-    Column(
-        "handles",
-        "",
-        "holes through the cell, from Gauss and Bonnet: 1 - that integral / (4 pi); 0 for a ball, "
-        "1 for a torus",
-    ),
-    Column("density", "", "mean density of its membranes relative to that of all, by area"),
-    Column(
-        "pressure_per_um",
-        "1/um",
-        "above the outside, by Laplace's law over its walls, in mean tensions of the cluster",
-    ),
-    Column("pressure_se_per_um", "1/um", "standard error of the pressure"),
-    Column("volume_se_um3", "um^3", "standard error of the volume, from the fit"),
-    Column("area_se_um2", "um^2", "standard error of the area, from the fit"),
-    Column("sphericity_se", "", "standard error of the sphericity, from the fit"),
-    Column(
-        "mean_curvature_se_per_um", "1/um", "standard error of the mean curvature, from the fit"
-    ),
-    Column("cut_by_border", "", "yes where it reaches beyond the outermost voxels, else no"),
-    Column("explained", "", "share of what varies around it that the fit explains"),
-    Column("note", "", "why cells of this row are empty, and what to mind"),
 )
 
 
@@ -83,7 +73,6 @@ def cells_table(sides: Sides, known: Known, pressures: Mapping[int, Estimate]) -
         _curvatures(sides),
         _contacts(sides),
         _densities(sides, known),
-        _errors(sides, known),
     )
     rows = []
     for k, (region, *found) in enumerate(zip(sides.cells.tolist(), *parts, strict=True)):
@@ -94,12 +83,15 @@ def cells_table(sides: Sides, known: Known, pressures: Mapping[int, Estimate]) -
         row["pressure_per_um"], row["pressure_se_per_um"] = pressure.value, pressure.error
         row["cut_by_border"] = None if cut is None else "yes" if cut[k] else "no"
         row["explained"] = known.explained.get(region)
+        judged = known.judgements.get(region)
+        if judged is not None:
+            row["grade"], row["shape_error_um"] = judged.grade, judged.shape_error
         row["note"] = notes(
             _about_volume(row),
             _about_curvature(row),
             "cut by the border of the image" if cut is not None and cut[k] else "",
             f"no pressure: {pressure.reason}" if pressure.reason else "",
-            known.doubts.get(region, ""),
+            "" if judged is None else judged.reasons,
         )
         rows.append(row)
     return table_of("cells", CELL_COLUMNS, rows)
@@ -166,27 +158,3 @@ def _densities(sides: Sides, known: Known) -> list[dict[str, Value]]:
     mean = total.sum() / area.sum()
     share = np.divide(total, area * mean, out=np.full(len(area), np.nan), where=area * mean > 0)
     return [{"density": float(d)} for d in share]
-
-
-def _errors(sides: Sides, known: Known) -> list[dict[str, Value]]:
-    if known.deviation is None:
-        return [{} for _ in sides.cells]
-    bends = cell_curvature(sides).mean
-    volumes, areas = moments(sides)[0], sides.total(sides.mesh.areas()[sides.face])
-    rows: list[dict[str, Value]] = []
-    for k, (volume, area) in enumerate(zip(volumes, areas, strict=True)):
-        faces = np.zeros(len(sides.mesh.faces), bool)
-        faces[sides.face[sides.cell == k]] = True
-        of_area = area_gradient(sides.mesh, faces)
-        row: dict[str, Value] = {"area_se_um2": known.deviation(of_area)}
-        if np.isfinite(bends[k]) and area > 0:
-            of_bend = turning_gradient(sides, k) / area - bends[k] / area**2 * of_area
-            row["mean_curvature_se_per_um"] = known.deviation(of_bend)
-        if np.isfinite(volume):
-            of_volume = volume_gradient(sides, k)
-            relative = 2 / 3 * of_volume / volume - of_area / area
-            ratio = np.pi ** (1 / 3) * (6 * volume) ** (2 / 3) / area
-            row["volume_se_um3"] = known.deviation(of_volume)
-            row["sphericity_se"] = known.deviation(ratio * relative)
-        rows.append(row)
-    return rows

@@ -9,57 +9,59 @@ import numpy as np
 from napari_deltamic.geometry.mesh import OUTSIDE, Mesh
 from napari_deltamic.measure.discrete_curvature import WallCurvature
 from napari_deltamic.measure.junctions import Junction, junction_lengths
-from napari_deltamic.measure.known import Known, area_gradient
-from napari_deltamic.measure.table import Column, Table, Value, notes, table_of
-from napari_deltamic.measure.tensions import Estimate, Pair
+from napari_deltamic.measure.known import Known
+from napari_deltamic.measure.standard_errors import error_columns
+from napari_deltamic.measure.table import Table, Value, columns, notes, table_of
+from napari_deltamic.measure.tensions import Estimate, Pair, walls_around
 
 WALL_COLUMNS = (
-    Column("region_a", "", "one of its two cells: that of the larger number"),
-    Column("region_b", "", "the other one; 0 is the outside"),
-    Column("area_um2", "um^2", "of the wall, once, also where it is two membranes"),
-    Column("area_se_um2", "um^2", "standard error of the area, from the fit"),
-    Column("share_of_a", "", "this area over the whole area of region_a"),
-    Column("share_of_b", "", "the same for region_b; empty for the outside"),
-    Column("centroid_z_um", "um", "centre of the area"),
-    Column("centroid_y_um", "um", "centre of the area"),
-    Column("centroid_x_um", "um", "centre of the area"),
-    Column("junction_length_um", "um", "length of the junctions along its rim"),
-    Column(
-        "mean_curvature_per_um",
-        "1/um",
-        "average of (k1 + k2) / 2 inside the wall, by cotangents; positive where it bulges out of "
-        "region_a",
+    *columns(
+        """
+        region_a: one of its two cells: that of the larger number
+        region_b: the other one; 0 is the outside
+        area_um2: of the wall, once, also where it is two membranes
+        share_of_a: this area over the whole area of region_a
+        share_of_b: the same for region_b; empty for the outside
+        centroid_z_um: centre of the area
+        centroid_y_um: centre of the area
+        centroid_x_um: centre of the area
+        junction_length_um: length of the junctions along its rim
+        mean_curvature_per_um: average of (k1 + k2) / 2 inside the wall, by cotangents; positive
+            where it bulges out of region_a
+        gaussian_curvature_per_um2: average of k1 k2 inside the wall: sum over its inner
+            vertices of 2 pi minus their angles, over their area
+        density: mean density of a membrane in it, relative to that of all membranes, by area
+        tension: by Young and Dupre at its junctions; 1 is the mean of its cluster
+        """
     ),
-    Column(
-        "gaussian_curvature_per_um2",
-        "1/um^2",
-        "average of k1 k2 inside the wall: sum over its inner vertices of 2 pi minus their angles, "
-        "over their area",
+    *error_columns("walls"),
+    *columns(
+        """
+        n_faces: triangles of the wall
+        note: why cells of this row are empty, and what to mind
+        """
     ),
-    Column(
-        "density",
-        "",
-        "mean density of a membrane in it, relative to that of all membranes, by area",
-    ),
-    Column("tension", "", "by Young and Dupre at its junctions; 1 is the mean of its cluster"),
-    Column("tension_se", "", "standard error of the tension"),
-    Column("n_faces", "", "triangles of the wall"),
-    Column("note", "", "why cells of this row are empty, and what to mind"),
 )
 
 JUNCTION_COLUMNS = (
-    Column("region_a", "", "the lowest of its three regions; 0 is the outside"),
-    Column("region_b", "", "the middle one"),
-    Column("region_c", "", "the highest one"),
-    Column("length_um", "um", "along which the three meet"),
-    Column("measured_length_um", "um", "of the part whose angles could be measured"),
-    Column("angle_a_deg", "degrees", "opening of region_a, mean along the junction"),
-    Column("angle_b_deg", "degrees", "opening of region_b"),
-    Column("angle_c_deg", "degrees", "opening of region_c; the three make 360"),
-    Column("angle_a_se_deg", "degrees", "standard error of the mean, from the scatter along it"),
-    Column("angle_b_se_deg", "degrees", "the same for region_b"),
-    Column("angle_c_se_deg", "degrees", "the same for region_c"),
-    Column("note", "", "why cells of this row are empty, and what to mind"),
+    *columns(
+        """
+        region_a: the lowest of its three regions; 0 is the outside
+        region_b: the middle one
+        region_c: the highest one
+        length_um: along which the three meet
+        measured_length_um: of the part whose angles could be measured
+        angle_a_deg: opening of region_a, mean along the junction
+        angle_b_deg: opening of region_b
+        angle_c_deg: opening of region_c; the three make 360
+        """
+    ),
+    *error_columns("junctions"),
+    *columns(
+        """
+        note: why cells of this row are empty, and what to mind
+        """
+    ),
 )
 
 
@@ -88,7 +90,6 @@ def walls_table(
             "region_a": a,
             "region_b": b,
             "area_um2": area,
-            "area_se_um2": known.error(lambda k=k: area_gradient(mesh, wall == k)),  # type: ignore[misc]
             "share_of_a": area / of_cell[a] if area > 0 else None,
             "share_of_b": area / of_cell[b] if area > 0 and b != OUTSIDE else None,
             "junction_length_um": rims.get((a, b), 0.0),
@@ -133,8 +134,8 @@ def junctions_table(mesh: Mesh, known: Known, junctions: Sequence[Junction]) -> 
 def _rims(mesh: Mesh) -> dict[Pair, float]:
     """um: the length of the junctions along each wall."""
     found: dict[Pair, float] = {}
-    for (a, b, c), length in junction_lengths(mesh).items():
-        for pair in ((b, a), (c, b), (c, a)):
+    for regions, length in junction_lengths(mesh).items():
+        for pair in walls_around(regions):
             found[pair] = found.get(pair, 0.0) + length
     return found
 

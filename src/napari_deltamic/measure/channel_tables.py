@@ -8,28 +8,32 @@ from ..geometry.mesh import OUTSIDE, Mesh
 from .cells import moments
 from .channel import ChannelAmounts
 from .sides import Sides
-from .table import Column, Table, Value, table_of
+from .table import Table, Value, columns, table_of
 
-CHANNEL_WALL_COLUMNS = (
-    Column("region_a", "", "one of its two cells: that of the larger number"),
-    Column("region_b", "", "the other one; 0 is the outside"),
-    Column("area_um2", "um^2", "of the wall, once, also where it is two membranes"),
-    Column("light_per_um2", "1/um^2", "light of the wall, in the image's unit, over its area"),
-    Column("light_se_per_um2", "1/um^2", "its standard error"),
-    Column("light", "", "of the whole wall: what its voxels would add up to with no other light"),
-    Column("light_se", "", "its standard error"),
-    Column("note", "", "why cells of this row are empty"),
+CHANNEL_WALL_COLUMNS = columns(
+    """
+    region_a: one of its two cells: that of the larger number
+    region_b: the other one; 0 is the outside
+    area_um2: of the wall, once, also where it is two membranes
+    light_per_um2: light of the wall, in the image's unit, over its area
+    light_se_per_um2: its standard error
+    light: of the whole wall: what its voxels would add up to with no other light
+    light_se: its standard error
+    note: why cells of this row are empty
+    """
 )
 
-CHANNEL_CELL_COLUMNS = (
-    Column("region", "", "number of the cell in mesh and labels"),
-    Column("volume_um3", "um^3", "enclosed volume"),
-    Column("light_per_um3", "1/um^3", "light inside it, in the image's unit, over its volume"),
-    Column("light_se_per_um3", "1/um^3", "its standard error"),
-    Column("light", "", "inside the whole cell"),
-    Column("light_se", "", "its standard error"),
-    Column("membrane_light", "", "of its walls: all of those to the outside, half of the others"),
-    Column("note", "", "why cells of this row are empty"),
+CHANNEL_CELL_COLUMNS = columns(
+    """
+    region: number of the cell in mesh and labels
+    volume_um3: enclosed volume
+    light_per_um3: light inside it, in the image's unit, over its volume
+    light_se_per_um3: its standard error
+    light: inside the whole cell
+    light_se: its standard error
+    membrane_light: of its walls: all of those to the outside, half of the others
+    note: why cells of this row are empty
+    """
 )
 
 _UNSEEN = "nothing of it is seen in the image"

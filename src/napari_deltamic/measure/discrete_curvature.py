@@ -112,24 +112,6 @@ def corner_angles(mesh: Mesh) -> FloatArray:
     return found
 
 
-def turning_gradient(sides: Sides, cell: int) -> FloatArray:
-    """(V, 3) change of the mean curvature integral of a cell, by its index, by the vertices.
-
-    Only the lengths count: what the turns change by cancels (L. Schlaefli, 1858).
-    """
-    mesh = sides.mesh
-    v = mesh.vertices_numpy()
-    own = sides.hinges[0] == cell
-    turn, length = (values[own] for values in _hinges(sides))
-    ends = mesh.edges()[sides.hinges[1][own]]
-    along = (v[ends[:, 1]] - v[ends[:, 0]]) / np.where(length > 0, length, 1)[:, None]
-    pull = turn[:, None] / 2 * along
-    found = np.zeros_like(v)
-    np.add.at(found, ends[:, 1], pull)
-    np.add.at(found, ends[:, 0], -pull)
-    return found
-
-
 def _turning(sides: Sides) -> FloatArray:
     """(C,) um: half the sum over edges of length times the turn of the outward normal."""
     turn, length = _hinges(sides)

@@ -89,8 +89,8 @@ def junction_angles(
         If the reach is not positive.
     """
     ends = mesh.vertices_numpy()[mesh.edges()]
-    edge = float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)))
-    reach = _REACH * edge if reach is None else reach
+    edge = _edge(mesh)
+    reach = angle_reach(mesh) if reach is None else reach
     if not reach > 0:
         raise InputError(f"the reach of junction angles must be positive (um), not {reach}")
     edges, triples = _junction_edges(mesh)
@@ -116,6 +116,16 @@ def junction_angles(
         a, b, c = (int(r) for r in triple)
         found.append(Junction((a, b, c), mean, spread, float(length.sum()), 2 * _STRIP * edge))
     return found
+
+
+def angle_reach(mesh: Mesh) -> float:
+    """um: how far into a wall its shape is looked at, by default."""
+    return _REACH * _edge(mesh)
+
+
+def _edge(mesh: Mesh) -> float:
+    ends = mesh.vertices_numpy()[mesh.edges()]
+    return float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)))
 
 
 def _directions(line: FloatArray, reach: float) -> FloatArray:

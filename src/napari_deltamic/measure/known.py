@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_deltamic.errors import InputError
+from napari_deltamic.geometry.judgement import Judgement
 from napari_deltamic.geometry.mesh import FloatArray, Mesh
+from napari_deltamic.geometry.replicas import Replicas
 from napari_deltamic.measure.sides import Sides
-
-Deviation = Callable[[FloatArray], float]  # of a number, from its gradient by vertices (V, 3)
 
 
 class ImageGrid(Protocol):
@@ -31,17 +31,17 @@ class Known:
     grid : of the image that it was fitted to.
     density : (F,) fluorophores per um^2 of each membrane, relative to their mean or not.
     resolution : um; the PSF's standard deviation, the geometric mean of the three axes.
-    deviation : the standard error of a number, from its gradient by vertices.
+    replicas : where the fit might as well have ended; errors are told from them.
     explained : for a region, the share of what varies around it that the fit explains.
-    doubts : for a region, why its shape is in doubt.
+    judgements : for a region, what is thought of its shape.
     """
 
     grid: ImageGrid | None = None
     density: FloatArray | None = None
     resolution: float = 0.0
-    deviation: Deviation | None = None
+    replicas: Replicas | None = None
     explained: Mapping[int, float] = field(default_factory=dict)
-    doubts: Mapping[int, str] = field(default_factory=dict)
+    judgements: Mapping[int, Judgement] = field(default_factory=dict)
 
     def checked(self, mesh: Mesh) -> Known:
         """Itself; InputError if the densities are those of another mesh, or no numbers."""
@@ -54,10 +54,6 @@ class Known:
         if not 0 <= self.resolution < np.inf:
             raise InputError(f"the resolution must be a length (um), not {self.resolution}")
         return self
-
-    def error(self, gradient: Callable[[], FloatArray]) -> float | None:
-        """The standard error of a number; None where errors are not known."""
-        return None if self.deviation is None else self.deviation(gradient())
 
     def beyond(self, mesh: Mesh) -> NDArray[np.bool_] | None:
         """(V,) vertices at or beyond the centres of the outermost voxels; None without a grid."""
@@ -75,27 +71,3 @@ class Known:
         touched = beyond[sides.mesh.faces[sides.face]].any(1)
         found: NDArray[np.bool_] = sides.total(touched.astype(float)) > 0
         return found
-
-
-def area_gradient(mesh: Mesh, faces: NDArray[np.bool_]) -> FloatArray:
-    """(V, 3) um: change of the area of some faces (F,) by the vertices."""
-    corners = mesh.vertices_numpy()[mesh.faces[faces]]
-    opposite = np.roll(corners, 1, axis=1) - np.roll(corners, -1, axis=1)
-    # Z, Y, X components are left-handed: hence the sign.
-    each = -0.5 * np.cross(mesh.normals()[faces][:, None], opposite)
-    return _at_vertices(mesh, mesh.faces[faces], each)
-
-
-def volume_gradient(sides: Sides, cell: int) -> FloatArray:
-    """(V, 3) um^2: change of the volume of a cell, by its index, by the vertices."""
-    mesh, own = sides.mesh, sides.cell == cell
-    face = sides.face[own]
-    # A third of the area vector of each face belongs to each of its corners.
-    each = (sides.sign[own] * mesh.areas()[face] / 3)[:, None] * mesh.normals()[face]
-    return _at_vertices(mesh, mesh.faces[face], np.repeat(each[:, None], 3, 1))
-
-
-def _at_vertices(mesh: Mesh, faces: NDArray[np.int64], each: FloatArray) -> FloatArray:
-    columns = np.moveaxis(each, 2, 0)
-    flat = faces.reshape(-1)
-    return np.stack([np.bincount(flat, c.reshape(-1), len(mesh.vertices)) for c in columns], 1)

@@ -8,9 +8,10 @@ from napari_deltamic.geometry.mesh import Mesh
 from napari_deltamic.measure.all_cells import cells_table
 from napari_deltamic.measure.all_walls import junctions_table, walls_table
 from napari_deltamic.measure.discrete_curvature import wall_curvature
-from napari_deltamic.measure.junctions import junction_angles
+from napari_deltamic.measure.junctions import angle_reach, junction_angles
 from napari_deltamic.measure.known import Known
 from napari_deltamic.measure.sides import Sides
+from napari_deltamic.measure.standard_errors import with_errors
 from napari_deltamic.measure.table import Table
 from napari_deltamic.measure.tensions import (
     TensionSettings,
@@ -53,11 +54,27 @@ def measure(
         If the densities are not one finite number for each face.
     """
     known = (known or Known()).checked(mesh)
+    reach = angle_reach(mesh)
+    found = _measured(mesh, known, settings, reach)
+    if known.replicas is None:
+        return found
+    # Of other meshes of the same walls nothing else is known.
+    bare = Known(grid=known.grid, resolution=known.resolution)
+
+    def measured(other: Mesh) -> tuple[Table, Table, Table]:
+        return _measured(other, bare, settings, reach).tables
+
+    return Measurements(*with_errors(found.tables, known.replicas, measured))
+
+
+def _measured(
+    mesh: Mesh, known: Known, settings: TensionSettings | None, reach: float
+) -> Measurements:
     sides, curvature = Sides.of(mesh), wall_curvature(mesh)
     pairs = [(a, b) for a, b in mesh.interfaces()[0].tolist()]
     beyond = known.beyond(mesh)
     cut = None if beyond is None else mesh.vertices_numpy()[beyond]
-    junctions = junction_angles(mesh, avoid=cut)
+    junctions = junction_angles(mesh, reach, cut)
     tensions = relative_tensions(junctions, pairs, known.resolution, settings)
     walls = walls_table(mesh, known, curvature, tensions)
     # Those of walls without area are of no use, and without meaning.

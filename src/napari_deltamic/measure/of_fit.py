@@ -10,11 +10,13 @@ from ..errors import InputError
 from ..fitting import FitState
 from ..fitting.curvature import Curvature
 from ..fitting.errors_of_measures import posed_at
-from ..geometry.mesh import FloatArray
+from ..fitting.replicating import replicas_of
+from ..geometry.judgement import Judgement
+from ..geometry.replicas import Replicas
 from ..optics import Optics
 from ..runs.fit_settings import FitSettings
 from ..scene import Grid
-from .known import Deviation, Known
+from .known import Known
 
 
 def known_of(
@@ -22,7 +24,8 @@ def known_of(
     grid: Grid | None,
     *,
     explained: Mapping[int, float] | None = None,
-    deviation: Deviation | None = None,
+    replicas: Replicas | None = None,
+    judgements: Mapping[int, Judgement] | None = None,
 ) -> Known:
     """What a state says besides its mesh: densities, resolution, border.
 
@@ -32,15 +35,18 @@ def known_of(
         Of the image; None leaves the border out.
     explained
         For a region, the share of what varies around it that the fit explains.
-    deviation
-        As from :func:`deviation_of`.
+    replicas
+        As from :func:`replicas_at`.
+    judgements
+        For a region, what is thought of its shape.
     """
     return Known(
         grid=grid,
         density=np.asarray(state.density, np.float64),
         resolution=resolution_of(state.optics),
         explained=explained or {},
-        deviation=deviation,
+        replicas=replicas,
+        judgements=judgements or {},
     )
 
 
@@ -49,13 +55,10 @@ def resolution_of(optics: Optics) -> float:
     return float(np.prod(optics.sigma_um) ** (1 / 3))
 
 
-def deviation_of(
+def replicas_at(
     image: np.ndarray, grid: Grid, state: FitState, settings: FitSettings | None = None
-) -> Deviation:
-    """The standard error of whatever is measured at the end of a fit, from its curvature there.
-
-    The sandwich: with the variance that voxels really have around the fit, not the one that the
-    fit takes them to have.
+) -> Replicas:
+    """Where a fit might as well have ended, for the errors of whatever is measured at its end.
 
     Raises
     ------
@@ -66,10 +69,6 @@ def deviation_of(
     try:
         posed = posed_at(image, grid, state, settings)
         curvature = Curvature(posed.posterior, posed.at, state.mesh, state.pinned)
+        return replicas_of(posed, curvature, state.mesh)
     except np.linalg.LinAlgError:
         raise InputError("there are no errors: the image does not determine the shape") from None
-
-    def deviation(gradient: FloatArray) -> float:
-        return curvature.deviations(gradient).sandwich
-
-    return deviation

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import inspect
 import io
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
@@ -13,19 +15,40 @@ Row = Mapping[str, Value]
 
 _DIGITS = ".9g"  # more than any of the numbers is worth; the same text on every machine
 
+# The ends of names; of several that fit, the first one counts.
+_UNITS = {
+    "_per_um3": "1/um^3",
+    "_per_um2": "1/um^2",
+    "_per_um": "1/um",
+    "_um3": "um^3",
+    "_um2": "um^2",
+    "_um": "um",
+    "_deg": "degrees",
+}
+
 
 @dataclass(frozen=True)
 class Column:
     """One column of a table.
 
     name : with the unit at its end.
-    unit : "" for pure numbers, names and words.
     meaning : what it is and how it is computed, in a line.
     """
 
     name: str
-    unit: str
     meaning: str
+
+    @property
+    def unit(self) -> str:
+        """As the end of the name says; "" for pure numbers, names and words."""
+        return next((unit for end, unit in _UNITS.items() if self.name.endswith(end)), "")
+
+
+def columns(text: str) -> tuple[Column, ...]:
+    """Columns from lines such as ``area_um2: of the wall``; indented lines go on with the last."""
+    blocks = re.split(r"\n(?! )", inspect.cleandoc(text))
+    parts = (block.partition(": ") for block in blocks)
+    return tuple(Column(name, " ".join(meaning.split())) for name, _, meaning in parts)
 
 
 @dataclass(frozen=True)

@@ -154,7 +154,12 @@ def relative_pressures(
 
 def walls_of(junction: Junction) -> tuple[Pair, Pair, Pair]:
     """The three walls of a junction of regions a < b < c: (b, a), (c, b), (c, a)."""
-    a, b, c = junction.regions
+    return walls_around(junction.regions)
+
+
+def walls_around(regions: tuple[int, int, int]) -> tuple[Pair, Pair, Pair]:
+    """The three walls where regions a < b < c meet: (b, a), (c, b), (c, a)."""
+    a, b, c = regions
     return (b, a), (c, b), (c, a)
 
 

@@ -64,7 +64,8 @@ def labels_grid(mesh: Mesh, voxel_size: tuple[float, float, float], image: Grid 
         shape = np.ceil(high / size) + _MARGIN + 1 - first
         origin = first * size
     if shape.prod() > _MOST_VOXELS:
-        raise InputError(f"voxels of {tuple(size.tolist())} um are too small: {shape.prod():.3g}")
+        sides = " ".join(f"{s:g}" for s in size)
+        raise InputError(f"voxels of {sides} um are too small: there would be {shape.prod():.3g}")
     z, y, x = (int(n) for n in shape)
     return Grid((z, y, x), voxel_size, tuple(origin.tolist()))
 

@@ -7,8 +7,6 @@ each to what becomes of it, two where it divides. The format: https://liveimaget
 from __future__ import annotations
 
 import os
-import secrets
-import shutil
 import warnings
 from collections.abc import Sequence
 from itertools import pairwise
@@ -17,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from ..common.writing import folder_atomically
 from ..errors import InputError
 from ..measure.cells import measure_cells, moments
 from ..measure.sides import Sides
@@ -58,25 +57,16 @@ def write_geff(path: str | os.PathLike[str], results: Sequence[FrameResult]) -> 
         "ellipsoid": "ellipsoid",
         "track_node_props": {"tracklet": "seg_id"},
     }
-    aside = path.with_name(f".{path.name}-{secrets.token_hex(8)}")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of zarr, on what it makes of names and versions
-            write_arrays(
-                aside,
-                np.arange(len(nodes["seg_id"]), dtype=np.uint64),
-                {name: {"values": values, "missing": None} for name, values in nodes.items()},
-                edges.astype(np.uint64),
-                {},
-                geff.GeffMetadata(**facts),
-            )
-        if path.exists():
-            shutil.rmtree(path)
-        aside.rename(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
+    with folder_atomically(path) as aside, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of zarr, on what it makes of names and versions
+        write_arrays(
+            aside,
+            np.arange(len(nodes["seg_id"]), dtype=np.uint64),
+            {name: {"values": values, "missing": None} for name, values in nodes.items()},
+            edges.astype(np.uint64),
+            {},
+            geff.GeffMetadata(**facts),
+        )
     return path
 
 

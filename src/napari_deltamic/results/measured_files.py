@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
 
 from ..common.writing import make_folder, write_atomically, written_together
 from ..geometry import Mesh, save_mesh
@@ -36,6 +39,8 @@ def write_measurements(
     voxel_size: Triple | None = None,
     page: str = "",
     further: Sequence[Table] = (),
+    images: Mapping[str, NDArray[Any]] | None = None,
+    image_suffix: str = ".ome.tif",
 ) -> list[Path]:
     """Write what was measured on a mesh; files of the same names are replaced, all or none.
 
@@ -56,10 +61,14 @@ def write_measurements(
         As from :func:`~.html_page.html_page`.
     further
         Tables besides, as those of another channel.
+    images
+        By name, on the voxels of the grid: written beside the labels.
+    image_suffix
+        Of labels and images: .ome.tif or .ome.zarr.
 
     Returns
     -------
-    list of paths, in the order of ``MEASURED``, further tables after the three.
+    list of paths, in the order of ``MEASURED``, further tables after the three, images at the end.
 
     Raises
     ------
@@ -82,9 +91,13 @@ def write_measurements(
                 paths.append(folder / f"{name}{suffix}")
                 save_mesh(one, paths[-1], numbers)
         if place is not None:
-            paths.append(folder / "labels.ome.tif")
+            paths.append(folder / f"labels{image_suffix}")
             write_image(paths[-1], labels_of(mesh, place), place.voxel_size)
         if page:
             paths.append(folder / "measurements.html")
             write_atomically(paths[-1], page.encode())
+        for name, pixels in (images or {}).items():
+            assert grid is not None, "images have a grid"
+            paths.append(folder / f"{name}{image_suffix}")
+            write_image(paths[-1], pixels, grid.voxel_size)
     return paths

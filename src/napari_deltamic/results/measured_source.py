@@ -17,7 +17,7 @@ from ..evidence import analyse_residual
 from ..geometry import Mesh, load_mesh
 from ..images.stacks import read_image
 from ..measure import Known
-from ..measure.of_fit import deviation_of, known_of
+from ..measure.of_fit import known_of, replicas_at
 from ..runs.settings import RunSettings
 from ..scene import Grid
 from .session_file import EXTENSION, load_session
@@ -112,7 +112,7 @@ def _of_folder(path: Path, image: str | Path | None, voxel_size: Triple | None) 
         return _with_image(plain, image, voxel_size)
     settings = RunSettings.from_toml(path / "run.toml")
     source = Path(image or settings.image)
-    if not source.is_file() or source.suffix.lower() not in IMAGE_FILES:
+    if not source.exists() or source.suffix.lower() not in IMAGE_FILES:
         if image is not None:
             raise InputError(f"{image}: there is no such file")
         lost = f"the image {source} is not there any more"
@@ -147,7 +147,7 @@ def _of_session(path: Path, errors: bool) -> Measurable:
         explained = {c.region: c.explained for c in left.cells if c.explained is not None}
     except InputError as error:
         remarks.append(f"what the fit explains is not known: {error}")
-    deviation = deviation_of(pixels, grid, state, result.settings.fit) if errors else None
+    replicas = replicas_at(pixels, grid, state, result.settings.fit) if errors else None
     facts = {
         "settings": result.settings.model_dump(mode="json"),
         "message": result.message,
@@ -159,7 +159,7 @@ def _of_session(path: Path, errors: bool) -> Measurable:
     return Measurable(
         path.name,
         state.mesh,
-        known_of(state, grid, explained=explained, deviation=deviation),
+        known_of(state, grid, explained=explained, replicas=replicas),
         grid,
         pixels,
         state.rendered(),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from math import isfinite
 from pathlib import Path
@@ -16,7 +16,10 @@ import torch
 from numpy.typing import ArrayLike
 
 from ..common.writing import make_folder, write_atomically, written_together
+from ..evidence.verdict import Verdict
 from ..fitting import FitState
+from ..fitting.schedule import Schedule
+from ..fitting.topology import RULES as TOPOLOGY
 from ..fourier.devices import choose_device
 from ..fourier.native import threads
 from ..geometry import save_mesh
@@ -24,10 +27,13 @@ from ..images.stacks import write_image
 from ..measure import measure
 from ..measure.of_fit import known_of
 from ..runs.settings import RunSettings
-from ..scene import Grid, Renderer
+from ..scene import Grid, Renderer, Scene
 from ..scene.effects import Effects
+from ..scene.light import structure_of
 from .picture import picture_png
 
+# What decided, beside the settings of a run: it may be another in another version.
+RULES_OF_A_FIT = {"schedule": asdict(Schedule()), "topology": asdict(TOPOLOGY)}
 FILES = (
     "mesh.ply",
     "mesh.rec",
@@ -84,6 +90,7 @@ def write_results(
     warnings: Sequence[str] = (),
     further: Mapping[str, Any] | None = None,
     explained: Mapping[int, float] | None = None,
+    verdict: Verdict | None = None,
 ) -> list[Path]:
     """Write everything that a fit found; files of the same names are replaced, all or none.
 
@@ -104,6 +111,7 @@ def write_results(
     warnings : remarks that a reader of the report should see.
     further : sections of the report besides those that every fit has.
     explained : for a region, the share of what varies around it that the fit explains.
+    verdict : what is to be thought of the shapes: for the report and the table of cells.
 
     Returns
     -------
@@ -121,11 +129,15 @@ def write_results(
     rendered = np.asarray(state.rendered())
     facts = describe(state, grid, settings, history, seconds, warnings)
     facts |= plain_values(dict(further or {}))
+    if verdict is not None:
+        facts["verdict"] = plain_values(verdict.as_plain())
+    judgements = {} if verdict is None else verdict.by_region()
     with written_together(report):
         save_mesh(state.mesh, ply)
         save_mesh(state.mesh, rec)
         write_image(tif, rendered, grid.voxel_size)
-        cells = measure(state.mesh, known_of(state, grid, explained=explained)).cells
+        known = known_of(state, grid, explained=explained, judgements=judgements)
+        cells = measure(state.mesh, known).cells
         write_atomically(csv, cells.to_csv().encode())
         write_atomically(toml, settings.to_toml().encode())
         write_atomically(png, picture_png(image, rendered, state.mesh, grid))
@@ -150,6 +162,7 @@ def describe(
         "accuracy": fit.image_accuracy,
         "iterations": state.iteration,
         "seconds": round(seconds, 3),
+        "rules": RULES_OF_A_FIT,
         "converged": state.converged,
         "message": state.message,
         "warnings": list(warnings),
@@ -163,6 +176,8 @@ def describe(
             "fitted": fit.fit_psf,
         },
         "effects": effects_found(settings.scene.effects, state.effects),
+        "structure": structure_of(state.light),
+        "light": asdict(state.light),
         "amplitude": state.amplitude,
         "background": state.background,
         "mesh": {
@@ -207,7 +222,7 @@ def effects_found(start: Effects, end: Effects) -> list[dict[str, Any]]:
 
 def engine_used(state: FitState, grid: Grid, accuracy: float, device: torch.device) -> str:
     """What computes the images of a state at the last level, in words."""
-    method = Renderer(state.mesh, grid, state.optics, accuracy, device=device).plan.method
+    method = Renderer(Scene.of(state.mesh, state.optics), grid, accuracy, device=device).plan.method
     return f"{device.type}, {method}, {threads()} threads"
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from math import isfinite, nan
 from typing import Any
 
@@ -20,6 +20,7 @@ from ..optics import GaussianPSF, Optics
 from ..runs.settings import RunSettings, validated
 from ..scene import Grid, expected_image
 from ..scene.effects import Effects
+from ..scene.light import Light
 from .report import History
 from .session_bead import keep_bead, with_bead
 from .session_parts import SavedResult, Triple
@@ -62,6 +63,7 @@ def result_facts(archive: ArchiveWriter, meshes: MeshWriter, result: SavedResult
             "mesh": meshes.add("state/vertices", state.mesh),
             "optics": _optics_facts(state.optics),
             "effects": state.effects.to_dict(),
+            "light": asdict(state.light),
             "pinned": state.pinned is not None,
         },
         "first": history.first,
@@ -103,6 +105,7 @@ def saved_result(archive: ArchiveReader, facts: Mapping[str, Any], grid: Grid) -
         density=archive.array("state/density"),
         # Earlier versions saved neither effects nor pins.
         effects=Effects(**shown.get("effects", settings.scene.effects.to_dict())),
+        light=Light(**shown.get("light", {})),
         pinned=archive.array("state/pinned") if shown.get("pinned") else None,
         **scalars,
     )
@@ -153,6 +156,7 @@ def _with_images(state: FitState, grid: Grid, settings: RunSettings) -> FitState
             state.background,
             density=state.density,
             effects=state.effects,
+            light=state.light,
         )
 
     return replace(state, _render=rendered)
@@ -171,9 +175,9 @@ def _optics(facts: Mapping[str, Any], first: Optics) -> Optics:
 def settings_of(archive: ArchiveReader, name: str) -> RunSettings:
     """The settings of a run, with the image of their bead, and no other file of theirs."""
     settings: RunSettings = validated(RunSettings, toml_values(archive.text(name)))
-    view = settings.scene.effects.second_view
+    view = settings.scene.effects.view
     if view is not None and view.image:  # the session holds the image itself
-        effects = settings.scene.effects.replace(second_view=view.model_copy(update={"image": ""}))
+        effects = settings.scene.effects.adding(view.model_copy(update={"image": ""}))
         scene = settings.scene.model_copy(update={"effects": effects})
         settings = settings.model_copy(update={"scene": scene})
     return with_bead(archive, name.replace(".toml", "/bead"), settings)

@@ -8,6 +8,7 @@ import json
 import os
 import warnings
 from collections.abc import Sequence
+from dataclasses import asdict
 from math import nan
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,8 @@ from ..measure.tracks import TRACK_COLUMNS, measure_tracks
 from ..runs.track_run import TrackRun
 from ..scene import Grid
 from ..tracking import Event, FrameResult, lineage, surface_4d
-from .report import PACKAGES, plain_values, version_of
+from ..tracking.track_rules import RULES
+from .report import PACKAGES, RULES_OF_A_FIT, plain_values, version_of
 
 MESH_KINDS = (".ply", ".vtk")  # exact, with regions; and for viewers that play series
 FILES = ("tracks.csv", "surface.npz", "run.toml", "report.json")
@@ -159,6 +161,7 @@ def _facts(
     return {
         "version": version_of("napari-deltamic"),
         "seconds": round(seconds, 3),
+        "rules": {**RULES_OF_A_FIT, "tracking": asdict(RULES)},
         "warnings": list(remarks),
         "frames": [
             {

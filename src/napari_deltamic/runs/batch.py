@@ -9,11 +9,15 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from ..common.choices import IMAGE_FILES
+from ..common.choices import AUTO, IMAGE_FILES, ZARR
 from ..common.reading import read_text, toml_values
 from ..errors import InputError
+from ..images.stacks import read_voxel_size
+from .command import options_of
 from .fit_settings import validated
+from .settings import RunSettings, toml_value
 
+SEED_ENDS = ("{stem}_labels.tif", "{stem}_seeds.ply", "{stem}.csv")
 STEM = "{stem}"  # in a pattern of seeds: the image's name without its extension
 
 
@@ -37,6 +41,11 @@ class BatchSettings(BaseModel):
     seeds: str | None = Field(default=None, description="pattern: {stem} stands for the image's")
     options: tuple[str, ...] = Field(default=(), description="of fit, for all")
     runs: tuple[BatchRun, ...] = Field(default=(), description="images with values of their own")
+
+    def to_toml(self) -> str:
+        """The batch file; single runs are left out."""
+        values = self.model_dump(include={"images", "seeds", "options"}, exclude_none=True)
+        return "".join(f"{name} = {toml_value(value)}\n" for name, value in values.items())
 
 
 @dataclass(frozen=True)
@@ -91,10 +100,52 @@ def batch_jobs(
     return jobs
 
 
+def batch_for(folder: str | Path, settings: RunSettings) -> BatchSettings:
+    """A batch of all stacks of a folder with the settings of one run.
+
+    They start from files whose names end in one of ``SEED_ENDS``, if there is one for a stack, else
+    from cells that are found. The voxel size of the run is taken only where a file has none.
+
+    Raises
+    ------
+    InputError
+        If there is no image, the PSF cannot be given on a command line, or a second view, which
+        belongs to one image, is fitted.
+    """
+    folder = Path(folder)
+    if settings.scene.effects.second_view is not None:
+        raise InputError("a second view belongs to one image: take it out to run on a folder")
+    names = {p.name for p in folder.iterdir()}
+    seeds = next((end for end in SEED_ENDS if _fits(end, names)), AUTO)
+    stacks = [job.image for job in batch_jobs(folder, seeds)]
+    told = all(_tells_voxel_size(stack) for stack in stacks)
+    words = options_of(settings)
+    if told:
+        at = words.index("--voxel-size")
+        del words[at : at + 4]
+    return BatchSettings(
+        images=tuple(stack.name for stack in stacks), seeds=seeds, options=tuple(words)
+    )
+
+
+def _fits(end: str, names: set[str]) -> bool:
+    """Whether a pattern of seeds names a file for some stack."""
+    stacks = (Path(name) for name in names if Path(name).suffix.lower() in IMAGE_FILES)
+    return any(end.replace(STEM, _stem(stack)) in names for stack in stacks)
+
+
+def _tells_voxel_size(stack: Path) -> bool:
+    try:
+        return read_voxel_size(stack) is not None
+    except InputError:
+        return True  # the batch will say what is wrong with it
+
+
 def _of_folder(folder: Path, seeds: str | None) -> list[BatchJob]:
-    stacks = sorted(p for p in folder.iterdir() if p.suffix.lower() in IMAGE_FILES and p.is_file())
+    known = (p for p in folder.iterdir() if p.suffix.lower() in IMAGE_FILES)
+    stacks = sorted(p for p in known if p.is_dir() == (p.suffix.lower() == ZARR))
     used = {_seeds(seeds, stack, folder) for stack in stacks}
-    return [_job(stack, seeds, folder) for stack in stacks if str(stack) not in used]
+    return [_job(stack, seeds, folder) for stack in stacks if str(stack.absolute()) not in used]
 
 
 def _of_file(path: Path, seeds: str | None) -> list[BatchJob]:
@@ -105,7 +156,8 @@ def _of_file(path: Path, seeds: str | None) -> list[BatchJob]:
     folder, pattern = path.parent, seeds or settings.seeds
     jobs = []
     for text in settings.images:
-        names = sorted(glob.glob(text, root_dir=folder)) if glob.has_magic(text) else [text]
+        is_pattern = glob.has_magic(text) and not (folder / text).exists()
+        names = sorted(glob.glob(text, root_dir=folder)) if is_pattern else [text]
         jobs += [_job(folder / name, pattern, folder) for name in names]
     for run in settings.runs:
         job = _job(folder / run.image, run.seeds or pattern, folder)
@@ -126,5 +178,5 @@ def _seeds(pattern: str | None, image: Path, folder: Path) -> str | None:
 
 
 def _stem(image: Path) -> str:
-    name = image.name
-    return name[: -len(".ome.tif")] if name.lower().endswith(".ome.tif") else image.stem
+    inner = Path(image.stem)
+    return inner.stem if inner.suffix.lower() == ".ome" else image.stem

@@ -22,13 +22,24 @@ def command(settings: RunSettings, output: str, *, missing: bool = False) -> str
     InputError
         If no flags give the PSF.
     """
-    scene = settings.scene
-    words = [PROGRAM, "fit", settings.image, "--seeds", settings.seeds, *flags_of(scene)]
-    words += [] if scene.optics is None else optics_flags(scene.optics)
-    words += ["--effects", scene.effects.to_text()] if scene.effects.names else []
-    words += flags_of(settings.fit)
+    words = [PROGRAM, "fit", settings.image, "--seeds", settings.seeds, *options_of(settings)]
     words += ["--missing-nan"] if missing else []
     return shlex.join([*words, "-o", output])
+
+
+def options_of(settings: RunSettings) -> list[str]:
+    """The options of ``fit`` that give these settings, but for image, seeds and output.
+
+    Raises
+    ------
+    InputError
+        If no flags give the PSF.
+    """
+    scene = settings.scene
+    words = flags_of(scene)
+    words += [] if scene.optics is None else optics_flags(scene.optics)
+    words += ["--effects", scene.effects.to_text()] if scene.effects.names else []
+    return words + flags_of(settings.fit)
 
 
 def flags_of(settings: Any) -> list[str]:

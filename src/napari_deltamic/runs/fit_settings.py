@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from math import inf
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from ..common.choices import DensityModel, DeviceChoice, Likelihood
+from ..common.choices import DensityModel, DeviceChoice, Likelihood, StructureChoice
 from ..common.description import setting
 from ..errors import InputError
 
@@ -15,6 +16,26 @@ from ..errors import InputError
 # other's mesh, so seeds that already lie on the membranes start near.
 WIDE_LEVELS = (5.0, 3.2, 2.0, 1.35, 1.0)
 NEAR_LEVELS = (1.0,)
+
+
+# What the dial offers; it also takes a length.
+SHAPE_CHOICES = ("quick", "normal", "careful")
+_LENGTHS = {"nm": 1e-3, "um": 1.0, "µm": 1.0}
+
+
+def asked_error(choice: str) -> float | None:
+    """um of a length such as 20nm or 0.02um; None for a name. InputError for anything else."""
+    if choice in SHAPE_CHOICES:
+        return None
+    for unit, size in _LENGTHS.items():
+        try:
+            found = float(choice.removesuffix(unit)) * size if choice.endswith(unit) else 0.0
+        except ValueError:
+            found = 0.0
+        if 0 < found < inf:
+            return found
+    names = ", ".join(SHAPE_CHOICES)
+    raise InputError(f"the shape error must be {names}, or a length such as 20nm, not '{choice}'")
 
 
 class Settings(BaseModel):
@@ -28,6 +49,15 @@ class FitSettings(Settings):
 
     model_config = ConfigDict(allow_inf_nan=False)
 
+    shape_error: str = setting(
+        "normal",
+        title="shape",
+        tip="how near to the true shape: quick, normal, careful, or a length such as 20nm; it "
+        "chooses edges, accuracy and tolerance, where these are not given",
+        known=SHAPE_CHOICES,
+        metavar="E",
+        advanced=True,
+    )
     accuracy: float | None = setting(
         None,
         title="accuracy",
@@ -39,17 +69,23 @@ class FitSettings(Settings):
         lt=1,
     )
     fit_psf: bool = setting(
-        False,
+        True,
         title="estimate the PSF from the image",
-        tip="also fit the widths of the PSF",
+        tip="also fit the PSF, from what is known of it; else it stays",
         live=True,
     )
     density: DensityModel = setting(
-        "uniform",
+        "smooth",
         title="brightness",
         tip="fluorophores per um^2: the same everywhere, one per interface, or smooth over "
-        "the surface",
+        "the surface, as uneven as the image says",
         live=True,
+    )
+    structure: StructureChoice = setting(
+        "auto",
+        title="what shines",
+        tip="membranes, the interior of cells (nuclei, cytoplasm), or both; auto: what the image "
+        "says, also where a medium brighter than the cells lies around them",
     )
     likelihood: Likelihood = setting(
         "poisson", title="noise", tip="how voxels are weighted", advanced=True, live=True
@@ -151,6 +187,16 @@ class FitSettings(Settings):
         """``accuracy``, or that of a rendering without an image where it is left to the noise."""
         return 1e-3 if self.accuracy is None else self.accuracy
 
+    @field_validator("shape_error", mode="before")
+    @classmethod
+    def _a_choice(cls, choice: Any) -> str:
+        plain = str(choice).strip().lower().replace(" ", "")
+        try:
+            asked_error(plain)
+        except InputError as error:
+            raise ValueError(str(error)) from None
+        return plain
+
     @field_validator("accuracy", mode="before")
     @classmethod
     def _auto(cls, accuracy: Any) -> Any:
@@ -176,12 +222,16 @@ class FitSettings(Settings):
         return levels
 
 
+_PLAIN = {"extra_forbidden": "there is no such setting", "missing": "it must be given"}
+
+
 def validated(model: type[Any], values: dict[str, Any]) -> Any:
     """A settings object from plain values; InputError in one line where they are wrong."""
     try:
         return model(**values)
     except ValidationError as error:
-        first = error.errors()[0]
+        # A name that is spelt wrong explains the right one that is missing.
+        first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
         where = ".".join(str(p) for p in first["loc"])
-        reason = str(first["msg"]).removeprefix("Value error, ")
+        reason = _PLAIN.get(first["type"], str(first["msg"])).removeprefix("Value error, ")
         raise InputError(f"{where}: {reason}" if where else reason) from None

@@ -86,7 +86,7 @@ class SceneFields(Settings):
 class RunFields(Settings):
     """What is fitted to what."""
 
-    image: str = setting(title="image", tip="image file, .tif or .npy", flag=None)
+    image: str = setting(title="image", tip="image file, .tif, .npy or .zarr", flag=None)
     seeds: str = setting(
         title="cells",
         tip="where the fit starts: a mesh, a label image, a CSV (z,y,x or z,y,x,radius; um), or "

@@ -47,10 +47,10 @@ class RunSettings(RunFields):
                 tables.append((name, value))
             else:
                 lines.append((name, value))
-        text = "".join(f"{k} = {_toml(v)}\n" for k, v in lines)
+        text = "".join(f"{k} = {toml_value(v)}\n" for k, v in lines)
         for name, table in tables:
             text += f"\n[{name}]\n"
-            text += "".join(f"{k} = {_toml(v)}\n" for k, v in table.items() if v is not None)
+            text += "".join(f"{k} = {toml_value(v)}\n" for k, v in table.items() if v is not None)
         return text
 
     @classmethod
@@ -63,7 +63,8 @@ class RunSettings(RunFields):
         return validated(cls, values)
 
 
-def _toml(value: Any) -> str:
+def toml_value(value: Any) -> str:
+    """A value as TOML writes it. Raises InputError for a text that no file can hold."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, (int, float)):
@@ -74,5 +75,9 @@ def _toml(value: Any) -> str:
         # TOML's basic strings escape as JSON's do, and also the delete character.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{_toml(str(k))} = {_toml(v)}" for k, v in value.items()) + "}"
-    return "[" + ", ".join(_toml(v) for v in value) + "]"
+        return (
+            "{"
+            + ", ".join(f"{toml_value(str(k))} = {toml_value(v)}" for k, v in value.items())
+            + "}"
+        )
+    return "[" + ", ".join(toml_value(v) for v in value) + "]"

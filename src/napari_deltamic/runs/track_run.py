@@ -16,6 +16,6 @@ class TrackRun(RunSettings):
 
     @model_validator(mode="after")
     def _one_view(self) -> TrackRun:
-        if self.scene.effects.second_view is not None:
+        if self.scene.effects.view is not None:
             raise ValueError("a second view cannot be tracked: leave it out")
         return self

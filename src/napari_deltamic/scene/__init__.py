@@ -2,8 +2,8 @@
 
 from .grid import Grid
 from .random_cells import random_cells
-from .render import Renderer, expected_image, render
-from .scene import Scene, SceneRenderer, render_scene
+from .render import Renderer, expected_image, render, render_scene
+from .scene import Scene
 from .simulate import Simulation, simulate
 from .structures import Filament, Points, Solid, Surface
 
@@ -13,7 +13,6 @@ __all__ = [
     "Points",
     "Renderer",
     "Scene",
-    "SceneRenderer",
     "Simulation",
     "Solid",
     "Surface",

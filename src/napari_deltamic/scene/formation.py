@@ -53,9 +53,8 @@ class Formation:
         """
         blurred = gaussian_reach(accuracy) * np.asarray(self.blur)
         reach = np.hypot(optics.reach(accuracy), blurred) + margin
-        for effect in (*self._transfers, self.effects.depth_psf):
-            if effect is not None:
-                reach = np.hypot(reach, effect.reach(0.1 * accuracy))
+        for effect in self.effects.present():
+            reach = np.hypot(reach, effect.reach(0.1 * accuracy))
         return padded_shape(positions, self.grid, reach)
 
     def otf(self, optics: Optics, axes: Axes) -> Tensor:
@@ -69,14 +68,15 @@ class Formation:
                 otf = otf * torch.exp(-0.5 * (self.blur[axis] * k) ** 2)
         for effect in self._transfers:
             otf = otf * effect.transfer(axes, self.frame)
-        if self.effects.depth_psf is not None:
-            first, last = self.effects.depth_psf.transfers(axes)
+        depth = self.effects.depth
+        if depth is not None:
+            first, last = depth.transfers(axes)
             otf = torch.stack([otf * first, otf * last])
         return otf
 
     def image(self, transform: Tensor, otf: Tensor, band: Band) -> Tensor:
         """Image (Z, Y, X): fluorophores seen in each voxel; its sum over all space is the total."""
-        if self.effects.depth_psf is None:
+        if self.effects.depth is None:
             image = band.to_image(transform, self.grid.shape, otf)
         else:
             image = band.to_image((transform * otf).sum(0), self.grid.shape)

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from ..common.choices import Bits
 from ..errors import InputError
-from .effects import Camera
+from .effects import DetectorEffect
 
 
 def detected(
-    light: NDArray[Any], camera: Camera | None, rng: np.random.Generator, bits: Bits = 16
+    light: NDArray[Any], camera: DetectorEffect | None, rng: np.random.Generator, bits: Bits = 16
 ) -> NDArray[Any]:
     """A noisy image: Poisson counts, then what the camera makes of them.
 
@@ -60,7 +60,7 @@ def detected(
     return np.rint(image).clip(0, top).astype(np.uint8 if bits == 8 else np.uint16)
 
 
-def intensities(light: NDArray[Any], camera: Camera | None) -> NDArray[np.float64]:
+def intensities(light: NDArray[Any], camera: DetectorEffect | None) -> NDArray[np.float64]:
     """(Z, Y, X) mean intensities of a camera that never saturates. Raises InputError for NaN."""
     found = np.asarray(light, dtype=np.float64)
     if not np.isfinite(found).all():

@@ -1,4 +1,4 @@
-"""From a mesh and a PSF to an image."""
+"""From a scene to an image."""
 
 from __future__ import annotations
 
@@ -9,100 +9,106 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..errors import InputError
-from ..fourier import Plan, make_plan
+from ..fourier import Band, Plan
 from ..fourier.devices import for_objects
 from ..fourier.plan import Method, check_accuracy
 from ..geometry.mesh import Mesh, is_tensor
 from ..optics import GaussianPSF, Optics
 from .effects import Effects, OffsetEffect, as_effects
-from .effects.object_side import Surfaces, acts_on_object, object_transform
 from .formation import Formation
 from .grid import Grid
+from .light import MEMBRANES, Light
+from .scene import Scene
+from .structures import Planned, Site, Surface
+
+_STRETCH = 1.1  # of edges, within the life of a plan for a mesh that moves
 
 
 class Renderer:
-    """Renders meshes near a given one on a grid: the plan is made once and used many times.
+    """Renders scenes near a given one on a grid: the plan is made once and used many times.
+
+    Each structure has its own plan, and all share one image. Every structure's image is as accurate
+    as asked, relative to itself; so is their sum, unless they have opposite signs.
 
     Parameters
     ----------
-    mesh, grid, optics
-        What the plan is made for.
+    scene, grid
+        What the plan is made for, and where the voxels lie.
     accuracy
         Relative L2 error of the image; 0 for the closed form at every wavevector of the grid.
     blur
         um along Z, Y, X: a further Gaussian on top of the optics (coarse levels of a fit).
-    effects
-        Optional parts of image formation, or their names; absent ones are not computed.
     frame
         Grid of the whole image, to which effects refer, where ``grid`` leaves voxels out.
     margin
-        um: how far vertices may move before the plan no longer holds; 0 for a mesh that stays.
+        um: how far vertices may move before the plan no longer holds; 0 for a scene that stays.
         Edges may then grow by a tenth, which a fit sees to by planning anew now and then.
     method
         Forces ``"closed form"`` or ``"particle-mesh"``.
     device
         Where images are; see :func:`napari_deltamic.fourier.devices.choose_device`.
 
+    Raises
+    ------
+    InputError
+        If the accuracy is not in [0, 1), or a structure so far from the grid that its units must be
+        wrong.
+
     Notes
     -----
-    The FFT is periodic. The grid is padded just so far that neither the image of the mesh nor that
+    The FFT is periodic. The grid is padded just so far that neither the image of the scene nor that
     of its periodic copies reaches in at the other side.
     """
 
     def __init__(
         self,
-        mesh: Mesh,
+        scene: Scene,
         grid: Grid,
-        optics: Optics,
         accuracy: float = 1e-3,
         *,
         blur: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        effects: Effects | Sequence[str] = (),
         frame: Grid | None = None,
         margin: float = 0.0,
         method: Method | None = None,
         device: torch.device | str = "cpu",
     ) -> None:
         check_accuracy(accuracy)
+        self.scene, self.grid, self.frame, self.accuracy = scene, grid, frame or grid, accuracy
+        self.blur, self.margin = blur, margin
         self.device = torch.device(device)
-        # Effects on the object are computed on the CPU.
-        self._object_device = for_objects(self.device)
+        optics = scene.optics
+        self._start = np.concatenate([s.positions() for s in scene.structures])
         self._last_otf: tuple[Optics | None, Tensor | None] = None, None
-        self.grid = grid
-        self.frame = frame or grid
-        self.blur = blur
-        self.margin = margin
-        self._surfaces = Surfaces.of(mesh)
-        there = self._object_device
-        self._faces = self._surfaces.faces.to(there)
-        self._membranes = torch.as_tensor(mesh.membranes(), dtype=torch.float64, device=there)
-        self._origin = torch.tensor(grid.origin, dtype=torch.float64, device=there)
-        self._start = mesh.vertices_numpy()
-        self._start_there = torch.tensor(self._start, device=there)
-        width = np.hypot(optics.width(), blur)
-        self._take(as_effects(effects))
-        fft_shape = self._formation.fft_shape(self._start, optics, accuracy, margin)
-        self.plan: Plan = make_plan(
-            self._start - np.asarray(grid.origin),
-            mesh.faces,
-            fft_shape,
-            grid.voxel_size,
-            tuple(float(w) for w in width),  # type: ignore[arg-type]
+        self._take(scene.effects)
+        z, y, x = (float(w) for w in np.hypot(optics.width(), blur))
+        site = Site(
+            grid,
+            self.frame,
+            self._formation.fft_shape(self._start, optics, accuracy, margin),
+            (z, y, x),
             accuracy,
             method,
-            margin=_STRETCH if margin > 0 else 1.0,
-            aligned=optics.diagonal,
-            cutoff=optics.cutoff(blur),
-            device=there.type,
-            transfer=lambda axes: self._formation.otf(optics, axes),
+            optics.diagonal,
+            optics.cutoff(blur),
+            lambda axes: self._formation.otf(optics, axes),
+            _STRETCH if margin > 0 else 1.0,
+            for_objects(self.device),
         )
-        self._axes = self.plan.band.axes(torch.float32 if self.plan.single else torch.float64)
+        self._moving = scene.on_one_mesh()
+        self._planned: list[Planned] = [s.planned(site) for s in scene.structures]
+        # One of them holds all others: what they ask of the OTF is a number.
+        self.band: Band = max((p.plan.band for p in self._planned), key=lambda b: b.half)
+        single = all(p.plan.single for p in self._planned)
+        self._axes = self.band.axes(torch.float32 if single else torch.float64)
 
     def _take(self, effects: Effects) -> None:
         self.effects = effects
-        self._on_object = acts_on_object(effects)
         self._formation = Formation(self.grid, self.frame, self.blur, effects)
+
+    @property
+    def plan(self) -> Plan:
+        """Of the mesh."""
+        return next(p.plan for p in self._planned if isinstance(p.plan, Plan))
 
     def with_effects(self, effects: Effects) -> Renderer:
         """The same plan with other numbers of the same effects."""
@@ -111,41 +117,52 @@ class Renderer:
         renderer._last_otf = None, None
         return renderer
 
-    def holds_for(self, vertices: np.ndarray) -> bool:
+    def holds_for(self, positions: np.ndarray) -> bool:
         """Whether the plan still holds for these vertices (V, 3)."""
-        return bool(np.abs(vertices - self._start).max() <= self.margin)
+        return bool(np.abs(positions - self._start).max() <= self.margin)
 
     def pads_enough_for(self, effects: Effects, optics: Optics) -> bool:
         """Whether the plan is wide enough for other effects, which may reach further."""
         formation = Formation(self.grid, self.frame, self.blur, effects)
-        needed = formation.fft_shape(self._start, optics, self.plan.accuracy, self.margin)
-        return all(n <= m for n, m in zip(needed, self.plan.band.fft_shape, strict=True))
+        needed = formation.fft_shape(self._start, optics, self.accuracy, self.margin)
+        return all(n <= m for n, m in zip(needed, self.band.fft_shape, strict=True))
 
-    def moved(self, vertices: Tensor) -> Tensor:
-        """um, 0-dim: how far a vertex is from where the plan was made, along an axis at most."""
-        if self._start_there.device != vertices.device:
-            self._start_there = self._start_there.to(vertices.device)
-        return (vertices.detach() - self._start_there).abs().amax()
+    def transform(
+        self,
+        vertices: Tensor | None = None,
+        density: Tensor | None = None,
+        light: Light | None = None,
+    ) -> Tensor:
+        """u_hat on the box of the band, differentiable; two boxes where the PSF changes with depth.
 
-    def transform(self, vertices: Tensor, density: Tensor | None = None) -> Tensor:
-        """u_hat on the box of the band; densities (F,) multiply the membranes of each face.
+        Parameters
+        ----------
+        vertices
+            (V, 3) um: the scene's mesh from here on; by default as it was planned with.
+        density
+            (F,) that multiply its membranes.
+        light
+            Factors on its surfaces and solids; what does not shine is not computed. 1 where not
+            given.
 
-        Two such boxes where the PSF changes with depth.
+        Raises
+        ------
+        InputError
+            If there is not one density for each face.
         """
-        weight = self._membranes
-        if density is not None:
-            if density.shape != weight.shape:
-                raise InputError(
-                    f"density must have shape ({len(weight)},), one number per face, "
-                    f"not {tuple(density.shape)}"
-                )
-            weight = weight * density.to(weight.device)
-        if self._on_object:
-            given = vertices.cpu(), self._surfaces, weight.cpu(), self.effects
-            return self._held(object_transform(self.plan, *given, self.grid, self.frame))
-        placed = vertices.to(self._object_device)
-        placed = placed - self._origin.to(placed.dtype)
-        return self._held(self.plan.transform(placed, self._faces, weight))
+        total: Tensor | None = None
+        for structure, planned in zip(self.scene.structures, self._planned, strict=True):
+            factor = 1.0 if light is None else light.of(isinstance(structure, Surface))
+            if factor == 0:
+                continue
+            moved = vertices if structure in self._moving else None
+            own = density if isinstance(structure, Surface) else None
+            box = self._held(planned.transform(self.effects, moved, own))
+            box = _widened(box, planned.plan.band, self.band)
+            box = box if factor == 1 else factor * box
+            total = box if total is None else total + box
+        assert total is not None, "a scene has structures, and something of it shines"
+        return total
 
     def _held(self, box: Tensor) -> Tensor:
         """On the device of the image, in a type that it holds."""
@@ -173,7 +190,11 @@ class Renderer:
 
     def image(self, transform: Tensor, otf: Tensor) -> Tensor:
         """Image (Z, Y, X): fluorophores seen in each voxel; its sum over all space is the total."""
-        return self._formation.image(transform, otf, self.plan.band)
+        return self._formation.image(transform, otf, self.band)
+
+    def rendered(self) -> Tensor:
+        """The image of the scene itself."""
+        return self.image(self.transform(), self.otf(self.scene.optics))
 
     def offset(self) -> Tensor | None:
         """What effects add to the measured image, in its unit; None where nothing is added."""
@@ -190,6 +211,36 @@ def offset(effects: Effects, grid: Grid, frame: Grid | None = None) -> Tensor | 
     return found
 
 
+def render_scene(
+    scene: Scene, grid: Grid, accuracy: float = 1e-3, *, method: Method | None = None
+) -> Tensor:
+    """The image of a scene: all its structures under one PSF, with its effects.
+
+    Parameters
+    ----------
+    scene
+        Differentiable in the tensors of its structures and optics.
+    grid
+        Where the voxels lie.
+    accuracy
+        Relative L2 error of the image; 0 for the closed forms at every wavevector of the grid.
+    method
+        Forces ``"closed form"`` or ``"particle-mesh"``; by default the cheaper of each structure.
+
+    Returns
+    -------
+    (Z, Y, X) tensor, fluorophores seen in each voxel: float32, or float64 where the accuracy asks
+    for more than single precision can hold (below 3e-5). What effects add to the measured image (a
+    background) is added by :func:`expected_image` alone.
+
+    Raises
+    ------
+    InputError
+        As :class:`Renderer`.
+    """
+    return Renderer(scene, grid, accuracy, method=method).rendered()
+
+
 def render(
     mesh: Mesh,
     grid: Grid,
@@ -200,44 +251,32 @@ def render(
     effects: Effects | Sequence[str] = (),
     method: Method | None = None,
 ) -> Tensor:
-    """The image of a mesh under a PSF.
+    """The image of the membranes of a mesh under a PSF: :func:`render_scene` of a single surface.
+
+    It is computed where the mesh's vertices are.
 
     Parameters
     ----------
     mesh
         Vertices in um; the result is differentiable in them where they are a tensor that requires
         grad. A wall between two cells is two membranes and counts twice.
-    grid
-        Where the voxels lie.
     optics
         The PSF; the result is differentiable in its tensors.
-    accuracy
-        Relative L2 error of the image; 0 computes the closed form at every wavevector of the grid.
     density
         (F,) fluorophores per um^2 of membrane; 1 where not given.
     effects
-        Optional parts of image formation, or their names. A background is in the unit of the
-        measured image and so added by :func:`expected_image` alone.
-    method
-        Forces ``"closed form"`` or ``"particle-mesh"``; by default the cheaper one.
-
-    Returns
-    -------
-    (Z, Y, X) tensor, fluorophores seen in each voxel: float32, or float64 where the accuracy asks
-    for more than single precision can hold (below 3e-5).
+        Optional parts of image formation, or their names.
+    grid, accuracy, method
+        As of :func:`render_scene`.
 
     Raises
     ------
     InputError
-        If the accuracy is not in [0, 1), the density not one number per face, or the mesh so far
-        from the grid that its units must be wrong.
+        As :class:`Renderer`, or if the density is not one number per face.
     """
-    vertices = mesh.vertices if is_tensor(mesh.vertices) else torch.tensor(mesh.vertices_numpy())
-    device = vertices.device
-    renderer = Renderer(mesh, grid, optics, accuracy, effects=effects, method=method, device=device)
-    # A copy of an array: torch warns of those that are read-only.
-    weight = torch.tensor(density) if isinstance(density, np.ndarray) else density
-    return renderer.image(renderer.transform(vertices, weight), renderer.otf(optics))
+    device = mesh.vertices.device if is_tensor(mesh.vertices) else "cpu"
+    scene = Scene.of(mesh, optics, effects, density)
+    return Renderer(scene, grid, accuracy, method=method, device=device).rendered()
 
 
 def expected_image(
@@ -250,17 +289,26 @@ def expected_image(
     *,
     density: Tensor | np.ndarray | None = None,
     effects: Effects | Sequence[str] = (),
+    light: Light = MEMBRANES,
 ) -> np.ndarray:
     """(Z, Y, X) float32: what the microscope would measure, but for noise.
 
-    ``amplitude * rendered image + background``, and what effects add; see :func:`render`.
+    ``amplitude * rendered image + background``, and what effects add; see :func:`render`. Of the
+    mesh, that shines which the light says.
     """
     chosen = as_effects(effects)
+    scene = Scene.of(mesh, optics, chosen, density, light.interior != 0)
     with torch.no_grad():
-        image = render(mesh, grid, optics, accuracy, density=density, effects=chosen)
+        renderer = Renderer(scene, grid, accuracy)
+        image = renderer.image(renderer.transform(light=light), renderer.otf(optics))
         image = amplitude * image + background
         added = offset(chosen, grid)
         return (image if added is None else image + added).to(torch.float32).numpy()
 
 
-_STRETCH = 1.1  # of edges, within the life of a plan for a mesh that moves
+def _widened(box: Tensor, band: Band, to: Band) -> Tensor:
+    """The box of a band, zero-padded to that of a wider one."""
+    if band.half == to.half:
+        return box
+    z, y, x = (n - k for n, k in zip(to.half, band.half, strict=True))
+    return torch.nn.functional.pad(box, (0, x, y, y, z, z))

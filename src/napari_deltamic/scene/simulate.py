@@ -16,10 +16,11 @@ from ..common.choices import Bits
 from ..errors import InputError
 from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import Mesh
+from .effects import VoxelEffect
 from .grid import Grid
 from .noise import detected, intensities
-from .render import offset
-from .scene import Scene, render_scene
+from .render import offset, render_scene
+from .scene import Scene
 from .structures import Solid, Surface
 
 BACKGROUND_SHARE = 0.1  # of the photons at the peak, where no background is given
@@ -96,8 +97,9 @@ def simulate(
         If a number is out of range, both kinds of photons are given, nothing of the scene is seen,
         or the image does not fit into the bits.
     """
-    if "second_view" in scene.effects.names:
-        raise InputError("a simulation shows one view: leave out the effect second_view")
+    view = scene.effects.view
+    if view is not None:
+        raise InputError(f"a simulation shows one view: leave out the effect {view.name}")
     if photons is not None and photons_per_density is not None:
         raise InputError("give photons at the peak, or photons per density, not both")
     for name, value in (("photons", photons), ("photons_per_density", photons_per_density)):
@@ -112,16 +114,15 @@ def simulate(
         raise InputError("nothing of the scene is seen: does it lie inside the image?")
     amplitude = photons_per_density or (photons or 100.0) / peak
     ground = BACKGROUND_SHARE * amplitude * peak if background is None else background
-    camera = scene.effects.camera
+    camera = scene.effects.detector
     light = amplitude * image + ground
     added = offset(scene.effects, grid)
     if added is not None:  # in the unit of the image
         light = light + added.numpy() / (camera.gain if camera else 1.0)
     noisy = detected(light, camera, _generator(seed), bits)
-    missing = scene.effects.missing
-    if missing is not None:
-        gone = missing.missing(noisy)
-        noisy[gone] = missing.value or 0
+    for effect in scene.effects.present():
+        if isinstance(effect, VoxelEffect):
+            effect.spoil(noisy)
     mesh = true_mesh(scene)
     return Simulation(
         scene,

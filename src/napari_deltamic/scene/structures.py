@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from ..errors import InputError
-from ..fourier import Band, Plan, make_plan
+from ..fourier import Plan, make_plan
 from ..fourier.filament import LinePlan, make_line_plan, path_segments
 from ..fourier.plan import Cutoff, Method
 from ..fourier.solid import contrasts, solid_transform
@@ -31,6 +31,7 @@ from .effects.object_side import Surfaces, acts_on_object, object_transform
 from .grid import Grid
 
 Values = float | np.ndarray | Tensor
+_CPU = torch.device("cpu")
 _LARGEST_DENSITY = 1e30  # so that its products with areas and volumes are numbers
 
 
@@ -52,6 +53,10 @@ class Site:
         Where the OTF ends, for a PSF that is not Gaussian.
     transfer
         The OTF with what effects make of it.
+    stretch
+        By how much edges of a mesh may grow before its plan no longer holds.
+    device
+        Where structures are transformed.
     """
 
     grid: Grid
@@ -61,45 +66,31 @@ class Site:
     accuracy: float
     method: Method | None
     aligned: bool
-    effects: Effects
     cutoff: Cutoff | None = None
     transfer: Transfer | None = None
+    stretch: float = 1.0
+    device: torch.device = _CPU
 
     def local(self, positions: Tensor) -> Tensor:
         """Positions relative to the centre of the first voxel."""
         return positions - torch.tensor(self.grid.origin, dtype=positions.dtype)
 
 
-class Transform(Protocol):
+class Planned(Protocol):
     """A structure planned for a site."""
 
     @property
-    def band(self) -> Band:
-        """On whose box the result lies."""
+    def plan(self) -> Plan | LinePlan:
+        """On the box of whose band transforms lie."""
 
-    @property
-    def single(self) -> bool:
-        """Whether it is in single precision."""
+    def transform(
+        self, effects: Effects, vertices: Tensor | None = None, density: Tensor | None = None
+    ) -> Tensor:
+        """u_hat with the effects on the object; two boxes where the PSF changes with depth.
 
-    def __call__(self) -> Tensor:
-        """u_hat; two boxes where the PSF changes with depth. Differentiable."""
-
-
-@dataclass(frozen=True)
-class _Planned:
-    plan: Plan | LinePlan
-    compute: Callable[[], Tensor]
-
-    @property
-    def band(self) -> Band:
-        return self.plan.band
-
-    @property
-    def single(self) -> bool:
-        return self.plan.single
-
-    def __call__(self) -> Tensor:
-        return self.compute()
+        Differentiable. Vertices (V, 3) um and densities: others than those that it was planned with
+        (near them); densities of a surface alone.
+        """
 
 
 class Structure(Protocol):
@@ -108,8 +99,8 @@ class Structure(Protocol):
     def positions(self) -> FloatArray:
         """(N, 3) um: points whose bounds are those of the structure."""
 
-    def planned(self, site: Site) -> Transform:
-        """Its transform for a site; :func:`napari_deltamic.scene.render_scene` calls it."""
+    def planned(self, site: Site) -> Planned:
+        """Ready to be transformed for a site; a :class:`~.render.Renderer` asks for it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,23 +125,9 @@ class Surface:
         """See ``Structure``."""
         return self.mesh.vertices_numpy()
 
-    def planned(self, site: Site) -> Transform:
+    def planned(self, site: Site) -> Planned:
         """See ``Structure``."""
-        plan = _mesh_plan(self.mesh, site)
-        surfaces = Surfaces.of(self.mesh)
-        vertices = _tensor(self.mesh.vertices)
-
-        def compute() -> Tensor:
-            weight = torch.as_tensor(self.mesh.membranes(), dtype=torch.float64)
-            if is_tensor(self.density) or not np.array_equal(self.density, 1.0):
-                weight = weight * torch.as_tensor(self.density)
-            if acts_on_object(site.effects):
-                return object_transform(
-                    plan, vertices, surfaces, weight, site.effects, site.grid, site.frame
-                )
-            return plan.transform(site.local(vertices), surfaces.faces, weight)
-
-        return _Planned(plan, compute)
+        return _PlannedSurface(self, site, _mesh_plan(self.mesh, site))
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,18 +172,9 @@ class Solid:
         """See ``Structure``."""
         return self.mesh.vertices_numpy()
 
-    def planned(self, site: Site) -> Transform:
+    def planned(self, site: Site) -> Planned:
         """See ``Structure``."""
-        plan = _mesh_plan(self.mesh, site)
-        surfaces = Surfaces.of(self.mesh)
-        vertices = _tensor(self.mesh.vertices)
-        middles = torch.stack([_middle(self.mesh, k) for k in surfaces.ids])
-
-        def seen(densities: Tensor) -> Tensor:
-            contrast = contrasts(surfaces.regions, surfaces.ids, densities.to(torch.float64))
-            return solid_transform(plan, site.local(vertices), surfaces.faces, contrast)
-
-        return _Planned(plan, lambda: _through(seen, self.densities(), middles, site))
+        return _PlannedSolid(self, site, _mesh_plan(self.mesh, site))
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,10 +214,11 @@ class Filament:
         """See ``Structure``."""
         return _positions(self.vertices, "vertices")
 
-    def planned(self, site: Site) -> Transform:
+    def planned(self, site: Site) -> Planned:
         """See ``Structure``."""
-        vertices, segments = _tensor(self.vertices), self.joined()
-        return _line(vertices, segments, _each(self.density, len(segments)), site)
+        segments = self.joined()
+        weights = _each(self.density, len(segments))
+        return _PlannedLine.of(_tensor(self.vertices), segments, weights, site)
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,14 +246,122 @@ class Points:
         """See ``Structure``."""
         return _positions(self.places, "points")
 
-    def planned(self, site: Site) -> Transform:
+    def planned(self, site: Site) -> Planned:
         """See ``Structure``."""
         places = _tensor(self.places)
         every = np.arange(len(places))[:, None]
-        return _line(places, every, _each(self.weight, len(places)), site)
+        return _PlannedLine.of(places, every, _each(self.weight, len(places)), site)
 
 
-# ---------------------------------------------------------------------------------------- inside
+# --------------------------------------------------------------------------------------- planned
+
+
+class _PlannedSurface:
+    """See ``Planned``."""
+
+    def __init__(self, surface: Surface, site: Site, plan: Plan) -> None:
+        self._surface, self._site, self.plan = surface, site, plan
+        mesh, there = surface.mesh, site.device
+        self._surfaces = Surfaces.of(mesh)
+        self._faces = self._surfaces.faces.to(there)
+        self._membranes = torch.as_tensor(mesh.membranes(), dtype=torch.float64, device=there)
+        self._origin = torch.tensor(site.grid.origin, dtype=torch.float64, device=there)
+
+    def transform(
+        self, effects: Effects, vertices: Tensor | None = None, density: Tensor | None = None
+    ) -> Tensor:
+        """See ``Planned``."""
+        weight = self._weight(density)
+        if vertices is None:
+            vertices = _tensor(self._surface.mesh.vertices)
+        if acts_on_object(effects):  # on the CPU
+            given = vertices.cpu(), self._surfaces, weight.cpu(), effects
+            return object_transform(self.plan, *given, self._site.grid, self._site.frame)
+        placed = vertices.to(self._site.device)
+        placed = placed - self._origin.to(placed.dtype)
+        return self.plan.transform(placed, self._faces, weight)
+
+    def _weight(self, density: Tensor | None) -> Tensor:
+        weight = self._membranes
+        own = self._surface.density
+        if density is None and (is_tensor(own) or not np.array_equal(own, 1.0)):
+            # A copy of an array: torch warns of those that are read-only.
+            density = torch.tensor(own) if isinstance(own, np.ndarray) else torch.as_tensor(own)
+        if density is None:
+            return weight
+        if density.ndim and density.shape != weight.shape:
+            raise InputError(
+                f"density must have shape ({len(weight)},), one number per face, "
+                f"not {tuple(density.shape)}"
+            )
+        return weight * density.to(weight.device)
+
+
+class _PlannedSolid:
+    """See ``Planned``."""
+
+    def __init__(self, solid: Solid, site: Site, plan: Plan) -> None:
+        self._solid, self._site, self.plan = solid, site, plan
+        self._surfaces = Surfaces.of(solid.mesh)
+        self._middles = torch.stack([_middle(solid.mesh, k) for k in self._surfaces.ids])
+
+    def transform(
+        self, effects: Effects, vertices: Tensor | None = None, density: Tensor | None = None
+    ) -> Tensor:
+        """See ``Planned``."""
+        s = self._surfaces
+        placed = self._site.local(
+            _tensor(self._solid.mesh.vertices) if vertices is None else vertices
+        )
+
+        def seen(densities: Tensor) -> Tensor:
+            contrast = contrasts(s.regions, s.ids, densities.to(torch.float64))
+            assert isinstance(self.plan, Plan)
+            return solid_transform(self.plan, placed, s.faces, contrast)
+
+        return _through(seen, self._solid.densities(), self._middles, self._site.frame, effects)
+
+
+@dataclass(frozen=True)
+class _PlannedLine:
+    """See ``Planned``; of segments, or of points."""
+
+    plan: LinePlan
+    vertices: Tensor
+    elements: Tensor
+    weights: Tensor
+    site: Site
+
+    @classmethod
+    def of(
+        cls, vertices: Tensor, elements: np.ndarray, weights: Tensor, site: Site
+    ) -> _PlannedLine:
+        plan = make_line_plan(
+            to_numpy(vertices) - np.asarray(site.grid.origin),
+            elements,
+            site.fft_shape,
+            site.grid.voxel_size,
+            site.width,
+            site.accuracy,
+            site.method,
+            site.aligned,
+            site.cutoff,
+            site.transfer,
+        )
+        return cls(plan, vertices, torch.from_numpy(elements), weights, site)
+
+    def transform(
+        self, effects: Effects, vertices: Tensor | None = None, density: Tensor | None = None
+    ) -> Tensor:
+        """See ``Planned``."""
+        vertices = self.vertices if vertices is None else vertices
+        placed = self.site.local(vertices)
+
+        def seen(weights: Tensor) -> Tensor:
+            return self.plan.transform(placed, self.elements, weights)
+
+        middles = vertices[self.elements].mean(1).to(torch.float64)
+        return _through(seen, self.weights, middles, self.site.frame, effects)
 
 
 def _mesh_plan(mesh: Mesh, site: Site) -> Plan:
@@ -296,46 +373,25 @@ def _mesh_plan(mesh: Mesh, site: Site) -> Plan:
         site.width,
         site.accuracy,
         site.method,
+        margin=site.stretch,
         aligned=site.aligned,
         cutoff=site.cutoff,
+        device=site.device.type,
         transfer=site.transfer,
     )
 
 
-def _line(vertices: Tensor, elements: np.ndarray, weights: Tensor, site: Site) -> Transform:
-    plan = make_line_plan(
-        to_numpy(vertices) - np.asarray(site.grid.origin),
-        elements,
-        site.fft_shape,
-        site.grid.voxel_size,
-        site.width,
-        site.accuracy,
-        site.method,
-        site.aligned,
-        site.cutoff,
-        site.transfer,
-    )
-    joined = torch.from_numpy(elements)
-
-    def seen(weights: Tensor) -> Tensor:
-        return plan.transform(site.local(vertices), joined, weights)
-
-    return _Planned(
-        plan, lambda: _through(seen, weights, vertices[joined].mean(1).to(torch.float64), site)
-    )
-
-
 def _through(
-    seen: Callable[[Tensor], Tensor], weights: Tensor, places: Tensor, site: Site
+    seen: Callable[[Tensor], Tensor], weights: Tensor, places: Tensor, frame: Grid, effects: Effects
 ) -> Tensor:
     """A transform with the effects that act on the object, each part of it at its place."""
-    for effect in site.effects.present():
+    for effect in effects.present():
         if isinstance(effect, FaceEffect):
-            weights = weights * effect.face_weights(places, site.frame)
-    depth = site.effects.depth_psf
+            weights = weights * effect.face_weights(places, frame)
+    depth = effects.depth
     if depth is None:
         return seen(weights)
-    last = weights * depth.depths(places, site.frame)
+    last = weights * depth.depths(places, frame)
     return torch.stack([seen(weights - last), seen(last)])
 
 

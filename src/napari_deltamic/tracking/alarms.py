@@ -11,12 +11,7 @@ from ..fitting.growth_alarm import shrunken
 from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import OUTSIDE, Mesh
 from ..scene import Grid
-
-_SLID = 0.5  # share of a cell that lies where another one was expected
-_VOLUME = (0.5, 2.0)  # of the last frame's, from one frame to the next
-_JUMP = 0.7  # of its radius: between where a cell was expected and where it is
-_IN_VIEW = 0.35  # share of a cell's vertices that must lie in the field of view
-_GONE = 0.08  # share of the largest volume that it had
+from .track_rules import RULES
 
 
 @dataclass(frozen=True)
@@ -61,6 +56,7 @@ def alarms(mesh: Mesh, expected: Mesh, before: dict[int, CellLook], grid: Grid) 
     shape = (grid.shape, grid.voxel_size, grid.origin)
     own, start = voxel_labels(mesh, *shape), voxel_labels(expected, *shape)
     found = {}
+    least, most = RULES.alarms.volume
     for cell, look in now.items():
         if cell not in then:
             continue
@@ -69,12 +65,12 @@ def alarms(mesh: Mesh, expected: Mesh, before: dict[int, CellLook], grid: Grid) 
         others = places[(places != cell) & (places != OUTSIDE)]
         ratio = look.volume / max(old.volume, 1e-30)
         jump = float(np.linalg.norm(look.center - then[cell].center))
-        if len(places) and len(others) > _SLID * len(places):
+        if len(places) and len(others) > RULES.alarms.slid * len(places):
             taken = int(np.bincount(others).argmax())
             found[cell] = f"it slid onto the place of cell {taken}"
-        elif not _VOLUME[0] < ratio < _VOLUME[1]:
+        elif not least < ratio < most:
             found[cell] = f"its volume became {ratio:.2g} times that before"
-        elif jump > _JUMP * then[cell].radius:
+        elif jump > RULES.alarms.jump * then[cell].radius:
             found[cell] = f"it lies {jump:.2g} um from where it was expected"
     return found
 
@@ -95,9 +91,9 @@ def gone(mesh: Mesh, largest: dict[int, float], grid: Grid, width: float) -> dic
         own = np.unique(mesh.faces[(mesh.regions == cell).any(axis=1)])
         if cell in found:
             continue
-        if inside[own].mean() < _IN_VIEW:
+        if inside[own].mean() < RULES.alarms.in_view:
             found[cell] = "it has left the field of view"
-        elif volumes[cell] < _GONE * largest.get(cell, 0.0):
+        elif volumes[cell] < RULES.alarms.gone * largest.get(cell, 0.0):
             share = max(volumes[cell], 0.0) / largest[cell]
             found[cell] = f"it has shrunk to {share:.0%} of its largest volume"
     return found

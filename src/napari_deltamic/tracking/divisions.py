@@ -14,16 +14,10 @@ from ..fitting.state import FitState
 from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import Mesh
 from ..scene import Grid
+from .track_rules import RULES
 
 FloatArray = NDArray[np.float64]
-_DIRECTIONS = 150  # over half a sphere: 9 degrees apart, about
-_INTERIOR = 1.2  # widths of the PSF from the surface: nearer, a residual may be the surface's own
-_FEWEST = 60  # voxels of an interior that can tell
-_SURE = 8.0  # standard deviations of the noise
-_WALL = (0.35, 2.5)  # brightness of a wall, relative to two membranes
-_SECTORS, _LEAST_SECTOR = 6, 0.25  # a wall reaches all around; share of its mean brightness
-_SMALLEST = 0.15  # share of the cell's volume on either side
-_GAIN = 0.04  # share of the squared residual in the cell that a wall must explain
+_RULES = RULES.divisions
 
 
 @dataclass(frozen=True)
@@ -72,13 +66,22 @@ def explains(before: Residual, after: Residual, cell: int, folded: bool = False)
     """Whether a wall that was put into a cell explains enough of what was there.
 
     The gain in squared residual must be beyond chance, and a fair share of the whole. A single cell
-    that has folded in along the wall has the same image as two: then any gain is enough.
+    that has folded in along the wall has the same image as two: then about as much is enough.
     """
     own = before.labels == cell
     old, new = before.squared(own), after.squared(own)
     if folded:
-        return old > new
-    return old - new > max(_GAIN * old, _SURE**2 * before.noise**2)
+        return new < (1 + _RULES.folded) * old
+    return old - new > max(_RULES.gain * old, _RULES.sure**2 * before.noise**2)
+
+
+def are_daughters(mesh: Mesh, pair: tuple[int, int]) -> bool:
+    """Whether both are there after the fit, neither much smaller than the other."""
+    if not set(pair) <= set(mesh.region_ids().tolist()):
+        return False
+    volumes = mesh.volumes()
+    sizes = [abs(volumes[cell]) for cell in pair]
+    return min(sizes) > _RULES.smallest * sum(sizes)
 
 
 def _proposal(residual: Residual, cell: int) -> Proposal | None:
@@ -92,8 +95,8 @@ def _proposal(residual: Residual, cell: int) -> Proposal | None:
     depth = distance_transform_edt(
         np.pad(own[box], 1), np.asarray(grid.voxel_size) / residual.sigma
     )
-    inner = (depth[1:-1, 1:-1, 1:-1] > _INTERIOR) & residual.known[box]
-    if int(inner.sum()) < _FEWEST:
+    inner = (depth[1:-1, 1:-1, 1:-1] > _RULES.interior) & residual.known[box]
+    if int(inner.sum()) < _RULES.fewest:
         return None
     um = (np.argwhere(inner) + low) * grid.voxel_size + grid.origin
     values = residual.values[box][inner]
@@ -105,8 +108,9 @@ def _proposal(residual: Residual, cell: int) -> Proposal | None:
     normal, offset, height, evidence = best
     share = float((whole @ normal < offset).mean())
     brightness = height / residual.wall
-    reasonable = _WALL[0] <= brightness <= _WALL[1] and _SMALLEST < share < 1 - _SMALLEST
-    if evidence < _SURE or not reasonable:
+    (dimmest, brightest), least = _RULES.wall, _RULES.smallest
+    reasonable = dimmest <= brightness <= brightest and least < share < 1 - least
+    if evidence < _RULES.sure or not reasonable:
         return None
     if not _all_around(um - center, values, residual, normal, offset, height):
         return None
@@ -122,7 +126,7 @@ def _best_plane(
     both of which are convolutions of profiles along the normal.
     """
     best = None
-    for normal in _half_sphere(_DIRECTIONS):
+    for normal in _half_sphere(_RULES.directions):
         width = float(np.sqrt(((residual.sigma * normal) ** 2).sum()))
         along = places @ normal
         step = width / 3
@@ -158,21 +162,21 @@ def _all_around(
     width = float(np.sqrt(((residual.sigma * normal) ** 2).sum()))
     away = places @ normal - offset
     near = np.abs(away) < 2 * width
-    if near.sum() < 4 * _SECTORS:
+    if near.sum() < 4 * _RULES.sectors:
         return False
     flat = places[near] - np.outer(places[near] @ normal, normal)
     flat -= flat.mean(axis=0)
     across = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
     across /= np.linalg.norm(across)
     angle = np.arctan2(flat @ np.cross(normal, across), flat @ across)
-    sector = np.floor((angle / (2 * pi) + 0.5) * _SECTORS).astype(int) % _SECTORS
+    sector = np.floor((angle / (2 * pi) + 0.5) * _RULES.sectors).astype(int) % _RULES.sectors
     shape = np.exp(-0.5 * (away[near] / width) ** 2)
-    lit = np.bincount(sector, values[near] * shape, _SECTORS)
-    norm = np.bincount(sector, shape**2, _SECTORS)
+    lit = np.bincount(sector, values[near] * shape, _RULES.sectors)
+    norm = np.bincount(sector, shape**2, _RULES.sectors)
     heights = lit / np.maximum(norm, 1e-12)
     # Where a sector has few voxels, noise alone may darken it.
     slack = 2 * residual.noise / np.sqrt(np.maximum(norm, 1e-12))
-    return bool((heights + slack > _LEAST_SECTOR * height).all())
+    return bool((heights + slack > _RULES.least_sector * height).all())
 
 
 def _half_sphere(n: int) -> FloatArray:

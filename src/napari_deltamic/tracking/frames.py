@@ -14,14 +14,9 @@ from ..errors import InputError
 from ..images.missing import unmasked
 from ..optics import Optics
 from ..scene import Grid
+from .track_rules import RULES
 
-_KNOWN = 0.3  # share of voxels that must be there
-_DIM = 0.2  # contrast, relative to the frames so far
-_BLURRED = 0.5  # sharpness, relative to the frames so far
-_SATURATED = 0.02  # share of voxels at the largest value
-_WORSE = 2.0  # loss of a fit, relative to the frames so far, ...
-_MUCH = 0.25  # ... and by so much: noise and growth change it less
-REMEMBERED = 5  # frames
+_RULES = RULES.frames
 
 
 def numbered(images: Any, first: int = 0) -> Iterator[tuple[int, NDArray[Any] | str]]:
@@ -85,7 +80,7 @@ class Quality:
         known = np.isfinite(image)
         if not known.any():
             return "every voxel is missing (NaN)"
-        if known.mean() < _KNOWN:
+        if known.mean() < _RULES.known:
             return f"only {known.mean():.0%} of its voxels are known"
         low, high = float(image[known].min()), float(image[known].max())
         if low == high:
@@ -94,11 +89,11 @@ class Quality:
         if not self._looks:
             return ""
         usual = _Look(*(float(np.median(v)) for v in zip(*map(_values, self._looks), strict=True)))
-        if look.contrast < _DIM * usual.contrast:
+        if look.contrast < _RULES.dim * usual.contrast:
             return f"it is dark: its contrast is {look.contrast / usual.contrast:.0%} of the usual"
-        if look.saturation > max(_SATURATED, 5 * usual.saturation):
+        if look.saturation > max(_RULES.saturated, _RULES.many_times * usual.saturation):
             return f"it is saturated: {look.saturation:.0%} of its voxels have the largest value"
-        if look.sharpness < _BLURRED * usual.sharpness:
+        if look.sharpness < _RULES.blurred * usual.sharpness:
             share = look.sharpness / usual.sharpness
             return f"it is out of focus: its fine structure is {share:.0%} of the usual"
         return ""
@@ -108,22 +103,22 @@ class Quality:
         if not self._losses:
             return ""
         usual = float(np.median(self._losses))
-        if loss > _WORSE * usual and loss > usual + _MUCH:
+        if loss > _RULES.worse * usual and loss > usual + _RULES.much:
             explained = f"{1 - min(loss, 1):.0%} instead of {1 - min(usual, 1):.0%}"
             return f"the meshes explain {explained} of it"
         return ""
 
     def accept(self, image: NDArray[Any], loss: float) -> None:
         """A frame was good: the next ones are measured by it."""
-        self._looks = [*self._looks, self._look(image, np.isfinite(image))][-REMEMBERED:]
-        self._losses = [*self._losses, loss][-REMEMBERED:]
+        self._looks = [*self._looks, self._look(image, np.isfinite(image))][-_RULES.remembered :]
+        self._losses = [*self._losses, loss][-_RULES.remembered :]
 
     def _look(self, image: NDArray[Any], known: NDArray[np.bool_]) -> _Look:
         filled = np.where(known, image, np.median(image[known])).astype(np.float32)
         fine = gaussian_filter(filled, self._width)
-        dark, bright = np.percentile(fine[known], (20, 99.5))
+        dark, bright = np.percentile(fine[known], (_RULES.background, _RULES.brightest))
         contrast = float(bright - dark)
-        detail = (fine - gaussian_filter(fine, 1.5 * self._width))[known]
+        detail = (fine - gaussian_filter(fine, _RULES.detail * self._width))[known]
         high = float(image[known].max())
         return _Look(
             contrast,

@@ -18,15 +18,10 @@ from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..runs.settings import NEAR_LEVELS, WIDE_LEVELS
 from ..scene import Grid, render
+from .track_rules import RULES
 
 FloatArray = NDArray[np.float64]
-_BLUR = 2.0  # of the images that are compared, in widths of the PSF
-_SMOOTHING = 4.0  # of displacements over the surface
-_GLOBAL = 0.3  # of the field of view: how far all may have moved
-_LOCAL = 0.6  # of its radius: how far one cell may have moved besides
-_NEAR = 1.5  # blur that a start does not need which is nearer than that many widths
-_FAR = 0.05  # correlation that a shift as far as that must bring to be believed
-_BETTER = 0.98  # of the loss of the plainest start: what another one must reach
+_RULES = RULES.motion
 
 
 @dataclass(frozen=True)
@@ -48,7 +43,7 @@ class Start:
         """Blurs of a fit that starts here: the first one reaches the membranes."""
         wide = [b for b in WIDE_LEVELS if b * sigma < self.left]
         reach = WIDE_LEVELS[max(0, len(WIDE_LEVELS) - len(wide) - 1)]
-        if reach < _NEAR:
+        if reach < _RULES.near:
             return NEAR_LEVELS
         return tuple(b for b in WIDE_LEVELS if b <= reach)
 
@@ -74,7 +69,7 @@ def starts(
     image : (Z, Y, X) of this frame, with any value where it is not known.
     velocities : um, expected displacement of each region since then; zero where unknown.
     """
-    width = _BLUR * np.asarray(optics.sigma_um) / np.asarray(grid.voxel_size)
+    width = _RULES.blur * np.asarray(optics.sigma_um) / np.asarray(grid.voxel_size)
     level = float(np.median(image[known]))
     measured = gaussian_filter(np.where(known, image, level), width)
     template = gaussian_filter(rendered, width)
@@ -91,7 +86,7 @@ def starts(
         moved = shifted(mesh, shifts)
         found.append(Start(name, moved, left + min(grid.voxel_size), score(moved)))
     # A mesh is moved only where that explains the image clearly better.
-    worth = _BETTER * found[0].loss
+    worth = _RULES.better * found[0].loss
     return sorted(found, key=lambda s: (s is not found[0] and s.loss >= worth, s.loss))
 
 
@@ -109,7 +104,7 @@ def shifted(mesh: Mesh, shifts: Mapping[int, FloatArray]) -> Mesh:
     mean = total / np.maximum(weight, 1)[:, None]
     if not mean.any():
         return mesh
-    smoother = Preconditioner(mesh, _SMOOTHING, at_junctions=NEAR_JUNCTIONS)
+    smoother = Preconditioner(mesh, _RULES.smoothing, at_junctions=NEAR_JUNCTIONS)
     smooth = smoother.solve(torch.from_numpy(mean)).numpy()
     return mesh.with_vertices(mesh.vertices_numpy() + smooth)
 
@@ -121,7 +116,9 @@ class _Score:
         self, image: NDArray[np.float32], known: NDArray[np.bool_], grid: Grid, optics: Optics
     ) -> None:
         self._grid, self._optics = grid, optics
-        extra = np.sqrt(_BLUR**2 - 1) * np.asarray(optics.sigma_um) / np.asarray(grid.voxel_size)
+        extra = (
+            np.sqrt(_RULES.blur**2 - 1) * np.asarray(optics.sigma_um) / np.asarray(grid.voxel_size)
+        )
         self._extra = extra
         level = float(np.median(image[known]))
         blurred = gaussian_filter(np.where(known, image, level), extra)
@@ -131,7 +128,7 @@ class _Score:
 
     def __call__(self, mesh: Mesh) -> float:
         with torch.no_grad():
-            image = render(mesh, self._grid, self._optics, 1e-2).numpy()
+            image = render(mesh, self._grid, self._optics, _RULES.accuracy).numpy()
         blurred = torch.from_numpy(gaussian_filter(image, self._extra).astype(np.float64))
         return match(blurred.reshape(-1)[self._index], self._measured, self._ones)[1].loss
 
@@ -141,13 +138,13 @@ def _seen_shifts(
 ) -> dict[int, FloatArray]:
     """um; how far each region has moved, by the images."""
     size = np.asarray(grid.voxel_size)
-    reach = np.floor(_GLOBAL * np.asarray(grid.shape)).astype(int)
+    reach = np.floor(_RULES.all_by * np.asarray(grid.shape)).astype(int)
     everywhere = _peak(template, measured, np.ones(template.shape, bool), reach)
     labels = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
     found = {}
     for region, volume in mesh.volumes().items():
         radius = (3 * max(volume, 0) / (4 * np.pi)) ** (1 / 3)
-        local = np.maximum(np.floor(_LOCAL * radius / size), 1).astype(int)
+        local = np.maximum(np.floor(_RULES.one_by * radius / size), 1).astype(int)
         found[region] = (
             everywhere + _local(labels == region, template, measured, everywhere, local)
         ) * size
@@ -168,7 +165,7 @@ def _local(
     low = np.maximum(places.min(0) - 3, 0)
     high = np.minimum(places.max(0) + 4, own.shape)
     box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
-    near = gaussian_filter(own[box].astype(np.float32), 1.5) > 0.05
+    near = gaussian_filter(own[box].astype(np.float32), _RULES.around) > _RULES.edge
     moved = [slice(a + int(s), b + int(s)) for a, b, s in zip(low, high, shift, strict=True)]
     if not near.any():
         return np.zeros(3)  # too small to be seen
@@ -212,10 +209,10 @@ def _peak(
     cross = over(measured, weights * template)
     spread = (t2 - t * t / n) * (m2 - m * m / n)
     value = (cross - t * m / n) / np.sqrt(np.maximum(spread, 1e-12 * np.abs(spread).max() + 1e-30))
-    value = np.where(n > 0.5 * weights.sum(), value, -1.0)
+    value = np.where(n > _RULES.overlap * weights.sum(), value, -1.0)
     axes = np.meshgrid(*(np.arange(-a, b + 1) for a, b in pads), indexing="ij")
     offsets = np.stack(axes, axis=-1).astype(np.float64)
     # Cells look alike: of two shifts that are almost as good, the shorter one.
-    value -= _FAR * ((offsets / np.maximum(reach, 1)) ** 2).sum(axis=-1)
+    value -= _RULES.far * ((offsets / np.maximum(reach, 1)) ** 2).sum(axis=-1)
     best: FloatArray = offsets[np.unravel_index(int(value.argmax()), value.shape)]
     return best

@@ -27,14 +27,11 @@ from ..runs.track_run import TrackSettings
 from ..scene import Grid
 from ..scene.effects import Effects, as_effects
 from .alarms import CellLook, alarms, gone, looks
-from .divisions import Residual, explains, proposals
-from .frames import REMEMBERED, Quality, check_series, check_shape, numbered
+from .divisions import Residual, are_daughters, explains, proposals
+from .frames import Quality, check_series, check_shape, numbered
 from .motion import Start, starts
 from .result import Event, FrameResult, TrackState
-
-_ROUNDS = 3  # of looking for divisions in one frame
-_POOR_ANGLE, _POOR_SHARE = 20.0, 0.02  # degrees; share of such triangles that calls for remeshing
-_EDGE_CHANGE = 1.2  # of the median edge, likewise
+from .track_rules import RULES
 
 States = Generator[TrackState, None, None]
 
@@ -256,9 +253,10 @@ class _Tracker:
         """Good triangles of the size that they had in the first frame."""
         if not (self.settings.remesh and can_remesh()) or self.last is None:
             return mesh
-        poor = float((smallest_angles(mesh) < _POOR_ANGLE).mean()) > _POOR_SHARE
+        rules = RULES.meshes
+        poor = float((smallest_angles(mesh) < rules.poor_angle).mean()) > rules.poor_share
         change = median_edge(mesh) / self.edge
-        if poor or not 1 / _EDGE_CHANGE < change < _EDGE_CHANGE:
+        if poor or not 1 / rules.edge_change < change < rules.edge_change:
             return remesh(mesh, self.edge, passes=2).mesh
         return mesh
 
@@ -280,7 +278,7 @@ class _Tracker:
         """
         refused: set[int] = set()
         rounds = 0
-        while rounds < _ROUNDS:
+        while rounds < RULES.divisions.rounds:
             before = Residual(image, known, self.grid, state)
             mesh, divided, calls = state.mesh, {}, proposals(before, state.mesh)
             folded = not calls and rounds == 0 and _alike(early, state)
@@ -308,8 +306,7 @@ class _Tracker:
             good = {
                 c
                 for c in divided
-                if explains(before, after, c, folded)
-                and set(divided[c][0]) <= set(new.mesh.region_ids().tolist())
+                if explains(before, after, c, folded) and are_daughters(new.mesh, divided[c][0])
             }
             refused |= set(divided) - good
             if not good:
@@ -400,7 +397,7 @@ class _Tracker:
             self.looks, self.mesh, self.last_frame = now, result.mesh, result.frame
             for cell, look in now.items():
                 self.largest[cell] = max(look.volume, self.largest.get(cell, 0.0))
-        self.done = dict(sorted(self.done.items())[-REMEMBERED:])
+        self.done = dict(sorted(self.done.items())[-RULES.frames.remembered :])
 
     def _recall(self, frame: int, image: NDArray[Any] | str) -> None:
         """What a frame of an earlier run left behind for those to come."""

@@ -48,7 +48,7 @@ def add_parser(commands: Any) -> None:
     add(
         "--shape-error",
         action="store_true",
-        help="also fit simulated images at several accuracies: the error of the surface",
+        help="also fit simulated images, quick, normal and careful: the error of the surface",
     )
     add(
         "--photons",

@@ -22,7 +22,7 @@ def add_parser(commands: Any) -> None:
         "command again goes on where it was stopped.",
     )
     add = parser.add_argument
-    add("source", metavar="FOLDER_OR_CONFIG", help="folder of .tif or .npy stacks, or .toml file")
+    add("source", metavar="FOLDER_OR_CONFIG", help="folder of stacks (.tif, .npy, .zarr), or .toml")
     add_fit_options(parser)
     add(
         "--workers",

@@ -19,7 +19,7 @@ def add_parser(commands: Any) -> None:
         "evidence, by how much the surface is off without, and what it costs. Changes nothing.",
     )
     add = parser.add_argument
-    add("image", nargs="?", metavar="IMAGE", help=".tif or .npy; not needed with --settings")
+    add("image", nargs="?", metavar="IMAGE", help=".tif, .npy or .zarr; not needed with --settings")
     add_fit_options(parser)
     add("--candidates", metavar="E", help="only these, with commas between")
     add("--json", metavar="FILE", help="write everything found as JSON; - for stdout")

@@ -30,7 +30,7 @@ def add_parser(commands: Any) -> None:
         "measurements.csv, run.toml, report.json and picture.png.",
     )
     add = parser.add_argument
-    add("image", nargs="?", metavar="IMAGE", help=".tif or .npy; not needed with --settings")
+    add("image", nargs="?", metavar="IMAGE", help=".tif, .npy or .zarr; not needed with --settings")
     add("--resume", metavar="CHECKPOINT", help="go on from a checkpoint of the same fit")
     add(
         "--residual",

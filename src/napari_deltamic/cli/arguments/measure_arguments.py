@@ -54,6 +54,12 @@ def add_parser(commands: Any) -> None:
         metavar=TRIPLE,
         help="um; standard deviations of its PSF, to start with (default: those of the fit)",
     )
+    add(
+        "--images",
+        choices=("tif", "zarr"),
+        help="also write the rendered image and the residual; with the labels as OME-TIFF or "
+        "OME-Zarr",
+    )
     add("--errors", action="store_true", help="also standard errors; of a session, and slow")
     add("--overwrite", action="store_true", help="replace the results in DIR")
     add("-o", "--output", required=True, metavar="DIR", help="folder for the results")

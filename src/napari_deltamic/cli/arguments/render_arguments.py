@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from ...common.choices import IMAGE_FILES
+from ...common.choices import IMAGE_FILES, ZARR
 from ...errors import InputError
 from ...geometry.formats import MESH_FILES_LISTED
 from ..optics_arguments import add_grid_and_optics, optics_values
@@ -37,7 +37,7 @@ def add_parser(commands: Any) -> None:
         help="a voxel integrates over its size, rather than sampling at its centre",
     )
     add("--overwrite", action="store_true", help="replace the image if it is there")
-    add("-o", "--output", required=True, metavar="IMAGE", help=".tif or .npy")
+    add("-o", "--output", required=True, metavar="IMAGE", help=".tif, .npy or .zarr")
     parser.set_defaults(module="render_command", check=_check)
 
 
@@ -45,7 +45,7 @@ def _check(arguments: argparse.Namespace) -> None:
     path = Path(arguments.output)
     if path.suffix.lower() not in IMAGE_FILES:
         raise InputError(f"{path}: unknown image extension '{path.suffix}'; use .tif")
-    if path.is_dir():
+    if path.is_dir() and path.suffix.lower() != ZARR:
         raise InputError(f"{path} is a folder; name an image")
     if path.exists() and not arguments.overwrite:
         raise InputError(f"{path} is there already; --overwrite replaces it")

@@ -10,6 +10,7 @@ walls and about as large as a cell is one. The outside needs no marker, so none 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -45,6 +46,7 @@ LEAST_HEIGHT = 0.77  # and the least mean height over all of it: the edges of no
 SMALLEST, LARGEST = 0.4, 2.0  # diameters of cells that are kept, in parts of the size
 # A size is sought on about so many voxels, down to cells of so many across.
 FEW_VOXELS, SMALLEST_TRIED = 60_000, 8
+ALIKE = 0.4  # of the logarithm of two sizes: they are of the same cells
 LEAST_VOXELS = 4  # a cell's diameter, in voxels
 
 
@@ -85,11 +87,46 @@ def find_cells(
     return labels
 
 
+@dataclass(frozen=True)
+class SizeFound:
+    """What is found with a size, on a coarse copy of an image.
+
+    Attributes
+    ----------
+    size
+        um: diameter of the typical cell.
+    cells
+        How many, about.
+    score
+        How much is found that has this size indeed.
+    """
+
+    size: float
+    cells: int
+    score: float
+
+
 def suggest_size(image: ArrayLike, voxel_size: Sequence[float]) -> float:
     """The diameter (um) of the cells of an image, roughly: a start for `find_cells`.
 
-    Several sizes are tried on a coarse copy. The one is taken with which most is found that has
-    this size indeed; where nothing is found, a quarter of the image.
+    The best of ``suggest_sizes``; where nothing is found, a quarter of the image.
+
+    Raises
+    ------
+    InputError
+        As `find_cells`.
+    """
+    found = suggest_sizes(image, voxel_size)
+    if found:
+        return found[0].size
+    return float(np.max(np.multiply(np.shape(image), voxel_size))) / 4
+
+
+def suggest_sizes(image: ArrayLike, voxel_size: Sequence[float]) -> list[SizeFound]:
+    """Sizes that the cells of an image may have, the likeliest first.
+
+    Several are tried on a coarse copy. Those are taken with which most is found that has this size
+    indeed; of two that are alike, the better one.
 
     Raises
     ------
@@ -103,17 +140,20 @@ def suggest_size(image: ArrayLike, voxel_size: Sequence[float]) -> float:
     data, voxel = _coarsened(data, step), voxel * step
     if missing is not None:
         missing = _coarsened(missing.astype(np.float32), step) > 0.5
-    size, best, suggested = 0.8 * float(extent.max()), 0.0, float(extent.max()) / 4
+    size, tried = 0.8 * float(extent.max()), list[SizeFound]()
     while size >= SMALLEST_TRIED * _mean_side(voxel):
         _, found, quality = _find(data, missing, voxel, size, 0.0, JOIN_BELOW, ENCLOSED)
         if len(found):
             typical = float(np.median(found))
             # Pieces of cells and of the outside are less enclosed than cells.
             score = float((quality**4 * found**3).sum()) * np.exp(-2 * np.log(typical / size) ** 2)
-            if score > best:
-                best, suggested = score, typical
+            tried.append(SizeFound(typical, len(found), score))
         size /= 1.3
-    return suggested
+    kept: list[SizeFound] = []
+    for one in sorted(tried, key=lambda one: -one.score):
+        if one.score > 0 and all(abs(np.log(one.size / x.size)) > ALIKE for x in kept):
+            kept.append(one)
+    return kept
 
 
 def _find(

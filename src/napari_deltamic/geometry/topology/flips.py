@@ -14,15 +14,15 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
-from napari_deltamic.geometry.topology.submesh import Change, Part, stayed
+from napari_deltamic.geometry.topology.change_sizes import SIZES
+from napari_deltamic.geometry.topology.submesh import Change, Submesh, stayed
 from napari_deltamic.geometry.topology.thin_places import ThinPlace
 
 _Flip = Callable[[Mesh, ThinPlace, float], Change | None]
 _Way = Callable[[Mesh, list[int], ThinPlace], FloatArray]
-_OPENED = (0.3, 0.12, 0.06, 0.03)  # edge lengths: sides are drawn apart, less where they cross
 
 
-def flipped(part: Part, place: ThinPlace, edge: float) -> Iterator[Change]:
+def flipped(part: Submesh, place: ThinPlace, edge: float) -> Iterator[Change]:
     """What a part may be after an exchange of neighbours; triangles are not good yet.
 
     At a small wall (:func:`small_walls`) its two cells part, and the neighbour with the longest
@@ -42,7 +42,7 @@ def flipped(part: Part, place: ThinPlace, edge: float) -> Iterator[Change]:
     if len(place.regions) == 3:
         # A junction that has collapsed has no direction of its own; its ends have.
         changes = partial(_with_wall, way_of=_along), partial(_with_wall, way_of=_from_end_to_end)
-    for share, change in product(_OPENED, changes):
+    for share, change in product(SIZES.opened, changes):
         made = change(part.mesh, place, share * edge)
         if made is not None:
             yield made

@@ -8,10 +8,8 @@ from scipy.spatial import cKDTree
 
 from napari_deltamic.geometry.compiled import native
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
+from napari_deltamic.geometry.topology.change_sizes import SIZES
 from napari_deltamic.geometry.topology.region_sets import RegionSets, edge_sets, vertex_sets
-
-_REACH = 0.7  # edge lengths: what has no counterpart within is left where it is
-_ALONG = 8  # points of a junction edge in which the nearest is looked for
 
 
 def projected(mesh: Mesh, onto: Mesh, weight: FloatArray, edge: float) -> Mesh:
@@ -50,7 +48,7 @@ def _to_faces(
         np.ascontiguousarray(places),
         np.ascontiguousarray(onto.vertices_numpy()),
         np.ascontiguousarray(onto.faces),
-        _REACH * edge,
+        SIZES.counterpart * edge,
     )
     vertex, face = pairs.T
     same = own.key[rows[vertex]] == RegionSets.of_rows(onto.regions).key[face]
@@ -76,7 +74,7 @@ def _to_junctions(
         if not len(there):
             continue
         apart, nearest = cKDTree(there).query(target[members])
-        close = apart < _REACH * edge
+        close = apart < SIZES.counterpart * edge
         target[members[close]] = there[nearest[close]]
 
 
@@ -85,8 +83,8 @@ def _junction_points(onto: Mesh) -> tuple[FloatArray, np.ndarray]:
     along, at = edge_sets(onto), vertex_sets(onto)
     rows = np.flatnonzero(along.size > 2)
     a, b = (onto.vertices_numpy()[onto.edges()[rows, k]] for k in (0, 1))
-    share = (np.arange(_ALONG) + 0.5) / _ALONG
+    share = (np.arange(SIZES.along) + 0.5) / SIZES.along
     within = (a[:, None] + share[:, None] * (b - a)[:, None]).reshape(-1, 3)
     corners = np.unique(onto.edges()[rows])
     places = np.concatenate([within, onto.vertices_numpy()[corners]])
-    return places, np.concatenate([np.repeat(along.key[rows], _ALONG), at.key[corners]])
+    return places, np.concatenate([np.repeat(along.key[rows], SIZES.along), at.key[corners]])

@@ -13,6 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from napari_deltamic.geometry.mesh import IntArray, Mesh
+from napari_deltamic.geometry.topology.change_sizes import SIZES
 from napari_deltamic.geometry.topology.events import Shapes, change_events, surface_shape
 from napari_deltamic.geometry.topology.flips import flipped
 from napari_deltamic.geometry.topology.small_pieces import absorbed
@@ -20,7 +21,7 @@ from napari_deltamic.geometry.topology.submesh import (
     Census,
     Change,
     Cutter,
-    Part,
+    Submesh,
     evened_around,
     fits,
     narrowed,
@@ -29,8 +30,6 @@ from napari_deltamic.geometry.topology.submesh import (
 )
 from napari_deltamic.geometry.topology.thin_places import ThinPlace
 from napari_deltamic.geometry.topology.thinning import thinned
-
-_AROUND = 5.0  # edge lengths around a place that are cut out
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,10 +105,10 @@ def _round(state: _State, waiting: list[ThinPlace], edge: float) -> list[ThinPla
     mesh = state.change.mesh
     cutter, taken = Cutter(mesh), np.zeros(len(mesh.faces), bool)
     later: list[ThinPlace] = []
-    done: list[tuple[Part, Change]] = []
+    done: list[tuple[Submesh, Change]] = []
     for place in waiting:
         low, high = place.points.min(0), place.points.max(0)
-        rows = cutter.faces_in(low - _AROUND * edge, high + _AROUND * edge)
+        rows = cutter.faces_in(low - SIZES.around * edge, high + SIZES.around * edge)
         if taken[rows].any():
             later.append(place)
             continue
@@ -126,7 +125,7 @@ def _round(state: _State, waiting: list[ThinPlace], edge: float) -> list[ThinPla
 
 def _given_way(
     state: _State, cutter: Cutter, rows: IntArray, place: ThinPlace, edge: float
-) -> tuple[Part, Change] | None:
+) -> tuple[Submesh, Change] | None:
     """Some faces after a place has given way, if that changes what it should and nothing else."""
     if not len(rows):
         return None
@@ -148,7 +147,7 @@ def _given_way(
     return None
 
 
-def _ways(part: Part, place: ThinPlace, edge: float) -> Iterator[Change]:
+def _ways(part: Submesh, place: ThinPlace, edge: float) -> Iterator[Change]:
     """What the part may become; triangles are not good yet."""
     if place.is_thin:
         return thinned(part, place, edge)
@@ -161,7 +160,7 @@ def _wanted(state: _State, place: ThinPlace, after: Census) -> bool:
     return after.regions == state.census.regions and not (place.is_thin and gained - state.meant)
 
 
-def _shapes(mesh: Mesh, small: tuple[Part, Change], place: ThinPlace) -> Shapes | None:
+def _shapes(mesh: Mesh, small: tuple[Submesh, Change], place: ThinPlace) -> Shapes | None:
     """Of a cell with a neck or a hole: its shape before and after."""
     if not place.is_thin or len(place.sides) > 1:
         return None

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from napari_deltamic.geometry.compiled import native
 from napari_deltamic.geometry.mesh import OUTSIDE, IntArray, Mesh
-from napari_deltamic.geometry.topology.submesh import Change, Part
+from napari_deltamic.geometry.topology.submesh import Change, Submesh
 from napari_deltamic.geometry.topology.thin_places import ThinPlace
 
 
@@ -32,7 +32,7 @@ def small_pieces(mesh: Mesh, volume: float) -> list[ThinPlace]:
     return places
 
 
-def absorbed(part: Part, place: ThinPlace, _: float) -> Iterator[Change]:
+def absorbed(part: Submesh, place: ThinPlace, _: float) -> Iterator[Change]:
     """A part of a mesh with a small piece given to the cell with the largest border to it.
 
     Outside the cells it vanishes. Nothing if the piece is not there. Triangles are not good yet.
@@ -61,7 +61,7 @@ def absorbed(part: Part, place: ThinPlace, _: float) -> Iterator[Change]:
     yield Change(Mesh(mesh.vertices_numpy()[used], index.reshape(-1, 3), regions[kept]), used)
 
 
-def _rows_of(part: Part, place: ThinPlace) -> IntArray | None:
+def _rows_of(part: Submesh, place: ThinPlace) -> IntArray | None:
     """The faces around a piece."""
     mesh, pieces = part.mesh, _Pieces(part.mesh)
     open_ones = np.zeros(len(pieces.region), bool)

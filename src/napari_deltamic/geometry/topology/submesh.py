@@ -12,13 +12,10 @@ from scipy.spatial import cKDTree
 from napari_deltamic.geometry.contacts import between_cells
 from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, IntArray, Mesh
 from napari_deltamic.geometry.remeshing import remesh
+from napari_deltamic.geometry.topology.change_sizes import SIZES
 from napari_deltamic.geometry.topology.crossings import crosses
 
 Mask = NDArray[np.bool_]
-
-_FREE = 2.0  # edge lengths around a place in which triangles are made anew
-_PASSES = 2
-_MOST_WALLS = 3  # that meet in an edge, unless more did before
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +46,7 @@ def unchanged(mesh: Mesh) -> Change:
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class Submesh:
     """Some faces of a mesh as a mesh of their own.
 
     Attributes
@@ -92,7 +89,7 @@ class Cutter:
         reach = (corners.min(1) <= high) & (corners.max(1) >= low)
         return rows[reach.all(1)]
 
-    def part(self, rows: IntArray) -> Part:
+    def part(self, rows: IntArray) -> Submesh:
         """Some faces as a part."""
         faces = self.mesh.faces
         corners, index = np.unique(faces[rows], return_inverse=True)
@@ -101,10 +98,10 @@ class Cutter:
         rest[rows] = False
         elsewhere = np.zeros(len(self.vertices), bool)
         elsewhere[faces[rest]] = True
-        return Part(mesh, rows, corners, elsewhere[corners])
+        return Submesh(mesh, rows, corners, elsewhere[corners])
 
 
-def put_back(mesh: Mesh, changes: Sequence[tuple[Part, Change]]) -> Change:
+def put_back(mesh: Mesh, changes: Sequence[tuple[Submesh, Change]]) -> Change:
     """The whole mesh with parts of it changed.
 
     Faces and vertices of the rest come first, in their order.
@@ -141,7 +138,7 @@ def put_back(mesh: Mesh, changes: Sequence[tuple[Part, Change]]) -> Change:
     return Change(whole, np.concatenate(origins))
 
 
-def narrowed(part: Part, change: Change) -> tuple[Part, Change]:
+def narrowed(part: Submesh, change: Change) -> tuple[Submesh, Change]:
     """A change of a part as one of fewer faces: those that are the same before and after left out.
 
     The parts of other changes may then have them.
@@ -164,7 +161,7 @@ def narrowed(part: Part, change: Change) -> tuple[Part, Change]:
     origin = change.origin[own]
     origin = np.where(origin >= 0, number[np.maximum(origin, 0)], -1)
     rim = (part.rim | rest)[corners]
-    return Part(small, part.rows[~was], part.corners[corners], rim), Change(now, origin)
+    return Submesh(small, part.rows[~was], part.corners[corners], rim), Change(now, origin)
 
 
 def _face_rows(faces: IntArray, regions: IntArray) -> IntArray:
@@ -178,7 +175,7 @@ def _some(mesh: Mesh, mask: Mask) -> tuple[Mesh, IntArray]:
     return some, corners
 
 
-def evened_around(part: Part, change: Change, points: FloatArray, edge: float) -> Change:
+def evened_around(part: Submesh, change: Change, points: FloatArray, edge: float) -> Change:
     """A changed part with good triangles around some points; nothing moves elsewhere.
 
     Parameters
@@ -197,9 +194,9 @@ def evened_around(part: Part, change: Change, points: FloatArray, edge: float) -
     rim[old] = part.rim[change.origin[old]]
     # What the rest does around the rim is not known here: vertices beside it stay, too.
     away = cKDTree(points).query(change.mesh.vertices_numpy())[0]
-    held = away > _FREE * edge
+    held = away > SIZES.free * edge
     held[change.mesh.faces[rim[change.mesh.faces].any(1)]] = True
-    done = remesh(change.mesh, edge, _PASSES, fixed=held, sealed=rim, apart=True)
+    done = remesh(change.mesh, edge, SIZES.passes, fixed=held, sealed=rim, apart=True)
     return change.then(stayed(change.mesh, done.mesh, done.origin))
 
 
@@ -282,7 +279,7 @@ def _volumes(mesh: Mesh) -> dict[int, float]:
     return {int(k): float(v) for k, v in zip(names[1:], total[1:], strict=True)}
 
 
-def fits(part: Part, change: Change) -> bool:
+def fits(part: Submesh, change: Change) -> bool:
     """Whether a changed part leaves every region closed, and crosses nowhere.
 
     Its border must be as it was: regions that are open there are closed by the rest.
@@ -296,7 +293,7 @@ def fits(part: Part, change: Change) -> bool:
     if len(after) != len(before) or not np.array_equal(_sorted(named), _sorted(before)):
         return False
     branches = [np.bincount(m.face_edges().reshape(-1)).max() for m in (change.mesh, part.mesh)]
-    return bool(branches[0] <= max(_MOST_WALLS, branches[1])) and not crosses(change.mesh)
+    return bool(branches[0] <= max(SIZES.most_walls, branches[1])) and not crosses(change.mesh)
 
 
 def _open_edges(mesh: Mesh) -> IntArray:

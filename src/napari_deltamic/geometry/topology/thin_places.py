@@ -12,10 +12,7 @@ from napari_deltamic.geometry.compiled import native
 from napari_deltamic.geometry.connected import connected
 from napari_deltamic.geometry.contacts import walls
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
-
-_ACROSS = 0.7  # cosine: the way to the other side runs along its normal
-_FACING = -0.5  # cosine: the two sides look away from each other
-_FEWEST = 2  # vertices that make a place
+from napari_deltamic.geometry.topology.change_sizes import SIZES
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +94,7 @@ def thin_places(
         own = np.flatnonzero(group.reshape(-1) == k)
         for part in _near_each_other(found.points[own], 5 * reach if apart is None else apart):
             rows = own[part]
-            if len(np.unique(found.vertex[rows])) < _FEWEST:
+            if len(np.unique(found.vertex[rows])) < SIZES.fewest:
                 continue
             width = float(found.width[rows].mean())
             places.append(ThinPlace((region,), sides, found.points[rows], width))
@@ -214,7 +211,7 @@ def _facing(mesh: Mesh, reach: float) -> _Facing:
     way = point - places[vertex]
     width = np.linalg.norm(way, axis=1)
     height = (way * normals[face]).sum(1)
-    keep = ~(faces[face] == vertex[:, None]).any(1) & (np.abs(height) > _ACROSS * width)
+    keep = ~(faces[face] == vertex[:, None]).any(1) & (np.abs(height) > SIZES.across * width)
     vertex, face, way, width = vertex[keep], face[keep], way[keep], width[keep]
     # The way ends on the side of the face from which it comes.
     front = (height[keep] < 0).astype(np.int64)
@@ -229,7 +226,7 @@ def _facing(mesh: Mesh, reach: float) -> _Facing:
     order = np.lexsort((cosine, index))
     first = np.unique(index[order], return_index=True)[1]
     best = order[first]
-    best = best[cosine[best] < _FACING]
+    best = best[cosine[best] < SIZES.facing]
     pair = index[best]
     vertex, face, region, width = vertex[pair], face[pair], region[pair], width[pair]
     sides = np.column_stack([regions[own[best]].sum(1) - region, beyond[pair]])

@@ -16,18 +16,14 @@ from scipy.spatial import cKDTree
 
 from napari_deltamic.geometry.connected import connected
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
-from napari_deltamic.geometry.topology.submesh import Change, Part
+from napari_deltamic.geometry.topology.change_sizes import SIZES
+from napari_deltamic.geometry.topology.submesh import Change, Submesh
 from napari_deltamic.geometry.topology.thin_places import ThinPlace
 
 Mask = NDArray[np.bool_]
 
-# Edge lengths: how far from a thin place what faces each other goes, and how far apart the parts of
-# the place are that go together; the first that works.
-_TRIED = ((1.2, np.inf), (0.9, 2.5), (1.6, np.inf), (0.9, 1.0), (1.6, 1.0))
-_ROUNDS = 20  # of letting a patch grow until its border is simple
 
-
-def thinned(part: Part, place: ThinPlace, edge: float) -> Iterator[Change]:
+def thinned(part: Submesh, place: ThinPlace, edge: float) -> Iterator[Change]:
     """What a part may be once a thin place has given way; triangles are not good yet.
 
     Parameters
@@ -41,7 +37,7 @@ def thinned(part: Part, place: ThinPlace, edge: float) -> Iterator[Change]:
     """
     cut = _necks_cut if len(place.sides) == 1 else _sheet_opened
     middle = place.points[np.linalg.norm(place.points - place.center, axis=1).argmin()]
-    for reach, extent in _TRIED:
+    for reach, extent in SIZES.thinned:
         own = np.linalg.norm(place.points - middle, axis=1) <= extent * edge
         away = cKDTree(place.points[own]).query(part.mesh.vertices_numpy())[0]
         near = (away < reach * edge)[part.mesh.faces].all(1)
@@ -89,7 +85,7 @@ def _grown_over_junctions(mesh: Mesh, patch: Mask, allowed: Mask) -> Mask:
     patch, edge_of = patch.copy(), mesh.face_edges()
     junction = np.bincount(edge_of.reshape(-1)) > 2
     surface = np.bincount(edge_of[allowed].reshape(-1), minlength=len(junction))
-    for _ in range(_ROUNDS):
+    for _ in range(SIZES.growing):
         within = np.bincount(edge_of[patch].reshape(-1), minlength=len(junction))
         bad = junction & (within == 1)
         if not bad.any():

@@ -13,6 +13,7 @@ from napari_deltamic.geometry.labels.partition import partition_mesh
 from napari_deltamic.geometry.labels.voxels import region_windings
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
 from napari_deltamic.geometry.remeshing import remesh
+from napari_deltamic.geometry.topology.change_sizes import SIZES
 from napari_deltamic.geometry.topology.crossings import crossings
 from napari_deltamic.geometry.topology.events import untangled_events
 from napari_deltamic.geometry.topology.projection import projected
@@ -21,16 +22,11 @@ from napari_deltamic.geometry.topology.submesh import (
     Census,
     Change,
     Cutter,
-    Part,
+    Submesh,
     fits,
     put_back,
 )
 
-_VOXELS, _NODES = 3.0, 2.0  # along an edge: of labels, and vertices of the new mesh
-_MOST_VOXELS = 30_000_000
-_ROOM = 3.0  # edge lengths around cells
-# Edge lengths: nearer than the first to a change the surface is new, beyond the second the old one.
-_NEW, _OLD = 1.5, 2.5
 _HOPELESS = "surfaces cross in a way that cannot be repaired: start from other seeds"
 
 
@@ -79,7 +75,7 @@ def _crossing_clusters(mesh: Mesh, found: IntArray) -> list[IntArray]:
     return [np.flatnonzero(own == k) for k in np.unique(cluster[vertices])]
 
 
-def _untangled(part: Part, edge: float) -> Change:
+def _untangled(part: Submesh, edge: float) -> Change:
     """A cluster without crossings."""
     mesh = part.mesh
     box = _Box(mesh, edge)
@@ -90,7 +86,7 @@ def _untangled(part: Part, edge: float) -> Change:
     found = crossings(mesh)
     ends = mesh.vertices_numpy()[mesh.edges()[found[:, 0]]].reshape(-1, 3)
     near = cKDTree(np.concatenate([box.centers(overlap), ends]))
-    spacing = max(edge / _NODES, box.size)
+    spacing = max(edge / SIZES.nodes, box.size)
     try:
         rough = partition_mesh(labels.astype(np.int64), np.full(3, box.size), box.low, spacing)
     except InputError as error:
@@ -98,7 +94,7 @@ def _untangled(part: Part, edge: float) -> Change:
     fresh = remesh(rough, edge).mesh
     away = near.query(fresh.vertices_numpy())[0] / edge
     for share in (1.0, 0.0):
-        weight = share * ((away - _NEW) / (_OLD - _NEW)).clip(0, 1)
+        weight = share * ((away - SIZES.new) / (SIZES.old - SIZES.new)).clip(0, 1)
         made = remesh(projected(fresh, mesh, weight, edge), edge, passes=2, apart=True).mesh
         change = Change(made, np.full(len(made.vertices), -1))
         if fits(part, change):
@@ -111,9 +107,11 @@ class _Box:
 
     def __init__(self, mesh: Mesh, edge: float) -> None:
         low, high = mesh.bounds()
-        low, high = low - _ROOM * edge, high + _ROOM * edge
+        low, high = low - SIZES.room * edge, high + SIZES.room * edge
         self.low = low
-        self.size = max(edge / _VOXELS, float((np.prod(high - low) / _MOST_VOXELS) ** (1 / 3)))
+        self.size = max(
+            edge / SIZES.voxels, float((np.prod(high - low) / SIZES.most_voxels) ** (1 / 3))
+        )
         self.shape = tuple((np.ceil((high - low) / self.size).astype(int) + 1).tolist())
 
     def deepest(self, mesh: Mesh) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:

@@ -10,8 +10,9 @@ from qtpy.QtWidgets import QComboBox, QSizePolicy, QWidget
 
 from ...errors import InputError
 from ...fitting.default_accuracy import PRESETS, Preset, preset_accuracy
+from ...runs.fit_settings import SHAPE_CHOICES, asked_error
 
-STANDARD = "standard"
+STANDARD: Preset = "standard"
 # What the page of preferences offers; the dial also takes any other number.
 CHOICES: tuple[str, ...] = (*PRESETS, "1e-2", "3e-3", "1e-3", "3e-4", "1e-4", "1e-5")
 # As the dial calls them; sessions and preferences keep the names.
@@ -19,18 +20,19 @@ _WORDS: dict[str, str] = {"draft": "quick", "standard": "normal", "fine": "caref
 # Names by which the choices are also known.
 _EARLIER = {"auto": STANDARD, "0": "exact", **{word: name for name, word in _WORDS.items()}}
 _TIPS: dict[Preset, str] = {
-    "draft": "Five times coarser than normal. The fastest, but the rendering may move the "
-    "surface more than the noise does: for a first look.",
+    "draft": "Longer edges, images five times coarser than normal, an earlier end. The fastest, "
+    "but the shape may be off by more than the noise makes it: for a first look.",
     "standard": "As accurate as the noise of this image can tell: finer renderings take longer and "
     "do not improve the shape.",
-    "fine": "Ten times finer than standard. Often hardly slower; the shape stays the same within "
-    "the noise.",
+    "fine": "Edges so short that flat triangles add nothing beside the noise, images ten times "
+    "finer than standard, a later end.",
     "exact": "The closed form at every wavevector of the grid: no approximation at all, and often "
     "hundreds of times slower. To check the others with.",
 }
 _TIP = (
-    "Relative error that the rendered image may have; it decides how long an iteration takes. "
-    "Choose a name, or type a number such as 3e-3."
+    "How near to the true shape the fit is to come, and so how long it takes. Choose a name, or "
+    "type how far the shape may be off, such as 20nm, or the relative error that rendered images "
+    "may have, such as 3e-3."
 )
 
 
@@ -66,15 +68,25 @@ class AccuracyDial(QComboBox):
 
     def setting(self) -> float | None:
         """The accuracy for the settings; None leaves it to the noise. InputError if it is none."""
-        return None if self.choice == STANDARD else self.number()
+        return None if self.choice == STANDARD or is_length(self.choice) else self.number()
+
+    @property
+    def shape_error(self) -> str:
+        """What the choice says of the shape: numbers without a unit are of images alone."""
+        word = shown_as(self.choice)
+        known = word in SHAPE_CHOICES or is_length(word)
+        return word.replace(" ", "") if known else "normal"
 
     def number(self) -> float:
         """What the choice stands for on this image. InputError if nothing."""
         choice = self.choice
         return accuracy_of(choice, self.noise() if relative(choice) else 0.0)
 
-    def show_accuracy(self, accuracy: float | None) -> None:
-        """Show an accuracy of the settings."""
+    def show_fit(self, accuracy: float | None, shape_error: str) -> None:
+        """Show what settings say of images and of the shape."""
+        if shape_error != "normal":
+            self.show_choice(shape_error)
+            return
         self.show_choice(STANDARD if accuracy is None else written(accuracy))
 
     def show_choice(self, choice: str) -> None:
@@ -95,7 +107,15 @@ def shown_as(choice: str) -> str:
 
 def relative(choice: str) -> bool:
     """Whether a choice depends on the noise."""
-    return choice in PRESETS and choice != "exact"
+    return (choice in PRESETS and choice != "exact") or is_length(choice)
+
+
+def is_length(choice: str) -> bool:
+    """Whether a choice is how far the shape may be off, such as 20nm."""
+    try:
+        return asked_error(choice.replace(" ", "")) is not None
+    except InputError:
+        return False
 
 
 def accuracy_of(choice: str, noise: float) -> float:
@@ -103,13 +123,18 @@ def accuracy_of(choice: str, noise: float) -> float:
     choice = chosen(choice)
     if choice in PRESETS:
         return preset_accuracy(choice, noise)
+    if is_length(choice):
+        return preset_accuracy(STANDARD, noise)  # until start and image are known
     try:
         accuracy = float(choice.replace(",", "."))
     except ValueError:
         accuracy = -1.0
     if not 0 <= accuracy < 1:
         names = ", ".join(map(shown_as, PRESETS))
-        raise InputError(f"accuracy must be {names}, or a number from 0 to below 1, not '{choice}'")
+        raise InputError(
+            f"accuracy must be {names}, a length such as 20nm, or a number from 0 to below 1, not "
+            f"'{choice}'"
+        )
     return accuracy
 
 

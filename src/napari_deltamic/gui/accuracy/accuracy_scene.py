@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from ...accuracy.forecast import Forecast, forecast
 from ...accuracy.machine_costs import costs
-from ...errors import InputError
 from ...fitting.default_accuracy import image_noise
 from ...fitting.job import SeedKind, optics_of
 from ...geometry import Mesh, sphere
@@ -22,9 +21,9 @@ from ...geometry.labels.meshes import EDGE_IN_VOXELS
 from ...optics import Optics
 from ...runs.settings import NEAR_LEVELS, FitSettings, SceneSettings
 from ...scene import Grid
-from ..running.composition import Live, Panels
+from ..document import Document, missing_cells
 from ..seeding.seed_kinds import at_time, seeds_from_layer
-from ..viewing.frame import FloatArray, Frame
+from ..viewing.frame import FloatArray, Frame, unread_stack_of
 from .accuracy_dial import accuracy_of
 
 Surfaces = Callable[[Grid], Mesh | None]
@@ -61,6 +60,13 @@ class SceneNow:
         """(Z, Y, X)."""
         return np.asarray(self.image)
 
+    def touching(self) -> bool | None:
+        """Whether cells touch, where only labels tell; None where the surfaces do."""
+        parts: list[Any] = [
+            p for p in self.surfaces if getattr(p, "func", None) is _balls_of_labels
+        ]
+        return any(_touch(np.asarray(part.args[0])) for part in parts) if parts else None
+
     def mesh(self) -> Mesh:
         """The surfaces. InputError where there are none."""
         found = [make(self.grid) for make in self.surfaces]
@@ -88,17 +94,16 @@ def outlook(scene: SceneNow) -> Outlook:
         found["levels"] = NEAR_LEVELS
     settings = scene.settings.model_copy(update=found)
     effects = scene.scene.effects
-    expected = forecast(
-        pixels, scene.grid, scene.mesh(), scene.optics, settings, None, effects, known
-    )
+    given = scene.grid, scene.mesh(), scene.optics, settings
+    expected = forecast(pixels, *given, None, effects, known, scene.touching())
     return Outlook(noise, accuracy, expected, scene.guessed)
 
 
 class NoiseOf:
     """The noise of the image chosen, measured once for each image and time."""
 
-    def __init__(self, viewer: Any, image_panel: Any) -> None:
-        self._viewer, self._image = viewer, image_panel
+    def __init__(self, doc: Document) -> None:
+        self._doc = doc
         self._of: tuple[Any, ...] = ()
         self._noise: float | None = None
         self.held = False  # while a fit runs, that of its image counts
@@ -107,7 +112,7 @@ class NoiseOf:
         """The noise. InputError if there is no image."""
         known = self.known
         if known is None:
-            known = image_noise(self._image.stack())
+            known = image_noise(self._doc.image.stack())
             self.learn(self.key(), known)
         return known
 
@@ -118,10 +123,10 @@ class NoiseOf:
 
     def key(self) -> tuple[Any, ...]:
         """What it is the noise of."""
-        layer = self._image.layer
-        if layer is None:
+        image = self._doc.image
+        if image.layer is None:
             return ()
-        return weakref.ref(layer), id(layer.data), tuple(self._viewer.dims.current_step[:-3])
+        return weakref.ref(image.layer), id(image.layer.data), image.time, image.box
 
     def learn(self, key: tuple[Any, ...], noise: float) -> None:
         """Take over what was measured elsewhere."""
@@ -129,22 +134,25 @@ class NoiseOf:
             self._of, self._noise = key, noise
 
 
-def scene_now(viewer: Any, panels: Panels, live: Live) -> SceneNow:
-    """The scene as the panels show it; touches no voxel. InputError if something is missing."""
-    image, frame = panels.image.layer, panels.image.frame()
-    data = image.data[0] if image.multiscale else image.data
-    step = tuple(viewer.dims.current_step)
-    if image.ndim == 4:
-        data = data[min(step[-4], len(data) - 1)]
-    grid = frame.grid(data.shape)
-    scene = panels.settings.scene_settings()
-    kind, surfaces, guessed = _surfaces(viewer, panels, live, frame, grid)
+def scene_key(doc: Document) -> tuple[Any, ...]:
+    """The same as long as image, voxel size and PSF are."""
+    image = doc.image
+    size = None if image.layer is None else tuple(image.layer.scale)
+    return id(image.layer), image.time, image.box, size, doc.settings.optics.key()
+
+
+def scene_now(doc: Document) -> SceneNow:
+    """The scene as it is chosen; touches no voxel. InputError if something is missing."""
+    image, frame = doc.image, doc.image.frame()
+    grid = frame.grid(image.shape())
+    scene = doc.settings.scene_settings()
+    kind, surfaces, guessed = _surfaces(doc, frame, grid)
     return SceneNow(
-        choice=panels.settings.accuracy.choice,
-        image=data,
+        choice=doc.settings.accuracy.choice,
+        image=image.unread(image.layer),
         grid=grid,
         scene=scene,
-        settings=panels.settings.other_settings(),
+        settings=doc.settings.other_settings(),
         kind=kind,
         surfaces=surfaces,
         guessed=guessed,
@@ -152,27 +160,23 @@ def scene_now(viewer: Any, panels: Panels, live: Live) -> SceneNow:
 
 
 def _surfaces(
-    viewer: Any, panels: Panels, live: Live, frame: Frame, grid: Grid
+    doc: Document, frame: Frame, grid: Grid
 ) -> tuple[SeedKind, tuple[Surfaces, ...], bool]:
     """How near the seeds are to the membranes, what makes surfaces of them, and if it guesses."""
-    point = tuple(float(p) for p in viewer.dims.point)
-    step = tuple(viewer.dims.current_step)
+    point = tuple(float(p) for p in doc.viewer.dims.point)
+    step = tuple(doc.viewer.dims.current_step)
     points, radii = [], []
     made: list[Any] = []  # Surfaces
     rough, guessed = False, False
-    for layer in panels.seeds.chooser.ticked():
+    spheres = doc.cells.spheres
+    for layer in doc.cells.ticked():
         if isinstance(layer, Points):
             if at_time(layer, layer.data, point).any():
-                own: Any = seeds_from_layer(
-                    layer, frame, step, spheres=panels.seeds.spheres, point=point
-                )
+                own: Any = seeds_from_layer(layer, frame, step, spheres=spheres, point=point)
                 points.append(own.points)
                 radii.append(own.radii)
         elif isinstance(layer, Labels):
-            labels = layer.data[0] if layer.multiscale else layer.data
-            if layer.ndim == 4:
-                labels = labels[min(step[-4], len(labels) - 1)]
-            made.append(partial(_balls_of_labels, labels))
+            made.append(partial(_balls_of_labels, unread_stack_of(layer, step)))
             guessed = True
         elif isinstance(layer, Surface):
             scale, shift = frame.data_to_um(layer)
@@ -180,8 +184,8 @@ def _surfaces(
             rough = True
     if points:
         centres = np.concatenate(points)
-        whole = None if panels.seeds.spheres else _known_surfaces(panels, live, len(centres))
-        if panels.seeds.spheres:
+        whole = None if spheres else _known_surfaces(doc, len(centres))
+        if spheres:
             rough = True
             made.append(partial(_balls, centres, np.concatenate(radii)))
         elif whole is not None:
@@ -190,23 +194,21 @@ def _surfaces(
             guessed = True
             made.append(partial(_balls, centres, None))
     if not made:
-        raise InputError("no cells yet: press 'Find cells', or 'Click cells' and click inside each")
+        raise missing_cells()
     labelled = any(part.func is _balls_of_labels for part in made)
     near: SeedKind = "rough" if rough else "labels" if labelled else "image"
     return near, tuple(made), guessed
 
 
-def _known_surfaces(panels: Panels, live: Live, points: int) -> Mesh | None:
+def _known_surfaces(doc: Document, points: int) -> Mesh | None:
     """What the preview shows, else what the fit of this image has or found."""
-    preview, run = panels.seeds.preview, live.run
-    if preview.isChecked() and preview.mesh is not None:
-        return preview.mesh
-    link, last = live.link, panels.results.last
-    if link is None or link.image_layer is not panels.image.layer:
+    preview = doc.cells.preview_mesh()
+    if isinstance(preview, Mesh):
+        return preview
+    record = doc.record
+    if record is None or record.link.image_layer is not doc.image.layer:
         return None
-    state = run.state if run is not None and run.running else None
-    if state is None and last is not None:
-        state = last[0]
+    state = doc.run.state if doc.running else record.state
     if state is None:
         return None
     mesh: Mesh = state.mesh
@@ -238,6 +240,15 @@ def _balls(centres: FloatArray, radii: FloatArray | None, grid: Grid) -> Mesh:
     return Mesh.merge(
         [sphere(c, float(r), edge_length=edge) for c, r in zip(centres, radii, strict=True)]
     )
+
+
+def _touch(labels: NDArray[Any]) -> bool:
+    """Whether voxels of two labels lie side by side."""
+    for axis in range(labels.ndim):
+        a, b = (np.moveaxis(labels, axis, 0)[k] for k in (slice(1, None), slice(None, -1)))
+        if ((a != b) & (a > 0) & (b > 0)).any():
+            return True
+    return False
 
 
 def _balls_of_labels(labels: Any, grid: Grid) -> Mesh | None:

@@ -1,143 +1,179 @@
-"""Under the dial: the button that measures what accuracy costs on this scene, and its chart."""
+"""What accuracy costs on this scene: every way to render it is timed, and can be chosen."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Generator
+from typing import Any
 
-from qtpy.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, QWidget
+from qtpy.QtCore import Qt
+from qtpy.QtWidgets import QListWidget, QListWidgetItem, QPushButton, QVBoxLayout, QWidget
 
-from ...accuracy.accuracy_chart import short, ways_chart
-from ...accuracy.chart import Chart
-from ...accuracy.tradeoff import Way, duration, with_front
+from ...accuracy.accuracy_chart import short
+from ...accuracy.machine_costs import costs
+from ...accuracy.tradeoff import Way, duration, measure_ways
+from ...errors import InputError
+from ...fitting.default_accuracy import image_noise
+from ..attempt import words_of
+from ..document import Document
 from ..qt import Signal
 from ..widgets import Note
-from .accuracy_plot import TradeoffPlot
+from ..work import Task
+from .accuracy_dial import accuracy_of
+from .accuracy_scene import SceneNow, scene_key, scene_now
 
 _START, _STOP = "Measure on this scene", "Stop measuring"
 _TIP = (
     "<qt>Renders this scene in every way there is and times each: what accuracy costs here. Takes "
-    "about a minute in the background, and as much of the processor as a fit. The chart shows time "
-    "against error; the points as planned can be clicked, which sets the dial.</qt>"
+    "about a minute in the background, and as much of the processor as a fit. Click on a line to "
+    "ask for that accuracy.</qt>"
 )
-_NOT_NOW = "no measuring while a fit runs: both would need the same processor"
+_STALE = "this is of another image or PSF: measure again"
+BUDGET = 2.0  # s: ways that take longer are left out; one under way cannot be interrupted
+
+
+class Measurement(Task):
+    """Times each way to render a scene; ends where a fit is to start."""
+
+    title = "ways to render are being timed"
+    gives_way = True
+
+    def __init__(
+        self, scene: SceneNow, on_way: Callable[[], None], on_end: Callable[[str | None], None]
+    ) -> None:
+        super().__init__()
+        self._scene, self._on_way, self._on_end = scene, on_way, on_end
+        self.ways: list[Way] = []
+        self._seen = 0
+        self.stage = "preparing"
+
+    def steps(self) -> Generator[None, None, str]:
+        """See ``Task``."""
+        scene = self._scene
+        accuracy = accuracy_of(scene.choice, image_noise(scene.pixels()))
+
+        def count(done: int, of: int) -> None:
+            self.stage = f"{done} of {of} ways timed"
+
+        known = costs(measure=True)
+        given = scene.mesh(), scene.grid, scene.optics, accuracy
+        for way in measure_ways(*given, budget=BUDGET, costs=known, progress=count):
+            self.ways.append(way)
+            yield
+        return ""
+
+    def failed(self, error: Exception) -> str:
+        """See ``Task``."""
+        return words_of(error, self._scene.grid.shape)
+
+    def look(self) -> None:
+        """See ``Task``."""
+        if len(self.ways) > self._seen:
+            self._seen = len(self.ways)
+            self._on_way()
+
+    def end(self, outcome: str | None) -> None:
+        """See ``Task``."""
+        self._on_end(outcome)
 
 
 class TradeoffView(QWidget):
-    """Button, progress and chart; signals for what the user asks for."""
+    """Button and list; ``chosen`` brings the accuracy of a line that was clicked."""
 
-    start = Signal()
-    stop = Signal()
-    chosen = Signal(float)  # an accuracy
+    chosen = Signal(float)
 
-    def __init__(self, parent: QWidget | None = None) -> None:
+    def __init__(self, doc: Document, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._measuring = False
+        self._doc = doc
+        self._task: Measurement | None = None
+        self._of: tuple[Any, ...] = ()  # the scene that was measured
         self._accuracy: float | None = None
         self.ways: list[Way] = []
         self.button = QPushButton(_START, self)
-        self.hide_button = QPushButton("Hide", self)
-        self.hide_button.setToolTip("Hide the chart.")
-        self.reason, self.progress = Note(self), Note(self)
-        self.plot = TradeoffPlot(self._description, self)
-        self.summary = Note(self)
-        buttons = QHBoxLayout()
-        buttons.setContentsMargins(0, 0, 0, 0)
-        buttons.addWidget(self.button, 1)
-        buttons.addWidget(self.hide_button)
+        self.button.setToolTip(_TIP)
+        self.progress = Note(self)
+        self.list = QListWidget(self)
+        self.list.setAccessibleName("what accuracy costs")
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
-        layout.addLayout(buttons)
-        for widget in (self.reason, self.progress, self.plot, self.summary):
+        for widget in (self.button, self.progress, self.list):
             layout.addWidget(widget)
+        self.list.hide()
         self.button.clicked.connect(self._pressed)
-        self.hide_button.clicked.connect(self.clear)
-        self.plot.clicked.connect(self._clicked)
-        self.allow(True)
-        self.clear()
+        self.list.itemClicked.connect(self._clicked)
+        for signal in (doc.image.changed, doc.settings_changed):
+            signal.connect(self.look)
+        doc.work.changed.connect(self._work_changed)
 
-    def allow(self, allowed: bool) -> None:
-        """Whether measuring can be started; says why not."""
-        self.button.setEnabled(allowed)
-        self.button.setToolTip(_TIP if allowed else f"<qt>{_NOT_NOW.capitalize()}.</qt>")
-        self.reason.say("" if allowed else _NOT_NOW)
+    @property
+    def busy(self) -> bool:
+        """Whether something is being measured."""
+        return self._task is not None and self._task.running
 
-    def set_measuring(self, measuring: bool) -> None:
-        """Whether the button starts or stops."""
-        self._measuring = measuring
-        self.button.setText(_STOP if measuring else _START)
-
-    def show_ways(self, ways: Sequence[Way]) -> None:
-        """Draw what was measured so far."""
-        self.ways = with_front(ways)
-        shown = any(way.measured and way.error for way in self.ways)
-        self._show_accuracy()
-        for widget in (self.plot, self.hide_button):
-            widget.setVisible(shown)
+    def start(self) -> None:
+        """Measure the scene that is shown."""
+        try:
+            scene = scene_now(self._doc)
+            accuracy_of(scene.choice, 0.0)
+            task = Measurement(scene, self._show, self._ended)
+            self._doc.work.start(task)
+        except InputError as error:
+            self.progress.say(str(error))
+            return
+        self._task, self._of, self.ways = task, scene_key(self._doc), []
+        self._work_changed()
+        self._show()
 
     def show_accuracy(self, accuracy: float | None) -> None:
         """Mark the accuracy that the dial stands for; None where that is not known."""
         self._accuracy = accuracy
-        self._show_accuracy()
-
-    def clear(self) -> None:
-        """Show no chart."""
-        self.ways = []
-        self.summary.say("")
-        for widget in (self.plot, self.hide_button):
-            widget.hide()
-
-    def _show_accuracy(self) -> None:
-        accuracy = self._accuracy
-        self.plot.show_level(accuracy or None, f"asked: {short(accuracy)}" if accuracy else "")
-        if not self.ways:
-            return
-        self.ways = [replace(way, in_use=_is(way, accuracy)) for way in self.ways]
-        if any(way.measured and way.error for way in self.ways):
-            self.plot.show_chart(_chart(self.ways))
-        used = next((way for way in self.ways if way.in_use), None)
-        self.summary.say(_summary(used, accuracy))
+        self._show()
 
     def _pressed(self) -> None:
-        (self.stop if self._measuring else self.start).emit()
+        if self.busy:
+            self._doc.work.stop(at_once=True)
+        else:
+            self.start()
 
-    def _clicked(self, x: float, y: float) -> None:
-        way = self._way(x, y)
-        if way is not None and way.accuracy:
-            self.chosen.emit(way.accuracy)
+    def _show(self) -> None:
+        self.ways = list(self._task.ways) if self._task is not None else []
+        planned = [way for way in self.ways if way.accuracy and way.measured]
+        self.list.clear()
+        for way in planned:
+            item = QListWidgetItem(_line(way), self.list)
+            item.setData(Qt.ItemDataRole.UserRole, way.accuracy)
+            font = item.font()
+            font.setBold(way.accuracy == self._accuracy)
+            item.setFont(font)
+        height = self.list.sizeHintForRow(0) * len(planned) + 2 * self.list.frameWidth()
+        self.list.setFixedHeight(max(height, 0) + 4)
+        self.list.setVisible(bool(planned))
 
-    def _way(self, x: float, y: float) -> Way | None:
-        found = [w for w in self.ways if w.gradient == x and w.error == y]
-        # As planned before others: those can be chosen.
-        return max(found, key=lambda w: bool(w.accuracy), default=None)
+    def _ended(self, reason: str | None) -> None:
+        self._show()
+        slow = sum(not way.measured for way in self.ways)
+        text = f"{slow} of {len(self.ways)} ways take longer than {BUDGET:g} s: left out"
+        if reason is None:
+            text = f"stopped: {len(self.ways)} ways were timed"
+        elif reason:
+            text = f"not measured: {reason}"
+        self.progress.say(text if reason or reason is None or slow else "")
 
-    def _description(self, x: float, y: float) -> str:
-        way = self._way(x, y)
-        if way is None:
-            return ""
-        text = f"{way.name}: {duration(x)}, error {_two_digits(y)}"
-        return f"{text}. Click to ask for {short(way.accuracy)}." if way.accuracy else text
+    def _work_changed(self) -> None:
+        self.button.setText(_STOP if self.busy else _START)
+        self.button.setEnabled(self.busy or not self._doc.work.occupied)
 
+    def look(self) -> None:
+        """Something was edited: are these the ways of what is shown?"""
+        if self.ways and not self.busy:
+            stale = self._of != scene_key(self._doc)
+            if stale or self.progress.text() == _STALE:
+                self.progress.say(_STALE if stale else "")
 
-def _is(way: Way, accuracy: float | None) -> bool:
-    """Whether a way is what an accuracy asks for."""
-    if accuracy == 0:
-        return way.method == "closed form" and way.band == 0 and way.precision == "float64"
-    return way.accuracy is not None and way.accuracy == accuracy
-
-
-def _summary(used: Way | None, accuracy: float | None) -> str:
-    if used is None:
-        return "" if accuracy is None else f"accuracy {short(accuracy)} was not measured"
-    if used.gradient is None:
-        return f"in use: {short(accuracy or 0)}, {used.note}"
-    error = "" if used.reference or used.error is None else f", error {_two_digits(used.error)}"
-    return f"ringed: in use; {duration(used.gradient)} an image{error}"
+    def _clicked(self, item: QListWidgetItem) -> None:
+        self.chosen.emit(item.data(Qt.ItemDataRole.UserRole))
 
 
-def _two_digits(error: float) -> str:
-    return short(float(f"{error:.1e}"))
-
-
-def _chart(ways: Sequence[Way]) -> Chart:
-    return replace(ways_chart(ways, ""), y_text=short)
+def _line(way: Way) -> str:
+    error = short(float(f"{way.error or 0:.1e}"))
+    time = duration(way.gradient or 0)
+    return f"{short(way.accuracy or 0)}: {time} an image, error {error}"

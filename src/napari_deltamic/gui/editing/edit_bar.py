@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 from qtpy.QtCore import QSignalBlocker, Qt
-from qtpy.QtWidgets import QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
+from qtpy.QtWidgets import QLabel, QPushButton, QVBoxLayout, QWidget
 from superqt import QLabeledDoubleSlider
 
 from ..qt import Signal
-from ..widgets import note_label
+from ..widgets import Note, ToolButtons
 
 Tool = Literal["nudge", "push", "pin"]
-TOOLS: tuple[Tool, ...] = ("nudge", "push", "pin")
-_TIPS = {
+_TIPS: dict[str, str] = {
     "nudge": "Drag a part of the surface, in the plane of the slice or of the view.",
     "push": "Drag over the surface to push it outward; with Shift, inward.",
     "pin": "Drag over the surface: the fit leaves it where it is; with Shift, frees it again.",
@@ -22,58 +21,36 @@ _PLACES = {2: "near a contour", 3: "on a surface"}
 
 
 class EditBar(QWidget):
-    """Buttons for the tools, of which one or none is in use, and the size of the brush."""
+    """Buttons for the tools, and the size of the brush."""
 
     tool_chosen = Signal(object)  # a tool, or None
     free_all = Signal()
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.buttons: dict[Tool, QPushButton] = {}
         self._ndisplay = 2
-        row = QHBoxLayout()
-        row.setContentsMargins(0, 0, 0, 0)
-        row.addWidget(QLabel("edit", self))
-        for tool in TOOLS:
-            button = QPushButton(tool.capitalize(), self)
-            button.setCheckable(True)
-            button.setToolTip(f"<qt>{_TIPS[tool]}</qt>")
-            button.clicked.connect(self._clicked)
-            row.addWidget(button)
-            self.buttons[tool] = button
+        self.tools = ToolButtons({t: (t.capitalize(), tip) for t, tip in _TIPS.items()}, self)
+        self.tools.row.insertWidget(0, QLabel("edit", self))
+        self.buttons, self.use = self.tools.buttons, self.tools.use
         self.pins = QPushButton(self)
         self.pins.setToolTip("Free all pinned vertices.")
-        self.pins.clicked.connect(self.free_all)
         self.radius = QLabeledDoubleSlider(Qt.Orientation.Horizontal, self)
-        self.radius.setToolTip("Radius of the brush, um; the effect fades towards its rim.")
-        self._brush = QWidget(self)
-        brush = QHBoxLayout(self._brush)
-        brush.setContentsMargins(0, 0, 0, 0)
-        brush.addWidget(QLabel("brush, um", self))
-        brush.addWidget(self.radius)
-        self.hint = note_label()
+        self.radius.setToolTip("Radius of the brush, µm; the effect fades towards its rim.")
+        self.hint = Note(self)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
-        layout.addLayout(row)
-        layout.addWidget(self._brush)
-        layout.addWidget(self.hint)
-        layout.addWidget(self.pins)
+        for widget in (self.tools, self.radius, self.hint, self.pins):
+            layout.addWidget(widget)
+        self.pins.clicked.connect(self.free_all)
+        self.tools.chosen.connect(self._chosen)
         self.show_pins(0)
         self._show()
 
     @property
     def tool(self) -> Tool | None:
         """The tool in use."""
-        return next((tool for tool, button in self.buttons.items() if button.isChecked()), None)
-
-    def use(self, tool: Tool | None) -> None:
-        """Take up a tool, or lay it down."""
-        if tool == self.tool:
-            return
-        for name, button in self.buttons.items():
-            button.setChecked(name == tool)
-        self._show()
-        self.tool_chosen.emit(tool)
+        tool: Any = self.tools.tool
+        return tool
 
     def set_scale(self, size: float) -> None:
         """Fit the brush to a mesh of a size, um."""
@@ -94,20 +71,15 @@ class EditBar(QWidget):
 
     def say(self, text: str) -> None:
         """Why a tool did nothing."""
-        self.hint.setText(text)
+        self.hint.say(text)
 
-    def _clicked(self, checked: bool) -> None:
-        sender = self.sender()
-        for button in self.buttons.values():
-            if button is not sender:
-                button.setChecked(False)
+    def _chosen(self, tool: str | None) -> None:
         self._show()
-        self.tool_chosen.emit(self.tool)
+        self.tool_chosen.emit(tool)
 
     def _show(self) -> None:
         tool = self.tool
-        self._brush.setVisible(tool is not None)
-        self.hint.setVisible(tool is not None)
-        if tool is not None:
-            place = _PLACES[self._ndisplay]
-            self.hint.setText(f"{_TIPS[tool]} Start {place}; elsewhere the mouse moves the view.")
+        self.radius.setVisible(tool is not None)
+        place = _PLACES[self._ndisplay]
+        start = f"Start {place}; elsewhere the mouse moves the view."
+        self.hint.say("" if tool is None else f"{_TIPS[tool]} {start}")

@@ -10,27 +10,15 @@ from numpy.typing import NDArray
 from qtpy.QtCore import QObject
 
 from ...errors import InputError
-from ...fitting import Change, FitState
-from ...fitting.job import FitInput
+from ...fitting import Change
+from ...fitting.by_hand import changed_by_hand
+from ...fitting.pending import usable
 from ...geometry import Mesh
-from ...scene import expected_image
+from ...geometry.carry import carried
+from ..document import Document, Present
 from ..qt import Signal
-from ..running.waiting import usable
-from .carry import carried
 
 _DEEPEST = 30  # steps that can be undone
-
-
-@dataclass(frozen=True, eq=False)
-class Present:
-    """What there is to change.
-
-    running : whether a fit goes on from it.
-    """
-
-    state: FitState
-    job: FitInput
-    running: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,18 +42,19 @@ class Edits(QObject):
 
     Parameters
     ----------
-    control : the run.
+    doc : the document.
+    control : lets the fit, or its result, be another one.
     """
 
     changed = Signal()  # what can be undone, or what is pinned
     settings_undone = Signal(object)  # the Change that took settings, optics or effects back
 
-    def __init__(self, control: Any, parent: QObject | None = None) -> None:
+    def __init__(self, doc: Document, control: Any, parent: QObject | None = None) -> None:
         super().__init__(parent)
-        self._control = control
-        control.began.connect(self._began)
-        control.shown.connect(self._shown)
-        control.ended.connect(self._ended)
+        self._doc, self._control = doc, control
+        doc.began.connect(self._began)
+        doc.shown.connect(self._shown)
+        doc.ended.connect(self._ended)
         self._asked: _Asked | None = None
         self._told: NDArray[np.bool_] | None = None  # pins of the last state shown
         self._done: list[_Step] = []
@@ -84,12 +73,12 @@ class Edits(QObject):
     @property
     def pinned(self) -> NDArray[np.bool_] | None:
         """(V,) which vertices of the newest mesh are pinned; None where there is no mesh."""
-        present: Present | None = self._control.present()
+        present = self._doc.present()
         return None if present is None else self._pins(present)
 
     def pinned_on(self, mesh: Mesh) -> NDArray[np.bool_] | None:
         """The same for another mesh of this fit, which may have other triangles."""
-        present: Present | None = self._control.present()
+        present = self._doc.present()
         if present is None:
             return None
         return carried(self._pins(present), present.state.mesh, mesh)
@@ -193,7 +182,7 @@ class Edits(QObject):
         self.changed.emit()
 
     def _present(self) -> Present:
-        present: Present | None = self._control.present()
+        present = self._doc.present()
         if present is None:
             raise InputError("there is nothing to change yet: run a fit first")
         return present
@@ -246,38 +235,3 @@ def _suited(values: Any, of: Mesh | None, mesh: Mesh) -> Any:
     if len(values) != len(mesh.vertices):
         raise InputError("there is another mesh now: try again")
     return values
-
-
-def changed_by_hand(state: FitState, job: FitInput, change: Change) -> FitState:
-    """A state with other vertices or another PSF; its loss is not known."""
-    mesh, optics, density = state.mesh, state.optics, state.density
-    pinned = state.pinned
-    if change.mesh is not None:
-        if pinned is not None:
-            pinned = carried(pinned, mesh, change.mesh)
-        if len(change.mesh.faces) != len(density):
-            density = np.ones(len(change.mesh.faces))  # of other triangles: not known
-        mesh = change.mesh
-    if change.optics is not None:
-        optics = change.optics.detach()
-    if change.pinned is not None:
-        pinned = change.pinned
-    grid, settings = job.grid, job.settings
-    amplitude, background = state.amplitude, state.background
-
-    def rendered() -> NDArray[np.float32]:
-        given = mesh, grid, optics, settings.fit.image_accuracy, amplitude, background
-        return expected_image(*given, density=density, effects=state.effects)
-
-    return replace(
-        state,
-        mesh=mesh,
-        optics=optics,
-        density=density,
-        pinned=pinned,
-        loss=float("nan"),
-        converged=False,
-        message="changed by hand after the fit",
-        _render=rendered,
-        _checkpoint=dict,
-    )

@@ -2,27 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from qtpy.QtCore import QSignalBlocker, Qt
 from qtpy.QtWidgets import QHBoxLayout, QPushButton, QSlider, QVBoxLayout, QWidget
 
 from ...results.timeline import Moment
+from ..document import Document
 from ..qt import Signal
-from ..running.curves import explained
+from ..running.plots import explained
 from ..widgets import note_label
+from .edits import Edits
+
+_EVERY = 0.2  # s between two updates of the slider
 
 
 class HistoryBar(QWidget):
-    """Undo, redo and the slider; at its right end the newest state is shown, as it comes."""
+    """Undo, redo and the slider; at its right end the newest state is shown, as it comes.
 
-    undo = Signal()
-    redo = Signal()
+    Parameters
+    ----------
+    doc, edits : what there is, and how it is changed.
+    control : shows other moments, and lets a fit go on from them.
+    parent : Qt's.
+    """
+
     moment_chosen = Signal(object)  # a Moment, or None for the newest
-    go_on = Signal()
 
-    def __init__(self, parent: QWidget | None = None) -> None:
+    def __init__(
+        self, doc: Document, edits: Edits, control: Any, parent: QWidget | None = None
+    ) -> None:
         super().__init__(parent)
+        self._doc, self._edits, self._control = doc, edits, control
+        self._next = 0.0
         self._moments: tuple[Moment, ...] = ()
         self._chosen: Moment | None = None
         self._running = False
@@ -41,7 +55,13 @@ class HistoryBar(QWidget):
         self.slider.valueChanged.connect(self._slid)
         self.live_button.clicked.connect(self.to_live)
         self.go_on_button.clicked.connect(self.go_on)
-        self.show_undo("", "")
+        doc.began.connect(self._began)
+        doc.shown.connect(self._shown)
+        for signal in (doc.ended, doc.result_changed):
+            signal.connect(self.update_moments)
+        doc.image.changed.connect(self._image_changed)
+        edits.changed.connect(self._show_undo)
+        self._show_undo()
         self.show_moments((), running=False)
 
     @property
@@ -60,14 +80,21 @@ class HistoryBar(QWidget):
         blocker.unblock()
         self._show()
 
-    def show_undo(self, undo: str, redo: str) -> None:
-        """What can be undone and done again; '' for nothing."""
-        for button, word, what in (
-            (self.undo_button, "Undo", undo),
-            (self.redo_button, "Redo", redo),
-        ):
-            button.setEnabled(bool(what))
-            button.setToolTip(f"{word}: {what}" if what else f"Nothing to {word.lower()}.")
+    def update_moments(self) -> None:
+        """Show the moments that there are now."""
+        self.show_moments(self._doc.timeline.moments, running=self._doc.running)
+
+    def undo(self) -> None:
+        """Take back the last change."""
+        self._take_back(self._edits.undo)
+
+    def redo(self) -> None:
+        """Do again what was undone last."""
+        self._take_back(self._edits.redo)
+
+    def go_on(self) -> None:
+        """Let the fit go on from the moment shown, or start one there."""
+        self._doc.guarded(self._go_on)
 
     def to_live(self) -> None:
         """Look at the newest state, as it comes."""
@@ -76,6 +103,43 @@ class HistoryBar(QWidget):
         blocker.unblock()
         self._choose(None)
 
+    def _image_changed(self) -> None:
+        if not self._doc.running:  # the moments are those of another fit
+            self.to_live()
+            self.update_moments()
+
+    def _began(self, fresh: bool) -> None:
+        self.to_live()
+        self.update_moments()
+
+    def _shown(self, snapshot: Any) -> None:
+        now = time.monotonic()
+        if now >= self._next:
+            self._next = now + _EVERY
+            self.update_moments()
+
+    def _go_on(self) -> None:
+        moment, present = self._chosen, self._doc.present()
+        if moment is not None:
+            note = f"back to iteration {moment.iteration}"
+            self._edits.go_on_from(moment.mesh, moment.optics, note)
+            self.to_live()
+        elif present is not None and not present.running:
+            self._edits.go_on_from(present.state.mesh, present.state.optics, "go on")
+
+    def _take_back(self, action: Callable[[], None]) -> None:
+        self.to_live()
+        self._doc.guarded(action)
+        self.update_moments()
+
+    def _show_undo(self) -> None:
+        for button, word, what in (
+            (self.undo_button, "Undo", self._edits.undo_note),
+            (self.redo_button, "Redo", self._edits.redo_note),
+        ):
+            button.setEnabled(bool(what))
+            button.setToolTip(f"{word}: {what}" if what else f"Nothing to {word.lower()}.")
+
     def _slid(self, index: int) -> None:
         at_end = index >= len(self._moments) - 1
         self._choose(None if at_end else self._moments[index])
@@ -83,7 +147,12 @@ class HistoryBar(QWidget):
     def _choose(self, moment: Moment | None) -> None:
         if moment is not self._chosen:
             self._chosen = moment
+            self._doc.earlier = moment is not None
             self._show()
+            if moment is None:
+                self._control.let_go()
+            else:
+                self._control.hold(moment.mesh)
             self.moment_chosen.emit(moment)
 
     def _index(self, moment: Moment) -> int:
@@ -97,7 +166,6 @@ class HistoryBar(QWidget):
     def _show(self) -> None:
         looking = self._chosen is not None
         self.live_button.setVisible(looking)
-        self.live_button.setText("Back to the end")
         self.go_on_button.setVisible(looking or (not self._running and bool(self._moments)))
         self.go_on_button.setToolTip(
             "The fit goes on from the state shown."

@@ -11,15 +11,14 @@ from qtpy.QtCore import QObject
 
 from ...geometry import Mesh
 from ...geometry.brush import Touch, falloff, outward, touched_by_ray, touched_on_section
+from ...geometry.carry import carried
 from ...measure import section
-from ..connections import Connections
-from ..running.composition import Live, Panels
-from ..running.run_control import RunControl
+from ..document import Document
+from ..layer_choice import Connections
 from ..viewing.contours import sliced_axis
 from ..viewing.frame import FloatArray
 from ..viewing.viewer_link import ViewerLink
-from .carry import carried
-from .edit_bar import Tool
+from .edit_bar import EditBar, Tool
 from .edits import Edits
 
 _EARLIER = "This is an earlier moment: press 'Back to the end', or continue from here."
@@ -35,26 +34,25 @@ class Sculptor(QObject):
 
     def __init__(
         self,
-        viewer: Any,
-        control: RunControl,
+        doc: Document,
+        control: Any,
         edits: Edits,
-        panels: Panels,
-        live: Live,
+        bar: EditBar,
         parent: QObject | None = None,
     ) -> None:
         super().__init__(parent)
-        self._viewer, self._control, self._edits = viewer, control, edits
-        self._panels, self._live = panels, live
-        self._bar = panels.running.edit
+        self._doc, self._viewer = doc, doc.viewer
+        self._control, self._edits, self._bar = control, edits, bar
         self._callback = self._pressed  # one object, so that it can be taken out again
         self._connections = Connections()
-        self._connections.connect(viewer.dims.events.ndisplay, self._view_changed)
-        self._bar.tool_chosen.connect(self._tool_chosen)
-        self._bar.free_all.connect(self._free_all)
-        panels.seeds.place.clicked.connect(self._lay_down)
-        panels.seeds.corrections.bar.tool_chosen.connect(self._other_tool)
-        control.began.connect(self._began)
+        self._connections.connect(doc.viewer.dims.events.ndisplay, self._view_changed)
+        bar.tool_chosen.connect(self._tool_chosen)
+        bar.free_all.connect(self._free_all)
+        doc.finish_tools.connect(self._other_tool)
+        doc.began.connect(self._began)
+        doc.image.changed.connect(self._show_pins)
         edits.changed.connect(self._show_pins)
+        doc.parts.append(self)
         self._view_changed()
 
     def close_links(self) -> None:
@@ -73,20 +71,18 @@ class Sculptor(QObject):
         self._listen(tool is not None)
         if tool is not None:
             # Points that are placed, or labels that are painted, would be in the way.
-            self._panels.seeds.finish_placing()
+            self._doc.finish_tools.emit(self)
+            self._doc.cells.finish_placing()
             active = self._viewer.layers.selection.active
             if active is not None and str(getattr(active, "mode", "pan_zoom")) != "pan_zoom":
                 active.mode = "pan_zoom"
 
-    def _lay_down(self, checked: bool = False) -> None:
-        self._bar.use(None)
-
     def _other_tool(self, tool: object) -> None:
-        if tool is not None:
+        if tool is not self:
             self._bar.use(None)
 
     def _began(self, fresh: bool) -> None:
-        present, link = self._control.present(), self._live.link
+        present, link = self._doc.present(), self._doc.link
         if fresh and present is not None:
             low, high = present.state.mesh.bounds()
             self._bar.set_scale(float((high - low).max()))
@@ -94,7 +90,7 @@ class Sculptor(QObject):
             self._show_pins()
 
     def _show_pins(self) -> None:
-        pinned, link = self._edits.pinned, self._live.link
+        pinned, link = self._edits.pinned, self._doc.link
         self._bar.show_pins(0 if pinned is None else int(pinned.sum()))
         if link is not None:
             # The fit may be ahead of what is shown, with other triangles.
@@ -102,7 +98,7 @@ class Sculptor(QObject):
             link.show_pins(None if mesh is None else self._edits.pinned_on(mesh))
 
     def _free_all(self) -> None:
-        self._control.tried(self._edits.free_all)
+        self._doc.guarded(self._edits.free_all)
 
     def _view_changed(self, event: Any = None) -> None:
         self._bar.show_dimensions(self._viewer.dims.ndisplay)
@@ -110,15 +106,13 @@ class Sculptor(QObject):
     # ------------------------------------------------------------------------------------ mouse
 
     def _pressed(self, viewer: Any, event: Any) -> Iterator[None]:
-        tool, link = self._bar.tool, self._live.link
+        tool, link = self._bar.tool, self._doc.link
         if event.button != 1 or tool is None:
             return
-        if self._panels.running.history.chosen is not None:
-            self._bar.say(
-                "This is an earlier moment: press 'Back to the end' first, or continue from here."
-            )
+        if self._doc.earlier:
+            self._bar.say(_EARLIER)
             return
-        if link is None or link.shown is None or self._control.present() is None:
+        if link is None or link.shown is None or self._doc.present() is None:
             self._bar.say("There is no surface yet: run a fit first.")
             return
         if not _to_be_seen(link):
@@ -150,11 +144,11 @@ class Sculptor(QObject):
 
     def _finish(self, stroke: _Stroke) -> None:
         if stroke.tool == "pin":
-            self._control.tried(lambda: self._pin(stroke))
+            self._doc.guarded(lambda: self._pin(stroke))
             self._show_pins()
         else:
             if stroke.shift.any():
-                self._control.tried(lambda: self._shift(stroke))
+                self._doc.guarded(lambda: self._shift(stroke))
             self._control.let_go()
 
     def _pin(self, stroke: _Stroke) -> None:

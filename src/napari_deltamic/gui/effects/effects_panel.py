@@ -1,18 +1,28 @@
-"""Which effects are computed, and what the image says about them."""
+"""Which corrections are computed, and what the image says about them."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Generator
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from qtpy.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
 from ...errors import InputError
-from ...evidence import Recommendation
+from ...evidence import Recommendation, recommend
 from ...evidence.camera import Camera
 from ...evidence.candidates import CONSIDERED
+from ...fitting import FitState
+from ...fitting.job import FitInput, optics_of, start
+from ...runs.settings import NEAR_LEVELS, RunSettings
 from ...scene.effects import KINDS, Effects
+from ..accuracy.accuracy_scene import scene_key
+from ..attempt import words_of
+from ..document import Document
 from ..qt import Signal
 from ..widgets import Note
+from ..work import Task
 from .effects_table import EffectsTable, spoken
 from .second_view_fields import SecondViewFields
 
@@ -22,7 +32,68 @@ _TIP = (
     "it is seen, by how much the surface is off without it, and what it costs. Takes as long as a "
     "fit, often longer, in the background. Nothing is added before you tick it.</qt>"
 )
-_NOT_NOW = "no checking while a fit runs: both would need the same processor"
+_STALE = "this was of another image or PSF: check again"
+
+
+class Check(Task):
+    """Asks which effects an image calls for; ends where a fit is to start.
+
+    Parameters
+    ----------
+    prepare : puts the fit together, in the thread.
+    fitted : its last state, where there is one of these very settings.
+    on_step : called with what is being done.
+    on_end : called with what was found, or why nothing was; None where it was stopped.
+    """
+
+    title = "corrections are being checked"
+    gives_way = True
+
+    def __init__(
+        self,
+        prepare: Callable[[], FitInput],
+        fitted: FitState | None,
+        on_step: Callable[[str], None],
+        on_end: Callable[[Recommendation | str | None], None],
+    ) -> None:
+        super().__init__()
+        self.prepare, self.fitted = prepare, fitted
+        self._on_step, self._on_end = on_step, on_end
+        self.stage = "preparing"
+
+    def steps(self) -> Generator[None, None, Recommendation]:
+        """See ``Task``."""
+        state = self.fitted
+        job = self.prepare()
+        yield
+        if state is None:
+            for state in start(job):
+                self.step(f"fitting: iteration {state.iteration}")
+                yield
+        assert state is not None, "a fit yields at least one state"
+        return recommend(
+            job.image,
+            job.grid,
+            job.mesh,
+            job.optics,
+            job.settings.fit,
+            counted=job.counted,
+            effects=state.effects,
+            fitted=state,
+            progress=self.step,
+        )
+
+    def failed(self, error: Exception) -> str:
+        """See ``Task``."""
+        return words_of(error)
+
+    def look(self) -> None:
+        """See ``Task``."""
+        self._on_step(f"{self.stage} ...")
+
+    def end(self, outcome: Recommendation | str | None) -> None:
+        """See ``Task``."""
+        self._on_end(outcome)
 
 
 class EffectsPanel(QWidget):
@@ -30,20 +101,22 @@ class EffectsPanel(QWidget):
 
     changed = Signal()
     described = Signal()  # :meth:`summary` may be another
-    check = Signal()
-    stop = Signal()
 
-    def __init__(self, viewer: Any, image_panel: Any, parent: QWidget | None = None) -> None:
+    def __init__(self, doc: Document, parent: QWidget | None = None) -> None:
         super().__init__(parent)
+        self._doc = doc
         self._effects = Effects()  # without the second view, which is chosen by its layer
-        self._checking = False
+        self._task: Check | None = None
+        self._kept: Recommendation | None = None  # what was found, also of another image
+        self._of: tuple[Any, ...] = ()
         self.found: Recommendation | None = None
         self.button = QPushButton(_START, self)
+        self.button.setToolTip(_TIP)
         self.take_button = QPushButton("Use recommended", self)
         self.take_button.setToolTip("Tick the effects that are recommended.")
         self.progress, self.reason, self.remarks = Note(self), Note(self), Note(self)
         self.table = EffectsTable(CONSIDERED, self)
-        self.second = SecondViewFields(viewer, image_panel, self)
+        self.second = SecondViewFields(doc, self)
         buttons = QHBoxLayout()
         for button in (self.button, self.take_button):
             buttons.addWidget(button)
@@ -57,7 +130,9 @@ class EffectsPanel(QWidget):
         self.table.ticked.connect(self._ticked)
         self.table.looked_at.connect(self._explain)
         self.second.edited.connect(self._second_edited)
-        self.allow(True)
+        doc.work.changed.connect(self._work_changed)
+        for signal in (doc.image.changed, doc.settings_changed):
+            signal.connect(self.look)
         self._show_outcome()
 
     # -------------------------------------------------------------------------------- effects
@@ -102,15 +177,46 @@ class EffectsPanel(QWidget):
 
     # ------------------------------------------------------------------------------- evidence
 
-    def allow(self, allowed: bool) -> None:
-        """Whether checking can be started; says why not."""
-        self.button.setEnabled(allowed or self._checking)
-        self.button.setToolTip(_TIP if allowed else f"<qt>{_NOT_NOW.capitalize()}.</qt>")
+    @property
+    def busy(self) -> bool:
+        """Whether something is being checked."""
+        return self._task is not None and self._task.running
 
-    def set_checking(self, checking: bool) -> None:
-        """Whether the button starts or stops."""
-        self._checking = checking
-        self.button.setText(_STOP if checking else _START)
+    def start(self) -> None:
+        """Check the image that is chosen."""
+        try:
+            task = self.asked()
+            self._doc.work.start(task)
+        except InputError as error:
+            self.progress.say(str(error))
+            return
+        self._task, self._kept, self._of = task, None, scene_key(self._doc)
+        self._work_changed()
+        self.show_found(None)
+        self.progress.say(f"{task.stage} ...")
+
+    def asked(self) -> Check:
+        """Of the fit of this image where there is one, else of the cells. InputError if neither."""
+        doc, record = self._doc, self._doc.result
+        frame, scene = doc.image.frame(), doc.settings.scene_settings()
+        link = None if record is None else record.link
+        if record is None or link is None or link.frame != frame or not link.at_time:
+            return Check(doc.prepared()[0], None, self.progress.say, self._ended)
+        state, job = record.of_fit()
+        # Only the end of a fit with this PSF and these effects needs no other one.
+        before = job.settings.scene
+        same = (
+            state.converged
+            and (before.sigma, before.optics) == (scene.sigma, scene.optics)
+            and state.effects.names == scene.effects.names
+        )
+        if same:
+            return Check(partial(_as_it_was, job), state, self.progress.say, self._ended)
+        fit = job.settings.fit.model_copy(update={"levels": NEAR_LEVELS})
+        changed = job.settings.model_copy(update={"scene": scene, "fit": fit})
+        job = replace(job, second=self.second.pixels())
+        prepare = partial(_from_there, job, state, changed)
+        return Check(prepare, None, self.progress.say, self._ended)
 
     def show_found(self, found: Recommendation | None) -> None:
         """Show what the image calls for; None: nothing is known."""
@@ -122,6 +228,34 @@ class EffectsPanel(QWidget):
         self._show_outcome()
 
     # ----------------------------------------------------------------------------------- inside
+
+    def _pressed(self) -> None:
+        if self.busy:
+            self._doc.work.stop(at_once=True)
+        else:
+            self.start()
+
+    def _work_changed(self) -> None:
+        self.button.setText(_STOP if self.busy else _START)
+        self.button.setEnabled(self.busy or not self._doc.work.occupied)
+
+    def _ended(self, outcome: Recommendation | str | None) -> None:
+        if outcome is None or isinstance(outcome, str):
+            self.progress.say(f"not checked: {outcome}" if outcome else "stopped")
+        else:
+            self._kept = outcome
+            self.show_found(outcome)
+            self.look()
+
+    def look(self) -> None:
+        """Something was edited: evidence of something else is put away, until that is back."""
+        if self._kept is None or self.busy:
+            return
+        if self._of != scene_key(self._doc):
+            self.show_found(None)
+            self.progress.say(_STALE)
+        elif self.found is None:
+            self.show_found(self._kept)
 
     def _open_recommendations(self) -> list[str]:
         """What is recommended and not ticked."""
@@ -144,9 +278,6 @@ class EffectsPanel(QWidget):
         self.described.emit()
         self.changed.emit()
 
-    def _pressed(self) -> None:
-        (self.stop if self._checking else self.check).emit()
-
     def _ticked(self, name: str, on: bool) -> None:
         found = None if self.found is None else getattr(self.found.effects, name)
         try:
@@ -166,6 +297,15 @@ class EffectsPanel(QWidget):
             return
         known = {e.name: e.reason for e in (self.found.evidence if self.found else ())}
         self.reason.say(f"{spoken(name)}: {known.get(name) or KINDS[name].help}")
+
+
+def _as_it_was(job: FitInput) -> FitInput:
+    return job
+
+
+def _from_there(job: FitInput, state: FitState, settings: RunSettings) -> FitInput:
+    """The fit of other settings that starts where an earlier one ended."""
+    return replace(job, settings=settings, mesh=state.mesh, optics=optics_of(settings.scene))
 
 
 def _camera(camera: Camera) -> list[str]:

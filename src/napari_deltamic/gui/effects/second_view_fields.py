@@ -6,20 +6,18 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from qtpy.QtCore import QSignalBlocker
 from qtpy.QtWidgets import QFormLayout, QVBoxLayout, QWidget
 
 from ...errors import InputError
 from ...fitting.job import SIGMA_IN_VOXELS
 from ...scene.effects import SecondView
-from ..connections import Connections
+from ..document import Document
 from ..fields import TripleField
+from ..image_source import file_of
+from ..layer_choice import Connections, LayerChoice
 from ..qt import Signal
-from ..viewing.frame import Frame, is_stack, shape_of
-from ..viewing.layer_files import file_of
+from ..viewing.frame import Frame, is_stack, shape_of, voxel_size
 from ..widgets import LayerChooser, Note, show_row
-
-_NONE = "none"
 
 
 class SecondViewFields(QWidget):
@@ -27,16 +25,16 @@ class SecondViewFields(QWidget):
 
     Parameters
     ----------
-    viewer : a napari viewer or its model.
-    image_panel : of the first view, on whose voxels the second has to lie.
+    doc : has the first view, on whose voxels the second has to lie.
     """
 
     edited = Signal()
 
-    def __init__(self, viewer: Any, image_panel: Any, parent: QWidget | None = None) -> None:
+    def __init__(self, doc: Document, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._viewer, self._image = viewer, image_panel
-        self.chooser = LayerChooser(viewer, self._accepts, self, nothing=_NONE)
+        self._image = doc.image
+        self.choice = LayerChoice(doc.viewer, self._accepts, optional=True)
+        self.chooser = LayerChooser(self.choice, self)
         helped = SecondView.help
         self.chooser.setToolTip(f"<qt>{helped[0].upper()}{helped[1:]}.</qt>")
         self.sigma = TripleField(
@@ -57,15 +55,16 @@ class SecondViewFields(QWidget):
         self._sigma_given = False
         self._blocked = False
         self._of_layers = Connections()  # where the two layers lie
-        self.chooser.chosen.connect(self._chosen)
+        self.choice.changed.connect(self._chosen)
+        doc.parts.append(self)
         self.sigma.edited.connect(self._sized)
-        image_panel.changed.connect(self._image_changed)
+        doc.image.changed.connect(self._image_changed)
         self._show()
 
     @property
     def layer(self) -> Any:
         """The layer chosen; None for no second view."""
-        return self.chooser.layer()
+        return self.choice.layer
 
     def view(self) -> SecondView | None:
         """The effect, or None for no second view.
@@ -91,7 +90,7 @@ class SecondViewFields(QWidget):
     def show_view(self, layer: Any, sigma: tuple[float, float, float] | None = None) -> None:
         """Show a choice, without a signal; None for no second view."""
         self._blocked = True
-        self.chooser.choose(layer)
+        self.choice.choose(layer)
         if sigma is not None:
             self.sigma.set_value(sigma)
             self._sigma_given = True
@@ -101,7 +100,7 @@ class SecondViewFields(QWidget):
     def close_links(self) -> None:
         """Listen to the viewer no more."""
         self._of_layers.undo()
-        self.chooser.close_links()
+        self.choice.close_links()
 
     # ----------------------------------------------------------------------------------- inside
 
@@ -109,15 +108,11 @@ class SecondViewFields(QWidget):
         return is_stack(layer) and layer is not self._image.layer
 
     def _image_changed(self) -> None:
-        before = self.layer
-        blocker = QSignalBlocker(self.chooser)
-        self.chooser.refresh()
-        blocker.unblock()
-        if not self._sigma_given and self._image.layer is not None:
-            self.sigma.set_value([SIGMA_IN_VOXELS * d for d in self._image.voxel_size.value()])
+        self.choice.refresh()
+        layer = self._image.layer
+        if not self._sigma_given and layer is not None:
+            self.sigma.set_value([SIGMA_IN_VOXELS * d for d in voxel_size(layer)])
         self._show()
-        if self.layer is not before:
-            self.edited.emit()
 
     def _chosen(self) -> None:
         self._show()

@@ -12,10 +12,11 @@ from qtpy.QtWidgets import QComboBox, QFormLayout, QVBoxLayout, QWidget
 from ...errors import InputError
 from ...optics import GaussianPSF
 from ...runs.optics_settings import MeasuredOptics, MicroscopeOptics
-from ..background import Background
+from ..document import Document
 from ..fields import TripleField
 from ..qt import Signal
 from ..widgets import Note
+from ..work import Background
 from .measured_fields import MeasuredFields
 from .objective_fields import ObjectiveFields
 from .psf_picture import PsfPicture
@@ -34,15 +35,16 @@ class OpticsPanel(QWidget):
 
     Parameters
     ----------
-    viewer : a napari viewer or its model.
+    doc : the document.
     tip : explains the widths.
     """
 
     changed = Signal()
     described = Signal()  # :meth:`summary` may be another
 
-    def __init__(self, viewer: Any, tip: str, parent: QWidget | None = None) -> None:
+    def __init__(self, doc: Document, tip: str, parent: QWidget | None = None) -> None:
         super().__init__(parent)
+        self._doc = doc
         self._given: Any = None  # settings of a kind that has no fields here
         self._width = ""
         self._open = True
@@ -53,7 +55,7 @@ class OpticsPanel(QWidget):
         self.kind.setToolTip(f"<qt>{tips}</qt>")
         self.sigma = TripleField(tip, self)
         self.objective = ObjectiveFields(self)
-        self.measured = MeasuredFields(viewer, self)
+        self.measured = MeasuredFields(doc.viewer, self)
         self.width_note = Note(self)
         self.picture = PsfPicture(self)
         self._wrong = False
@@ -79,6 +81,10 @@ class OpticsPanel(QWidget):
         self.kind.currentTextChanged.connect(self._edited)
         for fields in (self.objective, self.measured, self.sigma):
             fields.edited.connect(self._edited)
+        doc.shown.connect(self._show_of_fit)
+        for signal in (doc.image.changed, doc.result_changed, doc.ended):
+            signal.connect(self._show_own_or_found)
+        doc.parts.append(self)
         self._show_page()
         self._show_gaussian()
 
@@ -160,8 +166,15 @@ class OpticsPanel(QWidget):
         self._show_gaussian()
         self.described.emit()
 
-    def show_own(self) -> None:
-        """Show the PSF of these fields in the picture, and not that of a fit."""
+    def _show_of_fit(self, snapshot: Any) -> None:
+        self.picture.show_optics(snapshot.state.optics)
+
+    def _show_own_or_found(self) -> None:
+        """In the picture: what the fit of the image found, else the PSF of these fields."""
+        present = self._doc.present()
+        if present is not None:
+            self.picture.show_optics(present.state.optics)
+            return
         if self.kind.currentText() == GAUSSIAN:
             self._show_gaussian()
         elif self._open:

@@ -17,8 +17,7 @@ from ...runs.optics_settings import MicroscopeOptics
 from ...runs.settings import FitSettings
 from ...scene.effects import Effects
 from ..accuracy.accuracy_dial import STANDARD, usable_choice
-from ..running.composition import Panels
-from ..running.run_control import RunControl
+from ..document import Document
 
 PLUGIN = "napari-deltamic"
 _FIT = ("fit_psf", "density")
@@ -67,17 +66,17 @@ class Preferences(BaseModel):
             sheet=2.0,
         )
 
-    def show(self, panels: Panels, control: RunControl) -> None:
-        """Set a new widget."""
-        panels.settings.show_settings(self.fit)
-        panels.settings.accuracy.show_choice(self.accuracy)
-        panels.settings.show_effects(Effects.from_text(self.effects))
-        optics = panels.settings.optics
-        optics.objective.show_settings(self.objective)
-        optics.prefer(self.psf)
-        panels.seeds.preview.prefer(self.preview_seeds)
-        panels.running.rendered.setChecked(self.show_rendered)
-        control.interval = 1 / self.updates_per_second
+    def show(self, doc: Document) -> None:
+        """Set a new window."""
+        settings = doc.settings
+        settings.show_settings(self.fit)
+        settings.accuracy.show_choice(self.accuracy)
+        settings.show_effects(Effects.from_text(self.effects))
+        settings.optics.objective.show_settings(self.objective)
+        settings.optics.prefer(self.psf)
+        doc.cells.prefer_preview(self.preview_seeds)
+        doc.look("model" if self.show_rendered else "image")
+        doc.work.interval = 1 / self.updates_per_second
 
 
 def read_preferences() -> tuple[Preferences, str]:

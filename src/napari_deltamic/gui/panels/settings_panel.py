@@ -15,20 +15,24 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
+from ...accuracy.accuracy_chart import short
 from ...common.description import described
-from ...fitting.default_accuracy import image_noise
+from ...fitting.default_accuracy import PRESETS, image_noise
 from ...fitting.job import SIGMA_IN_VOXELS
 from ...runs.settings import FitSettings, SceneSettings, validated
 from ...scene.effects import Effects
 from ..accuracy.accuracy_dial import AccuracyDial
+from ..accuracy.accuracy_forecast import AccuracyForecast
 from ..accuracy.accuracy_view import TradeoffView
+from ..document import Document
 from ..fields import Form
 from ..qt import Signal
+from ..viewing.frame import voxel_size
 from ..widgets import Fold, Note
 
 # Where else than among those for experts a setting is shown.
 _PSF, _BRIGHTNESS = ("fit_psf",), ("density",)
-_OWN = ("accuracy", *_PSF, *_BRIGHTNESS)
+_OWN = ("accuracy", "shape_error", *_PSF, *_BRIGHTNESS)
 
 
 class SettingsPanel(QGroupBox):
@@ -38,7 +42,7 @@ class SettingsPanel(QGroupBox):
 
     Parameters
     ----------
-    image_panel : gives the image and its frame.
+    doc : the document.
     optics, effects : the parts that hold the PSF and the corrections.
     parent : Qt's.
     """
@@ -46,10 +50,11 @@ class SettingsPanel(QGroupBox):
     changed = Signal()
 
     def __init__(
-        self, image_panel: Any, optics: Any, effects: Any, parent: QWidget | None = None
+        self, doc: Document, optics: Any, effects: Any, parent: QWidget | None = None
     ) -> None:
         super().__init__("3  Fit", parent)
-        self._image = image_panel
+        self._doc, self._image = doc, doc.image
+        doc.settings = self
         self._sigma_given = False
         self._shown_for: Any = None  # a weak reference to the image that came with its PSF
         self.optics, self.effects = optics, effects
@@ -60,10 +65,10 @@ class SettingsPanel(QGroupBox):
         self.fit_psf, self.density = fields["fit_psf"], fields["density"]
         self.likelihood, self.max_iterations = fields["likelihood"], fields["max_iterations"]
         self.switches = {n: fields[n] for n in ("fit_psf", "remesh", "collisions", "topology")}
-        self.accuracy = AccuracyDial(lambda: image_noise(image_panel.stack()), self)
+        self.accuracy = AccuracyDial(lambda: image_noise(doc.image.stack()), self)
         self.accuracy_number = QLabel(self)  # what the dial stands for
         self.outlook, self.pace = Note(self), Note(self)  # predicted, and measured, times
-        self.tradeoff = TradeoffView(self)
+        self.tradeoff = TradeoffView(doc, self)
         self.psf_button = QToolButton(self)
         self.advanced = self._lay_out()
         self.show_settings(FitSettings())
@@ -75,19 +80,32 @@ class SettingsPanel(QGroupBox):
             typed.editingFinished,
         ):
             signal.connect(self._edited)
-        image_panel.changed.connect(self._guess_sigma)
+        self.changed.connect(doc.settings_changed.emit)
+        doc.image.changed.connect(self._guess_sigma)
         self.sigma.edited.connect(self._sigma_given_by_user)
         self.optics.changed.connect(self._edited)
-        self.optics.described.connect(self._show_choices)
+        for shown in (self._show_choices, self.effects.look, self.tradeoff.look):
+            self.optics.described.connect(shown)
         self.effects.described.connect(self._show_choices)
         self.fit_psf.toggled.connect(self._show_choices)
         self.psf_button.clicked.connect(self._show_psf)
+        self.tradeoff.chosen.connect(self._take_accuracy)
+        self.forecast = AccuracyForecast(doc, self.accuracy, self)
+        self.forecast.predicts.connect(self.outlook.say)
+        self.forecast.last_run.connect(self.pace.say)
+        self.forecast.number_changed.connect(self._show_number)
         self._guess_sigma()
         self._show_choices()
 
+    def estimate_all(self) -> None:
+        """Let the fit find all that it can."""
+        self.fit_psf.setChecked(True)
+        self.density.setCurrentText("smooth")
+
     def fit_settings(self) -> FitSettings:
         """The settings shown. InputError names the field that is wrong."""
-        return self.other_settings().model_copy(update={"accuracy": self.accuracy.setting()})
+        chosen = {"accuracy": self.accuracy.setting(), "shape_error": self.accuracy.shape_error}
+        return self.other_settings().model_copy(update=chosen)
 
     def other_settings(self) -> FitSettings:
         """The settings shown, without the accuracy."""
@@ -111,7 +129,7 @@ class SettingsPanel(QGroupBox):
         """Show settings."""
         for form in self.forms:
             form.show_values(settings)
-        self.accuracy.show_accuracy(settings.accuracy)
+        self.accuracy.show_fit(settings.accuracy, settings.shape_error)
 
     def show_sigma(self, sigma: tuple[float, float, float]) -> None:
         """Show PSF widths that are known, um."""
@@ -188,12 +206,22 @@ class SettingsPanel(QGroupBox):
             self._shown_for, self._sigma_given = None, False
             self.optics.show_settings(None)
         if self._image.layer is not None and not self._sigma_given:
-            sizes = self._image.voxel_size.value()
+            sizes = voxel_size(self._image.layer)
             self.optics.show_sigma([SIGMA_IN_VOXELS * d for d in sizes])
         self._show_choices()
 
     def _edited(self, value: Any = None) -> None:
         self.changed.emit()
+
+    def _take_accuracy(self, accuracy: float) -> None:
+        self.accuracy.show_fit(accuracy, "normal")
+        self._edited()
+
+    def _show_number(self, number: float | None) -> None:
+        named = self.accuracy.choice in PRESETS
+        text = f"= {short(number) if number else 0}" if named and number is not None else ""
+        self.accuracy_number.setText(text)
+        self.tradeoff.show_accuracy(number)
 
     def _sigma_given_by_user(self) -> None:
         self._sigma_given, self._shown_for = True, None

@@ -18,9 +18,9 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
+from ...results.cell_columns import COLUMNS, FIRST, CellColumn, is_number, value_of
 from ...results.colouring import colour_of
 from ..qt import Signal
-from .cell_columns import COLUMNS, FIRST, CellColumn, is_number, value_of
 
 _REGION = Qt.ItemDataRole.UserRole
 _OPEN = "The surface of this cell is not closed, or inside out."

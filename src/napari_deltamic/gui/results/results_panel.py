@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from qtpy.QtCore import QSignalBlocker
 from qtpy.QtWidgets import (
-    QComboBox,
     QFileDialog,
     QGroupBox,
     QHBoxLayout,
@@ -20,93 +19,59 @@ from qtpy.QtWidgets import (
 )
 
 from ...common.writing import write_atomically
+from ...errors import InputError
 from ...fitting import FitState
 from ...fitting.job import FitInput
-from ...geometry import Mesh, save_mesh
+from ...geometry import save_mesh
 from ...geometry.formats import MESH_FILES, MESH_FILES_LISTED, MESH_FILTERS
 from ...images.stacks import write_image
-from ...measure import measure_cells
 from ...measure.table import csv_text
+from ...results.cell_columns import COLUMNS, value_of
 from ...results.colouring import colour_indices
-from ...results.report import History, write_results
-from ..qt import Signal
-from ..widgets import Note
-from .cell_columns import COLUMNS, value_of
+from ...results.exchange import labels_of
+from ...results.report import write_results
+from ..attempt import attempt
+from ..document import Document, Record
+from ..viewing.cell_features import labels_layer
+from ..widgets import Note, narrow_box
 from .cell_table import CellTable
 
 IMAGE_FILES = "OME-TIFF (*.ome.tif *.ome.tiff);;ImageJ TIFF (*.tif *.tiff)"
 
 
 class ResultsPanel(QGroupBox):
-    """Shows the cells of a mesh, and saves what was found.
+    """Shows the cells of the result of the image chosen, and saves what was found."""
 
-    ``cell_chosen`` gives the centre (um) of the row selected last, ``cells_chosen`` the regions of
-    all rows selected, also where they were selected through :meth:`choose`.
-    """
-
-    cell_chosen = Signal(tuple)
-    cells_chosen = Signal(frozenset)
-    saved = Signal(str)
-    remarked = Signal(str)  # what a file cannot hold, for example
-    coloured = Signal()  # by another column
-    measured = Signal()  # more is known of the cells
-    labels_wanted = Signal()
-
-    def __init__(self, guard: Callable[[Callable[[], None]], None], parent: QWidget | None = None):
+    def __init__(self, doc: Document, parent: QWidget | None = None) -> None:
         super().__init__("5  Results", parent)
-        self._guard = guard  # runs what may fail, and shows in plain words why it did
-        self.last: tuple[FitState, FitInput, History, float] | None = None
+        self._doc = doc
+        self._shown_of: Any = None  # the state whose cells are shown
         self.table = CellTable(self)
-        self.table.chosen.connect(self._chosen)
-        layout = QVBoxLayout(self)
-        layout.addWidget(self.table)
-        self.colour = QComboBox(self)
+        self.colour = narrow_box(self, "colour cells by", 8)
         self.colour.setToolTip("<qt>Colour the cells in the viewer by a column of the table.</qt>")
-        self.colour.setAccessibleName("colour cells by")
-        self.colour.setMinimumContentsLength(8)
-        self.colour.setSizeAdjustPolicy(
-            QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon
-        )
         self.columns = QPushButton("Columns", self)
         self.columns.setToolTip("<qt>Choose what the table shows.</qt>")
-        self._shown = QMenu(self.columns)
-        self._shown.aboutToShow.connect(self._offer_columns)
-        self.columns.setMenu(self._shown)
+        shown = QMenu(self.columns)
+        shown.aboutToShow.connect(self._offer_columns)
+        self.columns.setMenu(shown)
         self.export = QPushButton("Export", self)
         self.export.setToolTip("<qt>Save what was found, or add the cells as labels.</qt>")
         self.export.setMenu(self._export_menu())
         row = QHBoxLayout()
         for widget in (self.colour, self.columns, self.export):
             row.addWidget(widget)
-        layout.addLayout(row)
         self.scale = Note(self)
+        layout = QVBoxLayout(self)
+        layout.addWidget(self.table)
+        layout.addLayout(row)
         layout.addWidget(self.scale)
+        self.table.chosen.connect(self._chosen)
+        self.colour.currentIndexChanged.connect(self._colour_cells)
+        for signal in (doc.result_changed, doc.judged, doc.image.changed, doc.ended):
+            signal.connect(self._show)
+        doc.selection_changed.connect(self._highlight)
         self._offer_colours()
-        self.colour.currentIndexChanged.connect(self._colour_chosen)
-        self.setEnabled(False)
-        self.hide()
-
-    def show_result(self, state: FitState, job: FitInput, history: History, seconds: float) -> None:
-        """Show the cells of a state, and offer to save it."""
-        self.last = (state, job, history, seconds)
-        self._show_cells(state.mesh)
-        self.setEnabled(True)
-        self.show()
-
-    def show_more(self, cells: Mapping[int, Mapping[str, Any]]) -> None:
-        """Show what else is known of the cells, by region."""
-        self.table.show_more(cells)
-        self._offer_colours()
-        self.measured.emit()
-
-    def show_scale(self, numbers: Mapping[int, float] | None) -> None:
-        """Between which numbers the colours lie; None: each cell has its own."""
-        column = next((c for c in COLUMNS if c.key == self.coloured_by), None)
-        if not numbers or column is None:
-            self.scale.say("")
-            return
-        low, high = (column.text(limit) for limit in (min(numbers.values()), max(numbers.values())))
-        self.scale.say(f"{column.name}: from {low} (dark blue) to {high} (yellow)")
+        self._show()
 
     @property
     def coloured_by(self) -> str:
@@ -125,38 +90,65 @@ class ResultsPanel(QGroupBox):
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             save_mesh(self._result()[0].mesh, path)
-        self.saved.emit(path)
+        self._saved(path)
         for warning in caught:
-            self.remarked.emit(str(warning.message))
+            self._doc.warned.emit(str(warning.message))
 
     def save_table(self, path: str) -> None:
         """Write the measurements."""
         names = [column.key for column in self.table.known_columns()]
         rows = [{name: value_of(row, name) for name in names} for row in self.table.rows]
         write_atomically(path, csv_text(names, rows).encode())
-        self.saved.emit(path)
+        self._saved(path)
 
     def save_image(self, path: str) -> None:
         """Write the rendered image."""
-        state, job, _, _ = self._result()
+        state, job, _ = self._result()
         write_image(path, state.rendered(), job.grid.voxel_size)
-        self.saved.emit(path)
+        self._saved(path)
 
     def save_all(self, folder: str) -> None:
         """Write what the command line would."""
-        state, job, history, seconds = self._result()
-        write_results(folder, state, job.image, job.grid, job.settings, history, seconds)
-        self.saved.emit(folder)
+        state, job, record = self._result()
+        given = job.image, job.grid, job.settings, record.history, record.seconds
+        verdict = None if record.judged is None else record.judged.verdict
+        write_results(folder, state, *given, verdict=verdict)
+        self._saved(folder)
+
+    def add_labels(self) -> None:
+        """Add the cells as a Labels layer with their measurements."""
+        state, job, record = self._result()
+        link = record.link
+        name = f"{link.image_layer.name} labels"
+        labels = labels_of(state.mesh, job.grid)
+        self._doc.viewer.add_layer(labels_layer(labels, self.table.rows, link.frame, name))
 
     # ----------------------------------------------------------------------------------- inside
 
-    def _result(self) -> tuple[FitState, FitInput, History, float]:
-        assert self.last is not None, "the panel is disabled until there is a result"
-        return self.last
+    def _result(self) -> tuple[FitState, FitInput, Record]:
+        record = self._doc.result
+        if record is None:
+            raise InputError("there is no result yet: run a fit first")
+        return (*record.of_fit(), record)
 
-    def _show_cells(self, mesh: Mesh) -> None:
-        self.table.show_rows(measure_cells(mesh), colour_indices(mesh))
-        self._offer_colours()
+    def _saved(self, path: str) -> None:
+        self._doc.told.emit(f"saved {path}")
+
+    def _show(self) -> None:
+        """The cells of the result; nothing where there is none."""
+        record = self._doc.result
+        self.setVisible(record is not None)
+        self.setEnabled(record is not None)
+        if record is None or record.state is None:
+            self._shown_of = None
+            return
+        key = (record.state, record.judged)
+        if key != self._shown_of:
+            self._shown_of = key
+            self.table.show_rows(record.rows, colour_indices(record.state.mesh))
+            self._offer_colours()
+            if record.judged is not None:
+                record.link.describe(self.table.rows)
 
     def _offer_colours(self) -> None:
         """The columns of numbers; the one in use stays, where it can."""
@@ -169,13 +161,34 @@ class ResultsPanel(QGroupBox):
                 self.colour.addItem(f"by {column.name}", column.key)
         self.colour.setCurrentIndex(max(self.colour.findData(before), 0))
         blocker.unblock()
-        self.coloured.emit()
+        self._colour_cells()
+
+    def _colour_cells(self, index: int = 0) -> None:
+        """In the viewer, and say between which numbers the colours lie."""
+        key, link = self.coloured_by, self._doc.link
+        numbers = self.table.numbers(key) if key else None
+        column = next((c for c in COLUMNS if c.key == key), None)
+        if link is not None:
+            link.colour_by(numbers)
+        if not numbers or column is None:
+            self.scale.say("")
+            return
+        low, high = (column.text(limit) for limit in (min(numbers.values()), max(numbers.values())))
+        self.scale.say(f"{column.name}: from {low} (dark blue) to {high} (yellow)")
 
     def _offer_columns(self) -> None:
-        self.table.fill_menu(self._shown)
+        menu = self.columns.menu()
+        if menu is not None:
+            self.table.fill_menu(menu)
 
-    def _colour_chosen(self, index: int) -> None:
-        self.coloured.emit()
+    def _chosen(self, regions: tuple[int, ...], by_hand: bool) -> None:
+        self._doc.select(regions)
+        if by_hand and regions and self._doc.link is not None:
+            self._doc.link.go_to(self.table.center(regions[-1]))
+
+    def _highlight(self) -> None:
+        if self._doc.link is not None:
+            self._doc.link.highlight(self._doc.selection)
 
     def _export_menu(self) -> QMenu:
         menu = QMenu(self)
@@ -205,12 +218,7 @@ class ResultsPanel(QGroupBox):
         return menu
 
     def _ask_labels(self, checked: bool = False) -> None:
-        self.labels_wanted.emit()
-
-    def _chosen(self, regions: tuple[int, ...], by_hand: bool) -> None:
-        self.cells_chosen.emit(frozenset(regions))
-        if by_hand and regions:
-            self.cell_chosen.emit(self.table.center(regions[-1]))
+        attempt(self.add_labels, self._doc.warned.emit)
 
     def _ask_meshes(self, checked: bool = False) -> None:
         path, kind = QFileDialog.getSaveFileName(
@@ -233,9 +241,8 @@ class ResultsPanel(QGroupBox):
         self._save(self.save_image, path)
 
     def _ask_all(self, checked: bool = False) -> None:
-        folder = QFileDialog.getExistingDirectory(self, "Folder for the results")
-        self._save(self.save_all, folder)
+        self._save(self.save_all, QFileDialog.getExistingDirectory(self, "Folder for the results"))
 
     def _save(self, write: Callable[[str], None], path: str) -> None:
         if path:
-            self._guard(lambda: write(path))
+            attempt(lambda: write(path), self._doc.warned.emit)

@@ -6,13 +6,11 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ...geometry import Mesh
 from ...geometry.mesh import OUTSIDE
-from ...measure import section
+from ...measure.picking import region_behind, region_in_slice
 from ..viewing.contours import sliced_axis
-from ..viewing.frame import FloatArray
+from ..viewing.frame import camera_of
 from ..viewing.viewer_link import ViewerLink
 
 _NEAR = 6.0  # px: how far from its contour a click may be
@@ -83,62 +81,14 @@ def region_at(link: ViewerLink, event: Any) -> int:
             return OUTSIDE
         # The frame has axes along those of the world, if of another length.
         direction = np.asarray(event.view_direction, float)[-3:] * link.frame.um
-        return _behind(mesh, face, direction)
+        return region_behind(mesh, face, direction)
     axis = sliced_axis(dims)
     if axis is None:
         return OUTSIDE
     um = link.frame.to_um(np.asarray(event.position, float)[-3:])
-    scene = getattr(link.viewer, "scene", link.viewer)  # before napari 0.9, the viewer itself
     drawn = max(unit for k, unit in enumerate(link.frame.um) if k != axis)
-    near = drawn * _NEAR / max(float(scene.camera.zoom), 1e-9)
+    near = drawn * _NEAR / max(float(camera_of(link.viewer).zoom), 1e-9)
     return region_in_slice(mesh, axis, um, near)
-
-
-def region_in_slice(mesh: Mesh, axis: int, point: FloatArray, near: float) -> int:
-    """The region around a point (3,) um in the slice across an axis, or with a contour near it.
-
-    Where regions lie within one another, that with the nearest contour. 0 if there is none.
-    """
-    segments, faces = section(mesh, axis, float(point[axis]))
-    if not len(segments):
-        return OUTSIDE
-    here = np.delete(point, axis)
-    distance = _distances(segments, here)
-    sides = mesh.regions[faces]
-    found = []
-    for region in np.unique(sides[sides != OUTSIDE]).tolist():
-        own = (sides == region).any(axis=1)
-        nearest = float(distance[own].min())
-        inside = _crossings(segments[own], here) % 2 == 1
-        if inside or nearest <= near:
-            found.append((not inside, nearest, region))
-    return int(min(found)[2]) if found else OUTSIDE
-
-
-def _behind(mesh: Mesh, face: int, direction: FloatArray) -> int:
-    """The region that lies behind a face, seen along a direction; in front, where none is."""
-    first, second = mesh.regions[face].tolist()
-    towards = float(mesh.normals()[face] @ direction) < 0
-    behind, front = (first, second) if towards else (second, first)
-    return int(behind or front)
-
-
-def _distances(segments: FloatArray, point: FloatArray) -> FloatArray:
-    """(S,) from a point (2,) to segments (S, 2, 2)."""
-    start, along = segments[:, 0], segments[:, 1] - segments[:, 0]
-    length = np.maximum((along**2).sum(axis=1), 1e-300)
-    share = np.clip(((point - start) * along).sum(axis=1) / length, 0, 1)
-    distance: FloatArray = np.linalg.norm(start + share[:, None] * along - point, axis=1)
-    return distance
-
-
-def _crossings(segments: NDArray[np.float64], point: FloatArray) -> int:
-    """How many segments a ray from a point along the last axis crosses; odd: it lies inside."""
-    (y, x), (a, b) = point, (segments[:, 0], segments[:, 1])
-    cut = (a[:, 0] > y) != (b[:, 0] > y)
-    a, b = a[cut], b[cut]
-    at = a[:, 1] + (y - a[:, 0]) / (b[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1])
-    return int((at > x).sum())
 
 
 def _for_us(viewer: Any) -> bool:

@@ -7,12 +7,11 @@ from typing import Any
 
 from ...errors import InputError
 from ...fitting.job import FitInput, optics_of
-from ...geometry.mesh import OUTSIDE
 from ...results.report import History
 from ...results.session_file import SavedImage, SavedResult, Session
 from ...runs.settings import RunSettings
 from ..accuracy.accuracy_dial import usable_choice
-from ..running.composition import Live, Panels
+from ..document import VIEWS, Document, Record
 from ..running.run_control import RunControl
 from ..tracking.control import TrackControl
 from ..viewing.frame import Frame
@@ -24,10 +23,9 @@ from .session_layers import image_layer, save_image, save_layer, seed_layer
 class Parts:
     """What of a widget a session is made of."""
 
-    viewer: Any
-    panels: Panels
+    doc: Document
     control: RunControl
-    live: Live
+    seeds: Any  # the panel of the cells
     tracking: TrackControl
 
 
@@ -41,31 +39,31 @@ def capture(parts: Parts) -> tuple[Session, str]:
     InputError
         If there is no image, or a setting that is not valid.
     """
-    panels, dims = parts.panels, parts.viewer.dims
-    frame = panels.image.frame()
+    doc = parts.doc
+    dims, frame = doc.viewer.dims, doc.image.frame()
     result, left_out = _result(parts, frame)
-    pixels = result[1].image if result else panels.image.stack()
+    pixels = result[1].image if result else doc.image.stack()
     settings = RunSettings(
-        image=panels.image.path(),
+        image=doc.image.path(),
         seeds="",
-        scene=panels.settings.scene_settings(),
-        fit=panels.settings.fit_settings(),
+        scene=doc.settings.scene_settings(),
+        fit=doc.settings.fit_settings(),
     )
     step = tuple(dims.current_step)
     point = tuple(float(p) for p in dims.point)
     session = Session(
         settings=settings,
-        image=save_image(panels.image.layer, pixels, frame),
-        seeds=tuple(save_layer(seed, step, point) for seed in panels.seeds.chooser.ticked()),
+        image=save_image(doc.image.layer, pixels, frame),
+        seeds=tuple(save_layer(seed, step, point, frame) for seed in doc.cells.ticked()),
         result=result[0] if result else None,
         panels={
-            "seeds": _seeds_shown(panels),
-            "shown": _images_shown(panels),
+            "seeds": _seeds_shown(parts.seeds),
+            "shown": {"view": doc.view},
             "view": _view(dims),
-            "accuracy": panels.settings.accuracy.choice,
-            "result_time": parts.live.link.time if result and parts.live.link else [],
+            "accuracy": doc.settings.accuracy.choice,
+            "result_time": doc.link.time if result and doc.link else [],
         },
-        second=_second(panels, frame, result[1] if result else None),
+        second=_second(doc, frame, result[1] if result else None),
         tracks=parts.tracking.saved(),
     )
     return session, left_out
@@ -77,29 +75,30 @@ def restore(parts: Parts, session: Session) -> None:
     Raises
     ------
     InputError
-        If a fit is running.
+        If something runs.
     """
-    panels, viewer, live = parts.panels, parts.viewer, parts.live
-    if live.occupied:
-        raise InputError(live.occupied)
+    doc, panel = parts.doc, parts.seeds
+    viewer = doc.viewer
+    if doc.work.occupied:
+        raise InputError(doc.work.occupied)
     empty = not viewer.layers
     image, seeds, second = _layers(session)  # before anything is changed
-    for seed in panels.seeds.chooser.ticked():
-        panels.seeds.chooser.choose(seed, False)
+    for seed in doc.cells.ticked():
+        panel.chooser.choose(seed, False)
     viewer.add_layer(image)
-    panels.image.chooser.choose(image)
-    panels.settings.show_settings(session.settings.fit)
-    panels.settings.show_scene(session.settings.scene)
-    _show_second(parts, session, second)
-    _show_accuracy(panels, session.panels.get("accuracy"))
+    doc.image.choose(image)
+    doc.settings.show_settings(session.settings.fit)
+    doc.settings.show_scene(session.settings.scene)
+    _show_second(doc, session, second)
+    _show_accuracy(doc, session.panels.get("accuracy"))
     # Before the layers: sizes of points follow these fields.
-    _show_seeds(panels, session.panels.get("seeds", {}))
+    _show_seeds(panel, session.panels.get("seeds", {}))
     for seed in seeds:
         lie_on(seed, image)
         viewer.add_layer(seed)
-        panels.seeds.chooser.choose(seed)
+        panel.chooser.choose(seed)
     if session.result is not None or session.tracks is not None:
-        panels.seeds.finish_placing()  # no preview of the start over its result
+        doc.cells.finish_placing()  # no preview of the start over its result
     if session.tracks is not None:
         parts.tracking.reopen(session.tracks)
         # The surface of a fit belongs to the time that is shown when it comes.
@@ -107,11 +106,16 @@ def restore(parts: Parts, session: Session) -> None:
             viewer.dims.set_current_step(axis, int(step))
     if session.result is not None:
         _show_result(parts, session.result, session)
-    shown = session.panels.get("shown", {})
-    for name in ("rendered", "residual"):
-        getattr(panels.running, name).setChecked(bool(shown.get(name)))
+    doc.look(_looked_at(session.panels.get("shown", {})))
     viewer.layers.selection = {image}
     _show_view(viewer, session.panels.get("view", {}), fit_camera=empty)
+
+
+def _looked_at(shown: dict[str, Any]) -> Any:
+    """The view of a session; earlier ones had boxes."""
+    if shown.get("view") in VIEWS:
+        return shown["view"]
+    return "difference" if shown.get("residual") else "model" if shown.get("rendered") else "image"
 
 
 def _layers(session: Session) -> tuple[Any, list[Any], Any]:
@@ -133,18 +137,16 @@ def _layers(session: Session) -> tuple[Any, list[Any], Any]:
 
 def _result(parts: Parts, frame: Frame) -> tuple[tuple[SavedResult, FitInput] | None, str]:
     """The newest state of the fit of the image chosen, with its job; else why there is none."""
-    link, last, run = parts.live.link, parts.panels.results.last, parts.live.run
-    present = parts.control.present()
-    if present is None or link is None:
-        return None, ""
-    if link.image_layer is not parts.panels.image.layer or link.frame != frame:
-        return None, (
-            f"the result is of another image ('{link.image_layer.name}'), or its voxel size was "
-            "changed: it is not in this session"
-        )
-    history, seconds = last[2:] if last is not None else (History(), 0.0)
-    verdict, message = parts.panels.running.last_verdict
-    if present.running and run is not None:
+    doc = parts.doc
+    record, run, present = doc.record, doc.run, doc.present()
+    if present is None or record is None:
+        others = [other for other in doc.records.values() if other.state is not None]
+        return None, _of_another(others[-1]) if others else ""
+    if record.link.image_layer is not doc.image.layer or record.link.frame != frame:
+        return None, _of_another(record)
+    history, seconds = record.history, record.seconds
+    verdict, message = record.words
+    if present.running:
         history, seconds = run.history, run.seconds
         verdict, message = "stopped", "saved while the fit was running"
     job, known = present.job, min(len(history.loss), len(history.level), len(history.blur))
@@ -159,15 +161,22 @@ def _result(parts: Parts, frame: Frame) -> tuple[tuple[SavedResult, FitInput] | 
         verdict=verdict,
         message=message,
         start=job.mesh,
-        moments=parts.control.timeline.moments,
+        moments=doc.timeline.moments,
         counted=job.counted,
     )
     return (saved, job), ""
 
 
-def _second(panels: Panels, frame: Frame, job: FitInput | None) -> SavedImage | None:
+def _of_another(record: Record) -> str:
+    return (
+        f"the result is of another image ('{record.link.image_layer.name}'), or its voxel size was "
+        "changed: it is not in this session"
+    )
+
+
+def _second(doc: Document, frame: Frame, job: FitInput | None) -> SavedImage | None:
     """The layer of the second view, with the pixels that the result was fitted to."""
-    fields = panels.settings.effects.second
+    fields = doc.settings.effects.second
     layer, pixels = fields.layer, fields.pixels()
     if layer is None or pixels is None:
         return None
@@ -176,17 +185,17 @@ def _second(panels: Panels, frame: Frame, job: FitInput | None) -> SavedImage | 
     return save_image(layer, pixels, frame)
 
 
-def _show_second(parts: Parts, session: Session, layer: Any) -> None:
-    view = session.settings.scene.effects.second_view
+def _show_second(doc: Document, session: Session, layer: Any) -> None:
+    view, fields = session.settings.scene.effects.second_view, doc.settings.effects.second
     if layer is not None and view is not None:
-        parts.viewer.add_layer(layer)
-        parts.panels.settings.effects.second.show_view(layer, view.sigma)
+        doc.viewer.add_layer(layer)
+        fields.show_view(layer, view.sigma)
     else:  # not that of the image before
-        parts.panels.settings.effects.second.show_view(None)
+        fields.show_view(None)
 
 
 def _show_result(parts: Parts, result: SavedResult, session: Session) -> None:
-    running, state, history = parts.panels.running, result.state, result.history
+    state, history = result.state, result.history
     image, second = session.image, session.second
     has_second = result.settings.scene.effects.second_view is not None
     job = FitInput(
@@ -198,17 +207,15 @@ def _show_result(parts: Parts, result: SavedResult, session: Session) -> None:
         counted=result.counted,
         second=second.pixels if second is not None and has_second else None,
     )
-    parts.panels.results.choose(OUTSIDE)
-    parts.control.reopen(state, job, history, result.seconds, result.moments)
-    running.psf.show_sigma("start", job.optics.sigma_um)
-    running.show_verdict(result.verdict, result.message)
+    parts.doc.select(())
+    words = (result.verdict, result.message)
+    parts.control.reopen(state, job, history, result.seconds, result.moments, words)
 
 
 # ---- panels --------------------------------------------------------------------------------------
 
 
-def _seeds_shown(panels: Panels) -> dict[str, Any]:
-    seeds = panels.seeds
+def _seeds_shown(seeds: Any) -> dict[str, Any]:
     return {
         "start_as": seeds.shape.currentText(),
         "radius": float(seeds.radius.value()),
@@ -217,8 +224,7 @@ def _seeds_shown(panels: Panels) -> dict[str, Any]:
     }
 
 
-def _show_seeds(panels: Panels, shown: dict[str, Any]) -> None:
-    seeds = panels.seeds
+def _show_seeds(seeds: Any, shown: dict[str, Any]) -> None:
     if "start_as" in shown:
         # Its words were others in earlier sessions.
         seeds.use_spheres("sphere" in str(shown["start_as"]))
@@ -230,20 +236,12 @@ def _show_seeds(panels: Panels, shown: dict[str, Any]) -> None:
         seeds.preview.prefer(bool(shown["preview"]))
 
 
-def _show_accuracy(panels: Panels, choice: Any) -> None:
+def _show_accuracy(doc: Document, choice: Any) -> None:
     """Of an accuracy, the name by which it was chosen."""
     try:
-        panels.settings.accuracy.show_choice(usable_choice(choice))
+        doc.settings.accuracy.show_choice(usable_choice(choice))
     except ValueError:
         return  # an earlier session, which has none: the number is shown
-
-
-def _images_shown(panels: Panels) -> dict[str, Any]:
-    running = panels.running
-    return {
-        "rendered": running.rendered.isChecked(),
-        "residual": running.residual.isChecked(),
-    }
 
 
 def _view(dims: Any) -> dict[str, Any]:

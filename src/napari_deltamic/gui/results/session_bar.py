@@ -12,8 +12,9 @@ from qtpy.QtWidgets import QFileDialog, QWidget
 from ...errors import InputError
 from ...results.session_file import EXTENSION, Session, load_session, save_session
 from ..attempt import attempt
-from ..background import Background
-from ..qt import QAction, Signal
+from ..document import Document
+from ..qt import QAction
+from ..work import Background
 
 _KIND = f"deltaMic session (*{EXTENSION})"
 
@@ -25,22 +26,21 @@ class SessionBar(QObject):
     ----------
     capture : gives the session that is shown, and a remark about it ('' for none).
     restore : shows a session.
-    warn : tells the user what went wrong, in a sentence.
+    doc : the document.
     parent : Qt's, over which files are asked for.
     """
-
-    saved = Signal(str)  # the path
 
     def __init__(
         self,
         capture: Callable[[], tuple[Session, str]],
         restore: Callable[[Session], None],
-        warn: Callable[[str], None],
+        doc: Document,
         parent: QWidget,
     ) -> None:
         super().__init__(parent)
         self._shown_in = parent
-        self._capture, self._restore, self._warn = capture, restore, warn
+        self._doc, self._capture, self._restore = doc, capture, restore
+        doc.parts.append(self)
         self.open_action, self.save_action = QAction(self), QAction(self)
         self.open_action.setToolTip(
             "Open a .deltamic file: image, cells, settings, meshes, table and history come back "
@@ -65,7 +65,7 @@ class SessionBar(QObject):
         """Save what is shown now. InputError if there is nothing that could be saved."""
         session, remark = self._capture()
         if remark:
-            self._warn(remark)
+            self._doc.warned.emit(remark)
         self._saving.ask(partial(_save, path, session))
         self._show(saving=True)
 
@@ -81,31 +81,31 @@ class SessionBar(QObject):
 
     def _saved(self, path: str) -> None:
         self._show(saving=False)
-        self.saved.emit(path)
+        self._doc.told.emit(f"saved {path}")
 
     def _not_saved(self, reason: str) -> None:
         self._show(saving=False)
-        self._warn(reason)
+        self._doc.warned.emit(reason)
 
     def _opened(self, session: Session) -> None:
         self._show(opening=False)
-        attempt(partial(self._restore, session), self._warn)
+        attempt(partial(self._restore, session), self._doc.warned.emit)
 
     def _not_opened(self, reason: str) -> None:
         self._show(opening=False)
-        self._warn(reason)
+        self._doc.warned.emit(reason)
 
     def _ask_open(self, checked: bool = False) -> None:
         path, _ = QFileDialog.getOpenFileName(self._shown_in, "Open session", "", _KIND)
         if path:
-            attempt(partial(self.open, path), self._warn)
+            attempt(partial(self.open, path), self._doc.warned.emit)
 
     def _ask_save(self, checked: bool = False) -> None:
         path, _ = QFileDialog.getSaveFileName(
             self._shown_in, "Save session", f"session{EXTENSION}", _KIND
         )
         if path:
-            attempt(partial(self._save_as, path), self._warn)
+            attempt(partial(self._save_as, path), self._doc.warned.emit)
 
     def _save_as(self, path: str) -> None:
         if Path(path).suffix.lower() != EXTENSION:

@@ -44,7 +44,7 @@ def save_image(layer: Any, pixels: NDArray[Any], frame: Frame) -> SavedImage:
         pixels=pixels,
         voxel_size=frame.voxel_size,
         display=display,
-        **_place(layer),
+        **{**_place(layer), "translate": frame.translate},
     )
 
 
@@ -58,14 +58,25 @@ def image_layer(saved: SavedImage, tracks: SavedTracks | None = None) -> Image:
     return Image(tracks.pixels, metadata={OWN: {}}, **options)
 
 
-def save_layer(layer: Any, step: tuple[int, ...], point: tuple[float, ...]) -> SavedLayer:
-    """A Points, Labels or Surface layer; of a series, what lies at the viewer's dims."""
+def save_layer(
+    layer: Any, step: tuple[int, ...], point: tuple[float, ...], frame: Frame | None = None
+) -> SavedLayer:
+    """A Points, Labels or Surface layer; of a series, what lies at the viewer's dims.
+
+    Of labels, the region of the image that is fitted.
+    """
     arrays = {Points: _points, Labels: _labels, Surface: _surface}
     of = next((one for one in arrays if isinstance(layer, one)), None)
     if of is None:
         kind = type(layer).__name__
         raise InputError(f"layer '{layer.name}' is of a kind that cannot be saved: {kind}")
     kind, found = of.__name__.lower(), arrays[of](layer, step, point)
+    place = _place(layer)
+    if kind == "labels" and frame is not None and frame.box is not None:
+        region = frame.region(layer, found["data"].shape)
+        if region is not None and found["data"].shape != frame.shape:
+            found = {"data": found["data"][region]}
+            place["translate"] = frame.translate
     options = {name: _plain(getattr(layer, name)) for name in _OTHERS[kind]}
     if kind == "surface":
         options["contrast_limits"] = [float(limit) for limit in layer.contrast_limits]
@@ -76,7 +87,7 @@ def save_layer(layer: Any, step: tuple[int, ...], point: tuple[float, ...]) -> S
         name=layer.name,
         arrays={name: np.array(array) for name, array in found.items()},
         options={**options, "known": _jsonable(own)},
-        **_place(layer),
+        **place,
     )
 
 

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from qtpy.QtWidgets import QHBoxLayout, QProgressBar, QPushButton, QVBoxLayout, QWidget
 
-from ..qt import Signal
+from ..document import Document
 from ..widgets import Note
+from .worker import FitRun, Snapshot
 
 
 class Footer(QWidget):
-    """Three buttons, a bar and a line."""
+    """Three buttons, a bar and a line, for whatever work is under way."""
 
-    run = Signal()
-    pause = Signal(bool)
-    stop = Signal()
-
-    def __init__(self, parent: QWidget | None = None) -> None:
+    def __init__(self, doc: Document, control: Any, parent: QWidget | None = None) -> None:
         super().__init__(parent)
+        self._doc = doc
         self.run_button = QPushButton("Fit", self)
         self.run_button.setToolTip("<qt>Fit the surfaces of the cells to the image.</qt>")
         self.run_button.setStyleSheet("font-weight: bold;")
@@ -24,7 +24,7 @@ class Footer(QWidget):
         self.pause_button.setToolTip("<qt>Pause. You can edit the cells while paused.</qt>")
         self.pause_button.setCheckable(True)
         self.stop_button = QPushButton("Stop", self)
-        self.stop_button.setToolTip("<qt>End the fit; what it reached is kept.</qt>")
+        self.stop_button.setToolTip("<qt>End what runs; what it reached is kept.</qt>")
         self.progress = QProgressBar(self)
         self.progress.setTextVisible(True)
         self.message = Note(self)
@@ -39,28 +39,77 @@ class Footer(QWidget):
         layout.addLayout(buttons)
         layout.addWidget(self.progress)
         layout.addWidget(self.message)
-        self.run_button.clicked.connect(self.run)
+        self.run_button.clicked.connect(control.start)
         self.pause_button.toggled.connect(self._pause)
-        self.stop_button.clicked.connect(self.stop)
-        self.set_running(False)
+        self.stop_button.clicked.connect(self._stop)
+        doc.said.connect(self.message.say)
+        doc.shown.connect(self._show_fit)
+        doc.work.changed.connect(self._work_changed)
+        doc.work.looked.connect(self._looked)
+        self._work_changed()
 
-    def set_running(self, running: bool) -> None:
-        """Which buttons can be pressed."""
-        self.run_button.setEnabled(not running)
-        self.pause_button.setEnabled(running)
-        self.stop_button.setEnabled(running)
-        self.progress.setVisible(running)
-        if running:
+    def _work_changed(self) -> None:
+        task = self._doc.work.task
+        self.run_button.setEnabled(not self._doc.work.occupied)
+        self.pause_button.setEnabled(isinstance(task, FitRun))
+        self.stop_button.setEnabled(task is not None)
+        self.progress.setVisible(task is not None)
+        if task is not None:
             self.progress.setRange(0, 0)
         else:
+            self.message.say("")
             self.pause_button.setChecked(False)
 
-    def show_level(self, level: int, levels: int) -> None:
-        """How many levels of the fit are behind it."""
-        self.progress.setRange(0, levels)
-        self.progress.setValue(level - 1)
-        self.progress.setFormat(f"level {level} of {levels}")
+    def _looked(self) -> None:
+        """What any task but a fit, which says more, is doing."""
+        task: Any = self._doc.work.task
+        if task is not None and not isinstance(task, FitRun):
+            self.message.say(f"{task.stage} ..." if not task.stopping else "stopping ...")
+            if task.share is not None:
+                self.progress.setRange(0, 100)
+                self.progress.setValue(round(100 * task.share))
+
+    def _show_fit(self, snapshot: Snapshot) -> None:
+        run, state, left = self._doc.run, snapshot.state, snapshot.remaining
+        if run.stopping:
+            return
+        text = f"level {state.level} of {state.levels}"
+        if left is not None and run.seconds + left > 0:
+            # Never back: a forecast that grows stands still.
+            share = round(100 * run.seconds / (run.seconds + left))
+            share = max(share, self.progress.value() if self.progress.maximum() == 100 else 0)
+            self.progress.setRange(0, 100)
+            self.progress.setValue(min(share, 99))
+            text += ", %p %"
+        else:
+            self.progress.setRange(0, state.levels)
+            self.progress.setValue(state.level - 1)
+        self.progress.setFormat(text)
+        done, rate = len(run.history.loss), snapshot.iterations_per_second
+        self.message.say(progress_text(done, rate, left))
 
     def _pause(self, paused: bool) -> None:
         self.pause_button.setText("Resume" if paused else "Pause")
-        self.pause.emit(paused)
+        self._doc.work.pause(paused)
+
+    def _stop(self) -> None:
+        task = self._doc.work.task
+        self._doc.work.stop(at_once=task is not None and task.gives_way)
+        if self._doc.work.task is not None:
+            self.message.say("stopping ...")
+
+
+def progress_text(iterations: int, rate: float, remaining: float | None) -> str:
+    """Iterations done, how many a second, and the time that remains, in words."""
+    text = f"{iterations} iterations, {rate:.{0 if rate >= 2 else 1}f} a second"
+    return text if remaining is None else f"{duration(remaining)} left; {text}"
+
+
+def duration(seconds: float) -> str:
+    """About how long, in words; never more exact than a forecast can be."""
+    if seconds < 1.5:
+        return "a second"
+    for size, name in ((1, "s"), (60, "min"), (3600, "h")):
+        if seconds < 90 * size or name == "h":
+            return f"about {seconds / size:.0f} {name}"
+    return ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from qtpy.QtCore import QObject, QSignalBlocker
+from qtpy.QtCore import QObject
 
 from ...common.description import described
 from ...errors import InputError
@@ -14,40 +14,36 @@ from ...fitting.job import optics_of, scene_with
 from ...optics import Optics
 from ...runs.settings import FitSettings, SceneSettings
 from ...scene.effects import Effects
+from ..document import Document
 from ..editing.edits import Edits
-from .composition import Live, Panels
-from .run_control import RunControl
 
 _SCENE = {"voxel_size": "voxel size", "origin": "origin", "second_view": "second view"}
 _FIT = described(FitSettings)
 
 
 class LiveSettings(QObject):
-    """Hands what the user edits in the panels to the fit that is under way."""
+    """Hands what the user edits to the fit that is under way."""
 
-    def __init__(
-        self,
-        control: RunControl,
-        edits: Edits,
-        panels: Panels,
-        live: Live,
-        parent: QObject | None = None,
-    ) -> None:
+    def __init__(self, doc: Document, edits: Edits, parent: QObject | None = None) -> None:
         super().__init__(parent)
-        self._control, self._edits, self._panels, self._live = control, edits, panels, live
+        self._doc, self._edits = doc, edits
+        self._run = 0  # identity of the fit whose settings these are
         self._fit: FitSettings | None = None  # of the fit, as it was last told
-        self._shown: FitSettings | None = None  # what the panel showed then
-        self._psf = ""  # that the panel showed then
+        self._shown: FitSettings | None = None  # what was chosen then
+        self._psf = ""  # that was chosen then
         self._scene: dict[str, Any] = {}
-        self._effects = Effects()  # those that the panel showed then
-        control.started.connect(self._started)
-        control.began.connect(self._began)
+        self._effects = Effects()  # those that were chosen then
+        self._quiet = False
+        doc.work.changed.connect(self._started)
+        doc.began.connect(self._began)
         edits.settings_undone.connect(self._undone)
-        panels.settings.changed.connect(self._edited)
-        panels.image.changed.connect(self._image_changed)
+        doc.settings_changed.connect(self._edited)
+        doc.image.changed.connect(self._image_changed)
 
     def _started(self) -> None:
-        settings = self._panels.settings
+        if not self._doc.running or id(self._doc.run) == self._run:
+            return
+        settings, self._run = self._doc.settings, id(self._doc.run)
         self._fit, self._shown = None, settings.fit_settings()
         self._psf = settings.optics.key()
         try:
@@ -60,15 +56,14 @@ class LiveSettings(QObject):
             self._scene, self._effects = _scene(scene), scene.effects
 
     def _began(self, fresh: bool) -> None:
-        present = self._control.present()
+        present = self._doc.present()
         if present is not None:
             self._fit = present.job.settings.fit
         self._edited()  # what was edited while the seeds were prepared
 
     @property
     def _running(self) -> bool:
-        run = self._live.run
-        return run is not None and run.running and self._fit is not None
+        return self._doc.running and self._fit is not None and not self._quiet
 
     def _edited(self) -> None:
         if self._running:
@@ -76,24 +71,24 @@ class LiveSettings(QObject):
                 self._hand_over()
                 self._tell_fixed()
             except InputError as error:
-                self._panels.running.tell(f"{error}; the fit goes on as it was")
+                self._doc.noted.emit(f"{error}; the fit goes on as it was")
 
     def _image_changed(self) -> None:
         if self._running:
             # A PSF that is only guessed follows the voxel size, but not in a fit.
-            self._psf = self._panels.settings.optics.key()
-            link, chosen = self._live.link, self._panels.image.layer
+            self._psf = self._doc.settings.optics.key()
+            link, chosen = self._doc.link, self._doc.image.layer
             try:
                 if link is None or chosen is link.image_layer:
                     self._tell_fixed()
                 elif chosen is not None:
                     text = f"the fit goes on with '{link.image_layer.name}'"
-                    self._panels.running.tell(f"{text}; the next run takes '{chosen.name}'")
+                    self._doc.noted.emit(f"{text}; the next run takes '{chosen.name}'")
             except InputError as error:
-                self._panels.running.tell(f"{error}; the fit goes on with the image it has")
+                self._doc.noted.emit(f"{error}; the fit goes on with the image it has")
 
     def _hand_over(self) -> None:
-        settings = self._panels.settings
+        settings = self._doc.settings
         fit, scene, psf = settings.fit_settings(), settings.scene_settings(), settings.optics.key()
         # The fit has the image of its second view, or has none.
         shown = scene.effects.replace(second_view=self._effects.second_view)
@@ -102,7 +97,7 @@ class LiveSettings(QObject):
         later = [_FIT[name].title for name in other if not _FIT[name].live]
         if later:
             self._shown = fit
-            self._panels.running.tell(f"{' and '.join(later)}: from the next run on")
+            self._doc.noted.emit(f"{' and '.join(later)}: from the next run on")
         changed = {name: getattr(fit, name) for name in other if _FIT[name].live}
         if "accuracy" in changed:
             changed["accuracy"] = settings.accuracy.number()  # also where the noise decides
@@ -124,16 +119,16 @@ class LiveSettings(QObject):
 
     def _other_optics(self, scene: SceneSettings) -> Optics | None:
         """The PSF shown; None where the fit cannot take it, which is told."""
-        present = self._control.present()
+        present = self._doc.present()
         optics = optics_of(scene)
         if present is None or type(optics) is type(present.state.optics):
             return optics
-        self._panels.running.tell("The new PSF applies to the next run.")
+        self._doc.noted.emit("The new PSF applies to the next run.")
         return None
 
     def _with_found(self, shown: Effects) -> Effects:
         """The effects shown; those that stay keep the numbers that the fit has found."""
-        present = self._control.present()
+        present = self._doc.present()
         if present is None:
             return shown
         found = present.state.effects
@@ -146,23 +141,24 @@ class LiveSettings(QObject):
 
     def _tell_fixed(self) -> None:
         """What cannot change on the way is told once."""
-        now = _scene(self._panels.settings.scene_settings())
+        now = _scene(self._doc.settings.scene_settings())
         self._scene = self._scene or now
         other = [title for name, title in _SCENE.items() if now[name] != self._scene.get(name)]
         if other:
             self._scene = now
-            self._panels.running.tell(f"{' and '.join(other)}: from the next run on")
+            self._doc.noted.emit(f"{' and '.join(other)}: from the next run on")
 
     def _undone(self, back: Change) -> None:
-        blocker = QSignalBlocker(self._panels.settings)
+        self._quiet = True
         try:
             self._show(back)
         except InputError as error:  # of an image or a second view that have changed since
-            self._panels.running.tell(f"{error}; the panels do not show what was undone")
-        blocker.unblock()
+            self._doc.noted.emit(f"{error}; the panels do not show what was undone")
+        finally:
+            self._quiet = False
 
     def _show(self, back: Change) -> None:
-        panel = self._panels.settings
+        panel = self._doc.settings
         if back.settings is not None:
             panel.show_settings(back.settings)
             self._fit, self._shown = back.settings, panel.fit_settings()

@@ -1,113 +1,134 @@
-"""A fit in a background thread: what it shows, and how it is paused, stopped and ended."""
+"""A fit as a task: what its thread does, and what it shows of that."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import replace
-from functools import partial
-from typing import Any
+from collections import deque
+from collections.abc import Callable, Generator
+from dataclasses import dataclass, replace
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from qtpy.QtCore import QTimer
 
 from ...accuracy.forecast import Forecast, forecast
-from ...errors import TOLD, InputError
+from ...accuracy.renewed_forecast import RenewedForecast
+from ...errors import InputError
 from ...fitting import Change, FitState
 from ...fitting.job import FitInput, scene_with, start
+from ...fitting.pending import Waiting, usable
 from ...geometry import Mesh
 from ...results.report import History
 from ...runs.settings import FitSettings, SceneSettings
 from ...scene.effects import Effects
-from ..accuracy.renewed_forecast import RenewedForecast
 from ..attempt import words_of
-from ..background import BackgroundRun, BackgroundSteps
-from .run_progress import Clock, Course, Forecaster, Outcome, Snapshot, Verdict
-from .waiting import usable
+from ..work import Task
+
+RENDER_EVERY = 0.3  # s, at least, between two rendered images
+RENDER_SHARE = 0.1  # of the time of a fit may go into rendered images
+SNAPSHOT_EVERY = 0.03  # s
+RATE_OVER = 2.0  # s
+FORECAST_EVERY = 0.5  # s; more often it could not be read
+
+Verdict = Literal["converged", "ended", "stopped", "failed"]
 
 
-class FitRun(BackgroundRun):
-    """One run of a fit, from its start to its outcome. Made and used on the main thread.
+@dataclass(frozen=True)
+class Snapshot:
+    """What the viewer shows of a state; nothing in it is touched by the fit any more.
+
+    state : the last state.
+    job : what is fitted.
+    rendered : (Z, Y, X) float32, or None where it was not computed this time.
+    iterations_per_second : lately, without pauses.
+    changes : the number of the last change that it includes, see ``FitRun.change``.
+    remaining : s that the fit will still take; None where that is not known.
+    """
+
+    state: FitState
+    job: FitInput
+    rendered: NDArray[np.float32] | None
+    iterations_per_second: float
+    changes: int = 0
+    remaining: float | None = None
+
+
+class Forecaster(Protocol):
+    """Says how long a fit will still take."""
+
+    def remaining_seconds(
+        self, history: History, state: FitState, elapsed: float | None = None
+    ) -> float | None:
+        """s, after so many s (without pauses); None while nothing is known."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended: the verdict, in plain words too, and the last good state if any.
+
+    message : its first line is the verdict; each of those after it is a remark.
+    """
+
+    verdict: Verdict
+    message: str
+    state: FitState | None = None
+    job: FitInput | None = None
+    seconds: float = 0.0
+
+
+class FitRun(Task):
+    """One run of a fit, from its start to its outcome.
 
     Parameters
     ----------
     prepare : puts the fit together, in the thread.
-    on_snapshot : called with each snapshot, at most every 33 ms and never before the last
-        was drawn.
+    on_snapshot : called with the newest snapshot, and with each that a change led to.
     on_end : called once with the outcome, unless the run was closed.
-    on_note : called with warnings that are meant for users.
     on_refusal : called with the reason why a change was not taken over.
     forecaster : makes what forecasts how long a fit will take, in the thread; None for none.
     first : what the fit is told after its first iteration: pinned vertices, for example.
     """
+
+    title = "a fit is running"
+    kept = "A fit is running. Its meshes stay in the viewer, but its table and history go."
 
     def __init__(
         self,
         prepare: Callable[[], FitInput],
         on_snapshot: Callable[[Snapshot], None],
         on_end: Callable[[Outcome], None],
-        on_note: Callable[[str], None],
         on_refusal: Callable[[str], None],
         forecaster: Callable[[FitInput], Forecaster | None] | None = None,
         first: Change | None = None,
     ) -> None:
-        self._course = Course()
+        super().__init__()
+        self._prepare, self._forecaster = prepare, forecaster
+        self._on_snapshot, self._on_end, self._on_refusal = on_snapshot, on_end, on_refusal
+        self._waiting = Waiting()
         if first is not None:
-            self._course.waiting.add(first)
-        self._on_snapshot, self._on_end = on_snapshot, on_end
-        self._on_note, self._on_refusal = on_note, on_refusal
-        given = (prepare, forecaster, self._course)
-        failed = partial(_failed, course=self._course)
-        self._thread = BackgroundSteps(_steps, given, self._show, self._finish, failed, self._warn)
-
-    @property
-    def paused(self) -> bool:
-        """Whether it waits."""
-        return self._course.paused
-
-    @property
-    def history(self) -> History:
-        """The course of the fit so far."""
-        return self._course.history
-
-    @property
-    def stage(self) -> str:
-        """What the thread is doing, in words."""
-        return self._course.stage
-
-    def pause(self, paused: bool) -> None:
-        """Wait, or go on."""
-        self._course.paused = paused
-
-    def show_rendered(self, wanted: bool) -> None:
-        """Whether snapshots should bring rendered images."""
-        self._course.render = wanted
-
-    @property
-    def state(self) -> FitState | None:
-        """The newest state; it may not have been shown yet."""
-        return self._course.state
-
-    @property
-    def seconds(self) -> float:
-        """s; how long the fit has taken, without pauses."""
-        return self._course.seconds
-
-    @property
-    def forecast(self) -> Forecaster | None:
-        """What forecasts how long it takes; None for nothing, or while it is prepared."""
-        return self._course.forecast
-
-    @property
-    def job(self) -> FitInput | None:
-        """What is fitted, with the settings as they are now; None while it is prepared."""
-        return self._course.job
+            self._waiting.add(first)
+        self.render = False  # whether snapshots should bring rendered images
+        self._refusals: deque[str] = deque()
+        self._marked: deque[Snapshot] = deque()  # those that a change led to
+        self._newest: Snapshot | None = None
+        # By the thread: what is fitted, with the settings as they are now, how far it has come, and
+        # how long that took without pauses, s.
+        self.job: FitInput | None = None
+        self.forecast: Forecaster | None = None
+        self.state: FitState | None = None
+        self.history = History()
+        self.seconds = 0.0
+        self.stage = "starting"
+        self._messages: list[str] = []
+        self._changes = 0  # the number of the last change taken over
+        self._due = self._render_due = self._forecast_due = 0.0
+        self._left: float | None = None
+        self._lately: deque[tuple[float, int]] = deque()  # s of fitting, iterations
 
     @property
     def left(self) -> Change | None:
         """After the end: a change that came too late for the fit."""
-        state, taken = self._course.state, self._course.waiting.take()
+        state, taken = self.state, self._waiting.take()
         return None if taken is None or state is None else taken.on(state.mesh)
 
     def change(self, change: Change, of: Mesh | None = None) -> int:
@@ -117,43 +138,140 @@ class FitRun(BackgroundRun):
         refused with a note, and the fit goes on without it. Pins are of a mesh, which the fit may
         have remeshed by then.
         """
-        return self._course.waiting.add(change, of)
+        return self._waiting.add(change, of)
 
     def shift(self, shift: NDArray[np.float64], of: Mesh | None = None) -> int:
         """Move the vertices from where they then are, (V, 3) um; else like ``change``."""
-        return self._course.waiting.shift(shift, of)
+        return self._waiting.shift(shift, of)
 
-    def update_every(self, seconds: float) -> None:
-        """How often snapshots come, at most; s."""
-        self._course.interval = seconds
+    def look(self) -> None:
+        """See ``Task``."""
+        while self._refusals:
+            self._on_refusal(self._refusals.popleft())
+        while self._marked:
+            self._on_snapshot(self._marked.popleft())
+        newest, self._newest = self._newest, None
+        if newest is not None:
+            self._on_snapshot(newest)
 
-    def _show(self, snapshot: Snapshot | str | None) -> None:
-        if snapshot is None:
+    def end(self, outcome: Outcome | None) -> None:
+        """See ``Task``."""
+        text = "stopped by you" if self.state else "stopped before the first iteration"
+        stopped = Outcome("stopped", text, self.state, self.job, self.seconds)
+        self._on_end(outcome or stopped)
+
+    def failed(self, error: Exception) -> Outcome:
+        """See ``Task``."""
+        shape = self.job.grid.shape if self.job else None
+        return Outcome("failed", words_of(error, shape), self.state, self.job, self.seconds)
+
+    # ------------------------------------------------------------------------------- the thread
+
+    def steps(self) -> Generator[None, None, Outcome]:
+        """See ``Task``; yields after every iteration."""
+        self.stage = "preparing the seeds"
+        job = self.job = self._prepare()
+        yield
+        self.forecast = self._forecaster(job) if self._forecaster is not None else None
+        self.stage = "fitting"
+        yield from self._fit(job)
+        state = self.state
+        if state is None:
+            return Outcome("failed", "the fit ended before its first iteration")
+        verdict: Verdict = "converged" if state.converged else "ended"
+        # The last message is the verdict in words; those before it are remarks made on the way.
+        told = self._messages
+        words = [*told[-1:], *told[:-1]] if state.message else [verdict]
+        return Outcome(verdict, "\n".join(dict.fromkeys(words)), state, self.job, self.seconds)
+
+    def _fit(self, job: FitInput) -> Generator[None]:
+        began, waited = time.monotonic(), 0.0
+        states: Any = start(job)
+        state, change = next(states, None), None
+        while state is not None:
+            self.state = state
+            self._messages += [state.message] if state.message else []
+            self.history.add(state)
+            self.seconds = time.monotonic() - began - waited
+            self._publish(state, marked=change is not None)
+            yield
+            pause = time.monotonic()
+            if self.paused:
+                self._publish(state, must=True)
+            while self.paused and not self._waiting.any and not self.stopping:
+                time.sleep(0.02)
+                yield
+            waited += time.monotonic() - pause
+            change = self._taken(state)
+            try:
+                state = states.send(change)
+            except StopIteration:
+                state = None
+        if self.state is not None:
+            self._publish(self.state, must=True)
+
+    def _publish(self, state: FitState, *, marked: bool = False, must: bool = False) -> None:
+        """Let the main thread have a state, if it is time; always if a change led to it."""
+        rate, now = self._rate(), time.monotonic()
+        if self.job is None or (now < self._due and not marked and not must):
             return
-        if isinstance(snapshot, str):
-            self._on_refusal(snapshot)
-            return
-        began = time.monotonic()
+        self._due = now + SNAPSHOT_EVERY
+        rendered = None
+        if self.render and (must or now >= self._render_due):
+            rendered = state.rendered()
+            cost = time.monotonic() - now
+            self._render_due = time.monotonic() + max(RENDER_EVERY, cost / RENDER_SHARE)
+        elif self._newest is not None:
+            rendered = self._newest.rendered  # that nobody has seen yet
+        left = self._remaining(state, now)
+        snapshot = Snapshot(state, self.job, rendered, rate, self._changes, left)
+        if marked:
+            self._marked.append(snapshot)
+        else:
+            self._newest = snapshot
+
+    def _remaining(self, state: FitState, now: float) -> float | None:
+        if self.forecast is not None and now >= self._forecast_due:
+            self._forecast_due = now + FORECAST_EVERY
+            self._left = self.forecast.remaining_seconds(self.history, state, self.seconds)
+        return self._left
+
+    def _rate(self) -> float:
+        """Iterations a second, lately: levels differ in speed."""
+        lately = self._lately
+        lately.append((self.seconds, len(self.history.loss)))
+        while len(lately) > 2 and lately[-1][0] - lately[1][0] > RATE_OVER:
+            lately.popleft()
+        seconds, count = (b - a for a, b in zip(lately[0], lately[-1], strict=True))
+        return count / seconds if seconds > 0 else 0.0
+
+    def _taken(self, state: FitState) -> Change | None:
+        """The change that waits, if any; why it is refused is told."""
+        taken, job = self._waiting.take(), self.job
+        if taken is None or job is None:
+            return None
+        self._changes = taken.number
         try:
-            self._on_snapshot(snapshot)
-        finally:
-            # Fires when the viewer has drawn what it was given.
-            QTimer.singleShot(0, partial(self._course.drawn, began))
+            change = taken.on(state.mesh)
+            usable(change, state.mesh, state.optics, job)
+        except InputError as error:
+            self._refusals.append(f"not changed: {error}")
+            return None
+        if change.settings is not None:
+            job = self.job = _with_settings(job, change.settings)
+            self._forecast_anew(job)
+        if change.effects is not None:
+            job = self.job = _with_scene(job, job.settings.scene, change.effects)
+        if change.optics is not None:
+            scene = scene_with(job.settings.scene, change.optics)
+            self.job = _with_scene(job, scene, scene.effects)
+        return change
 
-    def _warn(self, message: str, category: type[Warning]) -> None:
-        if issubclass(category, TOLD):
-            self._on_note(message)
-
-    def _finish(self, outcome: Outcome | None) -> None:
-        course = self._course
-        outcome = outcome or Outcome(
-            "stopped",
-            "stopped by you" if course.state else "stopped before the first iteration",
-            course.state,
-            course.job,
-            course.seconds,
-        )
-        self._on_end(outcome)
+    def _forecast_anew(self, job: FitInput) -> None:
+        """The settings were changed: forecast what is left of the fit with the new ones."""
+        found = None if self._forecaster is None else self._forecaster(job)
+        if isinstance(found, Forecast):
+            self.forecast = RenewedForecast(found, len(self.history.level), self.seconds)
 
 
 def expected(job: FitInput) -> Forecaster | None:
@@ -173,97 +291,6 @@ def expected(job: FitInput) -> Forecaster | None:
         return None
 
 
-def _steps(
-    prepare: Callable[[], FitInput],
-    forecaster: Callable[[FitInput], Forecaster | None] | None,
-    course: Course,
-) -> Any:
-    """The generator that the thread runs; yields a snapshot where one is due, else None.
-
-    It yields after every iteration, as the thread can only be stopped there.
-    """
-    try:
-        course.stage = "preparing the seeds"
-        job = course.job = prepare()
-        yield None
-        course.forecast = forecaster(job) if forecaster is not None else None
-        course.stage = "fitting"
-        yield from _fit_steps(job, course, forecaster)
-    except Exception as error:
-        return _failed(error, course)
-    state = course.state
-    if state is None:
-        return Outcome("failed", "the fit ended before its first iteration")
-    verdict: Verdict = "converged" if state.converged else "ended"
-    # The last message is the verdict in words; those before it are remarks made on the way.
-    words = [*course.messages[-1:], *course.messages[:-1]] if state.message else [verdict]
-    return Outcome(verdict, "\n".join(dict.fromkeys(words)), state, course.job, course.seconds)
-
-
-def _fit_steps(
-    job: FitInput,
-    course: Course,
-    forecaster: Callable[[FitInput], Forecaster | None] | None,
-) -> Iterator[Snapshot | str | None]:
-    clock, began, waited = Clock(), time.monotonic(), 0.0
-    states: Any = start(job)
-    state, change = next(states, None), None
-    while state is not None:
-        course.state = state
-        course.messages += [state.message] if state.message else []
-        course.history.add(state)
-        course.seconds = time.monotonic() - began - waited
-        # What a change led to is always shown, and kept in the history.
-        snapshot = clock.snapshot(state, course, must=change is not None)
-        yield snapshot
-        pause = time.monotonic()
-        while course.paused and not course.waiting.any:
-            if snapshot is None:
-                snapshot = clock.snapshot(state, course, must=True)
-                yield snapshot
-            time.sleep(0.02)
-            yield None
-        waited += time.monotonic() - pause
-        change, refused = _taken(state, course)
-        yield refused
-        if change is not None and change.settings is not None and forecaster is not None:
-            _forecast_anew(course, forecaster)
-        try:
-            state = states.send(change)
-        except StopIteration:
-            state = None
-    if course.state is not None:
-        yield clock.snapshot(course.state, course, must=True)
-
-
-def _taken(state: FitState, course: Course) -> tuple[Change | None, str | None]:
-    """The change that waits, if any; else why it was refused, if it was."""
-    taken, job = course.waiting.take(), course.job
-    if taken is None or job is None:
-        return None, None
-    course.changes = taken.number
-    try:
-        change = taken.on(state.mesh)
-        usable(change, state.mesh, state.optics, job)
-    except InputError as error:
-        return None, f"not changed: {error}"
-    if change.settings is not None:
-        job = course.job = _with_settings(job, change.settings)
-    if change.effects is not None:
-        job = course.job = _with_scene(job, job.settings.scene, change.effects)
-    if change.optics is not None:
-        scene = scene_with(job.settings.scene, change.optics)
-        course.job = _with_scene(job, scene, scene.effects)
-    return change, None
-
-
-def _forecast_anew(course: Course, forecaster: Callable[[FitInput], Forecaster | None]) -> None:
-    """The settings were changed: forecast what is left of the fit with the new ones."""
-    found = forecaster(course.job) if course.job is not None else None
-    if isinstance(found, Forecast):
-        course.forecast = RenewedForecast(found, len(course.history.level), course.seconds)
-
-
 def _with_settings(job: FitInput, settings: FitSettings) -> FitInput:
     """The job as the fit now does it, for whoever saves or repeats it."""
     run = job.settings
@@ -274,8 +301,3 @@ def _with_settings(job: FitInput, settings: FitSettings) -> FitInput:
 def _with_scene(job: FitInput, scene: SceneSettings, effects: Effects) -> FitInput:
     scene = scene.model_copy(update={"effects": effects})
     return replace(job, settings=job.settings.model_copy(update={"scene": scene}))
-
-
-def _failed(error: Exception, course: Course) -> Outcome:
-    shape = course.job.grid.shape if course.job else None
-    return Outcome("failed", words_of(error, shape), course.state, course.job, course.seconds)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
-from qtpy.QtWidgets import QFileDialog, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
+from qtpy.QtWidgets import QFileDialog, QPushButton, QVBoxLayout, QWidget
 
 from ..qt import QAction, Signal
-from ..widgets import Note
+from ..widgets import Note, ToolButtons
 
 Tool = Literal["split", "merge", "remove"]
 _TITLES: dict[Tool, str] = {"split": "Split / add", "merge": "Merge", "remove": "Remove"}
@@ -32,17 +32,9 @@ class CorrectBar(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._ndisplay = 2
-        self.buttons: dict[Tool, QPushButton] = {}
-        row = QHBoxLayout()
-        row.setContentsMargins(0, 0, 0, 0)
-        row.setSpacing(4)
-        for tool, title in _TITLES.items():
-            button = QPushButton(title, self)
-            button.setCheckable(True)
-            button.setToolTip(f"<qt>{_HINTS[tool]} Dragging still moves the view.</qt>")
-            button.clicked.connect(self._clicked)
-            row.addWidget(button, 1)
-            self.buttons[tool] = button
+        drags = "Dragging still moves the view."
+        self.tools = ToolButtons({t: (_TITLES[t], f"{_HINTS[t]} {drags}") for t in _TITLES}, self)
+        self.buttons, self.use = self.tools.buttons, self.tools.use
         self.undo_button = QPushButton("↶", self)
         self.undo_button.setToolTip("Undo the last correction (Ctrl+Z while a tool is in use).")
         self.undo_button.setFixedWidth(30)
@@ -51,14 +43,15 @@ class CorrectBar(QWidget):
         self.save_action = QAction("Save clicks...", self)
         self.load_action.setToolTip("Make the clicks of a file on these labels.")
         self.save_action.setToolTip("Save the clicks, to repeat them on the same labels.")
-        row.addWidget(self.undo_button)
+        self.tools.row.addWidget(self.undo_button)
         self.hint, self.count = Note(self), Note(self)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.setSpacing(2)
-        layout.addLayout(row)
+        layout.addWidget(self.tools)
         layout.addWidget(self.hint)
         layout.addWidget(self.count)
+        self.tools.chosen.connect(self._told)
         self.undo_button.clicked.connect(self.undo)
         self.load_action.triggered.connect(self._ask_load)
         self.save_action.triggered.connect(self._ask_save)
@@ -66,14 +59,8 @@ class CorrectBar(QWidget):
     @property
     def tool(self) -> Tool | None:
         """The tool in use."""
-        return next((tool for tool, button in self.buttons.items() if button.isChecked()), None)
-
-    def use(self, tool: Tool | None) -> None:
-        """Take up a tool, or lay it down."""
-        if tool != self.tool:
-            for name, button in self.buttons.items():
-                button.setChecked(name == tool)
-            self._told()
+        tool: Any = self.tools.tool
+        return tool
 
     def show_dimensions(self, ndisplay: int) -> None:
         """Whether the view is 2D or 3D."""
@@ -99,16 +86,9 @@ class CorrectBar(QWidget):
         text = "" if tool is None else _HINTS[tool]
         self.hint.say(text + _IN_3D * (tool == "split" and self._ndisplay == 3))
 
-    def _clicked(self, checked: bool) -> None:
-        sender = self.sender()
-        for button in self.buttons.values():
-            if button is not sender:
-                button.setChecked(False)
-        self._told()
-
-    def _told(self) -> None:
+    def _told(self, tool: Tool | None) -> None:
         self.explain()
-        self.tool_chosen.emit(self.tool)
+        self.tool_chosen.emit(tool)
 
     def _ask_load(self, checked: bool = False) -> None:
         path, _ = QFileDialog.getOpenFileName(self, "Load clicks", "", _KIND)

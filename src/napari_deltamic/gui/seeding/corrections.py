@@ -19,10 +19,11 @@ from ...geometry import Click, read_clicks_csv, write_clicks_csv
 from ...geometry.labels.label_edits import Action, Corrector
 from ...runs.seeds import LabelSeeds
 from ..attempt import attempt
-from ..background import Background
-from ..connections import Connections
+from ..document import Document
+from ..layer_choice import Connections
 from ..qt import Signal
 from ..viewing.frame import FloatArray, Frame
+from ..work import Background
 from .correct_bar import CorrectBar, Tool
 from .label_clicks import Before, can_undo, clicks_of, note, put, undo
 from .seed_kinds import seeds_from_layer
@@ -47,8 +48,7 @@ class Corrections(QObject):
 
     Parameters
     ----------
-    viewer : a napari viewer or its model.
-    image_panel : gives the image, and its frame.
+    doc : the document.
     layers : gives the layers that are ticked as seeds.
     parent : Qt's, of the bar.
     """
@@ -57,13 +57,12 @@ class Corrections(QObject):
 
     def __init__(
         self,
-        viewer: Any,
-        image_panel: Any,
+        doc: Document,
         layers: Callable[[], list[Any]],
         parent: QWidget | None = None,
     ) -> None:
         super().__init__(parent)
-        self._viewer, self._image, self._layers = viewer, image_panel, layers
+        self._doc, self._viewer, self._image, self._layers = doc, doc.viewer, doc.image, layers
         self.bar = bar = CorrectBar(parent)
         self._first: Click | None = None  # of the two that are to be merged
         self._waiting: list[_Wanted] = []
@@ -76,7 +75,7 @@ class Corrections(QObject):
         self._background = Background(self._show, self._fail)
         self._callback = self._pressed  # one object, so that it can be taken out again
         self._connections = Connections()
-        self._connections.connect(viewer.dims.events.ndisplay, self._view_changed)
+        self._connections.connect(doc.viewer.dims.events.ndisplay, self._view_changed)
         bar.tool_chosen.connect(self._tool_chosen)
         bar.undo.connect(self.undo)
         bar.load.connect(self._load)
@@ -182,6 +181,7 @@ class Corrections(QObject):
         layer = self.layer if tool is not None else None
         self._listen(layer)
         if layer is not None:
+            self._doc.finish_tools.emit(self)
             for other in self._viewer.layers:  # points that are placed, labels that are painted
                 if str(getattr(other, "mode", "pan_zoom")) != "pan_zoom":
                     other.mode = "pan_zoom"
@@ -221,9 +221,10 @@ class Corrections(QObject):
         attempt(partial(self._clicked, event), self.bar.say)
 
     def _clicked(self, event: Any) -> None:
-        layer, frame = self.layer, self._image.frame()
-        if layer is None:
+        layer = self.layer
+        if layer is None or self._image.layer is None:
             return
+        frame = self._image.under(layer)[0]
         if len(event.dims_displayed) == 3:
             place = middle_on_ray(layer, event, frame)
             if place is None:
@@ -253,27 +254,29 @@ class Corrections(QObject):
                 self.bar.say(str(error))
 
     def _start(self, wanted: _Wanted) -> None:
-        layer, frame = wanted.layer, self._image.frame()
-        if layer is None or layer not in self._layers():
+        layer = wanted.layer
+        if layer is None or layer not in self._layers() or self._image.layer is None:
             raise InputError("tick the Labels layer that is to be corrected")
+        frame, read = self._image.under(layer)
         seeds = seeds_from_layer(layer, frame, (), spheres=False)
         assert isinstance(seeds, LabelSeeds)
         made = clicks_of(layer)
         step = made[-1].step + 1 if made else 0
         clicks = [replace(click, step=click.step + step) for click in wanted.clicks]
-        work = partial(self._corrector_for(frame, layer.data).corrected, seeds.labels, clicks)
+        work = partial(self._corrector_for(frame, read, layer.data).corrected, seeds.labels, clicks)
         self._asked = (layer.data, seeds.labels, replace(wanted, clicks=clicks))
         self.bar.say("working ...")
         self._background.ask(work)
 
-    def _corrector_for(self, frame: Frame, data: Any) -> Corrector:
+    def _corrector_for(
+        self, frame: Frame, read: Callable[[], NDArray[Any]], data: Any
+    ) -> Corrector:
         step = tuple(self._viewer.dims.current_step[:-3])
         of = (self._image.layer, frame, step)
         # Cells that were found anew have another size; clicks change an array in place.
         anew = data is not self._corrector_data
         if self._corrector is None or anew or of != self._corrector_of:
-            pixels = self._image.stack()
-            self._corrector, self._corrector_of = Corrector(pixels, frame.voxel_size), of
+            self._corrector, self._corrector_of = Corrector(read(), frame.voxel_size), of
             self._corrector_data = data
         return self._corrector
 

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
-from napari.utils.notifications import show_warning
 from qtpy.QtWidgets import QFileDialog, QPushButton, QWidget
 
 from ...errors import InputError
 from ...geometry.formats import MESH_FILES_LISTED, MESH_FILTER
-from ..background import Background
+from ..document import Document
 from ..qt import Signal
 from ..viewing.mesh_layer import LoadedMesh, load_meshes, surface_layer
 from ..widgets import sentence
+from ..work import Background
 
 
 class MeshFiles(QPushButton):
@@ -24,9 +23,9 @@ class MeshFiles(QPushButton):
 
     told = Signal()
 
-    def __init__(self, viewer: Any, image_panel: Any, parent: QWidget | None = None) -> None:
+    def __init__(self, doc: Document, parent: QWidget | None = None) -> None:
         super().__init__("From file...", parent)
-        self._viewer, self._image = viewer, image_panel
+        self._doc, self._viewer, self._image = doc, doc.viewer, doc.image
         self.message = ""
         self.setToolTip(
             f"<qt>Adds surfaces from {MESH_FILES_LISTED} files as layers; their "
@@ -62,11 +61,11 @@ class MeshFiles(QPushButton):
         for loaded in meshes:
             self._viewer.add_layer(surface_layer(loaded, frame).lie_on(self._image.layer))
             for remark in loaded.remarks:
-                show_warning(remark)
+                self._doc.warned.emit(remark)
 
     def _fail(self, message: str) -> None:
         self._tell("")
-        show_warning(message)
+        self._doc.warned.emit(message)
 
     def _tell(self, message: str) -> None:
         self.message = message

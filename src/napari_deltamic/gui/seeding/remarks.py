@@ -9,11 +9,11 @@ import numpy as np
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QLabel, QSizePolicy, QWidget
 
-from .seed_checks import Remark
+from ...runs.seed_checks import Remark
 
 _SHOWN = 4  # at most
 # Readable on dark and on light.
-_WARNING, _LINK = "#d9822b", "#4a90e2"
+_WARNING, LINK = "#d9822b", "#4a90e2"
 
 
 class Remarks(QLabel):
@@ -36,7 +36,7 @@ class Remarks(QLabel):
         self.remarks = list(remarks)
         lines = []
         for index, remark in enumerate(remarks[:_SHOWN]):
-            link = f" <a style='color: {_LINK}' href='{index}'>show</a>" if remark.points else ""
+            link = f" <a style='color: {LINK}' href='{index}'>show</a>" if remark.points else ""
             lines.append(f"<span style='color: {_WARNING}'>{escape(remark.text)}.</span>{link}")
         if len(remarks) > _SHOWN:
             lines.append(f"... and {len(remarks) - _SHOWN} more")

@@ -105,22 +105,26 @@ def _points(layer: Any, frame: Frame, point: tuple[float, ...], *, spheres: bool
         named = ", ".join(str(row + 1) for row in placeless[:6].tolist())
         raise InputError(f"layer '{layer.name}': point {named} has no place (nan): delete it")
     scale, shift = frame.data_to_um(layer)
-    points = data[shown, -3:] * scale + shift
-    radii = None
+    points = data[:, -3:] * scale + shift
+    if frame.shape is not None:  # points beside the region belong to other cells
+        places = np.floor(points / frame.voxel_size + 0.5)
+        shown &= ((places >= 0) & (places < frame.shape)).all(axis=1)
+        if not shown.any():
+            raise InputError(f"layer '{layer.name}' has no points in the region that is fitted")
+    points, radii = points[shown], None
     if spheres:
         radii = np.asarray(layer.size, float)[shown] / 2 * float(np.mean(np.abs(scale)))
     return PointSeeds(points, radii)
 
 
 def _labels(layer: Any, frame: Frame, step: tuple[int, ...]) -> LabelSeeds:
-    scale, shift = frame.data_to_um(layer)
-    size = np.asarray(frame.voxel_size)
-    if not np.allclose(scale, size, rtol=1e-3) or (np.abs(shift) > 0.01 * size).any():
+    labels = stack_of(layer, step)
+    if labels.ndim != 3:
+        raise InputError(f"layer '{layer.name}' is not 3D")
+    region = frame.region(layer, labels.shape)
+    if region is None:
         raise InputError(
             f"layer '{layer.name}' does not lie on the voxels of the image: give both layers the "
             "same scale and translation"
         )
-    labels = stack_of(layer, step)
-    if labels.ndim != 3:
-        raise InputError(f"layer '{layer.name}' is not 3D")
-    return LabelSeeds(labels.copy())
+    return LabelSeeds(labels[region].copy())

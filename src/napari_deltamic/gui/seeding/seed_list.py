@@ -8,8 +8,8 @@ from napari.layers import Labels, Points, Surface
 from qtpy.QtCore import QSignalBlocker, QSize, Qt
 from qtpy.QtWidgets import QAbstractItemView, QListWidget, QListWidgetItem, QSizePolicy, QWidget
 
-from ..connections import Connections
 from ..editing.pins import PINS
+from ..layer_choice import Connections
 from ..qt import Signal
 from ..viewing.frame import OWN, made_by_fit
 from .seed_kinds import SEED_LAYERS

@@ -8,13 +8,13 @@ import numpy as np
 from napari.layers import Labels, Points
 
 from ...errors import InputError
+from ...runs.seed_checks import PointSet, Remark, all_remarks
+from ...runs.seed_preview import Problem
 from ...runs.seeds import PointSeeds, Seeds, mixed
-from ..viewing.frame import Frame, shape_of, stack_of
-from .preview import Problem, Wanted
-from .seed_checks import PointSet, Remark, all_remarks
+from ..document import missing_cells
+from ..viewing.frame import Frame, stack_of
+from .preview import Wanted
 from .seed_kinds import at_time, is_empty, seeds_from_layer, without_place
-
-NO_CELLS = "no cells yet: press 'Find cells', or 'Click cells' and click inside each"
 
 
 class SeedSources:
@@ -27,9 +27,7 @@ class SeedSources:
         """The seeds, copied. InputError where there are none, or they cannot be used."""
         layers = self._chosen.ticked()
         if not layers:
-            raise InputError(
-                "no cells yet: press 'Find cells', or 'Click cells' and click inside each"
-            )
+            raise missing_cells()
         point = self._point()
         filled = [layer for layer in layers if not is_empty(layer, point)]
         # Where all are empty, the first of them says so itself.
@@ -43,7 +41,7 @@ class SeedSources:
         """Of the 3D image; None where there is none that can be used: its panel says why."""
         if self._frame() is None:
             return None
-        return shape_of(self._image.layer)
+        return tuple(self._image.shape())
 
     def preview(self) -> Wanted | None:
         """What a preview of the points is made of; None where there is nothing to show."""
@@ -61,11 +59,12 @@ class SeedSources:
         if frame is None or shape is None:
             return []
         step = tuple(self._viewer.dims.current_step)
-        labels = [
-            (layer, stack_of(layer, step))
-            for layer in self._chosen.ticked()
-            if isinstance(layer, Labels)
-        ]
+        labels = []
+        for layer in self._chosen.ticked():
+            if isinstance(layer, Labels):
+                voxels = stack_of(layer, step)
+                region = frame.region(layer, voxels.shape) if voxels.ndim == 3 else None
+                labels.append((layer, voxels if region is None else voxels[region]))
         sets = self._point_sets(frame, spheres)
         known = all_remarks(sets, labels, shape, frame.voxel_size, problems)
         return self._placeless() + known

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,42 +21,38 @@ from superqt import QLabeledDoubleSlider
 
 from ...errors import InputError
 from ...runs.seeds import Seeds
-from ..connections import Connections
-from ..qt import Signal
+from ..document import Document
+from ..layer_choice import Connections
 from ..viewing.frame import Frame, made_by_fit
 from ..viewing.own_layers import Points as SeedPoints
 from ..viewing.own_layers import cut_by_slices
 from ..widgets import note_label, sentence, show_row
 from .corrections import Corrections
-from .find_cells_panel import FindCells
+from .find_cells_button import FindCells
 from .mesh_files import MeshFiles
 from .preview import Preview, Wanted
-from .remarks import Remarks
+from .remarks import LINK, Remarks
 from .seed_list import SeedList
 from .seed_sources import SeedSources
-from .sphere_drawing import SphereDrawing
 
 _FOLLOW, _SPHERES = "the membrane around the click", "a sphere"
 _WAIT = 100  # ms; changes that follow each other faster are looked at together
 
 
 class SeedsPanel(QGroupBox):
-    """Choice of the seeds; ``changed`` says that they may be others."""
+    """Choice of the cells that a fit starts from."""
 
-    changed = Signal()
-
-    def __init__(self, viewer: Any, image_panel: Any, parent: QWidget | None = None) -> None:
+    def __init__(self, doc: Document, parent: QWidget | None = None) -> None:
         super().__init__("2  Cells", parent)
-        self._viewer, self._image = viewer, image_panel
+        self._doc, self._viewer, self._image = doc, doc.viewer, doc.image
+        doc.cells = self
+        doc.parts.append(self)
         self._connections, self._of_layers = Connections(), Connections()
         self._time: tuple[int, ...] = ()
         self._open = True
         self._used = False  # whether a result that started from them is shown
         self._make_fields()
         self._lay_out()
-        self._drawing = SphereDrawing(
-            self._draws_spheres, self._image_layer, self._um_per_data, self._limits, self._drawn
-        )
         self._later = QTimer(self)
         self._later.setSingleShot(True)
         self._later.setInterval(_WAIT)
@@ -76,6 +73,18 @@ class SeedsPanel(QGroupBox):
         """The seeds chosen, copied. InputError where there are none, or they cannot be used."""
         return self._sources.seeds(frame, self.spheres)
 
+    def ticked(self) -> list[Any]:
+        """The layers that are chosen."""
+        return self.chooser.ticked()
+
+    def prefer_preview(self, on: bool) -> None:
+        """Whether the surfaces that a fit would start from are shown at first."""
+        self.preview.prefer(on)
+
+    def preview_mesh(self) -> Any:
+        """The surfaces that are shown of the cells; None for none."""
+        return self.preview.mesh if self.preview.isChecked() else None
+
     def place_seeds(self) -> None:
         """A Points layer that takes clicks: one that is ticked, or a new one."""
         if self._image.layer is None:
@@ -89,11 +98,26 @@ class SeedsPanel(QGroupBox):
                 self.note.setText(sentence(str(error)))
                 return
             self._viewer.add_layer(layer)
+        self._doc.finish_tools.emit(self)
         self.corrections.lay_down()
         self._viewer.dims.ndisplay = 2
         self._viewer.layers.selection = {layer}
         layer.visible = True
         layer.mode = "add"
+
+    def add_clicks(self, places: Sequence[tuple[float, float, float]]) -> None:
+        """Add a point at each of some places, um in the image's frame. InputError if it cannot."""
+        self.place_seeds()
+        layer, frame = self._points_layer(), self._image.frame()
+        if layer is None:
+            raise InputError(self._image.missing())
+        scale, shift = frame.data_to_um(layer)
+        added = (np.asarray(places, float) - shift) / scale
+        before = np.asarray(layer.data)
+        if layer.ndim > 3:
+            steps = np.array(self._viewer.dims.current_step[: layer.ndim - 3], float)
+            added = np.hstack([np.tile(steps, (len(added), 1)), added])
+        layer.data = np.vstack([before, added])
 
     def finish_placing(self, *, keep_preview: bool = False) -> None:
         """Clicks move the view again; the preview goes, or stays until there is room to be made."""
@@ -126,7 +150,6 @@ class SeedsPanel(QGroupBox):
     def close_links(self) -> None:
         """End what is under way, and listen to the viewer no more; it is not touched."""
         self._open = False
-        self._drawing.attach([])
         for part in (
             self.chooser,
             self.corrections,
@@ -144,15 +167,14 @@ class SeedsPanel(QGroupBox):
     def _make_fields(self) -> None:
         self.chooser = SeedList(self._viewer, self)
         self._sources = SeedSources(self._viewer, self._image, self.chooser)
-        self.corrections = Corrections(self._viewer, self._image, self.chooser.ticked, self)
+        self.corrections = Corrections(self._doc, self.chooser.ticked, self)
         self.place = QPushButton("Click cells", self)
         self.place.setToolTip(
             "<qt>Then click inside each cell, on any slice or in 3D (there, points lie at the "
-            "depth of the middle of the view). Spheres are drawn: press at the centre, drag to "
-            "the rim; hold the space bar to move the view instead.</qt>"
+            "depth of the middle of the view).</qt>"
         )
-        self.open_file = MeshFiles(self._viewer, self._image, self)
-        self.find_cells = FindCells(self._viewer, self._image, self)
+        self.open_file = MeshFiles(self._doc, self)
+        self.find_cells = FindCells(self._doc, self)
         self.shape = QComboBox(self)
         self.shape.addItems([_FOLLOW, _SPHERES])
         self.shape.setSizeAdjustPolicy(
@@ -168,10 +190,11 @@ class SeedsPanel(QGroupBox):
         self.radius = QLabeledDoubleSlider(Qt.Orientation.Horizontal, self)
         self.radius.setToolTip(
             "<qt>Radius of the spheres, um: of the selected points, or of all; and of the next "
-            "click. A sphere can also be drawn: press at its centre and drag to its rim.</qt>"
+            "click.</qt>"
         )
         self.preview = Preview(self._viewer, self._preview_wanted, self)
         self.note = note_label()
+        self.note.linkActivated.connect(self._try_size)
         self.remarks = Remarks(self._viewer, self)
 
     def _lay_out(self) -> None:
@@ -203,6 +226,8 @@ class SeedsPanel(QGroupBox):
         self.shape.currentTextChanged.connect(self._shape_chosen)
         self.radius.valueChanged.connect(self._resize)
         self.preview.changed.connect(self._show_remarks)
+        self.preview.changed.connect(self._tell)
+        self._doc.finish_tools.connect(self._other_tool)
         self._later.timeout.connect(self._look)
         self._image.changed.connect(self._image_changed)
         self._connections.connect(self._viewer.dims.events.current_step, self._step_changed)
@@ -249,7 +274,6 @@ class SeedsPanel(QGroupBox):
             for name in ("data", "size", "paint", "scale", "translate"):
                 if hasattr(layer.events, name):
                     self._of_layers.connect(getattr(layer.events, name), self._show_soon)
-        self._drawing.attach([layer for layer in layers if isinstance(layer, Points)])
         self._show()
         self._show_soon()
 
@@ -277,7 +301,17 @@ class SeedsPanel(QGroupBox):
         self.preview.later()
         self._show()
         self._show_remarks()
-        self.changed.emit()
+        self._tell()
+
+    def _tell(self) -> None:
+        self._doc.cells_changed.emit()
+
+    def _try_size(self, link: str) -> None:
+        self.find_cells.find_with(float(link))
+
+    def _other_tool(self, tool: object) -> None:
+        if tool is not self.corrections and tool is not self:
+            self.corrections.lay_down()
 
     def _resize(self, value: float = 0, *, everything: bool = False) -> None:
         for layer in self._sources.points_layers():
@@ -299,22 +333,9 @@ class SeedsPanel(QGroupBox):
         """um; a point that is no sphere is drawn small, but over several slices."""
         return float(self.radius.value()) * (1.0 if self.spheres else 0.25)
 
-    def _draws_spheres(self) -> bool:
-        return self._open and self.spheres
-
-    def _image_layer(self) -> Any:
-        return self._image.layer
-
     def _um_per_data(self, layer: Any) -> NDArray[np.float64]:
         um: NDArray[np.float64] = self._image.frame().data_to_um(layer)[0]
         return um
-
-    def _limits(self) -> tuple[float, float]:
-        return float(self.radius.minimum()), float(self.radius.maximum())
-
-    def _drawn(self, layer: Any, radius: float) -> None:
-        # The sphere that was drawn is selected, so that the slider goes on with it alone.
-        self.radius.setValue(radius)
 
     # ------------------------------------------------------------------------ notes and remarks
 
@@ -333,6 +354,12 @@ class SeedsPanel(QGroupBox):
         show_row(self._form, self.radius, shown and self.spheres)
         show_row(self._form, self.preview, shown and not self.spheres)
         texts = [self.open_file.message, self.find_cells.message]
+        others = [
+            f"<a style='color: {LINK}' href='{size!r}'>{n or ''} of {size:.3g} µm</a>"
+            for size, n in self.find_cells.others
+        ]
+        if others:
+            texts.append(f"Or try: {', '.join(others)}.")
         if points:
             n = sum(len(layer.data) for layer in points)
             texts.append(f"{n} {'point' if n == 1 else 'points'}.")

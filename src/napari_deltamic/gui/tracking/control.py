@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
@@ -18,53 +19,39 @@ from ...runs.track_run import TrackRun
 from ...scene import Grid
 from ...tracking import FrameResult, TrackSettings
 from ..attempt import attempt
-from ..running.composition import Live, Panels
-from ..running.run_control import RunControl
+from ..document import Document
 from ..viewing.frame import Frame
 from .layers import TrackLayers
 from .panel import TrackPanel
-from .work import Frames, Progress, Tracked, TrackJob, TrackOutcome, TrackWork
+from .track_work import Frames, Tracked, TrackJob, TrackOutcome, TrackWork
 
 
 class TrackControl(QObject):
-    """One run of tracking at a time, and none while a fit runs.
+    """Tracks the series that is chosen, and shows it in the viewer.
 
     Parameters
     ----------
-    viewer : a napari viewer or its model.
+    doc : the document.
     panel : shown where the image chosen has a time axis.
-    panels, live, control : of the widget.
-    tell, warn : show the user a sentence.
     parent : Qt's.
     """
 
-    def __init__(
-        self,
-        viewer: Any,
-        panel: TrackPanel,
-        panels: Panels,
-        live: Live,
-        control: RunControl,
-        tell: Callable[[str], None],
-        warn: Callable[[str], None],
-        parent: QObject | None = None,
-    ) -> None:
+    def __init__(self, doc: Document, panel: TrackPanel, parent: QObject | None = None) -> None:
         super().__init__(parent)
-        self._viewer, self.panel, self._panels, self._live = viewer, panel, panels, live
-        self._control, self._tell, self._warn = control, tell, warn
+        self._doc, self.panel = doc, panel
         self.work: TrackWork | None = None
         self.layers: TrackLayers | None = None
         self._kept = Tracked()  # of a session that was opened
         self._again: tuple[Callable[[], TrackJob], range] | None = None  # to go on
         self._frames = range(0)
         self._seeds: list[Any] = []  # layers that the run started from
+        self._of: Any = None  # the series that was tracked
         panel.track.connect(self.start)
         panel.go_on.connect(self.go_on)
-        panel.stop.connect(self.stop)
         panel.save.connect(self.save)
-        panels.image.changed.connect(self._image_changed)
-        control.started.connect(partial(panel.track_button.setEnabled, False))
-        control.ended.connect(partial(panel.track_button.setEnabled, True))
+        doc.image.changed.connect(self._image_changed)
+        doc.work.changed.connect(self._work_changed)
+        doc.parts.append(self)
         self._image_changed()
 
     @property
@@ -98,20 +85,19 @@ class TrackControl(QObject):
 
     def stop(self) -> None:
         """End tracking; the frames that are done are kept."""
-        if self.work is not None:
-            self.work.stop()
-            self.panel.say("stopping ...")
+        if self.running:
+            self._doc.work.stop()
 
     def save(self, folder: str) -> None:
         """Write what the command line would."""
-        attempt(partial(self._save, folder), self._warn)
+        attempt(partial(self._save, folder), self._doc.warned.emit)
 
     def saved(self) -> SavedTracks | None:
         """What a session keeps of the series that is chosen; None where it was not tracked."""
         tracked, layers = self.tracked, self.layers
         if layers is None or tracked.job is None or not tracked.results:
             return None
-        layer = self._panels.image.layer
+        layer = self._doc.image.layer
         if layers.image_layer is not layer:
             return None
         return SavedTracks(
@@ -125,10 +111,10 @@ class TrackControl(QObject):
 
     def reopen(self, tracks: SavedTracks) -> None:
         """Show what a session kept, of the image chosen, as if it had just been tracked."""
-        image = self._panels.image
+        image = self._doc.image
         frame, frames = image.frame(), Frames(tracks.pixels)
         self._kept = Tracked(_reopened(tracks, frame, frames), tracks.results, tracks.seconds)
-        self.work = None
+        self.work, self._of = None, weakref.ref(image.layer)
         self._show_in(image.layer, frame)
         self._frames = range(tracks.settings.track.first, len(frames))
         self._again = (partial(_same, self._kept.job), self._frames)
@@ -139,48 +125,46 @@ class TrackControl(QObject):
 
     def close_links(self) -> None:
         """End what runs, and let the viewer go."""
-        if self.work is not None:
-            self.work.close()
         if self.layers is not None:
             self.layers.close()
 
     # ------------------------------------------------------------------------------------- runs
 
     def _busy(self) -> bool:
-        occupied = self._live.occupied
+        occupied = self._doc.work.occupied
         if occupied:
-            self._tell(occupied)
+            self._doc.told.emit(occupied)
         return bool(occupied)
 
     def _start(self) -> None:
-        image = self._panels.image
+        image = self._doc.image
         layer, frame = image.layer, image.frame()
         if layer is None or layer.ndim != 4:
             raise InputError("tracking needs an image over time (T, Z, Y, X)")
         data = layer.data[0] if layer.multiscale else layer.data
-        first, stop = int(self._viewer.dims.current_step[-4]), len(data)
+        first, stop = int(self._doc.viewer.dims.current_step[-4]), len(data)
         if stop < 2:
             raise InputError("tracking needs two frames or more; the image has one")
         if stop - first < 2:
             raise InputError("this is the last frame: move to an earlier one, or run a fit")
-        seeds = self._panels.seeds.seeds(frame)
+        seeds = self._doc.cells.seeds(frame)
         settings = self._settings(seeds, first, float(layer.scale[-4]))
-        frames, grid = Frames(data), frame.grid(data.shape[-3:])
+        frames, grid = Frames(data, frame.box), frame.grid(image.shape())
         self._show_in(layer, frame)
-        self._panels.seeds.finish_placing(keep_preview=True)
-        self._seeds = self._panels.seeds.chooser.ticked()
+        self._doc.cells.finish_placing(keep_preview=True)
+        self._seeds = self._doc.cells.ticked()
         prepare = partial(_prepared, settings, frames, grid, seeds)
         self._launch(prepare, range(first, stop), ())
 
     def _settings(self, seeds: Seeds, first: int, scale: float) -> TrackRun:
-        run = self._control.run_settings(seeds)
+        run = self._doc.run_settings(seeds)
         tracking = TrackSettings(
             first=first,
             divisions=self.panel.divisions.isChecked(),
             time_step=scale if scale > 0 else 1.0,
         )
         values = {
-            "image": str(getattr(self._panels.image.layer.source, "path", None) or ""),
+            "image": str(getattr(self._doc.image.layer.source, "path", None) or ""),
             "seeds": run.seeds,
             "scene": run.scene,
             "fit": run.fit,
@@ -193,12 +177,11 @@ class TrackControl(QObject):
         self, prepare: Callable[[], TrackJob], frames: range, done: Sequence[FrameResult]
     ) -> None:
         self._again, self._frames = (prepare, frames), frames
-        self.work = TrackWork(prepare, done, self._progress, self._frame_done, self._ended)
-        self._live.tracking = self.work
-        self.panel.set_running(True, can_go_on=False)
-        self.panel.say("preparing the seeds ...")
-        self._panels.running.run_button.setEnabled(False)
-        self.work.start()
+        layer = self._doc.image.layer
+        self._of = None if layer is None else weakref.ref(layer)
+        self.work = TrackWork(prepare, frames, done, self._frame_done, self._ended)
+        self.panel.show_verdict("", "")
+        self._doc.work.start(self.work)
 
     def _show_in(self, image_layer: Any, frame: Frame) -> None:
         """Layers of an earlier run give way, or two surfaces would lie on each other."""
@@ -206,37 +189,30 @@ class TrackControl(QObject):
         if old is not None:
             old.close()
             for layer in (old.surface, old.tracks, old.contours.layer):
-                if layer is not None and layer in self._viewer.layers:
-                    self._viewer.layers.remove(layer)
-        self.layers = TrackLayers(self._viewer, image_layer, frame, self._show_frame)
+                if layer is not None and layer in self._doc.viewer.layers:
+                    self._doc.viewer.layers.remove(layer)
+        self.layers = TrackLayers(self._doc.viewer, image_layer, frame, self._show_frame)
 
-    def _progress(self, progress: Progress) -> None:
-        self.panel.show_progress(progress, self._frames.start, self._frames.stop)
-
-    def _frame_done(self, result: FrameResult) -> None:
-        if len(self.results) == 1:
-            self._panels.seeds.make_room()
+    def _frame_done(self, results: Sequence[FrameResult]) -> None:
+        if len(results) == 1:
+            self._doc.cells.make_room()
             for layer in self._seeds:  # they are of one time, and would cover the cells
                 layer.visible = False
         if self.layers is not None:
-            self.layers.show(self.results)
-        if result.mesh is None:
-            self._warn(result.message)
+            self.layers.show(results)
+        if results[-1].mesh is None:
+            self._doc.warned.emit(results[-1].message)
         self._show_frame()
 
     def _ended(self, outcome: TrackOutcome) -> None:
         self._end(outcome.verdict, outcome.message)
-        self._panels.running.run_button.setEnabled(True)
         if outcome.verdict == "failed":
-            self._warn(outcome.message)
+            self._doc.warned.emit(outcome.message)
 
     def _end(self, verdict: str, text: str) -> None:
         """Show how it ended, and whether it can go on."""
         results, seconds = self.results, self.tracked.seconds
-        last = results[-1].frame if results else -1
-        left = bool(results) and last < self._frames.stop - 1
-        self.panel.set_running(False, can_go_on=left)
-        self.panel.say("")
+        self._work_changed()
         if results:
             kept = "" if verdict == "done" else f"{len(results)} frames are kept, "
             text += f" ({kept}{seconds:.1f} s)"
@@ -251,13 +227,21 @@ class TrackControl(QObject):
         for result in tracked.results:
             write_frame(folder, result)
         write_tracks(folder, tracked.results, job.first.grid, job.settings, tracked.seconds)
-        self._tell(f"saved {folder}")
+        self._doc.told.emit(f"saved {folder}")
 
     # ------------------------------------------------------------------------------- the panel
 
     def _image_changed(self) -> None:
-        layer = self._panels.image.layer
+        layer = self._doc.image.layer
         self.panel.setVisible(layer is not None and layer.ndim == 4)
+        self._work_changed()
+
+    def _work_changed(self) -> None:
+        results = self.results
+        last = results[-1].frame if results else -1
+        left = bool(results) and last < self._frames.stop - 1
+        own = self._of is not None and self._of() is self._doc.image.layer
+        self.panel.allow(not self._doc.work.occupied, can_go_on=left and own)
 
     def _show_frame(self) -> None:
         layers = self.layers
@@ -268,7 +252,7 @@ class TrackControl(QObject):
 
     def _complain(self, message: str) -> None:
         self.panel.show_verdict("failed", message)
-        self._warn(message)
+        self._doc.warned.emit(message)
 
 
 def _same(job: TrackJob | None) -> TrackJob:

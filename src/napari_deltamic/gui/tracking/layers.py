@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from ...measure import measure_cells
 from ...results.colouring import PALETTE, colour_indices, plain_index
 from ...tracking import FrameResult, lineage, surface_4d
-from ..connections import Connections
-from ..plain import camera_of
+from ..layer_choice import Connections
 from ..viewing.colours import PALETTE_RGBA, region_colours
 from ..viewing.contours import Contours
-from ..viewing.frame import OWN, Frame
+from ..viewing.frame import OWN, Frame, camera_of
 from ..viewing.own_layers import Surface, Tracks
 
 _COLOUR = "colour"  # the feature by which paths have the colours of their cells

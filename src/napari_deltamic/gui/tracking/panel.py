@@ -1,9 +1,8 @@
-"""Track, stop, save; where tracking is, and the cells of the frame that is shown."""
+"""Track and save; the cells of the frame that is shown."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from qtpy.QtWidgets import (
     QCheckBox,
@@ -11,7 +10,6 @@ from qtpy.QtWidgets import (
     QGroupBox,
     QHBoxLayout,
     QLabel,
-    QProgressBar,
     QPushButton,
     QVBoxLayout,
     QWidget,
@@ -21,9 +19,7 @@ from ...measure import measure_cells
 from ...tracking import FrameResult, TrackSettings
 from ..qt import Signal
 from ..results.cell_table import CellTable
-from ..running.curves import explained
-from ..widgets import note_label
-from .work import Progress
+from ..widgets import Note
 
 _COLOURS = {"done": "#3fae6b", "stopped": "#d99a1c", "failed": "#e0564f"}
 
@@ -33,7 +29,6 @@ class TrackPanel(QGroupBox):
 
     track = Signal()
     go_on = Signal()
-    stop = Signal()
     save = Signal(str)
 
     def __init__(self, parent: QWidget | None = None) -> None:
@@ -45,68 +40,42 @@ class TrackPanel(QGroupBox):
         )
         self.go_on_button = QPushButton("Go on", self)
         self.go_on_button.setToolTip("Go on after the last frame that was tracked.")
-        self.stop_button = QPushButton("Stop", self)
-        self.stop_button.setToolTip("End tracking; the frames that are done are kept.")
         self.divisions = QCheckBox("cells may divide", self)
         self.divisions.setChecked(TrackSettings().divisions)
         described = TrackSettings.model_fields["divisions"].description
         self.divisions.setToolTip(f"<qt>{described}</qt>")
-        self.progress = QProgressBar(self)
-        self.progress.setTextVisible(True)
-        self.message = note_label()
-        self.verdict = QLabel(self)
-        self.verdict.setWordWrap(True)
-        self.frame = QLabel(self)
+        self.verdict, self.frame = Note(self), QLabel(self)
         self.frame.setWordWrap(True)
         self.table = CellTable(self)
         self.save_button = QPushButton("Save all frames...", self)
         self.save_button.setToolTip(
             "<qt>A mesh for each frame, tracks.csv, surface.npz, report.json and run.toml.</qt>"
         )
-        self._lay_out()
+        buttons = QHBoxLayout()
+        for button in (self.track_button, self.go_on_button, self.divisions):
+            buttons.addWidget(button)
+        layout = QVBoxLayout(self)
+        layout.addLayout(buttons)
+        rows: tuple[QWidget, ...] = (self.verdict, self.frame, self.table, self.save_button)
+        for widget in rows:
+            layout.addWidget(widget)
         self.track_button.clicked.connect(self.track)
         self.go_on_button.clicked.connect(self.go_on)
-        self.stop_button.clicked.connect(self.stop)
         self.save_button.clicked.connect(self._ask)
-        self.set_running(False, can_go_on=False)
+        self.allow(True, can_go_on=False)
         self.show_frame(None)
-        self.say("")
-        self.show_verdict("", "")
 
-    def set_running(self, running: bool, *, can_go_on: bool) -> None:
+    def allow(self, allowed: bool, *, can_go_on: bool) -> None:
         """Which buttons can be pressed."""
-        self.track_button.setEnabled(not running)
-        self.go_on_button.setVisible(can_go_on and not running)
-        self.stop_button.setEnabled(running)
-        self.divisions.setEnabled(not running)
-        self.progress.setVisible(running)
-        self.save_button.setEnabled(not running)
-        if running:
-            self.progress.setRange(0, 0)
-            self.show_verdict("", "")
-
-    def show_progress(self, progress: Progress, first: int, stop: int) -> None:
-        """Where it is; frames are counted as in the viewer, from 0."""
-        share = (progress.level - 1) / max(progress.levels, 1)
-        done = progress.frame - first
-        self.progress.setRange(0, 100 * (stop - first))
-        self.progress.setValue(int(100 * (done + share)))
-        self.progress.setFormat(f"frame {done + 1} of {stop - first}")
-        self.say(
-            f"time {progress.frame}: level {progress.level} of {progress.levels}, "
-            f"{progress.iteration} iterations, {explained(progress.loss):.1f} % explained"
-        )
-
-    def say(self, text: str) -> None:
-        """What is going on, in a line."""
-        self.message.setText(text)
-        self.message.setVisible(bool(text))
+        self.track_button.setEnabled(allowed)
+        self.go_on_button.setVisible(can_go_on and allowed)
+        self.divisions.setEnabled(allowed)
+        self.save_button.setEnabled(allowed)
 
     def show_verdict(self, verdict: str, text: str) -> None:
         """How it ended."""
         self.verdict.setStyleSheet(f"color: {_COLOURS.get(verdict, '')}; font-weight: bold;")
-        self.verdict.setText(text)
-        self.verdict.setVisible(bool(text))
+        self.verdict.say(text)
 
     def show_frame(
         self,
@@ -138,16 +107,6 @@ class TrackPanel(QGroupBox):
         folder = QFileDialog.getExistingDirectory(self, "Folder for the frames")
         if folder:
             self.save.emit(folder)
-
-    def _lay_out(self) -> None:
-        buttons = QHBoxLayout()
-        for button in (self.track_button, self.go_on_button, self.stop_button):
-            buttons.addWidget(button)
-        layout: Any = QVBoxLayout(self)
-        layout.addLayout(buttons)
-        rows = (self.divisions, self.progress, self.message, self.verdict, self.frame, self.table)
-        for widget in (*rows, self.save_button):
-            layout.addWidget(widget)
 
 
 def _told(result: FrameResult) -> Sequence[str]:

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from ...geometry import Mesh
 from ...geometry.mesh import OUTSIDE
 from ...measure import section
-from ..plain import camera_of
 from .colours import ByValue, region_colours
-from .frame import OWN, Frame
+from .frame import OWN, Frame, camera_of
 from .own_layers import Vectors
 
 _PIXELS = 2.0  # of the canvas that a line is wide, until the user chooses another width

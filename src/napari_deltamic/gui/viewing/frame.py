@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ ORIGIN = "origin"
 TRUTH = "truth"  # under it: whether the layer shows what is true of a simulated image
 FloatArray = NDArray[np.float64]
 Triple = tuple[float, float, float]
+Box = tuple[tuple[int, int], tuple[int, int], tuple[int, int]]  # voxels, Z, Y, X: first, and end
 
 
 @dataclass(frozen=True)
@@ -30,12 +31,14 @@ class Frame:
     um : um in one unit of the viewer's world, along each axis.
     translate : where the centre of the first voxel lies in the world.
     units : of the layer, for the layers that a fit adds.
+    box : the region of the layer that is fitted; None for all of it.
     """
 
     voxel_size: Triple
     um: Triple
     translate: Triple
     units: tuple[str, ...]
+    box: Box | None = None
 
     @classmethod
     def of(cls, layer: Any) -> Frame:
@@ -54,6 +57,33 @@ class Frame:
             _triple(layer.translate[-3:]),
             tuple(str(u) for u in layer.units[-3:]),
         )
+
+    def within(self, box: Box) -> Frame:
+        """The frame of a region of the image."""
+        first = np.array([low for low, _ in box]) * self.voxel_size
+        return replace(self, translate=_triple(self.to_world(first)), box=box)
+
+    def region(self, layer: Any, shape: tuple[int, ...]) -> tuple[slice, ...] | None:
+        """The voxels of this region in a layer of all the image, or of the region alone.
+
+        None where the layer lies on other voxels.
+        """
+        scale, shift = self.data_to_um(layer)
+        size = np.asarray(self.voxel_size)
+        if not np.allclose(scale, size, rtol=1e-3):
+            return None
+        if (np.abs(shift) <= 0.01 * size).all():
+            return (slice(None),) * 3 if self.box is None or shape == self.shape else None
+        if self.box is None:
+            return None
+        first = np.array([low for low, _ in self.box])
+        same = (np.abs(shift + first * size) <= 0.01 * size).all()
+        return tuple(slice(a, b) for a, b in self.box) if same else None
+
+    @property
+    def shape(self) -> tuple[int, ...] | None:
+        """Voxels of the region; None for all of the image."""
+        return None if self.box is None else tuple(b - a for a, b in self.box)
 
     def grid(self, shape: tuple[int, ...]) -> Grid:
         """The grid of an image of a shape."""
@@ -90,12 +120,32 @@ class Frame:
         return {"scale": size, "translate": self.translate, "units": self.units}
 
 
+def unwrapped(viewer: Any) -> Any:
+    """The viewer itself, where napari hands over a ``PublicOnlyProxy`` of it.
+
+    It does so for docks that ``napari -w`` or ``add_plugin_dock_widget`` open. Whatever is asked of
+    such a proxy is wrapped anew: no layer *is* the one that was found a moment ago, and none is of
+    the type that it seems to be.
+    """
+    return getattr(viewer, "__wrapped__", viewer)
+
+
+def camera_of(viewer: Any) -> Any:
+    """The camera of a viewer or its model; napari 0.9 has moved it."""
+    return getattr(viewer, "scene", viewer).camera
+
+
 def um_per_unit(layer: Any) -> Triple | None:
     """um in one unit of a layer's last three axes; None if they are no lengths (pixels)."""
     try:
         return _triple([float((1 * unit).to("micrometer").magnitude) for unit in layer.units[-3:]])
     except (pint.DimensionalityError, pint.UndefinedUnitError):
         return None
+
+
+def voxel_size(layer: Any) -> Triple:
+    """Of an image layer, um, whichever way its axes run."""
+    return _triple(np.abs(np.asarray(layer.scale, float)[-3:]) * (um_per_unit(layer) or (1.0,) * 3))
 
 
 def made_by_fit(layer: Any) -> bool:

@@ -5,19 +5,23 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from ...errors import InputError
 from .base import (
     Cost,
+    DepthEffect,
+    Detection,
+    DetectorEffect,
     Effect,
     FaceEffect,
     GainEffect,
     OffsetEffect,
     TransferEffect,
     Value,
+    ViewEffect,
     VoxelEffect,
 )
 from .bulk import Bulk
@@ -26,6 +30,8 @@ from .detection import Camera, Missing
 from .optical import Halo, PixelIntegration
 from .smooth import Background, Illumination
 from .views import SecondView
+
+E = TypeVar("E", bound=Effect)
 
 KINDS: dict[str, type[Effect]] = {
     kind.name: kind
@@ -121,6 +127,30 @@ class Effects(BaseModel):
         """Names of those that are there."""
         return tuple(effect.name for effect in self.present())
 
+    def role(self, kind: type[E]) -> E | None:
+        """The one that does a kind of thing; None where none does."""
+        return next((effect for effect in self.present() if isinstance(effect, kind)), None)
+
+    @property
+    def detector(self) -> DetectorEffect | None:
+        """What made the image."""
+        return self.role(DetectorEffect)
+
+    @property
+    def depth(self) -> DepthEffect | None:
+        """What has the PSF change with depth."""
+        return self.role(DepthEffect)
+
+    @property
+    def view(self) -> ViewEffect | None:
+        """A further image of the scene."""
+        return self.role(ViewEffect)
+
+    @property
+    def spread(self) -> float:
+        """um: how far from the surface's own image voxels count because of them; 0: no further."""
+        return max((e.spread for e in self.present() if isinstance(e, TransferEffect)), default=0.0)
+
     @property
     def light_inside(self) -> bool:
         """Whether cells shine from inside."""
@@ -129,6 +159,14 @@ class Effects(BaseModel):
     def replace(self, **changed: Effect | None) -> Effects:
         """The same with some changed, added, or (None) absent."""
         return _made(type(self), {**dict(self), **changed})
+
+    def adding(self, *effects: Effect) -> Effects:
+        """The same with some more, or with others of their names."""
+        return self.replace(**{effect.name: effect for effect in effects})
+
+    def of_a_further_image(self) -> Effects:
+        """The same without what belongs to one image alone."""
+        return self.without(*(e.name for e in self.present() if e.of_one_image))
 
     def without(self, *names: str) -> Effects:
         """The same without some."""
@@ -219,7 +257,10 @@ __all__ = [
     "Bulk",
     "Camera",
     "Cost",
+    "DepthEffect",
     "DepthPSF",
+    "Detection",
+    "DetectorEffect",
     "Effect",
     "Effects",
     "FaceEffect",
@@ -232,6 +273,7 @@ __all__ = [
     "SecondView",
     "TransferEffect",
     "Value",
+    "ViewEffect",
     "VoxelEffect",
     "as_effects",
 ]

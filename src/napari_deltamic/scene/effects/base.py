@@ -91,6 +91,8 @@ class Effect(BaseModel):
         it, so that the derivative in it is zero where the effect changes nothing.
     needs_data
         Whether it is data: no single image can say that it is called for.
+    of_one_image
+        Whether it belongs to one image alone: a further view of the scene has its own, or none.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -103,6 +105,7 @@ class Effect(BaseModel):
     bounds: ClassVar[dict[str, Bounds]] = {}
     tried_widths: ClassVar[dict[str, tuple[float, ...]]] = {}
     needs_data: ClassVar[bool] = False
+    of_one_image: ClassVar[bool] = False
 
     fit: bool = Field(default=True, description="whether its numbers are fitted")
 
@@ -110,6 +113,14 @@ class Effect(BaseModel):
     def neutral(cls) -> Self:
         """The instance that changes nothing: a candidate is judged by its derivative there."""
         return cls()
+
+    def reach(self, share: float) -> float:
+        """um beyond which it brings less than ``share`` of the light anywhere."""
+        return 0.0
+
+    def hides_reach(self) -> bool:
+        """Whether it hides how far from a surface the surface's own image reaches."""
+        return False
 
     # ------------------------------------------------------------------------------- numbers
 
@@ -178,6 +189,20 @@ class FaceEffect(Effect):
         raise NotImplementedError
 
 
+class DepthEffect(Effect):
+    """Has the PSF change with depth: between that of the first and that of the last slice."""
+
+    where: ClassVar[Where] = "object"
+
+    def depths(self, centroids: Tensor, frame: Grid) -> Tensor:
+        """(F,) relative depth: 0 in the first slice and before, 1 in the last and beyond."""
+        raise NotImplementedError
+
+    def transfers(self, axes: Axes) -> tuple[Tensor, Tensor]:
+        """Factors on the OTF in the first and in the last slice."""
+        raise NotImplementedError
+
+
 class TransferEffect(Effect):
     """Acts on the OTF."""
 
@@ -187,8 +212,9 @@ class TransferEffect(Effect):
         """Factor on the OTF at wavevector components that broadcast over a box (rad/um)."""
         raise NotImplementedError
 
-    def reach(self, share: float) -> float:
-        """um beyond which it brings less than ``share`` of the light anywhere."""
+    @property
+    def spread(self) -> float:
+        """um: how far from the surface's own image voxels count because of it."""
         return 0.0
 
 
@@ -213,15 +239,64 @@ class OffsetEffect(Effect):
         raise NotImplementedError
 
 
+@dataclass(frozen=True)
+class Detection:
+    """What an image shows of its detection.
+
+    gain, offset, read_noise : as of a detector.
+    saturation : intensity of full voxels; None where none is full.
+    failed : slices that hold no image.
+    """
+
+    gain: float
+    offset: float
+    read_noise: float
+    saturation: float | None
+    failed: tuple[int, ...]
+
+
 class VoxelEffect(Effect):
     """Says which voxels tell nothing, and how noisy the others are; no image is rendered."""
 
     where: ClassVar[Where] = "likelihood"
     fit: bool = Field(default=False, description="nothing of it is fitted with the shape")
 
+    of_one_image: ClassVar[bool] = True
+
     def missing(self, image: np.ndarray) -> np.ndarray:
         """(Z, Y, X) bool: voxels that tell nothing."""
         return np.zeros(image.shape, bool)
+
+    def spoil(self, image: np.ndarray) -> None:
+        """Write into a simulated image (Z, Y, X) what such voxels hold."""
+
+    def about_missing(self) -> str:
+        """What such voxels are, in a few words."""
+        return "voxels tell nothing"
+
+    @classmethod
+    def seen(cls, detection: Detection) -> Self | None:
+        """What the image itself shows of it; None where it shows nothing."""
+        return None
+
+
+class DetectorEffect(VoxelEffect):
+    """The detector that made the image: ``variance = gain (image - offset) + read noise^2``."""
+
+    gain: float
+    offset: float
+    read_noise: float
+    saturation: float | None
+
+
+class ViewEffect(Effect):
+    """A further image of the same scene, seen through a Gaussian PSF of its own."""
+
+    where: ClassVar[Where] = "image"
+    needs_data: ClassVar[bool] = True
+
+    sigma: tuple[float, float, float]
+    image: str
 
 
 def relative(grid: Grid, frame: Grid, axis: int) -> Tensor:

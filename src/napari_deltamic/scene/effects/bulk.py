@@ -36,6 +36,10 @@ class Bulk(Effect):
         default={}, description="region -> factor on the density; 1 where not given"
     )
 
+    def hides_reach(self) -> bool:
+        """An inside darker than the outside would leave out voxels just because they are dark."""
+        return self.density < 0
+
     def densities(self, regions: Tensor) -> Tensor:
         """Density in each region of an array of their numbers; 0 outside (region 0)."""
         found = torch.where(regions > 0, 1.0, 0.0).to(torch.float64)

@@ -10,7 +10,7 @@ from pydantic import Field
 from torch import Tensor
 
 from ..grid import Grid
-from .base import Axes, Bounds, Cost, Effect, FaceEffect, GainEffect, Where, middle
+from .base import Axes, Bounds, Cost, DepthEffect, FaceEffect, GainEffect, middle
 
 
 class Attenuation(FaceEffect):
@@ -59,7 +59,7 @@ class Bleaching(GainEffect):
         return torch.exp(-self.per_slice * slices)[:, None, None]
 
 
-class DepthPSF(Effect):
+class DepthPSF(DepthEffect):
     """The PSF widens with depth, as a mismatch of refractive indices or scattering makes it.
 
     The OTF at relative depth t is that of the first slice times ``1 - t`` plus that of the last
@@ -67,7 +67,6 @@ class DepthPSF(Effect):
     """
 
     name: ClassVar[str] = "depth_psf"
-    where: ClassVar[Where] = "object"
     help: ClassVar[str] = (
         "the PSF widens from one end of the stack to the other; left out, surfaces are seen too "
         "thick at one end and too thin at the other"

@@ -7,10 +7,10 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
-from .base import VoxelEffect
+from .base import Detection, DetectorEffect, VoxelEffect
 
 
-class Camera(VoxelEffect):
+class Camera(DetectorEffect):
     """From photons to intensities: ``variance = gain (image - offset) + read noise^2``."""
 
     name: ClassVar[str] = "camera"
@@ -40,6 +40,22 @@ class Camera(VoxelEffect):
         full: np.ndarray = image >= self.saturation
         return full
 
+    def about_missing(self) -> str:
+        """See ``VoxelEffect``."""
+        return f"voxels are full, at {self.saturation:g}"
+
+    @classmethod
+    def seen(cls, detection: Detection) -> Camera | None:
+        """Where voxels are full."""
+        if detection.saturation is None:
+            return None
+        return cls(
+            gain=detection.gain,
+            offset=detection.offset,
+            read_noise=detection.read_noise,
+            saturation=detection.saturation,
+        )
+
 
 class Missing(VoxelEffect):
     """Voxels that were not measured: a value that stands for nothing, or slices that failed."""
@@ -62,3 +78,16 @@ class Missing(VoxelEffect):
             found |= image == self.value
         found[[k for k in self.slices if k < len(found)]] = True
         return found
+
+    def about_missing(self) -> str:
+        """See ``VoxelEffect``."""
+        return "voxels lie in slices without an image"
+
+    def spoil(self, image: np.ndarray) -> None:
+        """They hold the value, 0 where there is none."""
+        image[self.missing(image)] = self.value or 0
+
+    @classmethod
+    def seen(cls, detection: Detection) -> Missing | None:
+        """Where slices failed."""
+        return cls(slices=detection.failed) if detection.failed else None

@@ -36,7 +36,7 @@ class Surfaces:
 def acts_on_object(effects: Effects) -> bool:
     """Whether the object's transform is another with these effects."""
     faces = any(isinstance(effect, FaceEffect) for effect in effects.present())
-    return faces or effects.bulk is not None or effects.depth_psf is not None
+    return faces or effects.bulk is not None or effects.depth is not None
 
 
 def object_transform(
@@ -71,7 +71,7 @@ def object_transform(
     them, for the PSF in the first and in the last slice.
     """
     side = ObjectSide(plan, vertices, surfaces, weight, effects, grid, frame)
-    deep = None if effects.depth_psf is None else side.deep()
+    deep = None if effects.depth is None else side.deep()
     inside = None if effects.bulk is None else side.inside()
     return assembled(side.seen(), deep, inside)
 
@@ -111,8 +111,8 @@ class ObjectSide:
 
     def deep(self) -> Tensor:
         """The surface times its relative depth, for the PSF in the last slice."""
-        assert self.effects.depth_psf is not None
-        depths = self.effects.depth_psf.depths(self._centroids, self.frame)
+        assert self.effects.depth is not None
+        depths = self.effects.depth.depths(self._centroids, self.frame)
         return self.plan.transform(self._placed, self.surfaces.faces, self._bright * depths)
 
     def inside(self) -> Tensor:

@@ -68,6 +68,15 @@ class Halo(TransferEffect):
         spread = torch.exp(half * z**2) * torch.exp(half * y**2) * torch.exp(half * x**2)
         return (1 - self.fraction) + self.fraction * spread
 
+    @property
+    def spread(self) -> float:
+        """Its light counts as far as it is spread."""
+        return self.width
+
+    def hides_reach(self) -> bool:
+        """A halo is seen everywhere, and would have everything count."""
+        return True
+
     def reach(self, share: float) -> float:
         """um beyond which it brings less than ``share`` of the light anywhere."""
         return self.width * sqrt(2 * log(max(self.fraction / max(share, 1e-12), 1.0)))

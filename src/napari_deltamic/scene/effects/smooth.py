@@ -84,6 +84,7 @@ class Background(_Polynomial, OffsetEffect):
     """A background that changes slowly over the image, on top of the constant one."""
 
     name: ClassVar[str] = "background"
+    of_one_image: ClassVar[bool] = True
     help: ClassVar[str] = (
         "the background rises or falls slowly over the image; left out, it pulls the surface and "
         "widens the PSF where it is fitted"

@@ -6,22 +6,20 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field
 
-from .base import Cost, Effect, Where
+from .base import Cost, ViewEffect
 
 Width = Annotated[float, Field(gt=0)]
 
 
-class SecondView(Effect):
+class SecondView(ViewEffect):
     """The same scene through another PSF, as from a second objective, on the same grid."""
 
     name: ClassVar[str] = "second_view"
-    where: ClassVar[Where] = "image"
     help: ClassVar[str] = (
         "a second image, registered to the first, seen through another PSF; left out, what only "
         "that one resolves is lost"
     )
     cost: ClassVar[Cost] = Cost(images=1, bands=2)
-    needs_data: ClassVar[bool] = True
 
     fit: bool = Field(default=False, description="its PSF is held")
     sigma: tuple[Width, Width, Width] = Field(

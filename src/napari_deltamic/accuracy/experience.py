@@ -1,0 +1,81 @@
+"""What fits took on this machine, in parts of what was forecast: kept on disk, for the next one."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from math import exp, isfinite, log
+from pathlib import Path
+from typing import Any
+
+from ..common.cache_folder import cache_folder
+from ..common.writing import write_atomically
+from ..errors import InputError
+
+_NEWEST = 0.5  # weight of the last fit among those before it
+_ANY = "any"  # the kind under which the speed of all fits is kept
+
+
+@dataclass(frozen=True)
+class Experience:
+    """What a fit took, in parts of what was forecast.
+
+    Attributes
+    ----------
+    seconds
+        Of an iteration.
+    iterations
+        Until it had converged.
+    """
+
+    seconds: float = 1.0
+    iterations: float = 1.0
+
+
+class Learned:
+    """Means over earlier fits, by kind; the speed of a kind that is new is that of all.
+
+    Parameters
+    ----------
+    folder
+        Where they are kept; by default that of the system for caches.
+    """
+
+    def __init__(self, folder: Path | None = None) -> None:
+        self._path = (folder or cache_folder()) / "fits.json"
+        self._known = _read(self._path)
+
+    def about(self, kind: str) -> Experience:
+        """What is known of fits of a kind."""
+        known = self._known.get(kind)
+        if known is not None:
+            return Experience(exp(known[0]), exp(known[1]))
+        found = self._known.get(_ANY)
+        return Experience() if found is None else Experience(exp(found[0]), 1.0)
+
+    def learn(self, kind: str, found: Experience) -> None:
+        """Take over what a fit took; kept for the next time, where that is possible."""
+        for name in (kind, _ANY):
+            seconds, iterations, count = self._known.get(name, (0.0, 0.0, 0.0))
+            weight = max(_NEWEST, 1 / (count + 1))  # the first counts alone
+            self._known[name] = (
+                (1 - weight) * seconds + weight * log(found.seconds),
+                (1 - weight) * iterations + weight * log(found.iterations),
+                count + 1,
+            )
+        text = json.dumps(self._known, indent=1) + "\n"
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            write_atomically(self._path, text.encode())
+        except (OSError, InputError):
+            pass  # a folder that cannot be written to is no reason to fail
+
+
+def _read(path: Path) -> dict[str, tuple[float, float, float]]:
+    """What is in a file; nothing where there is none, or it is damaged."""
+    try:
+        kept: Any = json.loads(path.read_text(encoding="utf-8"))
+        found = {str(kind): (float(a), float(b), float(c)) for kind, (a, b, c) in kept.items()}
+    except (OSError, ValueError, TypeError, AttributeError):
+        return {}
+    return {kind: row for kind, row in found.items() if all(map(isfinite, row))}

@@ -1,0 +1,147 @@
+"""What is known of a fit when it has ended, for its verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+
+from ..fitting.job import FitInput
+from ..fitting.state import FitState
+from ..fitting.voxel_ownership import surface_voxels
+from ..geometry.labels.voxels import voxel_labels
+from ..geometry.mesh import Mesh
+from ..scene import Grid
+from .first_sigma import first_sigma
+from .predicted_error import predicted_error
+from .residual import Residual
+from .verdict import SETTINGS, CellFacts, Facts, Verdict, judged
+
+_DEEP, _FAR = 2.5, 6.0  # widths of the PSF from a surface: what its own light hardly reaches
+_FEWEST = 30  # voxels that a mean brightness is taken from
+
+
+def verdict_of(
+    job: FitInput, state: FitState, left: Residual, rendered: np.ndarray | None = None
+) -> Verdict:
+    """What is to be thought of a fit; parameters as of :func:`facts_of`."""
+    return judged(facts_of(job, state, left, rendered))
+
+
+def facts_of(
+    job: FitInput, state: FitState, left: Residual, rendered: np.ndarray | None = None
+) -> Facts:
+    """What is known of a fit.
+
+    Parameters
+    ----------
+    left
+        What it does not explain.
+    rendered
+        (Z, Y, X) image of the state, where it is known already.
+    """
+    image = state.rendered() if rendered is None else rendered
+    total = float(np.abs(np.asarray(image) - state.background).sum())
+    areas = _areas(state.mesh)
+    whole = sum(areas.values()) or 1.0
+    growth = _growth(job.mesh, state.mesh)
+    cut = _cut(state.mesh, job.grid)
+    inside, compact = _inside(job, state), _compactness(job.mesh, state.mesh)
+    modelled = state.effects.light_inside or state.light.interior != 0
+    explained = {cell.region: cell.explained for cell in left.cells}
+    light: dict[int, float] = {}
+    for spot in left.spots:
+        light[spot.region] = max(light.get(spot.region, 0.0), abs(spot.light))
+    cells = tuple(
+        CellFacts(
+            region,
+            explained.get(region),
+            light.get(region, 0.0) / max(total * area / whole, 1e-30),
+            growth.get(region),
+            region in cut,
+            None if modelled else inside.get(region),
+            compact.get(region),
+        )
+        for region, area in areas.items()
+    )
+    sigma, size = np.asarray(state.optics.sigma_um), np.asarray(job.grid.voxel_size)
+    fitted = job.settings.fit.fit_psf
+    narrow = fitted and bool((sigma < SETTINGS.psf_voxels * size).any())
+    # The spectrum of insides falls faster than that of membranes: it looks blurred.
+    width = None if modelled else _width(np.asarray(job.image), job.grid, sigma)
+    voxel = float(size.prod() ** (1 / 3))
+    error = predicted_error(job, state)
+    return Facts(state.converged, left.explained, width, narrow, cells, error, voxel)
+
+
+def _width(image: np.ndarray, grid: Grid, sigma: np.ndarray) -> float | None:
+    """Of the blur in the plane, over that of the PSF; voxels blur, too."""
+    told = first_sigma(image, grid.voxel_size).yx.value
+    return None if told is None else told / float(max(sigma[1:]))
+
+
+def _areas(mesh: Mesh) -> dict[int, float]:
+    areas = mesh.areas()
+    return {int(r): float(areas[(mesh.regions == r).any(1)].sum()) for r in mesh.region_ids()}
+
+
+def _growth(start: Mesh, end: Mesh) -> dict[int, float]:
+    before: Mapping[int, float] = start.volumes()
+    return {
+        region: abs(volume / before[region])
+        for region, volume in end.volumes().items()
+        if before.get(region)
+    }
+
+
+def _compactness(start: Mesh, end: Mesh) -> dict[int, float]:
+    before, after = _roundness(start), _roundness(end)
+    return {r: value / before[r] for r, value in after.items() if before.get(r)}
+
+
+def _roundness(mesh: Mesh) -> dict[int, float]:
+    """Area of the sphere of the volume of each region, over its own."""
+    areas = _areas(mesh)
+    return {
+        region: float(np.cbrt(np.pi) * (6 * abs(volume)) ** (2 / 3) / areas[region])
+        for region, volume in mesh.volumes().items()
+        if areas.get(region)
+    }
+
+
+def _inside(job: FitInput, state: FitState) -> dict[int, float]:
+    """Brightness deep inside of each region less that outside, over that of the surface."""
+    grid, mesh = job.grid, state.mesh
+    image = np.asarray(job.image)
+    known = np.isfinite(image)
+    if job.counted is not None:
+        known = known & job.counted
+    labels = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
+    surface = surface_voxels(mesh, grid)
+    if not (surface & known).any():
+        return {}
+    widths = np.asarray(grid.voxel_size) / np.asarray(state.optics.sigma_um)
+    away = distance_transform_edt(~surface, sampling=widths)
+    deep = known & (away > _DEEP)
+    outer = deep & (labels == 0) & (away < _FAR)
+    if outer.sum() < _FEWEST:
+        return {}
+    dark, bright = float(image[outer].mean()), float(np.median(image[surface & known]))
+    found = {}
+    for region in mesh.region_ids():
+        own = deep & (labels == region)
+        if own.sum() >= _FEWEST:
+            level = float(image[own].mean())
+            found[int(region)] = (level - dark) / max(bright - min(level, dark), 1e-30)
+    return found
+
+
+def _cut(mesh: Mesh, grid: Grid) -> set[int]:
+    """Cells whose surface comes within a voxel of the border of the image."""
+    low, high = (np.asarray(side) for side in grid.extent)
+    half = np.asarray(grid.voxel_size) / 2
+    places = mesh.vertices_numpy()
+    outside = np.logical_or(places < low + half, places > high - half)
+    beyond = np.flatnonzero(outside.any(axis=1))
+    return {int(r) for r in np.unique(mesh.regions[np.isin(mesh.faces, beyond).any(1)]) if r}

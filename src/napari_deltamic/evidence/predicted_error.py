@@ -1,0 +1,157 @@
+"""How far the surfaces of a fit are thought to be from the true ones, cell by cell."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..errors import InputError
+from ..fitting.convergence import Patches, vertex_normals
+from ..fitting.curvature import Curvature
+from ..fitting.errors_of_measures import posed_at
+from ..fitting.job import FitInput
+from ..fitting.pose import Posed
+from ..fitting.state import FitState
+from ..geometry.mesh import FloatArray, Mesh
+from .candidates import allowed, chosen_candidates, points_inwards, variants
+
+_DRAWS = 16  # of the noise: over hundreds of patches, enough for their mean square
+_SURE = 4.5  # nats: three standard deviations; what gains less is no alternative
+_AS_GOOD = 0.5  # of what the best alternative gains: then it is as likely
+_OTHER_PSF = "another PSF"
+
+
+@dataclass(frozen=True)
+class ShapeDeviation:
+    """Of the surface of one cell, or of all: um, root of the mean square over it.
+
+    Displacements along the normal, each averaged over a patch as wide as the PSF.
+
+    Attributes
+    ----------
+    noise
+        What other noise of the same kind would move it by; the misfit of the model is in it, as
+        the variance is that of the residuals.
+    settling
+        What more iterations would.
+    prior
+        What the prior on its shape pulls.
+    alternative
+        What it would move by if the model had what it lacks.
+    """
+
+    noise: float
+    settling: float
+    prior: float
+    alternative: float = 0.0
+
+    @property
+    def total(self) -> float:
+        """All together."""
+        parts = self.noise, self.settling, self.prior, self.alternative
+        return float(np.sqrt(np.square(parts).sum()))
+
+
+@dataclass(frozen=True)
+class PredictedError:
+    """The predicted errors of a fit.
+
+    Attributes
+    ----------
+    whole, cells
+        Of all surfaces, and of each cell by its number.
+    lacks
+        The alternative that explains most of what is left; empty where none does.
+    unknown
+        Why there are none; empty where there are.
+    """
+
+    whole: ShapeDeviation | None = None
+    cells: Mapping[int, ShapeDeviation] = field(default_factory=dict)
+    lacks: str = ""
+    unknown: str = ""
+
+
+def predicted_error(job: FitInput, state: FitState) -> PredictedError:
+    """The errors of the end of a fit, from the second derivatives of its objective there.
+
+    The standard deviation of a displacement is that of H^-1 J' W r with the residuals r, each with
+    a sign by lot; an alternative is a further column of the image (another width of the PSF, an
+    effect), and moves the surface by its best amplitude times what the surface follows it by.
+    """
+    try:
+        settings = job.settings.fit
+        posed = posed_at(job.image, job.grid, state, settings, job.counted)
+        curvature = Curvature(posed.posterior, posed.at, state.mesh, state.pinned)
+    except InputError as error:
+        return PredictedError(unknown=str(error))
+    except np.linalg.LinAlgError:
+        return PredictedError(unknown="the image does not determine the shape")
+    patches = _Patches(state)
+    now = posed.posterior(posed.at)
+    prior = posed.posterior.prior
+    v = state.mesh.vertices_numpy()
+    pull = prior.stiffness * (prior.bending(v)[1] + prior.junctions(v)[1])
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], (curvature.residual.size, _DRAWS))
+    noise = curvature.follows(signs * curvature.residual[:, None])
+    squares = [patches.means(curvature.directions.displaced(one)) ** 2 for one in noise.T]
+    lacks, other = _alternative(posed, curvature, state)
+    parts = (
+        np.mean(squares, axis=0),
+        patches.means(curvature.newton_step(now.gradient).vertices) ** 2,
+        patches.means(curvature.response(pull)) ** 2,
+        patches.means(other) ** 2,
+    )
+
+    def over(chosen: np.ndarray) -> ShapeDeviation:
+        return ShapeDeviation(*(float(np.sqrt(part[chosen].mean())) for part in parts))
+
+    every = np.unique(state.mesh.faces)
+    cells = {region: over(own) for region, own in _vertices(state.mesh).items()}
+    return PredictedError(over(every), cells, lacks)
+
+
+def _alternative(posed: Posed, curvature: Curvature, state: FitState) -> tuple[str, FloatArray]:
+    """What the model lacks, and (V, 3) what the surface would move by with it."""
+    columns: dict[str, list[FloatArray]] = {}
+    if not len(posed.at.optics):
+        columns[_OTHER_PSF] = [posed.posterior.psf_columns(posed.at)]
+    for name in chosen_candidates(None, state.effects):
+        ways = [e for e in variants(name, state.optics) if allowed(e, state.effects)]
+        ways = [e for e in ways if e.bounds]
+        found = [(e, posed.posterior.columns_of(posed.at, e)) for e in ways]
+        columns[name] = [
+            one
+            for effect, one in found
+            if one.any() and points_inwards(effect, curvature.amplitudes(one))
+        ]
+    tried = [(name, *curvature.alternative(one)) for name, each in columns.items() for one in each]
+    best = max((gain for _, gain, _ in tried), default=0.0)
+    likely = [t for t in tried if t[1] >= max(_SURE, _AS_GOOD * best)]
+    if not likely:
+        return "", np.zeros((len(state.mesh.vertices), 3))
+    name, _, along = max(likely, key=lambda t: float(np.square(t[2]).sum()))
+    return name, curvature.directions.displaced(along)
+
+
+class _Patches:
+    """Means over patches as wide as the PSF."""
+
+    def __init__(self, state: FitState) -> None:
+        width = float(np.prod(state.optics.sigma_um) ** (1 / 3))
+        self._patches = Patches(state.mesh, width)
+        self._normals = vertex_normals(state.mesh.vertices_numpy(), state.mesh.faces)
+
+    def means(self, displaced: FloatArray) -> FloatArray:
+        """(V,) along the normals, of displacements (V, 3)."""
+        return self._patches.means((displaced * self._normals).sum(1))
+
+
+def _vertices(mesh: Mesh) -> dict[int, np.ndarray]:
+    """Vertices of each cell."""
+    return {
+        int(region): np.unique(mesh.faces[(mesh.regions == region).any(1)])
+        for region in mesh.region_ids()
+    }

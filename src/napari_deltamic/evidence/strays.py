@@ -1,0 +1,91 @@
+"""Bright things of an image that no cell explains: cells without a start, or none at all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.spatial import cKDTree
+
+from ..geometry.mesh import Mesh
+from ..optics import Optics
+from .residual import Spot
+
+
+@dataclass(frozen=True)
+class StraySettings:
+    """What makes a bright thing one that has no cell.
+
+    Attributes
+    ----------
+    away
+        Widths of the PSF from every surface: what lies nearer is a surface that is off. Those of
+        a surface are blurred over three widths (``residual``).
+    together
+        Of the diameter of the typical cell: places nearer to each other are of one thing, as a
+        membrane without a cell is bright in many places.
+    most
+        Things told, the brightest first.
+    """
+
+    away: float = 3.0
+    together: float = 1.0
+    most: int = 20
+
+
+SETTINGS = StraySettings()
+
+
+@dataclass(frozen=True)
+class Stray:
+    """A bright thing without a cell.
+
+    Attributes
+    ----------
+    position
+        um, Z Y X: its middle.
+    z
+        Standard deviations of the noise where it is brightest.
+    """
+
+    position: tuple[float, float, float]
+    z: float
+
+
+def strays(
+    spots: Sequence[Spot], mesh: Mesh, optics: Optics, settings: StraySettings = SETTINGS
+) -> tuple[Stray, ...]:
+    """The bright things among the places of a residual that no surface lies near.
+
+    Parameters
+    ----------
+    spots
+        Of the whole image, see :func:`.residual.analyse_residual`.
+    mesh
+        The surfaces of the fit.
+    optics
+        The PSF.
+    """
+    bright = [spot for spot in spots if spot.z > 0]
+    if not bright:
+        return ()
+    sigma = np.asarray(optics.sigma_um)
+    places = np.array([spot.position for spot in bright])
+    near, _ = cKDTree(mesh.vertices_numpy() / sigma).query(places / sigma)
+    kept = np.flatnonzero(near > settings.away)
+    if not len(kept):
+        return ()
+    regions = np.unique(mesh.regions[mesh.regions > 0]).tolist()
+    volume = float(np.median([abs(mesh.region_volume(region)) for region in regions]))
+    reach = settings.together * float(np.cbrt(6 * volume / np.pi))
+    groups = np.ones(1, int)
+    if len(kept) > 1:
+        groups = fcluster(linkage(places[kept], "single"), reach, "distance")
+    found = []
+    for group in np.unique(groups):
+        own = kept[groups == group]
+        z, y, x = places[own].mean(axis=0).tolist()
+        found.append(Stray((z, y, x), max(bright[k].z for k in own)))
+    return tuple(sorted(found, key=lambda stray: -stray.z)[: settings.most])

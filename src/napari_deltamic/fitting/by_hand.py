@@ -1,0 +1,49 @@
+"""A state of a fit whose vertices or PSF were changed by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..geometry.carry import carried
+from ..scene import expected_image
+from .change import Change
+from .job import FitInput
+from .state import FitState
+
+
+def changed_by_hand(state: FitState, job: FitInput, change: Change) -> FitState:
+    """A state with other vertices or another PSF; its loss is not known."""
+    mesh, optics, density = state.mesh, state.optics, state.density
+    pinned = state.pinned
+    if change.mesh is not None:
+        if pinned is not None:
+            pinned = carried(pinned, mesh, change.mesh)
+        if len(change.mesh.faces) != len(density):
+            density = np.ones(len(change.mesh.faces))  # of other triangles: not known
+        mesh = change.mesh
+    if change.optics is not None:
+        optics = change.optics.detach()
+    if change.pinned is not None:
+        pinned = change.pinned
+    grid, settings = job.grid, job.settings
+    amplitude, background = state.amplitude, state.background
+
+    def rendered() -> NDArray[np.float32]:
+        given = mesh, grid, optics, settings.fit.image_accuracy, amplitude, background
+        return expected_image(*given, density=density, effects=state.effects, light=state.light)
+
+    return replace(
+        state,
+        mesh=mesh,
+        optics=optics,
+        density=density,
+        pinned=pinned,
+        loss=float("nan"),
+        converged=False,
+        message="changed by hand after the fit",
+        _render=rendered,
+        _checkpoint=dict,
+    )

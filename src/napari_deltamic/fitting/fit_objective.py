@@ -1,0 +1,179 @@
+"""The objective at a level as it was posed, and the way down it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..common.choices import Structure
+from ..runs.settings import FitSettings
+from .collisions import CollisionGuard
+from .convergence import Patches, Remaining
+from .density import LIMIT, Density
+from .descent import Descent
+from .fitted import Fitted
+from .imaging import Imaging
+from .level import Level
+from .metric import Metric
+from .pose import pose
+from .posterior import Evaluation, View
+from .preconditioner import NEAR_JUNCTIONS, Preconditioners
+from .schedule import Schedule
+from .structure_choice import chosen
+from .variables import Variables
+
+_PSF_BELOW = 2.5  # blur, in widths of the PSF, from which on PSF and effects are fitted
+_STRAYED = 0.97  # of as far as vertices may go: what is as far has arrived there
+
+
+@dataclass(frozen=True)
+class Terms:
+    """What an objective is posed with.
+
+    Attributes
+    ----------
+    level, second
+        Of the image, and of a second one.
+    settings, schedule
+        Of the fit.
+    density_fitted
+        Whether densities are unknowns.
+    last
+        Whether it is the last level.
+    """
+
+    level: Level
+    second: Level | None
+    settings: FitSettings
+    schedule: Schedule
+    density_fitted: bool
+    last: bool
+
+
+class Objective:
+    """Minus the log posterior near what is fitted, and the steps down it.
+
+    Parameters
+    ----------
+    terms
+        See :class:`Terms`.
+    fitted
+        Where it is posed.
+    guard, factored
+        Against collisions; factors of the metric that are there already.
+    held
+        Views of the objective before, see :func:`~.pose.pose`.
+
+    Attributes
+    ----------
+    fitted
+        Where the descent is.
+    """
+
+    def __init__(
+        self,
+        terms: Terms,
+        fitted: Fitted,
+        guard: CollisionGuard,
+        factored: Preconditioners,
+        held: Sequence[View] = (),
+    ) -> None:
+        self.terms, self._guard = terms, guard
+        level, settings, width = terms.level, terms.settings, min(fitted.optics.sigma_um)
+        free = level.factor <= _PSF_BELOW
+        self._density = Density(fitted.mesh, settings.density, width)
+        self._imaging = Imaging(
+            fitted.optics, fitted.effects, fitted.first_optics, settings.fit_psf and free, free
+        )
+        self.posed = pose(
+            (level, terms.second),
+            fitted.shape,
+            self._density,
+            self._imaging,
+            terms.density_fitted,
+            terms.last,
+            held,
+            fitted.structure,
+        )
+        self.fitted = fitted.moved(self.posed.at, self._imaging, terms.density_fitted)
+        guard.watch(fitted.mesh)
+        self._patches = Patches(fitted.mesh, min(self.fitted.optics.sigma_um))
+        learnt = fitted.learnt
+        known = learnt if learnt and learnt.fits(len(self.posed.at.flat())) else None
+        self._descent = Descent(self._metric(factored), level.width, self._limited, known)
+        self._descent.begin(self.posed.posterior, self.posed.at)
+        self.fitted = self.fitted.shining(self.now.light)
+
+    def _metric(self, factored: Preconditioners) -> Metric:
+        level = self.terms.level
+        return Metric(
+            factored,
+            self.fitted.shape,
+            level.smoothing,
+            self.terms.settings.bending,
+            self.posed.firmness,
+            level.width,
+            NEAR_JUNCTIONS if level.factor == 1 else 1.0,
+            self.terms.density_fitted,
+        )
+
+    def _limited(self, start: Variables, end: Variables) -> Variables:
+        """As near to the end as guard and bounds allow, where voxels count."""
+        from_here = self.posed.at.vertices
+        away = end.vertices - from_here
+        far = np.linalg.norm(away, axis=1, keepdims=True) / self._farthest
+        vertices = from_here + away / np.maximum(far, 1.0)
+        return Variables(
+            self._guard.limited(start.vertices, vertices),
+            np.clip(end.density, -LIMIT, LIMIT),
+            *self._imaging.bounded(end.optics, end.effects),
+        )
+
+    @property
+    def _farthest(self) -> float:
+        """um that a vertex may go until the next objective."""
+        return self.terms.schedule.strayed_far * self.terms.level.width
+
+    @property
+    def now(self) -> Evaluation:
+        """Where the descent is."""
+        return self._descent.now
+
+    @property
+    def face_densities(self) -> np.ndarray:
+        """(F,) relative to the mean."""
+        return self._density.faces_numpy(self._descent.at.density)
+
+    def evaluations(self) -> int:
+        """Since this was last asked."""
+        return self._descent.taken()
+
+    def step(self) -> bool:
+        """Go down; False where no way was found. Raises FloatingPointError for NaN."""
+        moved = self._descent.step()
+        if not np.isfinite(self.now.value):
+            raise FloatingPointError("the fit met a number that is not finite")
+        found = self.fitted.moved(self._descent.at, self._imaging, self.terms.density_fitted)
+        self.fitted = found.shining(self.now.light).taught(self._descent.learnt())
+        return moved
+
+    def strayed(self) -> bool:
+        """Whether many vertices are as far as they may go."""
+        away = self._descent.at.vertices - self.posed.at.vertices
+        there = np.linalg.norm(away, axis=1) > _STRAYED * self._farthest
+        return float(there.mean()) > self.terms.schedule.strayed
+
+    def structure(self) -> Structure:
+        """What the image says that shines, of what may."""
+        return chosen(self.posed.posterior, self._descent.at, self.fitted.mesh)
+
+    def remaining(self, tolerance: float) -> Remaining:
+        """What is still to come where most is; tolerance : um."""
+        schedule, at, step = self.terms.schedule, self._descent.at, self._descent.direction()
+        # What the guard holds back has come as far as it can.
+        free = (self._guard.held < schedule.held)[:, None]
+        gradient = free * self.now.gradient.vertices
+        given = at.vertices, free * step.vertices, gradient
+        return self._patches.worst(*given, tolerance, schedule.gain)

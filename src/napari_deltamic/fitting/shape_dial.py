@@ -1,0 +1,183 @@
+"""The dial: how near to the true shape a fit is to come, and what it takes.
+
+The mean distance of a fitted surface to the true one has four parts, which add in squares:
+
+- the noise of the image, which no setting changes,
+- flat triangles: of edges h on a surface of curvature k they are off by ``0.028 h^2 k``,
+- the rendering: an accuracy A moves the surface by ``0.03 (A / 0.1)^1.25`` voxels,
+- iterations that are left out: 0.15 of the tolerance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+
+from ..errors import InputError
+from ..geometry.mesh import Mesh
+from ..geometry.remeshing import can_remesh, remesh
+from ..runs.fit_settings import FitSettings, asked_error
+from ..scene import Grid
+from .default_accuracy import PRESET_OF, accuracy_for, preset_accuracy
+from .triangle_quality import median_edge
+
+
+@dataclass(frozen=True)
+class DialSettings:
+    """What the parts are, and what the names stand for.
+
+    Attributes
+    ----------
+    noise
+        Of the noise ratio times root of voxel volume over PSF width, um: the shapes of
+        ``benchmarks.measurements``; a furrowed cell of 10 to 1000 photons asked for 1.5.
+    chord
+        Of edge^2 times curvature: two thirds of the standard deviation of the gap over a triangle;
+        from spheroids, tori and double bubbles with edges of 0.26 to 0.8 um. With long edges there
+        are fewer numbers for the noise to move, which is not in the first part, so it is less.
+    curvature
+        Of 1 over the radius of a ball as large as the cell.
+    rendered, power
+        Voxels at an accuracy of 0.1, and how they grow (docs/accuracy.md).
+    unsettled
+        Of tolerance times PSF width: tolerances and accuracies of 0.1 together added 3 to 6 nm.
+    quick_edges, quick_tolerance
+        Of the edges that seeds come with; widths of the PSF.
+    careful_share, careful_tolerance
+        Of the noise that triangles may add; widths of the PSF.
+    finest, longest
+        Edges: of the PSF's narrowest width; of the radius of the cell.
+    shares
+        Of what a number leaves beside the noise: for triangles, rendering and tolerance.
+    """
+
+    noise: float = 1.35
+    chord: float = 0.028
+    curvature: float = 1.15
+    rendered: float = 0.03
+    power: float = 1.25
+    unsettled: float = 0.15
+    quick_edges: float = 1.5
+    quick_tolerance: float = 0.1
+    careful_share: float = 0.35
+    careful_tolerance: float = 0.01
+    finest: float = 0.7
+    longest: float = 0.35
+    shares: tuple[float, float, float] = (0.8, 0.4, 0.4)
+
+
+SETTINGS = DialSettings()
+_ACCURACIES, _TOLERANCES = (1e-3, 1e-1), (0.005, 0.1)
+
+
+@dataclass(frozen=True)
+class Dialled:
+    """What a choice on the dial stands for.
+
+    Attributes
+    ----------
+    edge
+        um; of triangles.
+    accuracy
+        Of images.
+    tolerance
+        Widths of the PSF.
+    predicted
+        um: mean distance to the true surface that is to be expected.
+    """
+
+    edge: float
+    accuracy: float
+    tolerance: float
+    predicted: float
+
+
+@dataclass(frozen=True)
+class Situation:
+    """What a prediction rests on: noise ratio, voxel size, PSF width, radius, edges; um."""
+
+    noise: float
+    voxel: float
+    width: float
+    radius: float
+    edge: float
+
+    @classmethod
+    def of(cls, mesh: Mesh, grid: Grid, sigma: tuple[float, ...], noise: float) -> Situation:
+        """Of a start and an image with this noise ratio."""
+        sizes = np.abs([v for v in mesh.volumes().values() if np.isfinite(v)])
+        volume = float(np.median(sizes)) if len(sizes) and np.median(sizes) > 0 else np.inf
+        voxel = float(np.prod(grid.voxel_size) ** (1 / 3))
+        radius = (3 * volume / (4 * np.pi)) ** (1 / 3)
+        return cls(noise, voxel, float(np.prod(sigma) ** (1 / 3)), radius, median_edge(mesh))
+
+    def floor(self, settings: DialSettings = SETTINGS) -> float:
+        """um: the part of the noise."""
+        return settings.noise * self.noise * sqrt(self.voxel**3 / self.width)
+
+    def predicted(
+        self, edge: float, accuracy: float, tolerance: float, settings: DialSettings = SETTINGS
+    ) -> float:
+        """um: mean distance to the true surface."""
+        s = settings
+        parts = (
+            self.floor(s),
+            s.chord * edge**2 * s.curvature / self.radius,
+            s.rendered * self.voxel * (accuracy / 0.1) ** s.power,
+            s.unsettled * tolerance * self.width,
+        )
+        return float(np.sqrt(np.square(parts).sum()))
+
+    def edge_for(self, part: float, settings: DialSettings = SETTINGS) -> float:
+        """um: edges whose triangles are off by no more than ``part``, um."""
+        s = settings
+        wanted = sqrt(part * self.radius / (s.chord * s.curvature))
+        return max(min(wanted, s.longest * self.radius), s.finest * self.width)
+
+
+def dialled(choice: str, now: Situation, settings: DialSettings = SETTINGS) -> Dialled:
+    """What quick, normal, careful, or a length such as 20nm stand for.
+
+    Raises
+    ------
+    InputError
+        For anything else.
+    """
+    s, asked = settings, asked_error(choice)
+    if asked is not None:
+        edge, accuracy, tolerance = _for_length(asked, now, s)
+    else:
+        accuracy = preset_accuracy(PRESET_OF[choice], now.noise)
+        edge, tolerance = now.edge, FitSettings().tolerance
+        if choice == "quick":
+            edge = max(edge, min(s.quick_edges * edge, s.longest * now.radius))
+            tolerance = s.quick_tolerance
+        elif choice == "careful":
+            edge = min(edge, now.edge_for(s.careful_share * now.floor(s), s))
+            tolerance = s.careful_tolerance
+    return Dialled(edge, accuracy, tolerance, now.predicted(edge, accuracy, tolerance, s))
+
+
+def _for_length(asked: float, now: Situation, s: DialSettings) -> tuple[float, float, float]:
+    rest = sqrt(max(asked**2 - now.floor(s) ** 2, (s.careful_share * now.floor(s)) ** 2, 1e-18))
+    triangles, rendering, settling = (share * rest for share in s.shares)
+    accuracy = 0.1 * (rendering / (s.rendered * now.voxel)) ** (1 / s.power)
+    accuracy = min(max(accuracy, _ACCURACIES[0]), max(_ACCURACIES[1], accuracy_for(now.noise)))
+    tolerance = settling / (s.unsettled * now.width)
+    return (
+        now.edge_for(triangles, s),
+        float(f"{min(accuracy, _ACCURACIES[1]):.2g}"),
+        float(f"{min(max(tolerance, _TOLERANCES[0]), _TOLERANCES[1]):.2g}"),
+    )
+
+
+def with_edges(mesh: Mesh, edge: float) -> Mesh:
+    """The start with edges of about that length; itself where it has them, or cannot change."""
+    if not can_remesh() or abs(edge / median_edge(mesh) - 1) < 0.1:
+        return mesh
+    try:
+        return remesh(mesh, edge, apart=True).mesh
+    except InputError:
+        return mesh

@@ -1,0 +1,156 @@
+"""Which amplitudes stay in the model: membranes, insides, or both.
+
+An amplitude counts by what of its image no displacement of the surface can replace: an inside that
+ends a little further out looks like a brighter membrane. So what each patch of surface would show
+if it moved along its normal, and what another PSF would show where that is fitted, are taken out of
+both images first (R. Frisch and F. Waugh, 1933). Standard errors are those of sums over blocks, as
+what a fit leaves is alike in neighbouring voxels (H. White, 1980).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..common.choices import Structure
+from ..geometry.mesh import FloatArray, Mesh
+from ..scene.light import INSIDES, MEMBRANES
+from .lbfgs import dot
+from .posterior import Posterior
+from .variables import Variables
+
+
+@dataclass(frozen=True)
+class StructureSettings:
+    """When an amplitude leaves the model.
+
+    Attributes
+    ----------
+    errors
+        Standard errors that it must differ from 0 by (ONE_MODEL; benchmarks.defaults).
+    moves
+        Voxels. An amplitude also leaves where the surface would move by less than this without it,
+        root mean square: the bound below which effects are left out, too.
+    block
+        Side of the blocks in widths of the blurred PSF: what is left is correlated over about two.
+    step
+        Displacement by which derivatives are taken, in widths of the PSF.
+    """
+
+    errors: float = 3.0
+    moves: float = 0.02
+    block: float = 4.0
+    step: float = 0.05
+
+
+SETTINGS = StructureSettings()
+_UNSEEN = 1e-6  # of the stiffest block: the image does not say where the surface lies there
+
+
+@dataclass(frozen=True)
+class Told:
+    """What an image says of an amplitude.
+
+    Attributes
+    ----------
+    errors
+        Standard errors by which it differs from 0.
+    moves
+        um, root mean square over patches: how far the surface would move without it.
+    """
+
+    errors: float
+    moves: float
+
+
+def chosen(
+    posterior: Posterior, at: Variables, mesh: Mesh, settings: StructureSettings = SETTINGS
+) -> Structure:
+    """What stays of a model in which both may shine; where neither is clear, membranes do."""
+    membranes, insides = told(posterior, at, mesh, settings)
+    voxel = float(np.prod(posterior.level.frame.voxel_size)) ** (1 / 3)
+
+    def stays(one: Told) -> bool:
+        return abs(one.errors) > settings.errors and one.moves > settings.moves * voxel
+
+    if stays(insides):
+        return "both" if membranes.errors > settings.errors else "interior"
+    return "membrane"
+
+
+def told(
+    posterior: Posterior, at: Variables, mesh: Mesh, settings: StructureSettings = SETTINGS
+) -> tuple[Told, Told]:
+    """Of membranes and of insides."""
+    table = _columns(posterior, at)
+    patch = _patches(posterior, at, mesh, settings.step)
+    block = _blocks(posterior, settings.block)
+    stiff = np.bincount(block, patch * patch)
+    seen = stiff > _UNSEEN * stiff.max(initial=0.0)
+    safe = np.where(seen, stiff, np.inf)
+    # How far each patch would have to move to show a column, um.
+    moves = np.stack([np.bincount(block, patch * column) / safe for column in table.T], 1)
+    free = table - patch[:, None] * moves[block]
+    scale = np.sqrt((table[:, :-1] ** 2).sum(0)) + 1e-300
+    x, y = free[:, :-1] / scale, free[:, -1]
+    inverse = np.linalg.pinv(_products(x), rcond=1e-12, hermitian=True)
+    found = inverse @ np.array([dot(a, y) for a in x.T])
+    left = y - x @ found
+    scores = np.stack([np.bincount(block, left * column) for column in x.T], 1)
+    errors = np.sqrt(np.diag(inverse @ (scores.T @ scores) @ inverse)) + 1e-300
+    gram, per_one = _products(table[:, :-1] / scale), moves[:, :-1] / scale
+    results = []
+    for k in (0, 1):
+        # What the other columns cannot show in its place, the surface has to.
+        others = np.arange(len(found)) != k
+        share = np.linalg.lstsq(gram[others][:, others], gram[others][:, k], rcond=1e-10)[0]
+        move = found[k] * (per_one[:, k] - per_one[:, others] @ share)[seen]
+        rms = np.sqrt(np.average(move**2, weights=stiff[seen])) if seen.any() else 0.0
+        results.append(Told(float(found[k] / errors[k]), float(rms)))
+    return results[0], results[1]
+
+
+def _columns(posterior: Posterior, at: Variables) -> FloatArray:
+    """(N, 3 + P + E + 1) membranes, insides, background, PSF and effects, measured; weighted."""
+    root = np.sqrt(posterior.views[0].voxels.weights.cpu().numpy().astype(np.float64))
+    shown = [posterior.shown(at, light) for light in (MEMBRANES, INSIDES)]
+    further = posterior.imaging_columns(at)[0].T
+    columns = (*shown, np.ones(len(root)), *further, posterior.measured(at)[0])
+    return np.asarray(np.stack(columns, 1) * root[:, None])
+
+
+def _patches(posterior: Posterior, at: Variables, mesh: Mesh, step: float) -> FloatArray:
+    """(N,) what the image changes by where the surface moves along its normal, per um; weighted."""
+    view, level = posterior.views[0], posterior.level
+    um = step * level.width / level.factor
+    light, amplitude = posterior.light(at), posterior(at).match.amplitude
+    out, back = (posterior.shown(_displaced(at, mesh, by), light) for by in (um, -um))
+    root = np.sqrt(view.voxels.weights.cpu().numpy().astype(np.float64))
+    return np.asarray(amplitude * (out - back) / (2 * um) * root)
+
+
+def _products(columns: FloatArray) -> FloatArray:
+    return np.array([[dot(a, b) for b in columns.T] for a in columns.T])
+
+
+def _displaced(at: Variables, mesh: Mesh, by: float) -> Variables:
+    """Every vertex moved along its normal (um)."""
+    normals = mesh.with_vertices(at.vertices).normals() * mesh.areas()[:, None]
+    each = np.zeros_like(at.vertices)
+    for corner in range(3):
+        np.add.at(each, mesh.faces[:, corner], normals)
+    each /= np.linalg.norm(each, axis=1, keepdims=True) + 1e-300
+    return Variables(at.vertices + by * each, at.density, at.optics, at.effects)
+
+
+def _blocks(posterior: Posterior, side: float) -> np.ndarray:
+    """(N,) the block that each voxel is in."""
+    level = posterior.level
+    shape = level.grid.shape
+    um = side * level.factor * np.asarray(posterior.prior.imaging.optics.sigma_um)
+    each = np.maximum(1, np.rint(um / np.asarray(level.grid.voxel_size))).astype(np.int64)
+    index = posterior.views[0].voxels.index.cpu().numpy()
+    at = np.stack(np.unravel_index(index, shape)) // each[:, None]
+    flat = np.ravel_multi_index(tuple(at), tuple(-(-np.asarray(shape) // each)))
+    return np.unique(flat, return_inverse=True)[1].reshape(-1)

@@ -1,0 +1,24 @@
+"""What is thought of the shape of one cell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Of one fitted cell.
+
+    Attributes
+    ----------
+    grade
+        good, fair or poor.
+    shape_error
+        um: what its surface is thought to be off by; None where that is not known.
+    reasons
+        Why it is no better, joined; empty if there are none.
+    """
+
+    grade: str
+    shape_error: float | None = None
+    reasons: str = ""

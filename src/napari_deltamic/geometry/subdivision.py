@@ -1,0 +1,108 @@
+"""A smooth surface through a coarse mesh: Loop's subdivision, walls and junctions kept."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from .mesh import FloatArray, IntArray, Mesh
+
+
+@dataclass(frozen=True, eq=False)
+class Subdivided:
+    """A mesh with four times the triangles.
+
+    Attributes
+    ----------
+    mesh
+        The fine one.
+    weights
+        (fine, coarse) sparse: each fine vertex is this mean of coarse ones, so a displacement of
+        the coarse mesh is carried by the same matrix.
+    """
+
+    mesh: Mesh
+    weights: sp.csr_matrix
+
+    def again(self) -> Subdivided:
+        """Four times the triangles once more."""
+        finer = subdivided(self.mesh)
+        return Subdivided(finer.mesh, (finer.weights @ self.weights).tocsr())
+
+    def moved(self, coarse: FloatArray) -> Mesh:
+        """The fine mesh of other places (V, 3) of the coarse vertices."""
+        return self.mesh.with_vertices(self.weights @ coarse)
+
+
+def subdivided(mesh: Mesh) -> Subdivided:
+    """One step of Loop's scheme.
+
+    Inside a wall the masks are those of C. Loop ("Smooth subdivision surfaces based on triangles",
+    1987); along junctions and borders, those of cubic splines, as for creases (H. Hoppe et al.,
+    "Piecewise smooth surface reconstruction", 1994); where junctions meet, vertices stay.
+    """
+    edges, by_face = mesh.edges(), mesh.face_edges()
+    uses = np.bincount(by_face.ravel(), minlength=len(edges))
+    inner = uses == 2
+    weights = sp.vstack([_old(mesh, edges, inner), _new(mesh, edges, by_face, inner)]).tocsr()
+    n = len(mesh.vertices)
+    # Edge k of a face has its corners k and k + 1, or k + 1 and k + 2: asked of the edges.
+    opposite = np.stack([_edge_of(mesh, edges, by_face, a, b) for a, b in ((0, 1), (1, 2), (2, 0))])
+    ab, bc, ca = n + opposite
+    a, b, c = mesh.faces.T
+    faces = np.stack([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]])
+    faces = faces.transpose(2, 0, 1).reshape(-1, 3)
+    regions = np.repeat(mesh.regions, 4, axis=0)
+    return Subdivided(Mesh(weights @ mesh.vertices_numpy(), faces, regions), weights)
+
+
+def _edge_of(mesh: Mesh, edges: IntArray, by_face: IntArray, a: int, b: int) -> IntArray:
+    """(F,) number of the edge between two corners of each face."""
+    ends = np.sort(mesh.faces[:, [a, b]], axis=1)
+    same = (np.sort(edges, axis=1)[by_face] == ends[:, None]).all(2)
+    found: IntArray = np.take_along_axis(by_face, same.argmax(1)[:, None], 1)[:, 0]
+    return found
+
+
+def _new(mesh: Mesh, edges: IntArray, by_face: IntArray, inner: np.ndarray) -> sp.csr_matrix:
+    """(E, V) of the middles of edges: 3/8 of the ends and 1/8 of the corners opposite, or 1/2."""
+    shape = len(edges), len(mesh.vertices)
+    ends = np.where(inner, 3 / 8, 1 / 2)
+    rows, columns, values = [], [], []
+    for k in range(2):
+        rows.append(np.arange(len(edges)))
+        columns.append(edges[:, k])
+        values.append(ends)
+    # Of a face and one of its edges, the corner opposite is what is left of the sum.
+    opposite = mesh.faces.sum(1)[:, None] - edges[by_face].sum(2)
+    of_inner = inner[by_face].ravel()
+    rows.append(by_face.ravel()[of_inner])
+    columns.append(opposite.ravel()[of_inner])
+    values.append(np.full(int(of_inner.sum()), 1 / 8))
+    flat = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
+    return sp.coo_matrix(flat, shape).tocsr()
+
+
+def _old(mesh: Mesh, edges: IntArray, inner: np.ndarray) -> sp.csr_matrix:
+    """(V, V) of the vertices that were there."""
+    n = len(mesh.vertices)
+    lines = edges[~inner]
+    on_lines = np.bincount(lines.ravel(), minlength=n)
+    free = on_lines == 0
+    around = _adjacency(edges, n)
+    degree = np.maximum(np.asarray(around.sum(1)).ravel(), 1)
+    # Warren's simpler weights ("Subdivision methods for geometric design", 1995).
+    beta = np.where(degree == 3, 3 / 16, 3 / (8 * degree))
+    smooth = sp.diags(free * (1 - degree * beta)) + sp.diags(free * beta) @ around
+    along = _adjacency(lines, n)
+    middle = on_lines == 2
+    crease = sp.diags(middle * 3 / 4.0) + sp.diags(middle / 8.0) @ along
+    return (smooth + crease + sp.diags((~free & ~middle).astype(float))).tocsr()
+
+
+def _adjacency(edges: IntArray, count: int) -> sp.csr_matrix:
+    both = np.concatenate([edges, edges[:, ::-1]])
+    ones = np.ones(len(both))
+    return sp.coo_matrix((ones, (both[:, 0], both[:, 1])), (count, count)).tocsr()

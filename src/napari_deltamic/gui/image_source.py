@@ -1,0 +1,354 @@
+"""The image that is fitted: its layer, channel and region, and how large its voxels are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pint
+from napari.layers import Image, Shapes
+from numpy.typing import ArrayLike, NDArray
+from psygnal import Signal
+
+from ..common.choices import IMAGE_FILES, TIFF
+from ..errors import InputError
+from ..images.stacks import read_voxel_size, stored_shape
+from .layer_choice import Connections, LayerChoice
+from .viewing.frame import (
+    ORIGIN,
+    OWN,
+    Box,
+    Frame,
+    camera_of,
+    finite,
+    is_stack,
+    made_by_fit,
+    um_per_unit,
+    unread_stack_of,
+)
+
+_READ_AGAIN = 200e6  # bytes; larger files are not opened a second time for their voxel size
+_MOST = 5  # an axis of more than so many steps is no axis of stains, unless it is named so
+_CHANNEL, _OTHER = ("c", "ch", "channel", "channels"), ("t", "time", "z", "y", "x")
+_SMALLEST = 4  # voxels along each side of a region
+
+
+class ImageSource:
+    """Choice of an image layer; ``changed`` says that it, its voxel size or region is another.
+
+    Parameters
+    ----------
+    viewer : a napari viewer or its model.
+    """
+
+    changed = Signal()
+    looked = Signal()  # the layers are others: channels may be, and what is missing
+
+    def __init__(self, viewer: Any) -> None:
+        self.viewer = viewer
+        self.box: Box | None = None  # the region of the layer that is fitted; None: all of it
+        self._asked: set[str] = set()  # files that were asked for their voxel size
+        self._scaled: Any = None
+        self._connections = Connections()
+        self.choice = LayerChoice(viewer, is_stack)
+        self.choice.changed.connect(self._chosen)
+        events = viewer.layers.events
+        self._connections.connect(events.inserted, self._place_meshes)
+        for emitter in (events.inserted, events.removed):
+            self._connections.connect(emitter, self._look, position="last")
+        self._chosen()
+
+    @property
+    def layer(self) -> Any:
+        """The image layer chosen, or None."""
+        return self.choice.layer
+
+    def choose(self, layer: Any) -> None:
+        """Choose a layer."""
+        self.choice.choose(layer)
+
+    def frame(self) -> Frame:
+        """Of what is fitted. InputError if there is no image, or it is turned."""
+        if self.layer is None:
+            raise InputError(self.missing())
+        frame = Frame.of(self.layer)
+        return frame if self.box is None else frame.within(self.box)
+
+    def under(self, layer: Any) -> tuple[Frame, Callable[[], NDArray[Any]]]:
+        """The frame and the voxels of the image under a layer of the region, or of all."""
+        if self.box is not None and tuple(layer.data.shape[-3:]) == self.shape():
+            return self.frame(), self.reader()
+        whole = unread_stack_of(self.layer, tuple(self.viewer.dims.current_step))
+        return Frame.of(self.layer), partial(finite, whole)
+
+    def missing(self) -> str:
+        """Why there is no image to fit, in a sentence that says what to do."""
+        reasons = [why_unusable(layer) for layer in self.viewer.layers]
+        return next((reason for reason in reversed(reasons) if reason), "open a 3D image first")
+
+    @property
+    def time(self) -> tuple[int, ...]:
+        """The step shown along the axes before Z, Y, X of the layer; () where it has none."""
+        layer = self.layer
+        if layer is None or layer.ndim < 4:
+            return ()
+        return tuple(int(step) for step in self.viewer.dims.current_step[-layer.ndim : -3])
+
+    def shape(self) -> tuple[int, ...]:
+        """Of ``stack``, without reading it."""
+        shape = tuple(_data(self.layer).shape[-3:])
+        return shape if self.box is None else tuple(b - a for a, b in self.box)
+
+    def stack(self, layer: Any = None) -> NDArray[Any]:
+        """The 3D image chosen (the present time point of a 4D one), float if it has gaps.
+
+        layer : another one, of which the same is wanted.
+        """
+        return self.reader(layer)()
+
+    def reader(self, layer: Any = None) -> Callable[[], NDArray[Any]]:
+        """Reads the same when it is called, in any thread. InputError if there is no image."""
+        chosen = self.layer if layer is None else layer
+        if chosen is None:
+            raise InputError(self.missing())
+        return partial(finite, self.unread(chosen))
+
+    def unread(self, layer: Any) -> Any:
+        """The region of a layer that lies on the voxels of the image, before it is read."""
+        whole = unread_stack_of(layer, tuple(self.viewer.dims.current_step))
+        return whole if self.box is None else whole[tuple(slice(a, b) for a, b in self.box)]
+
+    def path(self) -> str:
+        """The file of the layer, if an image of this shape is in it; else ''."""
+        return "" if self.layer is None or self.box is not None else file_of(self.layer)
+
+    # ---- what is chosen of the layer ----------------------------------------------------------
+
+    def take_channel(self, whole: Any, axis: int, channel: int) -> None:
+        """One channel of a layer as a layer of its own, in the place of all."""
+        if whole is not None and whole in self.viewer.layers:
+            layer = channel_layer(whole, axis, channel)
+            whole.visible = False
+            self.viewer.add_layer(layer)
+            self.choose(layer)
+
+    def with_channels(self) -> Any:
+        """The layer whose channels may be chosen: this one, or one that cannot be fitted."""
+        others = [other for other in self.viewer.layers if why_unusable(other)]
+        return self.layer if self.layer is not None or not others else others[-1]
+
+    def take_region(self, box: Box | None) -> None:
+        """Fit a region of the layer; None: all of it. InputError if it is too small."""
+        if box is not None and min(b - a for a, b in box) < _SMALLEST:
+            raise InputError(f"the region must be {_SMALLEST} voxels wide along each axis")
+        if box != self.box:
+            self.box = box
+            self.changed.emit()
+
+    def drawn_box(self) -> Box:
+        """The box of the rectangle that is selected or was drawn last, over all slices across it.
+
+        InputError where there is none.
+        """
+        shapes = [x for x in self.viewer.layers if isinstance(x, Shapes) and len(x.data)]
+        active = self.viewer.layers.selection.active
+        layer = active if active in shapes else shapes[-1] if shapes else None
+        if layer is None:
+            raise InputError("draw a rectangle around the cells in a Shapes layer first")
+        chosen = sorted(layer.selected_data) or [len(layer.data) - 1]
+        corners = np.concatenate([np.asarray(layer.data[k], float) for k in chosen])
+        dims = len(layer.scale)
+        corners = corners * layer.scale + layer.translate
+        low, high = np.full(3, -np.inf), np.full(3, np.inf)
+        low[-dims:], high[-dims:] = corners.min(axis=0)[-3:], corners.max(axis=0)[-3:]
+        flat = high - low < 1e-9 * np.maximum(np.abs(high), 1)
+        low[flat], high[flat] = -np.inf, np.inf  # a rectangle lies in one slice, and means all
+        return self._box_between(low, high)
+
+    def _box_between(self, low: ArrayLike, high: ArrayLike) -> Box:
+        """Of two corners in the world, cut to the image."""
+        layer, shape = self.layer, np.array(_data(self.layer).shape[-3:])
+        ends = [(np.asarray(x) - layer.translate[-3:]) / layer.scale[-3:] for x in (low, high)]
+        first = np.clip(np.ceil(ends[0] - 0.5), 0, shape)
+        last = np.clip(np.floor(ends[1] + 0.5) + 1, 0, shape)
+        z, y, x = ((int(a), int(b)) for a, b in zip(first, last, strict=True))
+        return z, y, x
+
+    def rescale(self, size: ArrayLike) -> None:
+        """Give the layer another voxel size, um."""
+        layer = self.layer
+        if layer is not None:
+            scale = np.array(layer.scale, float)
+            scale[-3:] = np.asarray(size) / np.asarray(um_per_unit(layer) or (1.0, 1.0, 1.0))
+            _rescale(self.viewer, layer, scale)
+            self.changed.emit()
+
+    def close_links(self) -> None:
+        """Listen to the viewer no more."""
+        self.choice.close_links()
+        self._connections.undo()
+        self._listen_to(None)
+
+    # ---- what follows from it -----------------------------------------------------------------
+
+    def _chosen(self) -> None:
+        layer, self.box = self.layer, None
+        self._listen_to(layer)
+        if layer is not None:
+            self._take_size_of_file(layer)
+            self._place_meshes()
+        self.looked.emit()
+        self.changed.emit()
+
+    def _look(self, event: Any = None) -> None:
+        self.looked.emit()
+
+    def _place_meshes(self, event: Any = None) -> None:
+        """Put layers of mesh files, which count from the first voxel, into the image's frame."""
+        try:
+            frame = self.frame()
+        except InputError:
+            return  # there is no image yet, or one that cannot be used
+        for layer in self.viewer.layers:
+            own = layer.metadata.get(OWN, {})
+            if ORIGIN not in own or own[ORIGIN] is not None or layer.ndim != 3:
+                continue
+            own[ORIGIN] = frame.translate
+            moved = np.any(layer.translate != 0) or np.any(layer.scale != 1)
+            if not moved:  # by the user, who knows better
+                for name, value in frame.layer_options().items():
+                    setattr(layer, name, value)
+
+    def _take_size_of_file(self, layer: Any) -> None:
+        """The voxel size that a TIFF file notes, where the layer has none."""
+        path = layer.source.path
+        unscaled = np.allclose(layer.scale, 1) and um_per_unit(layer) is None
+        if not path or not unscaled or path in self._asked:
+            return
+        self._asked.add(path)
+        file = Path(path)
+        if file.suffix.lower() not in TIFF or not file.is_file():
+            return
+        if file.stat().st_size > _READ_AGAIN:
+            return
+        try:
+            size = read_voxel_size(file)
+        except InputError:
+            return  # napari could read it, so it is an image all the same; its size stays unknown
+        if size is not None and layer.ndim == 3:
+            _rescale(self.viewer, layer, size)
+
+    def _listen_to(self, layer: Any) -> None:
+        if self._scaled is not None:
+            self._scaled.events.scale.disconnect(self._look)
+        self._scaled = layer
+        if layer is not None:
+            layer.events.scale.connect(self._look)
+
+
+# ---- channels ------------------------------------------------------------------------------------
+
+
+def channel_axes(layer: Any) -> tuple[int, ...]:
+    """Axes of an image layer that channels may lie along; those that are named so, if any are."""
+    if not isinstance(layer, Image) or layer.rgb or layer.ndim < 4 or made_by_fit(layer):
+        return ()
+    names = [str(name).lower() for name in layer.axis_labels]
+    named = tuple(axis for axis, name in enumerate(names) if name in _CHANNEL)
+    if named:
+        return named
+    shape = _data(layer).shape
+    return tuple(
+        axis
+        for axis in range(layer.ndim - 2)
+        if 1 < shape[axis] <= _MOST and names[axis] not in _OTHER and not _is_time(layer, axis)
+    )
+
+
+def channels(layer: Any) -> list[tuple[int, int, int]]:
+    """Axis, channel and how many there are, of each channel that a layer may have."""
+    axes = () if layer is None else channel_axes(layer)
+    counts = [(axis, int(_data(layer).shape[axis])) for axis in axes]
+    return [(axis, k, n) for axis, n in counts for k in range(n)]
+
+
+def channel_layer(layer: Any, axis: int, channel: int) -> Image:
+    """One channel of an image layer, as a layer at the same place; it shares the voxels."""
+    index: list[Any] = [slice(None)] * layer.ndim
+    index[axis] = channel
+    kept = {
+        name: tuple(value for k, value in enumerate(getattr(layer, name)) if k != axis)
+        for name in ("scale", "translate", "units", "axis_labels")
+    }
+    return Image(_data(layer)[tuple(index)], name=f"{layer.name}, channel {channel + 1}", **kept)
+
+
+def why_unusable(layer: Any) -> str:
+    """Why an image layer cannot be fitted, and what to do; '' for no image layer of the user's."""
+    if not isinstance(layer, Image) or made_by_fit(layer):
+        return ""
+    name = f"'{layer.name}'"
+    if layer.rgb:
+        return (
+            f"{name} is a colour image: right-click it in the layer list, choose 'Split RGB', and "
+            "keep the colour of the membranes"
+        )
+    if layer.ndim < 3:
+        return f"{name} is a single plane: open a stack of planes (Z, Y, X) of it"
+    if layer.ndim < 5:
+        return ""
+    if channel_axes(layer):
+        return f"{name} has {layer.ndim} axes: choose the channel that shows the membranes"
+    return (
+        f"{name} has {layer.ndim} axes: keep Z, Y, X, and time before them if there is any "
+        "(right-click it in the layer list, 'Split Stack')"
+    )
+
+
+def file_of(layer: Any) -> str:
+    """The file that a 3D image layer was opened from, if an image of its shape is in it; else ''.
+
+    The pixels may have been edited since: see :func:`.stacks.holds_image`.
+    """
+    path = layer.source.path
+    if not path or layer.ndim != 3 or Path(path).suffix.lower() not in IMAGE_FILES:
+        return ""
+    if stored_shape(path) != tuple(_data(layer).shape):
+        return ""  # a crop, a channel, a time point
+    return str(Path(path).absolute())
+
+
+def _data(layer: Any) -> Any:
+    return layer.data[0] if layer.multiscale else layer.data
+
+
+def _is_time(layer: Any, axis: int) -> bool:
+    try:
+        return bool(np.isfinite(float((1 * layer.units[axis]).to("second").magnitude)))
+    except (pint.DimensionalityError, pint.UndefinedUnitError):
+        return False
+
+
+def _rescale(viewer: Any, layer: Any, scale: ArrayLike) -> None:
+    """Give a layer another scale; its slice, and what of it fills the canvas, stay as they are."""
+    old, new = np.array(layer.scale, float), np.array(scale, float)
+    dims, camera = viewer.dims, camera_of(viewer)
+    if dims.ndim < layer.ndim or layer not in viewer.layers:
+        layer.scale = new
+        return
+    first = dims.ndim - layer.ndim  # axis of the viewer that is the layer's first
+    ratio, fixed = np.ones(dims.ndim), np.zeros(dims.ndim)
+    ratio[first:], fixed[first:] = new / old, layer.translate
+    point = fixed + (np.array(dims.point, float) - fixed) * ratio
+    shown = list(dims.displayed)
+    center, zoom = np.array(camera.center, float), float(camera.zoom)
+    at = slice(len(center) - len(shown), None)
+    center[at] = fixed[shown] + (center[at] - fixed[shown]) * ratio[shown]
+    layer.scale = new
+    dims.set_point(range(dims.ndim), point.tolist())
+    camera.center = tuple(center.tolist())
+    # Lengths may change differently along the axes: the middle of what each asks for.
+    camera.zoom = zoom / float(np.exp(np.log(np.abs(ratio[shown])).mean()))

@@ -1,0 +1,273 @@
+"""How a fit went: its grade, what is shown of it, where it is wrong, and what can be mended."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from qtpy.QtWidgets import (
+    QGroupBox,
+    QHBoxLayout,
+    QLabel,
+    QPushButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from ...results.judged import told
+from ...results.timeline import Moment
+from ..document import VIEWS, Document, Record
+from ..editing.edit_bar import EditBar
+from ..editing.edits import Edits
+from ..editing.history_bar import HistoryBar
+from ..qt import Signal
+from ..widgets import Fold, Note, narrow_box, note_label
+from .live_numbers import LiveNumbers
+from .plots import ExplainedCurve
+from .worker import Snapshot
+
+_GREEN, _AMBER, _RED = "#3fae6b", "#d99a1c", "#e0564f"
+_COLOURS = {
+    "ended": _AMBER,
+    "stopped": _AMBER,
+    "failed": _RED,
+    "good": _GREEN,
+    "fair": _AMBER,
+    "poor": _RED,
+}
+_SLICES = {"XY": (0, 1, 2), "XZ": (1, 0, 2), "YZ": (2, 0, 1)}
+
+
+class CheckPanel(QGroupBox):
+    """What became of a fit, and what can be done with it.
+
+    Parameters
+    ----------
+    doc, edits, control : what there is, and how it is changed.
+    parent : Qt's.
+    """
+
+    fit_again = Signal()  # with all that a fit can estimate
+
+    def __init__(
+        self, doc: Document, edits: Edits, control: Any, parent: QWidget | None = None
+    ) -> None:
+        super().__init__("4  Check", parent)
+        self._doc = doc
+        self.last_verdict = ("", "")
+        self._failed = ""  # why the last fit of the image chosen did not start
+        self._note_of: Any = None  # the image that the note is about
+        self._offset = 0  # iterations of the runs before the present one
+        self.verdict = QLabel(self)
+        self.verdict.setWordWrap(True)
+        self.grade = Note(self)
+        self.worst = QPushButton("Worst place", self)
+        self.worst.setToolTip("<qt>Go to where the image differs most from the model.</qt>")
+        self.stray = Note(self)
+        self.stray_row = QWidget(self)
+        self.stray_go = QPushButton("Show", self)
+        self.stray_go.setToolTip("<qt>Go to the next of them.</qt>")
+        self.stray_add = QPushButton("Add", self)
+        self.stray_add.setToolTip("<qt>Add a click in each of them, for the next fit.</qt>")
+        self.again = QPushButton("Fit again: estimate PSF and brightness", self)
+        self.again.setToolTip(
+            "<qt>Fit once more from these cells, and let the fit find how wide the PSF is and how "
+            "bright each part of the membranes is.</qt>"
+        )
+        self.remarks = RemarkList(self)
+        self.note = Note(self)
+        self.edit = EditBar(self)
+        self.history = HistoryBar(doc, edits, control, self)
+        self.curve = ExplainedCurve(self)
+        self.numbers = LiveNumbers(self)
+        self.view = narrow_box(self, "what is shown", 9)
+        self.view.addItems(VIEWS)
+        self.view.setToolTip(
+            "<qt><b>model</b>: what the microscope would see of the present surfaces. "
+            "<b>difference</b>: measured minus model, in standard deviations of the noise, from -5 "
+            "(magenta: darker than the model) to 5 (green: brighter).</qt>"
+        )
+        self.slice = narrow_box(self, "slices", 3)
+        self.slice.addItems(list(_SLICES))
+        self.slice.setToolTip("<qt>Look at slices across another axis.</qt>")
+        self._lay_out()
+        self._connect()
+        self._show()
+
+    @property
+    def strays(self) -> Sequence[Any]:
+        """The bright things of the image that no cell explains."""
+        result = self._doc.result
+        return () if result is None or result.judged is None else result.judged.strays
+
+    def tell(self, text: str) -> None:
+        """What came of something that the user did, in a line."""
+        self._note_of = self._doc.image.layer
+        self.note.say(text)
+        self._hide_if_empty()
+
+    def go_to_worst(self) -> None:
+        """Move the view to where the image differs most from the model."""
+        result = self._doc.result
+        spots = () if result is None or result.judged is None else result.judged.found.spots
+        if result is not None and spots:
+            result.link.go_to(spots[0].position)
+            kind = "brighter" if spots[0].z > 0 else "darker"
+            self.tell(
+                f"In the middle of the view the image is {kind} than the model, by "
+                f"{abs(spots[0].z):.0f} standard deviations of the noise."
+            )
+
+    # ----------------------------------------------------------------------------------- inside
+
+    def _connect(self) -> None:
+        doc = self._doc
+        self._next_stray = 0
+        self.worst.clicked.connect(self.go_to_worst)
+        self.stray_go.clicked.connect(self._go_to_stray)
+        self.stray_add.clicked.connect(self._add_strays)
+        self.again.clicked.connect(self.fit_again)
+        self.view.currentTextChanged.connect(doc.look)
+        self.slice.activated.connect(self._turn)
+        self.history.moment_chosen.connect(self._look_at)
+        doc.noted.connect(self.tell)
+        doc.failed.connect(self._tell_failed)
+        doc.work.changed.connect(self._work_changed)
+        doc.began.connect(self._began)
+        doc.shown.connect(self._show_snapshot)
+        doc.view_changed.connect(self._show_view)
+        for signal in (doc.image.changed, doc.result_changed, doc.judged, doc.ended):
+            signal.connect(self._show)
+
+    def _work_changed(self) -> None:
+        if self._doc.running:  # which just began, or else nothing of it is lost
+            self._failed = ""
+            self.note.say("")
+            self._show()
+
+    def _tell_failed(self, text: str) -> None:
+        self._failed = text
+        self._note_of = self._doc.image.layer
+        self._show()
+
+    def _show(self) -> None:
+        """All that is known of the fit that runs, or else of the image chosen."""
+        doc, record = self._doc, self._doc.record
+        if self._note_of is not doc.image.layer and not doc.running:
+            self._failed = ""
+            self.note.say("")
+        words = ("", "") if record is None or doc.running else record.words
+        self._show_verdict(*(("failed", self._failed) if self._failed else words))
+        self._show_grade(None if record is None or doc.running else record)
+        shown = record is not None and (record.state is not None or (doc.running and doc.begun))
+        for row in (self.curve, self._looks, self.edit, self.history):
+            row.setVisible(shown)
+        if record is not None and record.state is not None and not doc.running:
+            history = record.history
+            self.curve.show_losses(history.loss, history.level, history.first)
+            self.numbers.show_fit(*record.of_fit())
+        if not shown:
+            self.numbers.hide()
+        self._hide_if_empty()
+
+    def _began(self, fresh: bool) -> None:
+        moments = self._doc.timeline.moments
+        self._offset = 0 if fresh or not moments else moments[-1].iteration
+        self._show()
+
+    def _show_snapshot(self, snapshot: Snapshot) -> None:
+        history = self._doc.run.history
+        self.curve.show_losses(history.loss, history.level, history.first)
+        if not self._doc.earlier:
+            self.numbers.show_fit(snapshot.state, snapshot.job)
+
+    def _show_verdict(self, verdict: str, text: str) -> None:
+        """How it ended, in the first line of a text; those after it are remarks, in a list."""
+        self.last_verdict = (verdict, text)
+        said, *remarks = text.split("\n")
+        self.verdict.setStyleSheet(f"color: {_COLOURS.get(verdict, '')};")
+        self.verdict.setText(said)
+        self.verdict.setVisible(bool(said))
+        self.remarks.show_remarks(remarks)
+
+    def _show_grade(self, record: Record | None) -> None:
+        """How well the shapes explain the image, and what can be done about it."""
+        known = None if record is None else record.judged
+        grade = "" if known is None else known.verdict.grade
+        self.grade.setStyleSheet(f"color: {_COLOURS.get(grade, '')}; font-weight: bold;")
+        self.grade.say("" if known is None else told(known))
+        self.worst.setVisible(known is not None and bool(known.found.spots))
+        fit = None if record is None or record.job is None else record.job.settings.fit
+        all_estimated = fit is not None and fit.fit_psf and fit.density == "smooth"
+        self.again.setVisible(grade in ("fair", "poor") and not all_estimated)
+        n = 0 if known is None else len(known.strays)
+        self.stray_row.setVisible(n > 0)
+        things = "bright thing has" if n == 1 else "bright things have"
+        self.stray.say(f"{n} {things} no cell" if n else "")
+
+    def _show_view(self) -> None:
+        self.view.setCurrentText(self._doc.view)
+
+    def _look_at(self, moment: Moment | None) -> None:
+        self.curve.show_moment(None if moment is None else moment.iteration - self._offset)
+
+    def _turn(self, index: int) -> None:
+        """Slices across another axis; those before Z, Y, X stay where they are."""
+        dims = self._doc.viewer.dims
+        first = dims.ndim - 3
+        order = _SLICES[self.slice.currentText()]
+        dims.ndisplay = 2
+        dims.order = (*range(first), *(first + axis for axis in order))
+        self._doc.viewer.reset_view()
+
+    def _go_to_stray(self) -> None:
+        strays, link = self.strays, self._doc.link
+        if strays and link is not None:
+            link.go_to(strays[self._next_stray % len(strays)].position)
+            self._next_stray += 1
+
+    def _add_strays(self) -> None:
+        places = [stray.position for stray in self.strays]
+        if places:
+            self._doc.guarded(lambda: self._doc.cells.add_clicks(places))
+            self.tell("Look at the clicks, then press 'Fit': the next fit has these cells too.")
+
+    def _hide_if_empty(self) -> None:
+        """The panel is there as long as it has something to say."""
+        parts = (self.curve, self.verdict, self.note)
+        self.setHidden(all(part.isHidden() for part in parts))
+
+    def _lay_out(self) -> None:
+        self._looks = QWidget(self)
+        shown = QHBoxLayout(self._looks)
+        shown.setContentsMargins(0, 0, 0, 0)
+        shown.addWidget(QLabel("show", self))
+        shown.addWidget(self.view, 2)
+        shown.addWidget(self.slice, 1)
+        shown.addWidget(self.worst)
+        stray = QHBoxLayout(self.stray_row)
+        stray.setContentsMargins(0, 0, 0, 0)
+        stray.addWidget(self.stray, 1)
+        for button in (self.stray_go, self.stray_add):
+            stray.addWidget(button)
+        layout = QVBoxLayout(self)
+        rows: tuple[QWidget, ...] = (self.grade, self.again, self.verdict, self.note)
+        rows += (self.remarks, self.stray_row, self._looks, self.curve)
+        for widget in (*rows, self.history, self.edit, self.numbers):
+            layout.addWidget(widget)
+
+
+class RemarkList(Fold):
+    """What was remarked on the way: how much in its title, all of it when unfolded."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        self.label = note_label()
+        super().__init__("", self.label, parent)
+        self.hide()
+
+    def show_remarks(self, remarks: Sequence[str]) -> None:
+        """Show remarks; hidden where there are none."""
+        self.set_title(f"{len(remarks)} {'remark' if len(remarks) == 1 else 'remarks'}")
+        self.label.setText("\n".join(remarks))
+        self.unfold(False)
+        self.setVisible(bool(remarks))

@@ -1,0 +1,218 @@
+"""Cells found without a click: a Labels layer that can be corrected, and is then the seeds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from napari.layers import Labels
+from numpy.typing import NDArray
+from qtpy.QtCore import QSignalBlocker, Qt
+from qtpy.QtWidgets import QPushButton, QWidget
+from superqt import QLabeledDoubleSlider
+
+from ...errors import InputError
+from ...runs.seeds import FoundSeeds
+from ...scene import Grid
+from ..document import Document
+from ..qt import Signal
+from ..viewing.colours import label_colormap
+from ..viewing.frame import Frame
+from ..widgets import sentence
+from ..work import Background
+from .label_clicks import forget
+
+NAME = "found cells"
+_OTHERS = 3  # sizes that are offered besides the one used, at most
+_SAME = 0.1  # by which two sizes differ that are the same
+
+
+class FindCells(QPushButton):
+    """The button, its slider, and what they find; ``found`` brings the layer.
+
+    ``told`` says that ``message`` is another.
+    """
+
+    found = Signal(object)
+    gone = Signal(object)  # the layer of what was found in another image
+    told = Signal()
+
+    def __init__(self, doc: Document, parent: QWidget | None = None) -> None:
+        super().__init__("Find cells", parent)
+        self._viewer, self._image = doc.viewer, doc.image
+        self.setToolTip(
+            "<qt>Finds the cells of a membrane image by itself and adds them as a Labels layer, "
+            "which can be corrected by clicks, or with napari's brush, eraser and bucket. Takes "
+            "seconds to minutes in the background, by the size of the image. Pressing again starts "
+            "anew and replaces what was found, corrections too.</qt>"
+        )
+        self.cell_size = QLabeledDoubleSlider(Qt.Orientation.Horizontal, parent)
+        self.cell_size.setToolTip(
+            "<qt>Diameter of a typical cell, um. Until you move it, it is estimated from the "
+            "image. Larger: fewer cells, smaller: more. Press 'Find cells' again after that.</qt>"
+        )
+        self.message = ""
+        # Sizes that the cells may have instead, with how many would be found, about; 0: not known.
+        self.others: list[tuple[float, int]] = []
+        self._sizes: list[tuple[float, int]] = []
+        self._moved = False
+        self._layer: Any = None
+        self._asked: tuple[Any, Frame] | None = None
+        self._found_in: Any = None  # the image layer that the message and the labels are of
+        self._background = Background(self._show, self._fail)
+        self.clicked.connect(self.start)
+        self.cell_size.valueChanged.connect(self._note_move)
+
+    @property
+    def tried(self) -> bool:
+        """Whether its slider is of use yet."""
+        return self._moved or bool(self.message)
+
+    @property
+    def busy(self) -> bool:
+        """Whether cells are being looked for."""
+        return self._background.busy
+
+    def start(self) -> None:
+        """Look for cells in the image chosen; what is under way is given up."""
+        try:
+            frame, image = self._image.frame(), self._image.stack()
+        except InputError as error:
+            self._tell(sentence(str(error)))
+            return
+        self._asked = (self._image.layer, frame)
+        size = float(self.cell_size.value()) if self._moved else None
+        self._background.ask(partial(look, image, frame.voxel_size, size))
+        self._tell("Looking for cells ...")
+
+    def suit(self, shape: tuple[int, ...], voxel_size: tuple[float, ...]) -> None:
+        """Another image: what was asked of the last one, and found in it, is of no use."""
+        self.forget()
+        if self._found_in is not None and self._found_in is not self._image.layer:
+            self._found_in = None
+            self._tell("")
+            if self._layer is not None:
+                self.gone.emit(self._layer)
+        sides = np.multiply(shape, voxel_size)
+        least = 4 * float(np.cbrt(np.prod(voxel_size)))  # less is refused
+        self._set_size(float(sides.min()) / 3, least, float(sides.max()))
+        self._moved, self._sizes = False, []
+
+    def forget(self) -> None:
+        """Give up what is under way."""
+        if self._background.busy:
+            self._background.drop()
+            self._tell("")
+
+    def colour(self, event: Any = None) -> None:
+        """The labels were edited: cells that touch now differ too."""
+        layer = self._layer
+        if layer is not None and layer in self._viewer.layers:
+            layer.colormap = label_colormap(np.asarray(layer.data))
+
+    def hide_found(self) -> None:
+        """Make the layer invisible: labels cover what lies in and under them."""
+        if self._layer is not None and self._layer in self._viewer.layers:
+            self._layer.visible = False
+
+    def close_links(self) -> None:
+        """End what is under way and let the viewer go."""
+        self._background.close()
+        self._layer = self._asked = self._found_in = None
+
+    def find_with(self, size: float) -> None:
+        """Look for cells of another size, um."""
+        self._set_size(size)
+        self._moved = True
+        self.start()
+
+    def _show(self, result: FoundCells) -> None:
+        if self._asked is None:
+            return
+        size, labels = result.size, result.labels
+        (image_layer, frame), self._asked = self._asked, None
+        if image_layer not in self._viewer.layers:
+            self._tell("")
+            return
+        if not self._moved:
+            self._set_size(size)
+        if result.others is not None:
+            self._sizes = [(size, 0), *result.others]
+        layer, self._found_in = self._layer_for(frame, labels), image_layer
+        n = len(np.unique(labels[labels > 0]))
+        self._tell(f"Found {n} {'cell' if n == 1 else 'cells'} of about {size:.3g} µm.")
+        self.others = [(s, n) for s, n in self._sizes if abs(s / size - 1) > _SAME]
+        self.told.emit()
+        self.found.emit(layer)
+
+    def _layer_for(self, frame: Frame, labels: NDArray[np.int32]) -> Any:
+        """The layer of the last time if it still lies on the image, else a new one."""
+        old, options = self._layer, frame.image_options()
+        if (
+            old is not None
+            and old in self._viewer.layers
+            and old.data.shape == labels.shape
+            and np.allclose(old.scale, options["scale"])
+            and np.allclose(old.translate, options["translate"])
+        ):
+            old.data = labels
+            forget(old)
+            old.colormap = label_colormap(labels)
+            old.visible = True
+            return old
+        self._layer = Labels(labels, name=NAME, opacity=0.4, **options)
+        self._layer.colormap = label_colormap(labels)
+        self._layer.events.paint.connect(self.colour)
+        self._viewer.add_layer(self._layer)
+        return self._layer
+
+    def _fail(self, message: str) -> None:
+        self._tell(f"No cells found: {message}")
+
+    def _tell(self, message: str) -> None:
+        self.message, self.others = message, []
+        self.told.emit()
+
+    def _note_move(self, value: float) -> None:
+        self._moved = True
+
+    def _set_size(self, size: float, *limits: float) -> None:
+        blocker = QSignalBlocker(self.cell_size)
+        if limits:
+            self.cell_size.setRange(*limits)
+        self.cell_size.setValue(size)
+        blocker.unblock()
+
+
+@dataclass(frozen=True, eq=False)
+class FoundCells:
+    """What was found.
+
+    size : um, that was used.
+    labels : (Z, Y, X).
+    others : sizes that the cells may have instead (um), with how many would be found, about; None
+        where nobody looked.
+    """
+
+    size: float
+    labels: NDArray[np.int32]
+    others: tuple[tuple[float, int], ...] | None = None
+
+
+def look(
+    image: NDArray[Any], voxel_size: tuple[float, float, float], size: float | None
+) -> FoundCells:
+    """The cells of an image, of a size (um; None: estimated)."""
+    # Imported when it is first needed, and in the thread, as that takes a while.
+    from ...geometry.labels.find_cells import suggest_size, suggest_sizes
+
+    shape: Any = np.shape(image)
+    grid = Grid(shape, voxel_size)
+    if size is not None:
+        return FoundCells(size, FoundSeeds(size).labels(image, grid))
+    tried = suggest_sizes(image, voxel_size)
+    used = tried[0].size if tried else suggest_size(image, voxel_size)
+    others = tuple((one.size, one.cells) for one in tried[1 : 1 + _OTHERS])
+    return FoundCells(used, FoundSeeds(used).labels(image, grid), others)

@@ -1,0 +1,148 @@
+"""Tracking as a task: what its thread does, and what it shows of that."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from numpy.typing import NDArray
+
+from ...fitting.job import FitInput
+from ...runs.track_run import TrackRun
+from ...tracking import FrameResult, track
+from ..attempt import words_of
+from ..running.plots import explained
+from ..viewing.frame import Box, finite
+from ..work import Task
+
+
+class Frames:
+    """The frames of an image layer, read when asked for; NaN where they are not finite.
+
+    box : the region of each that is tracked; None for all of it.
+    """
+
+    def __init__(self, data: Any, box: Box | None = None) -> None:
+        self._data = data
+        self._region = tuple(slice(a, b) for a, b in box) if box is not None else ...
+
+    def __len__(self) -> int:
+        return len(self._data)
+
+    def __getitem__(self, frame: int) -> NDArray[Any]:
+        return finite(self._data[frame][self._region])
+
+
+@dataclass(frozen=True)
+class TrackJob:
+    """What is tracked: the fit of the first frame, all frames, and settings of the whole."""
+
+    first: FitInput
+    frames: Frames
+    settings: TrackRun
+    shared_ground: bool
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """What a run has reached; of ``seconds`` s.
+
+    job : None while it is prepared.
+    """
+
+    job: TrackJob | None = None
+    results: tuple[FrameResult, ...] = ()
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True)
+class TrackOutcome:
+    """How it ended, in plain words too."""
+
+    verdict: Literal["done", "stopped", "failed"]
+    message: str
+
+
+class TrackWork(Task):
+    """One run of tracking.
+
+    Parameters
+    ----------
+    prepare : puts the job together, in the thread.
+    frames : those that are tracked.
+    done : frames of an earlier run to go on from.
+    on_frame : called for each frame that is done, with those up to it.
+    on_end : called once with the outcome, unless the run was closed.
+    """
+
+    title = "cells are being tracked"
+    kept = "Cells are being tracked. The frames done stay in the viewer, but their table goes."
+
+    def __init__(
+        self,
+        prepare: Callable[[], TrackJob],
+        frames: range,
+        done: Sequence[FrameResult],
+        on_frame: Callable[[Sequence[FrameResult]], None],
+        on_end: Callable[[TrackOutcome], None],
+    ) -> None:
+        super().__init__()
+        self._prepare, self._frames = prepare, frames
+        self._on_frame, self._on_end = on_frame, on_end
+        self._shown = len(done)  # frames
+        self.job: TrackJob | None = None
+        self.results: list[FrameResult] = list(done)
+        self.seconds = 0.0
+        self.stage = "preparing the seeds"
+
+    def look(self) -> None:
+        """See ``Task``."""
+        while self._shown < len(self.results):
+            self._shown += 1
+            self._on_frame(self.results[: self._shown])
+
+    def end(self, outcome: TrackOutcome | None) -> None:
+        """See ``Task``."""
+        self.look()
+        self._on_end(outcome or TrackOutcome("stopped", "stopped by you"))
+
+    def failed(self, error: Exception) -> TrackOutcome:
+        """See ``Task``."""
+        return TrackOutcome("failed", words_of(error))
+
+    def steps(self) -> Generator[None, None, TrackOutcome]:
+        """See ``Task``; yields after every iteration."""
+        began, done = time.monotonic(), list(self.results)
+        job = self.job = self._prepare()
+        yield
+        first, count = job.first, len(self._frames)
+        for state in track(
+            job.frames,
+            first.grid,
+            first.mesh,
+            first.optics,
+            first.settings.fit,
+            tracking=job.settings.track,
+            effects=first.settings.scene.effects,
+            shared_ground=job.shared_ground,
+            done=done,
+        ):
+            self.seconds = time.monotonic() - began
+            fit = state.fit
+            if state.done is not None:
+                self.results.append(state.done)
+            elif fit is not None:
+                number = state.frame - self._frames.start
+                self.share = (number + (fit.level - 1) / max(fit.levels, 1)) / count
+                self.stage = (
+                    f"frame {number + 1} of {count}: level {fit.level} of {fit.levels}, "
+                    f"{explained(fit.loss):.1f} % explained"
+                )
+            yield
+        left_out = sum(result.mesh is None for result in self.results)
+        text = f"{len(self.results)} frames tracked"
+        if left_out:
+            text += f", {left_out} of them left out"
+        return TrackOutcome("done", text)

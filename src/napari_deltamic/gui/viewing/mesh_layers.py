@@ -1,0 +1,245 @@
+"""A mesh in a viewer: its contours on the slice that is shown, its surface in 3D."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...geometry import Mesh
+from ...results.colouring import colour_indices
+from ..layer_choice import Connections
+from .colours import BY_VALUE, LIMITS, ByValue, region_colormap, side_values
+from .contours import Contours
+from .frame import OWN, Frame, camera_of
+from .own_layers import Surface
+from .walls import COPIES, Apart
+
+
+class MeshLayers:
+    """Two layers that show a mesh, and follow the slices until they are closed.
+
+    The surface is there in 3D only: in 2D napari draws a few faces of one, which look like dirt on
+    its contours.
+
+    Parameters
+    ----------
+    viewer : a napari viewer or its model.
+    image_layer : the image that the mesh is of.
+    frame : of the image layer.
+    names : of the surface, and of the contours.
+    known : what the layers' metadata say of them.
+    look : further options of the surface.
+    """
+
+    def __init__(
+        self,
+        viewer: Any,
+        image_layer: Any,
+        frame: Frame,
+        names: tuple[str, str],
+        known: Mapping[str, Any],
+        look: Mapping[str, Any],
+    ) -> None:
+        self.viewer, self.image_layer, self.frame = viewer, image_layer, frame
+        self._name, self._known, self._look = names[0], dict(known), dict(look)
+        self.chosen: frozenset[int] = frozenset()
+        self.surface: Surface | None = None
+        self.contours = Contours(frame, names[1], image_layer)
+        self.contours.layer.metadata[OWN] = dict(known)
+        self._seen_in_3d = True
+        self._placed = True  # whether the surface belongs to what is shown: 3D, at its time
+        self._late = False  # whether the hidden surface is another than what is to be seen
+        self._time: tuple[int, ...] = ()  # of the image, that the mesh is of; () where it has none
+        self.take_time()
+        self._colours_of: Mesh | None = None
+        self._apart: Apart | None = None  # how the surface is drawn
+        self._apart_of: Mesh | None = None
+        self._values: NDArray[np.float32] | None = None
+        self.connections = Connections()
+        dims = viewer.dims.events
+        for emitter in (dims.current_step, dims.order, dims.ndisplay):
+            self.connections.connect(emitter, self.slice_changed)
+        self.connections.connect(camera_of(viewer).events.zoom, self._zoomed)
+
+    @property
+    def shown(self) -> Mesh | None:
+        """The mesh that is to be seen."""
+        raise NotImplementedError
+
+    @property
+    def time(self) -> tuple[int, ...]:
+        """Step of the time point that the mesh is of, of a 4D image; () where it has none."""
+        return tuple(int(step) for step in self._time)
+
+    def take_time(self) -> None:
+        """From now on the meshes are those of the time point that is shown, of a 4D image."""
+        steps = tuple(self.viewer.dims.current_step)
+        self._time = steps[:-3] if self.image_layer.ndim > 3 else ()
+
+    @property
+    def at_time(self) -> bool:
+        """Whether the image shown is that of the meshes."""
+        return not self._time or tuple(self.viewer.dims.current_step[:-3]) == self._time
+
+    @property
+    def colours(self) -> Mapping[int, int]:
+        """Places in the palette of the regions shown; see ``colour_indices``."""
+        return self.contours.colours
+
+    def highlight(self, regions: frozenset[int]) -> None:
+        """Dim all cells but some; none of them: show all alike."""
+        if regions != self.chosen:
+            self.chosen = self.contours.chosen = regions
+            self._colour_anew()
+
+    def colour_by(self, values: Mapping[int, float] | None) -> None:
+        """Colour cells by a number of each, by region; None: each has its own colour."""
+        if values is None and self.contours.by is None:
+            return
+        by = self.contours.by = None if values is None else ByValue(values)
+        layer = self.surface
+        if layer is not None and layer in self.viewer.layers and self.shown is not None:
+            layer.colormap = region_colormap() if by is None else BY_VALUE
+            layer.contrast_limits = LIMITS if by is None else by.limits
+        self._colour_anew()
+
+    def face_of(self, drawn: int) -> int | None:
+        """The face of the mesh shown that one of the surface layer is; None where there is none."""
+        order = self._apart.order if self._apart is not None else ()
+        return int(order[drawn]) if drawn < len(order) else None
+
+    def close(self) -> None:
+        """Undo every connection; the layers stay."""
+        self.connections.undo()
+
+    def slice_changed(self, event: Any = None) -> None:
+        """Another slice, or view, is shown."""
+        self._place_surface()
+        if self.contours.layer in self.viewer.layers:
+            self.contours.update(self.shown if self.at_time else None, self.viewer)
+
+    def draw(self, mesh: Mesh, *, passing: bool = False) -> None:
+        """Show a mesh. A surface that is hidden is not told of one that is only passing.
+
+        That takes as long as if it were to be seen.
+        """
+        self._colour(mesh, passing=passing)
+        if self.surface is None:
+            self._add_surface(mesh)
+        elif self.surface in self.viewer.layers:
+            self._late = passing and not self.surface.visible
+            if not self._late:
+                self._set_surface(self.surface, mesh)
+        self.slice_changed()
+
+    def add(self, layer: Any, above: bool = False) -> None:
+        """Add a layer, and leave the selection as it is; above: just above the image."""
+        viewer = self.viewer
+        selected = set(viewer.layers.selection)
+        viewer.add_layer(layer)
+        if above and self.image_layer in viewer.layers:
+            index = viewer.layers.index(self.image_layer)
+            viewer.layers.move(len(viewer.layers) - 1, index + 1)
+        viewer.layers.selection = selected or {layer}
+
+    # ----------------------------------------------------------------------------------- inside
+
+    def _colour(self, mesh: Mesh, *, passing: bool) -> None:
+        """Other colours where regions have other neighbours; boxes are only looked at anew now."""
+        if passing and self._colours_of is not None and _same(self._colours_of, mesh):
+            return
+        self._colours_of, found = mesh, colour_indices(mesh)
+        if found != self.contours.colours:
+            self.contours.colours, self._values = found, None
+
+    def _colour_anew(self) -> None:
+        layer = self.surface
+        if self.shown is None:
+            return
+        if layer is not None and layer in self.viewer.layers:
+            self._apart, self._late = None, False
+            # With its vertices: those of a layer that is late may be of other triangles.
+            self._set_surface(layer, self.shown)
+        self.slice_changed()
+
+    def _drawn(self, mesh: Mesh) -> tuple[Any, Any, Any]:
+        """Vertices, faces and values of the layer."""
+        apart, of = self._apart, self._apart_of
+        if apart is None or of is None or not _same(of, mesh):
+            apart = self._apart = Apart.of(mesh)
+            self._apart_of, self._values = mesh, None
+        if self._values is None:
+            by = self.contours.by
+            if by is not None:
+                values = by.at(apart.sides.max(axis=1))
+                self._values = np.nan_to_num(values, nan=by.limits[0])
+            else:
+                self._values = side_values(apart.sides, self.chosen, self.colours)
+            apart = self._apart = apart.first(mesh, self.chosen)
+        return apart.vertices(mesh), apart.faces, self._values
+
+    def _set_surface(self, layer: Surface, mesh: Mesh) -> None:
+        drawn = self._drawn(mesh)
+        if len(layer.features.columns) and len(layer.features) != len(drawn[0]):
+            layer.features = None  # they are of other vertices
+        layer.data = drawn
+        self._note(layer, mesh)
+
+    def _note(self, layer: Surface, mesh: Mesh) -> None:
+        """What is needed to make a mesh of the layer again."""
+        assert self._apart is not None
+        regions = mesh.regions[self._apart.order]
+        layer.metadata[OWN].update({"regions": regions, COPIES: self._apart.copies})
+
+    def _add_surface(self, mesh: Mesh) -> None:
+        self._placed = self._belongs()
+        self.surface = Surface(
+            self._drawn(mesh),
+            name=self._name,
+            colormap=region_colormap(),
+            contrast_limits=LIMITS,
+            shading="smooth",
+            visible=self._placed,
+            metadata={OWN: dict(self._known)},
+            **self._look,
+            **self.frame.layer_options(),
+        ).lie_on(self.image_layer)
+        self._note(self.surface, mesh)
+        self.connections.connect(self.surface.events.visible, self._surface_shown)
+        # Last: the layer that is added last is selected, and its controls are shown.
+        self.add_layers(self.surface, self.contours.layer)
+
+    def add_layers(self, *layers: Any) -> None:
+        """Put the layers that were made into the viewer."""
+        for layer in layers:
+            self.add(layer)
+
+    def _surface_shown(self, event: Any = None) -> None:
+        if self._late and self.surface is not None and self.shown is not None:
+            self.draw(self.shown)
+
+    def _zoomed(self, event: Any = None) -> None:
+        if self.contours.off_width(self.viewer):
+            self.slice_changed()
+
+    def _belongs(self) -> bool:
+        return self.viewer.dims.ndisplay == 3 and self.at_time
+
+    def _place_surface(self) -> None:
+        """Show the surface where it belongs, if the user has not hidden it there."""
+        if self.surface is None or self.surface not in self.viewer.layers:
+            return
+        if self._belongs() == self._placed:
+            return
+        if self._placed:
+            self._seen_in_3d = self.surface.visible
+        self._placed = not self._placed
+        self.surface.visible = self._placed and self._seen_in_3d
+
+
+def _same(a: Mesh, b: Mesh) -> bool:
+    """Whether two meshes have the same triangles between the same regions; the arrays tell."""
+    return a.faces is b.faces and a.regions is b.regions

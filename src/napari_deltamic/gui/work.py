@@ -1,0 +1,302 @@
+"""What runs beside the window: one long task at a time, and short functions.
+
+Nothing in a thread knows of a widget, and no thread calls one: the main thread looks at the task a
+few times a second and shows what it finds. A slow viewer gets fewer states, not a queue.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections import deque
+from collections.abc import Callable, Generator
+from contextlib import suppress
+from functools import partial
+from typing import Any
+
+from napari.utils import progress
+from psygnal import Signal
+from qtpy.QtCore import QObject, QTimer
+from superqt.utils import create_worker
+
+from ..errors import TOLD, InputError
+from .attempt import words_of
+
+INTERVAL = 1 / 15  # s between two looks at a task
+LONGEST_REST = 0.5  # s that a slow viewer is left alone, at most
+
+
+class Task:
+    """Something long. Its thread runs ``steps``; all else belongs to the main thread.
+
+    Attributes
+    ----------
+    title : what runs, as in "a fit is running".
+    kept : what closing the window would leave of it; '' where nobody need be asked.
+    gives_way : whether it ends where another task is to start.
+    stage : what the thread is doing, in words.
+    """
+
+    title = ""
+    kept = ""
+    gives_way = False
+    share: float | None = None  # of it that is done, where that is known
+
+    def __init__(self) -> None:
+        self.running = True  # until its end was told, or it was closed
+        self.stopping = self.paused = False
+        self.stage = ""
+        self.done = False  # by the thread, last
+        self.outcome: Any = None
+        self.remarks: deque[str] = deque()  # warnings for users
+
+    def steps(self) -> Generator[None, None, Any]:
+        """What the thread runs: it can be stopped where it yields, and returns the outcome."""
+        raise NotImplementedError
+
+    def failed(self, error: Exception) -> Any:
+        """The outcome where the thread, or showing what it brought, raised."""
+        return words_of(error)
+
+    def look(self) -> None:
+        """Show what there is."""
+
+    def end(self, outcome: Any) -> None:
+        """It has ended: with what ``steps`` returned, or None where it was stopped."""
+
+    def stop(self) -> None:
+        """End it where it next yields."""
+        self.stopping = True
+
+    def step(self, text: str) -> None:
+        """Note in the thread what is done; raises where it was stopped, for what cannot yield."""
+        if self.stopping:
+            raise InputError("stopped")
+        self.stage = text
+
+    def close(self) -> None:
+        """End it and tell nobody; its thread may go on for a while, and holds no widget then."""
+        self.stop()
+        self.running = False
+        for name in [name for name in vars(self) if name.startswith("_on_")]:
+            setattr(self, name, _nobody)
+
+
+class Work(QObject):
+    """The one task under way: fits, tracking, evidence and measurements take turns."""
+
+    changed = Signal()  # a task began, or ended
+    looked = Signal()  # at the task under way
+    remarked = Signal(str)  # a warning of its thread
+
+    def __init__(self, parent: QObject | None = None) -> None:
+        super().__init__(parent)
+        self.interval = INTERVAL
+        self.task: Task | None = None
+        self._activity: Any = None  # in napari's activity dock
+        self._timer = QTimer(self)
+        self._timer.setSingleShot(True)
+        self._timer.timeout.connect(self._tick)
+
+    @property
+    def occupied(self) -> str:
+        """What runs, and what to do so that something else can; '' for nothing."""
+        task = self.task
+        if task is None or task.gives_way:
+            return ""
+        return f"{task.title} already: stop it first"
+
+    def start(self, task: Task) -> None:
+        """Start a task. InputError if another one runs that does not give way."""
+        if self.occupied:
+            raise InputError(self.occupied)
+        if self.task is not None:
+            self.stop(at_once=True)
+        self.task = task
+        worker: Any = create_worker(_run, task, _start_thread=False, _ignore_errors=True)
+        self._activity = progress(total=0, desc=f"deltaMic: {task.title}")
+        self.changed.emit()
+        worker.start()
+        self._timer.start(0)
+
+    def stop(self, *, at_once: bool = False) -> None:
+        """End the task; what it reached is kept. At once: without waiting for its thread."""
+        task = self.task
+        if task is not None:
+            task.stop()
+            if at_once:
+                self._end(task, None)
+
+    def pause(self, paused: bool) -> None:
+        """Let the task wait, or go on."""
+        if self.task is not None:
+            self.task.paused = paused
+
+    def close(self) -> None:
+        """End the task, and tell nobody."""
+        with suppress(RuntimeError):  # the application may have ended before
+            self._timer.stop()
+        task, self.task = self.task, None
+        if task is not None:
+            task.close()
+        self._close_activity()
+
+    def _tick(self) -> None:
+        task, began = self.task, time.monotonic()
+        if task is None:
+            return
+        done, outcome = task.done, None
+        try:
+            while task.remarks:
+                self.remarked.emit(task.remarks.popleft())
+            task.look()
+            self.looked.emit()
+            outcome = task.outcome
+        except Exception as error:  # what cannot be shown should not go on unseen
+            task.stop()
+            done, outcome = True, task.failed(error)
+        if task is not self.task:
+            return  # it was closed meanwhile
+        if done:
+            self._end(task, outcome)
+        else:
+            # Called when the viewer has drawn what it was given.
+            QTimer.singleShot(0, partial(self._again, began))
+
+    def _again(self, began: float) -> None:
+        if self.task is not None and not self._timer.isActive():
+            # Drawing without a GPU takes the cores that the task needs.
+            rest = rest_after(time.monotonic() - began)
+            self._timer.start(round(1000 * max(self.interval, rest)))
+
+    def _end(self, task: Task, outcome: Any) -> None:
+        self._timer.stop()
+        self.task, task.running = None, False
+        self._close_activity()
+        task.end(outcome)
+        self.changed.emit()
+
+    def _close_activity(self) -> None:
+        activity, self._activity = self._activity, None
+        if activity is not None:
+            activity.close()
+
+
+def _nobody(*news: Any) -> None:
+    """Called in the place of those that are gone."""
+
+
+def rest_after(drawing: float) -> float:
+    """s that a viewer is left alone that took so long (s) to draw."""
+    # Ten updates a second come first, as long as the task gets a quarter of the cores.
+    return min(2 * drawing, max(0.1 - drawing, 0.3 * drawing), LONGEST_REST)
+
+
+def _run(task: Task) -> None:
+    """What the thread of a task does."""
+    steps, outcome = task.steps(), None
+
+    def show(message: Any, category: type[Warning], *where: Any, **more: Any) -> None:
+        if issubclass(category, TOLD):
+            task.remarks.append(str(message))
+
+    with warnings.catch_warnings():
+        warnings.filterwarnings("always", category=UserWarning)
+        warnings.showwarning = show
+        try:
+            while not task.stopping:
+                next(steps)
+            steps.close()
+        except StopIteration as end:
+            outcome = end.value
+        except Exception as error:
+            outcome = None if task.stopping else task.failed(error)
+    task.outcome = outcome
+    task.done = True
+
+
+class Background(QObject):
+    """Runs one function at a time in a thread; of several asked for, the last one counts.
+
+    A function that runs cannot be interrupted: its result is dropped, and the latest one asked
+    for starts when it has ended. Made and used on the main thread, where both callbacks are
+    called. After ``close`` neither is, and nothing is held but what still runs. A QObject, though
+    it has no signals: what a thread sends to one that is gone is dropped by Qt.
+
+    Parameters
+    ----------
+    on_result : called with what the function returned.
+    on_error : called with a sentence in plain words.
+    """
+
+    def __init__(self, on_result: Callable[[Any], None], on_error: Callable[[str], None]) -> None:
+        super().__init__()
+        self._on_result: Callable[[Any], None] | None = on_result
+        self._on_error: Callable[[str], None] | None = on_error
+        self._worker: Any = None
+        self._slots: tuple[tuple[Any, Callable[..., None]], ...] = ()
+        self._next: Callable[[], Any] | None = None
+        self._awaited = False  # the result of what runs
+
+    @property
+    def busy(self) -> bool:
+        """Whether a result is still to come."""
+        return self._awaited or self._next is not None
+
+    def ask(self, work: Callable[[], Any]) -> None:
+        """Run a function without arguments; it must not know of any widget."""
+        if self._on_result is None:
+            return
+        self._next = work
+        if self._worker is None:
+            self._start()
+        else:
+            self._awaited = False
+
+    def drop(self) -> None:
+        """No result is wanted any more."""
+        self._next, self._awaited = None, False
+
+    def close(self) -> None:
+        """Call nobody any more."""
+        self.drop()
+        self._disconnect()
+        self._on_result = self._on_error = None
+
+    def _start(self) -> None:
+        work, self._next = self._next, None
+        # Errors are caught in the thread: this library drops any RuntimeError without a word.
+        worker: Any = create_worker(_caught, work, _start_thread=False, _ignore_errors=True)
+        self._worker, self._awaited = worker, True
+        self._slots = ((worker.returned, self._tell), (worker.finished, self._finish))
+        for signal, slot in self._slots:
+            signal.connect(slot)
+        worker.start()
+
+    def _tell(self, outcome: tuple[Any, str]) -> None:
+        if not self._awaited:
+            return
+        self._awaited = False
+        result, error = outcome
+        tell: Any = self._on_error if error else self._on_result
+        if tell is not None:
+            tell(error or result)
+
+    def _finish(self) -> None:
+        self._disconnect()
+        if self._next is not None:
+            self._start()
+
+    def _disconnect(self) -> None:
+        for signal, slot in self._slots:
+            signal.disconnect(slot)
+        self._slots = ()
+        self._worker = None
+
+
+def _caught(work: Callable[[], Any]) -> tuple[Any, str]:
+    """What the function returns and '', or None and what went wrong."""
+    try:
+        return work(), ""
+    except Exception as error:
+        return None, words_of(error)

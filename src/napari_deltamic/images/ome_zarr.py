@@ -1,0 +1,148 @@
+"""OME-Zarr (OME-NGFF 0.4 and 0.5): folders of chunks, read as lazily as one wants.
+
+The format: https://ngff.openmicroscopy.org. Needs the package zarr, and says so where it is not.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..common.writing import folder_atomically
+from ..errors import InputError
+from .units import unit_um
+
+_CHUNK = 64  # voxels along each axis: 1 MB of float32, the size that viewers read in one go
+
+
+@dataclass(frozen=True, eq=False)
+class ZarrImage:
+    """The finest resolution of an image; pixels are read where it is sliced.
+
+    array : as stored; slicing it gives a numpy array.
+    axes : a letter for each, such as "TCZYX".
+    voxel_size : um, Z Y X; None where it is not told.
+    """
+
+    array: Any
+    axes: str
+    voxel_size: tuple[float, float, float] | None
+
+
+def open_zarr(path: str | os.PathLike[str]) -> ZarrImage:
+    """Open an image without reading its pixels.
+
+    Raises
+    ------
+    InputError
+        If zarr is not installed, or the folder is no OME-Zarr image.
+    """
+    zarr = _zarr()
+    with _quietly():
+        try:
+            group = zarr.open_group(str(path), mode="r")
+        except (FileNotFoundError, NotADirectoryError):
+            raise InputError("it holds no OME-Zarr image") from None
+        attributes = dict(group.attrs)
+        facts = _first_image(attributes.get("ome", attributes))
+        dataset = facts["datasets"][0]
+        array = group[dataset["path"]]
+    axes = "".join(_axis_name(axis) for axis in facts.get("axes", ())).upper()
+    if axes and len(axes) != len(array.shape):
+        raise InputError(f"it names {len(axes)} axes of {len(array.shape)}")
+    return ZarrImage(array, axes, _voxel_size(facts, dataset))
+
+
+def write_zarr(
+    path: str | os.PathLike[str], image: NDArray[Any], voxel_size: Sequence[float]
+) -> None:
+    """Write a (Z, Y, X) image, or labels if its values are whole numbers of 16 or 32 bits.
+
+    One resolution, OME-NGFF 0.4. The folder appears whole or not at all; an older one of the name
+    is replaced.
+
+    Raises
+    ------
+    InputError
+        If zarr is not installed, or the folder cannot be written.
+    """
+    zarr = _zarr()
+    path = Path(path)
+    transform = {"type": "scale", "scale": [float(d) for d in voxel_size]}
+    image_facts = {
+        "version": "0.4",
+        "name": path.name.split(".")[0],
+        "axes": [{"name": n, "type": "space", "unit": "micrometer"} for n in "zyx"],
+        "datasets": [{"path": "0", "coordinateTransformations": [transform]}],
+    }
+    attributes: dict[str, Any] = {"multiscales": [image_facts]}
+    if path.name.split(".")[0] == "labels":  # what readers take for a label image
+        attributes["image-label"] = {"version": "0.4"}
+    with folder_atomically(path) as aside, _quietly():
+        group = zarr.open_group(str(aside), mode="w", zarr_format=2, attributes=attributes)
+        chunks = tuple(min(n, _CHUNK) for n in image.shape)
+        made = group.create_array(
+            "0",
+            shape=image.shape,
+            dtype=image.dtype,
+            chunks=chunks,
+            chunk_key_encoding={"name": "v2", "separator": "/"},
+        )
+        made[...] = image
+
+
+def _zarr() -> Any:
+    try:
+        import zarr
+    except ImportError:
+        raise InputError("OME-Zarr needs a package: pip install 'napari-deltamic[many]'") from None
+    return zarr
+
+
+@contextmanager
+def _quietly() -> Iterator[None]:
+    """Without warnings of zarr, on what it makes of names and versions."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+def _first_image(facts: Any) -> Mapping[str, Any]:
+    images = facts.get("multiscales") if isinstance(facts, Mapping) else None
+    if not images or not images[0].get("datasets"):
+        raise InputError("it holds no OME-Zarr image (no multiscales)")
+    found: Mapping[str, Any] = images[0]
+    return found
+
+
+def _axis_name(axis: Any) -> str:
+    # Up to version 0.3 axes were mere names.
+    return str(axis["name"] if isinstance(axis, Mapping) else axis)[:1]
+
+
+def _voxel_size(
+    facts: Mapping[str, Any], dataset: Mapping[str, Any]
+) -> tuple[float, float, float] | None:
+    """um, from the scale of the finest resolution times that of all, and the units of the axes."""
+    axes = [a for a in facts.get("axes", ()) if isinstance(a, Mapping)]
+    scale = np.ones(len(axes))
+    told = False
+    for holder in (dataset, facts):
+        for transform in holder.get("coordinateTransformations", ()):
+            if transform.get("type") == "scale":
+                scale, told = scale * np.asarray(transform["scale"], np.float64), True
+    sides = {
+        str(axis["name"]).lower(): side * (unit_um(str(axis.get("unit", ""))) or np.nan)
+        for axis, side in zip(axes, scale.tolist(), strict=True)
+    }
+    if not told or not all(np.isfinite(sides.get(name, np.nan)) for name in "zyx"):
+        return None
+    return sides["z"], sides["y"], sides["x"]

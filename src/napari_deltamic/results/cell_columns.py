@@ -1,0 +1,80 @@
+"""The columns of the table of cells: those of the measurements, as a user reads them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any
+
+from ..measure.all_cells import CELL_COLUMNS
+from ..measure.table import Column
+
+_SUFFIX = {"um^3": "_um3", "um^2": "_um2", "um": "_um", "1/um": "_per_um"}
+_TITLES = {"region": "cell", "residual_z": "misfit", "cut_by_border": "cut"}
+_SHARES = ("explained",)
+# Those that are shown until the user chooses others.
+FIRST = (
+    "region",
+    "volume_um3",
+    "area_um2",
+    "sphericity",
+    "explained",
+    "shape_error_um",
+    "grade",
+)
+_RESIDUAL = Column(
+    "residual_z",
+    "standard deviations by which the difference near the cell is larger than noise",
+)
+
+
+@dataclass(frozen=True)
+class CellColumn:
+    """A column as it is shown.
+
+    key : of the rows.
+    title : with its unit in a line of its own.
+    tip : what it is, in a sentence.
+    """
+
+    key: str
+    title: str
+    tip: str
+
+    @property
+    def name(self) -> str:
+        """The title in one line."""
+        return self.title.replace("\n", ", ")
+
+    def text(self, value: Any) -> str:
+        """A value of it, as it is shown; '-' for none."""
+        if isinstance(value, str):
+            return value
+        if not is_number(value):
+            return "-"
+        if self.key == "region" or isinstance(value, int):
+            return f"{value:.0f}"
+        return f"{value:.1%}" if self.key in _SHARES else f"{value:.4g}"
+
+
+def is_number(value: Any) -> bool:
+    """Whether a value is one that can be sorted and drawn."""
+    return isinstance(value, int | float) and isfinite(value)
+
+
+def value_of(row: Mapping[str, Any], key: str) -> Any:
+    """The value of a row; None where it has none."""
+    value = row.get(key)
+    return None if isinstance(value, float) and not isfinite(value) else value
+
+
+def _shown(column: Column) -> CellColumn:
+    plain = column.name.removesuffix(_SUFFIX.get(column.unit, ""))
+    title = _TITLES.get(column.name, plain.replace("_", " "))
+    unit = column.unit.replace("um", "µm").replace("^3", "³").replace("^2", "²")
+    tip = f"{column.meaning[0].upper()}{column.meaning[1:]}."
+    return CellColumn(column.name, f"{title}\n{unit}" if unit else title, tip)
+
+
+COLUMNS = tuple(_shown(column) for column in (*CELL_COLUMNS, _RESIDUAL))

@@ -1,0 +1,119 @@
+"""What is to be thought of a fit that has ended, of its cells, and of what it left out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..evidence.fit_facts import verdict_of
+from ..evidence.residual import Residual, analyse_residual
+from ..evidence.strays import Stray, strays
+from ..evidence.verdict import Verdict
+from ..evidence.voxel_variance import Variance, voxel_variance
+from ..fitting import FitState
+from ..fitting.checks import check_image
+from ..fitting.job import FitInput
+from ..measure import measure
+from ..measure.of_fit import known_of
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """What is thought of the end of a fit, and of each of its cells.
+
+    found : what it leaves unexplained.
+    cells : all that is measured, by region.
+    strays : bright things of the image that have no cell.
+    """
+
+    found: Residual
+    verdict: Verdict
+    cells: Mapping[int, Mapping[str, Any]]
+    strays: tuple[Stray, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """The rendered image of a state, and how it differs from the measured one.
+
+    rendered : (Z, Y, X).
+    difference : (Z, Y, X) measured minus rendered, in standard deviations of the noise.
+    judged : what is thought of the end of a fit.
+    """
+
+    rendered: NDArray[np.float32]
+    difference: NDArray[np.float32]
+    judged: Judged | None = None
+
+
+class Spread:
+    """The noise of a measured image, looked at once; used by one thread at a time."""
+
+    def __init__(self) -> None:
+        self._of: Any = None
+        self._variance: Variance | None = None
+
+    def variance(self, job: FitInput) -> Variance:
+        """Of a voxel of the image of a job, from its expected value."""
+        if self._variance is None or self._of is not job.image:
+            pixels, known = check_image(job.image, job.grid)
+            self._of, self._variance = job.image, voxel_variance(job.image, pixels, known)
+        return self._variance
+
+
+def compared(rendered: NDArray[np.float32], job: FitInput, spread: Spread) -> Compared:
+    """An image that is rendered already, with the measured one."""
+    noise = np.sqrt(spread.variance(job)(rendered))
+    return Compared(rendered, ((job.image - rendered) / noise).astype(np.float32))
+
+
+def judge(state: FitState, job: FitInput, spread: Spread) -> Compared:
+    """The images of the end of a fit, and where they do not agree."""
+    rendered = state.rendered()
+    given = replace(state, _render=lambda: rendered)
+    variance = spread.variance(job)
+    found = analyse_residual(job.image, job.grid, given, counted=job.counted, variance=variance)
+    verdict = verdict_of(job, given, found, rendered)
+    cells = _measured(state, job, found, verdict)
+    everywhere = analyse_residual(job.image, job.grid, given, variance=variance)
+    alone = strays(everywhere.spots, state.mesh, state.optics)
+    both = compared(rendered, job, spread)
+    return replace(both, judged=Judged(found, verdict, cells, alone))
+
+
+def _measured(
+    state: FitState, job: FitInput, found: Residual, verdict: Verdict
+) -> dict[int, dict[str, Any]]:
+    """All that is measured on each cell, and how well it is explained."""
+    known = {cell.region: cell.explained for cell in found.cells if cell.explained is not None}
+    judgements = verdict.by_region()
+    about = known_of(state, job.grid, explained=known, judgements=judgements)
+    table = measure(state.mesh, about).cells
+    rows = {int(row["region"]): dict(row) for row in table.rows if row["region"] is not None}
+    for cell in found.cells:
+        if cell.region in rows:
+            rows[cell.region]["residual_z"] = cell.z
+    return rows
+
+
+def told(known: Judged) -> str:
+    """The grade, how much of the image the cells explain, and why it is no better."""
+    verdict: Verdict = known.verdict
+    explained = known.found.explained
+    if explained is None:
+        return "Nothing around the cells is brighter or darker than noise."
+    text = (
+        f"{verdict.grade.capitalize()}: the cells explain {explained:.0%} of the signal around them"
+    )
+    whole = verdict.error.whole
+    text += "." if whole is None else f"; they are off by about {1000 * whole.total:.0f} nm."
+    reasons = [reason for reason in verdict.reasons if "is explained" not in reason]
+    if reasons:
+        text += f" {'; '.join(reasons)}."
+    if verdict.grade == "poor":
+        text += " Look at the surfaces before you use them."
+    return text

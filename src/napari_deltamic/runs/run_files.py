@@ -1,0 +1,69 @@
+"""Files for what a run needs and only the viewer has, so that a command can repeat it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from ..geometry.formats import MESH_FILES
+from ..images.stacks import write_image
+from ..scene import Grid
+from .seeds import Seeds
+from .settings import NEAR_LEVELS, RunSettings
+
+
+def needs_folder(settings: RunSettings) -> bool:
+    """Whether an image or seeds live only in the viewer, so that they must be saved first."""
+    view = settings.scene.effects.second_view
+    return not (settings.image and settings.seeds and (view is None or view.image))
+
+
+def with_second_file(settings: RunSettings, path: str) -> RunSettings:
+    """The settings with another file of the second view that they have."""
+    scene = settings.scene
+    view = scene.effects.second_view
+    assert view is not None, "the settings have a second view"
+    effects = scene.effects.replace(second_view=view.model_copy(update={"image": path}))
+    scene = scene.model_copy(update={"effects": effects})
+    return settings.model_copy(update={"scene": scene})
+
+
+def with_files(
+    settings: RunSettings,
+    image: NDArray[Any],
+    grid: Grid,
+    seeds: Seeds,
+    folder: Path,
+    second: NDArray[Any] | None = None,
+) -> RunSettings:
+    """The settings with files for what has none; InputError if they cannot be written."""
+    files = {"image": settings.image, "seeds": settings.seeds}
+    if not files["image"]:
+        path = _unused(folder / "image.tif")
+        write_image(path, image, grid.voxel_size)
+        files["image"] = str(path.absolute())
+    if not files["seeds"]:
+        path = seeds.save(folder, image, grid)
+        files["seeds"] = str(path.absolute())
+        if path.suffix in MESH_FILES and seeds.kind != "rough" and settings.fit.levels is None:
+            # A mesh file does not tell that its surfaces already lie on the membranes.
+            fit = settings.fit.model_copy(update={"levels": NEAR_LEVELS})
+            settings = settings.model_copy(update={"fit": fit})
+    settings = settings.model_copy(update=files)
+    view = settings.scene.effects.second_view
+    if view is not None and not view.image and second is not None:
+        path = _unused(folder / "second.tif")
+        write_image(path, second, grid.voxel_size)
+        settings = with_second_file(settings, str(path.absolute()))
+    return settings
+
+
+def _unused(path: Path) -> Path:
+    """A path at which nothing is yet: the folder may be that of the user's own images."""
+    found, k = path, 0
+    while found.exists():
+        k += 1
+        found = path.with_stem(f"{path.stem}-{k}")
+    return found

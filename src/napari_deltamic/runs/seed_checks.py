@@ -1,0 +1,160 @@
+"""What may be wrong with seeds, and which points it is about: told before a fit is started."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ..geometry.mesh import FloatArray
+
+_NAMED = 6  # points, at most, that a sentence names
+
+
+@dataclass(frozen=True)
+class PointSet:
+    """The points of one layer that are seeds.
+
+    points, radii : um in the frame of the image; radii None where points are no spheres.
+    rows : of the layer, one for each point.
+    several : whether other layers give points too, so that sentences must name this one.
+    """
+
+    layer: Any
+    points: FloatArray
+    radii: FloatArray | None
+    rows: NDArray[np.int64]
+    several: bool = False
+
+    def name(self, index: int) -> str:
+        """A point as users find it: counted from 1, like the cells that come from it."""
+        number = str(int(self.rows[index]) + 1)
+        return f"{number} of '{self.layer.name}'" if self.several else number
+
+
+@dataclass(frozen=True)
+class Remark:
+    """A sentence, and the points that it is about: (layer, row) of each."""
+
+    text: str
+    points: tuple[tuple[Any, int], ...] = ()
+
+
+Place = tuple[int, int]  # which set, which point of it
+
+
+def all_remarks(
+    sets: Sequence[PointSet],
+    labels: Sequence[tuple[Any, NDArray[Any]]],
+    shape: Sequence[int],
+    size: Sequence[float],
+    problems: Sequence[tuple[str, Sequence[int]]],
+) -> list[Remark]:
+    """Everything that may be wrong.
+
+    Parameters
+    ----------
+    labels : Labels layers that are seeds too, each with its voxels.
+    shape, size : of the image: voxels, and um of one.
+    problems : what the engine said of points; it numbers them from 1 over all sets.
+    """
+    remarks = outside(sets, shape, size) + in_one_sphere(sets) + in_labels(sets, labels, size)
+    told = (of_engine(sets, text, numbers) for text, numbers in problems)
+    return remarks + [remark for remark in told if remark is not None]
+
+
+def outside(sets: Sequence[PointSet], shape: Sequence[int], size: Sequence[float]) -> list[Remark]:
+    """Points outside the image, which nobody can fit."""
+    found: list[Place] = []
+    for k, one in enumerate(sets):
+        voxels = np.floor(one.points / np.asarray(size) + 0.5)
+        inside = ((voxels >= 0) & (voxels < np.asarray(shape))).all(axis=1)
+        found += [(k, int(i)) for i in np.flatnonzero(~inside)]
+    if not found:
+        return []
+    it = "it" if len(found) == 1 else "them"
+    lies = "lies" if len(found) == 1 else "lie"
+    return [_remark(sets, found, f"{{}} {lies} outside the image: move or delete {it}")]
+
+
+def in_one_sphere(sets: Sequence[PointSet]) -> list[Remark]:
+    """Pairs of which one centre lies inside the other's sphere: two seeds in one cell."""
+    places = [
+        (k, i)
+        for k, one in enumerate(sets)
+        if one.radii is not None
+        for i in range(len(one.points))
+    ]
+    if len(places) < 2:
+        return []
+    points = np.array([sets[k].points[i] for k, i in places])
+    radii = np.array([float(_radii(sets[k])[i]) for k, i in places])
+    tree = cKDTree(points)
+    near = tree.query_ball_point(points, radii * (1 - 1e-9))
+    pairs = sorted({(min(a, b), max(a, b)) for a, row in enumerate(near) for b in row if a != b})
+    return [
+        _remark(sets, [places[a], places[b]], "{} are in one sphere: are they in one cell?")
+        for a, b in pairs
+    ]
+
+
+def in_labels(
+    sets: Sequence[PointSet], labels: Sequence[tuple[Any, NDArray[Any]]], size: Sequence[float]
+) -> list[Remark]:
+    """Points in cells that a ticked Labels layer (given with its voxels) already starts."""
+    remarks = []
+    for layer, voxels in labels:
+        if voxels.ndim != 3:
+            continue  # said when the fit starts
+        found: list[Place] = []
+        for k, one in enumerate(sets):
+            index = np.floor(one.points / np.asarray(size) + 0.5).astype(int)
+            inside = ((index >= 0) & (index < voxels.shape)).all(axis=1)
+            rows = np.flatnonzero(inside)
+            hit = rows[np.asarray(voxels[tuple(index[rows].T)]) > 0]
+            found += [(k, int(i)) for i in hit]
+        if found:
+            verb = "lies" if len(found) == 1 else "lie"
+            text = f"{{}} {verb} in a label of '{layer.name}': two seeds in one cell"
+            remarks.append(_remark(sets, found, text))
+    return remarks
+
+
+def of_engine(sets: Sequence[PointSet], message: str, numbers: Sequence[int]) -> Remark | None:
+    """What the engine says of points that it numbers from 1 over all sets.
+
+    None where they were removed since.
+    """
+    places = [(k, i) for k, one in enumerate(sets) for i in range(len(one.points))]
+    found = [places[n - 1] for n in numbers if 0 < n <= len(places)]
+    text = re.sub(r"points? \d+( and \d+)?( \([^)]*um\))?", "{}", message, count=1)
+    if "lie in the same region" in text:
+        text = "{} are in the same cell: delete one"
+    elif "{}" not in text:
+        return Remark(message)
+    return _remark(sets, found, text) if found else None
+
+
+def _remark(sets: Sequence[PointSet], found: Sequence[Place], text: str) -> Remark:
+    names = [sets[k].name(i) for k, i in found]
+    shown = names[:_NAMED]
+    if len(names) > _NAMED:
+        listed = f"{', '.join(shown)} and {len(names) - _NAMED} others"
+    else:
+        listed = " and ".join(filter(None, [", ".join(shown[:-1]), shown[-1]]))
+    who = f"{'point' if len(names) == 1 else 'points'} {listed}"
+    sentence = text.format(who)
+    return Remark(
+        sentence[0].upper() + sentence[1:],
+        tuple((sets[k].layer, int(sets[k].rows[i])) for k, i in found),
+    )
+
+
+def _radii(one: PointSet) -> FloatArray:
+    assert one.radii is not None
+    return one.radii

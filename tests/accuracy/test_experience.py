@@ -1,0 +1,47 @@
+"""How long fits take is learned, and kept on disk."""
+
+import pytest
+
+from napari_deltamic.accuracy.experience import Experience, Learned
+
+
+def test_the_first_fit_counts_alone_and_later_ones_half(tmp_path):
+    learned = Learned(tmp_path)
+    assert learned.about("foam") == Experience()
+    learned.learn("foam", Experience(4.0, 0.5))
+    assert learned.about("foam").seconds == pytest.approx(4.0)
+    assert learned.about("foam").iterations == pytest.approx(0.5)
+    learned.learn("foam", Experience(1.0, 2.0))
+    assert learned.about("foam").seconds == pytest.approx(2.0)  # in the middle, as factors go
+    assert learned.about("foam").iterations == pytest.approx(1.0)
+
+
+def test_of_a_kind_that_is_new_the_speed_is_known(tmp_path):
+    learned = Learned(tmp_path)
+    learned.learn("foam", Experience(3.0, 0.2))
+    other = learned.about("vesicles")
+    assert other.seconds == pytest.approx(3.0)
+    assert other.iterations == 1.0
+
+
+def test_it_is_kept(tmp_path):
+    Learned(tmp_path).learn("foam", Experience(3.0, 0.2))
+    assert Learned(tmp_path).about("foam").seconds == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[1]", '{"foam": 3}', '{"foam": [1, 2]}', '{"foam": [1e999, 0, 1]}']
+)
+def test_what_cannot_be_read_is_nothing(tmp_path, text):
+    (tmp_path / "fits.json").write_text(text)
+    learned = Learned(tmp_path)
+    assert learned.about("foam") == Experience()
+    learned.learn("foam", Experience(2.0, 1.0))
+    assert Learned(tmp_path).about("foam").seconds == pytest.approx(2.0)
+
+
+def test_a_folder_that_cannot_be_written_to_costs_nothing(tmp_path):
+    (tmp_path / "file").write_text("")
+    learned = Learned(tmp_path / "file")
+    learned.learn("foam", Experience(2.0, 1.0))
+    assert learned.about("foam").seconds == pytest.approx(2.0)

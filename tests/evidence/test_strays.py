@@ -1,0 +1,40 @@
+"""Bright things that no cell explains: which places of a residual they are made of."""
+
+import numpy as np
+import pytest
+
+from napari_deltamic import GaussianPSF
+from napari_deltamic.evidence.residual import Spot
+from napari_deltamic.evidence.strays import strays
+from napari_deltamic.geometry import sphere
+
+OPTICS = GaussianPSF((0.3, 0.2, 0.2))
+
+
+@pytest.fixture(scope="module")
+def cell():
+    return sphere((3.0, 3.0, 3.0), 1.0, edge_length=0.3)
+
+
+def spot(place, z=8.0):
+    return Spot(tuple(map(float, place)), 1.0, z, z, 1)
+
+
+def test_places_around_one_thing_are_one(cell):
+    """The membrane of a cell without a start is bright all around; its middle is told."""
+    middle = np.array([3.0, 3.0, 8.0])
+    around = [spot(middle + 0.9 * way) for axis in np.eye(3) for way in (axis, -axis)]
+    (found,) = strays(around, cell, OPTICS)
+    assert found.position == pytest.approx(tuple(middle))
+
+
+def test_things_that_lie_apart_are_several_the_brightest_first(cell):
+    found = strays([spot((3, 3, 8), 6.0), spot((3, 9, 3), 12.0)], cell, OPTICS)
+    assert [stray.position for stray in found] == [(3, 9, 3), (3, 3, 8)]
+    assert [stray.z for stray in found] == [12.0, 6.0]
+
+
+def test_neither_dark_places_nor_those_of_a_surface_count(cell):
+    dark, near = spot((3, 3, 8), -9.0), spot((3, 3, 4.3))
+    assert strays([dark, near], cell, OPTICS) == ()
+    assert strays([], cell, OPTICS) == ()

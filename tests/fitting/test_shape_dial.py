@@ -1,0 +1,77 @@
+"""The dial: what names and lengths stand for, and what is predicted of them."""
+
+import numpy as np
+import pytest
+
+import napari_deltamic as nd
+from napari_deltamic.fitting.default_accuracy import accuracy_for
+from napari_deltamic.fitting.job import assemble
+from napari_deltamic.fitting.shape_dial import Situation, dialled, with_edges
+from napari_deltamic.fitting.triangle_quality import median_edge
+from napari_deltamic.geometry import sphere
+from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
+
+SIZE = (0.2, 0.2, 0.2)
+BALL = sphere((3.0, 3.0, 3.0), 2.0, edge_length=0.6)
+GRID = nd.Grid((30, 30, 30), SIZE)
+NOW = Situation.of(BALL, GRID, (0.26, 0.26, 0.26), 0.046)
+
+
+def test_a_situation_is_read_from_start_and_image():
+    assert pytest.approx(1.97, abs=0.03) == NOW.radius
+    assert (NOW.voxel, NOW.width) == (pytest.approx(0.2), pytest.approx(0.26))
+    # About what spheres and tori of 40 photons showed, once triangles were fine: 10 nm.
+    assert NOW.floor() == pytest.approx(0.0105, abs=0.001)
+
+
+def test_names_go_from_coarse_to_fine():
+    quick, normal, careful = (dialled(name, NOW) for name in ("quick", "normal", "careful"))
+    assert quick.edge > normal.edge == NOW.edge > careful.edge
+    assert quick.accuracy > normal.accuracy == accuracy_for(0.046) > careful.accuracy
+    assert quick.tolerance > normal.tolerance == FitSettings().tolerance > careful.tolerance
+    assert quick.predicted > normal.predicted > careful.predicted > NOW.floor()
+    assert careful.predicted < 1.1 * NOW.floor()
+
+
+@pytest.mark.parametrize("length", ["14nm", "0.02um", "30 nm"])
+def test_a_length_is_what_is_predicted(length):
+    asked = FitSettings(shape_error=length).shape_error
+    found = dialled(asked, NOW)
+    number = float(asked[:-2]) * (1.0 if asked.endswith("um") else 1e-3)
+    # Edges and the others have bounds: no more is spent than that.
+    assert 0.5 * number < found.predicted <= 1.02 * number
+
+
+def test_less_than_the_noise_allows_is_as_good_as_can_be():
+    found = dialled("1nm", NOW)
+    assert NOW.floor() < found.predicted < 1.15 * NOW.floor()
+
+
+@pytest.mark.parametrize("wrong", ["best", "20", "-3nm", "nm", "infnm", "nannm"])
+def test_what_is_no_choice_is_refused_in_a_sentence(wrong):
+    with pytest.raises(ValueError, match="a length such as 20nm"):
+        FitSettings(shape_error=wrong)
+
+
+def test_a_run_takes_edges_accuracy_and_tolerance_from_it():
+    image = nd.render(BALL, GRID, nd.GaussianPSF(0.26)).numpy()
+    image = np.random.default_rng(0).poisson(4 + 40 * image / image.max()).astype(np.float32)
+    scene = SceneSettings(voxel_size=SIZE, sigma=(0.26,) * 3)
+
+    def job(**fit):
+        run = RunSettings(image="", seeds="", scene=scene, fit=FitSettings(**fit))
+        return assemble(run, image, GRID, BALL, "labels")
+
+    normal, careful, quick = job(), job(shape_error="careful"), job(shape_error="quick")
+    assert normal.mesh is BALL
+    assert median_edge(careful.mesh) < 0.9 * median_edge(BALL)
+    assert careful.settings.fit.accuracy < normal.settings.fit.accuracy
+    assert careful.settings.fit.tolerance < normal.settings.fit.tolerance
+    assert quick.predicted > normal.predicted > careful.predicted
+    given = job(shape_error="careful", accuracy=0.05, tolerance=0.03).settings.fit
+    assert (given.accuracy, given.tolerance) == (0.05, 0.03)
+
+
+def test_edges_that_are_about_right_stay():
+    assert with_edges(BALL, 1.05 * median_edge(BALL)) is BALL
+    assert len(with_edges(BALL, 0.3).vertices) > 2 * len(BALL.vertices)

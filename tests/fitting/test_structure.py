@@ -1,0 +1,84 @@
+"""What shines is found with the shape."""
+
+import numpy as np
+import pytest
+import torch
+
+import napari_deltamic as nd
+from napari_deltamic.errors import InputError
+from napari_deltamic.fitting.amplitudes import mixture
+from napari_deltamic.geometry import sphere
+from napari_deltamic.runs.settings import FitSettings
+from napari_deltamic.scene.light import INSIDES, MEMBRANES, Light, structure_of
+
+GRID = nd.Grid((24, 24, 24), (0.2, 0.2, 0.2))
+OPTICS = nd.GaussianPSF((0.3, 0.24, 0.24))
+MIDDLE = np.full(3, 2.3)
+
+
+def cell(radius: float = 1.35) -> nd.Mesh:
+    """An ellipsoid."""
+    ball = sphere((0, 0, 0), radius, edge_length=0.25)
+    return ball.with_vertices(ball.vertices_numpy() * [0.9, 1.0, 1.1] + MIDDLE)
+
+
+def image_of(light: Light, photons: float = 60.0) -> np.ndarray:
+    """Noisy; 8 photons of background, and enough that no inside is darker than 0."""
+    given = cell(), GRID, OPTICS, 1e-4
+    shown = nd.scene.expected_image(*given, 1.0, 0.0, light=light)
+    shown = photons * (shown - min(shown.min(), 0)) / np.ptp(shown) + 8.0
+    return np.random.default_rng(4).poisson(shown).astype(np.float32)
+
+
+def fitted(image: np.ndarray, **settings: object) -> nd.fitting.FitState:
+    start = sphere(MIDDLE + np.array([0.1, -0.1, 0.15]), 1.2, edge_length=0.3)
+    *_, last = nd.fit(image, GRID, start, OPTICS, settings=FitSettings(**settings))
+    return last
+
+
+@pytest.mark.parametrize(
+    ("light", "name"),
+    [
+        (MEMBRANES, "membrane"),
+        (INSIDES, "interior"),
+        (Light(1.0, 1.5), "both"),
+        (Light(1.0, -0.8), "both"),
+    ],
+)
+def test_what_shines_is_found_with_the_shape(light: Light, name: str) -> None:
+    last = fitted(image_of(light))
+    assert structure_of(last.light) == name
+    assert abs(last.mesh.region_volume(1) / cell().region_volume(1) - 1) < 0.02
+    if name == "both":
+        assert last.light.interior == pytest.approx(light.interior, rel=0.2)
+    error = last.rendered() - image_of(light)
+    assert error.std() < 1.1 * np.sqrt(image_of(light).mean())
+
+
+def test_a_membrane_alone_does_not_explain_an_inside() -> None:
+    """What the test above would not see if it could not fail."""
+    last = fitted(image_of(INSIDES), structure="membrane")
+    assert abs(last.mesh.region_volume(1) / cell().region_volume(1) - 1) > 0.2
+
+
+def test_open_surfaces_have_no_interior() -> None:
+    ball = cell()
+    opened = nd.Mesh(ball.vertices, ball.faces[3:], ball.regions[3:])
+    with pytest.raises(InputError, match="not closed"):
+        next(
+            nd.fit(
+                image_of(MEMBRANES), GRID, opened, OPTICS, settings=FitSettings(structure="both")
+            )
+        )
+
+
+def test_mixtures_are_those_of_least_squares() -> None:
+    rng = np.random.default_rng(0)
+    columns = torch.from_numpy(rng.normal(size=(2, 200)))
+    weights = torch.from_numpy(rng.uniform(0.5, 2, 200))
+    measured = 2 * columns[0] - 3 * columns[1] + 7
+    found = mixture(*columns, measured, weights)
+    assert found.membrane == 1
+    assert found.interior == pytest.approx(-1.5)
+    # Membranes are not negative.
+    assert mixture(*columns, measured - 4 * columns[0], weights) == Light(0.0, -1.0)

@@ -1,0 +1,147 @@
+"""What the panels share: the image and its region, one task at a time, a record for each image."""
+
+import ast
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import napari_deltamic
+from napari_deltamic.errors import InputError
+from napari_deltamic.gui.document import Document
+from napari_deltamic.gui.seeding.seed_kinds import seeds_from_layer
+from napari_deltamic.gui.work import Task, Work
+
+from .conftest import CENTER, SHAPE, SIZE
+from .seeding import PLACE
+
+GUI = Path(napari_deltamic.__file__).parent / "gui"
+
+
+@pytest.fixture
+def doc(app, with_image):
+    doc = Document(with_image)
+    yield doc
+    doc.close()
+
+
+def rectangle(viewer, low, high):
+    """One drawn around some voxels of the slice in the middle, Y and X."""
+    (y0, x0), (y1, x1) = low, high
+    corners = [[10, y0, x0], [10, y0, x1], [10, y1, x1], [10, y1, x0]]
+    return viewer.add_shapes([np.array(corners, float)], name="around", **PLACE)
+
+
+def test_a_rectangle_is_a_region_over_all_slices(doc, with_image, pixels):
+    rectangle(with_image, (4, 6), (12, 20))
+    doc.image.take_region(doc.image.drawn_box())
+    assert doc.image.box == ((0, SHAPE[0]), (4, 13), (6, 21))
+    np.testing.assert_array_equal(doc.image.stack(), pixels[:, 4:13, 6:21])
+    assert doc.image.shape() == (SHAPE[0], 9, 15)
+    # The frame begins where the region does.
+    corner = doc.image.frame().to_world((0, 0, 0))
+    assert corner == pytest.approx(np.add((1, 2, 3), np.multiply((0, 4, 6), SIZE)))
+    assert doc.image.path() == ""
+
+
+def test_a_region_needs_a_rectangle_and_a_few_voxels(doc, with_image):
+    with pytest.raises(InputError, match="draw a rectangle"):
+        doc.image.drawn_box()
+    rectangle(with_image, (4, 6), (5, 20))
+    with pytest.raises(InputError, match="voxels wide"):
+        doc.image.take_region(doc.image.drawn_box())
+    assert doc.image.box is None
+
+
+def test_another_image_has_no_region(doc, with_image, pixels):
+    doc.image.take_region(((0, 10), (0, 10), (0, 10)))
+    doc.image.choose(with_image.add_image(pixels, name="other"))
+    assert doc.image.box is None
+
+
+def test_seeds_are_those_of_the_region(doc, with_image, ball_labels):
+    layer = with_image.add_labels(ball_labels, **PLACE)
+    points = with_image.add_points([CENTER, (2.9, 0.1, 0.1)], **{**PLACE, "scale": (1, 1, 1)})
+    box = ((2, 18), (4, 20), (5, 20))
+    doc.image.take_region(box)
+    frame = doc.image.frame()
+    labels = seeds_from_layer(layer, frame, (0, 0, 0), spheres=False)
+    np.testing.assert_array_equal(labels.labels, ball_labels[2:18, 4:20, 5:20])
+    found = seeds_from_layer(points, frame, (0, 0, 0), spheres=False)
+    first = np.multiply((2, 4, 5), SIZE)
+    np.testing.assert_allclose(found.points, [np.subtract(CENTER, first)])
+
+
+class Waits(Task):
+    """Goes on until it is stopped."""
+
+    title = "something runs"
+
+    def __init__(self):
+        super().__init__()
+        self.ended = []
+
+    def steps(self):
+        while True:
+            yield
+
+    def end(self, outcome):
+        self.ended.append(outcome)
+
+
+def test_one_task_at_a_time(app, spin):
+    work, first = Work(), Waits()
+    work.start(first)
+    with pytest.raises(InputError, match="something runs already"):
+        work.start(Waits())
+    work.stop()
+    spin(lambda: not first.running)
+    assert first.ended == [None]
+    assert work.task is None
+
+
+def test_a_task_that_gives_way_ends_at_once(app, spin):
+    work, first, second = Work(), Waits(), Waits()
+    first.gives_way = True
+    work.start(first)
+    work.start(second)
+    assert first.ended == [None]
+    assert work.task is second
+    work.stop(at_once=True)
+    assert second.ended == [None]
+    spin(lambda: first.done and second.done)
+
+
+def test_what_a_task_cannot_show_ends_it(app, spin):
+    class Broken(Waits):
+        def look(self):
+            raise KeyError("a bug")
+
+    work, task = Work(), Broken()
+    work.start(task)
+    spin(lambda: not task.running)
+    assert "a bug" in task.ended[0]
+
+
+def test_after_closing_nobody_is_told(app, spin):
+    work, task = Work(), Waits()
+    work.start(task)
+    work.close()
+    spin(lambda: task.done)
+    assert task.ended == []
+
+
+def test_no_panel_knows_another():
+    """Nor does a tool or a control: they meet in the document, and in the widget of the dock."""
+    panels = {path.stem for path in GUI.rglob("*_panel.py")}
+    assert len(panels) > 5
+    wrong = []
+    for path in GUI.rglob("*.py"):
+        if path.stem == "fit_widget":
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                target = node.module.rpartition(".")[2]
+                if target in panels and path.stem in panels:
+                    wrong.append(f"{path.stem} imports {target}")
+    assert wrong == []
