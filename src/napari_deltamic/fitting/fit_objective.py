@@ -38,8 +38,8 @@ class Terms:
         Of the image, and of a second one.
     settings, schedule
         Of the fit.
-    density_fitted
-        Whether densities are unknowns.
+    density_fitted, imaging_fitted
+        Whether densities are unknowns; whether PSF and effects may be.
     last
         Whether it is the last level.
     """
@@ -49,6 +49,7 @@ class Terms:
     settings: FitSettings
     schedule: Schedule
     density_fitted: bool
+    imaging_fitted: bool
     last: bool
 
 
@@ -82,7 +83,7 @@ class Objective:
     ) -> None:
         self.terms, self._guard = terms, guard
         level, settings, width = terms.level, terms.settings, min(fitted.optics.sigma_um)
-        free = level.factor <= _PSF_BELOW
+        free = terms.imaging_fitted and level.factor <= _PSF_BELOW
         self._density = Density(fitted.mesh, settings.density, width)
         self._imaging = Imaging(
             fitted.optics, fitted.effects, fitted.first_optics, settings.fit_psf and free, free

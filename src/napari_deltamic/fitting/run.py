@@ -166,6 +166,7 @@ class Run:
             self._settings,
             self._schedule,
             self._density_fitted,
+            not self._first,
             self._last,
         )
         return Objective(terms, self._fitted, self._guard, self._factored, views)
@@ -179,12 +180,16 @@ class Run:
 
     @property
     def _density_fitted(self) -> bool:
-        """A smooth density waits for the first level's shape, or it stands in for that. Numbers of
-        walls are too few to do so; held back, the shape would stand in for them."""
+        """Numbers of walls are too few to stand in for a shape; held back, it would for them."""
         if self._fitted.structure == "interior":
             return False
-        first = self._stage.level_number == 0 and len(self._levels) > 1
-        return self._settings.density == "interface" or not first
+        return self._settings.density == "interface" or not self._first
+
+    @property
+    def _first(self) -> bool:
+        """Whether a level still follows the first one, whose shape is found without PSF, effects
+        and smooth brightness: far from it, they would stand in for it."""
+        return self._stage.level_number == 0 and len(self._levels) > 1
 
     def _advance(self) -> None:
         """One step down."""

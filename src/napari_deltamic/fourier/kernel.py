@@ -106,10 +106,22 @@ def fitted(width: int, beta: float, degree: int) -> Kernel:
     t = chebyshev.chebpts1(n)
     left_over = window(left[:, None] + (t + 1) / 2).T - polynomial.polyval(t, cubic).T
     rest = chebyshev.chebfit(t, left_over / ((1 - t**2) ** 2)[:, None], n - 1)
-    bump = np.array([1.0, 0, -2, 0, 1])
-    found = np.stack([polynomial.polymul(bump, chebyshev.cheb2poly(c)) for c in rest.T], 1)
+    found = _raised(n) @ rest
     found[:4] += cubic
     return Kernel(found[::-1].copy())
+
+
+def _raised(n: int) -> np.ndarray:
+    """Powers of t in ``(1 - t^2)^2 T_k(t)``, lowest first, for k from 0 to n - 1 (n + 4, n).
+
+    Made once for whole Chebyshev polynomials: numpy drops leading zeros of a sum of them, which
+    rounding leaves or not, so that lengths would differ from one processor to the next.
+    """
+    bump = np.array([1.0, 0, -2, 0, 1])
+    columns = np.zeros((n + 4, n))
+    for k in range(n):
+        columns[: k + 5, k] = polynomial.polymul(bump, chebyshev.cheb2poly(np.eye(n)[k]))
+    return columns
 
 
 def _in_t(powers_of_f: np.ndarray) -> np.ndarray:
