@@ -226,6 +226,44 @@ def _tissue(rng: np.random.Generator, radius: float = 8.0) -> tuple[tuple[float,
     return tuple((*p.tolist(), s) for p, s in zip(places, sizes, strict=True))
 
 
+def _mixed(rng: np.random.Generator) -> Recipe:
+    """One cell in which everything differs at once, and perhaps neighbours without a seed."""
+
+    def sometimes(share: float, low: float, high: float) -> float:
+        value = rng.uniform(low, high)
+        return value if rng.random() < share else 0.0
+
+    radius, aspect = float(np.exp(rng.uniform(np.log(5), np.log(26)))), rng.choice([1, 1, 2, 3, 5])
+    side = int(2.9 * radius) + 12
+    membrane = 0.0 if rng.random() < 0.25 else 1.0
+    cells = [(0.0, 0.0, 0.0, radius)]
+    for _ in range(rng.integers(0, 3) if radius < 15 else 0):
+        away = rng.normal(size=3)
+        other = radius * rng.uniform(0.6, 1.0)
+        place = (radius + other + rng.uniform(2.5, 5)) * away / np.linalg.norm(away)
+        if all(np.linalg.norm(place - np.array(c[:3])) > other + c[3] + 2 for c in cells):
+            cells.append((*place.tolist(), other))
+    widest = max(0.8, min(2.5, radius / 5))
+    return Recipe(
+        cells=tuple(cells),
+        roughness=rng.uniform(0.0, 0.2),
+        shape=(max(10, round(side / aspect)), side, side),
+        aspect=float(aspect),
+        psf=(max(0.6, rng.uniform(0.8, 2) * widest / aspect), rng.uniform(0.6, widest)),
+        photons=float(np.exp(rng.uniform(np.log(5), np.log(500)))),
+        dark=float(np.exp(rng.uniform(np.log(0.5), np.log(30)))),
+        membrane=membrane,
+        interior=sometimes(0.4, 0.1, 1.0) if membrane else 1.0,
+        uneven=sometimes(0.5, 0.1, 0.7),
+        textured=sometimes(0.3, 0.1, 0.4),
+        haze=sometimes(0.2, 0.1, 0.6),
+        specks=int(sometimes(0.2, 3, 12)),
+        thickness=sometimes(0.15, 1.5, 5.0) if radius > 10 else 0.0,
+        seeds=str(rng.choice(["labels", "spheres", "mesh"])),  # type: ignore[arg-type]
+        start=(rng.uniform(0.7, 1.15), rng.uniform(0.0, 0.3)),
+    )
+
+
 PLAIN = Recipe()
 KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
     "plain": lambda rng: replace(
@@ -267,5 +305,6 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
     "flat": lambda rng: replace(
         PLAIN, aspect=rng.uniform(3.5, 5), shape=(16, 44, 44), cells=((0, 0, 0, 13.0),)
     ),
+    "mixed": _mixed,
     "wrong-start": lambda rng: replace(PLAIN, start=(0.6, 0.4)),
 }

@@ -230,7 +230,8 @@ def test_tells_of_a_leak_at_the_last_level_too(image, monkeypatch):
 
 
 def test_a_fit_that_finds_nothing_does_not_say_converged():
-    last = fitted(measured(noise=0), sphere(CENTER, 0.02, subdivisions=1))
+    noise = np.random.default_rng(0).poisson(np.full(GRID.shape, 5.0))
+    last = fitted(noise, start(2))
     assert not last.converged
     assert last.message.startswith("stuck")
 

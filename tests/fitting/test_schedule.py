@@ -14,7 +14,7 @@ LITTLE, MUCH = Remaining(0.001, 0.001, 0), Remaining(1.0, 10.0, 0)
 def after(values, variance=1.0, moved=True):
     first, *rest = values
     begun = Progress().posed(first, variance, S)
-    return reduce(lambda progress, value: progress.stepped(value, moved), rest, begun)
+    return reduce(lambda progress, value: progress.stepped(value, moved, S), rest, begun)
 
 
 def rests(progress, remaining):
@@ -36,10 +36,17 @@ def test_a_level_that_finds_no_way_down_twice_ends():
     once = after([1.0, 1.0], moved=False)
     assert not once.coarse_ends(S)
     assert not rests(once, MUCH)
-    twice = once.stepped(1.0, False)
+    twice = once.stepped(1.0, False, S)
     assert twice.coarse_ends(S)
     assert rests(twice, MUCH)
-    assert twice.stepped(1.0, True).stuck == 0
+    assert once.stepped(1.0 - 2 * S.gain, True, S).stuck == 0
+
+
+def test_steps_that_gain_next_to_nothing_do_not_keep_a_fit_going():
+    once = after([1.0, 1.0], moved=False)
+    crept = once.stepped(1.0 - 0.5 * S.gain, True, S)
+    assert crept.stuck == 1
+    assert rests(crept.stepped(1.0, False, S), MUCH)
 
 
 @pytest.mark.parametrize("remaining", [Remaining(0.001, 10.0, 0), Remaining(1.0, 0.001, 0)])

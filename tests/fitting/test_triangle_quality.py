@@ -12,7 +12,7 @@ from napari_deltamic.runs.settings import FitSettings
 from synthetic import CENTER, GRID, OPTICS, RADIUS, VOXEL, apart, measured
 
 pytestmark = pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
-SETTINGS = FitSettings(levels=(3.0, 1.0))
+SETTINGS = FitSettings(levels=(3.0, 1.0), structure="membrane")
 
 
 @pytest.fixture(scope="module")

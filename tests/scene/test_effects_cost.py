@@ -48,7 +48,8 @@ KNOWN = {**{e.name: e for e in PRESENT.present()}, "bleaching": Bleaching(per_sl
 class Plain(Renderer):
     """The formula of rendering, without any notion of an effect."""
 
-    def transform(self, vertices, density=None):
+    def transform(self, vertices, density=None, light=None):
+        assert light is None or light.interior == 0
         (of,) = self._planned
         weight = of._membranes if density is None else of._membranes * density
         return self.plan.transform(vertices - of._origin, of._faces, weight)
@@ -123,7 +124,7 @@ def test_absent_effects_change_no_bit_of_a_fit(monkeypatch, one_thread):
     ends, done = [], []
     for kind in (Renderer, Plain):
         monkeypatch.setattr(level, "Renderer", kind)
-        settings = FitSettings(levels=(1.5, 1.0), fit_psf=True, max_iterations=30)
+        settings = FitSettings(levels=(1.5, 1.0), structure="membrane", max_iterations=30)
         with Operations() as operations:
             *_, last = nd.fit(image, GRID, start, OPTICS, settings=settings, effects=Effects())
         assert last.iteration == 30

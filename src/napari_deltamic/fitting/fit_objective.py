@@ -24,7 +24,7 @@ from .schedule import Schedule
 from .structure_choice import chosen
 from .variables import Variables
 
-_PSF_BELOW = 2.5  # blur, in widths of the PSF, from which on PSF and effects are fitted
+_PSF_BELOW = 1.2  # blur, in widths of the PSF, from which on PSF and effects are fitted
 _STRAYED = 0.97  # of as far as vertices may go: what is as far has arrived there
 
 

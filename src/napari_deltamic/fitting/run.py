@@ -87,8 +87,8 @@ class Run:
                 yield from self._level_states()
                 if self._over:
                     return
-            self._surface(self._topology.judged(self._fitted, self._settings))
-            self._topology.restart()
+            given = self._fitted, self._settings, self._stage.iteration
+            self._surface(self._topology.end_level(*given))
             self._stage = replace(self._stage, level_number=self._stage.level_number + 1)
 
     def _level_states(self) -> Generator[FitState, Change | None, None]:
@@ -194,7 +194,9 @@ class Run:
     def _advance(self) -> None:
         """One step down."""
         moved = self._objective.step()
-        progress = self._stage.progress.stepped(self._objective.now.value, moved)
+        progress = self._stage.progress.stepped(
+            self._objective.now.value, moved, self._schedule
+        )
         strayed = self._objective.strayed()
         self._follow(progress.released() if strayed else progress)
         since = self._stage.progress.since_posed

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from math import inf
 
 from .convergence import Remaining
 
@@ -84,7 +85,7 @@ class Progress:
     settled
         Whether the variance is about that of the objective before.
     stuck
-        How often in a row no way down was found.
+        How often no way down was found since a step last gained something.
     rests
         How often in a row hardly anything was left to gain.
     """
@@ -130,14 +131,20 @@ class Progress:
         """The surface goes elsewhere: voxels and weights have to follow."""
         return replace(self, held=False, left=0.0)
 
-    def stepped(self, value: float, moved: bool) -> Progress:
-        """One iteration more; whether it found a way down."""
+    def stepped(self, value: float, moved: bool, schedule: Schedule) -> Progress:
+        """One iteration more; whether it found a way down.
+
+        A step that gains next to nothing does not count as a way: where there is only noise, the
+        first step after each new objective finds one, and the fit would never end.
+        """
+        before = self.values[-1] if self.values else inf
+        found = moved and before - value > schedule.gain
         return replace(
             self,
             iterations=self.iterations + 1,
             since_posed=self.since_posed + 1,
             values=(*self.values, value),
-            stuck=0 if moved else self.stuck + 1,
+            stuck=0 if found else self.stuck + (not moved),
         )
 
     def coarse_ends(self, schedule: Schedule) -> bool:

@@ -54,12 +54,21 @@ class TopologyTrials:
         """Judge a change that has had its time, and change what presses."""
         if not _may_change(fitted, settings, factor):
             return fitted
-        if self.trial is not None:
-            if iteration - self.trial.iteration < RULES.patience_for(self.trial):
-                return fitted
-            fitted = self.judged(fitted, settings)
+        if self._waits(iteration):
+            return fitted
+        fitted = self.judged(fitted, settings)
         self.policy, places = self.policy.pressing(fitted.shape, factor)
         return self._changed(fitted, settings, places, iteration, tried=False) if places else fitted
+
+    def end_level(self, fitted: Fitted, settings: FitSettings, iteration: int) -> Fitted:
+        """Judge a change that has had its time; another goes on at the level that follows."""
+        self.restart()
+        return fitted if self._waits(iteration) else self.judged(fitted, settings)
+
+    def _waits(self, iteration: int) -> bool:
+        """Whether a change has not had its time."""
+        trial = self.trial
+        return trial is not None and iteration - trial.iteration < RULES.patience_for(trial)
 
     def tried(self, fitted: Fitted, settings: FitSettings, factor: float, iteration: int) -> Fitted:
         """Change what only a trial can tell."""
