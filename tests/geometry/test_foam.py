@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from mesh_edges import edge_valences
 from numpy.testing import assert_allclose
 
 from napari_deltamic import InputError
 from napari_deltamic.geometry import foam as module
 from napari_deltamic.geometry import seeds_from_points
 from napari_deltamic.geometry.foam import foam
-from napari_deltamic.geometry.remeshing import can_remesh, edge_valences
+from napari_deltamic.geometry.remeshing import can_remesh
 
 needs_remesher = pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
 

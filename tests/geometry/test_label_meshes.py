@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from mesh_edges import edge_valences
 from numpy.testing import assert_allclose
 
 from napari_deltamic.errors import RepairWarning
 from napari_deltamic.geometry import mesh_from_labels
 from napari_deltamic.geometry.labels import meshes as label_meshes
-from napari_deltamic.geometry.remeshing import can_remesh, edge_valences, smallest_angles
+from napari_deltamic.geometry.remeshing import can_remesh, smallest_angles
 
 pytestmark = pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
 SIZE = (0.4, 0.2, 0.2)

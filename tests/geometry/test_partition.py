@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from mesh_edges import edge_valences
 from numpy.testing import assert_allclose, assert_array_equal
 
 from napari_deltamic import InputError
 from napari_deltamic.geometry.labels.partition import partition_mesh, with_volumes
-from napari_deltamic.geometry.remeshing import edge_valences
 
 ONE, ZERO = np.ones(3), np.zeros(3)
 
@@ -73,6 +73,13 @@ def test_regions_that_touch_in_an_edge_or_a_corner_only():
     mesh = partition_mesh(labels, ONE, ZERO, 1.0)
     assert mesh.is_closed()
     assert set(np.unique(edge_valences(mesh))) <= {2, 3}
+
+
+def test_no_four_walls_meet_among_labels_as_small_as_two_edges():
+    places = np.random.default_rng(4).uniform(2, 28, (40, 3))
+    away = np.linalg.norm(np.moveaxis(np.indices((30,) * 3), 0, -1)[..., None, :] - places, axis=-1)
+    labels = np.where(away.min(-1) < 7.5, away.argmin(-1) + 1, 0)
+    assert set(np.unique(edge_valences(partition_mesh(labels, ONE, ZERO, 3.0)))) <= {2, 3}
 
 
 def test_a_checkerboard_ends():

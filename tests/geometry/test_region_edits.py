@@ -1,11 +1,12 @@
 import numpy as np
 import pytest
+from mesh_edges import edge_valences
 from numpy.testing import assert_allclose
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import Mesh, box, sphere, torus
 from napari_deltamic.geometry.foam import foam
-from napari_deltamic.geometry.remeshing import edge_valences, smallest_angles
+from napari_deltamic.geometry.remeshing import smallest_angles
 from napari_deltamic.geometry.topology.region_edits import divide_region, remove_region
 
 CENTERS = np.array([[3, 3, 3], [3, 3, 5.2], [3, 4.9, 4.0], [4.6, 3.6, 4.1]])

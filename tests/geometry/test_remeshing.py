@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from mesh_edges import edge_valences
 from numpy.testing import assert_allclose, assert_array_equal
 
 from napari_deltamic import InputError, Mesh
 from napari_deltamic.geometry import box, remesh, sphere, torus
 from napari_deltamic.geometry import remeshing as module
 from napari_deltamic.geometry.labels.partition import partition_mesh
-from napari_deltamic.geometry.remeshing import can_remesh, edge_valences, smallest_angles
+from napari_deltamic.geometry.remeshing import can_remesh, smallest_angles
 from napari_deltamic.geometry.topology.crossings import crosses
 
 pytestmark = pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")

@@ -204,10 +204,3 @@ def smallest_angles(mesh: Mesh) -> FloatArray:
     sine = np.linalg.norm(np.cross(to_next, to_last), axis=2)
     angles: FloatArray = np.degrees(np.arctan2(sine, (to_next * to_last).sum(2))).min(axis=1)
     return angles
-
-
-def edge_valences(mesh: Mesh) -> IntArray:
-    """(E,) number of faces at each edge: 2 within a surface, 3 or more at junctions."""
-    ends = np.sort(mesh.faces[:, [1, 2, 2, 0, 0, 1]].reshape(-1, 2), axis=1)
-    counts: IntArray = np.unique(ends, axis=0, return_counts=True)[1]
-    return counts

@@ -10,12 +10,19 @@ from scipy import ndimage
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.connected import connected
+from napari_deltamic.geometry.labels.dual_net import (
+    TRIANGLES,
+    check_nodes,
+    dual_net,
+    field_smoothing,
+)
 from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, IntArray, Mesh
 
-MAX_NODES = 30_000_000  # a typing error in edge_length should not fill the memory
-_ROUNDS = 30  # of repairs; each changes a few nodes at most
+# Of repairs: crowded labels hardly larger than an edge took up to 38 rounds, usual ones one.
+_ROUNDS = 100
+# um: a crossing keeps so far from a node where two labels are level, or vertices would coincide.
+_LEAST_LEAD = 1e-9
 _SQUARE = np.array([(0, 0, 0), (0, 0, 1), (0, 1, 1), (0, 1, 0)])  # around, across the first axis
-_QUAD_TO_TRIANGLES = [0, 1, 2, 0, 2, 3]
 
 
 class TooCoarse(InputError):
@@ -42,9 +49,12 @@ def partition_mesh(labels: IntArray, size: FloatArray, origin: FloatArray, edge:
     """
     nodes = _compete(labels, size, edge)
     _mend(nodes)
-    vertices, quads, regions = _nets(nodes)
+    lead = np.maximum(nodes.first - nodes.next, _LEAST_LEAD)
+    vertices, quads, regions = dual_net(nodes.best, lead)
+    if not len(quads):
+        raise TooCoarse("no label is large enough for the edge length")
     vertices, quads = _unpinched(vertices * edge + nodes.corner + origin, quads)
-    faces = quads[:, _QUAD_TO_TRIANGLES].reshape(-1, 3)
+    faces = quads[:, TRIANGLES].reshape(-1, 3)
     return Mesh(vertices, faces, np.repeat(regions, 2, axis=0))
 
 
@@ -104,13 +114,10 @@ class _Nodes:
 
 
 def _compete(labels: IntArray, size: FloatArray, edge: float) -> _Nodes:
-    sigma = max(0.7 * float(size.max()), 0.4 * edge)
+    sigma = field_smoothing(size, edge)
     room = 3 * sigma + 2 * edge
     shape = np.ceil((np.array(labels.shape) * size + 2 * room) / edge) + 1
-    if np.prod(shape) > MAX_NODES:
-        raise InputError(
-            f"edges of {edge:g} um are too short: they ask for {np.prod(shape):.0f} grid nodes"
-        )
+    check_nodes(shape, edge)
     nodes = _Nodes(np.full(3, -room), shape.astype(int))
     names = np.unique(labels[labels > 0])
     numbers = np.where(labels > 0, np.searchsorted(names, labels) + 1, 0)
@@ -191,41 +198,6 @@ def _mend_squares(
         after[node] = first[node]  # no lead: the wall passes close to this node
         given[node] += 1
     return len(bad)
-
-
-def _nets(nodes: _Nodes) -> tuple[FloatArray, IntArray, IntArray]:
-    """Vertices in units of the grid, quads, and the regions of each quad, larger number first.
-
-    A vertex for each cell of eight nodes that has several labels: the mean of the crossings on its
-    edges. A quad for each edge whose ends differ.
-    """
-    best, lead = nodes.best, np.maximum(nodes.first - nodes.next, 1e-9)
-    shape = np.array(best.shape)
-    stride = np.array([shape[1] * shape[2], shape[2], 1])
-    rings, crossings, pairs = [], [], []
-    for axis in range(3):
-        moved = np.moveaxis(best, axis, 0)
-        node = np.argwhere(np.moveaxis(moved[:-1] != moved[1:], 0, axis))
-        other = node + np.eye(3, dtype=int)[axis]
-        a, b = best[tuple(node.T)], best[tuple(other.T)]
-        low, high = lead[tuple(node.T)], lead[tuple(other.T)]
-        place = node.astype(np.float64)
-        place[:, axis] += low / (low + high)
-        u, w = stride[(axis + 1) % 3], stride[(axis + 2) % 3]
-        ring = (node @ stride)[:, None] + np.array([0, -u, -u - w, -w])
-        # Z, Y, X is left-handed, so this order is counter-clockwise from below.
-        ring[a > b] = ring[a > b][:, ::-1]
-        rings.append(ring)
-        crossings.append(place)
-        pairs.append(np.stack([np.maximum(a, b), np.minimum(a, b)], axis=1))
-    cells, index = np.unique(np.concatenate(rings), return_inverse=True)
-    if not len(cells):
-        raise TooCoarse("no label is large enough for the edge length")
-    quads = index.reshape(-1, 4).astype(np.int64)
-    repeated = np.repeat(np.concatenate(crossings), 4, axis=0)
-    total = [np.bincount(quads.ravel(), repeated[:, i], len(cells)) for i in range(3)]
-    vertices = np.stack(total, axis=1) / np.bincount(quads.ravel())[:, None]
-    return vertices, quads, np.concatenate(pairs)
 
 
 def _unpinched(vertices: FloatArray, quads: IntArray) -> tuple[FloatArray, IntArray]:

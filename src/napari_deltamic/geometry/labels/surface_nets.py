@@ -7,12 +7,15 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.sparse import coo_array
 
-from napari_deltamic.errors import InputError
+from napari_deltamic.geometry.labels.dual_net import (
+    TRIANGLES,
+    check_nodes,
+    dual_net,
+    field_smoothing,
+)
 from napari_deltamic.geometry.mesh import FloatArray, IntArray
 
 Mask = NDArray[np.bool_]
-
-MAX_NODES = 30_000_000  # a typing error in edge_length should not fill the memory
 
 
 def closed_surface(
@@ -20,13 +23,11 @@ def closed_surface(
 ) -> tuple[FloatArray, IntArray] | None:
     """Closed surface of the largest part of a mask, outward; None if the grid misses it."""
     spacing = 1.1 * edge  # gives this mean edge length
-    sigma = max(0.7 * float(size.max()), 0.4 * spacing)
+    sigma = field_smoothing(size, spacing)
     extent = np.array(mask.shape) * size
     if extent.max() < spacing:
         return None
-    nodes = np.prod((extent + 6 * sigma) / spacing + 5)
-    if nodes > MAX_NODES:
-        raise InputError(f"edges of {edge:g} um are too short: they ask for {nodes:.0f} grid nodes")
+    check_nodes((extent + 6 * sigma) / spacing + 5, edge)
     room = np.ceil((3 * sigma + 2 * spacing) / size).astype(int) + 1
     solid = ndimage.binary_fill_holes(_largest(np.pad(mask, [(int(r),) * 2 for r in room])))
     solid = _without_fins(solid, 0.5 * edge, size)
@@ -77,7 +78,7 @@ def _surface_net(
         return None
     # The repair moved some signs: there the crossing is put next to the node that changed.
     values = np.where(inside == (values > 0), values, np.where(inside, 1e-3, -1e-3) * spacing)
-    vertices, quads = _dual_quads(values, inside)
+    vertices, quads, _ = dual_net(inside.astype(np.int64), np.abs(values))
     vertices = _relax(vertices * spacing, quads, field, size, spacing)
     return vertices, _split(vertices, quads)
 
@@ -117,34 +118,6 @@ def _octant(corner: tuple[int, ...]) -> tuple[slice, ...]:
     return tuple(slice(c, None if c else -1) for c in corner)
 
 
-def _dual_quads(values: FloatArray, inside: Mask) -> tuple[FloatArray, IntArray]:
-    """A vertex for each cell that the surface crosses, a quad for each edge, outward.
-
-    The vertex is the mean of the crossings on the edges of its cell, in units of the grid.
-    """
-    shape = np.array(values.shape)
-    stride = np.array([shape[1] * shape[2], shape[2], 1])
-    rings, crossings = [], []
-    for axis in range(3):
-        first = np.moveaxis(inside, axis, 0)[:-1]
-        change = np.moveaxis(first != np.moveaxis(inside, axis, 0)[1:], 0, axis)
-        node = np.argwhere(change)
-        low, high = values[tuple(node.T)], values[tuple((node + np.eye(3, dtype=int)[axis]).T)]
-        place = node.astype(np.float64)
-        place[:, axis] += low / (low - high)
-        b, c = stride[(axis + 1) % 3], stride[(axis + 2) % 3]
-        ring = (node @ stride)[:, None] + np.array([0, -b, -b - c, -c])
-        # Z, Y, X is left-handed, so this order is counter-clockwise from below.
-        ring[low > 0] = ring[low > 0][:, ::-1]
-        rings.append(ring)
-        crossings.append(place)
-    cells, index = np.unique(np.concatenate(rings), return_inverse=True)
-    quads = index.reshape(-1, 4).astype(np.int64)
-    repeated = np.repeat(np.concatenate(crossings), 4, axis=0)
-    total = [np.bincount(quads.ravel(), repeated[:, i], len(cells)) for i in range(3)]
-    return np.stack(total, axis=1) / np.bincount(quads.ravel())[:, None], quads
-
-
 def _relax(
     vertices: FloatArray, quads: IntArray, field: FloatArray, size: FloatArray, spacing: float
 ) -> FloatArray:
@@ -173,4 +146,4 @@ def _split(vertices: FloatArray, quads: IntArray) -> IntArray:
     angle = np.arccos(np.clip((after * before).sum(2) / np.maximum(length, 1e-300), -1, 1))
     other = angle[:, 1] + angle[:, 3] > angle[:, 0] + angle[:, 2]
     quads = np.where(other[:, None], np.roll(quads, -1, axis=1), quads)
-    return quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+    return quads[:, TRIANGLES].reshape(-1, 3)
