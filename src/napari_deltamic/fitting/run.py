@@ -24,6 +24,7 @@ from .posterior import View
 from .preconditioner import Preconditioners
 from .problem import Problem
 from .reporting import Reporter, verdict
+from .rival_structures import best_of
 from .schedule import Progress, Schedule
 from .stage import Stage
 from .state import FitState
@@ -87,9 +88,21 @@ class Run:
                 yield from self._level_states()
                 if self._over:
                     return
+            self._look_for_rivals()
             given = self._fitted, self._settings, self._stage.iteration
             self._surface(self._topology.end_level(*given))
             self._stage = replace(self._stage, level_number=self._stage.level_number + 1)
+
+    def _look_for_rivals(self) -> None:
+        """A fit of insides that is stuck goes on elsewhere, once the last level comes next."""
+        comes_last = self._level.usable and self._stage.level_number == len(self._levels) - 2
+        asked = self._settings.structure == "auto" and self._fitted.structure == "both"
+        if not (comes_last and asked):
+            return
+        found = self._objective.structure()
+        if found != "membrane":
+            self._fitted, taken = best_of(self._terms, self._fitted)
+            self._stage = replace(self._stage, evaluations=self._stage.evaluations + taken)
 
     def _level_states(self) -> Generator[FitState, Change | None, None]:
         self._due = True
@@ -159,8 +172,9 @@ class Run:
         self._follow(progress.posed(value, posed.variance, self._schedule, posed.left))
         self._due = False
 
-    def _posed(self, views: Sequence[View]) -> Objective:
-        terms = Terms(
+    @property
+    def _terms(self) -> Terms:
+        return Terms(
             self._level,
             self._second,
             self._settings,
@@ -169,7 +183,9 @@ class Run:
             not self._first,
             self._last,
         )
-        return Objective(terms, self._fitted, self._guard, self._factored, views)
+
+    def _posed(self, views: Sequence[View]) -> Objective:
+        return Objective(self._terms, self._fitted, self._guard, self._factored, views)
 
     @property
     def _structure_is_open(self) -> bool:
@@ -194,9 +210,7 @@ class Run:
     def _advance(self) -> None:
         """One step down."""
         moved = self._objective.step()
-        progress = self._stage.progress.stepped(
-            self._objective.now.value, moved, self._schedule
-        )
+        progress = self._stage.progress.stepped(self._objective.now.value, moved, self._schedule)
         strayed = self._objective.strayed()
         self._follow(progress.released() if strayed else progress)
         since = self._stage.progress.since_posed
