@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from math import prod
 
 PROGRAM = "napari-deltamic"  # the command
+_NAMED = 6  # at most, in a sentence: more would fill lines that nobody reads
 _BYTES_PER_VOXEL = 60  # roughly, at the peak of a fit: images, spectra and weights
 
 
@@ -53,6 +54,15 @@ def one_line(text: str) -> str:
     """The text without line breaks, and without what would steer a terminal."""
     plain = " ".join(text.split())
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in plain)
+
+
+def listed(noun: str, names: Sequence[object]) -> str:
+    """'cell 3', 'cells 3 and 5', 'cells 1, 2, 3, 4, 5, 6 and 9 others'."""
+    shown = [str(name) for name in names[:_NAMED]]
+    if len(names) > _NAMED:
+        shown.append(f"{len(names) - _NAMED} others")
+    words = " and ".join(filter(None, [", ".join(shown[:-1]), shown[-1]]))
+    return f"{noun}{'s' if len(names) > 1 else ''} {words}"
 
 
 def _is_memory(text: str) -> bool:

@@ -91,6 +91,7 @@ def test_the_numbers_that_decide_are_kept_with_a_result(tmp_path, mesh, rendered
     rules = json.loads((tmp_path / "report.json").read_text())["rules"]
     assert rules["topology"]["certain"] == 3.0
     assert rules["schedule"]["window"] == 5
+    assert rules["cells"]["enclosed"] == 0.6
 
 
 def test_report_tells_what_became_of_the_effects(tmp_path, mesh, rendered):

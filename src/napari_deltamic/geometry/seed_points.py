@@ -17,10 +17,11 @@ from napari_deltamic.geometry.labels.basins import label_basins
 from napari_deltamic.geometry.labels.meshes import EDGE_IN_VOXELS, surfaces_of_labels
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
 from napari_deltamic.geometry.refused import Refused, told
+from napari_deltamic.geometry.three_numbers import three_numbers
 from napari_deltamic.images.missing import unmasked
 
 Triple = Sequence[float]
-_NAMED = 10  # lines, at most, that a sentence names
+_NAMED = 10  # lines, at most, in a sentence: more would fill a window that nobody reads
 
 
 def labels_from_points(
@@ -28,8 +29,6 @@ def labels_from_points(
     voxel_size: Triple,
     points: ArrayLike,
     origin: Triple = (0.0, 0.0, 0.0),
-    *,
-    smoothing: float | None = None,
 ) -> NDArray[np.int32]:
     """Label the dark region that each point lies in, up to the crest of its bright membrane.
 
@@ -39,8 +38,6 @@ def labels_from_points(
     voxel_size : um, Z, Y, X.
     points : (n, 3), um, Z, Y, X; one inside each object.
     origin : um; centre of the first voxel.
-    smoothing : um; standard deviation of the Gaussian applied first. Default: the smallest voxel
-        side.
 
     Returns
     -------
@@ -58,10 +55,13 @@ def labels_from_points(
         used.
     """
     data, centres = _checked_image(image), _checked_points(points)
-    size, start = _triple(voxel_size, "voxel size"), _triple(origin, "origin", positive=False)
+    size, start = (
+        three_numbers(voxel_size, "voxel size"),
+        three_numbers(origin, "origin", positive=False),
+    )
     voxels, refused = _point_voxels(centres, size, start, data.shape)
     names = sorted(voxels)
-    labels, more = label_basins(data, size, _rows(voxels, names), names, smoothing)
+    labels, more = label_basins(data, size, _rows(voxels, names), names)
     _tell([*refused, *more], len(centres))
     return labels
 
@@ -102,7 +102,10 @@ def surfaces_of_points(
 ) -> tuple[list[Mesh], list[Refused]]:
     """The work of `seeds_from_points`: meshes, which may be none, and the points left out."""
     data, centres = _checked_image(image), _checked_points(points)
-    size, start = _triple(voxel_size, "voxel size"), _triple(origin, "origin", positive=False)
+    size, start = (
+        three_numbers(voxel_size, "voxel size"),
+        three_numbers(origin, "origin", positive=False),
+    )
     edge = EDGE_IN_VOXELS * float(size.min()) if edge_length is None else float(edge_length)
     radius, refused = _known_radii(radii, centres)
     voxels, outside = _point_voxels(centres, size, start, data.shape)
@@ -111,7 +114,7 @@ def surfaces_of_points(
     parts: list[Mesh] = []
     free = [k for k in sorted(voxels) if k not in left_out and radius[k - 1] == 0]
     if free:
-        labels, more = label_basins(data, size, _rows(voxels, free), free, None)
+        labels, more = label_basins(data, size, _rows(voxels, free), free)
         refused += more
         if labels.any():
             found = surfaces_of_labels(labels, voxel_size, origin, edge)
@@ -168,13 +171,6 @@ def read_points_csv(path: str | Path) -> tuple[FloatArray, FloatArray | None]:
 
 
 # Checks ---------------------------------------------------------------------------------------
-
-
-def _triple(values: Triple, name: str, *, positive: bool = True) -> FloatArray:
-    array = np.asarray(values, np.float64)
-    if array.shape != (3,) or not np.isfinite(array).all() or (positive and (array <= 0).any()):
-        raise InputError(f"{name} must be 3 {'positive ' * positive}numbers (um, Z, Y, X)")
-    return array
 
 
 def _checked_image(image: ArrayLike) -> FloatArray:

@@ -11,6 +11,7 @@ from scipy import ndimage
 from scipy.signal import find_peaks
 
 from napari_deltamic.errors import InputError
+from napari_deltamic.geometry.labels.basins import pixel_noise
 from napari_deltamic.geometry.mesh import Mesh
 
 STEPS_PER_VOXEL = 4
@@ -126,7 +127,9 @@ def ridge_distance(
     profiles = ndimage.gaussian_filter1d(profiles, sigma / step, axis=1, mode="nearest")
     offset = np.full(len(normals), np.nan)
     # The last term keeps rounding errors on smooth slopes from being peaks.
-    least = NOISE_LIMIT * _noise(data) / len(spots) ** 0.5 + 1e-6 * float(np.ptp(data)) + 1e-300
+    least = (
+        NOISE_LIMIT * pixel_noise(data) / len(spots) ** 0.5 + 1e-6 * float(np.ptp(data)) + 1e-300
+    )
     offset[within] = [step * (_nearest_peak(p, least, contrast) - half) for p in profiles]
     lateral = np.abs(normals[:, 0]) < LATERAL_LIMIT
     return RidgeDistance(offset, lateral, float(size[1:].mean()), float(size[0]))
@@ -144,14 +147,6 @@ def _spots(mesh: Mesh, voxel: float) -> NDArray[np.float64]:
     upward = np.stack([i, j, n - 1 - i - j], 1)[i + j < n] + 1 / 3
     downward = np.stack([i, j, n - 2 - i - j], 1)[i + j < n - 1] + 2 / 3
     return np.concatenate([upward, downward]) / n
-
-
-def _noise(data: NDArray[np.float64]) -> float:
-    """Standard deviation of the noise, from second differences along X (0 if too narrow)."""
-    if data.shape[2] < 3:
-        return 0.0
-    second = np.diff(data, 2, axis=2)
-    return float(np.median(np.abs(second))) / 0.6745 / 6**0.5
 
 
 def _nearest_peak(profile: NDArray[np.float64], least: float, contrast: float) -> float:

@@ -23,6 +23,7 @@ from ..fitting.topology import RULES as TOPOLOGY
 from ..fourier.devices import choose_device
 from ..fourier.native import threads
 from ..geometry import save_mesh
+from ..geometry.labels.cell_rules import FINDING
 from ..images.stacks import write_image
 from ..measure import measure
 from ..measure.of_fit import known_of
@@ -33,7 +34,11 @@ from ..scene.light import structure_of
 from .picture import picture_png
 
 # What decided, beside the settings of a run: it may be another in another version.
-RULES_OF_A_FIT = {"schedule": asdict(Schedule()), "topology": asdict(TOPOLOGY)}
+RULES_OF_A_FIT = {
+    "cells": asdict(FINDING),
+    "schedule": asdict(Schedule()),
+    "topology": asdict(TOPOLOGY),
+}
 FILES = (
     "mesh.ply",
     "mesh.rec",

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from ..errors import listed
 from ..geometry.mesh import FloatArray
-
-_NAMED = 6  # points, at most, that a sentence names
 
 
 @dataclass(frozen=True)
@@ -142,13 +141,7 @@ def of_engine(sets: Sequence[PointSet], message: str, numbers: Sequence[int]) ->
 
 def _remark(sets: Sequence[PointSet], found: Sequence[Place], text: str) -> Remark:
     names = [sets[k].name(i) for k, i in found]
-    shown = names[:_NAMED]
-    if len(names) > _NAMED:
-        listed = f"{', '.join(shown)} and {len(names) - _NAMED} others"
-    else:
-        listed = " and ".join(filter(None, [", ".join(shown[:-1]), shown[-1]]))
-    who = f"{'point' if len(names) == 1 else 'points'} {listed}"
-    sentence = text.format(who)
+    sentence = text.format(listed("point", names))
     return Remark(
         sentence[0].upper() + sentence[1:],
         tuple((sets[k].layer, int(sets[k].rows[i])) for k, i in found),

@@ -202,7 +202,7 @@ class _Tracker:
         self._take(frame, image, known, state, mesh, events)
         result = FrameResult(
             frame, when, mesh, state.message, tuple(events), state.loss,
-            state.iteration, time.monotonic() - began, _triple(state.optics.sigma_um),
+            state.iteration, time.monotonic() - began, state.optics.sigma_um,
             tuple(state.optics.parameters().detach().tolist()),
         )  # fmt: skip
         yield TrackState(frame, mesh, done=result, last_fit=state)
@@ -423,11 +423,6 @@ def _known(image: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]
     values = image.astype(np.float32)
     known = np.isfinite(values)
     return np.where(known, values, 0).astype(np.float32), known
-
-
-def _triple(values: Sequence[float]) -> tuple[float, float, float]:
-    z, y, x = (float(v) for v in values)
-    return z, y, x
 
 
 def _alike(early: FitState | None, state: FitState) -> bool:

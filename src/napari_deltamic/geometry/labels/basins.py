@@ -18,24 +18,12 @@ from scipy import ndimage
 from skimage.morphology import max_tree
 from skimage.segmentation import watershed
 
+from napari_deltamic.geometry.labels.cell_rules import BASINS
 from napari_deltamic.geometry.mesh import FloatArray, IntArray
 from napari_deltamic.geometry.refused import Refused
 
 Mask = NDArray[np.bool_]
 Ranks = NDArray[np.uint16]
-
-# A region whose area on the image border exceeds this share of the surface of a ball of its
-# volume is mostly outside of the image, or is the background (a halved ball: 0.4).
-BORDER_LIMIT = 0.7
-# Two points are in one object when the pass between them is lower than this fraction of the rise
-# from the inside to the leak.
-SAME_OBJECT = 0.6
-# A lower leap than the largest is believed only if it stands this high above noise.
-LOWER_LEAP = 0.25
-# A leap counts only if it rises above the lowest voxel by this many standard deviations of the
-# noise: dark puddles of noise, which the minimum of many voxels deepens, are no objects.
-NOISE_RISE = 8.0
-MIN_VOXELS = 27
 
 
 @dataclass(frozen=True)
@@ -58,21 +46,21 @@ class _Basin:
 
 
 def label_basins(
-    data: FloatArray, size: FloatArray, voxels: IntArray, names: list[int], smoothing: float | None
+    data: FloatArray, size: FloatArray, voxels: IntArray, names: list[int]
 ) -> tuple[NDArray[np.int32], list[Refused]]:
     """Label the basin of each voxel in `voxels` (n, 3) with its name; 0 elsewhere.
 
     The work of `labels_from_points`. Points that name no region of their own are told.
     """
-    sigma = float(size.min()) if smoothing is None else float(smoothing)
+    sigma = float(size.min())  # of the smallest Gaussian that takes the noise of single voxels
     smooth = ndimage.gaussian_filter(data, sigma / size, mode="nearest")
-    noise = _noise_after(data, sigma / size)
+    noise = noise_after(data, sigma / size)
     # Steps of a fraction of the noise lose nothing and make the tree faster.
     step = max(float(np.ptp(smooth)) / 65535, noise / 4)
     ranked = np.round((smooth - smooth.min()) / step).astype(np.uint16)
     tree = _component_tree(ranked, size)
     lows = [_descend(ranked, voxel) for voxel in voxels]
-    least = NOISE_RISE * noise / step
+    least = BASINS.noise_rise * noise / step
     found: dict[int, _Basin] = {}
     refused = []
     for low, name in zip(lows, names, strict=True):
@@ -88,19 +76,27 @@ def label_basins(
     return labels, refused + same + cut
 
 
-def _noise_after(data: FloatArray, sigma: FloatArray) -> float:
+def noise_after(data: FloatArray, sigma: FloatArray) -> float:
     """Standard deviation of what is left of the image's noise by Gaussians of sigma voxels."""
-    if data.shape[2] < 3:
-        return 0.0
-    # Second differences along X hardly see membranes; their median hardly any.
-    noise = float(np.median(np.abs(np.diff(data, 2, axis=2)))) / 0.6745 / 6**0.5
+    noise = pixel_noise(data)
     pulse = np.zeros(2 * int(4 * sigma.max() + 1) + 1)
     pulse[len(pulse) // 2] = 1
     gains = [np.linalg.norm(ndimage.gaussian_filter1d(pulse, width)) for width in sigma]
     return noise * float(np.prod(gains))
 
 
-def _border_area(shape: tuple[int, ...], size: FloatArray) -> FloatArray:
+def pixel_noise(data: FloatArray) -> float:
+    """Standard deviation of the noise of single voxels; 0 for an image too narrow to tell.
+
+    From second differences along X: they hardly see membranes, and their median hardly any. The
+    median of a normal deviate's magnitude is 0.6745, and the weights 1, -2, 1 have squares of 6.
+    """
+    if data.shape[2] < 3:
+        return 0.0
+    return float(np.median(np.abs(np.diff(data, 2, axis=2)))) / 0.6745 / 6**0.5
+
+
+def border_area(shape: tuple[int, ...], size: FloatArray) -> FloatArray:
     """Area (um^2) of each voxel's faces that lie on the border of the image."""
     area = np.zeros(shape)
     for axis in range(3):
@@ -134,7 +130,7 @@ def _new_tree(ranked: Ranks, size: FloatArray) -> _Tree:
     parent = parents.ravel().astype(np.int64)
     # Plain lists: one pass over the voxels is several times faster than with array elements.
     up, low = parent.tolist(), level.tolist()
-    volume, border = [1.0] * level.size, _border_area(ranked.shape, size).ravel().tolist()
+    volume, border = [1.0] * level.size, border_area(ranked.shape, size).ravel().tolist()
     for child in order[:0:-1].tolist():
         above = up[child]
         volume[above] += volume[child]
@@ -168,17 +164,17 @@ def _find_basin(tree: _Tree, low: int, size: FloatArray, least: float) -> _Basin
     rise = level[1:] - tree.lowest[nodes[:-1]]
     leap = np.where(rise > least, np.diff(volume), 0)
     ball = np.cbrt(36 * np.pi * (volume * np.prod(size)) ** 2)
-    opened = (tree.border[nodes] > BORDER_LIMIT * ball)[:-1]
+    opened = (tree.border[nodes] > BASINS.border * ball)[:-1]
     node = int(leap.argmax()) if len(leap) else 0
     if len(leap) and opened[node]:
         # The outside may itself be in parts that join later, with a larger leap than the leak's.
-        fair = ~opened & (leap > volume[:-1]) & (rise > LOWER_LEAP * rise[node])
+        fair = ~opened & (leap > volume[:-1]) & (rise > BASINS.lower_leap * rise[node])
         fair[node:] = False
         leap = np.where(fair, leap, 0)
         node = int(leap.argmax())
     if not leap.any():
         return "lies in no closed region of the image"
-    if volume[node] < MIN_VOXELS:
+    if volume[node] < BASINS.fewest:
         return (
             f"lies in no closed region of the image (only {volume[node]:.0f} voxels around it): it "
             "may be on a membrane or in the background"
@@ -228,7 +224,7 @@ def _end_before(tree: _Tree, one: _Basin, other: _Basin) -> int:
     if meet and meet_other:
         sides = [one.path[meet - 1], other.path[meet_other - 1]]
         floor = tree.lowest[sides].max()
-    if height == floor or height - floor < SAME_OBJECT * (leak - floor):
+    if height == floor or height - floor < BASINS.same_object * (leak - floor):
         return _SAME
     return meet - 1
 
@@ -253,9 +249,9 @@ def _grow(
         _mark_cuts(markers, box, ranked.shape)
         region = ndimage.binary_fill_holes(watershed(ranked[box], markers) == 1)
         region &= inside | (~every_core[box] & (labels[box] == 0))
-        border = float(_border_area(ranked.shape, size)[box][region].sum())
+        border = float(border_area(ranked.shape, size)[box][region].sum())
         ball = np.cbrt(36 * np.pi * (region.sum() * np.prod(size)) ** 2)
-        if border > BORDER_LIMIT * ball:
+        if border > BASINS.border * ball:
             text = f"the region of point {k} lies mostly on the border of the image"
             refused.append(Refused(text, (k,)))
         else:

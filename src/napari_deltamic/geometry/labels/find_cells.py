@@ -19,44 +19,20 @@ from skimage.morphology import local_minima
 from skimage.segmentation import watershed
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.labels.basins import BORDER_LIMIT, _border_area, _noise_after
+from napari_deltamic.geometry.labels.basins import border_area, noise_after
+from napari_deltamic.geometry.labels.cell_rules import FINDING
 from napari_deltamic.geometry.labels.region_merging import Image, Labels, Regions, join_regions
 from napari_deltamic.geometry.mesh import FloatArray
+from napari_deltamic.geometry.three_numbers import three_numbers
 from napari_deltamic.images.missing import filled, unmasked
 
 Mask = NDArray[np.bool_]
-
-# In parts of the diameter of a cell:
-SMOOTHING = 0.03  # of the image in which walls are sought
-SEED_SMOOTHING = 0.065  # of the copy whose minima start the regions
-FINEST = 1 / 40  # voxels smaller than this are put together, for speed
-LEAK = 0.12  # parts of a region that are thinner than twice this have leaked out of it
-
-# A wall's height is the logarithm of its brightness over that of the inside.
-JOIN_BELOW = 0.6
-WALL = 0.4
-# Added before the logarithm: this part of the contrast, and not less than so many standard
-# deviations of the noise, or noise in dark places would look like walls.
-FLOOR, FLOOR_NOISE = 0.06, 3.0
-ENCLOSED = 0.6  # the least share of a cell's surface that is on a wall
-# The more of a region lies on the border of the image, the better the rest must be enclosed, up to
-# this: corners of the outside have walls on one side, cut cells all around.
-ENCLOSED_AT_BORDER = 0.9
-LEAST_HEIGHT = 0.77  # and the least mean height over all of it: the edges of noise have up to 0.7
-SMALLEST, LARGEST = 0.4, 2.0  # diameters of cells that are kept, in parts of the size
-# A size is sought on about so many voxels, down to cells of so many across.
-FEW_VOXELS, SMALLEST_TRIED = 60_000, 8
-ALIKE = 0.4  # of the logarithm of two sizes: they are of the same cells
-LEAST_VOXELS = 4  # a cell's diameter, in voxels
 
 
 def find_cells(
     image: ArrayLike,
     voxel_size: Sequence[float],
     size: float,
-    *,
-    join_below: float = JOIN_BELOW,
-    enclosed: float = ENCLOSED,
 ) -> NDArray[np.int32]:
     """Label the cells of an image of bright membranes.
 
@@ -65,9 +41,6 @@ def find_cells(
     image : (Z, Y, X) array; NaN where missing.
     voxel_size : um, Z, Y, X.
     size : um; the diameter of a usual cell. Cells of 0.4 to 2 times this are found.
-    join_below : regions are one cell where the logarithm of the brightness of the wall between
-        them over that of their inside is lower. Higher: fewer, larger cells.
-    enclosed : the least share of a cell's surface that is on a membrane.
 
     Returns
     -------
@@ -79,9 +52,9 @@ def find_cells(
         Not 3D, not numbers, the same everywhere, a size that is not positive, is larger than the
         image or too small for its voxels, or no cell found.
     """
-    data, missing, voxel = _checked(image, voxel_size)
+    data, missing, voxel = checked_image(image, voxel_size)
     diameter = _checked_size(size, data.shape, voxel)
-    labels, _, _ = _find(data, missing, voxel, diameter, FINEST, join_below, enclosed)
+    labels, _, _ = _find(data, missing, voxel, diameter, FINDING.finest)
     if not labels.any():
         raise InputError(f"no cells of about {diameter:g} um were found: try another size")
     return labels
@@ -133,95 +106,95 @@ def suggest_sizes(image: ArrayLike, voxel_size: Sequence[float]) -> list[SizeFou
     InputError
         As `find_cells`.
     """
-    data, missing, voxel = _checked(image, voxel_size)
+    data, missing, voxel = checked_image(image, voxel_size)
     extent = np.array(data.shape) * voxel
-    step = np.floor(np.cbrt(np.prod(extent) / FEW_VOXELS) / voxel).astype(int)
+    step = np.floor(np.cbrt(np.prod(extent) / FINDING.tried_voxels) / voxel).astype(int)
     step = np.clip(step, 1, data.shape)
     data, voxel = _coarsened(data, step), voxel * step
     if missing is not None:
         missing = _coarsened(missing.astype(np.float32), step) > 0.5
-    size, tried = 0.8 * float(extent.max()), list[SizeFound]()
-    while size >= SMALLEST_TRIED * _mean_side(voxel):
-        _, found, quality = _find(data, missing, voxel, size, 0.0, JOIN_BELOW, ENCLOSED)
+    size, tried = FINDING.first_tried * float(extent.max()), list[SizeFound]()
+    while size >= FINDING.smallest_tried * _mean_side(voxel):
+        _, found, quality = _find(data, missing, voxel, size, 0.0)
         if len(found):
             typical = float(np.median(found))
             # Pieces of cells and of the outside are less enclosed than cells.
             score = float((quality**4 * found**3).sum()) * np.exp(-2 * np.log(typical / size) ** 2)
             tried.append(SizeFound(typical, len(found), score))
-        size /= 1.3
+        size /= FINDING.step
     kept: list[SizeFound] = []
     for one in sorted(tried, key=lambda one: -one.score):
-        if one.score > 0 and all(abs(np.log(one.size / x.size)) > ALIKE for x in kept):
+        if one.score > 0 and all(abs(np.log(one.size / x.size)) > FINDING.alike for x in kept):
             kept.append(one)
     return kept
 
 
 def _find(
-    data: Image,
-    missing: Mask | None,
-    voxel: FloatArray,
-    size: float,
-    finest: float,
-    join_below: float,
-    enclosed: float,
+    data: Image, missing: Mask | None, voxel: FloatArray, size: float, finest: float
 ) -> tuple[Labels, FloatArray, FloatArray]:
     """Labels of the cells; of each region that is one its diameter (um), how enclosed it is."""
     step = np.maximum(np.floor(finest * size / voxel), 1).astype(int)
     step = np.minimum(step, data.shape)
     coarse, side = _coarsened(data, step), voxel * step
-    walls = _walls(coarse, side, size)
+    walls = compressed_walls(coarse, side, size)
     seeds, _ = ndimage.label(
-        local_minima(ndimage.gaussian_filter(walls, SEED_SMOOTHING * size / side, mode="nearest"))
+        local_minima(
+            ndimage.gaussian_filter(walls, FINDING.seed_smoothing * size / side, mode="nearest")
+        )
     )
     ball = np.pi / 6 * size**3
     pieces = watershed(walls, seeds).astype(np.int32)
-    regions = join_regions(pieces, walls, side, ball, join_below, WALL)
+    regions = join_regions(pieces, walls, side, ball)
     gone = None if missing is None else _coarsened(missing.astype(np.float32), step)
-    names = _cells(regions, side, size, enclosed, gone)
+    names = _cells(regions, side, size, gone)
     labels = _trimmed(regions.labels, names, side, size)
     diameters = np.cbrt(6 / np.pi * regions.volume[names])
     return _refined(labels, step, data, voxel, size), diameters, regions.enclosed[names]
 
 
-def _walls(data: Image, side: FloatArray, size: float) -> Image:
+def compressed_walls(data: Image, side: FloatArray, size: float) -> Image:
     """The smoothed image with its contrast compressed: dim walls count next to bright ones."""
-    sigma = max(SMOOTHING * size, 0.7 * float(side.min())) / side
+    sigma = max(FINDING.smoothing * size, FINDING.sharpest * float(side.min())) / side
     smooth = ndimage.gaussian_filter(data, sigma, mode="nearest")
-    low, high = np.percentile(smooth, [0.5, 99.9])
+    low, high = np.percentile(smooth, FINDING.percentiles)
     floor = max(
-        FLOOR * float(high - low), FLOOR_NOISE * _noise_after(data.astype(np.float64), sigma)
+        FINDING.floor * float(high - low),
+        FINDING.floor_noise * noise_after(data.astype(np.float64), sigma),
     )
     if not floor > 0:  # nearly all voxels are alike
-        floor = max(FLOOR * float(np.ptp(smooth)), float(np.finfo(np.float32).tiny))
+        floor = max(FINDING.floor * float(np.ptp(smooth)), float(np.finfo(np.float32).tiny))
     walls: Image = np.log(np.maximum(smooth - low, 0) / floor + 1).astype(np.float32)
     return walls
 
 
 def _cells(
-    regions: Regions, side: FloatArray, size: float, enclosed: float, missing: Image | None
+    regions: Regions, side: FloatArray, size: float, missing: Image | None
 ) -> NDArray[np.int64]:
     """The regions that are cells: enclosed, of about the size, and not mostly on the border."""
     n = len(regions.volume)
     flat = regions.labels.ravel()
-    border = np.bincount(flat, _border_area(regions.labels.shape, side).ravel(), n)
+    border = np.bincount(flat, border_area(regions.labels.shape, side).ravel(), n)
     diameter = np.cbrt(6 / np.pi * regions.volume)
-    good = (diameter >= SMALLEST * size) & (diameter <= LARGEST * size)
+    smallest, largest = FINDING.sizes
+    good = (diameter >= smallest * size) & (diameter <= largest * size)
     share = border / np.maximum(np.pi * diameter**2, np.finfo(float).tiny)
-    least = np.maximum(enclosed, np.minimum(enclosed + share, ENCLOSED_AT_BORDER))
-    good &= share <= BORDER_LIMIT
-    good &= (regions.enclosed >= least) & (regions.height >= LEAST_HEIGHT)
+    least = np.maximum(
+        FINDING.enclosed, np.minimum(FINDING.enclosed + share, FINDING.enclosed_at_border)
+    )
+    good &= share <= FINDING.border
+    good &= (regions.enclosed >= least) & (regions.height >= FINDING.height)
     if missing is not None:
         known = 1 - np.bincount(flat, missing.ravel(), n) / np.maximum(
             np.bincount(flat, None, n), 1
         )
-        good &= known > 0.5
+        good &= known > FINDING.known
     return np.flatnonzero(good)
 
 
 def _trimmed(labels: Labels, names: NDArray[np.int64], side: FloatArray, size: float) -> Labels:
     """Only the cells, from 1, each in one part without holes and without what has leaked out."""
     result = np.zeros_like(labels)
-    radius = LEAK * size
+    radius = FINDING.leak * size
     boxes = ndimage.find_objects(labels)
     number = 0
     for name in names:
@@ -233,7 +206,7 @@ def _trimmed(labels: Labels, names: NDArray[np.int64], side: FloatArray, size: f
             continue
         core = parts == 1 + np.bincount(parts.ravel())[1:].argmax()
         # The corners of a cell come back, its tongues do not.
-        kept = solid & (ndimage.distance_transform_edt(~core, side) <= 1.7 * radius)
+        kept = solid & (ndimage.distance_transform_edt(~core, side) <= FINDING.corners * radius)
         number += 1
         inner = kept[1:-1, 1:-1, 1:-1]
         result[box][inner & (result[box] == 0)] = number
@@ -257,7 +230,7 @@ def _refined(
         return labels
     # The background is a marker, too: it is known where it lies, up to the width of a step.
     markers = np.where(sure, np.where(labels == 0, labels.max() + 1, labels), 0)
-    walls = _walls(data, voxel, size)
+    walls = compressed_walls(data, voxel, size)
     fine = watershed(walls, markers).astype(np.int32)
     fine[fine == labels.max() + 1] = 0
     return fine
@@ -282,7 +255,7 @@ def _mean_side(voxel: FloatArray) -> float:
 # Checks ---------------------------------------------------------------------------------------
 
 
-def _checked(
+def checked_image(
     image: ArrayLike, voxel_size: Sequence[float]
 ) -> tuple[Image, Mask | None, FloatArray]:
     """The image without gaps, where its gaps are, and the voxel size."""
@@ -295,9 +268,7 @@ def _checked(
         or np.iscomplexobj(array)
     ):
         raise InputError(f"an image of real numbers is needed to find cells, not {array.dtype}")
-    voxel = np.asarray(voxel_size, np.float64)
-    if voxel.shape != (3,) or not np.isfinite(voxel).all() or (voxel <= 0).any():
-        raise InputError("voxel size must be 3 positive numbers (um, Z, Y, X)")
+    voxel = three_numbers(voxel_size, "voxel size")
     missing = ~np.isfinite(array)
     if missing.all():
         raise InputError("the image has no value anywhere")
@@ -323,7 +294,7 @@ def _checked_size(size: float, shape: tuple[int, ...], voxel: FloatArray) -> flo
             f"a cell of {diameter:g} um is larger than the image, whose longest side is"
             f" {longest:g} um"
         )
-    least = LEAST_VOXELS * _mean_side(voxel)
+    least = FINDING.least_voxels * _mean_side(voxel)
     if diameter < least:
         raise InputError(
             f"a cell of {diameter:g} um is too small for these voxels: at least {least:.3g} um"

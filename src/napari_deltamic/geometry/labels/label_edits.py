@@ -23,7 +23,8 @@ from skimage.segmentation import watershed
 from napari_deltamic.common.reading import one_reason, read_text
 from napari_deltamic.common.writing import write_atomically
 from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.labels.find_cells import _checked, _walls
+from napari_deltamic.geometry.labels.cell_rules import CLICKS
+from napari_deltamic.geometry.labels.find_cells import checked_image, compressed_walls
 from napari_deltamic.geometry.labels.region_merging import Image, Labels
 from napari_deltamic.geometry.mesh import FloatArray
 
@@ -31,19 +32,6 @@ Action = Literal["cell", "merge", "remove"]
 _COLUMNS = ("z", "y", "x", "action", "step")
 _Place = tuple[int, ...]
 _Clicks = list[tuple[int, _Place]]  # number from 0, voxel
-
-# In parts of the diameter of a typical cell:
-_MARKER = 0.08  # radius of what a click marks
-_REACH = 1.1  # a cell that is added ends at this distance from the click, wall or not
-_ROUND = 0.06  # parts of a new cell that are thinner than twice this are not kept
-_FEWEST = 27  # voxels of a cell
-# Of the volume of a typical cell; less is a crumb, of which a fit can make no cell. Clicks at 40
-# random places in the sound cells of the foam sample cut off crumbs of up to 0.05; the smallest
-# part that a sound correction of the embryo makes (benchmarks/clusters) is 0.63 of a cell.
-_CRUMB = 0.05
-# A way of one um costs this without a wall, and a wall's height squared more: a dim wall (0.5)
-# three voxels wide counts like 40 voxels of nothing.
-_FLAT = 0.02
 
 
 @dataclass(frozen=True)
@@ -78,7 +66,7 @@ class Corrector:
         voxel_size: Sequence[float],
         origin: Sequence[float] = (0.0, 0.0, 0.0),
     ) -> None:
-        self._data, _, self._voxel = _checked(image, voxel_size)
+        self._data, _, self._voxel = checked_image(image, voxel_size)
         self._origin = np.asarray(origin, np.float64)
         self._size = 0.0  # um, of a typical cell of the first labels; 0 before there are any
         self._found: Image | None = None
@@ -107,8 +95,10 @@ class Corrector:
         if not clicks:
             return
         if self._found is None:
-            self._found = _walls(self._data, self._voxel, self._size)
-        fewest = max(_FEWEST, _CRUMB * np.pi / 6 * self._size**3 / float(np.prod(self._voxel)))
+            self._found = compressed_walls(self._data, self._voxel, self._size)
+        fewest = max(
+            CLICKS.fewest, CLICKS.crumb * np.pi / 6 * self._size**3 / float(np.prod(self._voxel))
+        )
         # All of it is decided before anything is changed.
         names = [int(labels[place]) for _, place in clicks]
         for name in sorted(set(names)):
@@ -212,7 +202,7 @@ def _merge(labels: Labels, clicks: _Clicks, voxel: FloatArray, size: float) -> N
             raise InputError(f"clicks {i + 1} and {j + 1} lie in the same cell already")
         both = (labels == one) | (labels == other)
         # The seam between them, where one was left.
-        reach = _MARKER * size
+        reach = CLICKS.marker * size
         near = ndimage.distance_transform_edt(~both, voxel) <= reach
         closed = near & (ndimage.distance_transform_edt(near, voxel) > reach)
         labels[both | (closed & (labels == 0))] = one
@@ -227,14 +217,14 @@ def _cut(
     box = ndimage.find_objects((labels == name).astype(np.int8))[0]
     corner = [s.start for s in box]
     inside = labels[box] == name
-    cost = np.where(inside, _FLAT + walls[box] ** 2, np.inf)
+    cost = np.where(inside, CLICKS.flat + walls[box] ** 2, np.inf)
     centres = [tuple(np.subtract(place, corner)) for _, place in clicks]
     first = np.array(centres)
     if len(centres) == 1:
         # The other cell's middle: what is hardest to get to, well inside the label.
         deep = ndimage.distance_transform_edt(np.pad(inside, 1), voxel)[1:-1, 1:-1, 1:-1]
         # The least around, as a bright speck is hard to get to, too.
-        around = tuple(int(n) for n in 1 + 2 * np.ceil(_MARKER * float(deep.max()) / voxel))
+        around = tuple(int(n) for n in 1 + 2 * np.ceil(CLICKS.marker * float(deep.max()) / voxel))
         reached = ndimage.minimum_filter(_ways(cost, first, voxel), around)
         reached = np.where((deep > 0.5 * deep.max()) & np.isfinite(reached), reached, -1.0)
         centres.append(np.unravel_index(int(reached.argmax()), reached.shape))
@@ -258,7 +248,8 @@ def _add(
 ) -> None:
     """Flood the background from the clicks, against the cells around and what lies beyond reach."""
     places = np.array([place for _, place in clicks])
-    room = np.ceil(1.2 * _REACH * size / voxel).astype(int)
+    reach, seen = CLICKS.reach
+    room = np.ceil(seen * reach * size / voxel).astype(int)
     low = np.maximum(places.min(0) - room, 0)
     box = tuple(slice(a, b) for a, b in zip(low, places.max(0) + room + 1, strict=True))
     own, landscape = labels[box], walls[box]
@@ -268,10 +259,10 @@ def _add(
     away = ndimage.distance_transform_edt(spot, voxel)
     outside, new = int(labels.max()) + 1, int(labels.max()) + 2
     markers = own.copy()
-    markers[free & (away > _REACH * size)] = outside
-    markers[free & (away <= _MARKER * size)] = new
+    markers[free & (away > reach * size)] = outside
+    markers[free & (away <= CLICKS.marker * size)] = new
     region = free & (watershed(landscape, markers) == new)
-    cost = np.where(region, _FLAT + landscape**2, np.inf)
+    cost = np.where(region, CLICKS.flat + landscape**2, np.inf)
     parts = _nearest(cost, list(places - low), voxel)
     parts = np.where(region, parts + 1, 0)
     for k, (part, (click, _)) in enumerate(
@@ -306,13 +297,15 @@ def _rounded(
     mask: NDArray[np.bool_], place: _Place, voxel: FloatArray, size: float
 ) -> NDArray[np.bool_]:
     """The part around a place, without tongues, without holes."""
-    radius = _ROUND * size
+    radius = CLICKS.thin * size
     core = ndimage.distance_transform_edt(np.pad(mask, 1), voxel)[1:-1, 1:-1, 1:-1] > radius
     spot = np.ones(mask.shape, bool)
     spot[place] = False
-    core |= mask & (ndimage.distance_transform_edt(spot, voxel) <= _MARKER * size)
+    core |= mask & (ndimage.distance_transform_edt(spot, voxel) <= CLICKS.marker * size)
     parts, _ = ndimage.label(core)
-    kept = mask & (ndimage.distance_transform_edt(parts != parts[place], voxel) <= 1.7 * radius)
+    kept = mask & (
+        ndimage.distance_transform_edt(parts != parts[place], voxel) <= CLICKS.corners * radius
+    )
     filled: NDArray[np.bool_] = ndimage.binary_fill_holes(kept)
     return filled
 

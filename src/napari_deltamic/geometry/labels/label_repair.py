@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from napari_deltamic.errors import InputError
+from napari_deltamic.errors import InputError, listed
 from napari_deltamic.geometry.mesh import FloatArray
+from napari_deltamic.geometry.three_numbers import three_numbers
 from napari_deltamic.images.missing import unmasked
 
 _MANY = 1 << 16  # labels up to this number are found faster by number than by rank
-_NAMED = 6  # labels, at most, that a sentence names
+_ROUNDING = 1e-6  # um, of distances: a gap exactly as wide as asked for is closed
 _SMALL_PART = 0.1  # a part of a label larger than this share of it may be a cell of its own
 
 
@@ -68,9 +69,7 @@ def repair_labels(
     InputError
         Not 3D, different shapes, values that are no whole numbers of 0 or more, or no label.
     """
-    size = np.asarray(voxel_size, np.float64)
-    if size.shape != (3,) or not np.isfinite(size).all() or (size <= 0).any():
-        raise InputError("voxel size must be 3 positive numbers (um, Z, Y, X)")
+    size = three_numbers(voxel_size, "voxel size")
     if isinstance(labels, (list, tuple)) and len(labels) and np.ndim(labels[0]) == 3:
         layers = [_whole_numbers(layer) for layer in labels]
     else:
@@ -156,7 +155,7 @@ def _together(
     if gone:
         lies = "lies" if len(gone) == 1 else "lie"
         raise InputError(
-            f"{_listed('cell', gone)} (counted over all layers) {lies} wholly in others: "
+            f"{listed('cell', gone)} (counted over all layers) {lies} wholly in others: "
             "remove one of each pair"
         )
     return result
@@ -184,14 +183,14 @@ def _in_one_part(numbers: NDArray[np.int32], repairs: list[str]) -> NDArray[np.i
             result[box][hole] = name
             holes.append(name)
     if broken:
-        repairs.append(f"{_listed('label', broken)}: in several parts; the largest was kept")
+        repairs.append(f"{listed('label', broken)}: in several parts; the largest was kept")
     if large:
         repairs.append(
-            f"{_listed('label', large)}: another large part was left out; if it is a cell, give it "
+            f"{listed('label', large)}: another large part was left out; if it is a cell, give it "
             "a number of its own"
         )
     if holes:
-        repairs.append(f"{_listed('label', holes)}: holes were filled")
+        repairs.append(f"{listed('label', holes)}: holes were filled")
     return result
 
 
@@ -213,8 +212,9 @@ def share_out_gaps(numbers: NDArray[Any], spacing: FloatArray, reach: float) -> 
     room = int(np.ceil(reach / spacing.min())) + 1
     ground = np.pad(numbers == 0, room, constant_values=True)
     distance, nearest = ndimage.distance_transform_edt(ground, spacing, return_indices=True)
-    grown = distance <= reach + 1e-6
-    closed = ndimage.distance_transform_edt(grown, spacing) > reach + 1e-6
+    reach += _ROUNDING
+    grown = distance <= reach
+    closed = ndimage.distance_transform_edt(grown, spacing) > reach
     filled = np.pad(numbers, room)[tuple(nearest)]
     inner = (slice(room, -room),) * 3
     shared: NDArray[Any] = np.where(closed[inner] & (numbers == 0), filled[inner], numbers)
@@ -232,18 +232,10 @@ def _doubts(numbers: NDArray[np.int32]) -> list[str]:
     cut = [int(k) for k in np.unique(numbers[border]) if k]
     if cut:
         remarks.append(
-            f"{_listed('label', cut)}: cut by the border of the image; the surface is closed there"
+            f"{listed('label', cut)}: cut by the border of the image; the surface is closed there"
         )
     if len(names) == 1 and (numbers > 0).mean() > 0.5:
         remarks.append(
             "one label covers more than half of the image: is it the background? It should be 0"
         )
     return remarks
-
-
-def _listed(noun: str, names: Sequence[int]) -> str:
-    shown = [str(k) for k in names[:_NAMED]]
-    if len(names) > _NAMED:
-        shown.append(f"{len(names) - _NAMED} others")
-    words = ", ".join(shown[:-1]) + (" and " if len(shown) > 1 else "") + shown[-1]
-    return f"{noun}{'s' if len(names) > 1 else ''} {words}"

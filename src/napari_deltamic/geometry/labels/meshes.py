@@ -19,6 +19,7 @@ from napari_deltamic.geometry.labels.surface_nets import closed_surface
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
 from napari_deltamic.geometry.refused import told
 from napari_deltamic.geometry.remeshing import can_remesh, remesh
+from napari_deltamic.geometry.three_numbers import three_numbers
 
 EDGE_IN_VOXELS = 3.0
 # Where planes are far apart, or cells many, edges of three voxels would make more faces than a fit
@@ -88,7 +89,10 @@ def surfaces_of_labels(
     shared_walls: bool = True,
 ) -> LabelSurfaces:
     """The work of `mesh_from_labels`, which says what the arguments are."""
-    size, start = _triple(voxel_size, "voxel size"), _triple(origin, "origin", positive=False)
+    size, start = (
+        three_numbers(voxel_size, "voxel size"),
+        three_numbers(origin, "origin", positive=False),
+    )
     repaired = repair_labels(labels, size)
     for repair in repaired.repairs:
         warnings.warn(repair, RepairWarning, stacklevel=3)
@@ -201,10 +205,3 @@ def _touching(numbers: IntArray, count: int) -> list[IntArray]:
     met, faces = label_contacts(numbers)
     group = connected(met[faces >= _LEAST_CONTACT] - 1, count)
     return [np.flatnonzero(group == g) + 1 for g in np.unique(group)]
-
-
-def _triple(values: Sequence[float], name: str, *, positive: bool = True) -> FloatArray:
-    array = np.asarray(values, np.float64)
-    if array.shape != (3,) or not np.isfinite(array).all() or (positive and (array <= 0).any()):
-        raise InputError(f"{name} must be 3 {'positive ' * positive}numbers (um, Z, Y, X)")
-    return array

@@ -15,16 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from napari_deltamic.geometry.labels.cell_rules import FINDING
 from napari_deltamic.geometry.mesh import FloatArray
 
 Labels = NDArray[np.int32]
 Image = NDArray[np.float32]
 
-# So much of how enclosed the better of two regions is may be lost by joining them.
-_OPENING = 0.0
-# Regions smaller or larger than a cell are joined more, or less, readily, between these factors.
-_READY, _RELUCTANT = 0.6, 1.6
-BOUND = 1.15  # heights above the inside are counted up to this, in the units of the image
+_NOTHING = 1e-6  # of an area: what sums and differences of areas leave by rounding
 
 
 @dataclass(frozen=True)
@@ -50,7 +47,7 @@ class _Graph:
     does not pass for a wall), of area that the one sees as wall, of area x height.
     """
 
-    def __init__(self, labels: Labels, image: Image, size: FloatArray, wall: float) -> None:
+    def __init__(self, labels: Labels, image: Image, size: FloatArray) -> None:
         self.n = int(labels.max()) + 1
         pairs, heights, areas = _faces_between(labels, image, size)
         # The level of a region: the mean of the darker half of its voxels, as walls are bright.
@@ -61,9 +58,9 @@ class _Graph:
         total = np.bincount(dark, image.ravel(), self.n)
         level = total / np.maximum(count, 1)
         key, index = np.unique(pairs[0] * self.n + pairs[1], return_inverse=True)
-        bounded = np.minimum(heights, level[pairs].max(axis=0) + BOUND)
+        bounded = np.minimum(heights, level[pairs].max(axis=0) + FINDING.bound)
         columns = [areas, areas * bounded, areas * heights]
-        columns += [areas * (heights > level[side] + wall) for side in pairs]
+        columns += [areas * (heights > level[side] + FINDING.wall) for side in pairs]
         sums = np.stack([np.bincount(index, column) for column in columns], axis=1)
         self.count, self.total = count.tolist(), total.tolist()
         self.volume = (np.bincount(labels.ravel(), minlength=self.n) * np.prod(size)).tolist()
@@ -80,12 +77,12 @@ class _Graph:
         area, height, seen, _ = self.near[i][j]
         around = self.area[i] + self.area[j] - 2 * area
         wall = self.wall[i] + self.wall[j] - seen - self.near[j][i][2]
-        joined = wall / around if around > 1e-6 * area else 1.0
-        if joined < max(self.enclosed(i), self.enclosed(j)) - _OPENING:
+        joined = wall / around if around > _NOTHING * area else 1.0
+        if joined < max(self.enclosed(i), self.enclosed(j)):
             return float("inf")
         level = max(self.total[i] / self.count[i], self.total[j] / self.count[j])
         relative = ((self.volume[i] + self.volume[j]) / ball) ** (1 / 3)
-        return (height / area - level) * min(max(relative, _READY), _RELUCTANT)
+        return (height / area - level) * min(max(relative, FINDING.ready[0]), FINDING.ready[1])
 
     def enclosed(self, i: int) -> float:
         return self.wall[i] / self.area[i] if self.area[i] > 0 else 0.0
@@ -111,9 +108,7 @@ class _Graph:
         self.volume[j] = 0.0
 
 
-def join_regions(
-    labels: Labels, image: Image, size: FloatArray, ball: float, threshold: float, wall: float
-) -> Regions:
+def join_regions(labels: Labels, image: Image, size: FloatArray, ball: float) -> Regions:
     """Join the neighbours that no wall divides, the lowest wall first.
 
     Parameters
@@ -122,16 +117,14 @@ def join_regions(
     image : (Z, Y, X), bright walls.
     size : um, of a voxel.
     ball : um^3, the volume of a usual cell.
-    threshold : walls lower than this (over the inside, in the units of the image) go.
-    wall : a place on a surface counts as wall where it is so much above the inside.
     """
-    graph = _Graph(labels, image, size, wall)
+    graph = _Graph(labels, image, size)
     owner, version = list(range(graph.n)), [0] * graph.n
     heap = [
         (cost, i, j, 0, 0)
         for i, near in enumerate(graph.near)
         for j in near
-        if i < j and (cost := graph.cost(i, j, ball)) <= threshold
+        if i < j and (cost := graph.cost(i, j, ball)) <= FINDING.join_below
     ]
     heapq.heapify(heap)
     while heap:
@@ -144,7 +137,7 @@ def join_regions(
         version[j] = -1
         for k in graph.near[i]:
             cost = graph.cost(i, k, ball)
-            if cost <= threshold:
+            if cost <= FINDING.join_below:
                 heapq.heappush(heap, (cost, i, k, version[i], version[k]))
     root = np.array(owner)
     while (root[root] != root).any():

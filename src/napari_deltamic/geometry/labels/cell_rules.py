@@ -1,0 +1,151 @@
+"""The numbers that decide what counts as a cell in an image, and how clicks change that."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class FindingRules:
+    """When *Find cells* sees a cell. Lengths are in diameters of a cell.
+
+    Attributes
+    ----------
+    smoothing, sharpest
+        Standard deviation of the image in which walls are sought, and the least, in the smallest
+        sides of a voxel.
+    seed_smoothing
+        Of the copy whose minima start the regions.
+    finest
+        Voxels smaller than this are put together, for speed.
+    percentiles
+        Of the smoothed image, its dark and bright level: single voxels would decide otherwise.
+    floor, floor_noise
+        Added before the logarithm: this part of the contrast, and not less than so many standard
+        deviations of the noise, or noise in dark places would look like walls.
+    join_below
+        Two regions are one where the wall between them is lower: the logarithm of its brightness
+        over that of the inside.
+    wall
+        So far above the inside, in the same units, a place on a surface counts as wall.
+    bound
+        Heights count up to this where regions are joined: where a contact ends, in the bright walls
+        around it, is no wall of its own.
+    ready
+        Factors on the height of a wall for regions smaller and larger than a cell: the first are
+        joined more readily than the second.
+    enclosed, enclosed_at_border
+        Least share of a cell's surface that is on a wall. The more of it lies on the border of the
+        image the better the rest must be enclosed, up to the second: corners of the outside have
+        walls on one side, cut cells all around.
+    height
+        Least mean height over all of it: the edges of noise have up to 0.7.
+    sizes
+        Smallest and largest diameter that is kept, in parts of the size asked for.
+    border
+        Area on the border of the image over that of a ball of the same volume, beyond which a
+        region is mostly outside, or is the background: of a halved ball it is 0.4.
+    known
+        Least share of a region that is not missing from the image.
+    leak, corners
+        Parts of a region thinner than twice the first have leaked out of it; what lies within so
+        many times that of the rest comes back, since corners are thin too.
+    tried_voxels, smallest_tried
+        A size is sought on about so many voxels, for speed, and down to cells of so many across.
+    first_tried, step
+        The largest size tried, in longest sides of the image, and the ratio of each to the next.
+    alike
+        Two sizes are those of the same cells if their logarithms differ by less.
+    least_voxels
+        A cell's diameter, in voxels: in smaller ones an inside cannot be told from the walls.
+    """
+
+    smoothing: float = 0.03
+    sharpest: float = 0.7
+    seed_smoothing: float = 0.065
+    finest: float = 1 / 40
+    percentiles: tuple[float, float] = (0.5, 99.9)
+    floor: float = 0.06
+    floor_noise: float = 3.0
+    join_below: float = 0.6
+    wall: float = 0.4
+    bound: float = 1.15
+    ready: tuple[float, float] = (0.6, 1.6)
+    enclosed: float = 0.6
+    enclosed_at_border: float = 0.9
+    height: float = 0.77
+    sizes: tuple[float, float] = (0.4, 2.0)
+    border: float = 0.7
+    known: float = 0.5
+    leak: float = 0.12
+    corners: float = 1.7
+    tried_voxels: int = 60_000
+    smallest_tried: int = 8
+    first_tried: float = 0.8
+    step: float = 1.3
+    alike: float = 0.4
+    least_voxels: int = 4
+
+
+@dataclass(frozen=True)
+class BasinRules:
+    """When a point names a region.
+
+    Attributes
+    ----------
+    border
+        As in :class:`FindingRules`.
+    same_object
+        Two points are in one object when the pass between them is lower than this fraction of the
+        rise from the inside to the leak.
+    lower_leap
+        A lower leap than the largest is believed only if it rises by so much of what that does.
+    noise_rise
+        A leap counts only if it rises above the lowest voxel by this many standard deviations of
+        the noise: dark puddles of noise, which the minimum of many voxels deepens, are no objects.
+    fewest
+        Voxels: three along each axis, since fewer have no inside.
+    """
+
+    border: float = 0.7
+    same_object: float = 0.6
+    lower_leap: float = 0.25
+    noise_rise: float = 8.0
+    fewest: int = 27
+
+
+@dataclass(frozen=True)
+class ClickRules:
+    """What a click changes. Lengths are in diameters of a typical cell.
+
+    Attributes
+    ----------
+    marker
+        Radius of what a click marks, and of the seam that a merger closes.
+    reach
+        A cell that is added ends at this distance from the click, wall or not; and how far around
+        the click the image is looked at, in reaches.
+    thin, corners
+        Parts of a new cell thinner than twice the first are not kept; see
+        ``FindingRules.corners``.
+    fewest
+        Voxels of a cell: three along each axis, since fewer have no inside.
+    crumb
+        Of the volume of a typical cell; less is a crumb, of which a fit can make no cell. Clicks at
+        40 random places in the sound cells of the foam sample cut off crumbs of up to 0.05; the
+        smallest part that a sound correction of the embryo makes (benchmarks/clusters) is 0.63.
+    flat
+        A way of one um costs this without a wall, and a wall's height squared more: a dim wall
+        (0.5) three voxels wide counts like 40 voxels of nothing, so that ways go around it.
+    """
+
+    marker: float = 0.08
+    reach: tuple[float, float] = (1.1, 1.2)
+    thin: float = 0.06
+    corners: float = 1.7
+    fewest: int = 27
+    crumb: float = 0.05
+    flat: float = 0.02
+
+
+FINDING, BASINS, CLICKS = FindingRules(), BasinRules(), ClickRules()

@@ -1,0 +1,20 @@
+"""Three numbers of a user, one along each axis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from napari_deltamic.errors import InputError
+from napari_deltamic.geometry.mesh import FloatArray
+
+
+def three_numbers(
+    values: Sequence[float] | FloatArray, name: str, *, positive: bool = True
+) -> FloatArray:
+    """(3,) um, Z, Y, X. InputError, in which they have a name, unless finite and positive."""
+    array = np.asarray(values, np.float64)
+    if array.shape != (3,) or not np.isfinite(array).all() or (positive and (array <= 0).any()):
+        raise InputError(f"{name} must be 3 {'positive ' * positive}numbers (um, Z, Y, X)")
+    return array
