@@ -104,7 +104,7 @@ def _comments(lines: list[str], number: int) -> str:
 
 def _attribute(docstring: str, name: str) -> str:
     """What a docstring says of an attribute."""
-    found = re.search(rf"^(?:[\w, ]*\b)?{name}\b[^\n]*\n((?:    .*\n?|\n)*)", docstring, re.M)
+    found = re.search(rf"^(?:\w+, )*{name}(?:, \w+)*\n((?:    .*\n?|\n)*)", docstring, re.M)
     short = re.search(rf"^{name} : (.*)$", docstring, re.M)
     return " ".join(m.group(0) for m in (found, short) if m) if name else ""
 

@@ -26,8 +26,9 @@ from . import Mesh
 
 # What a file may unpack to: so many times what it takes on disk, or so much, whichever is more. An
 # image takes two to ten times as much; labels, of which there are few, up to a thousand times.
+# A forged file could fill the memory otherwise.
 _GROWTH, _SMALL = 200, 1 << 29  # bytes
-_PIECE = 1 << 22  # bytes read at a time
+_PIECE = 1 << 22  # bytes read at a time, or an array would be in memory twice
 _LEVEL = 1  # of the compression: higher ones take five times as long for a few per cent
 
 

@@ -12,7 +12,7 @@ from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, IntArray, Mesh
 from napari_deltamic.geometry.remeshing import can_remesh, remesh
 
 _ROUNDS = 2  # of remeshing and putting the vertices back on the caps
-_FLAT = 1e-9  # of the rim's curvature: a cap with less is a plane
+_FLAT = 1e-9  # of the rim's curvature: a cap with less is a plane, or its radius would overflow
 
 
 @dataclass(frozen=True)
@@ -103,10 +103,11 @@ class DoubleBubble:
         if not 0 < edge_length <= self.rim / 2:
             raise InputError("edge_length must be positive, and at most half the rim")
         heights = [self._cap(k)[0] for k in range(3)]
-        longest = max(hypot(self.rim, h) * 1.2 for h in heights)
+        # From top to rim, along the cap, are 1.11 chords for half a ball, more for more than that.
+        longest = max(1.2 * hypot(self.rim, h) for h in heights)
         rings = int(np.ceil(longest / edge_length))
         flat, disc = _disc(rings)
-        within = np.linalg.norm(flat, axis=1) < 1 - 1e-9
+        within = np.linalg.norm(flat, axis=1) < 1 - 1e-9  # rounding: those of the rim lie at 1
         rim = flat[~within]
         number = np.empty(len(flat), np.int64)
         number[~within] = np.arange(len(rim))

@@ -12,7 +12,7 @@ from napari_deltamic.geometry.primitives import sphere
 from napari_deltamic.geometry.remeshing import can_remesh
 
 _VOXELS_PER_EDGE = 2.5  # fine enough that walls come out smooth
-_MAX_VOXELS = 60_000_000
+_MAX_VOXELS = 60_000_000  # a typing error in edge_length would fill the memory: 0.7 GB
 
 
 def foam(centers: FloatArray, radii: FloatArray, edge_length: float) -> Mesh:

@@ -14,7 +14,7 @@ from napari_deltamic.geometry.connected import connected
 from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, IntArray, Mesh, to_numpy
 from napari_deltamic.geometry.windings import fix_windings
 
-MERGE_TOLERANCE = 1e-9  # of the bounding box diagonal: 0.1 picometre in 100 um
+MERGE_TOLERANCE = 1e-9  # of the box's diagonal: 0.1 picometre in 100 um is only rounding
 FLAT_TOLERANCE = 1e-12  # height of a triangle over its longest edge
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh, _triple
 
-MAX_FACES = 5_000_000  # a typing error in edge_length should not fill the memory
-_ICOSAHEDRON_EDGE = 1.0514622242382672  # for a circumscribed radius of 1
+MAX_FACES = 5_000_000  # a typing error in edge_length would fill the memory
+_ICOSAHEDRON_EDGE = 1.0514622242382672  # exact, for a circumscribed radius of 1
 
 
 def sphere(
@@ -158,7 +158,7 @@ def _icosahedron() -> tuple[FloatArray, IntArray]:
     flat = np.array([[0, s, t * golden] for s in (-1, 1) for t in (-1, 1)])
     corners = np.concatenate([np.roll(flat, shift, axis=1) for shift in range(3)])
     # Faces are the triples of corners at the edge length, 2, from each other.
-    near = np.abs(np.linalg.norm(corners[:, None] - corners, axis=-1) - 2) < 1e-9
+    near = np.abs(np.linalg.norm(corners[:, None] - corners, axis=-1) - 2) < 1e-9  # rounding
     i, j, k = np.nonzero(near[:, :, None] & near[:, None, :] & near[None])
     faces = np.stack([i, j, k], axis=1)[(i < j) & (j < k)]
     a, b, c = (corners[faces[:, corner]] for corner in range(3))

@@ -203,6 +203,7 @@ def _peak(
         total: FloatArray = fftconvolve(image.astype(np.float64), kernel[flip], mode="valid")
         return total
 
+    # Rounding of the transform leaves less than a thousandth, by which nothing must be divided.
     n = np.maximum(over(inside, weights), 1e-3 * weights.sum())
     t, t2 = over(inside, weights * template), over(inside, weights * template**2)
     m, m2 = over(measured, weights), over(measured**2, weights)

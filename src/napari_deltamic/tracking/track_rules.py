@@ -119,7 +119,8 @@ class DivisionRules:
     smallest
         Share of the volume on either side: daughters are about alike, debris at the rim is not.
     gain
-        Share of the squared residual in the cell that a wall must explain; chance explains less.
+        Share of the squared residual in the cell that a wall must explain: the best of hundreds of
+        planes has about 12 variances of the noise by chance, which is as much of 300 voxels.
     folded
         Share by which two daughters may explain a cell worse than a single one that has folded in
         along the wall: its brightness has become uneven for that, by 0.73 to 1.96 where 3 % were
@@ -156,8 +157,8 @@ class AlarmRules:
     in_view
         Share of its vertices that must be in view: of less than a third no shape can be told.
     gone
-        Share of the largest volume that it had: two divisions leave a quarter, so what is smaller
-        has vanished.
+        Share of the largest volume that it had: two divisions leave a quarter, so that a third of
+        that is less than any cell that still divides.
     """
 
     slid: float = 0.5

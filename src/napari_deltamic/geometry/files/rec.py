@@ -16,7 +16,7 @@ from napari_deltamic.geometry.files.raw import RawMesh
 from napari_deltamic.geometry.mesh import FloatArray, IntArray
 from napari_deltamic.geometry.mesh_repair import counted
 
-_FACE = np.dtype([("corners", "<u8", 3), ("regions", "<i4", 2)])
+_FACE = np.dtype([("corners", "<u8", 3), ("regions", "<i4", 2)])  # by definition of the format
 
 
 def read_rec(data: bytes) -> RawMesh:

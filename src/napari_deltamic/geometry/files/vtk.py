@@ -35,7 +35,8 @@ _TYPES = {
     "vtktypeint32": "i4",
     "vtktypeuint8": "u1",
 }
-_POLYGONS = (5, 7, 9)  # cell types: triangle, polygon, quad
+# By definition of the format: the cell types triangle, polygon, quad; numbers of each item.
+_POLYGONS = (5, 7, 9)
 _PER_TUPLE = {"NORMALS": 3, "VECTORS": 3, "TENSORS": 9}
 
 

@@ -93,7 +93,7 @@ def pixel_noise(data: FloatArray) -> float:
     """
     if data.shape[2] < 3:
         return 0.0
-    return float(np.median(np.abs(np.diff(data, 2, axis=2)))) / 0.6745 / 6**0.5
+    return float(np.median(np.abs(np.diff(data, 2, axis=2)))) / 0.6745 / 6**0.5  # exact, see above
 
 
 def border_area(shape: tuple[int, ...], size: FloatArray) -> FloatArray:

@@ -41,21 +41,25 @@ class FindingRules:
     height
         Least mean height over all of it: the edges of noise have up to 0.7.
     sizes
-        Smallest and largest diameter that is kept, in parts of the size asked for.
+        Smallest and largest diameter that is kept, in parts of the size asked for: what is less or
+        more is a piece, or several, so that a rough size is enough.
     border
-        Area on the border of the image over that of a ball of the same volume, beyond which a
-        region is mostly outside, or is the background: of a halved ball it is 0.4.
+        Area on the border of the image over that of a ball of the same volume: a region with more
+        than this is mostly outside, or is the background. Of a halved ball it is 0.4.
     known
         Least share of a region that is not missing from the image.
     leak, corners
         Parts of a region thinner than twice the first have leaked out of it; what lies within so
         many times that of the rest comes back, since corners are thin too.
     tried_voxels, smallest_tried
-        A size is sought on about so many voxels, for speed, and down to cells of so many across.
+        A size is sought on about so many voxels, since more would take longer than a second, and
+        down to cells of so many across: walls of smaller ones could not be told apart.
     first_tried, step
-        The largest size tried, in longest sides of the image, and the ratio of each to the next.
+        The largest size tried, in longest sides of the image, and the ratio of each to the next: a
+        size a quarter too small finds as many cells (measured on six clusters).
     alike
-        Two sizes are those of the same cells if their logarithms differ by less.
+        Two sizes are those of the same cells if their logarithms differ by less: half as large
+        again is more than cells of one kind differ by.
     least_voxels
         A cell's diameter, in voxels: in smaller ones an inside cannot be told from the walls.
     """
@@ -94,7 +98,7 @@ class BasinRules:
     Attributes
     ----------
     border
-        As in :class:`FindingRules`.
+        As in :class:`FindingRules`, for the same reason: a region with more is only background.
     same_object
         Two points are in one object when the pass between them is lower than this fraction of the
         rise from the inside to the leak.
@@ -121,10 +125,11 @@ class ClickRules:
     Attributes
     ----------
     marker
-        Radius of what a click marks, and of the seam that a merger closes.
+        Radius of what a click marks, and of the seam that a merger closes; chosen by eye.
     reach
-        A cell that is added ends at this distance from the click, wall or not; and how far around
-        the click the image is looked at, in reaches.
+        A cell that is added ends at this distance from the click, wall or not, so that a click near
+        one side of a cell reaches the other; and how far around the click the image is looked at,
+        in reaches, which has to be more than the first.
     thin, corners
         Parts of a new cell thinner than twice the first are not kept; see
         ``FindingRules.corners``.

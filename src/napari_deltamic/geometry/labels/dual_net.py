@@ -2,31 +2,76 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.mesh import FloatArray, IntArray
 
-# A typing error in an edge length should not fill the memory: this many nodes take about a GB.
-_MOST_NODES = 30_000_000
-# Standard deviation of the Gaussian that smooths a distance field, so that the surface follows
-# neither the steps of the voxels nor what nodes cannot show. Measured on a ball and a pair of balls
-# of 9 voxels: half or twice of either moves the mesh by less than 0.04 voxels.
-_VOXELS, _SPACINGS = 0.7, 0.4
 
-# The corners of the two triangles of a quad.
-TRIANGLES = [0, 1, 2, 0, 2, 3]
+@dataclass(frozen=True)
+class NetRules:
+    """How a surface is drawn around labels.
+
+    Measured on twelve blobs and a ball of 9 voxels with edges of 3: half or twice of ``voxels`` or
+    ``spacings`` moves the surface by less than 0.04 voxels; ``kept`` of 0.8 and 0.97, ``crossing``
+    ten times off, and half or twice of the last three by less than 0.001, and the smallest angles
+    change by less than a degree. No blob had a handle for ``smoother`` to take away.
+
+    Attributes
+    ----------
+    most_nodes
+        A typing error in an edge length should not fill the memory: these take about a GB.
+    voxels, spacings
+        Standard deviation of the Gaussian that smooths a distance field, in voxels and in spacings
+        of the nodes, whichever is more: the surface would follow the steps of the voxels otherwise,
+        or what the nodes cannot show.
+    spacing
+        Of the nodes, in edges: gives a mean edge of 0.998 of what was asked for.
+    smoother
+        Times the smoothing, one after the other, until the surface has no handle: a thin bridge or
+        a pit of noise makes one.
+    kept
+        Parts too thin for the mesh are taken away unless less than this share of the cell would be
+        left: it is a thin cell then.
+    crossing
+        Spacings from a node to a crossing beside it where the sign of the node was changed by
+        repair, since the field says nothing of it.
+    rounds
+        Of evening out the quads: more would hardly change anything.
+    steepness, step
+        Least square of the slope of the distance field (1 where it is exact) and the longest move
+        in spacings when a vertex goes back onto the surface, or it would be thrown far away where
+        the field is flat.
+    """
+
+    most_nodes: int = 30_000_000
+    voxels: float = 0.7
+    spacings: float = 0.4
+    spacing: float = 1.1
+    smoother: tuple[float, ...] = (1.0, 1.5, 2.0)
+    kept: float = 0.9
+    crossing: float = 1e-3
+    rounds: int = 12
+    steepness: float = 0.25
+    step: float = 0.4
+
+
+NETS = NetRules()
+
+TRIANGLES = [0, 1, 2, 0, 2, 3]  # corners: the definition of the two triangles of a quad
 
 
 def field_smoothing(size: FloatArray, spacing: float) -> float:
     """um: how much the distance field of voxels is smoothed before nodes sample it."""
-    return max(_VOXELS * float(size.max()), _SPACINGS * spacing)
+    return max(NETS.voxels * float(size.max()), NETS.spacings * spacing)
 
 
 def check_nodes(shape: FloatArray, edge: float) -> None:
     """InputError for a grid that would not fit into memory."""
     nodes = float(np.prod(shape))
-    if nodes > _MOST_NODES:
+    if nodes > NETS.most_nodes:
         raise InputError(f"edges of {edge:g} um are too short: they ask for {nodes:.0f} grid nodes")
 
 

@@ -8,6 +8,7 @@ from scipy import ndimage
 from scipy.sparse import coo_array
 
 from napari_deltamic.geometry.labels.dual_net import (
+    NETS,
     TRIANGLES,
     check_nodes,
     dual_net,
@@ -22,7 +23,7 @@ def closed_surface(
     mask: Mask, size: FloatArray, origin: FloatArray, edge: float
 ) -> tuple[FloatArray, IntArray] | None:
     """Closed surface of the largest part of a mask, outward; None if the grid misses it."""
-    spacing = 1.1 * edge  # gives this mean edge length
+    spacing = NETS.spacing * edge
     sigma = field_smoothing(size, spacing)
     extent = np.array(mask.shape) * size
     if extent.max() < spacing:
@@ -35,8 +36,7 @@ def closed_surface(
     distance = ndimage.distance_transform_edt(solid, size)
     distance -= ndimage.distance_transform_edt(~solid, size)
     best = None
-    # A thin bridge or a pit of noise makes a handle: smooth it away, if a little does.
-    for factor in (1.0, 1.5, 2.0):
+    for factor in NETS.smoother:
         field = ndimage.gaussian_filter(distance, factor * sigma / size)
         # Smoothing pulls convex surfaces in; the level that keeps the volume puts them back.
         field -= np.partition(field, -int(solid.sum()), axis=None)[-int(solid.sum())]
@@ -54,7 +54,7 @@ def _without_fins(solid: Mask, radius: float, size: FloatArray) -> Mask:
     """Take away parts too thin for the mesh (an opening by a ball), unless much would go."""
     kept = ndimage.distance_transform_edt(solid, size) > radius
     opened = _largest(ndimage.distance_transform_edt(~kept, size) <= radius) if kept.any() else kept
-    return opened if opened.sum() > 0.9 * solid.sum() else solid
+    return opened if opened.sum() > NETS.kept * solid.sum() else solid
 
 
 def _largest(mask: Mask) -> Mask:
@@ -77,7 +77,8 @@ def _surface_net(
     if not inside.any():
         return None
     # The repair moved some signs: there the crossing is put next to the node that changed.
-    values = np.where(inside == (values > 0), values, np.where(inside, 1e-3, -1e-3) * spacing)
+    beside = NETS.crossing * spacing
+    values = np.where(inside == (values > 0), values, np.where(inside, beside, -beside))
     vertices, quads, _ = dual_net(inside.astype(np.int64), np.abs(values))
     vertices = _relax(vertices * spacing, quads, field, size, spacing)
     return vertices, _split(vertices, quads)
@@ -127,14 +128,15 @@ def _relax(
     links = coo_array((np.ones(len(start)), (start, end)), shape=(n, n)).tocsr()
     valence = np.asarray(links.sum(axis=1)).reshape(-1, 1)
     slopes = [np.gradient(field, size[axis], axis=axis) for axis in range(3)]
-    for step in range(12):
+    for step in range(NETS.rounds):
         if step:
             vertices = vertices + 0.5 * ((links @ vertices) / valence - vertices)
         slope = np.stack([_sample(s, vertices, size) for s in slopes], axis=1)
-        steep = np.maximum((slope**2).sum(axis=1), 0.25)
+        steep = np.maximum((slope**2).sum(axis=1), NETS.steepness)
         move = _sample(field, vertices, size)[:, None] * slope / steep[:, None]
         length = np.linalg.norm(move, axis=1, keepdims=True)
-        vertices = vertices - move * np.minimum(1, 0.4 * spacing / np.maximum(length, 1e-12))
+        longest = NETS.step * spacing
+        vertices = vertices - move * np.minimum(1, longest / np.maximum(length, 1e-12))
     return vertices
 
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, Mesh
 from napari_deltamic.geometry.windings import right_side_out
 
-# Lines through voxel centres miss vertices and edges of meshes that were made on the same grid.
+# Voxels: lines through their centres would meet vertices and edges of meshes that were made on the
+# same grid, so they are drawn this much aside, unlike along the two axes.
 _ASIDE = np.array([1.3e-6, 2.1e-6])
 
 

@@ -18,6 +18,7 @@ from napari_deltamic.geometry.topology.change_sizes import SIZES
 from napari_deltamic.geometry.topology.submesh import Change, Submesh, stayed
 from napari_deltamic.geometry.topology.thin_places import ThinPlace
 
+_SAME_PLACE = 1e-9  # um: points of a place are vertices of the mesh, up to rounding
 _Flip = Callable[[Mesh, ThinPlace, float], Change | None]
 _Way = Callable[[Mesh, list[int], ThinPlace], FloatArray]
 
@@ -92,7 +93,7 @@ def _faces_at(mesh: Mesh, place: ThinPlace) -> IntArray:
     """The faces of a small wall."""
     rows = np.flatnonzero((np.sort(mesh.regions, 1) == sorted(place.regions)).all(1))
     apart = cKDTree(place.points).query(mesh.vertices_numpy()[mesh.faces[rows]])[0]
-    return rows[(apart < 1e-9 * max(place.width, 1.0)).all(1)]
+    return rows[(apart < _SAME_PLACE * max(place.width, 1.0)).all(1)]
 
 
 def _rim(mesh: Mesh, wall: IntArray, place: ThinPlace) -> dict[tuple[int, int], int] | None:
@@ -200,7 +201,7 @@ def _with_wall(mesh: Mesh, place: ThinPlace, apart: float, *, way_of: _Way) -> C
 def _line(mesh: Mesh, place: ThinPlace) -> list[int] | None:
     """The vertices of a short junction, from the first of the sides to the second."""
     vertices = mesh.vertices_numpy()
-    own = np.flatnonzero(cKDTree(place.points).query(vertices)[0] < 1e-9)
+    own = np.flatnonzero(cKDTree(place.points).query(vertices)[0] < _SAME_PLACE)
     meet: dict[int, set[int]] = {int(v): set() for v in own}
     for row in np.flatnonzero(np.isin(mesh.faces, own).any(1)):
         for v in mesh.faces[row].tolist():

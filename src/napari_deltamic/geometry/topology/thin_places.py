@@ -277,6 +277,7 @@ def _near_each_other(points: FloatArray, reach: float) -> list[IntArray]:
     # Crumpled places hold a great many points: cells of a grid stand for them.
     index = np.floor(2 * points / reach).astype(np.int64)
     cells, cell = np.unique(index, axis=0, return_inverse=True)
+    # The reach is two cells; points lie anywhere within theirs, which could be half a cell more.
     pairs = cKDTree(cells).query_pairs(2.5, output_type="ndarray")
     group = connected(pairs, len(cells))[cell.reshape(-1)]
     return [np.flatnonzero(group == g) for g in range(int(group.max()) + 1)]
