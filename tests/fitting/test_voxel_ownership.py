@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
+from scipy.ndimage import gaussian_filter
 
 from napari_deltamic import Grid, Mesh
 from napari_deltamic.fitting import counted_voxels
@@ -100,3 +101,24 @@ def test_haze_all_around_is_nobodys():
     image = measured(noise=0)
     hazy = image + 0.5 * (image.max() - image.min()) * outside
     assert counted_voxels(hazy.astype(np.float32), GRID, TRUTH, OPTICS).mean() > 0.95
+
+
+def bright(grid, places):
+    """Photons of balls that shine inside, blurred: 40 over 2; places: centre and radius, um."""
+    found = np.zeros(grid.shape)
+    for center, radius in places:
+        voxels = np.moveaxis(np.indices(grid.shape), 0, -1) * grid.voxel_size + grid.origin
+        found += np.linalg.norm(voxels - center, axis=-1) < radius
+    blurred = gaussian_filter(found, 1.3)
+    return np.random.default_rng(0).poisson(2 + 40 * blurred)
+
+
+@pytest.mark.parametrize("other", [((1.15, 1.55, 3.1), 0.6), ((1.15, 1.55, 2.75), 0.2)])
+def test_around_a_nucleus_its_bright_neighbours_do_not_count(other):
+    grid = Grid((24, 32, 44), GRID.voxel_size)
+    image = bright(grid, [(CENTER, RADIUS), other])
+    start = sphere(np.add(CENTER, (0, 0.1, 0.1)), 0.8 * RADIUS)
+    counted = counted_around(image, grid, start, OPTICS)
+    assert counted[from_surface(grid, CENTER, RADIUS) < 0.15].mean() > 0.97
+    beyond = from_surface(grid, other[0], 0) < other[1] - 0.1
+    assert counted[beyond].mean() < 0.05
