@@ -126,5 +126,15 @@ def test_facts_of_a_fit():
     assert hazy_facts.cells[0].inside < -0.2
     assert hazy_facts.error.lacks
     assert hazy_facts.error.whole.alternative > 3 * facts.error.whole.noise
+    # The same cell through a PSF of a third of its size: a membrane, or an inside?
+    assert not facts.cells[0].small
+    wide = replace(job, optics=nd.GaussianPSF(0.7))
+    small = facts_of(wide, state, analyse_residual(image, grid, state))
+    assert small.cells[0].small
+    assert judged(replace(facts, cells=small.cells)).grade == "fair"
+    told = run.model_copy(update={"fit": FitSettings(structure="membrane")})
+    wide_told = replace(wide, settings=told)
+    known = facts_of(wide_told, state, analyse_residual(image, grid, state))
+    assert not known.cells[0].small
     moved = replace(state, mesh=state.mesh.translated((-0.75, 0, 0)))
     assert facts_of(job, moved, analyse_residual(image, grid, state)).cells[0].cut

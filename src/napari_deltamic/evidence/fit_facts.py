@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
+from ..fitting.amplitudes import hardly_wider
 from ..fitting.job import FitInput
 from ..fitting.state import FitState
 from ..fitting.voxel_ownership import surface_voxels
@@ -49,6 +50,8 @@ def facts_of(
     cut = _cut(state.mesh, job.grid)
     inside, compact = _inside(job, state), _compactness(job.mesh, state.mesh)
     modelled = state.effects.light_inside or state.light.interior != 0
+    unsure = job.settings.fit.structure == "auto" and not modelled
+    volumes = state.mesh.volumes()
     explained = {cell.region: cell.explained for cell in left.cells}
     light: dict[int, float] = {}
     for spot in left.spots:
@@ -62,6 +65,7 @@ def facts_of(
             region in cut,
             None if modelled else inside.get(region),
             compact.get(region),
+            unsure and hardly_wider(volumes[region], job.optics),
         )
         for region, area in areas.items()
     )

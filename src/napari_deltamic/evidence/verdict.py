@@ -84,6 +84,8 @@ class CellFacts:
         too small to have a deep inside.
     compact
         How round it is, over how round its start was; None where the start had no such cell.
+    small
+        Whether nobody said what shines, and it is too small for the image to tell.
     """
 
     region: int
@@ -93,6 +95,7 @@ class CellFacts:
     cut: bool = False
     inside: float | None = None
     compact: float | None = None
+    small: bool = False
 
 
 @dataclass(frozen=True)
@@ -242,6 +245,9 @@ def _of_cell(cell: CellFacts, usual: float, facts: Facts, settings: VerdictSetti
             found.append(("fair", text))
         elif growth < settings.shrunk:
             found.append(("poor", f"it has shrunk to {growth:.0%} of its volume"))
+    if cell.small:
+        text = "it is so small beside the PSF that a membrane looks like an inside"
+        found.append(("fair", f"{text}: say which of them shines (--structure)"))
     if cell.cut:
         found.append(("fair", "the border of the image cuts it: what lies beyond is a guess"))
     grade, reasons = _worst(g for g, _ in found), tuple(text for _, text in found)

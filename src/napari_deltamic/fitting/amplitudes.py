@@ -98,6 +98,11 @@ def may_shine(asked: StructureChoice, effects: Effects, mesh: Mesh, optics: Opti
         return "membrane"
     if asked != "auto":
         return asked
-    radii = np.cbrt(3 / (4 * np.pi) * np.abs(list(mesh.volumes().values())))
-    width = float(np.prod(optics.sigma_um)) ** (1 / 3)
-    return "both" if np.median(radii) > _TELLING * width else "membrane"
+    volumes = np.asarray(list(mesh.volumes().values()))
+    return "membrane" if hardly_wider(float(np.median(volumes)), optics) else "both"
+
+
+def hardly_wider(volume: float, optics: Optics) -> bool:
+    """Whether insides of a cell of so many um^3 look like membranes through the PSF."""
+    radius = np.cbrt(3 / (4 * np.pi) * abs(volume))
+    return bool(radius <= _TELLING * float(np.prod(optics.sigma_um)) ** (1 / 3))
