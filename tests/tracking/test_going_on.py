@@ -11,6 +11,8 @@ from movies import GRID, MIDDLE, NEAR, OPTICS, VOXEL, ball, drifting, tracked
 from napari_deltamic.geometry import Mesh
 from napari_deltamic.scene.effects import Effects
 from napari_deltamic.tracking import TrackSettings, track
+from napari_deltamic.tracking.between_frames import BetweenFrames
+from napari_deltamic.tracking.frames import Frame
 
 module = importlib.import_module("napari_deltamic.tracking.track")
 
@@ -53,9 +55,8 @@ def test_good_divisions_are_kept_where_others_are_not(monkeypatch):
     """Also in the last round: the bad one is left out, and the good one tried again."""
     shifts = (-4.0, 4.0)
     mesh = Mesh.merge([ball((0, 0, s), 3 * VOXEL) for s in shifts])
-    tracker = module._Tracker(
-        GRID, mesh, OPTICS, NEAR, TrackSettings(), Effects(), shared_ground=False
-    )
+    past = BetweenFrames(GRID, mesh, OPTICS, first=0)
+    tracker = module._Tracker(GRID, past, NEAR, TrackSettings(), Effects(), shared_ground=False)
     walls = [
         SimpleNamespace(
             cell=k + 1, point=MIDDLE + VOXEL * np.array([0, 0, s]), normal=np.array([0.0, 1, 0]),
@@ -64,7 +65,7 @@ def test_good_divisions_are_kept_where_others_are_not(monkeypatch):
         for k, s in enumerate(shifts)
     ]  # fmt: skip
 
-    def fitted(self, frame, pixels, start, *, wider=False):
+    def fitted(self, frame, start, *, wider=False):
         return SimpleNamespace(mesh=start.mesh), None
         yield
 
@@ -78,8 +79,8 @@ def test_good_divisions_are_kept_where_others_are_not(monkeypatch):
     monkeypatch.setattr(module, "proposals", proposals)
     monkeypatch.setattr(module, "explains", lambda before, after, cell, folded: cell == 1)
     events = []
-    image = np.ones(GRID.shape, np.float32)
-    states = tracker._divide(1, image, image > 0, SimpleNamespace(mesh=mesh), None, events)
+    frame = Frame.of(1, np.ones(GRID.shape), GRID)
+    states = tracker._divide(frame, SimpleNamespace(mesh=mesh), None, events)
     with pytest.raises(StopIteration) as end:
         next(states)
     assert [(e.kind, e.cell) for e in events] == [("divided", 1)]

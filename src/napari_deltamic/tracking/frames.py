@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -47,15 +48,38 @@ def check_series(images: Any) -> None:
         raise InputError("tracking needs a series of 3D images (T, Z, Y, X)")
 
 
-def check_shape(image: NDArray[Any], frame: int, grid: Grid) -> None:
-    """InputError for a frame that is no image of the grid."""
-    if image.ndim != 3:
-        raise InputError(f"frame {frame} is no 3D image: its shape is {image.shape}")
-    if image.shape != grid.shape:
-        raise InputError(
-            f"frame {frame} has shape {image.shape}, the others {grid.shape}: "
-            "all frames must be of one size"
-        )
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """An image of a series.
+
+    image : float32, with zeros where it is not known.
+    known : where it is.
+    """
+
+    number: int
+    image: NDArray[np.float32]
+    known: NDArray[np.bool_]
+
+    @staticmethod
+    def of(number: int, image: NDArray[Any], grid: Grid) -> Frame:
+        """Of an array. InputError for one that is no image of the grid."""
+        if image.ndim != 3:
+            raise InputError(f"frame {number} is no 3D image: its shape is {image.shape}")
+        if image.shape != grid.shape:
+            raise InputError(
+                f"frame {number} has shape {image.shape}, the others {grid.shape}: "
+                "all frames must be of one size"
+            )
+        if not np.issubdtype(image.dtype, np.number) or np.iscomplexobj(image):
+            raise InputError(f"an image of real numbers is needed, not of {image.dtype}")
+        values = image.astype(np.float32)
+        known = np.isfinite(values)
+        return Frame(number, np.where(known, values, 0).astype(np.float32), known)
+
+    @cached_property
+    def pixels(self) -> NDArray[np.float32]:
+        """The image with NaN where it is not known, as a fit takes it."""
+        return np.where(self.known, self.image, np.float32(np.nan))
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,112 @@
+"""What tracking keeps from the good frames so far: the next one starts from it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ..fitting.fit import fit
+from ..fitting.state import FitState
+from ..fitting.triangle_quality import median_edge
+from ..geometry.mesh import Mesh
+from ..optics import Optics
+from ..runs.settings import FitSettings
+from ..scene import Grid
+from ..scene.effects import Effects
+from .alarms import CellLook, looks
+from .frames import Frame, Quality
+from .result import Event, FrameResult
+from .track_rules import RULES
+
+
+class BetweenFrames:
+    """Mesh, PSF, cells and their motion after the last good frame; the seeds before the first.
+
+    Attributes
+    ----------
+    mesh, optics, frame
+        After the last good frame, and its number.
+    state
+        The end of its fit; None before the first.
+    edge
+        um: the median edge of the seeds.
+    quality
+        Judges frames by the last good ones.
+    looks, largest, velocities
+        Of each cell: what it looks like, the largest volume that it has had (um^3), um a frame.
+    next_cell
+        A number that no cell has had.
+    first
+        The first frame that is still to be tracked.
+    done
+        Good frames of an earlier run, the last ones.
+    """
+
+    def __init__(self, grid: Grid, mesh: Mesh, optics: Optics, first: int) -> None:
+        self.mesh, self.optics, self.frame = mesh, optics, first
+        self.state: FitState | None = None
+        self.edge = median_edge(mesh)
+        self.quality = Quality(grid, optics)
+        self.looks: dict[int, CellLook] = {}
+        self.largest: dict[int, float] = {}
+        self.velocities: dict[int, NDArray[np.float64]] = {}
+        self.next_cell = int(mesh.regions.max()) + 1
+        self.first = first
+        self.done: dict[int, FrameResult] = {}
+        self._grid = grid
+
+    def take(self, frame: Frame, state: FitState, mesh: Mesh, events: Sequence[Event]) -> None:
+        """A frame is done. mesh : without the cells that have gone."""
+        self.quality.accept(frame.pixels, state.loss)
+        self._see(frame.number, mesh, events)
+        self.state, self.optics = state, state.optics
+        self.edge = median_edge(mesh) if self.edge == 0 else self.edge
+
+    def resume(self, done: Sequence[FrameResult], settings: FitSettings) -> None:
+        """Go on after the last good one of some results."""
+        for result in done:
+            for cell in (*result.cells, *(d for e in result.events for d in e.daughters)):
+                self.next_cell = max(self.next_cell, cell + 1)
+            self.first = max(self.first, result.frame + 1)
+            if result.mesh is None:
+                continue
+            self._see(result.frame, result.mesh, result.events)
+            self.done[result.frame] = result
+            if settings.fit_psf and len(result.psf) == self.optics.parameters().numel():
+                numbers = torch.tensor(result.psf, dtype=self.optics.parameters().dtype)
+                self.optics = self.optics.with_parameters(numbers)
+        self.done = dict(sorted(self.done.items())[-RULES.frames.remembered :])
+
+    def recall(self, frame: Frame, settings: FitSettings, effects: Effects) -> None:
+        """What a frame of an earlier run left behind for those to come."""
+        result = self.done.get(frame.number)
+        if result is None or result.mesh is None:
+            return
+        if frame.known.any() and np.isfinite(result.loss):
+            self.quality.accept(frame.pixels, result.loss)
+        if frame.number == self.frame:
+            # The first state of a fit is its start.
+            settings = settings.model_copy(update={"levels": (1.0,)})
+            given = frame.pixels, self._grid, result.mesh, self.optics
+            self.state = next(fit(*given, settings=settings, effects=effects))
+
+    def expected(self, frame: int, share: float) -> Mapping[int, NDArray[np.float64]]:
+        """um: how far each cell moves until a frame, at a share of its velocity."""
+        frames = frame - self.frame
+        return {cell: share * frames * v for cell, v in self.velocities.items()}
+
+    def _see(self, frame: int, mesh: Mesh, events: Sequence[Event]) -> None:
+        """The cells as they are now, and how far they have moved since the last good frame."""
+        now, frames = looks(mesh), max(frame - self.frame, 1)
+        doubtful = {e.cell for e in events if e.kind == "alarm"}
+        self.velocities = {}
+        for cell, look in now.items():
+            old = None if cell in doubtful else self.looks.get(cell)
+            self.velocities[cell] = (
+                np.zeros(3) if old is None else (look.center - old.center) / frames
+            )
+            self.largest[cell] = max(look.volume, self.largest.get(cell, 0.0))
+        self.looks, self.mesh, self.frame = now, mesh, frame
