@@ -21,7 +21,7 @@ ROOMS = ("fitting", "evidence", "tracking", "geometry")
 PLAIN = {0, 1, 2, 0.5, -1}
 REASON = re.compile(
     r"measured|benchmark|docs/|chosen|paper|prototype|criterion|standard normal|\b(19|20)\d\d\b"
-    r"|so that|\belse\b|otherwise|would|could|since|because|hardly|rounding|precision|\bas \w+ does"
+    r"|so that|\belse\b|otherwise|would|could|since|because|hardly|rounding|precision|as [\w.]+ does"
     r"|\bseen\b|found|\bthan\b|enough|only|limits? of|definition|exact|whose|told|cannot|no use"
 )
 

@@ -1,0 +1,162 @@
+"""What an iteration of a fit takes, and how many a level needs: the numbers of a forecast."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import prod
+
+import numpy as np
+
+from ..fitting.level import LevelShape
+from ..fitting.schedule import Schedule
+from ..fourier.cost import Costs, Work
+from ..fourier.plan import Plan
+from ..geometry.mesh import Mesh
+from ..optics import Optics
+from ..runs.settings import FitSettings
+from ..scene import Grid
+
+
+@dataclass(frozen=True)
+class ForecastRules:
+    """What a forecast supposes of a fit, from measured ones.
+
+    Attributes
+    ----------
+    first, coarse, last
+        Iterations of the first level, of those between, and of the last one, from far away. Cow and
+        fish at 64^3 from a sphere, without noise and with 40 and 10 photons, levels 5 to 1: 10 to
+        20, then 30 each, and 20 to 50 at the end.
+    near_blur, near_coarse, near_last
+        Where seeds lie near the membranes, which is where the first blur is less than the first of
+        these. Measured with foams of 4 to 16 cells, levels 2 to 1: 32, 27 to 32, 15 to 50.
+    neighbours
+        Where cells touch, other neighbours are tried at the end: foams of 8, 16 and 32 cells took
+        182, 225 and 218 iterations from labels, an embryo of 56 cells 225.
+    freer
+        Times the last level where density or PSF are fitted as well. Measured on a ball: 15
+        iterations with the PSF, 13 without.
+    solves, apart
+        What an iteration does besides the rendering, in solves of the preconditioner, which is
+        measured alone: two of them and the steps between; keeping surfaces from crossing.
+    overhead
+        Calls of an iteration: they take the same time however small the scene, so that tiny fits
+        are not forecast as free.
+    factoring
+        Solves that the factors of the preconditioner's matrix take. Measured: 171, 147 and 29 for
+        642, 2562 and 10242 vertices.
+    truncated
+        Standard deviations to which images are blurred, as level.py does.
+    looks
+        Iterations after which all voxels are looked at; chosen by eye.
+    psf_below, psf_every
+        Blur, in widths of the PSF, from which on its numbers are fitted, as fit_objective.py does;
+        an iteration of so many adds four images for them. Measured on a ball in 40 x 56 x 56
+        voxels: 1.3 to 2.8 ms, where 1.9 were forecast.
+    window, more
+        Iterations that a level which goes on beyond what was expected still needs, or this share of
+        those that it has had: the end would always be near otherwise.
+    trusted
+        Iterations after which the pace of a fit counts as much as its forecast, since the first
+        ones say little.
+    teach
+        Iterations without which a fit teaches nothing: the first ones make what others find made.
+    farthest
+        Factor by which a forecast can be off: what is more was something else, because a machine
+        slept or another program had it.
+    """
+
+    first: int = 20
+    coarse: int = 30
+    last: int = 35
+    near_blur: float = 2.0
+    near_coarse: int = 25
+    near_last: int = 35
+    neighbours: int = 200
+    freer: float = 1.3
+    solves: float = 3.0
+    apart: float = 5.0
+    overhead: float = 1.0
+    factoring: float = 100.0
+    truncated: float = 3.5
+    looks: int = 10
+    psf_below: float = 1.2
+    psf_every: int = 5
+    window: int = 12
+    more: float = 0.1
+    trusted: float = 5.0
+    teach: int = 5
+    farthest: float = 30.0
+
+
+FORECAST = ForecastRules()
+
+
+def iterations_of(
+    settings: FitSettings, factors: Sequence[float], number: int, first: bool, tried: bool
+) -> int:
+    """Expected of a level; tried : whether other neighbours are."""
+    near = factors[0] < FORECAST.near_blur
+    if number < len(factors):
+        return FORECAST.near_coarse if near else FORECAST.first if first else FORECAST.coarse
+    if tried:
+        return FORECAST.neighbours
+    free = settings.fit_psf or settings.density != "uniform"
+    return round(
+        (FORECAST.near_last if near else FORECAST.last) * (FORECAST.freer if free else 1.0)
+    )
+
+
+def iteration_seconds(
+    costs: Costs,
+    plan: Plan,
+    shape: LevelShape,
+    mesh: Mesh,
+    near: float,
+    settings: FitSettings,
+    factor: float,
+) -> float:
+    """Seconds of one iteration, what is done every few of them included."""
+    vertices, voxels = len(mesh.vertices), prod(shape.grid.shape)
+    call = costs.rates(plan.single, True).call
+    seconds = costs.seconds(plan.work, plan.single) + FORECAST.overhead * call
+    seconds += near * costs.voxel + FORECAST.solves * vertices * costs.vertex
+    if settings.collisions:
+        seconds += FORECAST.apart * vertices * costs.vertex
+    if settings.density == "smooth":
+        seconds += FORECAST.solves / 2 * vertices * costs.vertex + call / 2
+    seconds += (len(mesh.faces) * costs.face + call) / Schedule().renewed_every
+    seconds += voxels * costs.voxel / FORECAST.looks
+    if settings.fit_psf and factor <= FORECAST.psf_below:
+        image = costs.rates(plan.single, False).seconds(Work(pixels=plan.work.pixels))
+        seconds += (4 * image + 8 * near * costs.voxel) / FORECAST.psf_every
+    return seconds
+
+
+def preparation_seconds(costs: Costs, shape: LevelShape, grid: Grid, mesh: Mesh) -> float:
+    """Seconds before the first iteration of a level: blurred images, plan, preconditioner."""
+    taps = 2 * FORECAST.truncated * np.divide(shape.blur, grid.voxel_size).sum() + 3
+    blurred = 2 * prod(grid.shape) * taps * costs.tap if any(shape.blur) else 0.0
+    return float(
+        blurred
+        + len(mesh.faces) * costs.face
+        + FORECAST.factoring * len(mesh.vertices) * costs.vertex
+    )
+
+
+def seen_voxels(shape: LevelShape, grid: Grid) -> float:
+    """Voxels of a level whose blur rests mostly on the image: not those at its rim."""
+    n = np.array(grid.shape) - 0.5 * np.divide(shape.blur, grid.voxel_size)
+    return float(np.prod(np.maximum(n, 0) / shape.step))
+
+
+def near_voxels(grid: Grid, optics: Optics, reach: float, factor: float, mesh: Mesh) -> float:
+    """Voxels of a grid within reach of a surface, about."""
+    sigma = factor * np.asarray(optics.sigma_um)
+    along = np.sqrt(((mesh.normals() * sigma) ** 2).sum(1)).clip(1e-12)
+    # Where the image of a flat piece falls to what level.py asks for.
+    distance = along * np.sqrt(reach**2 + 2 * np.log(sigma.max() / along))
+    shell = 2 * float(mesh.areas() @ distance)
+    around = float(np.prod(np.ptp(mesh.bounds(), axis=0) + 2 * reach * sigma))
+    return min(shell, around) / float(np.prod(grid.voxel_size))
