@@ -27,8 +27,21 @@ from ..fourier.spreading import choose_spreading, gaussian
 from ..geometry.mesh import Mesh
 from ..geometry.primitives import sphere
 
-_BUDGET = 0.8  # s, after which no further round is begun
-_ROUNDS = 5
+_BUDGET = 0.8  # s, after which no further round is begun, so that all takes about a second
+_ROUNDS = 5  # at most: a median of so many is hardly moved by one that was disturbed
+_PULL = 0.05  # towards the usual proportions: too weak to be seen where something was measured
+# What is timed: small and large, so that each cost is most of the time of some trial. Closed form:
+# subdivisions and radius (um) of a ball, wavevectors across.
+_CLOSED = ((2, 0.05, 9), (1, 0.01, 61), (1, 0.3, 31))
+# Particle-mesh, for the same reason, so that all widths are there: subdivisions of a ball,
+# wavevectors across, tolerance of the spreading.
+_SPREAD = ((0, 13, 2e-3), (3, 15, 2e-2), (3, 15, 2e-5), (1, 51, 2e-3))
+_RADIUS = 0.3  # um, of a ball in a cube of 1 um: any that fits would do
+_IMAGES = ((15, 32), (31, 60))  # wavevectors and voxels across: two, since there are two costs
+
+# Voxels, their size and the PSF's width (um), accuracy: the time of a plan hardly depends on them.
+_PLANNED = ((40,) * 3, (0.05,) * 3, (0.07,) * 3, 1e-3)
+_BLUR, _CUT, _TAPS = 3.0, 3.5, 21  # voxels; exact: 3.5 standard deviations to either side
 
 
 @dataclass(frozen=True)
@@ -92,9 +105,8 @@ def _solved(works: list[Work], seconds: list[float], single: bool, gradient: boo
     times = np.array(seconds)
     guess = np.array(astuple(BUILT_IN.rates(single, gradient)))
     scaled = matrix * guess / times[:, None]  # of the order of 1
-    # A pull towards the usual proportions, too weak to be seen where something was measured.
     level = float(np.median(1 / scaled.sum(1)))
-    weak = 0.05 * np.eye(len(guess))
+    weak = _PULL * np.eye(len(guess))
     factors, _ = nnls(
         np.vstack([scaled, weak]),
         np.concatenate([np.ones(len(times)), weak @ np.full(len(guess), level)]),
@@ -110,19 +122,13 @@ def _solved(works: list[Work], seconds: list[float], single: bool, gradient: boo
 def _trials(single: bool) -> list[_Trial]:
     kind = torch.complex64 if single else torch.complex128
     return [
-        _closed(2, 0.05, 9, single),
-        _closed(1, 0.01, 61, single),
-        _closed(1, 0.3, 31, single),
-        _particle_mesh(0, 13, 2e-3, single),
-        _particle_mesh(3, 15, 2e-2, single),
-        _particle_mesh(3, 15, 2e-5, single),
-        _particle_mesh(1, 51, 2e-3, single),
-        _image(15, 32, kind),
-        _image(31, 60, kind),
+        *(_closed(*trial, single) for trial in _CLOSED),
+        *(_particle_mesh(*trial, single) for trial in _SPREAD),
+        *(_image(*trial, kind) for trial in _IMAGES),
     ]
 
 
-def _ball(subdivisions: int, radius: float = 0.3) -> Mesh:
+def _ball(subdivisions: int, radius: float = _RADIUS) -> Mesh:
     return sphere((0.5, 0.5, 0.5), radius, subdivisions=subdivisions)
 
 
@@ -194,14 +200,17 @@ def _others() -> dict[str, tuple[Callable[[], object], float]]:
             (target.to(torch.float64) * residual.detach()).sum()
 
     def plan() -> None:
-        make_plan(mesh.vertices_numpy(), mesh.faces, (40,) * 3, (0.05,) * 3, (0.07,) * 3, 1e-3)
+        make_plan(mesh.vertices_numpy(), mesh.faces, *_PLANNED)
 
     block = np.zeros((30, 30, 30), np.float32)
     return {
         "vertex": (lambda: solve(columns), len(columns)),
         "voxel": (loss, voxels),
         "face": (plan, len(mesh.faces)),
-        "tap": (lambda: gaussian_filter(block, 3.0, truncate=3.5), block.size * 3 * 21),
+        "tap": (
+            lambda: gaussian_filter(block, _BLUR, truncate=_CUT),
+            block.size * 3 * _TAPS,
+        ),
     }
 
 

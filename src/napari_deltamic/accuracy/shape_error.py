@@ -23,11 +23,14 @@ from ..scene import Grid, render
 from .tradeoff import check_visible
 
 CHOICES = SHAPE_CHOICES
-DRAWS = 3
-DARK = 0.1  # background of a simulated image, relative to its peak
-ENOUGH = 1.05  # times the least error: what is no longer an improvement
-_SAMPLES = 6000
-_FEWEST, _MOST = 0.1, 1e6  # photons at the peak
+DRAWS = 3  # of noise: few, since each is a fit, but two would have hardly a spread
+DARK = 0.1  # background of a simulated image, relative to its peak; chosen by eye
+ENOUGH = 1.05  # times the least error: see :func:`enough` for what would add as much
+_SAMPLES = 6000  # points by which surfaces are compared: a mean of so many is exact to about 1 %
+_FEWEST, _MOST = 0.1, 1e6  # photons at the peak: no camera has less or could hold more
+_EXACT = 1e-6  # accuracy of a simulated image, so that only noise makes an error
+_BRIGHTEST = 99.9  # percentile that is the peak: a single voxel would depend on where it lies
+_SHRUNK = 0.1  # of its size, by which a start is smaller; chosen by eye
 
 
 @dataclass(frozen=True)
@@ -171,7 +174,7 @@ def enough(found: Sequence[ShapeError]) -> str:
     return min(good, key=lambda e: e.seconds).choice
 
 
-def shrunk(mesh: Mesh, share: float = 0.1) -> Mesh:
+def shrunk(mesh: Mesh, share: float = _SHRUNK) -> Mesh:
     """Each connected piece smaller by a share, about its middle."""
     v, pieces = mesh.vertices_numpy().copy(), components(mesh)
     for piece in range(int(pieces.max()) + 1):
@@ -183,7 +186,7 @@ def shrunk(mesh: Mesh, share: float = 0.1) -> Mesh:
 
 def _expected(truth: Mesh, grid: Grid, optics: Optics) -> np.ndarray:
     """Background and signal, whose peak is 1."""
-    clean = render(truth, grid, optics, 1e-6).numpy().astype(np.float64).clip(0)
+    clean = render(truth, grid, optics, _EXACT).numpy().astype(np.float64).clip(0)
     check_visible(float(clean.sum()), truth)
-    peak = float(np.percentile(clean, 99.9)) or float(clean.max())
+    peak = float(np.percentile(clean, _BRIGHTEST)) or float(clean.max())
     return DARK + clean / peak

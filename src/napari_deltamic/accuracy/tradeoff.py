@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..common.choices import RENDERED_ACCURACY
 from ..errors import InputError
 from ..fourier import Band, Plan, make_plan
 from ..fourier.cost import Costs, count_work
@@ -26,11 +27,14 @@ from ..scene.grid import Grid
 from ..scene.memory import Peak
 from .machine_costs import costs as known_costs
 
-THRESHOLDS = (1e-1, 1e-2, 1e-3, 1e-4)  # of |OTF|, at the edge of a band
-PLANNED = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 1e-4, 1e-5, 1e-6)  # accuracies asked of the planner
-_RULE_THRESHOLD = 1e-4  # of the band that the rules are compared on
+# What is compared: |OTF| at the edge of a band, and accuracies asked of the planner, so that a
+# chart covers all that anybody would take.
+THRESHOLDS = (1e-1, 1e-2, 1e-3, 1e-4)
+PLANNED = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 1e-4, 1e-5, 1e-6)
+_RULE_THRESHOLD = 1e-4  # of the band that rules are compared on: its own error is hardly seen
 _TOLERANCE = {True: 3e-5, False: 1e-12}  # of its transform, by precision
 _FINEST = 1e-9  # accuracy of the reference where the exact one takes too long
+_VISIBLE = 1e-4  # of a mesh's area: an image that shows less shows only the rim of its PSF
 _REPEATS, _ENOUGH = 3, 1.0  # of a timing; s after which one is enough
 
 Device = Literal["cpu", "cuda"]
@@ -107,7 +111,7 @@ def measure_ways(
     mesh: Mesh,
     grid: Grid,
     optics: Optics,
-    accuracy_in_use: float = 1e-3,
+    accuracy_in_use: float = RENDERED_ACCURACY,
     *,
     budget: float = 10.0,
     costs: Costs | None = None,
@@ -198,6 +202,7 @@ def with_front(ways: Iterable[Way]) -> list[Way]:
 
 def duration(seconds: float) -> str:
     """A time in words that fit a table."""
+    # Limits below which two digits of the unit tell more than those of the next one would.
     for limit, unit, size in ((9.95e-2, "ms", 1e-3), (90, "s", 1), (5400, "min", 60)):
         if seconds < limit:
             return f"{seconds / size:.2g} {unit}"
@@ -247,7 +252,7 @@ class _Scene:
         self, threshold: float, degree: int | None, single: bool, costs: Costs
     ) -> _Candidate:
         """The closed form (no degree), or one rule on every face, on a band (0: the full grid)."""
-        fft, size = self.padded(min(threshold, 1e-4)), self.grid.voxel_size
+        fft, size = self.padded(min(threshold, _RULE_THRESHOLD)), self.grid.voxel_size
         aligned = self.optics.diagonal
         if threshold == 0:
             band = Band.full(fft, size)
@@ -345,7 +350,7 @@ def _relative(found: Tensor, exact: Tensor) -> float:
 
 def check_visible(total: float, mesh: Mesh) -> None:
     """InputError unless an image with this sum shows some of the mesh: all of it is its area."""
-    if not total > 1e-4 * float(mesh.areas() @ mesh.membranes()):
+    if not total > _VISIBLE * float(mesh.areas() @ mesh.membranes()):
         raise InputError("the image of the mesh is empty: does it lie inside the grid?")
 
 

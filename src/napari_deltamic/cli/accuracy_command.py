@@ -29,6 +29,7 @@ from ..accuracy.forecast import Forecast, forecast
 from ..accuracy.machine_costs import costs
 from ..accuracy.shape_error import DRAWS, ShapeError, photons_for, shape_errors
 from ..accuracy.tradeoff import Way, duration, measure_ways, with_front
+from ..common.choices import RENDERED_ACCURACY
 from ..common.writing import make_folder, write_atomically
 from ..errors import failure
 from ..fitting import fit
@@ -44,8 +45,6 @@ from ..scene import Grid
 from .inputs import gather
 from .messages import Notes, tell
 from .optics_arguments import OPTICS_ARGUMENTS, optics_from_arguments
-
-_RENDERED = 1e-3  # accuracy of a scene without an image, as that of `render`
 
 
 @dataclass(frozen=True)
@@ -111,7 +110,7 @@ def _from_mesh(arguments: argparse.Namespace) -> _Scene:
     optics = optics_from_arguments(arguments)
     mesh = load_mesh(arguments.scene)
     check_mesh(mesh, grid)
-    accuracy = _RENDERED if arguments.accuracy is None else arguments.accuracy
+    accuracy = RENDERED_ACCURACY if arguments.accuracy is None else arguments.accuracy
     return _Scene(Path(arguments.scene).name, mesh, grid, optics, accuracy)
 
 

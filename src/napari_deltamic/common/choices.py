@@ -13,6 +13,10 @@ Likelihood = Literal["poisson", "gaussian", "paper"]
 Structure = Literal["membrane", "interior", "both"]
 StructureChoice = Literal["auto", "membrane", "interior", "both"]
 
+# Relative L2 error of an image that is rendered where nobody says more: hardly seen, and
+# below the noise of nearly all images.
+RENDERED_ACCURACY = 1e-3
+
 Modality = Literal["widefield", "confocal", "spinning disk", "light sheet"]
 PSFModel = Literal["gaussian", "scalar", "gibson-lanni", "vectorial", "pupil"]
 Bead = Literal["solid", "shell"]

@@ -26,7 +26,10 @@ from ..optics import GaussianPSF, Optics
 from ..scene import Grid, Scene, Solid, Surface, render_scene
 from .part_images import part_images
 
-_NUDGE = 0.1  # of a width, of the PSF: differences for derivatives
+# Of a width of the PSF: differences for derivatives, large enough for images of that accuracy.
+_NUDGE = 0.1
+# Of the mean diagonal: what nothing determines gets an enormous error, else it would have none.
+_RIDGE_OF_POSE, _RIDGE_OF_DENSITIES = 1e-9, 1e-10
 
 
 @dataclass(frozen=True)
@@ -37,8 +40,9 @@ class ChannelSettings:
         errors.
     register : whether shift and PSF width of the channel are fitted.
     accuracy : relative, of the image of each part; a choice: below the noise of any channel.
-    most_shift : um; a channel further away is not looked for. Chromatic shifts are below 1 um.
-    most_steps : Gauss-Newton steps of shift and width.
+    most_shift : um; a channel further away is not looked for, since chromatic shifts are below 1.
+    most_steps : Gauss-Newton steps of shift and width; they end earlier where nothing changes, so
+        that only a search that goes astray takes as many.
     settled : of the PSF's width: a smaller change of shift ends the steps.
     most_parts : more walls and cells are not solved for: the matrix of errors is dense.
     """
@@ -187,7 +191,7 @@ class _Channel:
         left -= columns @ self.solved(columns, left)[0]
         left *= root[:, None]
         matrix = left[:, :-1].T @ left[:, :-1]
-        ridge = 1e-9 * np.trace(matrix) / len(matrix)
+        ridge = _RIDGE_OF_POSE * np.trace(matrix) / len(matrix)
         if not ridge > 0:
             raise InputError("the channel shows nothing of this mesh")
         ridged = matrix + ridge * np.eye(len(matrix))
@@ -230,7 +234,7 @@ class _Channel:
         scale = np.sqrt(matrix.diagonal())
         seen = scale > 0
         scaled = matrix[np.ix_(seen, seen)] / np.outer(scale[seen], scale[seen])
-        factor = cho_factor(scaled + 1e-10 * np.eye(int(seen.sum())))
+        factor = cho_factor(scaled + _RIDGE_OF_DENSITIES * np.eye(int(seen.sum())))
         right = np.asarray(weighted.T @ table)[seen] / scale[seen, None]
         found, variance = np.zeros((len(scale), table.shape[1])), np.full(len(scale), nan)
         found[seen] = cho_solve(factor, right) / scale[seen, None]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, log10
 
@@ -13,7 +12,9 @@ from scipy import ndimage
 from napari_deltamic.errors import InputError
 
 SSIM_SIGMA = 1.5  # voxels: the Gaussian window of the paper that introduced SSIM
-_C1, _C2 = 0.01**2, 0.03**2  # its constants, in squared ranges
+_RANGE = (0.1, 99.9)  # percentiles: single hot voxels would be the range otherwise
+_CUT = 3.5  # standard deviations of the window: beyond is less than a thousandth of it
+_C1, _C2 = 0.01**2, 0.03**2  # constants of that paper, in squared ranges
 
 
 @dataclass(frozen=True)
@@ -37,8 +38,6 @@ def image_similarity(
     measured: ArrayLike,
     rendered: ArrayLike,
     voxels: ArrayLike | None = None,
-    *,
-    window: Sequence[float] = (SSIM_SIGMA,) * 3,
 ) -> ImageSimilarity:
     """Compare a rendered image with a measured one; amplitude and background are solved for.
 
@@ -51,7 +50,6 @@ def image_similarity(
     ----------
     measured, rendered : (Z, Y, X)
     voxels : (Z, Y, X) bool, those that count; default all. Not finite ones never do.
-    window : voxels, Z Y X: the standard deviations of the window of SSIM.
 
     Raises
     ------
@@ -66,14 +64,14 @@ def image_similarity(
         counted &= np.asarray(voxels, bool)
     if not counted.any():
         raise InputError("no voxel is left to compare")
-    low, high = np.percentile(image[counted], (0.1, 99.9))
+    low, high = np.percentile(image[counted], _RANGE)
     if not high > low:
         raise InputError("the measured image is flat")
     image = (np.where(counted, image, low) - low) / (high - low)
     amplitude, background = _scale(model[counted], image[counted])
     model = np.where(counted, amplitude * model + background, 0.0)
     mse = float(((image - model)[counted] ** 2).mean())
-    ssim = float(_ssim(image, model, window)[counted].mean())
+    ssim = float(_ssim(image, model)[counted].mean())
     psnr = -10 * log10(mse) if mse > 0 else inf
     span = float(high - low)
     return ImageSimilarity(mse, psnr, ssim, amplitude * span, background * span + float(low))
@@ -86,11 +84,9 @@ def _scale(model: NDArray[np.float64], image: NDArray[np.float64]) -> tuple[floa
     return amplitude, float(image.mean() - amplitude * model.mean())
 
 
-def _ssim(
-    a: NDArray[np.float64], b: NDArray[np.float64], window: Sequence[float]
-) -> NDArray[np.float64]:
+def _ssim(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
     def mean(x: NDArray[np.float64]) -> NDArray[np.float64]:
-        smooth: NDArray[np.float64] = ndimage.gaussian_filter(x, window, truncate=3.5)
+        smooth: NDArray[np.float64] = ndimage.gaussian_filter(x, SSIM_SIGMA, truncate=_CUT)
         return smooth
 
     mean_a, mean_b = mean(a), mean(b)

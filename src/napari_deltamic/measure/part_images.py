@@ -12,7 +12,7 @@ from ..geometry.mesh import FloatArray, Mesh
 from ..optics import Optics
 from ..scene import Grid, Scene, Solid, Surface, render_scene
 
-_DIM = 1e-4  # of a column's brightest voxel: what is darker is left out
+_DIM = 1e-4  # of a column's brightest voxel: what is darker is less than the images' error
 
 
 def part_images(

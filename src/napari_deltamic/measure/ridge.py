@@ -14,9 +14,12 @@ from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.labels.basins import pixel_noise
 from napari_deltamic.geometry.mesh import Mesh
 
-STEPS_PER_VOXEL = 4
+STEPS_PER_VOXEL = 4  # of a profile: narrower than any ridge could be
+ROUNDING = 1e-6  # of the image's range: errors of that size on smooth slopes would be peaks
 LATERAL_LIMIT = 0.5  # |normal along Z| below this: the profile runs mostly within planes
-NOISE_LIMIT = 4.0
+REACH = 0.8  # um to either side: further away could be the membrane of a neighbour
+CONTRAST = 0.3  # of a profile's range: less is only a bump on the flank of another peak
+NOISE_LIMIT = 4.0  # standard deviations: hardly a profile of noise has such a peak
 
 
 @dataclass(frozen=True)
@@ -66,9 +69,9 @@ def ridge_distance(
     image: ArrayLike,
     voxel_size: Sequence[float],
     origin: Sequence[float] = (0.0, 0.0, 0.0),
-    reach_um: float = 0.8,
+    reach_um: float = REACH,
     *,
-    contrast: float = 0.3,
+    contrast: float = CONTRAST,
     smoothing_um: float | None = None,
 ) -> RidgeDistance:
     """Find the membrane along the normal of each face, to a fraction of a voxel.
@@ -126,9 +129,10 @@ def ridge_distance(
         profiles += values.reshape(profiles.shape) / len(spots)
     profiles = ndimage.gaussian_filter1d(profiles, sigma / step, axis=1, mode="nearest")
     offset = np.full(len(normals), np.nan)
-    # The last term keeps rounding errors on smooth slopes from being peaks.
     least = (
-        NOISE_LIMIT * pixel_noise(data) / len(spots) ** 0.5 + 1e-6 * float(np.ptp(data)) + 1e-300
+        NOISE_LIMIT * pixel_noise(data) / len(spots) ** 0.5
+        + ROUNDING * float(np.ptp(data))
+        + 1e-300
     )
     offset[within] = [step * (_nearest_peak(p, least, contrast) - half) for p in profiles]
     lateral = np.abs(normals[:, 0]) < LATERAL_LIMIT

@@ -28,7 +28,8 @@ class ErrorSettings:
         ``benchmarks.measurements``: areas of tori, which flat triangles are off by 1.6 %, came out
         right within 0.07 %.
     known
-        Share of the replicas on which a number must be measurable to have an error.
+        Share of the replicas on which a number must be measurable to have an error: the spread of
+        those on which it happens to be would be too small.
     """
 
     share: float = 0.05

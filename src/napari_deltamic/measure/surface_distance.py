@@ -10,8 +10,9 @@ from scipy.spatial import cKDTree
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
 
-_MAX_PAIRS = 2_000_000  # point-triangle pairs at a time, for memory
-_MAX_PARTS = 500_000
+# Point-triangle pairs at a time, and parts of triangles: each takes some 100 bytes, and more would
+# not be faster.
+_MAX_PAIRS, _MAX_PARTS = 2_000_000, 500_000
 _PATIENCE = 256  # nearest sites looked at before 0.1 % is good enough
 
 
@@ -88,7 +89,7 @@ def distance_to_surface(points: FloatArray, mesh: Mesh) -> FloatArray:
     # edge is at most radius away: so the site is at most sqrt(best**2 + radius**2) from the query.
     while len(left):
         n_near = min(n_near, len(sites))
-        slack = 1.0 if n_near < _PATIENCE else 0.999
+        slack = 1.0 if n_near < _PATIENCE else 0.999  # good enough then
         unresolved = []
         for chunk in np.array_split(left, max(1, len(left) * n_near // _MAX_PAIRS)):
             reach, near = tree.query(points[chunk], k=np.arange(1, n_near + 1))
@@ -141,7 +142,7 @@ def _sites(mesh: Mesh) -> tuple[FloatArray, float, IntArray]:
     return (
         np.concatenate([vertices[corners], middles, centers]),
         # Rounding must not exclude a site.
-        max(radius, float((length / n_parts).max()) / 2) * (1 + 1e-9),
+        max(radius, float((length / n_parts).max()) / 2) * (1 + 1e-9),  # rounding
         np.concatenate([first_corner // 3, first_edge[edge] // 3, owner]),
     )
 

@@ -55,7 +55,7 @@ class Estimate:
     reason: str = ""
 
 
-_RIDGE = 1e-8  # of the mean diagonal: tensions that nothing determines get an enormous error
+_RIDGE = 1e-8  # of the mean diagonal: else what nothing determines would have no error
 
 
 def relative_tensions(

@@ -8,7 +8,13 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from ..common.choices import DensityModel, DeviceChoice, Likelihood, StructureChoice
+from ..common.choices import (
+    RENDERED_ACCURACY,
+    DensityModel,
+    DeviceChoice,
+    Likelihood,
+    StructureChoice,
+)
 from ..common.description import setting
 from ..errors import InputError
 
@@ -185,7 +191,7 @@ class FitSettings(Settings):
     @property
     def image_accuracy(self) -> float:
         """``accuracy``, or that of a rendering without an image where it is left to the noise."""
-        return 1e-3 if self.accuracy is None else self.accuracy
+        return RENDERED_ACCURACY if self.accuracy is None else self.accuracy
 
     @field_validator("shape_error", mode="before")
     @classmethod

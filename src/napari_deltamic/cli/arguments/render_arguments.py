@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from ...common.choices import IMAGE_FILES, ZARR
+from ...common.choices import IMAGE_FILES, RENDERED_ACCURACY, ZARR
 from ...errors import InputError
 from ...geometry.formats import MESH_FILES_LISTED
 from ..optics_arguments import add_grid_and_optics, optics_values
@@ -27,7 +27,7 @@ def add_parser(commands: Any) -> None:
     add(
         "--accuracy",
         type=float,
-        default=1e-3,
+        default=RENDERED_ACCURACY,
         metavar="A",
         help="relative L2 error of the image; 0 is the closed form (default: %(default)s)",
     )
