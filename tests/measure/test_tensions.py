@@ -6,7 +6,7 @@ import pytest
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.double_bubble import DoubleBubble
 from napari_deltamic.measure import Junction, TensionSettings, measure, relative_tensions
-from napari_deltamic.measure.tensions import Estimate, relative_pressures, walls_of
+from napari_deltamic.measure.tensions import Estimate, relative_pressures, walls_around
 
 WALLS = [(1, 0), (2, 0), (2, 1)]
 
@@ -61,10 +61,10 @@ def test_each_cluster_has_a_mean_of_one():
         junction((0, 1, 2), DoubleBubble(1.0, (1.0, 1.0, 1.5)).angles),
         junction((3, 4, 5), DoubleBubble(1.0, (2.0, 2.0, 2.0)).angles),
     )
-    walls = [*walls_of(one), *walls_of(other), (9, 0)]
+    walls = [*walls_around(one.regions), *walls_around(other.regions), (9, 0)]
     found = relative_tensions([one, other], walls)
     for each in (one, other):
-        assert np.mean([found[w].value for w in walls_of(each)]) == pytest.approx(1)
+        assert np.mean([found[w].value for w in walls_around(each.regions)]) == pytest.approx(1)
     assert found[(9, 0)] == Estimate(reason="no junction whose angles could be measured")
 
 

@@ -1,4 +1,4 @@
-"""Changing a mesh by hand: where it is touched, and how far each vertex goes with the touch."""
+"""Changing a mesh by hand: where it is touched, and how far each vertex follows."""
 
 from __future__ import annotations
 
@@ -99,10 +99,10 @@ def touched_on_section(
 
 
 def falloff(mesh: Mesh, touch: Touch, radius: float) -> FloatArray:
-    """How much of a displacement each vertex takes part in.
+    """The share of a displacement that each vertex follows.
 
     ``(1 - (d / r)^2)^2`` with the distance d from the touch: 1 there, and flat at both ends. Only
-    what hangs together with the touched face within the radius r moves, so the far side of a thin
+    what is connected with the touched face within the radius r moves, so the far side of a thin
     cell stays. Where no vertex is near, the brush is as large as the touched face needs.
 
     Parameters
@@ -127,7 +127,7 @@ def falloff(mesh: Mesh, touch: Touch, radius: float) -> FloatArray:
 
 
 def _together(mesh: Mesh, within: np.ndarray, corners: IntArray) -> np.ndarray:
-    """(V,) bool: what of a set of vertices hangs together with some corners."""
+    """(V,) bool: those of a set of vertices that are connected with some corners."""
     within = within.copy()
     within[corners] = True
     edges = mesh.edges()

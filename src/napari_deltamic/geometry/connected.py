@@ -1,4 +1,4 @@
-"""What hangs together."""
+"""Groups of things that are connected."""
 
 from __future__ import annotations
 

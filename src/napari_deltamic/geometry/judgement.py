@@ -1,4 +1,4 @@
-"""What is thought of the shape of one cell."""
+"""How good the shape of one cell is."""
 
 from __future__ import annotations
 

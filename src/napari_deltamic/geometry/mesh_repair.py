@@ -273,7 +273,7 @@ def _is_direct(faces: IntArray) -> NDArray[np.bool_]:
 
 
 def _patches(edge: IntArray, n_edges: int) -> IntArray:
-    """Number the groups of faces, (n, 3) edges each, that hang together by edges."""
+    """Number the groups of faces, (n, 3) edges each, that are connected by edges."""
     n_faces = len(edge)
     rows = np.repeat(np.arange(n_faces), 3)
     links = np.column_stack([rows, n_faces + edge.reshape(-1)])

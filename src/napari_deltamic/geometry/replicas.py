@@ -1,4 +1,4 @@
-"""A fitted surface, and where it might as well have ended."""
+"""A fitted surface and displacements that are as likely as it is."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from .mesh import FloatArray, Mesh
 
 @dataclass(frozen=True, eq=False)
 class Replicas:
-    """What errors of whatever is measured on a surface are told from.
+    """From what the errors of measurements on a surface are estimated.
 
     Attributes
     ----------

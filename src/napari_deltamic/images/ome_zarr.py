@@ -1,4 +1,4 @@
-"""OME-Zarr (OME-NGFF 0.4 and 0.5): folders of chunks, read as lazily as one wants.
+"""OME-Zarr (OME-NGFF 0.4 and 0.5): folders of chunks, read lazily.
 
 The format: https://ngff.openmicroscopy.org. Needs the package zarr, and says so where it is not.
 """

@@ -55,10 +55,10 @@ CELL_COLUMNS = (
         """
         cut_by_border: yes where it reaches beyond the outermost voxels, else no
         explained: share of what varies around it that the fit explains
-        grade: good, fair or poor: what is to be thought of its shape
+        grade: good, fair or poor: how good its shape is
         shape_error_um: what its surface is thought to be off by: noise, misfit, prior, what the
             model lacks
-        note: why cells of this row are empty, and what to mind
+        note: why cells of this row are empty, and caveats
         """
     ),
 )

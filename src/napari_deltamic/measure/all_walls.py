@@ -38,7 +38,7 @@ WALL_COLUMNS = (
     *columns(
         """
         n_faces: triangles of the wall
-        note: why cells of this row are empty, and what to mind
+        note: why cells of this row are empty, and caveats
         """
     ),
 )
@@ -59,7 +59,7 @@ JUNCTION_COLUMNS = (
     *error_columns("junctions"),
     *columns(
         """
-        note: why cells of this row are empty, and what to mind
+        note: why cells of this row are empty, and caveats
         """
     ),
 )

@@ -31,9 +31,9 @@ class Known:
     grid : of the image that it was fitted to.
     density : (F,) fluorophores per um^2 of each membrane, relative to their mean or not.
     resolution : um; the PSF's standard deviation, the geometric mean of the three axes.
-    replicas : where the fit might as well have ended; errors are told from them.
+    replicas : displacements as likely as the fit's own end, for errors.
     explained : for a region, the share of what varies around it that the fit explains.
-    judgements : for a region, what is thought of its shape.
+    judgements : for a region, how good its shape is.
     """
 
     grid: ImageGrid | None = None

@@ -38,7 +38,7 @@ def known_of(
     replicas
         As from :func:`replicas_at`.
     judgements
-        For a region, what is thought of its shape.
+        For a region, how good its shape is.
     """
     return Known(
         grid=grid,
@@ -58,7 +58,7 @@ def resolution_of(optics: Optics) -> float:
 def replicas_at(
     image: np.ndarray, grid: Grid, state: FitState, settings: FitSettings | None = None
 ) -> Replicas:
-    """Where a fit might as well have ended, for the errors of whatever is measured at its end.
+    """Displacements as likely as the fit's own end, for the errors of what is measured there.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Standard errors of whatever is measured, and what it is off by in the mean.
+"""Standard errors and biases of what is measured.
 
 A number measured on a fitted mesh is off by noise, and in the mean by three things that are the
 same in every image: roughness that noise leaves on the surface adds area, flat triangles are not
@@ -21,7 +21,7 @@ Tables = tuple[Table, ...]
 
 @dataclass(frozen=True)
 class ErrorSettings:
-    """How standard errors are told.
+    """How standard errors are estimated.
 
     share
         Of what a number is corrected by, what the correction itself may be off by. From
@@ -99,7 +99,7 @@ def error_columns(table: str) -> tuple[Column, ...]:
     found = []
     for name, unit in MEASURED[table]:
         words = name.replace("_", " ")
-        off = f"what the {words} of the mesh is off by in the mean, and was corrected by"
+        off = f"bias of the {words} of the mesh, by which it was corrected"
         found += [
             Column(f"{name}_se{unit}", f"standard error of the {words}"),
             Column(f"{name}_bias{unit}", off),

@@ -84,7 +84,7 @@ def relative_tensions(
     """
     settings = settings or TensionSettings()
     found = {wall: Estimate(reason="no junction whose angles could be measured") for wall in walls}
-    seen = sorted({wall for j in junctions for wall in walls_of(j)})
+    seen = sorted({wall for j in junctions for wall in walls_around(j.regions)})
     if len(seen) > settings.most_walls:
         reason = f"more than {settings.most_walls} walls: tensions are not solved for"
         return {wall: Estimate(reason=reason) for wall in walls}
@@ -152,11 +152,6 @@ def relative_pressures(
     return found
 
 
-def walls_of(junction: Junction) -> tuple[Pair, Pair, Pair]:
-    """The three walls of a junction of regions a < b < c: (b, a), (c, b), (c, a)."""
-    return walls_around(junction.regions)
-
-
 def walls_around(regions: tuple[int, int, int]) -> tuple[Pair, Pair, Pair]:
     """The three walls where regions a < b < c meet: (b, a), (c, b), (c, a)."""
     a, b, c = regions
@@ -167,7 +162,7 @@ def _clusters(junctions: Sequence[Junction], index: Mapping[Pair, int]) -> list[
     """Junctions that share walls, directly or through others."""
     if not junctions:
         return []
-    ends = [[index[wall] for wall in walls_of(j)] for j in junctions]
+    ends = [[index[wall] for wall in walls_around(j.regions)] for j in junctions]
     one = [e[0] for e in ends for _ in range(2)]
     other = [e[k] for e in ends for k in (1, 2)]
     shape = (len(index), len(index))
@@ -189,7 +184,7 @@ def _equations(
         directions = np.array([0.0, b, b + c])
         errors = np.radians(np.hypot(junction.errors(resolution), floor))
         weight = 1 / float(np.sqrt((errors**2).mean()))
-        for wall, angle in zip(walls_of(junction), directions, strict=True):
+        for wall, angle in zip(walls_around(junction.regions), directions, strict=True):
             rows[2 * k, index[wall]] += weight * np.cos(angle)
             rows[2 * k + 1, index[wall]] += weight * np.sin(angle)
     return rows

@@ -87,7 +87,7 @@ def html_page(source: Measurable, measured: Measurements) -> str:
 
 
 def _verdict(source: Measurable, measured: Measurements) -> str:
-    """What there is, how the fit ended, and what to mind."""
+    """What was found, how the fit ended, and its caveats."""
     cells, walls, junctions = (len(table.rows) for table in measured.tables)
     lines = [f"{cells} cells, {walls} walls, {junctions} junctions"]
     facts = source.facts

@@ -1,4 +1,4 @@
-"""What is to be thought of a fit that has ended, of its cells, and of what it left out."""
+"""How good a finished fit is, and each of its cells, and what it left out."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from ..measure.of_fit import known_of
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """What is thought of the end of a fit, and of each of its cells.
+    """How good the end of a fit is, and each of its cells.
 
     found : what it leaves unexplained.
     cells : all that is measured, by region.
@@ -42,7 +42,7 @@ class Compared:
 
     rendered : (Z, Y, X).
     difference : (Z, Y, X) measured minus rendered, in standard deviations of the noise.
-    judged : what is thought of the end of a fit.
+    judged : how good the end of the fit is.
     """
 
     rendered: NDArray[np.float32]

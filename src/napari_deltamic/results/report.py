@@ -116,7 +116,7 @@ def write_results(
     warnings : remarks that a reader of the report should see.
     further : sections of the report besides those that every fit has.
     explained : for a region, the share of what varies around it that the fit explains.
-    verdict : what is to be thought of the shapes: for the report and the table of cells.
+    verdict : how good the shapes are: for the report and the table of cells.
 
     Returns
     -------

@@ -267,7 +267,7 @@ def _box_around(mask: Mask) -> tuple[slice, ...]:
 
 
 def _mark_cuts(markers: NDArray[np.int_], box: tuple[slice, ...], shape: tuple[int, ...]) -> None:
-    """Give the sides where the box cuts the image to the other territory, so that none leaks."""
+    """Mark the sides where the box cuts the image as beyond the object, so that none leaks."""
     for axis in range(3):
         sides = np.moveaxis(markers, axis, 0)
         for side, cut in ((0, box[axis].start > 0), (-1, box[axis].stop < shape[axis])):

@@ -9,25 +9,31 @@ from dataclasses import dataclass
 class FindingRules:
     """When *Find cells* sees a cell. Lengths are in diameters of a cell.
 
+    Measured on twelve clusters of benchmarks/defaults/tissues.py with their true size, and on the
+    embryo of benchmarks/clusters: 48 % of their cells are found, and 46 of 56. What a quarter less
+    and a third more of a number changes that to is told with it.
+
     Attributes
     ----------
     smoothing, sharpest
         Standard deviation of the image in which walls are sought, and the least, in the smallest
-        sides of a voxel.
+        sides of a voxel. Measured: 48 and 48 %, 45 and 44; of the least 44 and 40 %, 46 and 46.
     seed_smoothing
-        Of the copy whose minima start the regions.
+        Of the copy whose minima start the regions. Measured: 50 and 48 %, 46 and 44.
     finest
         Voxels smaller than this are put together, for speed.
     percentiles
         Of the smoothed image, its dark and bright level: single voxels would decide otherwise.
     floor, floor_noise
         Added before the logarithm: this part of the contrast, and not less than so many standard
-        deviations of the noise, or noise in dark places would look like walls.
+        deviations of the noise, or noise in dark places would look like walls. Measured, of the
+        first: 52 and 41 %, 47 and 44.
     join_below
         Two regions are one where the wall between them is lower: the logarithm of its brightness
-        over that of the inside.
+        over that of the inside. Measured: 48 and 47 %, 47 and 43.
     wall
-        So far above the inside, in the same units, a place on a surface counts as wall.
+        So far above the inside, in the same units, a place on a surface counts as wall. Measured:
+        48 and 48 %, 46 and 45.
     bound
         Heights count up to this where regions are joined: where a contact ends, in the bright walls
         around it, is no wall of its own.
@@ -37,9 +43,11 @@ class FindingRules:
     enclosed, enclosed_at_border
         Least share of a cell's surface that is on a wall. The more of it lies on the border of the
         image the better the rest must be enclosed, up to the second: corners of the outside have
-        walls on one side, cut cells all around.
+        walls on one side, cut cells all around. Measured, of the first: 48 and 47 %, 47 and 42.
     height
-        Least mean height over all of it: the edges of noise have up to 0.7.
+        Least mean height over all of it: the edges of noise have up to 0.7. Measured: 79 and 8 %,
+        46 and 43. So 0.58 would find many more of the dim cells, and two to five times as many in
+        smoothed noise, where there are none.
     sizes
         Smallest and largest diameter that is kept, in parts of the size asked for: what is less or
         more is a piece, or several, so that a rough size is enough.

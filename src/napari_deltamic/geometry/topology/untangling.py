@@ -66,7 +66,7 @@ def untangled(mesh: Mesh, edge: float | None = None) -> Rearranged:
 
 
 def _crossing_clusters(mesh: Mesh, found: IntArray) -> list[IntArray]:
-    """Rows of the faces of each cluster, of vertices that hang together or cross, where any do."""
+    """Rows of the faces of each cluster, of vertices that are connected or cross, where any do."""
     vertices = mesh.edges()[found[:, 0]][:, 0]
     links = np.concatenate([mesh.edges(), np.column_stack([vertices, mesh.faces[found[:, 1], 0]])])
     cluster = connected(links, len(mesh.vertices))
