@@ -15,6 +15,7 @@ from typing import Any
 
 from napari_deltamic.cli import fit_command, main
 from napari_deltamic.common import writing
+from napari_deltamic.fitting import job
 
 # Where a run may be ended: after an iteration, with half a file written, before a file replaces
 # another, and after.
@@ -24,14 +25,14 @@ PLACES = ("iteration", "half", "replace", "replaced")
 def ended_at(place: str, here: Callable[[], None]) -> None:
     """Have a function called whenever the process comes to a place."""
     if place == "iteration":
-        fit = fit_command.fit
+        fit = job.fit
 
         def watched(*arguments: Any, **options: Any) -> Any:
             for state in fit(*arguments, **options):
                 yield state
                 here()
 
-        fit_command.fit = watched  # type: ignore[assignment]
+        job.fit = watched
     elif place == "half":
         written = writing._written
 

@@ -75,5 +75,5 @@ def seen(monkeypatch):
         calls.append((arguments, options))
         yield next(iter(fit(*arguments, **options)))
 
-    monkeypatch.setattr("napari_deltamic.cli.fit_command.fit", short)
+    monkeypatch.setattr("napari_deltamic.fitting.job.fit", short)
     return calls

@@ -8,7 +8,7 @@ import pytest
 SHAPE = (20, 24, 24)
 VOXELS = ("--voxel-size", "0.3", "0.2", "0.2")
 SIGMA = ("--sigma", "0.36", "0.24", "0.24")
-FIT = "napari_deltamic.cli.fit_command.fit"
+FIT = "napari_deltamic.fitting.job.fit"
 
 
 def new(path, content):

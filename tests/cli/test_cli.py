@@ -21,7 +21,7 @@ CENTER = (2.9, 2.3, 2.3)
 VOXELS = ("--voxel-size", *map(str, SIZE))
 SIGMA = ("--sigma", "0.36", "0.24", "0.24")
 SHORT = ("--max-iterations", "4")
-FIT = "napari_deltamic.cli.fit_command.fit"
+FIT = "napari_deltamic.fitting.job.fit"
 
 
 # What works -----------------------------------------------------------------------------------

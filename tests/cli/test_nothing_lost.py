@@ -17,7 +17,7 @@ from napari_deltamic.results.report import FILES
 
 SIGMA = ("--sigma", "0.36", "0.24", "0.24")
 SHORT = ("--max-iterations", "2")
-FIT = "napari_deltamic.cli.fit_command.fit"
+FIT = "napari_deltamic.fitting.job.fit"
 
 
 @pytest.fixture

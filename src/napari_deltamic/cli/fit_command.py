@@ -18,7 +18,7 @@ from ..errors import PROGRAM, InputError, failure
 from ..evidence import analyse_residual
 from ..evidence.fit_facts import verdict_of
 from ..evidence.sanity import tell_doubts
-from ..fitting import FitState, fit
+from ..fitting import FitState
 from ..fitting.job import FitInput, start
 from ..images.stacks import write_image
 from ..results.report import History, write_results
@@ -47,16 +47,7 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
         check_second_view(job.settings.scene)
         doubts = tell_doubts(job)
         _tell_outlook(job, notes)
-        states = fit(
-            job.image,
-            job.grid,
-            job.mesh,
-            job.optics,
-            settings=job.settings.fit,
-            counted=job.counted,
-            effects=job.settings.scene.effects,
-            resume=arguments.resume,
-        )
+        states = start(job, arguments.resume)
     except (MemoryError, RuntimeError) as error:
         raise failure(error) from error
     with own_folder(folder):
