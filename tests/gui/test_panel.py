@@ -119,9 +119,14 @@ def test_what_is_rare_is_in_the_menu(shown):
 
 def test_without_an_image_no_width_is_made_up(app, viewer, spin):
     widget = FitWidget(viewer)
-    assert widget.settings.psf_line.text() == "PSF: 1.2 voxels wide, then estimated from the image"
+    told = "PSF: as wide as the blur of the image, then fitted with the shapes"
+    assert widget.settings.psf_line.text() == told
     viewer.add_image(np.zeros((4, 8, 8)), scale=(0.5, 0.2, 0.2), units=("um",) * 3)
-    told = "PSF: Gaussian 0.60 (z), 0.24 (yx) um, then estimated from the image"
+    assert widget.settings.psf_line.text() == told
+    assert widget.doc.settings.scene_settings().sigma == pytest.approx((0.6, 0.24, 0.24))
+    assert widget.settings.psf_is_open
+    widget.settings.sigma._boxes[0].setValue(0.7)
+    told = "PSF: Gaussian 0.70 (z), 0.24 (yx) um, then fitted with the shapes"
     assert widget.settings.psf_line.text() == told
     widget.close_links()
 

@@ -23,14 +23,15 @@ def test_psf_and_effects_come_back_with_what_was_fitted(seeded, spin, tmp_path, 
     seeded.settings.optics.show_settings(optics_from_values(chosen))
     seeded.settings.show_effects(Effects.of(Attenuation(per_um=0.01)))
     seeded.settings.fit_psf.setChecked(True)
-    seeded.settings.max_iterations.setValue(8)
+    seeded.settings.max_iterations.setValue(70)
     seeded.start()
     spin(done(seeded), seconds=60)
     save(seeded, tmp_path / "a.deltamic", spin)
     _, after = reopened(tmp_path / "a.deltamic")
     assert after.settings.scene_settings() == seeded.settings.scene_settings()
     one, other = seeded.doc.result.state, after.doc.result.state
-    assert one.optics.described() == other.optics.described()
+    values = [p.value for p in one.optics.described()]
+    assert [p.value for p in other.optics.described()] == pytest.approx(values, rel=1e-12)
     assert one.optics.described() != seeded.doc.result.job.optics.described()
     assert one.effects == other.effects
     assert after.running.numbers.texts() == seeded.running.numbers.texts()

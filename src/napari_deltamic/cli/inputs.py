@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..common.choices import AUTO
 from ..errors import InputError
-from ..evidence.first_sigma import plausible_sigma
+from ..evidence.first_sigma import with_first_psf as first_psf
 from ..fitting.checks import check_image
 from ..fitting.job import SIGMA_IN_VOXELS, FitInput, assemble
 from ..geometry import Mesh
@@ -34,7 +34,7 @@ def gather(arguments: argparse.Namespace, notes: Notes) -> FitInput:
     scene["voxel_size"] = voxel_size_of(scene.get("voxel_size"), found, values["image"], notes)
     settings: RunSettings = validated(RunSettings, values)
     if settings.scene.sigma is None and settings.scene.optics is None:
-        settings = with_first_psf(settings, image, notes, "fit_psf" in values["fit"])
+        settings = with_first_psf(settings, image, notes)
     grid = Grid(image.shape, settings.scene.voxel_size, settings.scene.origin)
     image = _without_bad(image, arguments.missing_nan, notes)
     check_image(image, grid)
@@ -45,23 +45,15 @@ def gather(arguments: argparse.Namespace, notes: Notes) -> FitInput:
 _Run = TypeVar("_Run", bound=RunSettings)
 
 
-def with_first_psf(settings: _Run, image: NDArray[Any], notes: Notes, decided: bool) -> _Run:
-    """Settings with a PSF as wide as the blur of the image; 1.2 voxels where it does not tell.
-
-    It is a guess, so the fit goes on from it, unless it was decided whether to.
-    """
-    size = settings.scene.voxel_size
-    told = plausible_sigma(image, size) if image.ndim == 3 else None
-    z, y, x = (float(s) for s in told or (SIGMA_IN_VOXELS * d for d in size))
-    sigma = (z, y, x)
+def with_first_psf(settings: _Run, image: NDArray[Any], notes: Notes) -> _Run:
+    """Settings with a PSF as wide as the blur of the image; 1.2 voxels where it does not tell."""
+    scene, told = first_psf(settings.scene, image)
+    assert scene.sigma is not None
     how = "as wide as the blur of the image" if told else f"{SIGMA_IN_VOXELS} voxels"
-    fit = settings.fit if decided else settings.fit.model_copy(update={"fit_psf": True})
-    notes.add(
-        f"no sigma given: {_shown(sigma)} um (Z Y X), {how}, is "
-        + ("where the fit of the PSF starts" if fit.fit_psf else "used; --fit-psf would fit it")
-    )
-    scene = settings.scene.model_copy(update={"sigma": sigma})
-    return settings.model_copy(update={"scene": scene, "fit": fit})
+    held = "used; --fit-psf would fit it"
+    use = "where the fit of the PSF starts" if settings.fit.fit_psf else held
+    notes.add(f"no sigma given: {_shown(scene.sigma)} um (Z Y X), {how}, is {use}")
+    return settings.model_copy(update={"scene": scene})
 
 
 def load_seeds(path: str, image: NDArray[Any], grid: Grid) -> tuple[Mesh, SeedKind]:

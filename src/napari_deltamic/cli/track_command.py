@@ -82,8 +82,7 @@ def _gather(arguments: argparse.Namespace, notes: Notes) -> _Job:
     grid = Grid((shape[0], shape[1], shape[2]), settings.scene.voxel_size, settings.scene.origin)
     image = _seeded(images, first, arguments.missing_nan, notes)
     if settings.scene.sigma is None and settings.scene.optics is None:
-        # Held unless asked: frames differ, the microscope does not.
-        settings = with_first_psf(settings, image, notes, decided=True)
+        settings = with_first_psf(settings, image, notes)
     mesh, kind = load_seeds(settings.seeds, image, grid)
     job = assemble(settings, image, grid, mesh, kind)
     done = read_results(arguments.resume) if arguments.resume is not None else []

@@ -15,6 +15,8 @@ import numpy as np
 from scipy.fft import rfftn
 from scipy.optimize import minimize
 
+from ..fitting.job import SIGMA_IN_VOXELS
+from ..runs.settings import SceneSettings
 from .estimate import Finding, unknown
 
 _RINGS = 48  # of wavenumbers, along z and in the plane
@@ -73,6 +75,19 @@ def plausible_sigma(
     if not _Z_OVER_YX[0] <= z / yx <= _Z_OVER_YX[1]:
         return None
     return z, yx, yx
+
+
+def with_first_psf(scene: SceneSettings, image: np.ndarray) -> tuple[SceneSettings, bool]:
+    """A scene whose PSF is as wide as the blur of the image, and whether the image told it.
+
+    1.2 voxels where it does not; a scene that says its PSF stays as it is. image : (Z, Y, X).
+    """
+    if scene.sigma is not None or scene.optics is not None:
+        return scene, False
+    size = scene.voxel_size
+    told = plausible_sigma(image, size) if image.ndim == 3 else None
+    z, y, x = (float(s) for s in told or (SIGMA_IN_VOXELS * d for d in size))
+    return scene.model_copy(update={"sigma": (z, y, x)}), told is not None
 
 
 def _prepared(pixels: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ from psygnal import Signal
 
 from ..accuracy.experience import Learned
 from ..errors import InputError
+from ..evidence.first_sigma import with_first_psf
 from ..evidence.sanity import tell_doubts
 from ..fitting import FitState
 from ..fitting.checks import check_image
@@ -71,6 +72,10 @@ class SettingsSource(Protocol):
     optics: Any
     effects: Any
     accuracy: Any
+
+    @property
+    def psf_is_open(self) -> bool:
+        """Whether the image is to tell the PSF when a fit starts."""
 
     def fit_settings(self) -> FitSettings:
         """Of the fit."""
@@ -222,10 +227,13 @@ class Document:
     def run_settings(self, seeds: Seeds | None = None) -> RunSettings:
         """The whole run as it is chosen, the same object that the command line makes."""
         seeds = seeds or self.cells.seeds(self.image.frame())
+        scene = self.settings.scene_settings()
+        if self.settings.psf_is_open:
+            scene = scene.model_copy(update={"sigma": None})
         return RunSettings(
             image=self.image.path(),
             seeds=seeds.path,
-            scene=self.settings.scene_settings(),
+            scene=scene,
             fit=self.settings.fit_settings(),
         )
 
@@ -240,8 +248,10 @@ class Document:
         def prepare() -> FitInput:
             pixels = read()
             check_image(pixels, grid)  # which takes a while where the image is large
+            scene, _ = with_first_psf(settings.scene, pixels)
+            whole = settings.model_copy(update={"scene": scene})
             start = seeds.make(pixels, grid)
-            job = assemble(settings, pixels, grid, start, seeds.kind, second)
+            job = assemble(whole, pixels, grid, start, seeds.kind, second)
             tell_doubts(job)
             return job
 

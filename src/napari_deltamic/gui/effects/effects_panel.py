@@ -205,6 +205,8 @@ class EffectsPanel(QWidget):
         state, job = record.of_fit()
         # Only the end of a fit with this PSF and these effects needs no other one.
         before = job.settings.scene
+        if doc.settings.psf_is_open:  # the image has told it
+            scene = scene.model_copy(update={"sigma": before.sigma})
         same = (
             state.converged
             and (before.sigma, before.optics) == (scene.sigma, scene.optics)

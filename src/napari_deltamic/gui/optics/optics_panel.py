@@ -93,6 +93,11 @@ class OpticsPanel(QWidget):
         """Whether a PSF is being computed to tell its widths."""
         return self._open and (self._timer.isActive() or self._background.busy)
 
+    @property
+    def is_gaussian(self) -> bool:
+        """Whether the PSF is the Gaussian of :attr:`sigma`."""
+        return bool(self.kind.currentText() == GAUSSIAN)
+
     def settings(self) -> Any:
         """Settings of the PSF; None for the Gaussian of :attr:`sigma`.
 

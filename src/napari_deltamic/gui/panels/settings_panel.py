@@ -125,6 +125,11 @@ class SettingsPanel(QGroupBox):
         settings: SceneSettings = validated(SceneSettings, values)
         return settings
 
+    @property
+    def psf_is_open(self) -> bool:
+        """Whether nobody has said what the PSF is: the image is to tell it when a fit starts."""
+        return not self._sigma_given and self.optics.is_gaussian
+
     def show_settings(self, settings: FitSettings) -> None:
         """Show settings."""
         for form in self.forms:
@@ -194,9 +199,9 @@ class SettingsPanel(QGroupBox):
     def _show_choices(self, checked: bool = False) -> None:
         """What is chosen is told while its fields are folded away."""
         psf = self.optics.summary()
-        fitted = ", then estimated from the image" if self.fit_psf.isChecked() else ""
-        if self._image.layer is None and not self._sigma_given:
-            psf = f"{SIGMA_IN_VOXELS} voxels wide"  # of an image that is still to come
+        fitted = ", then fitted with the shapes" if self.fit_psf.isChecked() else ""
+        if self.psf_is_open:
+            psf = "as wide as the blur of the image"
         self.psf_line.say(f"PSF: {psf}{fitted}")
         self.psf_fold.set_title(f"Microscope: {psf}")
         self.effects_fold.set_title(f"Corrections: {self.effects.summary()}")
@@ -225,3 +230,4 @@ class SettingsPanel(QGroupBox):
 
     def _sigma_given_by_user(self) -> None:
         self._sigma_given, self._shown_for = True, None
+        self._show_choices()

@@ -10,6 +10,7 @@ from typing import Any
 from qtpy.QtCore import QObject
 
 from ...errors import InputError
+from ...evidence.first_sigma import with_first_psf
 from ...fitting.job import FitInput, assemble, optics_of
 from ...results.session_file import SavedTracks
 from ...results.track_report import write_frame, write_tracks
@@ -277,6 +278,8 @@ def _reopened(tracks: SavedTracks, frame: Frame, frames: Frames) -> TrackJob | N
 def _prepared(settings: TrackRun, frames: Frames, grid: Grid, seeds: Seeds) -> TrackJob:
     """The job, put together in the thread."""
     pixels = frames[settings.track.first]
+    scene, _ = with_first_psf(settings.scene, pixels)
+    settings = settings.model_copy(update={"scene": scene})
     first = assemble(settings, pixels, grid, seeds.make(pixels, grid), seeds.kind)
     whole = settings.model_copy(update={"fit": first.settings.fit})
     return TrackJob(first, frames, whole, seeds.kind == "image")
