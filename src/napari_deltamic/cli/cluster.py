@@ -14,7 +14,9 @@ from typing import Any
 from ..errors import Failure, InputError, one_line
 from ..runs.batch import BatchJob
 
-_PATIENCE = 20.0  # s; until a scheduler has to answer
+_PATIENCE = (
+    20.0  # s; until a scheduler has to answer: a busy one takes seconds, a missing one would never
+)
 
 
 def fit_in_folder(words: Sequence[str]) -> str:

@@ -26,8 +26,8 @@ from ..runs.settings import FitSettings, RunSettings, SceneSettings
 from ..scene.samples import Sample, dividing_cell_sample
 from .messages import Notes
 
-START_RADIUS = 2.6  # um
-SIGMA_ERROR = 1.3  # the fit starts with a PSF that is this many times too wide, and mends it
+START_RADIUS = 2.6  # um: smaller than the cells, so that one sees the spheres grow
+SIGMA_ERROR = 1.3  # times too wide is the PSF at the start: enough to see that the fit mends it
 
 
 def run(arguments: argparse.Namespace, notes: Notes) -> int:
@@ -56,7 +56,7 @@ def has_display() -> bool:
 
 def start_mesh(sample: Sample) -> Mesh:
     """Where the demonstration starts: a sphere for each cell, with edges of 2.5 voxels."""
-    edge = 2.5 * min(sample.grid.voxel_size)
+    edge = 2.5 * min(sample.grid.voxel_size)  # finer than seeds have, to look smooth; else slower
     return Mesh.merge([sphere(center, START_RADIUS, edge_length=edge) for center in sample.centers])
 
 

@@ -35,7 +35,8 @@ from .recommending import (
 )
 from .second_view_input import check_second_view
 
-CHECKPOINT_EVERY = 5.0  # s
+CHECKPOINT_EVERY = 5.0  # s: what a crash may cost; to write one takes far less than that
+_CLEARLY = 1.1  # times the error asked for: predictions are not so exact that less would count
 
 
 def run(arguments: argparse.Namespace, notes: Notes) -> int:
@@ -60,7 +61,7 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
 def _tell_outlook(job: FitInput, notes: Notes) -> None:
     """Whether the image allows the shape that is asked for."""
     asked = asked_error(job.settings.fit.shape_error)
-    if asked is not None and job.predicted is not None and job.predicted > 1.1 * asked:
+    if asked is not None and job.predicted is not None and job.predicted > _CLEARLY * asked:
         notes.add(
             f"a shape within {1000 * asked:.0f} nm is not to be had from this image: about "
             f"{1000 * job.predicted:.0f} nm is"

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..common.choices import TIFF
 from ..errors import InputError
-from ..images.stacks import read_voxel_size
+from ..images.stacks import SIZES_AGREE, read_voxel_size
 from ..runs.settings import SceneSettings, validated
 from ..scene.effects import Effects, SecondView
 
@@ -47,7 +47,7 @@ def check_second_view(scene: SceneSettings) -> None:
     if path is None or path.suffix.lower() not in TIFF or not path.is_file():
         return  # where there is no such file, the fit says so
     found = read_voxel_size(path)
-    if found is not None and not np.allclose(found, scene.voxel_size, rtol=0.01):
+    if found is not None and not np.allclose(found, scene.voxel_size, rtol=SIZES_AGREE):
         own, other = (" ".join(f"{d:.4g}" for d in size) for size in (found, scene.voxel_size))
         raise InputError(
             f"second view: {path.name} says that its voxels are {own} um (Z Y X), those of the "

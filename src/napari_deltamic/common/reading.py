@@ -16,25 +16,25 @@ import numpy as np
 from ..errors import InputError
 
 # Lists within lists take up to 30 times as much memory as their text.
-LARGEST_TEXT = 1 << 24  # bytes
+LARGEST_TEXT = 1 << 24  # bytes: no settings or table of ours has more, others could fill memory
 
 
-def read_text(path: str | Path, largest: int = LARGEST_TEXT) -> str:
+def read_text(path: str | Path) -> str:
     """A text file in UTF-8; a byte order mark at its beginning is left out.
 
     Raises
     ------
     InputError
-        Naming the file: missing, unreadable, longer than ``largest`` bytes, no text.
+        Naming the file: missing, unreadable, longer than ``LARGEST_TEXT`` bytes, no text.
     """
     try:
         with Path(path).open("rb") as stream:
-            data = stream.read(largest + 1)
+            data = stream.read(LARGEST_TEXT + 1)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{path}: cannot be read: {reason}") from None
-    if len(data) > largest:
-        raise InputError(f"{path}: cannot be read: it is longer than {largest >> 20} MiB")
+    if len(data) > LARGEST_TEXT:
+        raise InputError(f"{path}: cannot be read: it is longer than {LARGEST_TEXT >> 20} MiB")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:

@@ -20,7 +20,7 @@ from ..common.writing import folder_atomically
 from ..errors import InputError
 from .units import unit_um
 
-_CHUNK = 64  # voxels along each axis: 1 MB of float32, the size that viewers read in one go
+_CHUNK = 64  # voxels along each axis: 1 MB of float32, so that viewers read one in one go
 
 
 @dataclass(frozen=True, eq=False)

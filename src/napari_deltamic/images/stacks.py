@@ -30,6 +30,7 @@ _Reader = Callable[[Path], _Stored]
 
 # A voxel side outside of this range (um) is no microscope's: the metadata is wrong.
 _PLAUSIBLE = (1e-4, 1e4)
+SIZES_AGREE = 0.01  # relative: headers round voxel sizes, so that less is no other size
 _REFUSED = {
     "C": "several channels: save the membrane channel alone",
     "S": "several channels (colours): save one as a grey image",
@@ -258,7 +259,8 @@ def _without_pixels(shape: Sequence[int], dtype: np.dtype[Any]) -> NDArray[Any]:
     return np.broadcast_to(np.zeros((), native), tuple(shape))
 
 
-# What a file of so many bytes may hold: strong compressions of an empty image reach this.
+# What a file of so many bytes may hold, so many times as much: strong compressions of an empty
+# image reach this; more would only fill the memory.
 _GROWTH, _SMALL = 2000, 1 << 30
 
 

@@ -9,7 +9,7 @@ from ..fitting import FitState
 from ..geometry import Mesh
 from ..optics import GaussianPSF, Optics
 
-MOST = 200
+MOST = 200  # moments kept: the meshes of more would fill the memory
 
 
 @dataclass(frozen=True, eq=False)
