@@ -275,7 +275,7 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
     "textured": lambda rng: replace(PLAIN, textured=0.5, told=("--density", "smooth")),
     "narrow": lambda rng: replace(PLAIN, psf=(0.6, 0.6), photons=100.0),
     "wide": lambda rng: replace(PLAIN, psf=(rng.uniform(2.4, 3), rng.uniform(2.4, 3))),
-    "haze": lambda rng: replace(PLAIN, haze=0.8, told=("--effects", "bulk")),
+    "haze": lambda rng: replace(PLAIN, haze=0.8, told=("--structure", "both")),
     "nucleus": lambda rng: replace(
         PLAIN, membrane=0.0, interior=1.0, roughness=0.18, told=("--structure", "interior")
     ),

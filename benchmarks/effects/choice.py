@@ -31,7 +31,6 @@ from napari_deltamic.scene.effects import (
     Attenuation,
     Background,
     Bleaching,
-    Bulk,
     DepthPSF,
     Effect,
     Effects,
@@ -39,6 +38,7 @@ from napari_deltamic.scene.effects import (
     Illumination,
     PixelIntegration,
 )
+from napari_deltamic.scene.light import Light
 
 from ..figure import Row, at_least, at_most, default_data_folder
 
@@ -77,7 +77,8 @@ def simulated(seed: int) -> Simulated:
     fit_psf = bool(rng.random() < 0.5)
     plain = expected_image(truth, grid, optics, 1e-4, 1.0, 0.0)
     amplitude = PEAK / float(np.percentile(plain, 99.7))
-    expected = expected_image(truth, grid, optics, 1e-4, amplitude, BACKGROUND, effects=effects)
+    given = truth, grid, optics, 1e-4, amplitude, BACKGROUND
+    expected = expected_image(*given, effects=effects, light=drawn_light(rng))
     image = rng.poisson(expected.clip(0)).astype(np.float32)
     return Simulated(seed, kind, grid, optics, truth, start, effects, fit_psf, image)
 
@@ -101,13 +102,18 @@ def drawn_effects(rng: np.random.Generator) -> Effects:
     drawn: list[Effect] = [
         PixelIntegration(),
         Background(coefficients=tuple(even(0.3, 3.0) * slope)),
-        Bulk(density=even(0.01, 0.3)),
         fading,
         Illumination(coefficients=tuple(even(0.03, 0.4) * bend)),
         Halo(fraction=even(0.02, 0.3), width=even(0.6, 1.6)),
         DepthPSF(variance_z=sign() * even(0.02, 0.3), variance_yx=sign() * even(0.005, 0.06)),
     ]
     return Effects.of(*(e for e in drawn if rng.random() < 0.5))
+
+
+def drawn_light(rng: np.random.Generator) -> Light:
+    """In half of the scenes insides shine, too: what a fit finds without being told."""
+    inside = float(np.exp(rng.uniform(np.log(0.01), np.log(0.3))))
+    return Light(1.0, inside if rng.random() < 0.5 else 0.0)
 
 
 def _cells(kind: str, grid: Grid, rng: np.random.Generator) -> tuple[Mesh, Mesh]:
@@ -179,7 +185,7 @@ def measured(seed: int) -> dict[str, Any]:
 
 def _everything(true: Effects, found: Effects) -> Effects:
     """All effects: those there as they are, the others with their defaults."""
-    names = ["pixel_integration", "background", "bulk", "illumination", "halo", "depth_psf"]
+    names = ["pixel_integration", "background", "illumination", "halo", "depth_psf"]
     fading = [n for n in (*true.names, *found.names) if n in GROUPS] or ["attenuation"]
     chosen: list[Effect | str] = []
     for name in [*names, fading[0]]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import sqrt
 
 import numpy as np
 
@@ -19,7 +18,6 @@ from napari_deltamic.scene.effects import (
     Attenuation,
     Background,
     Bleaching,
-    Bulk,
     DepthPSF,
     Effect,
     Effects,
@@ -30,7 +28,6 @@ from napari_deltamic.scene.effects import (
 PHOTONS, DARK = 40.0, 2.0  # at the peak, and of the background
 VOXEL = (0.4, 0.2, 0.2)
 SIGMA = (0.5, 0.25, 0.25)
-RIM = 1 / (sqrt(2 * np.pi) * float(np.prod(SIGMA)) ** (1 / 3))  # of a flat membrane, 1/um
 
 
 @dataclass(frozen=True)
@@ -64,7 +61,6 @@ def scenes() -> list[Scene]:
 def cases() -> list[tuple[str, Effect]]:
     """What is simulated: a name for people, and the effect with its true numbers."""
     return [
-        ("bulk 9 % of the rim", Bulk(density=0.09 * RIM)),
         ("attenuation 2 %/um", Attenuation(per_um=0.02)),
         ("background gradient, 4 photons", Background(coefficients=(3.0, 2.0, -2.0))),
         ("halo 5 %, 1.5 um", Halo(fraction=0.05, width=1.5)),

@@ -112,7 +112,7 @@ def _settings(s: Session) -> list[Action]:
 
     def effect() -> None:
         table = of().effects.table
-        table.tick(rng.choice(["bulk", "halo", "attenuation", "pixel_integration"]))
+        table.tick(rng.choice(["halo", "attenuation", "pixel_integration"]))
 
     def check() -> None:
         s.widget.settings.effects.start()

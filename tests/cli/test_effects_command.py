@@ -9,26 +9,25 @@ import napari_deltamic as nd
 from napari_deltamic.geometry import sphere
 from napari_deltamic.images.stacks import read_image, write_image
 from napari_deltamic.scene import expected_image
-from napari_deltamic.scene.effects import Bulk, Effects
+from napari_deltamic.scene.effects import Effects, Halo
 
 SIZE = (0.3, 0.2, 0.2)
 SIGMA = ("--sigma", 0.42, 0.25, 0.25)
 SHORT = ("--levels", 1, "--max-iterations", 60)
-FEW = ("--candidates", "bulk,halo")
+FEW = ("--candidates", "attenuation,halo")
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A cell whose inside shines, and a mesh to start from."""
+    """A cell whose light is spread, and a mesh to start from."""
     folder = tmp_path_factory.mktemp("shining")
     grid = nd.Grid((22, 30, 30), SIZE)
     center = (3.15, 2.9, 2.9)
     truth = sphere(center, (1.7, 1.8, 1.8), edge_length=0.2)
     optics = nd.GaussianPSF(SIGMA[1:])
     plain = expected_image(truth, grid, optics, 1e-3, 1.0, 0.0)
-    light = expected_image(
-        truth, grid, optics, 1e-3, 60 / plain.max(), 4.0, effects=Effects.of(Bulk(density=0.3))
-    )
+    hazy = Effects.of(Halo(fraction=0.3, width=1.0))
+    light = expected_image(truth, grid, optics, 1e-3, 60 / plain.max(), 4.0, effects=hazy)
     write_image(folder / "cell.tif", np.random.default_rng(0).poisson(light).astype("u2"), SIZE)
     nd.save_mesh(sphere(center, 1.7, edge_length=0.45), folder / "start.ply")
     return folder
@@ -40,25 +39,25 @@ def test_a_table_says_what_to_take_and_why(run, folder):
     )
     assert code == 0, err
     assert lines[0].split()[:2] == ["effect", "score"]
-    assert lines[1].startswith("bulk")
+    assert lines[1].startswith("halo")
     assert "take" in lines[1]
     assert "leaving it out would move the surface" in lines[1]
     gain = next(line for line in lines if line.startswith("gain: "))
     assert float(gain.split()[1]) == pytest.approx(1, rel=0.2)
-    assert "--effects bulk" in err
+    assert "--effects halo" in err
 
 
 @pytest.mark.slow
 def test_json_holds_all_of_it(run, folder):
     code, lines, err = run(
         *("effects", folder / "cell.tif", "--seeds", folder / "start.ply", *SIGMA, *SHORT),
-        *("--candidates", "bulk,halo", "--json", "-"),
+        *(*FEW, "--json", "-"),
     )
     assert code == 0, err
     found = json.loads("\n".join(lines))
-    assert found["recommended"] == ["bulk"]
-    assert {e["name"] for e in found["evidence"]} == {"bulk", "halo"}
-    assert found["effects"]["bulk"]["density"] > 0
+    assert found["recommended"] == ["halo"]
+    assert {e["name"] for e in found["evidence"]} == {"attenuation", "halo"}
+    assert found["effects"]["halo"]["fraction"] > 0.1
     assert {"gain", "read_noise", "offset", "saturation"} <= set(found["camera"])
     assert "sigma_z" in found["image"]
 
@@ -70,12 +69,12 @@ def test_a_fit_takes_what_is_recommended_and_reports_it(run, folder, tmp_path):
         *("--effects", "auto", "--residual", "-o", tmp_path / "out"),
     )
     assert code == 0, err
-    assert "effects: bulk added: z = " in err
+    assert "effects: halo added: z = " in err
     report = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert [e["name"] for e in report["effects"]] == ["bulk"]
-    assert report["recommendation"]["recommended"] == ["bulk"]
+    assert [e["name"] for e in report["effects"]] == ["halo"]
+    assert report["recommendation"]["recommended"] == ["halo"]
     assert report["residual"]["cells"][0]["explained"] > 0.9
-    assert "bulk" in (tmp_path / "out" / "run.toml").read_text()
+    assert "halo" in (tmp_path / "out" / "run.toml").read_text()
     assert read_image(tmp_path / "out" / "residual.tif")[0].shape == (22, 30, 30)
     assert str(tmp_path / "out" / "residual.tif") in lines
 
@@ -84,3 +83,4 @@ def test_bad_usage_is_one_line(fails, folder):
     given = ("effects", folder / "cell.tif", "--seeds", folder / "start.ply", *SIGMA)
     assert "leave out 'auto'" in fails(*given, "--effects", "auto")
     assert "choose from" in fails(*given, "--candidates", "ghosts")
+    assert "--structure both" in fails(*given, "--effects", "bulk=0.2")

@@ -25,24 +25,24 @@ def test_it_reaches_the_fit_and_run_toml_repeats_it(data, given, tmp_path, run):
     path = tmp_path / "second.tif"
     write_image(path, pixels[:, ::-1].astype(np.float32), SIZE)
     options = ("--second-view", path, *PSF)
-    code, _, err = run(*given, *options, "--effects", "bulk", "-o", tmp_path / "a")
+    code, _, err = run(*given, *options, "--effects", "attenuation", "-o", tmp_path / "a")
     assert code == 0, err
     view = RunSettings.from_toml(tmp_path / "a" / "run.toml").scene.effects.second_view
     assert view is not None
     assert view.image == str(path)
     assert view.sigma == (0.2, 0.2, 0.3)
     run("fit", "--settings", tmp_path / "a" / "run.toml", "-o", tmp_path / "b")
-    run(*given, "--effects", "bulk", "-o", tmp_path / "c")
+    run(*given, "--effects", "attenuation", "-o", tmp_path / "c")
     losses = [json.loads((tmp_path / k / "report.json").read_text())["loss"] for k in "abc"]
     assert losses[0] == losses[1]
     assert losses[0] != losses[2]
 
 
 def test_it_is_added_to_the_effects_of_a_settings_file(data, given, tmp_path, run, seen):
-    run(*given, "--effects", "bulk", "-o", tmp_path / "a")
+    run(*given, "--effects", "attenuation", "-o", tmp_path / "a")
     options = ("--second-view", data / "cell.tif", *PSF)
     run("fit", "--settings", tmp_path / "a" / "run.toml", *options, "-o", tmp_path / "b")
-    assert seen[-1][1]["effects"].names == ("bulk", "second_view")
+    assert seen[-1][1]["effects"].names == ("attenuation", "second_view")
 
 
 def test_bad_second_views_are_told(data, given, tmp_path, fails):

@@ -45,6 +45,22 @@ def test_settings_of_the_fit_hold_the_truth(run, tmp_path):
     assert truth["volumes_um3"] == pytest.approx({str(k): v for k, v in volumes.items()})
 
 
+def test_cells_can_shine_from_inside(run, tmp_path):
+    images = []
+    for interior in (0.0, 0.5):
+        folder = tmp_path / str(interior)
+        given = ("--cells", 1, *SCENE, "--photons-per-um2", 2000, "--interior", interior)
+        code, _, err = run("simulate", *given, "-o", folder)
+        assert code == 0, err
+        images.append(read_image(folder / "noise_free.tif")[0].astype(float))
+        truth = json.loads((folder / "parameters.json").read_text())
+    assert truth["structures"] == ["surface", "solid"]
+    assert truth["interiors"] == [[0.5]]
+    background = np.percentile(images[0], 1), np.percentile(images[1], 1)
+    total = (images[1] - background[1]).sum() - (images[0] - background[0]).sum()
+    assert total == pytest.approx(2000 * 0.5 * truth["volumes_um3"]["1"], rel=0.1)
+
+
 def test_the_same_seed_gives_the_same_files(run, tmp_path):
     options = ("simulate", "--cells", 2, *SCENE, "--seed", 3, "-o")
     for name in ("one", "same"):

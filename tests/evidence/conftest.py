@@ -3,7 +3,7 @@
 import pytest
 from evidence_scenes import fitted, photons
 
-from napari_deltamic.scene.effects import Bulk, Effects
+from napari_deltamic.scene.effects import Effects, Halo
 
 
 @pytest.fixture(scope="session")
@@ -14,7 +14,7 @@ def plain():
 
 
 @pytest.fixture(scope="session")
-def filled():
-    """An image of a cell whose inside shines, and a fit without bulk."""
-    image = photons(Effects.of(Bulk(density=0.15)), seed=1)
+def hazy():
+    """An image with a halo, and a fit without one."""
+    image = photons(Effects.of(Halo(fraction=0.3, width=1.0)), seed=1)
     return image, fitted(image)

@@ -7,6 +7,7 @@ from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene import expected_image
 from napari_deltamic.scene.effects import Effects
+from napari_deltamic.scene.light import MEMBRANES
 
 VOXEL = (0.3, 0.2, 0.2)
 GRID = Grid((20, 28, 28), VOXEL)
@@ -18,17 +19,17 @@ TRUTH = sphere(CENTER, (1.5, 1.6, 1.7), edge_length=0.2)
 SETTINGS = FitSettings(levels=(1.0,), structure="membrane", max_iterations=80)
 
 
-def light(effects=None, peak=40.0, background=4.0):
+def expected(effects=None, peak=40.0, background=4.0, light=MEMBRANES):
     """(Z, Y, X) photons expected."""
     plain = expected_image(TRUTH, GRID, OPTICS, 1e-4, 1.0, 0.0)
     amplitude = peak / float(np.percentile(plain, 99.7))
-    effects = effects or Effects()
-    return expected_image(TRUTH, GRID, OPTICS, 1e-4, amplitude, background, effects=effects)
+    given = TRUTH, GRID, OPTICS, 1e-4, amplitude, background
+    return expected_image(*given, effects=effects or Effects(), light=light)
 
 
 def photons(effects=None, seed=0, **options):
     """The same with the noise of counted photons."""
-    return np.random.default_rng(seed).poisson(light(effects, **options)).astype(np.float32)
+    return np.random.default_rng(seed).poisson(expected(effects, **options)).astype(np.float32)
 
 
 def fitted(image, effects=(), **settings):

@@ -13,27 +13,30 @@ from napari_deltamic.evidence.modes import shape_modes
 from napari_deltamic.evidence.transforms import Transforms
 from napari_deltamic.geometry import sphere
 from napari_deltamic.scene import Renderer, Scene
-from napari_deltamic.scene.effects import Attenuation, Bulk, DepthPSF, Effects, Halo
+from napari_deltamic.scene.effects import Attenuation, DepthPSF, Effects, Halo
+from napari_deltamic.scene.light import INSIDES, MEMBRANES, Light
+from napari_deltamic.scene.structures import Surface
 
 GRID = Grid((14, 18, 30), (0.3, 0.2, 0.2))
 OPTICS = GaussianPSF((0.42, 0.25, 0.25))
 CELLS = Mesh.merge([sphere((2, 1.7, x), 1.0, edge_length=0.4) for x in (1.6, 4.2)])
-ALL = Effects.of(
-    Bulk(density=0.3), Attenuation(per_um=0.1), DepthPSF(variance_z=0.1, variance_yx=0.02)
-)
+BOTH = Light(1.0, 0.3)
+ALL = Effects.of(Attenuation(per_um=0.1), DepthPSF(variance_z=0.1, variance_yx=0.02))
 INDEX = np.arange(np.prod(GRID.shape))
 
 
-def scene(effects):
+def scene(effects, light=MEMBRANES):
     density = 1 + 0.3 * np.sin(np.arange(len(CELLS.faces)))
-    return FittedScene.of(CELLS, OPTICS, effects, density).scaled(10.0, 2.0)
+    found = FittedScene.of(CELLS, OPTICS, effects, density, insides=light.interior != 0)
+    return replace(found, light=light).scaled(10.0, 2.0)
 
 
-@pytest.mark.parametrize("effects", [Effects(), Effects.of(Bulk(density=0.3)), ALL])
-def test_parts_make_the_whole(effects):
-    renderer = Renderer(Scene.of(CELLS, OPTICS, effects), GRID, 1e-3)
-    own = scene(effects)
-    whole = renderer.transform(torch.tensor(CELLS.vertices_numpy()), torch.tensor(own.density))
+@pytest.mark.parametrize("effects", [Effects(), ALL], ids=["plain", "effects"])
+@pytest.mark.parametrize("light", [MEMBRANES, INSIDES, BOTH], ids=["membranes", "insides", "both"])
+def test_parts_make_the_whole(effects, light):
+    own = scene(effects, light)
+    renderer = Renderer(Scene.of(CELLS, OPTICS, effects, insides=True), GRID, 1e-3)
+    whole = renderer.transform(density=torch.tensor(own.density), light=light)
     kept = Transforms()
     for _ in range(2):
         parts = kept.of(renderer, own)
@@ -41,16 +44,23 @@ def test_parts_make_the_whole(effects):
 
 
 def test_what_an_effect_leaves_as_it_is_is_computed_once(monkeypatch):
-    from napari_deltamic.scene.effects import object_side
-
     made = []
-    seen = object_side.ObjectSide.seen
-    monkeypatch.setattr(object_side.ObjectSide, "seen", lambda s: made.append(1) or seen(s))
+    planned = Surface.planned
+
+    def counting(surface, site):
+        found = planned(surface, site)
+        transform = found.transform
+        found.transform = lambda *given: made.append(1) or transform(*given)
+        return found
+
+    monkeypatch.setattr(Surface, "planned", counting)
     own = scene(Effects())
     model = ImageModel(own, GRID, INDEX, 1e-2)
     for names in ((), ("bleaching",), ("pixel_integration",), ("illumination",)):
         model.expected(replace(own, effects=Effects.of(*names)))
     assert len(made) == 1
+    model.expected(replace(own, effects=Effects.of("attenuation")))
+    assert len(made) == 2
 
 
 def test_a_plan_for_a_wider_psf_does_not_serve_a_narrower_one():
@@ -64,8 +74,9 @@ def test_a_plan_for_a_wider_psf_does_not_serve_a_narrower_one():
 
 
 @pytest.mark.parametrize("effects", [Effects(), ALL], ids=["plain", "effects"])
-def test_columns_of_the_shape_are_those_of_the_whole_image(effects):
-    own = scene(effects)
+@pytest.mark.parametrize("light", [MEMBRANES, INSIDES, BOTH], ids=["membranes", "insides", "both"])
+def test_columns_of_the_shape_are_those_of_the_whole_image(effects, light):
+    own = scene(effects, light)
     model = ImageModel(own, GRID, INDEX, 1e-3)
     modes = shape_modes(CELLS, count=4)
     columns = model.shape_columns(own, modes)
@@ -83,8 +94,17 @@ def test_columns_of_the_shape_are_those_of_the_whole_image(effects):
         assert np.linalg.norm(columns[:, k] - change) < 0.03 * np.linalg.norm(change)
 
 
+def test_the_column_of_the_interior_is_that_of_the_whole_image():
+    own = scene(ALL, BOTH)
+    model = ImageModel(own, GRID, INDEX, 1e-3)
+    columns = model.light_columns(own, model.rendered(own))
+    ends = [model.expected(replace(own, light=Light(1.0, 0.3 + by))) for by in (0.1, -0.1)]
+    change = (ends[0] - ends[1]) / 0.2
+    assert np.linalg.norm(columns[:, 2] - change) < 1e-3 * np.linalg.norm(change)
+
+
 def test_columns_of_the_density_are_those_of_the_whole_image():
-    own = scene(ALL)
+    own = scene(ALL, BOTH)
     model = ImageModel(own, GRID, INDEX, 1e-3)
     field = (CELLS.regions == 2).any(1).astype(float)
     column = model.density_columns(own, field[None])[:, 0]

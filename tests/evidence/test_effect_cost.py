@@ -11,14 +11,13 @@ from napari_deltamic import Grid
 from napari_deltamic.evidence.effect_cost import EffectCosts
 from napari_deltamic.geometry import sphere
 from napari_deltamic.scene import Renderer, Scene
-from napari_deltamic.scene.effects import Attenuation, Bulk, DepthPSF, Effects, Halo
+from napari_deltamic.scene.effects import Attenuation, DepthPSF, Effects, Halo
 
 
 def test_each_further_transform_costs_about_as_much_as_the_first(monkeypatch):
     monkeypatch.setattr(EffectCosts, "_timed", lambda *_: 0.1)  # seconds of a rendering
     costs = EffectCosts(TRUTH, GRID, OPTICS, Effects(), 1e-3)
     assert costs.milliseconds(DepthPSF()) == pytest.approx(100, rel=0.3)
-    assert costs.milliseconds(Bulk()) == pytest.approx(200, rel=0.3)  # two fluxes
     assert costs.milliseconds(Halo()) < 30
     assert costs.milliseconds(Attenuation()) == 0
 
@@ -29,10 +28,8 @@ def test_the_pace_is_that_of_this_machine():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "effect", [Bulk(density=0.1), DepthPSF(variance_z=0.02, variance_yx=0.01)], ids=["bulk", "psf"]
-)
-def test_the_price_is_what_an_image_with_its_gradient_takes_longer(effect, one_thread):
+def test_the_price_is_what_an_image_with_its_gradient_takes_longer(one_thread):
+    effect = DepthPSF(variance_z=0.02, variance_yx=0.01)
     grid = Grid((64, 64, 64), (0.1, 0.1, 0.1))
     mesh = sphere((3.2, 3.2, 3.2), 2.0, subdivisions=4)
     own, plain = (

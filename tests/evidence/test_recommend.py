@@ -12,12 +12,12 @@ from napari_deltamic.evidence.candidates import beyond_bounds
 from napari_deltamic.evidence.score import score
 from napari_deltamic.scene.effects import (
     Attenuation,
-    Bulk,
     Effects,
     Halo,
     Illumination,
     PixelIntegration,
 )
+from napari_deltamic.scene.light import Light
 
 
 def ask(image, state, only=None, **options):
@@ -36,43 +36,55 @@ def test_an_image_without_effects_calls_for_none(plain):
     assert all("chance" in e.reason for e in found.evidence if e.score)
 
 
-def test_light_from_inside_is_found_with_its_strength_bias_and_price(filled):
-    found = ask(*filled)
-    assert found.recommended == ("bulk",)
-    assert found.effects.bulk.density == pytest.approx(0.15, rel=0.25)
-    bulk = of(found, "bulk")
-    assert bulk.score > 10
-    assert bulk.bias_voxels > 0.05
-    assert bulk.bias_nm == pytest.approx(1e3 * bulk.bias_voxels * min(VOXEL))
-    assert bulk.cost_ms > of(found, "attenuation").cost_ms
-    assert "nm" in bulk.reason
+def test_a_halo_is_found_with_its_strength_bias_and_price(hazy):
+    found = ask(*hazy)
+    assert found.recommended == ("halo",)
+    assert found.effects.halo.fraction == pytest.approx(0.3, rel=0.25)
+    halo = of(found, "halo")
+    assert halo.score > 10
+    assert halo.bias_voxels > 0.05
+    assert halo.bias_nm == pytest.approx(1e3 * halo.bias_voxels * min(VOXEL))
+    assert halo.cost_ms > of(found, "attenuation").cost_ms
+    assert "nm" in halo.reason
 
 
-def test_the_predicted_bias_is_that_of_a_fit(filled):
-    image, state = filled
-    found = ask(image, state, ["bulk"])
-    right = fitted(image, effects=Effects.of(Bulk(density=0.15)))
+def test_the_predicted_bias_is_that_of_a_fit(hazy):
+    image, state = hazy
+    found = ask(image, state, ["halo"])
+    right = fitted(image, effects=Effects.of(Halo(fraction=0.3, width=1.0)))
     size = [np.cbrt(m.volumes()[1] * 3 / (4 * np.pi)) for m in (state.mesh, right.mesh)]
     swelling = abs(size[0] - size[1])
-    assert of(found, "bulk").bias_nm == pytest.approx(1e3 * swelling, rel=0.8)
+    assert of(found, "halo").bias_nm == pytest.approx(1e3 * swelling, rel=0.8)
 
 
-def test_it_is_the_same_every_time(filled, one_thread):
+def test_light_from_inside_is_no_effect_and_stays_free():
+    """A fit without the halo takes it for light inside, twice as much as there is."""
+    given = photons(light=Light(1.0, 0.15), seed=1), 0.15
+    hazy = photons(Effects.of(Halo(fraction=0.3, width=1.0)), light=Light(1.0, 0.15), seed=1), 0.3
+    for image, fitted_as in (given, hazy):
+        state = fitted(image, structure="both")
+        assert state.light.interior == pytest.approx(fitted_as, rel=0.25)
+        found = ask(image, state)
+        assert found.recommended == (("halo",) if fitted_as > 0.2 else ())
+        assert found.scene.light.interior == pytest.approx(0.15, rel=0.4)
+
+
+def test_it_is_the_same_every_time(hazy, one_thread):
     one, other = (
-        [replace(e, cost_ms=0.0) for e in ask(*filled, ["bulk", "bleaching"]).evidence]
+        [replace(e, cost_ms=0.0) for e in ask(*hazy, ["halo", "bleaching"]).evidence]
         for _ in range(2)
     )
     assert one == other
 
 
-def test_an_effect_that_is_there_is_not_asked_for_again(filled):
-    image, _ = filled
-    held = Effects.of(Bulk(density=0.15))
+def test_an_effect_that_is_there_is_not_asked_for_again(hazy):
+    image, _ = hazy
+    held = Effects.of(Halo(fraction=0.3, width=1.0))
     state = fitted(image, effects=held)
     found = ask(image, state, effects=state.effects)
     assert found.recommended == ()
-    assert found.effects.bulk is not None
-    assert "bulk" not in [e.name for e in found.evidence]
+    assert found.effects.halo is not None
+    assert "halo" not in [e.name for e in found.evidence]
 
 
 def test_what_hardly_moves_the_surface_is_seen_but_not_recommended():
@@ -91,7 +103,7 @@ def test_what_hardly_moves_the_surface_is_seen_but_not_recommended():
 def test_slices_without_an_image_are_to_be_left_out(plain):
     image = plain[0].copy()
     image[11:13] = 0
-    found = ask(image, fitted(image), ["bulk"])
+    found = ask(image, fitted(image), ["halo"])
     assert found.effects.missing.slices == (11, 12)
     assert of(found, "missing").bias_voxels > 0.02
 
@@ -123,18 +135,18 @@ def test_an_unknown_candidate_is_refused(plain):
 def test_what_ends_at_its_bound_passes_for_something_else():
     assert beyond_bounds(Illumination(coefficients=(0.1, 2.0, 0, 0, 0)))
     assert beyond_bounds(Halo(fraction=0.0))
-    assert not beyond_bounds(Bulk(density=0.1))
+    assert not beyond_bounds(Attenuation(per_um=0.1))
     assert not beyond_bounds(PixelIntegration())
 
 
-def test_what_is_not_clear_beside_the_misfit_is_taken_out_again(filled, monkeypatch):
+def test_what_is_not_clear_beside_the_misfit_is_taken_out_again(hazy, monkeypatch):
     """As if the residual varied far more from one large block to the next than nearby."""
 
-    def hazy(*given):
+    def unsure(*given):
         found = score(*given)
         return replace(found, z=found.z / 50)
 
-    monkeypatch.setattr(search, "score", hazy)
-    found = ask(*filled, ["bulk"])
+    monkeypatch.setattr(search, "score", unsure)
+    found = ask(*hazy, ["halo"])
     assert found.recommended == ()
-    assert found.effects.bulk is None
+    assert found.effects.halo is None

@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from evidence_scenes import CENTER, GRID, fitted, light, photons
+from evidence_scenes import CENTER, GRID, expected, fitted, photons
 from scipy.ndimage import gaussian_filter
 
 from napari_deltamic import Grid
 from napari_deltamic.errors import InputError
 from napari_deltamic.evidence import analyse_residual
 from napari_deltamic.evidence.residual import smoothed
-from napari_deltamic.scene.effects import Bulk, Effects
+from napari_deltamic.scene.light import Light
 
 
 def test_an_image_that_is_explained_leaves_noise(plain):
@@ -28,7 +28,7 @@ def test_a_spot_that_no_surface_explains_is_found_where_it_is(plain):
     at = (12, 16, 17)
     spot[at] = 1
     spot = gaussian_filter(spot, (1.4, 1.25, 1.25))
-    image = np.random.default_rng(5).poisson(light() + 40 * spot / spot.max()).astype(np.float32)
+    image = np.random.default_rng(5).poisson(expected() + 40 * spot / spot.max()).astype(np.float32)
     found = analyse_residual(image, GRID, state)
     brightest = found.spots[0]
     assert np.allclose(brightest.position, np.array(at) * GRID.voxel_size, atol=0.5)
@@ -39,7 +39,7 @@ def test_a_spot_that_no_surface_explains_is_found_where_it_is(plain):
 
 def test_light_from_inside_is_left_unexplained():
     # Brighter than the other scenes: the cell is so small that 40 photons leave it at 4.3 of the 5.
-    image = photons(Effects.of(Bulk(density=0.15)), seed=1, peak=60.0)
+    image = photons(light=Light(1.0, 0.15), seed=1, peak=60.0)
     found = analyse_residual(image, GRID, fitted(image))
     inside = tuple(int(c / d) for c, d in zip(CENTER, GRID.voxel_size, strict=True))
     assert found.map[inside] > 3

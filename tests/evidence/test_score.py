@@ -14,7 +14,7 @@ BLOCKS = np.arange(N) // 100
 
 
 def at(residual):
-    return Linearised(FITTED, residual, np.ones(N), 3, 0, 0, 0, np.zeros(5))
+    return Linearised(FITTED, residual, np.ones(N), 3, 2, 0, 0, 0, np.zeros(5))
 
 
 def test_no_effect_scores_like_a_normal_number():

@@ -3,7 +3,7 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
-from napari_deltamic import Grid, Mesh, fit, render
+from napari_deltamic import Grid, Mesh, fit
 from napari_deltamic.fitting.density import LIMIT, Density
 from napari_deltamic.fitting.level import Level
 from napari_deltamic.fitting.likelihood import Match
@@ -12,7 +12,9 @@ from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.remeshing import can_remesh
 from napari_deltamic.runs.settings import FitSettings
-from napari_deltamic.scene.effects import Bulk, Effects, as_effects
+from napari_deltamic.scene import expected_image
+from napari_deltamic.scene.effects import Effects
+from napari_deltamic.scene.light import MEMBRANES, Light
 from synthetic import CENTER, GRID, OPTICS, RADIUS, TRUTH, VOXEL, apart, fitted, measured, start
 
 
@@ -87,15 +89,15 @@ def test_what_an_image_hardly_shows_begins_with_the_mean_density():
     assert_allclose(density.faces_numpy(log), 1)
 
 
-def brightness(counted, effects=()):
+def brightness(counted, light=MEMBRANES):
     """(V,) of a level's start at the truth, where the image is twice as bright."""
     mesh, settings = sphere(CENTER, RADIUS, subdivisions=3), FitSettings(accuracy=1e-3)
-    shown = render(mesh, GRID, OPTICS, 1e-4, density=one_sided(mesh), effects=effects)
-    image = np.where(counted, 2 * shown.numpy(), 0).astype(np.float32)
-    level = Level(image, counted, GRID, OPTICS, settings, as_effects(effects), 1.0)
+    given = mesh, GRID, OPTICS, 1e-4, 1.0, 0.0
+    shown = expected_image(*given, density=one_sided(mesh), light=light)
+    image = np.where(counted, 2 * shown, 0).astype(np.float32)
+    level = Level(image, counted, GRID, OPTICS, settings, Effects(), 1.0)
     found = Match(1.0, 0.1, 1.0, 0.0, False)
-    given = mesh.vertices_numpy(), shown, found, as_effects(effects)
-    return mesh, level.brightness(*given)
+    return mesh, level.brightness(mesh.vertices_numpy(), torch.from_numpy(shown), found, Effects())
 
 
 def test_a_density_begins_with_the_mean_where_voxels_are_missing():
@@ -108,7 +110,7 @@ def test_a_density_begins_with_the_mean_where_voxels_are_missing():
 
 
 def test_a_density_begins_with_the_mean_where_a_dark_inside_leaves_less_than_nothing():
-    mesh, found = brightness(np.ones(GRID.shape, bool), Effects.of(Bulk(density=-9.0)))
+    mesh, found = brightness(np.ones(GRID.shape, bool), Light(1.0, -9.0))
     x = mesh.vertices_numpy()[:, 2] - CENTER[2]
     assert_allclose(found[x < 0.55 * RADIUS], 1)
     assert_allclose(found[x > 0.8 * RADIUS], 2, rtol=1e-3)

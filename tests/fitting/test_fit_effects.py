@@ -14,7 +14,6 @@ from napari_deltamic.scene.effects import (
     Attenuation,
     Background,
     Bleaching,
-    Bulk,
     Camera,
     DepthPSF,
     Effects,
@@ -23,6 +22,7 @@ from napari_deltamic.scene.effects import (
     Missing,
     SecondView,
 )
+from napari_deltamic.scene.light import MEMBRANES, Light
 from synthetic import (
     CENTER,
     GRID,
@@ -39,7 +39,6 @@ from synthetic import (
 
 NEAR = FitSettings(levels=(1.5, 1.0))
 CASES = [
-    (Bulk(density=0.3), 0.02),
     (Attenuation(per_um=0.15), 0.01),
     (Bleaching(per_slice=0.02), 2e-3),
     (Halo(fraction=0.1, width=0.5), 0.05),
@@ -53,21 +52,26 @@ def near(subdivisions=2):
     return sphere(np.add(CENTER, (0, 0.05, -0.05)), 0.9 * RADIUS, subdivisions=subdivisions)
 
 
-def scene(*effects, peak=40.0, background=4.0):
+def scene(*effects, peak=40.0, background=4.0, light=MEMBRANES):
     """Image without noise; its effects."""
     plain = expected_image(TRUTH, GRID, OPTICS, 1e-4, 1.0, 0.0)
     chosen = Effects.of(*effects)
     amplitude = peak / plain.max()
-    return expected_image(TRUTH, GRID, OPTICS, 1e-4, amplitude, background, effects=chosen)
+    given = TRUTH, GRID, OPTICS, 1e-4, amplitude, background
+    return expected_image(*given, effects=chosen, light=light)
 
 
 def numbers(effect):
     return np.array([v.value for v in effect.values()])
 
 
-def test_finds_the_light_inside():
-    last = fitted(scene(Bulk(density=0.3)), near(), settings=NEAR, effects=("bulk",))
-    assert last.effects.bulk.density == pytest.approx(0.3, abs=0.02)
+def test_finds_the_light_inside_beside_an_effect():
+    image = scene(Attenuation(per_um=0.15), light=Light(1.0, 0.3))
+    # A smooth brightness would follow depth as well.
+    settings = NEAR.model_copy(update={"structure": "both", "density": "uniform"})
+    last = fitted(image, near(), settings=settings, effects=("attenuation",))
+    assert last.light.interior == pytest.approx(0.3, abs=0.02)
+    assert last.effects.attenuation.per_um == pytest.approx(0.15, abs=0.02)
 
 
 @pytest.mark.slow
@@ -86,17 +90,17 @@ def test_finds_the_numbers_and_the_shape(effect, within):
 
 @pytest.mark.slow
 def test_finds_psf_and_effects_together():
-    effects = (Attenuation(per_um=0.1), Bulk(density=0.2))
-    settings = NEAR.model_copy(update={"fit_psf": True})
+    effects = (Attenuation(per_um=0.1), Illumination(order=1, coefficients=(0.15, -0.1)))
+    settings = NEAR.model_copy(update={"fit_psf": True, "density": "uniform"})
     last = fitted(
         scene(*effects),
         near(),
         optics=GaussianPSF(0.16),
         settings=settings,
-        effects=("attenuation", "bulk"),
+        effects=Effects.of("attenuation", Illumination(order=1)),
     )
     assert last.effects.attenuation.per_um == pytest.approx(0.1, abs=0.01)
-    assert last.effects.bulk.density == pytest.approx(0.2, abs=0.02)
+    assert last.effects.illumination.coefficients == pytest.approx((0.15, -0.1), abs=0.02)
     np.testing.assert_allclose(last.optics.sigma_um, OPTICS.sigma_um, rtol=0.02)
 
 
@@ -117,9 +121,9 @@ def test_numbers_stay_within_their_bounds():
 
 @pytest.mark.parametrize("density", [-0.3, -1.0])
 def test_an_inside_darker_than_the_medium_around_is_found(density):
-    image = scene(Bulk(density=density), background=40.0)
-    last = fitted(image, near(), settings=NEAR, effects=("bulk",))
-    assert last.effects.bulk.density == pytest.approx(density, rel=0.05)
+    image = scene(light=Light(1.0, density), background=40.0)
+    last = fitted(image, near(), settings=NEAR.model_copy(update={"structure": "both"}))
+    assert last.light.interior == pytest.approx(density, rel=0.05)
     alone = NEAR.model_copy(update={"structure": "membrane"})
     assert apart(last.mesh) < 0.5 * apart(fitted(image, near(), settings=alone).mesh)
     found = fitted(image, near(), settings=NEAR)  # without a word of an inside
@@ -136,11 +140,8 @@ def test_voxels_of_a_dark_inside_count(monkeypatch):
         return counted[-1]
 
     monkeypatch.setattr(Level, "near", near_surface)
-    dark = Bulk(density=-1.0)
-    image = scene(dark, background=40.0)
-    fitted(
-        image, near(), settings=SHORT, effects=Effects.of(dark.model_copy(update={"fit": False}))
-    )
+    image = scene(light=Light(1.0, -1.0), background=40.0)
+    fitted(image, near(), settings=SHORT.model_copy(update={"structure": "both"}))
     places = np.stack(np.indices(GRID.shape), -1).reshape(-1, 3) * VOXEL
     depth = 0.9 * RADIUS - np.linalg.norm(places - CENTER, axis=1)
     inside = (depth > 1.0 * OPTICS.sigma_um[0]) & (depth < 2.5 * OPTICS.sigma_um[0])
@@ -207,19 +208,20 @@ def test_refuses_a_second_view_that_does_not_fit():
 
 
 def test_effects_can_be_switched_on_while_a_fit_runs():
-    image = scene(Bulk(density=0.3))
-    states = fit(image, GRID, near(), OPTICS, settings=NEAR)
+    image = scene(Attenuation(per_um=0.15))
+    even = NEAR.model_copy(update={"density": "uniform"})
+    states = fit(image, GRID, near(), OPTICS, settings=even)
     last = [next(states) for _ in range(10)][-1]
     assert last.effects == Effects()
-    last = states.send(Change(effects=Effects.of("bulk")))
+    last = states.send(Change(effects=Effects.of("attenuation")))
     for last in states:  # noqa: B007
         pass
-    assert last.effects.bulk.density == pytest.approx(0.3, abs=0.02)
+    assert last.effects.attenuation.per_um == pytest.approx(0.15, abs=0.02)
 
 
-@pytest.mark.parametrize("effect", ["bulk", "halo"])
+@pytest.mark.parametrize("effect", ["attenuation", "halo"])
 def test_a_resumed_fit_ends_as_the_uninterrupted_one(tmp_path, effect):
-    image, path = scene(Bulk(density=0.3)), tmp_path / "checkpoint.npz"
+    image, path = scene(light=Light(1.0, 0.3)), tmp_path / "checkpoint.npz"
     for state in fit(image, GRID, start(2), OPTICS, settings=NEAR, effects=(effect,)):
         if state.iteration == 45:
             state.save(path)

@@ -13,20 +13,22 @@ from napari_deltamic.gui.document import Document
 from napari_deltamic.gui.effects import effects_panel
 from napari_deltamic.gui.effects.effects_panel import EffectsPanel
 from napari_deltamic.results.cell_columns import COLUMNS
-from napari_deltamic.scene.effects import Bulk, Effects
+from napari_deltamic.scene.effects import Attenuation, Effects
 
 pytestmark = pytest.mark.usefixtures("soon")
 
-BULK = Evidence("bulk", 12.3, 85.4, 0.4, 3.21, True, "z = 12.3; leaving it out would move it")
+FADING = Evidence(
+    "attenuation", 12.3, 85.4, 0.4, 3.21, True, "z = 12.3; leaving it out would move it"
+)
 HALO = Evidence("halo", 0.7, 0.01, 0.0, 0.1, False, "z = 0.7: no more than chance")
 
 EXPLAINED = [column.key for column in COLUMNS].index("explained")
 
 
 def recommendation(*evidence):
-    """What an engine would answer that recommends bulk."""
+    """What an engine would answer that recommends attenuation."""
     camera = Camera(Finding(2.0, 0.1, ""), unknown(""), unknown(""), unknown(""), None)
-    effects = Effects.of(*(Bulk(density=0.3) for e in evidence if e.recommended))
+    effects = Effects.of(*(Attenuation(per_um=0.3) for e in evidence if e.recommended))
     names = tuple(e.name for e in evidence if e.recommended)
     return SimpleNamespace(
         effects=effects, evidence=evidence, camera=camera, remarks=("a remark",), recommended=names
@@ -45,10 +47,10 @@ def asked(monkeypatch):
 
     def recommend(image, grid, mesh, optics, settings, **more):
         calls.append({"mesh": mesh, "optics": optics, **more})
-        more["progress"]("looking at bulk")
+        more["progress"]("looking at attenuation")
         assert gate.acquire(timeout=20)
         more["progress"]("looking at halo")
-        return recommendation(BULK, HALO)
+        return recommendation(FADING, HALO)
 
     monkeypatch.setattr(effects_panel, "recommend", recommend)
     yield gate, calls
@@ -57,11 +59,11 @@ def asked(monkeypatch):
 
 def test_nothing_is_ticked_before_the_user_does(panel):
     assert panel.summary() == "none; check this image"
-    panel.show_found(recommendation(HALO, BULK))
+    panel.show_found(recommendation(HALO, FADING))
     assert panel.effects() == Effects()
-    assert panel.summary() == "none; bulk recommended"
-    row = panel.table.row_of("bulk")
-    assert row == {"effect": "bulk", "how": "12.3", "shift": "85", "slower": "3.2"}
+    assert panel.summary() == "none; attenuation recommended"
+    row = panel.table.row_of("attenuation")
+    assert row == {"effect": "attenuation", "how": "12.3", "shift": "85", "slower": "3.2"}
     assert panel.table.row_of("pixel_integration")["how"] == ""
     assert "gain 2" in panel.remarks.text()
 
@@ -69,20 +71,20 @@ def test_nothing_is_ticked_before_the_user_does(panel):
 def test_a_recommendation_is_accepted_with_its_numbers(panel):
     told = []
     panel.changed.connect(lambda: told.append(panel.effects()))
-    panel.show_found(recommendation(BULK))
+    panel.show_found(recommendation(FADING))
     panel.take_button.click()
-    assert told == [Effects.of(Bulk(density=0.3))]
-    assert panel.summary() == "bulk"
+    assert told == [Effects.of(Attenuation(per_um=0.3))]
+    assert panel.summary() == "attenuation"
     assert panel.take_button.isHidden()
-    panel.table.tick("bulk", False)
+    panel.table.tick("attenuation", False)
     assert panel.effects() == Effects()
     assert not panel.take_button.isHidden()
 
 
 def test_the_reason_of_a_row_can_be_read(panel):
-    panel.show_found(recommendation(BULK, HALO))
+    panel.show_found(recommendation(FADING, HALO))
     panel.table.selectRow(0)
-    assert panel.reason.text() == f"bulk: {BULK.reason}"
+    assert panel.reason.text() == f"attenuation: {FADING.reason}"
     assert HALO.reason in panel.table.item(1, 0).toolTip()
 
 
@@ -106,11 +108,11 @@ def test_the_image_and_its_seeds_are_asked_in_the_background(seeded, spin, asked
     view.button.click()
     assert seeded.settings.effects.busy
     assert view.button.text() == "Stop checking"
-    spin(lambda: view.progress.text() == "looking at bulk ...")
+    spin(lambda: view.progress.text() == "looking at attenuation ...")
     gate.release()
     spin(lambda: not seeded.settings.effects.busy)
-    assert view.found.recommended == ("bulk",)
-    assert seeded.settings.effects_fold.title == "Corrections: none; bulk recommended"
+    assert view.found.recommended == ("attenuation",)
+    assert seeded.settings.effects_fold.title == "Corrections: none; attenuation recommended"
     assert calls[0]["fitted"].iteration == 5
     assert seeded.settings.scene_settings().effects == Effects()
     seeded.settings.sigma._boxes[0].setValue(0.9)
@@ -141,7 +143,7 @@ def test_a_check_can_be_stopped(seeded, spin, asked):
     view = seeded.settings.effects
     seeded.settings.max_iterations.setValue(3)
     view.button.click()
-    spin(lambda: view.progress.text() == "looking at bulk ...")
+    spin(lambda: view.progress.text() == "looking at attenuation ...")
     view.button.click()
     assert not seeded.settings.effects.busy
     assert view.progress.text() == "stopped"
@@ -163,17 +165,17 @@ def test_an_accepted_effect_goes_into_the_fit_that_runs(seeded, spin, endless):
     view = seeded.settings.effects
     assert not view.button.isEnabled()
     view.show_effects(Effects())
-    view.found = recommendation(BULK)
+    view.found = recommendation(FADING)
     view.take_recommended()
-    spin(lambda: seeded.run.state.effects.names == ("bulk",))
-    spin(lambda: any(name == "bulk: density" for name, *_ in seeded.running.numbers.texts()))
+    spin(lambda: seeded.run.state.effects.names == ("attenuation",))
+    spin(lambda: any(name == "attenuation: per um" for name, *_ in seeded.running.numbers.texts()))
     [(_, start, now)] = seeded.running.numbers.texts()
     assert start == "0.3"
     assert now.endswith(" 1/um")
     seeded.stop()
     spin(lambda: not seeded.run.running)
     assert view.button.isEnabled()
-    assert seeded.doc.result.job.settings.scene.effects.names == ("bulk",)
+    assert seeded.doc.result.job.settings.scene.effects.names == ("attenuation",)
 
 
 def test_the_residual_is_in_standard_deviations_and_cells_are_judged(seeded, with_image, spin):

@@ -9,7 +9,7 @@ from napari_deltamic.runs.settings import FitSettings
 
 from .conftest import SIZE
 from .sessions import done, fitted, save
-from .test_effects_panel import BULK, HALO, recommendation
+from .test_effects_panel import FADING, HALO, recommendation
 
 
 @pytest.fixture
@@ -84,20 +84,20 @@ def test_found_cells_are_of_their_image(make_widget, with_image, spin, other, mo
 
 
 def test_recommendations_are_of_their_image(seeded, spin, other, monkeypatch):
-    monkeypatch.setattr(effects_panel, "recommend", lambda *a, **k: recommendation(BULK, HALO))
+    monkeypatch.setattr(effects_panel, "recommend", lambda *a, **k: recommendation(FADING, HALO))
     seeded.settings.show_settings(FitSettings(max_iterations=2))
     seeded.settings.effects.start()
     spin(lambda: not seeded.settings.effects.busy)
     view = seeded.settings.effects
-    assert view.summary() == "none; bulk recommended"
+    assert view.summary() == "none; attenuation recommended"
     other()
     choose(seeded, "other")
     assert "recommended" not in view.summary()
     assert view.take_button.isHidden()
-    assert view.table.row_of("bulk")["how"] == ""
+    assert view.table.row_of("attenuation")["how"] == ""
     assert "another image" in view.progress.text()
     choose(seeded, "cell")
-    assert view.summary() == "none; bulk recommended"
+    assert view.summary() == "none; attenuation recommended"
 
 
 def test_the_psf_of_a_session_is_of_its_image(seeded, spin, tmp_path, reopened, pixels):

@@ -11,7 +11,7 @@ from napari_deltamic.gui.accuracy.accuracy_dial import CHOICES
 from napari_deltamic.gui.panels import preferences
 from napari_deltamic.gui.panels.preferences import PLUGIN, Preferences, read_preferences, usable
 from napari_deltamic.runs.settings import FitSettings
-from napari_deltamic.scene.effects import Bulk, Effects
+from napari_deltamic.scene.effects import Attenuation, Effects
 
 MANIFEST = Path(napari_deltamic.__file__).with_name("napari.yaml")
 
@@ -66,7 +66,7 @@ def test_a_new_widget_is_set_as_preferred(make_widget, monkeypatch, told):
         "preview_seeds": False,
         "show_rendered": True,
         "updates_per_second": 4,
-        "effects": "bulk=0.2",
+        "effects": "attenuation=0.2",
         "psf": "from the objective",
         "modality": "widefield",
         "na": 0.8,
@@ -82,7 +82,7 @@ def test_a_new_widget_is_set_as_preferred(make_widget, monkeypatch, told):
     assert not widget.seeds.preview.isChecked()
     assert widget.doc.work.interval == 0.25
     scene = widget.settings.scene_settings()
-    assert scene.effects == Effects.of(Bulk(density=0.2))
+    assert scene.effects == Effects.of(Attenuation(per_um=0.2))
     assert (scene.optics.modality, scene.optics.na) == ("widefield", 0.8)
     assert told == ["a remark"]
 

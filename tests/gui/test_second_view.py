@@ -93,8 +93,8 @@ def test_a_fit_under_way_keeps_the_second_view_that_it_has(seeded, second, spin,
     spin(lambda: seeded.link is not None and seeded.link.mesh is not None)
     second.chooser.setCurrentIndex(0)
     assert "second view: from the next run on" in seeded.running.note.text()
-    seeded.settings.effects.table.tick("bulk")
-    spin(lambda: "bulk" in seeded.run.state.effects.names)
+    seeded.settings.effects.table.tick("attenuation")
+    spin(lambda: "attenuation" in seeded.run.state.effects.names)
     assert seeded.run.state.effects.second_view is not None
     seeded.stop()
     spin(done(seeded))

@@ -97,10 +97,10 @@ def test_the_numbers_that_decide_are_kept_with_a_result(tmp_path, mesh, rendered
 def test_report_tells_what_became_of_the_effects(tmp_path, mesh, rendered):
     scene = RUN.scene.model_copy(update={"effects": Effects.of("halo", "pixel_integration")})
     run = RUN.model_copy(update={"scene": scene})
-    found = Effects.of(Halo(fraction=0.1, width=2.0), "pixel_integration", "bulk")
+    found = Effects.of(Halo(fraction=0.1, width=2.0), "pixel_integration", "attenuation")
     state, history = a_state(mesh, rendered, effects=found), a_history(mesh, rendered)
     write_results(tmp_path, state, rendered, GRID, run, history, 1.5)
-    pixels, bulk, halo = json.loads((tmp_path / "report.json").read_text())["effects"]
+    pixels, late, halo = json.loads((tmp_path / "report.json").read_text())["effects"]
     assert pixels == {
         "name": "pixel_integration",
         "where": "fourier",
@@ -112,7 +112,7 @@ def test_report_tells_what_became_of_the_effects(tmp_path, mesh, rendered):
         {"name": "fraction", "unit": "1", "start": 0.02, "value": 0.1},
         {"name": "width", "unit": "um", "start": 1.0, "value": 2.0},
     ]
-    assert bulk["numbers"][0]["start"] == 0.0  # it came on the way
+    assert late["numbers"][0]["start"] == 0.0  # it came on the way
 
 
 def test_report(tmp_path, mesh, rendered):

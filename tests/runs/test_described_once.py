@@ -101,12 +101,12 @@ def test_the_command_that_repeats_a_run_gives_it(model, name):
 
 def test_a_command_gives_all_of_a_run():
     fit = {name: another(found) for name, found in described(FitSettings).items()}
-    scene = SceneSettings(voxel_size=(0.3, 0.2, 0.1), effects=("bulk",))
+    scene = SceneSettings(voxel_size=(0.3, 0.2, 0.1), effects=("halo",))
     run = RunSettings(image="a b.tif", seeds="s.csv", scene=scene, fit=FitSettings(**fit))
     text = command(run, "out", missing=True)
     for name, found in described(FitSettings).items():
         assert found.flag in text or f"--no-{found.flag[2:]}" in text, name
-    assert "--effects bulk" in text
+    assert "--effects halo" in text
     assert "'a b.tif'" in text
     assert "--missing-nan" in text
 

@@ -16,7 +16,6 @@ from napari_deltamic.scene.effects import (
     Attenuation,
     Background,
     Bleaching,
-    Bulk,
     Camera,
     DepthPSF,
     Effects,
@@ -33,7 +32,6 @@ CENTRE = np.array([-0.2, 4.4, 11.5])
 BALL = sphere(CENTRE, (0.6, 0.5, 0.7), subdivisions=2)
 FITTED = [name for name, kind in KINDS.items() if kind.bounds]
 PRESENT = {
-    "bulk": Bulk(density=0.4),
     "attenuation": Attenuation(per_um=0.2),
     "bleaching": Bleaching(per_slice=0.05),
     "illumination": Illumination(coefficients=(0.1, -0.2, 0.1, 0.05, -0.1)),
@@ -137,32 +135,6 @@ def test_halo_is_a_share_of_a_wider_psf():
     assert_allclose(image(PRESENT["halo"]), expected, **CLOSE)
 
 
-def test_bulk_fills_the_inside():
-    """Nearly all of what is inside falls into the image; deep inside it is the density."""
-    big = sphere(CENTRE, 1.2, subdivisions=3)
-    inside = image(Bulk(density=0.5), mesh=big) - image(mesh=big)
-    volume = float(big.signed_volumes().sum())
-    voxel = np.prod(GRID.voxel_size)
-    at = tuple(np.round((CENTRE - GRID.origin) / GRID.voxel_size).astype(int))
-    assert inside[at] == pytest.approx(0.5 * voxel, rel=2e-2)
-    wide = nd.Grid((40, 60, 55), GRID.voxel_size, origin=(-4.1, 1.2, 8.0))
-    both = [
-        nd.render(big, wide, OPTICS, 1e-5, effects=Effects.of(*e)).sum()
-        for e in ((Bulk(density=0.5),), ())
-    ]
-    assert float(both[0] - both[1]) == pytest.approx(0.5 * volume, rel=1e-3)
-
-
-def test_bulk_differs_by_region():
-    two = nd.Mesh.merge([sphere(CENTRE, 0.5), sphere(CENTRE + np.array([0, 1, 0]), 0.5)])
-    _, second = two.region_ids()
-    whole = image(Bulk(density=1.0), mesh=two) - image(mesh=two)
-    half = image(Bulk(density=1.0, regions={int(second): 0.5}), mesh=two) - image(mesh=two)
-    none = image(Bulk(density=1.0, regions={int(second): 0.0}), mesh=two) - image(mesh=two)
-    assert_allclose(half, (whole + none) / 2, **CLOSE)
-    assert none.sum() == pytest.approx(whole.sum() / 2, rel=0.1)
-
-
 def test_depth_psf_is_that_of_either_end_at_the_ends():
     low, high = (positions(0)[k] for k in (0, -1))
     effect = DepthPSF(variance_z=0.1, variance_yx=-0.02)
@@ -182,11 +154,12 @@ def test_gains_of_a_coarse_grid_are_those_of_the_image():
         assert_allclose(found, fine[::3, ::2, ::4], rtol=1e-12)
 
 
-@pytest.mark.parametrize("names", [("attenuation", "bulk"), ("depth_psf",), ("halo",)])
+@pytest.mark.parametrize("names", [("attenuation",), ("attenuation", "depth_psf"), ("halo",)])
 def test_gradient_in_the_vertices(names):
     mesh = sphere(CENTRE, 0.4, subdivisions=0)
     grid = nd.Grid((6, 6, 7), (0.3, 0.3, 0.3), origin=tuple(CENTRE - 0.8))
-    renderer = Renderer(Scene.of(mesh, OPTICS, Effects.of(*(PRESENT[n] for n in names))), grid, 0)
+    effects = Effects.of(*(PRESENT[n] for n in names))
+    renderer = Renderer(Scene.of(mesh, OPTICS, effects, insides=True), grid, 0)
     otf = renderer.otf(OPTICS)
     v = torch.tensor(mesh.vertices_numpy(), requires_grad=True)
     assert gradcheck(lambda v: renderer.image(renderer.transform(v), otf), (v,), fast_mode=True)
@@ -212,10 +185,10 @@ def test_missing_is_a_value_or_a_slice():
 
 
 def test_absent_effects_are_none():
-    effects = Effects.of("halo", Bulk(density=0.2))
-    assert effects.names == ("bulk", "halo")
+    effects = Effects.of("halo", Attenuation(per_um=0.2))
+    assert effects.names == ("attenuation", "halo")
     assert effects.camera is None
-    assert effects.without("halo").names == ("bulk",)
+    assert effects.without("halo").names == ("attenuation",)
     assert effects.replace(halo=Halo(fraction=0.1)).halo.fraction == 0.1
     assert Effects().present() == ()
 
@@ -243,7 +216,7 @@ def test_text_gives_names_or_first_numbers():
         ("attenuation,bleaching", "no image tells attenuation from bleaching: choose one"),
         *((name, reason) for name, reason in REFUSED.items()),
         ("halo=2", "less than or equal to 0.8"),
-        ("bulk=dark", "bulk.density: .* number"),
+        ("halo=dark", "halo.fraction: .* number"),
         ("second_view", "second_view.sigma: Field required"),
         ("attenuation=nan", "attenuation.per_um"),
     ],

@@ -19,7 +19,6 @@ from napari_deltamic.scene.effects import (
     Attenuation,
     Background,
     Bleaching,
-    Bulk,
     Camera,
     DepthPSF,
     Effects,
@@ -32,7 +31,6 @@ OPTICS = nd.GaussianPSF((0.2, 0.15, 0.15))
 GRID = nd.Grid((24, 32, 30), (0.12, 0.1, 0.1))
 BALL = sphere((1.4, 1.6, 1.5), 0.8, subdivisions=3)
 PRESENT = Effects.of(
-    Bulk(density=0.4),
     Attenuation(per_um=0.1),
     Illumination(coefficients=(0.1, -0.2, 0.1, 0.05, -0.1)),
     Halo(fraction=0.2, width=0.3),
@@ -176,7 +174,7 @@ def work(effects):
     return passes(of_otf, int(np.prod(otf.shape[-3:]))), multiplied, of_mesh.count
 
 
-@pytest.mark.parametrize("name", [n for n in KNOWN if n != "bulk"])
+@pytest.mark.parametrize("name", list(KNOWN))
 def test_present_effects_take_the_operations_that_they_state(name):
     stated = KINDS[name].cost
     plain, own = work(Effects()), work(Effects.of(KNOWN[name]))
@@ -209,5 +207,5 @@ def test_present_effects_take_the_time_that_they_state(name, method, one_thread)
     closed = method == "closed form"
     grid = GRID if closed else nd.Grid((64, 64, 64), (0.1, 0.1, 0.1))
     mesh = sphere((1.4, 1.6, 1.5), 0.8 if closed else 1.3, subdivisions=3 if closed else 5)
-    stated = 1 + KINDS[name].cost.transforms_by(method)
+    stated = 1 + KINDS[name].cost.transforms
     assert ratio(Effects.of(KNOWN[name]), method, mesh, grid) == pytest.approx(stated, rel=0.3)

@@ -69,7 +69,7 @@ def test_a_surface_is_rendered_to_the_same_bits():
         plain = nd.render(BALL, GRID, OPTICS, 1e-3, density=given)
         surface = Surface(BALL) if given is None else Surface(BALL, given)
         assert torch.equal(plain, render_scene(Scene(surface, OPTICS), GRID, 1e-3))
-    effects = Effects.from_text("attenuation=0.1,bulk=0.5,halo")
+    effects = Effects.from_text("attenuation=0.1,depth_psf,halo")
     plain = nd.render(BALL, GRID, OPTICS, 1e-3, effects=effects)
     assert torch.equal(plain, render_scene(Scene((Surface(BALL),), OPTICS, effects), GRID, 1e-3))
 
@@ -173,11 +173,26 @@ def test_light_is_lost_with_depth_in_every_structure():
         assert seen[1] / seen[0] == pytest.approx(np.exp(-0.3), rel=1e-3)
 
 
-def test_bulk_is_the_solid_of_a_surface():
-    bulk = Effects.from_text("bulk=0.7")
-    by_effect = render_scene(Scene((Surface(BALL),), OPTICS, bulk), GRID, 1e-5)
-    by_structure = render_scene(Scene((Surface(BALL), Solid(BALL, 0.7)), OPTICS), GRID, 1e-5)
-    assert_allclose(by_effect, by_structure, atol=1e-9)
+def test_regions_shine_as_they_are_told():
+    two = Mesh.merge([sphere(CENTRE + np.array([0, y, 0]), 0.5) for y in (0.0, 1.0)])
+    first, second = two.region_ids().tolist()
+
+    def image(other):
+        return render_scene(Scene((Solid(two, {first: 1.0, second: other}),), OPTICS), GRID, 1e-5)
+
+    assert_allclose(image(0.5), (image(1.0) + image(0.0)) / 2, atol=1e-6)
+    assert image(0.0).sum() == pytest.approx(float(image(1.0).sum()) / 2, rel=0.1)
+
+
+def test_a_scene_with_another_surface_has_its_inside():
+    moved = BALL.translated((0.1, 0.0, 0.0))
+    scene = Scene((Surface(BALL), Solid(BALL, 0.7), Points(CENTRE[None])), OPTICS)
+    surface, solid, points = scene.with_surface(moved, 2.0).structures
+    assert surface.mesh is moved
+    assert surface.density == 2.0
+    assert_allclose(solid.mesh.vertices_numpy(), moved.vertices_numpy())
+    assert solid.density == 0.7
+    assert points is scene.structures[2]
 
 
 def test_a_psf_that_changes_with_depth_is_seen_by_all():

@@ -13,8 +13,9 @@ from ..fitting.checks import check_mesh
 from ..geometry import Mesh, load_mesh
 from ..results.simulation_files import FILES, write_simulation
 from ..runs.optics_settings import optics_from_values
-from ..scene import Grid, Scene, Surface, random_cells, simulate
+from ..scene import Grid, Scene, random_cells, simulate
 from ..scene.effects import Effects
+from ..scene.structures import membranes_and_insides
 from .folders import check_folder
 from .messages import Notes, tell
 from .optics_arguments import optics_from_arguments, optics_values
@@ -42,7 +43,7 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
         try:
             mesh = fixed or random_cells(arguments.cells, grid, arguments.kind or "foam", seed)
             made = simulate(
-                Scene((Surface(mesh),), optics, effects),
+                Scene(membranes_and_insides(mesh, arguments.interior), optics, effects),
                 grid,
                 photons=arguments.photons,
                 photons_per_density=arguments.photons_per_um2,

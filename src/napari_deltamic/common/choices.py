@@ -30,7 +30,6 @@ Bits = Literal[8, 12, 16, 32]  # of an intensity; 32: float32, which holds any v
 EFFECTS = (
     "pixel_integration",
     "background",
-    "bulk",
     "attenuation",
     "bleaching",
     "illumination",

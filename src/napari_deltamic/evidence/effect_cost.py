@@ -79,5 +79,6 @@ def milliseconds(effect: Effect, plan: Plan, grid: Grid, known: Costs) -> float:
     transform = rates.seconds(replace(plan.work, pixels=0.0))
     image = rates.seconds(Work(pixels=plan.work.pixels)) - rates.call
     passes = cost.bands * prod(plan.band.box_shape) + cost.voxels * prod(grid.shape)
-    transforms = cost.transforms_by(plan.method)
-    return 1e3 * (transforms * transform + cost.images * image + passes * known.voxel / _PASSES)
+    return 1e3 * (
+        cost.transforms * transform + cost.images * image + passes * known.voxel / _PASSES
+    )

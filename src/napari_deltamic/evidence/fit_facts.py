@@ -49,7 +49,7 @@ def facts_of(
     growth = _growth(job.mesh, state.mesh)
     cut = _cut(state.mesh, job.grid)
     inside, compact = _inside(job, state), _compactness(job.mesh, state.mesh)
-    modelled = state.effects.light_inside or state.light.interior != 0
+    modelled = state.light.interior != 0
     unsure = job.settings.fit.structure == "auto" and not modelled
     volumes = state.mesh.volumes()
     explained = {cell.region: cell.explained for cell in left.cells}

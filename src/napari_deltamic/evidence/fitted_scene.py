@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,8 +10,8 @@ from ..fitting.state import FitState
 from ..geometry.mesh import Mesh
 from ..scene import Scene
 from ..scene.effects import Effects
-from ..scene.effects.bulk import Bulk
-from ..scene.light import Light
+from ..scene.light import MEMBRANES, Light
+from ..scene.structures import Solid
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,10 +22,13 @@ class FittedScene(Scene):
     ----------
     amplitude, background
         Expected image = amplitude * rendered image + background + what effects add.
+    light
+        What of its mesh shines in the rendered image.
     """
 
     amplitude: float = 1.0
     background: float = 0.0
+    light: Light = MEMBRANES
 
     @classmethod
     def of_state(
@@ -39,13 +42,13 @@ class FittedScene(Scene):
         if mesh is None:
             mesh, density = state.mesh, state.density
         uniform = density is None or np.ptp(density) == 0
-        effects, share = _with_inside(effects, state.light)
-        found = cls.of(mesh, state.optics.detach(), effects, None if uniform else density)
-        return found.scaled(share * state.amplitude, state.background)
+        given = mesh, state.optics.detach(), effects, None if uniform else density
+        found = cls.of(*given, insides=state.light.interior != 0)
+        return replace(found, light=state.light).scaled(state.amplitude, state.background)
 
     def scaled(self, amplitude: float, background: float) -> FittedScene:
         """The same with another scale."""
-        return FittedScene(self.structures, self.optics, self.effects, amplitude, background)
+        return replace(self, amplitude=amplitude, background=background)
 
     @property
     def density(self) -> np.ndarray | None:
@@ -53,15 +56,7 @@ class FittedScene(Scene):
         held = self.surface.density
         return held if isinstance(held, np.ndarray) else None
 
-
-def _with_inside(effects: Effects, light: Light) -> tuple[Effects, float]:
-    """Effects that show the same inside, and the share of the amplitude that membranes then have.
-
-    Where membranes do not shine they are as dim as an effect can make them: 1 to 100 um^-1.
-    """
-    if not light.interior or effects.light_inside:
-        return effects, 1.0
-    most = Bulk.bounds["density"].high
-    share = light.membrane or abs(light.interior) / most
-    density = float(np.clip(light.interior / share, -most, most))
-    return effects.replace(bulk=Bulk(density=density, fit=False)), share
+    @property
+    def insides(self) -> Solid | None:
+        """Of its mesh; None where they do not shine."""
+        return next((s for s in self.structures if isinstance(s, Solid)), None)

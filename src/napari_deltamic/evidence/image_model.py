@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from ..fourier import Plan
 from ..scene import Grid, Renderer
 from ..scene.columns import Now, effect_columns, optics_columns
 from ..scene.effects import Effect, Effects
+from ..scene.light import INSIDES
 from .fitted_scene import FittedScene
 from .modes import ShapeModes
 from .surface import SurfaceColumns
@@ -122,6 +123,13 @@ class ImageModel:
         values = scene.amplitude * rendered + scene.background
         added = self._renderer_for(scene).offset()
         return values if added is None else values + self._seen(added)
+
+    def light_columns(self, scene: FittedScene, rendered: np.ndarray) -> np.ndarray:
+        """(N, 2 or 3): for amplitude and background, and the interior where both kinds shine."""
+        columns = [rendered, np.ones(len(rendered))]
+        if scene.light.membrane and scene.light.interior:
+            columns.append(scene.amplitude * self.rendered(replace(scene, light=INSIDES)))
+        return np.array(columns).T
 
     def shape_columns(self, scene: FittedScene, modes: ShapeModes) -> np.ndarray:
         """(N, K): change of the expected image for a coefficient of 1 um of each mode."""

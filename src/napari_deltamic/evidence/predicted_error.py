@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+import torch
 
 from ..errors import InputError
 from ..fitting.convergence import Patches, vertex_normals
@@ -15,12 +16,14 @@ from ..fitting.job import FitInput
 from ..fitting.pose import Posed
 from ..fitting.state import FitState
 from ..geometry.mesh import FloatArray, Mesh
+from ..scene.light import INSIDES
 from .candidates import allowed, chosen_candidates, points_inwards, variants
 
 _DRAWS = 16  # of the noise: over hundreds of patches, enough for their mean square
 _SURE = 4.5  # nats: three standard deviations; what gains less is no alternative
 _AS_GOOD = 0.5  # of what the best alternative gains: then it is as likely
 _OTHER_PSF = "another PSF"
+_INSIDE = "light inside"
 
 
 @dataclass(frozen=True)
@@ -78,8 +81,9 @@ def predicted_error(job: FitInput, state: FitState) -> PredictedError:
     """The errors of the end of a fit, from the second derivatives of its objective there.
 
     The standard deviation of a displacement is that of H^-1 J' W r with the residuals r, each with
-    a sign by lot; an alternative is a further column of the image (another width of the PSF, an
-    effect), and moves the surface by its best amplitude times what the surface follows it by.
+    a sign by lot; an alternative is a further column of the image (another width of the PSF, light
+    inside, an effect), and moves the surface by its best amplitude times what the surface follows
+    it by.
     """
     try:
         settings = job.settings.fit
@@ -118,6 +122,8 @@ def _alternative(posed: Posed, curvature: Curvature, state: FitState) -> tuple[s
     columns: dict[str, list[FloatArray]] = {}
     if not len(posed.at.optics):
         columns[_OTHER_PSF] = [posed.posterior.psf_columns(posed.at)]
+    if not state.light.interior and state.mesh.is_closed():
+        columns[_INSIDE] = [_inside(posed, state)]
     for name in chosen_candidates(None, state.effects):
         ways = [e for e in variants(name, state.optics) if allowed(e, state.effects)]
         ways = [e for e in ways if e.bounds]
@@ -134,6 +140,16 @@ def _alternative(posed: Posed, curvature: Curvature, state: FitState) -> tuple[s
         return "", np.zeros((len(state.mesh.vertices), 3))
     name, _, along = max(likely, key=lambda t: float(np.square(t[2]).sum()))
     return name, curvature.directions.displaced(along)
+
+
+def _inside(posed: Posed, state: FitState) -> FloatArray:
+    """(N, 1) the image of the insides alone."""
+    level, view = posed.posterior.level, posed.posterior.views[0]
+    renderer = level.renderer(state.mesh, state.optics, state.effects, insides=True)
+    with torch.no_grad():
+        otf = renderer.otf(state.optics)
+        shown = level.rendered(renderer, renderer.transform(light=INSIDES), otf)
+        return view.voxels.of(shown).cpu().numpy().astype(np.float64)[:, None]
 
 
 class _Patches:

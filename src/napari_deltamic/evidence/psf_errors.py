@@ -32,8 +32,8 @@ def psf_standard_errors(
     """Standard error of each fitted parameter of the PSF, in its unit.
 
     From the normal matrix of the weighted least squares (the Fisher information of Gaussian noise),
-    in which amplitude, background and smooth changes of the shape are free too: what they can make
-    up for, the image does not tell of the PSF.
+    in which what shines, the background and smooth changes of the shape are free too: what they can
+    make up for, the image does not tell of the PSF.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def psf_standard_errors(
     scene = FittedScene.of_state(state, effects or Effects())
     model = ImageModel(scene, grid, index, _ACCURACY)
     psf = model.psf_columns(scene)
-    linear = np.stack([model.rendered(scene), np.ones(len(index))], 1)
+    linear = model.light_columns(scene, model.rendered(scene))
     single = len(state.mesh.region_ids()) == 1
     free = modes or shape_modes(state.mesh, count=_MODES if single else None)
     shape = model.shape_columns(scene, free)

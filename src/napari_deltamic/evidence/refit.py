@@ -29,12 +29,13 @@ class Linearised:
     Attributes
     ----------
     columns
-        (N, K): shape modes, amplitude, background, PSF, effects, density, in this order.
+        (N, K): shape modes, amplitude, background and interior, PSF, effects, density, in this
+        order.
     residual
         (N,) measured minus expected, times the root of the weights.
     root
         (N,) root of the weights.
-    modes, psf, effects, density
+    modes, light, psf, effects, density
         How many columns there are of each.
     prior
         (K,) added to the diagonal of the normal equations.
@@ -44,6 +45,7 @@ class Linearised:
     residual: np.ndarray
     root: np.ndarray
     modes: int
+    light: int
     psf: int
     effects: int
     density: int
@@ -171,8 +173,8 @@ class Refit:
         shape, density = surface.shape, surface.density
         psf = self.model.psf_columns(scene) if self.fit_psf else np.zeros((0, len(rendered))).T
         effects = [self.model.effect_columns(scene, e) for e, _ in parameters_of(scene.effects)]
-        linear = np.array([rendered, np.ones(len(rendered))]).T
-        columns = np.concatenate([shape, linear, psf, *effects, density], axis=1)
+        light = self.model.light_columns(scene, rendered)
+        columns = np.concatenate([shape, light, psf, *effects, density], axis=1)
         columns *= root[:, None]
         prior = np.zeros(columns.shape[1])
         prior[: len(self.modes)] = 1 / (REFIT.prior * min(scene.optics.sigma_um)) ** 2
@@ -182,6 +184,7 @@ class Refit:
             (self.measured - expected) * root,
             root,
             len(self.modes),
+            light.shape[1],
             psf.shape[1],
             sum(e.shape[1] for e in effects),
             density.shape[1],
@@ -195,7 +198,7 @@ class Refit:
     def step(self, scene: FittedScene, at: Linearised) -> tuple[FittedScene, float]:
         """One Gauss-Newton step; and by what share it lowers the loss."""
         whole = at.solve(at.residual)
-        k = at.modes + 2
+        k = at.modes + at.light
         if at.psf:
             largest = float(np.abs(whole[k : k + at.psf]).max())
             whole = whole * min(1.0, REFIT.largest_psf / max(largest, 1e-12))
@@ -212,22 +215,24 @@ class Refit:
         return scene, 0.0
 
     def _moved(self, scene: FittedScene, change: np.ndarray, at: Linearised) -> FittedScene:
-        k = at.modes
+        k, first = at.modes, at.modes + at.light
         vertices = self.modes.displaced(scene.mesh.vertices_numpy(), change[:k])
         optics = scene.optics
         if at.psf:
             p = optics.parameters().detach()
-            optics = optics.with_parameters(p + torch.from_numpy(change[k + 2 : k + 2 + at.psf]))
+            optics = optics.with_parameters(p + torch.from_numpy(change[first : first + at.psf]))
         density = self._dimmed(scene, change[len(change) - at.density :])
         moved = scene.with_surface(
             scene.mesh.with_vertices(vertices), 1.0 if density is None else density
         )
+        interior = scene.light.interior + float(change[k + 2 : first].sum())
         return replace(
             moved,
             optics=optics,
-            effects=with_changed(scene.effects, change[k + 2 + at.psf :]),
+            effects=with_changed(scene.effects, change[first + at.psf :]),
             amplitude=scene.amplitude + float(change[k]),
             background=scene.background + float(change[k + 1]),
+            light=replace(scene.light, interior=interior),
         )
 
     def _dimmed(self, scene: FittedScene, change: np.ndarray) -> np.ndarray | None:

@@ -195,7 +195,7 @@ class Search:
         return score(without, columns, self.blocks)
 
     def _own_columns(self, effect: Effect) -> np.ndarray:
-        first = self.at.modes + 2 + self.at.psf
+        first = self.at.modes + self.at.light + self.at.psf
         for other, n in parameters_of(self.scene.effects):
             if other.name == effect.name:
                 return np.arange(first, first + n)
@@ -228,8 +228,7 @@ class Search:
         columns = np.concatenate(
             [
                 model.shape_columns(self.scene, self.refit.modes),
-                rendered[:, None],
-                np.ones((len(index), 1)),
+                model.light_columns(self.scene, rendered),
             ],
             axis=1,
         )

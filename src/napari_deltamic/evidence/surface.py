@@ -11,7 +11,6 @@ from torch import Tensor
 
 from ..geometry.mesh import Mesh
 from ..scene import Grid, Renderer, Scene
-from ..scene.effects.object_side import ObjectSide, Surfaces
 from .fitted_scene import FittedScene
 from .modes import ShapeModes
 
@@ -42,6 +41,8 @@ class SurfaceColumns:
         self._reach = np.asarray(scene.optics.reach(self.accuracy))
         for effect in scene.effects.present():
             self._reach = np.hypot(self._reach, effect.reach(self.accuracy))
+        seen = [] if scene.insides is None else scene.insides.contrasts(scene.effects, frame)
+        self.contrasts = [scene.light.interior * one.numpy() for one in seen]
 
     def shape(self, modes: ShapeModes) -> np.ndarray:
         """Change of the expected image for a coefficient of 1 um of each mode."""
@@ -116,7 +117,7 @@ class _Piece:
     renderer: Renderer
     otf: Tensor
     density: np.ndarray
-    contrast: np.ndarray | None
+    contrasts: list[np.ndarray]
 
     @classmethod
     def of(
@@ -130,20 +131,17 @@ class _Piece:
     ) -> _Piece:
         scene = columns.scene
         # The inside is no part of it: its derivative is on the surface.
-        effects = scene.effects.without("bulk")
         renderer = Renderer(
-            Scene.of(mesh, scene.optics, effects),
+            Scene.of(mesh, scene.optics, scene.effects),
             grid,
             columns.accuracy,
             frame=columns.frame,
             margin=_MOVE * min(scene.optics.sigma_um),
         )
         held = np.ones(len(scene.mesh.faces)) if scene.density is None else scene.density
-        contrast = None
-        if scene.effects.bulk is not None:
-            contrast = _contrast(scene, columns.frame, renderer)[faces]
-        otf = renderer.otf(scene.optics)
-        return cls(scene, box, mesh, vertices, faces, renderer, otf, held[faces], contrast)
+        density, otf = scene.light.membrane * held[faces], renderer.otf(scene.optics)
+        contrasts = [one[faces] for one in columns.contrasts]
+        return cls(scene, box, mesh, vertices, faces, renderer, otf, density, contrasts)
 
     def moved(self, field: np.ndarray) -> Tensor:
         """Derivative of the rendered image for vertices that move along a field (V, 3)."""
@@ -151,14 +149,14 @@ class _Piece:
         h = _MOVE * min(self.scene.optics.sigma_um) / max(float(np.abs(along).max()), 1e-12)
         ends = [self._surface(v + side * h * along) for side in (1, -1)]
         change = (ends[0] - ends[1]) / (2 * h)
-        if self.contrast is not None:
+        if self.contrasts:
             # A surface that moves outwards by d leaves a layer of the solid of thickness d.
             outwards = np.einsum("fd,fd->f", along[self.mesh.faces].mean(1), self.mesh.normals())
-            layer = torch.from_numpy(self.contrast * outwards)
+            faces, plan = torch.from_numpy(self.mesh.faces), self.renderer.plan
             placed = torch.from_numpy(v - np.asarray(self.renderer.grid.origin))
-            plain = self.renderer.plan.transform(placed, torch.from_numpy(self.mesh.faces), layer)
-            # A solid is seen half through either PSF.
-            change = change + (plain if self.scene.effects.depth is None else plain / 2)
+            layers = [torch.from_numpy(contrast * outwards) for contrast in self.contrasts]
+            left = [plan.transform(placed, faces, layer) for layer in layers]
+            change = change + (left[0] if len(left) == 1 else torch.stack(left))
         return self.renderer.image(change, self.otf)
 
     def dimmed(self, field: np.ndarray) -> Tensor:
@@ -170,19 +168,3 @@ class _Piece:
     def _surface(self, vertices: np.ndarray, density: np.ndarray | None = None) -> Tensor:
         weight = torch.from_numpy(self.density if density is None else density)
         return self.renderer.transform(torch.from_numpy(vertices), weight)
-
-
-def _contrast(scene: FittedScene, frame: Grid, renderer: Renderer) -> np.ndarray:
-    """(F,) bulk density behind each face minus that in front of it, of the whole mesh."""
-    mesh = scene.mesh
-    side = ObjectSide(
-        renderer.plan,
-        torch.from_numpy(mesh.vertices_numpy()),
-        Surfaces.of(mesh),
-        torch.ones(len(mesh.faces)),
-        scene.effects,
-        renderer.grid,
-        frame,
-    )
-    found: np.ndarray = side.contrast().numpy()
-    return found

@@ -10,18 +10,18 @@ from torch import Tensor
 
 from ..fourier.cuda.kept import Kept
 from ..scene import Renderer
-from ..scene.effects import Effects, FaceEffect
-from ..scene.effects.object_side import ObjectSide, Surfaces, assembled
+from ..scene.effects import DepthEffect, FaceEffect
+from ..scene.light import INSIDES, MEMBRANES, Light
 from .fitted_scene import FittedScene
 
 _KEPT = 12  # parts; those of a scene and of its candidates are asked for again and again
 
 
 class Transforms:
-    """u_hat of scenes, put together from parts: the surface, its depths, and the inside.
+    """u_hat of scenes, put together from parts: membranes and insides.
 
-    Most effects act on the OTF or on the image, so that their candidates share all parts; the
-    inside is in proportion to its density.
+    Most effects act on the OTF or on the image, so that their candidates share the parts; how
+    bright each part is changes none of them.
     """
 
     def __init__(self) -> None:
@@ -29,39 +29,26 @@ class Transforms:
 
     def of(self, renderer: Renderer, scene: FittedScene) -> Tensor:
         """As :meth:`napari_deltamic.scene.Renderer.transform` of the scene's mesh and density."""
-        effects = scene.effects
+        present = scene.effects.present()
+        # What acts on the object; of a PSF that changes with depth, that it does.
+        on_faces = [e for e in present if isinstance(e, FaceEffect)]
+        acting = repr(on_faces), any(isinstance(e, DepthEffect) for e in present)
         whose = renderer.plan, scene.mesh, scene.density
-        on_faces = repr([e for e in effects.present() if isinstance(e, FaceEffect)])
+        vertices = torch.from_numpy(scene.mesh.vertices_numpy())
+        density = torch.tensor(1.0 if scene.density is None else scene.density)
 
-        def side(of: Effects = effects) -> ObjectSide:
-            weight = torch.as_tensor(scene.mesh.membranes(), dtype=torch.float64)
-            if scene.density is not None:
-                weight = weight * torch.tensor(scene.density)
-            return ObjectSide(
-                renderer.plan,
-                torch.from_numpy(scene.mesh.vertices_numpy()),
-                Surfaces.of(scene.mesh),
-                weight,
-                of,
-                renderer.grid,
-                renderer.frame,
-            )
+        def part(light: Light) -> Tensor:
+            what = (light, *acting)
+            return self._part(whose, what, lambda: renderer.transform(vertices, density, light))
 
-        seen = self._part(whose, ("seen", on_faces), lambda: side().seen())
-        deep = inside = None
-        if effects.depth is not None:
-            deep = self._part(whose, ("deep", on_faces), lambda: side().deep())
-        if effects.bulk is not None and effects.bulk.density != 0:
-            unit = effects.bulk.model_copy(update={"density": 1.0})
-            of_one = effects.replace(bulk=unit)
-            part = self._part(
-                whose, ("inside", on_faces, repr(unit)), lambda: side(of_one).inside()
-            )
-            inside = effects.bulk.density * part
-        return assembled(seen, deep, inside)
+        light, total = scene.light, torch.zeros(())
+        for share, alone in ((light.membrane, MEMBRANES), (light.interior, INSIDES)):
+            if share:
+                total = total + share * part(alone)
+        return total
 
     def _part(
-        self, whose: tuple[Any, ...], what: tuple[str, ...], make: Callable[[], Tensor]
+        self, whose: tuple[Any, ...], what: tuple[Any, ...], make: Callable[[], Tensor]
     ) -> Tensor:
         # What it belongs to is kept too, lest its place be taken by another.
         return self._kept.get((*map(id, whose), *what), lambda: (make(), whose))[0]

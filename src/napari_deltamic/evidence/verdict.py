@@ -207,7 +207,7 @@ def _of_whole(facts: Facts, settings: VerdictSettings) -> list[tuple[Grade, str]
     if facts.width is not None and facts.width > settings.widths[1]:
         text = (
             f"what shines is blurred {facts.width:.2g} times as wide as the PSF: a layer that is "
-            "thick, light inside, or a PSF that is too narrow (--fit-psf, --effects auto)"
+            "thick, light inside, or a PSF that is too narrow (--structure auto, --fit-psf)"
         )
         found.append(("fair", text))
     elif facts.width is not None and facts.width < settings.widths[0]:
@@ -234,7 +234,7 @@ def _of_cell(cell: CellFacts, usual: float, facts: Facts, settings: VerdictSetti
         text = (
             f"light {where}, {abs(cell.inside):.0%} as bright as its surface, is not in the model"
         )
-        found.append(("fair", f"{text} (--effects bulk)"))
+        found.append(("fair", f"{text} (--structure both)"))
     if cell.compact is not None and cell.compact < settings.compact:
         text = "its surface has crumpled, or leaked into a neighbour: smooth it, or start anew"
         found.append(("fair", text))

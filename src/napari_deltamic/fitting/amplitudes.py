@@ -18,7 +18,6 @@ from ..errors import InputError
 from ..fourier.devices import widest
 from ..geometry.mesh import Mesh
 from ..optics import Optics
-from ..scene.effects import Effects
 from ..scene.light import INSIDES, MEMBRANES, Light
 from .likelihood import total
 
@@ -85,15 +84,13 @@ def _inside_alone(slope: float) -> Light:
     return Light(0.0, 1.0 if slope >= 0 else -1.0)
 
 
-def may_shine(asked: StructureChoice, effects: Effects, mesh: Mesh, optics: Optics) -> Structure:
-    """What may shine when a fit begins.
+def may_shine(asked: StructureChoice, mesh: Mesh, optics: Optics) -> Structure:
+    """What may shine when a fit begins; only what is closed has an inside.
 
-    Light inside that an effect describes is not described twice; only what is closed has an inside.
     In cells that are hardly wider than the PSF it looks like their membranes: those are taken then.
     """
-    closed = mesh.is_closed()
-    if effects.light_inside or not closed:
-        if asked in ("interior", "both") and not closed:
+    if not mesh.is_closed():
+        if asked in ("interior", "both"):
             raise InputError("the surfaces are not closed: they have no interior that could shine")
         return "membrane"
     if asked != "auto":

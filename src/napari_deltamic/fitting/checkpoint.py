@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 import torch
 
+from ..common.choices import Structure
 from ..common.reading import json_values, one_reason
 from ..errors import InputError
+from ..scene.earlier_files import without_inside
 from ..scene.effects import Effects
 from .fitted import Arrays, Fitted, other_settings
 from .stage import Stage
@@ -90,8 +92,10 @@ class Checkpoint:
             raise other_settings()
         if not 0 <= int(plain["level_number"]) <= len(self.levels):
             raise InputError("the checkpoint is damaged: it is of a level that there is not")
-        effects, known = Effects(**plain["effects"]), bool(plain["density_known"])
-        structure = plain.get("structure", self.fitted.structure)
+        values, inside = without_inside(plain["effects"])
+        effects, known = Effects(**values), bool(plain["density_known"])
+        structure: Structure = plain.get("structure", self.fitted.structure)
+        structure = "both" if inside else structure
         fitted = self.fitted.with_structure(structure).loaded(found, effects, known)
         blurred_for = fitted.optics.with_parameters(torch.from_numpy(found["level_optics"]))
         return replace(

@@ -66,7 +66,7 @@ class Fitted:
         """At the start."""
         held = optics.detach()
         found = cls(Shape.begun(mesh, model), held, effects, held, effects)
-        return found.with_structure(may_shine(structure, effects, mesh, held))
+        return found.with_structure(may_shine(structure, mesh, held))
 
     def with_structure(self, structure: Structure) -> Fitted:
         """Something else may shine: what was learnt is of another model."""

@@ -287,7 +287,7 @@ class Run:
         self._fitted = self._fitted.changed(change, self._settings.density)
         if (change.settings, change.effects) != (None, None):
             f = self._fitted
-            structure = may_shine(self._settings.structure, f.effects, f.mesh, f.optics)
+            structure = may_shine(self._settings.structure, f.mesh, f.optics)
             self._fitted = f.with_structure(structure)
         self._stage = replace(self._stage, changed_at=self._stage.iteration, progress=Progress())
         self._due = True

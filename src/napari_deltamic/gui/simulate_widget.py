@@ -9,8 +9,9 @@ from napari.types import LayerDataTuple
 
 from ..geometry import Mesh
 from ..optics import GaussianPSF, Optics, microscope
-from ..scene import Grid, Scene, Simulation, Surface, random_cells, simulate
+from ..scene import Grid, Scene, Simulation, random_cells, simulate
 from ..scene.effects import Effects
+from ..scene.structures import membranes_and_insides
 from .viewing.colours import LIMITS, region_colormap, vertex_values
 from .viewing.frame import OWN, TRUTH
 
@@ -35,6 +36,9 @@ def simulate_cells(
         float, {"label": "emission, um", "step": 0.01, "min": 0.0, "max": 1e5}
     ] = 0.52,
     immersion: Literal["air", "water", "silicone", "glycerol", "oil"] = "water",
+    interior: Annotated[
+        float, {"label": "light inside, 1/um", "step": 0.05, "min": 0.0, "max": 100.0}
+    ] = 0.0,
     effects: str = "none",
     photons: Annotated[float, {"min": 0.1, "max": 60_000.0}] = 100.0,
     background: Annotated[float, {"min": 0.0, "max": 60_000.0}] = 10.0,
@@ -62,8 +66,10 @@ def simulate_cells(
         um, of the emitted light; of a microscope.
     immersion
         Of a microscope's objective.
+    interior
+        Fluorophores per um^3 inside cells, for one per um^2 of membrane.
     effects
-        As attenuation=0.02,bulk=0.1,camera:gain=2:offset=100.
+        As attenuation=0.02,halo=0.1,camera:gain=2:offset=100.
     photons
         In the brightest voxel, on top of the background.
     background
@@ -81,7 +87,7 @@ def simulate_cells(
 
     def work() -> list[Any]:
         mesh = random_cells(cells, grid, kind, seed)
-        scene = Scene((Surface(mesh),), optics, chosen)
+        scene = Scene(membranes_and_insides(mesh, interior), optics, chosen)
         made = simulate(scene, grid, photons=photons, background=background, seed=seed)
         return layers_of(made, f"simulated {kind}, seed {seed}")
 

@@ -19,6 +19,7 @@ from ..geometry.archive import ArchiveReader, ArchiveWriter, MeshReader, MeshWri
 from ..optics import GaussianPSF, Optics
 from ..runs.settings import RunSettings, validated
 from ..scene import Grid, expected_image
+from ..scene.earlier_files import without_inside
 from ..scene.effects import Effects
 from ..scene.light import Light
 from .report import History
@@ -99,13 +100,15 @@ def saved_result(archive: ArchiveReader, facts: Mapping[str, Any], grid: Grid) -
     course = {name: archive.array(f"history/{name}").tolist() for name in ("loss", "level", "blur")}
     shown = facts["state"]
     scalars: dict[str, Any] = {name: nan if shown[name] is None else shown[name] for name in _STATE}
+    # Earlier versions saved neither effects, nor pins, nor what shines.
+    effects, inside = without_inside(shown.get("effects", settings.scene.effects.to_dict()))
+    light = Light(**shown.get("light", {}))
     state = FitState(
         mesh=meshes.mesh(shown["mesh"]),
         optics=_optics(shown["optics"], first),
         density=archive.array("state/density"),
-        # Earlier versions saved neither effects nor pins.
-        effects=Effects(**shown.get("effects", settings.scene.effects.to_dict())),
-        light=Light(**shown.get("light", {})),
+        effects=Effects(**effects),
+        light=light if inside is None else inside.added_to(light),
         pinned=archive.array("state/pinned") if shown.get("pinned") else None,
         **scalars,
     )

@@ -16,6 +16,7 @@ from ..images.stacks import write_image
 from ..runs.optics_settings import OpticsSettings
 from ..runs.settings import FitSettings, RunSettings, SceneSettings
 from ..scene.simulate import Simulation
+from ..scene.structures import Solid
 
 FILES = (
     "image.tif",
@@ -103,6 +104,7 @@ def facts(simulation: Simulation) -> dict[str, Any]:
             "origin_um": list(grid.origin),
         },
         "structures": [type(s).__name__.lower() for s in scene.structures],
+        "interiors": [s.densities().tolist() for s in scene.structures if isinstance(s, Solid)],
         "optics": {
             "model": type(scene.optics).__name__,
             "sigma_um": list(scene.optics.sigma_um),

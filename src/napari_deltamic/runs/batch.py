@@ -113,7 +113,7 @@ def batch_for(folder: str | Path, settings: RunSettings) -> BatchSettings:
         belongs to one image, is fitted.
     """
     folder = Path(folder)
-    if settings.scene.effects.second_view is not None:
+    if settings.scene.effects.view is not None:
         raise InputError("a second view belongs to one image: take it out to run on a folder")
     names = {p.name for p in folder.iterdir()}
     seeds = next((end for end in SEED_ENDS if _fits(end, names)), AUTO)

@@ -16,16 +16,16 @@ from .settings import NEAR_LEVELS, RunSettings
 
 def needs_folder(settings: RunSettings) -> bool:
     """Whether an image or seeds live only in the viewer, so that they must be saved first."""
-    view = settings.scene.effects.second_view
+    view = settings.scene.effects.view
     return not (settings.image and settings.seeds and (view is None or view.image))
 
 
 def with_second_file(settings: RunSettings, path: str) -> RunSettings:
     """The settings with another file of the second view that they have."""
     scene = settings.scene
-    view = scene.effects.second_view
+    view = scene.effects.view
     assert view is not None, "the settings have a second view"
-    effects = scene.effects.replace(second_view=view.model_copy(update={"image": path}))
+    effects = scene.effects.adding(view.model_copy(update={"image": path}))
     scene = scene.model_copy(update={"effects": effects})
     return settings.model_copy(update={"scene": scene})
 
@@ -52,7 +52,7 @@ def with_files(
             fit = settings.fit.model_copy(update={"levels": NEAR_LEVELS})
             settings = settings.model_copy(update={"fit": fit})
     settings = settings.model_copy(update=files)
-    view = settings.scene.effects.second_view
+    view = settings.scene.effects.view
     if view is not None and not view.image and second is not None:
         path = _unused(folder / "second.tif")
         write_image(path, second, grid.voxel_size)

@@ -118,8 +118,8 @@ class Renderer:
         return renderer
 
     def holds_for(self, positions: np.ndarray) -> bool:
-        """Whether the plan still holds for these vertices (V, 3)."""
-        return bool(np.abs(positions - self._start).max() <= self.margin)
+        """Whether the plan still holds for these vertices (V, 3) of the scene's mesh."""
+        return bool(np.abs(positions - self._moving[0].positions()).max() <= self.margin)
 
     def pads_enough_for(self, effects: Effects, optics: Optics) -> bool:
         """Whether the plan is wide enough for other effects, which may reach further."""

@@ -27,8 +27,7 @@ class Scene:
         The PSF.
     effects
         Optional parts of image formation, or their names; absent ones are not computed. An effect
-        on the object (attenuation, a PSF that changes with depth) acts on all structures; the bulk
-        effect is the inside of surfaces.
+        on the object (attenuation, a PSF that changes with depth) acts on all structures.
     """
 
     structures: tuple[Structure, ...]
@@ -68,10 +67,17 @@ class Scene:
         return self.surface.mesh
 
     def with_surface(self, mesh: Mesh, density: Values = 1.0) -> Self:
-        """The same scene with another first surface."""
-        first = self.surface
-        changed = (Surface(mesh, density) if s is first else s for s in self.structures)
-        return replace(self, structures=tuple(changed))
+        """The same scene with another first surface, and what is inside it."""
+        first, moving = self.surface, self.on_one_mesh()
+
+        def changed(structure: Structure) -> Structure:
+            if structure is first:
+                return Surface(mesh, density)
+            if isinstance(structure, Solid) and structure in moving:
+                return Solid(mesh, structure.density)
+            return structure
+
+        return replace(self, structures=tuple(map(changed, self.structures)))
 
     def on_one_mesh(self) -> tuple[Structure, ...]:
         """The structures that move with the scene's mesh: those of the first one's triangles."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -27,7 +28,6 @@ from ..geometry.mesh import FARTHEST, FloatArray, Mesh, is_tensor, to_numpy
 from ..geometry.windings import right_side_out
 from .effects import Effects
 from .effects.base import FaceEffect
-from .effects.object_side import Surfaces, acts_on_object, object_transform
 from .grid import Grid
 
 Values = float | np.ndarray | Tensor
@@ -168,6 +168,22 @@ class Solid:
             return torch.tensor([float(self.density.get(k, 0.0)) for k in ids])
         return torch.as_tensor(self.density, dtype=torch.float64).expand(len(ids))
 
+    @cached_property
+    def _middles(self) -> Tensor:
+        """(R, 3) um, where effects on the object take the regions to lie."""
+        return torch.stack([_middle(self.mesh, k) for k in self.mesh.region_ids()])
+
+    def contrasts(self, effects: Effects, frame: Grid) -> list[Tensor]:
+        """(F,) signal per um^3 behind each face minus that in front, as the effects make it.
+
+        Two where the PSF changes with depth: what is seen through that of the first slice, and
+        through that of the last.
+        """
+        ids, regions = self.mesh.region_ids(), self.mesh.regions
+        own = self.densities().to(torch.float64)
+        seen = _shares(own, lambda: self._middles, frame, effects)
+        return [contrasts(regions, ids, densities) for densities in seen]
+
     def positions(self) -> FloatArray:
         """See ``Structure``."""
         return self.mesh.vertices_numpy()
@@ -253,6 +269,11 @@ class Points:
         return _PlannedLine.of(places, every, _each(self.weight, len(places)), site)
 
 
+def membranes_and_insides(mesh: Mesh, interior: float = 0.0) -> tuple[Structure, ...]:
+    """Its membranes, of density 1, and the insides of its regions where they shine."""
+    return (Surface(mesh), Solid(mesh, interior)) if interior else (Surface(mesh),)
+
+
 # --------------------------------------------------------------------------------------- planned
 
 
@@ -262,8 +283,7 @@ class _PlannedSurface:
     def __init__(self, surface: Surface, site: Site, plan: Plan) -> None:
         self._surface, self._site, self.plan = surface, site, plan
         mesh, there = surface.mesh, site.device
-        self._surfaces = Surfaces.of(mesh)
-        self._faces = self._surfaces.faces.to(there)
+        self._faces = torch.as_tensor(mesh.faces, device=there)
         self._membranes = torch.as_tensor(mesh.membranes(), dtype=torch.float64, device=there)
         self._origin = torch.tensor(site.grid.origin, dtype=torch.float64, device=there)
 
@@ -274,12 +294,11 @@ class _PlannedSurface:
         weight = self._weight(density)
         if vertices is None:
             vertices = _tensor(self._surface.mesh.vertices)
-        if acts_on_object(effects):  # on the CPU
-            given = vertices.cpu(), self._surfaces, weight.cpu(), effects
-            return object_transform(self.plan, *given, self._site.grid, self._site.frame)
-        placed = vertices.to(self._site.device)
-        placed = placed - self._origin.to(placed.dtype)
-        return self.plan.transform(placed, self._faces, weight)
+        there = self._site.device if not _act_on_object(effects) else _CPU
+        vertices, faces, weight = (t.to(there) for t in (vertices, self._faces, weight))
+        placed = vertices - self._origin.to(vertices)
+        seen = _shares(weight, lambda: vertices[faces].mean(1), self._site.frame, effects)
+        return _joined([self.plan.transform(placed, faces, part) for part in seen])
 
     def _weight(self, density: Tensor | None) -> Tensor:
         weight = self._membranes
@@ -302,24 +321,17 @@ class _PlannedSolid:
 
     def __init__(self, solid: Solid, site: Site, plan: Plan) -> None:
         self._solid, self._site, self.plan = solid, site, plan
-        self._surfaces = Surfaces.of(solid.mesh)
-        self._middles = torch.stack([_middle(solid.mesh, k) for k in self._surfaces.ids])
+        self._faces = torch.as_tensor(solid.mesh.faces)
 
     def transform(
         self, effects: Effects, vertices: Tensor | None = None, density: Tensor | None = None
     ) -> Tensor:
         """See ``Planned``."""
-        s = self._surfaces
         placed = self._site.local(
             _tensor(self._solid.mesh.vertices) if vertices is None else vertices
         )
-
-        def seen(densities: Tensor) -> Tensor:
-            contrast = contrasts(s.regions, s.ids, densities.to(torch.float64))
-            assert isinstance(self.plan, Plan)
-            return solid_transform(self.plan, placed, s.faces, contrast)
-
-        return _through(seen, self._solid.densities(), self._middles, self._site.frame, effects)
+        seen = self._solid.contrasts(effects, self._site.frame)
+        return _joined([solid_transform(self.plan, placed, self._faces, part) for part in seen])
 
 
 @dataclass(frozen=True)
@@ -357,11 +369,11 @@ class _PlannedLine:
         vertices = self.vertices if vertices is None else vertices
         placed = self.site.local(vertices)
 
-        def seen(weights: Tensor) -> Tensor:
-            return self.plan.transform(placed, self.elements, weights)
+        def middles() -> Tensor:
+            return vertices[self.elements].mean(1).to(torch.float64)
 
-        middles = vertices[self.elements].mean(1).to(torch.float64)
-        return _through(seen, self.weights, middles, self.site.frame, effects)
+        seen = _shares(self.weights, middles, self.site.frame, effects)
+        return _joined([self.plan.transform(placed, self.elements, part) for part in seen])
 
 
 def _mesh_plan(mesh: Mesh, site: Site) -> Plan:
@@ -381,18 +393,34 @@ def _mesh_plan(mesh: Mesh, site: Site) -> Plan:
     )
 
 
-def _through(
-    seen: Callable[[Tensor], Tensor], weights: Tensor, places: Tensor, frame: Grid, effects: Effects
-) -> Tensor:
-    """A transform with the effects that act on the object, each part of it at its place."""
+def _act_on_object(effects: Effects) -> bool:
+    """Whether the object's transform is another with these effects."""
+    faces = any(isinstance(effect, FaceEffect) for effect in effects.present())
+    return faces or effects.depth is not None
+
+
+def _shares(
+    weights: Tensor, places: Callable[[], Tensor], frame: Grid, effects: Effects
+) -> list[Tensor]:
+    """Weights (N,) with the effects that act on the object, each at its place (N, 3) um.
+
+    Two where the PSF changes with depth: those seen through that of the first slice, and through
+    that of the last.
+    """
+    if not _act_on_object(effects):
+        return [weights]
+    at = places()
     for effect in effects.present():
         if isinstance(effect, FaceEffect):
-            weights = weights * effect.face_weights(places, frame)
-    depth = effects.depth
-    if depth is None:
-        return seen(weights)
-    last = weights * depth.depths(places, frame)
-    return torch.stack([seen(weights - last), seen(last)])
+            weights = weights * effect.face_weights(at, frame)
+    if effects.depth is None:
+        return [weights]
+    last = weights * effects.depth.depths(at, frame)
+    return [weights - last, last]
+
+
+def _joined(seen: list[Tensor]) -> Tensor:
+    return seen[0] if len(seen) == 1 else torch.stack(seen)
 
 
 def _middle(mesh: Mesh, region: int) -> Tensor:

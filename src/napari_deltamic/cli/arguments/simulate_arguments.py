@@ -29,10 +29,17 @@ def add_parser(commands: Any) -> None:
     add("--kind", choices=get_args(CellKind), help="of random cells (default: foam)")
     add_grid_and_optics(parser)
     add(
+        "--interior",
+        type=float,
+        default=0.0,
+        metavar="I",
+        help="light inside cells: fluorophores per um^3, for one per um^2 of membrane (default: 0)",
+    )
+    add(
         "--effects",
         default="none",
         metavar="E",
-        help="with their numbers, as attenuation=0.02,bulk=0.1,camera:gain=2:offset=100",
+        help="with their numbers, as attenuation=0.02,halo=0.1,camera:gain=2:offset=100",
     )
     add("--photons", type=float, metavar="P", help="in the brightest voxel (default: 100)")
     add(

@@ -24,7 +24,6 @@ from .base import (
     ViewEffect,
     VoxelEffect,
 )
-from .bulk import Bulk
 from .depth import Attenuation, Bleaching, DepthPSF
 from .detection import Camera, Missing
 from .optical import Halo, PixelIntegration
@@ -38,7 +37,6 @@ KINDS: dict[str, type[Effect]] = {
     for kind in (
         PixelIntegration,
         Background,
-        Bulk,
         Attenuation,
         Bleaching,
         Illumination,
@@ -49,8 +47,9 @@ KINDS: dict[str, type[Effect]] = {
         SecondView,
     )
 }
-# What the image cannot tell from shape, and where it belongs instead.
+# What is no effect, and where it belongs instead.
 REFUSED = {
+    "bulk": "what shines is the structure: --structure both fits light inside the cells, too",
     "z_scale": "a factor on z is the same as another shape: correct the voxel size instead",
     "drift": "a drift from slice to slice is the same as another shape: register the stack before",
     "membrane_thickness": "a thick membrane is the same as a wider PSF: add it to sigma",
@@ -60,8 +59,8 @@ REFUSED = {
 class Effects(BaseModel):
     """The effects of a scene; None where one is absent.
 
-    ``Effects.of("halo", "bulk")`` makes those with their defaults. A list of names, or a mapping of
-    names to fields, is taken wherever a settings object holds effects.
+    ``Effects.of("halo", "bleaching")`` makes those with their defaults. A list of names, or a
+    mapping of names to fields, is taken wherever a settings object holds effects.
 
     Raises
     ------
@@ -74,7 +73,6 @@ class Effects(BaseModel):
 
     pixel_integration: PixelIntegration | None = Field(default=None)
     background: Background | None = Field(default=None)
-    bulk: Bulk | None = Field(default=None)
     attenuation: Attenuation | None = Field(default=None)
     bleaching: Bleaching | None = Field(default=None)
     illumination: Illumination | None = Field(default=None)
@@ -151,11 +149,6 @@ class Effects(BaseModel):
         """um: how far from the surface's own image voxels count because of them; 0: no further."""
         return max((e.spread for e in self.present() if isinstance(e, TransferEffect)), default=0.0)
 
-    @property
-    def light_inside(self) -> bool:
-        """Whether cells shine from inside."""
-        return self.bulk is not None
-
     def replace(self, **changed: Effect | None) -> Effects:
         """The same with some changed, added, or (None) absent."""
         return _made(type(self), {**dict(self), **changed})
@@ -177,7 +170,7 @@ class Effects(BaseModel):
         return tuple(e for e in self.present() if e.fit and e.bounds)
 
     def to_text(self) -> str:
-        """What ``--effects`` takes: ``halo:fraction=0.05:width=2,bulk``."""
+        """What ``--effects`` takes: ``halo:fraction=0.05:width=2,bleaching``."""
         words = []
         for effect in self.present():
             fields = effect.model_dump(mode="json", exclude_defaults=True)
@@ -254,7 +247,6 @@ __all__ = [
     "Attenuation",
     "Background",
     "Bleaching",
-    "Bulk",
     "Camera",
     "Cost",
     "DepthEffect",

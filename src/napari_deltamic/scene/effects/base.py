@@ -10,7 +10,6 @@ import torch
 from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
-from ...fourier.plan import Method
 from ..grid import Grid
 
 Where = Literal["object", "fourier", "image", "likelihood"]
@@ -25,8 +24,6 @@ class Cost:
     ----------
     transforms
         Further transforms of the mesh, each as dear as the plain one with its gradient.
-    closed_form
-        The same where they are of closed form; None: as many.
     images
         Further transforms from the band to the image.
     bands, voxels
@@ -37,13 +34,6 @@ class Cost:
     images: float = 0.0
     bands: float = 0.0
     voxels: float = 0.0
-    closed_form: float | None = None
-
-    def transforms_by(self, method: Method) -> float:
-        """Further transforms where this method computes them."""
-        if method == "closed form" and self.closed_form is not None:
-            return self.closed_form
-        return self.transforms
 
 
 @dataclass(frozen=True)
