@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from html import escape
 from typing import Any
 
@@ -203,6 +203,6 @@ def _settings(facts: Mapping[str, Any]) -> str:
     return f"<h2>Settings</h2>\n<details><pre>{escape(text)}</pre></details>"
 
 
-def _versions(packages: Sequence[str] = PACKAGES) -> str:
-    words = ", ".join(f"{name} {version_of(name)}" for name in packages)
+def _versions() -> str:
+    words = ", ".join(f"{name} {version_of(name)}" for name in PACKAGES)
     return f"<h2>Versions</h2>\n<p>{escape(words)}</p>"

@@ -20,6 +20,8 @@ from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, IntArray, Mesh
 
 # Of repairs: crowded labels hardly larger than an edge took up to 38 rounds, usual ones one.
 _ROUNDS = 100
+# Of blowing up; measured on nine cells: after four, volumes change by less than 1e-5 of themselves.
+_SWELLINGS = 8
 # um: a crossing keeps so far from a node where two labels are level, or vertices would coincide.
 _LEAST_LEAD = 1e-9
 _SQUARE = np.array([(0, 0, 0), (0, 0, 1), (0, 1, 1), (0, 1, 0)])  # around, across the first axis
@@ -58,7 +60,7 @@ def partition_mesh(labels: IntArray, size: FloatArray, origin: FloatArray, edge:
     return Mesh(vertices, faces, np.repeat(regions, 2, axis=0))
 
 
-def with_volumes(mesh: Mesh, volumes: dict[int, float], rounds: int = 8) -> Mesh:
+def with_volumes(mesh: Mesh, volumes: dict[int, float]) -> Mesh:
     """The mesh blown up or shrunk until regions have given volumes, um^3.
 
     Each region gets a pressure; walls move by the difference of their two, along their normals.
@@ -68,7 +70,7 @@ def with_volumes(mesh: Mesh, volumes: dict[int, float], rounds: int = 8) -> Mesh
     sides = np.searchsorted(names, mesh.regions) + 1
     sides[mesh.regions == OUTSIDE] = 0
     wanted = np.array([volumes[int(k)] for k in names])
-    for _ in range(rounds):
+    for _ in range(_SWELLINGS):
         present = mesh.volumes()
         lacking = wanted - [present[int(k)] for k in names]
         areas, normals = mesh.areas(), mesh.normals()
