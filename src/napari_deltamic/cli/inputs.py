@@ -15,7 +15,7 @@ from ..evidence.first_sigma import with_first_psf as first_psf
 from ..fitting.checks import check_image
 from ..fitting.job import SIGMA_IN_VOXELS, FitInput, assemble
 from ..geometry import Mesh
-from ..images.stacks import VoxelSize, read_image
+from ..images.stacks import SIZES_AGREE, VoxelSize, read_image
 from ..runs.seeds import SeedKind, seeds_of
 from ..runs.settings import FitSettings, RunSettings, SceneSettings, validated
 from ..scene import Grid
@@ -104,7 +104,11 @@ def voxel_size_of(given: Any, found: VoxelSize | None, path: str, notes: Notes) 
     """The voxel size given, else that of the file, with a note. InputError if there is none."""
     name = Path(path).name
     if given is not None:
-        if found is not None and np.shape(given) == (3,) and not np.allclose(given, found, 0.01):
+        if (
+            found is not None
+            and np.shape(given) == (3,)
+            and not np.allclose(given, found, SIZES_AGREE)
+        ):
             notes.add(
                 f"{name} says that its voxels are {_shown(found)} um (Z Y X); "
                 f"{_shown(given)} um, as given, is used"
