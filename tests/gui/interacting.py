@@ -24,5 +24,17 @@ def right_end(widget):
     return np.array([CENTER[0], CENTER[1], v[:, 2].max()])
 
 
+def went_on(widget, n=5):
+    """Whether a fit has done so many iterations, and the window shows it."""
+    return lambda: widget.doc.begun and len(widget.run.history.loss) >= n
+
+
+def pause(widget, spin):
+    """Pause the fit, and wait until it stands, and its last mesh is shown."""
+    run = widget.run
+    widget.footer.pause_button.click()
+    spin(lambda: run.stage == "paused" and widget.link.mesh is run.state.mesh)
+
+
 def notes(widget):
     return [m.note for m in widget.doc.timeline.moments if m.note]

@@ -27,6 +27,7 @@ from napari_deltamic.runs.settings import NEAR_LEVELS, FitSettings
 
 from .conftest import CENTER, SHAPE, SIZE
 from .dialing import running, settled
+from .interacting import pause, went_on
 
 pytestmark = pytest.mark.usefixtures("soon")
 
@@ -284,8 +285,7 @@ def test_time_that_a_fit_was_paused_does_not_count(seeded, spin, endless, monkey
     seeded.control._forecaster = lambda job: SimpleNamespace(remaining_seconds=remaining, levels=())
     seeded.start()
     spin(lambda: elapsed and elapsed[-1] > 0)
-    seeded.footer.pause_button.click()
-    spin(seconds=0.1, must=False)
+    pause(seeded, spin)
     before, asked = seeded.run.seconds, len(elapsed)
     spin(seconds=1.0, must=False)
     seeded.footer.pause_button.click()
@@ -297,7 +297,7 @@ def test_a_change_of_the_dial_is_forecast_anew(seeded, spin, endless):
     jobs = []
     seeded.control._forecaster = lambda job: jobs.append(job) or Forecast(LEVELS, True)
     seeded.start()
-    spin(lambda: running(seeded) and len(seeded.run.history.loss) > 3)
+    spin(went_on(seeded))
     dial = seeded.settings.accuracy
     dial.setCurrentText("fine")
     seeded.settings.changed.emit()

@@ -6,7 +6,7 @@ import numpy as np
 
 from napari_deltamic.gui.running.footer import duration, progress_text
 
-from .interacting import notes, right_end, use, vertices
+from .interacting import notes, pause, right_end, use, vertices, went_on
 
 
 def test_looking_back_while_the_fit_goes_on(begun, spin):
@@ -36,8 +36,7 @@ def test_going_on_from_an_earlier_moment(begun, spin):
     np.testing.assert_array_equal(moment.mesh.vertices_numpy(), first)
     assert bar.chosen is None
     assert begun.link.shown is begun.link.mesh
-    begun.footer.pause_button.click()
-    spin(seconds=0.2, must=False)
+    pause(begun, spin)
     bar.undo_button.click()
     spin(lambda: notes(begun)[-1].startswith("undo"))
     assert not np.array_equal(vertices(begun), first)
@@ -48,7 +47,7 @@ def test_a_fit_that_has_ended_goes_on_from_a_moment(ended, spin):
     bar.slider.setValue(0)
     first, n = bar.chosen.mesh.vertices_numpy(), timeline.moments[-1].iteration
     bar.go_on_button.click()
-    spin(lambda: ended.run.running and len(ended.run.history.loss) > 3)
+    spin(went_on(ended))
     assert ended.run.job.settings.fit.levels[0] < 2
     spin(lambda: timeline.moments[-1].iteration > n)
     later = next(m for m in timeline.moments if m.iteration > n)
@@ -153,8 +152,7 @@ def test_a_surface_that_was_hidden_is_the_newest_when_it_is_shown(begun, with_im
     assert not layer.visible
     n = len(begun.run.history.loss)
     spin(lambda: len(begun.run.history.loss) > n + 10)
-    begun.footer.pause_button.click()
-    spin(seconds=0.2, must=False)
+    pause(begun, spin)
     assert not np.allclose(layer.data[0], vertices(begun), atol=1e-4)  # saved the time
     with_image.dims.ndisplay = 3
     np.testing.assert_allclose(layer.data[0], vertices(begun), atol=1e-6)

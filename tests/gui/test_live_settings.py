@@ -8,7 +8,7 @@ from napari_deltamic.fitting import Change
 from napari_deltamic.scene.effects import Effects
 
 from .conftest import SIZE
-from .interacting import notes, vertices
+from .interacting import notes, vertices, went_on
 
 
 def test_settings_are_taken_over(begun, spin):
@@ -111,7 +111,7 @@ def test_a_fit_goes_on_though_the_panels_show_what_cannot_be_used(ended, with_im
     history = ended.running.history
     history.slider.setValue(0)
     history.go_on_button.click()
-    spin(lambda: ended.run.running and len(ended.run.history.loss) > 3)
+    spin(went_on(ended))
     ended.settings.changed.emit()
     assert "mirrored" in ended.running.note.text()
     with_image.layers["cell"].scale = SIZE

@@ -13,6 +13,7 @@ from napari_deltamic.gui.running import worker
 from napari_deltamic.results.session_file import load_session, save_session
 
 from .conftest import CENTER
+from .interacting import pause, went_on
 from .mouse import Mouse
 
 pytestmark = pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
@@ -82,8 +83,7 @@ def test_pins_shown_are_those_of_the_fit(begun, with_image, gate, spin):
     n = int(begun.run.state.pinned.sum())
     places = begun.run.state.mesh.vertices_numpy()[begun.run.state.pinned]
     remesh(begun, gate, spin)
-    begun.footer.pause_button.click()
-    spin(seconds=0.2, must=False)
+    pause(begun, spin)
     state, marks = begun.run.state, with_image.layers["cell pinned"]
     assert state.pinned.sum() >= n
     np.testing.assert_array_equal(begun.edits.pinned, state.pinned)
@@ -114,8 +114,7 @@ def test_undo_of_a_nudge_brings_the_triangles_and_the_pins_back(begun, gate, spi
     begun.edits.shift(np.full((len(old.vertices), 3), 0.05), "nudge", old)
     spin(lambda: any(m.note == "nudge" for m in begun.doc.timeline.moments))
     remesh(begun, gate, spin)
-    begun.footer.pause_button.click()
-    spin(seconds=0.2, must=False)
+    pause(begun, spin)
     begun.running.history.undo_button.click()
     spin(lambda: same_triangles(begun.link.mesh, old))
     np.testing.assert_array_equal(begun.run.state.pinned, pinned)
@@ -155,7 +154,7 @@ def test_looking_back_across_a_remeshing_and_going_on_from_there(begun, with_ima
     begun.stop()
     spin(lambda: not begun.run.running)
     begun.running.history.go_on_button.click()  # a new run, with the pins
-    spin(lambda: begun.run.running and len(begun.run.history.loss) > 3)
+    spin(went_on(begun))
     assert begun.edits.pinned.any()
     begun.stop()
     spin(lambda: not begun.run.running)

@@ -20,16 +20,13 @@ from napari_deltamic.runs.command import command
 from napari_deltamic.runs.run_files import with_files
 
 from .conftest import CENTER, SIZE
+from .interacting import pause, went_on
 
 VOLUME = 4 / 3 * np.pi * 1.2 * 1.1 * 1.1
 
 
 def running(widget):
     return widget.run is not None and widget.run.running
-
-
-def some_iterations(widget, n=5):
-    return lambda: len(widget.run.history.loss) >= n
 
 
 def test_three_clicks_give_a_mesh(make_widget, with_image, spin):
@@ -80,14 +77,14 @@ def test_a_disk_that_cannot_be_written_is_told_in_words(seeded, spin, tmp_path, 
 
 def test_pause_holds_the_fit_and_stop_keeps_what_it_reached(seeded, spin, endless):
     seeded.start()
-    spin(some_iterations(seeded))
-    seeded.footer.pause_button.click()
-    spin(seconds=0.3, must=False)
+    spin(went_on(seeded))
+    pause(seeded, spin)
+    assert seeded.footer.message.text().startswith("paused after ")
     n = len(seeded.run.history.loss)
     spin(seconds=0.2, must=False)
     assert len(seeded.run.history.loss) == n
     seeded.footer.pause_button.click()
-    spin(some_iterations(seeded, n + 2))
+    spin(went_on(seeded, n + 2))
     seeded.footer.stop_button.click()
     spin(lambda: not running(seeded))
     assert seeded.running.verdict.text().startswith("stopped")
@@ -97,9 +94,8 @@ def test_pause_holds_the_fit_and_stop_keeps_what_it_reached(seeded, spin, endles
 
 def test_a_paused_fit_can_be_stopped(seeded, spin, endless):
     seeded.start()
-    spin(some_iterations(seeded))
-    seeded.footer.pause_button.click()
-    spin(seconds=0.1, must=False)
+    spin(went_on(seeded))
+    pause(seeded, spin)
     seeded.footer.stop_button.click()
     spin(lambda: not running(seeded))
     assert not seeded.footer.pause_button.isChecked()
@@ -143,7 +139,7 @@ def test_other_layers_can_be_removed_while_it_runs(seeded, with_image, spin, end
     spin(lambda: name in with_image.layers)
     del with_image.layers[name]
     n = len(seeded.run.history.loss)
-    spin(some_iterations(seeded, n + 30))
+    spin(went_on(seeded, n + 30))
     assert running(seeded)
     assert name not in with_image.layers
     with_image.dims.set_point(0, 4.0)
@@ -209,14 +205,11 @@ def test_what_is_missing_is_said(make_widget, with_image, told):
 
 def test_closing_the_widget_ends_the_fit(seeded, with_image, spin, endless):
     seeded.start()
-    spin(some_iterations(seeded))
+    spin(lambda: "cell cells" in with_image.layers)
     run = seeded.run
     seeded.close_links()
-    spin(seconds=0.3, must=False)
-    n = len(run.history.loss)
-    spin(seconds=0.2, must=False)
-    assert len(run.history.loss) == n
     assert not run.running
+    spin(lambda: run.done)
     with_image.dims.set_point(0, 4.0)  # nothing listens any more
     del with_image.layers["cell cells"]
 

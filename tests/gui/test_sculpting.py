@@ -6,7 +6,7 @@ import pytest
 from napari_deltamic.errors import InputError
 
 from .conftest import CENTER
-from .interacting import ALONG_X, notes, right_end, use, vertices
+from .interacting import ALONG_X, notes, pause, right_end, use, vertices, went_on
 
 
 def test_nudging_in_a_slice_moves_the_result(ended):
@@ -99,8 +99,7 @@ def test_the_fit_goes_on_from_a_nudge(begun, spin):
 
 
 def test_a_paused_fit_shows_a_change_at_once(begun, spin):
-    begun.footer.pause_button.click()
-    spin(seconds=0.2, must=False)
+    pause(begun, spin)
     mouse, place = use(begun, "nudge"), right_end(begun)
     n, before = len(begun.run.history.loss), vertices(begun)
     mouse.drag(place, place + 0.6 * ALONG_X)
@@ -113,8 +112,7 @@ def test_a_paused_fit_shows_a_change_at_once(begun, spin):
 
 
 def test_pinned_vertices_stay(begun, with_image, spin):
-    begun.footer.pause_button.click()
-    spin(seconds=0.2, must=False)
+    pause(begun, spin)
     mouse, place = use(begun, "nudge"), right_end(begun)
     mouse.drag(place, place + 0.6 * ALONG_X)
     spin(lambda: "nudge" in notes(begun))
@@ -145,7 +143,7 @@ def test_pins_outlast_the_fit_and_the_next_one(ended, spin):
     pinned = ended.edits.pinned.copy()
     held = vertices(ended)[pinned]
     ended.running.history.go_on_button.click()
-    spin(lambda: ended.run.running and len(ended.run.history.loss) > 20)
+    spin(went_on(ended, 20))
     np.testing.assert_array_equal(vertices(ended)[pinned], held)
     ended.stop()
     spin(lambda: not ended.run.running)
@@ -154,8 +152,7 @@ def test_pins_outlast_the_fit_and_the_next_one(ended, spin):
 
 
 def test_a_change_that_comes_too_late_changes_the_result(begun, spin):
-    begun.footer.pause_button.click()
-    spin(seconds=0.2, must=False)
+    pause(begun, spin)
     begun.stop()  # the thread has ended, and has not told yet
     shift = np.zeros_like(vertices(begun))
     shift[:, 1] = 0.25

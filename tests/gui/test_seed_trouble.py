@@ -89,7 +89,6 @@ def test_seeds_that_are_mirrored_lie_where_they_are_drawn():
         assert mesh.vertices_numpy().mean(axis=0) == pytest.approx((1, 0.5, 1), abs=1e-6)
 
 
-@pytest.mark.skip(reason="fails since one task runs at a time: not understood yet")
 def test_no_fit_starts_while_cells_are_tracked(series_widget, spin, slow_tracking, told):
     widget = series_widget
     widget.tracking.start()

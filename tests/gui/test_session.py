@@ -15,6 +15,7 @@ from napari_deltamic.runs.optics_settings import MeasuredOptics, optics_from_val
 from napari_deltamic.scene.effects import Attenuation, Effects
 
 from .conftest import CENTER
+from .interacting import went_on
 from .sessions import done, fitted, save, shown
 
 
@@ -59,12 +60,13 @@ def test_a_reopened_session_is_the_same(seeded, with_image, spin, tmp_path, told
     with_image.layers["cell"].colormap = "viridis"
     before = fitted(seeded, spin)
     before.doc.look("model")
+    spin(lambda: "cell rendered" in with_image.layers)  # rendered in the background
     with_image.dims.set_point(0, 4.0)
     save(before, tmp_path / "a.deltamic", spin)
     assert told[-1] == f"saved {tmp_path / 'a.deltamic'}"
     viewer, after = reopened(tmp_path / "a.deltamic")
     assert shown(after) == shown(before)
-    spin(lambda: "cell rendered" in viewer.layers)  # rendered in the background
+    spin(lambda: "cell rendered" in viewer.layers)
     names = {layer.name for layer in viewer.layers}
     assert names == {layer.name for layer in with_image.layers}
     for name in names:
@@ -148,7 +150,7 @@ def test_while_a_fit_runs_its_newest_state_is_saved(seeded, spin, tmp_path, monk
 
     monkeypatch.setattr(worker, "start", states)
     seeded.start()
-    spin(lambda: len(seeded.run.history.loss) > 5)
+    spin(went_on(seeded))
     save(seeded, tmp_path / "a.deltamic", spin)
     assert seeded.run.running
     session = load_session(tmp_path / "a.deltamic")

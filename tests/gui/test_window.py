@@ -17,6 +17,7 @@ from napari_deltamic.gui import closing, fit_widget
 from napari_deltamic.gui.results import command_copy
 
 from .conftest import CENTER, SIZE
+from .interacting import went_on
 from .mouse import Mouse
 
 DISPLAY = os.environ.get("QT_QPA_PLATFORM") != "offscreen"
@@ -48,7 +49,7 @@ def test_closing_the_dock_ends_and_releases_everything(window, pixels, spin, end
     widget = dock(window, pixels)
     widget.start()
     run = widget.run
-    spin(lambda history=run.history: len(history.loss) > 5)
+    spin(went_on(widget))
     widget.running.edit.use("push")
     spin(lambda doc=widget.doc: len(doc.timeline.moments) > 3)
     widget.running.history.slider.setValue(1)
@@ -85,7 +86,7 @@ def test_closing_the_dock_in_a_fit_asks(window, docked, spin, endless, asked):
     found, answers = asked
     docked.start()
     run = docked.run
-    spin(lambda: len(run.history.loss) > 5)
+    spin(went_on(docked))
     answers += [False, True]
     press_close(docked)
     assert len(found) == 1
@@ -122,13 +123,11 @@ def test_who_closes_the_dock_in_a_fit_can_keep_it(app, docked, spin):
 
 def test_closing_the_viewer_ends_the_fit(window, docked, spin, endless):
     docked.start()
-    spin(lambda: len(docked.run.history.loss) > 5)
+    spin(went_on(docked))
     run = docked.run
     window.close()
     spin(lambda: not run.running)
-    n = len(run.history.loss)
-    spin(seconds=0.3, must=False)
-    assert len(run.history.loss) <= n + 1
+    spin(lambda: run.done)
 
 
 def test_napari_opens_the_widget_of_the_manifest(window):

@@ -24,7 +24,7 @@ from .voxel_ownership import counted_around
 SIGMA_IN_VOXELS = 1.2  # where the user gives none
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FitInput:
     """What a fit takes.
 

@@ -18,7 +18,7 @@ from ..scene.effects import Effects
 from ..scene.light import MEMBRANES, Light
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FitState:
     """One iteration of a fit; owns its arrays.
 

@@ -1,11 +1,14 @@
 """What runs beside the window: one long task at a time, and short functions.
 
-Nothing in a thread knows of a widget, and no thread calls one: the main thread looks at the task a
-few times a second and shows what it finds. A slow viewer gets fewer states, not a queue.
+Nothing in a thread knows of a widget or of Qt, and no thread calls one: the main thread looks a few
+times a second and shows what it finds. A slow viewer gets fewer states, not a queue. The threads
+are Python's own: Qt's have as many places as there are cores, for all that runs in napari, and end
+the process if one of them is still at work when the application goes.
 """
 
 from __future__ import annotations
 
+import threading
 import time
 import warnings
 from collections import deque
@@ -17,13 +20,13 @@ from typing import Any
 from napari.utils import progress
 from psygnal import Signal
 from qtpy.QtCore import QObject, QTimer
-from superqt.utils import create_worker
 
 from ..errors import TOLD, InputError
 from .attempt import words_of
 
 INTERVAL = 1 / 15  # s between two looks at a task
 LONGEST_REST = 0.5  # s that a slow viewer is left alone, at most
+_LOOK_EVERY = 10  # ms, for the result of a function
 
 
 class Task:
@@ -113,10 +116,9 @@ class Work(QObject):
         if self.task is not None:
             self.stop(at_once=True)
         self.task = task
-        worker: Any = create_worker(_run, task, _start_thread=False, _ignore_errors=True)
         self._activity = progress(total=0, desc=f"deltaMic: {task.title}")
         self.changed.emit()
-        worker.start()
+        _in_thread(_run, task)
         self._timer.start(0)
 
     def stop(self, *, at_once: bool = False) -> None:
@@ -204,7 +206,7 @@ def _run(task: Task) -> None:
         warnings.filterwarnings("always", category=UserWarning)
         warnings.showwarning = show
         try:
-            while not task.stopping:
+            while not task.stopping and threading.main_thread().is_alive():
                 next(steps)
             steps.close()
         except StopIteration as end:
@@ -215,13 +217,35 @@ def _run(task: Task) -> None:
     task.done = True
 
 
+def _in_thread(function: Callable[[Any], None], given: Any) -> None:
+    """Python waits for it at its end; no thread should be at work in what is being unloaded."""
+    threading.Thread(target=function, args=(given,), name="deltaMic").start()
+
+
+class _Call:
+    """A function that a thread runs."""
+
+    def __init__(self, work: Callable[[], Any]) -> None:
+        self._work = work
+        self.result: Any = None
+        self.error = ""  # in plain words
+        self.done = False  # by the thread, last
+
+    def run(self) -> None:
+        """What the thread does."""
+        try:
+            self.result = self._work()
+        except Exception as error:
+            self.error = words_of(error)
+        self.done = True
+
+
 class Background(QObject):
     """Runs one function at a time in a thread; of several asked for, the last one counts.
 
     A function that runs cannot be interrupted: its result is dropped, and the latest one asked
     for starts when it has ended. Made and used on the main thread, where both callbacks are
-    called. After ``close`` neither is, and nothing is held but what still runs. A QObject, though
-    it has no signals: what a thread sends to one that is gone is dropped by Qt.
+    called. After ``close`` neither is, and nothing is held but what still runs.
 
     Parameters
     ----------
@@ -233,10 +257,12 @@ class Background(QObject):
         super().__init__()
         self._on_result: Callable[[Any], None] | None = on_result
         self._on_error: Callable[[str], None] | None = on_error
-        self._worker: Any = None
-        self._slots: tuple[tuple[Any, Callable[..., None]], ...] = ()
+        self._call: _Call | None = None
         self._next: Callable[[], Any] | None = None
         self._awaited = False  # the result of what runs
+        self._timer = QTimer(self)
+        self._timer.setInterval(_LOOK_EVERY)
+        self._timer.timeout.connect(self._look)
 
     @property
     def busy(self) -> bool:
@@ -248,7 +274,7 @@ class Background(QObject):
         if self._on_result is None:
             return
         self._next = work
-        if self._worker is None:
+        if self._call is None:
             self._start()
         else:
             self._awaited = False
@@ -260,43 +286,33 @@ class Background(QObject):
     def close(self) -> None:
         """Call nobody any more."""
         self.drop()
-        self._disconnect()
-        self._on_result = self._on_error = None
+        with suppress(RuntimeError):  # the application may have ended before
+            self._timer.stop()
+        self._call = self._on_result = self._on_error = None
 
     def _start(self) -> None:
         work, self._next = self._next, None
-        # Errors are caught in the thread: this library drops any RuntimeError without a word.
-        worker: Any = create_worker(_caught, work, _start_thread=False, _ignore_errors=True)
-        self._worker, self._awaited = worker, True
-        self._slots = ((worker.returned, self._tell), (worker.finished, self._finish))
-        for signal, slot in self._slots:
-            signal.connect(slot)
-        worker.start()
+        if work is not None:
+            self._call, self._awaited = _Call(work), True
+            _in_thread(_Call.run, self._call)
+            self._timer.start()
 
-    def _tell(self, outcome: tuple[Any, str]) -> None:
-        if not self._awaited:
+    def _look(self) -> None:
+        call = self._call
+        if call is None or not call.done:
             return
+        self._timer.stop()
+        self._call = None
+        try:
+            if self._awaited:
+                self._tell(call)
+        finally:
+            if self._call is None:
+                self._start()
+
+    def _tell(self, call: _Call) -> None:
         self._awaited = False
-        result, error = outcome
-        tell: Any = self._on_error if error else self._on_result
-        if tell is not None:
-            tell(error or result)
-
-    def _finish(self) -> None:
-        self._disconnect()
-        if self._next is not None:
-            self._start()
-
-    def _disconnect(self) -> None:
-        for signal, slot in self._slots:
-            signal.disconnect(slot)
-        self._slots = ()
-        self._worker = None
-
-
-def _caught(work: Callable[[], Any]) -> tuple[Any, str]:
-    """What the function returns and '', or None and what went wrong."""
-    try:
-        return work(), ""
-    except Exception as error:
-        return None, words_of(error)
+        if call.error and self._on_error is not None:
+            self._on_error(call.error)
+        elif not call.error and self._on_result is not None:
+            self._on_result(call.result)

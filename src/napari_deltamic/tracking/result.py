@@ -34,7 +34,7 @@ class Event:
     daughters: tuple[int, ...] = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FrameResult:
     """A frame that is done.
 

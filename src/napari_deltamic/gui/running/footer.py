@@ -86,7 +86,8 @@ class Footer(QWidget):
             self.progress.setValue(state.level - 1)
         self.progress.setFormat(text)
         done, rate = len(run.history.loss), snapshot.iterations_per_second
-        self.message.say(progress_text(done, rate, left))
+        stands = f"paused after {done} iterations"
+        self.message.say(stands if run.paused else progress_text(done, rate, left))
 
     def _pause(self, paused: bool) -> None:
         self.pause_button.setText("Resume" if paused else "Pause")

@@ -33,7 +33,7 @@ FORECAST_EVERY = 0.5  # s; more often it could not be read
 Verdict = Literal["converged", "ended", "stopped", "failed"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Snapshot:
     """What the viewer shows of a state; nothing in it is touched by the fit any more.
 
@@ -62,7 +62,7 @@ class Forecaster(Protocol):
         """s, after so many s (without pauses); None while nothing is known."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Outcome:
     """How a run ended: the verdict, in plain words too, and the last good state if any.
 
@@ -198,9 +198,11 @@ class FitRun(Task):
             pause = time.monotonic()
             if self.paused:
                 self._publish(state, must=True)
+                self.stage = "paused"
             while self.paused and not self._waiting.any and not self.stopping:
                 time.sleep(0.02)
                 yield
+            self.stage = "fitting"
             waited += time.monotonic() - pause
             change = self._taken(state)
             try:
