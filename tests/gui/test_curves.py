@@ -11,7 +11,7 @@ def test_each_level_is_a_line_of_what_is_explained(app):
     curve.show_losses([0.5, 0.3, 0.2, 0.6, 0.4], [1, 1, 1, 2, 2], first=11)
     lines = curve.lines
     assert [line.x for line in lines] == [[11, 12, 13], [14, 15]]
-    assert curve.text == "60.0 %"
+    assert curve.text == "60.0%"
     assert lines[0].y == pytest.approx([50, 70, 80])
     assert lines[1].y == pytest.approx([40, 60])
     for n in range(6):  # also before there is a line to draw

@@ -61,9 +61,9 @@ def test_nothing_is_ticked_before_the_user_does(panel):
     assert panel.summary() == "none; check this image"
     panel.show_found(recommendation(HALO, FADING))
     assert panel.effects() == Effects()
-    assert panel.summary() == "none; attenuation recommended"
+    assert panel.summary() == "none; dimmer with depth recommended"
     row = panel.table.row_of("attenuation")
-    assert row == {"effect": "attenuation", "how": "12.3", "shift": "85", "slower": "3.2"}
+    assert row == {"correction": "dimmer with depth", "how": "12.3", "shift": "85", "slower": "3.2"}
     assert panel.table.row_of("pixel_integration")["how"] == ""
     assert "gain 2" in panel.remarks.text()
 
@@ -74,7 +74,7 @@ def test_a_recommendation_is_accepted_with_its_numbers(panel):
     panel.show_found(recommendation(FADING))
     panel.take_button.click()
     assert told == [Effects.of(Attenuation(per_um=0.3))]
-    assert panel.summary() == "attenuation"
+    assert panel.summary() == "dimmer with depth"
     assert panel.take_button.isHidden()
     panel.table.tick("attenuation", False)
     assert panel.effects() == Effects()
@@ -84,7 +84,7 @@ def test_a_recommendation_is_accepted_with_its_numbers(panel):
 def test_the_reason_of_a_row_can_be_read(panel):
     panel.show_found(recommendation(FADING, HALO))
     panel.table.selectRow(0)
-    assert panel.reason.text() == f"attenuation: {FADING.reason}"
+    assert panel.reason.text() == f"dimmer with depth: {FADING.reason}"
     assert HALO.reason in panel.table.item(1, 0).toolTip()
 
 
@@ -112,7 +112,7 @@ def test_the_image_and_its_seeds_are_asked_in_the_background(seeded, spin, asked
     gate.release()
     spin(lambda: not seeded.settings.effects.busy)
     assert view.found.recommended == ("attenuation",)
-    assert seeded.settings.effects_fold.title == "Corrections: none; attenuation recommended"
+    assert seeded.settings.effects_fold.title == "Corrections: none; dimmer with depth recommended"
     assert calls[0]["fitted"].iteration == 5
     assert seeded.settings.scene_settings().effects == Effects()
     seeded.settings.sigma._boxes[0].setValue(0.9)

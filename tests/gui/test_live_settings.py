@@ -18,7 +18,7 @@ def test_settings_are_taken_over(begun, spin):
     spin(lambda: "accuracy" in begun.running.note.text())
     assert begun.running.note.text().startswith("accuracy 1e-4 from iteration")
     begun.settings.fit_psf.setChecked(True)
-    begun.settings.likelihood.setCurrentText("gaussian")
+    begun.settings.likelihood.setCurrentText("the same everywhere")
     spin(lambda: "noise gaussian" in " ".join(notes(begun)))
     fit_settings = begun.run.job.settings.fit
     assert (fit_settings.fit_psf, fit_settings.likelihood) == (True, "gaussian")
@@ -42,7 +42,7 @@ def test_effects_are_taken_over_and_taken_back(begun, spin):
     panel.effects.table.tick("pixel_integration")
     spin(lambda: begun.run.state.effects.names == ("pixel_integration", "attenuation"))
     assert begun.run.job.settings.scene.effects.names == ("pixel_integration", "attenuation")
-    assert panel.effects_fold.title == "Corrections: pixel integration, attenuation"
+    assert panel.effects_fold.title == "Corrections: voxels are boxes, dimmer with depth"
     for left in (("attenuation",), ()):
         begun.edits.undo()
         spin(lambda left=left: begun.run.state.effects.names == left)

@@ -60,7 +60,7 @@ def test_the_widths_of_the_psf_are_told(panel, spin):
     spin(lambda: not panel.busy)
     z, y, _ = optics_from_values(WATER).build().sigma_um
     assert f"{1000 * y:.0f} nm in the plane, {1000 * z:.0f} nm along z" in panel.width_note.text()
-    assert panel.summary() == f"widefield NA 0.8, {z:.2f} (z), {y:.2f} (yx) um"
+    assert panel.summary() == f"widefield NA 0.8, {z:.2f} (z), {y:.2f} (yx) µm"
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ the field is, and :func:`described` reads it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -38,6 +38,8 @@ class Described:
         numbers (Z, Y, X), any count of numbers, a text, or a part, which has settings of its own.
     choices
         The names, of a choice; those that are known, of a text.
+    words
+        What a form calls those choices whose name does not say it.
     low, high
         What a number may be; None where it has no limit.
     optional
@@ -80,6 +82,7 @@ class Described:
     start: float | None
     step: float
     automatic: str
+    words: Mapping[str, str]
 
     @property
     def label(self) -> str:
@@ -115,6 +118,7 @@ def setting(
     start: float | None = None,
     step: float = 0.0,
     automatic: str = "automatic",
+    words: Mapping[str, str] | None = None,
     **bounds: Any,
 ) -> Any:
     """A field of a settings object, with all that is said of it; see :class:`Described`.
@@ -133,6 +137,7 @@ def setting(
         "start": start,
         "step": step,
         "automatic": automatic,
+        "words": words or {},
     }
     return Field(default, title=title, description=tip, json_schema_extra={_KEY: extra}, **bounds)
 
@@ -187,6 +192,7 @@ def _described(name: str, field: FieldInfo, said: FieldInfo) -> Described:
         start=extra["start"],
         step=extra["step"],
         automatic=extra["automatic"],
+        words=extra["words"],
     )
 
 

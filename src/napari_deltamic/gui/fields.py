@@ -56,6 +56,7 @@ class TripleField(QWidget):
             box.setStyleSheet(
                 "QDoubleSpinBox { min-width: 50px; padding: 1px 2px; } "
                 "QDoubleSpinBox::up-button, QDoubleSpinBox::down-button { width: 0; border: none; }"
+                "QDoubleSpinBox::up-arrow, QDoubleSpinBox::down-arrow { image: none; width: 0; }"
             )
             box.valueChanged.connect(self._emit)
             layout.addWidget(box)
@@ -189,8 +190,9 @@ def _field(found: Described, parent: QWidget) -> QWidget:
     if found.kind == "choice" or found.choices:
         box = QComboBox(parent)
         box.setEditable(found.kind == "text")
-        box.addItems(found.choices)
-        box.setCurrentText(str(found.default))
+        for choice in found.choices:
+            box.addItem(found.words.get(choice, choice), choice)
+        _show(box, found.default)
         # Long names must not widen a narrow dock.
         box.setMinimumContentsLength(8)
         box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
@@ -217,8 +219,7 @@ def _value(field: Any) -> Any:
     if isinstance(field, QCheckBox):
         return field.isChecked()
     if isinstance(field, QComboBox):
-        text = field.currentText()
-        return number_or_text(text) if field.isEditable() else text
+        return number_or_text(field.currentText()) if field.isEditable() else field.currentData()
     if isinstance(field, QLineEdit):
         words = field.text().replace(",", " ").split()
         return [number_or_text(word) for word in words] or None
@@ -229,8 +230,10 @@ def _value(field: Any) -> Any:
 def _show(field: Any, value: Any) -> None:
     if isinstance(field, QCheckBox):
         field.setChecked(value)
-    elif isinstance(field, QComboBox):
+    elif isinstance(field, QComboBox) and field.isEditable():
         field.setCurrentText(str(value))
+    elif isinstance(field, QComboBox):
+        field.setCurrentIndex(field.findData(str(value)))
     elif isinstance(field, QLineEdit):
         field.setText(" ".join(f"{part:g}" for part in value or ()))
     elif isinstance(field, TripleField):

@@ -112,8 +112,7 @@ def told(known: Judged) -> str:
     whole = verdict.error.whole
     text += "." if whole is None else f"; they are off by about {1000 * whole.total:.0f} nm."
     reasons = [reason for reason in verdict.reasons if "is explained" not in reason]
-    if reasons:
-        text += f" {'; '.join(reasons)}."
+    text += "".join(f" {reason[0].upper()}{reason[1:]}." for reason in reasons)
     if verdict.grade == "poor":
         text += " Look at the surfaces before you use them."
     return text

@@ -85,6 +85,7 @@ class FitSettings(Settings):
         title="brightness",
         tip="fluorophores per um^2: the same everywhere, one per interface, or smooth over "
         "the surface, as uneven as the image says",
+        words={"interface": "one for each wall"},
         live=True,
     )
     structure: StructureChoice = setting(
@@ -92,9 +93,19 @@ class FitSettings(Settings):
         title="what shines",
         tip="membranes, the interior of cells (nuclei, cytoplasm), or both; auto: what the image "
         "says, also where a medium brighter than the cells lies around them",
+        words={"auto": "automatic"},
     )
     likelihood: Likelihood = setting(
-        "poisson", title="noise", tip="how voxels are weighted", advanced=True, live=True
+        "poisson",
+        title="noise",
+        tip="how voxels are weighted",
+        words={
+            "poisson": "photon noise",
+            "gaussian": "the same everywhere",
+            "paper": "as in the paper",
+        },
+        advanced=True,
+        live=True,
     )
     levels: tuple[Annotated[float, Field(ge=1)], ...] | None = setting(
         None,
@@ -185,6 +196,7 @@ class FitSettings(Settings):
         title="computed on",
         tip="what computes: cpu, cuda (an NVIDIA GPU), mps (the GPU of a Mac); auto: an "
         "NVIDIA GPU that can be used, else the CPU",
+        words={"auto": "automatic", "cpu": "CPU", "cuda": "NVIDIA GPU", "mps": "GPU of a Mac"},
         advanced=True,
     )
 

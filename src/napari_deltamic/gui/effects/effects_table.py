@@ -20,7 +20,7 @@ from ...scene.effects import KINDS
 from ..qt import Signal
 
 _COLUMNS = (
-    ("effect", "Tick an effect to compute it: in a fit that runs at once, else in the next one."),
+    ("correction", "Tick one to compute it: in a fit that runs at once, else in the next one."),
     ("how\nsure", "Standard deviations by which the image asks for it."),
     ("shift\nnm", "By how much the surface is off without it, as predicted."),
     ("slower\nms", "What an iteration takes longer with it, as predicted."),
@@ -153,8 +153,8 @@ class EffectsTable(QTableWidget):
 
 
 def spoken(name: str) -> str:
-    """The name of an effect as it is shown."""
-    return name.replace("_", " ")
+    """An effect in words."""
+    return KINDS[name].title
 
 
 def _texts(name: str, evidence: Evidence | None) -> tuple[str, str, str, str]:
@@ -176,5 +176,5 @@ def _two_digits(value: float) -> str:
 
 def _tip(name: str, evidence: Evidence | None) -> str:
     helped = KINDS[name].help
-    text = f"{helped[0].upper()}{helped[1:]}."
+    text = f"{helped[0].upper()}{helped[1:]} (--effects {name})."
     return f"<qt>{text}<br><br>{evidence.reason}</qt>" if evidence else f"<qt>{text}</qt>"

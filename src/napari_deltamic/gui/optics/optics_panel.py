@@ -146,7 +146,7 @@ class OpticsPanel(QWidget):
         """The present choice in a few words."""
         kind = self.kind.currentText()
         if kind == GAUSSIAN:
-            return f"Gaussian {_triple(self.sigma.value())} um"
+            return f"Gaussian {_triple(self.sigma.value())} µm"
         if kind == OBJECTIVE:
             fields = self.objective
             name = f"{fields.modality.currentText()} NA {fields.numbers['na'].value():g}"
@@ -234,7 +234,7 @@ class OpticsPanel(QWidget):
         self.picture.show_optics(optics)
         z, y, x = (1000 * s for s in sigma)
         across = f"{y:.0f} nm" if abs(y - x) < 0.5 else f"{y:.0f} and {x:.0f} nm"
-        self._width = f"{_triple(sigma)} um"
+        self._width = f"{_triple(sigma)} µm"
         self.width_note.say(
             f"as wide as a Gaussian of sigma {across} in the plane, {z:.0f} nm along z"
         )

@@ -244,15 +244,19 @@ class CheckPanel(QGroupBox):
         shown.addWidget(QLabel("show", self))
         shown.addWidget(self.view, 2)
         shown.addWidget(self.slice, 1)
-        shown.addWidget(self.worst)
+        ended = QHBoxLayout()
+        ended.addWidget(self.verdict, 1)
+        ended.addWidget(self.worst)
         stray = QHBoxLayout(self.stray_row)
         stray.setContentsMargins(0, 0, 0, 0)
         stray.addWidget(self.stray, 1)
         for button in (self.stray_go, self.stray_add):
             stray.addWidget(button)
         layout = QVBoxLayout(self)
-        rows: tuple[QWidget, ...] = (self.grade, self.again, self.verdict, self.note)
-        rows += (self.remarks, self.stray_row, self._looks, self.curve)
+        layout.addWidget(self.grade)
+        layout.addWidget(self.again)
+        layout.addLayout(ended)
+        rows = (self.note, self.remarks, self.stray_row, self._looks, self.curve)
         for widget in (*rows, self.history, self.edit, self.numbers):
             layout.addWidget(widget)
 

@@ -80,7 +80,7 @@ class Footer(QWidget):
             share = max(share, self.progress.value() if self.progress.maximum() == 100 else 0)
             self.progress.setRange(0, 100)
             self.progress.setValue(min(share, 99))
-            text += ", %p %"
+            text += ", %p%"
         else:
             self.progress.setRange(0, state.levels)
             self.progress.setValue(state.level - 1)

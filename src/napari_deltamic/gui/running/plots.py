@@ -46,7 +46,7 @@ class ExplainedCurve(QWidget):
         kept = _spread(n)
         starts = [k for a, k in pairwise(kept) if level[a] != level[k]]
         parts = [[k for k in kept if a <= k < b] for a, b in pairwise([0, *starts, n])] if n else []
-        self.text = f"{explained(loss[n - 1]):.1f} %" if n else ""
+        self.text = f"{explained(loss[n - 1]):.1f}%" if n else ""
         finite = [[k for k in part if isfinite(loss[k])] for part in parts]
         self.lines = [
             Line([first + k for k in part], [explained(loss[k]) for k in part])

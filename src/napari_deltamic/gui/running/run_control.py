@@ -231,7 +231,8 @@ class RunControl(QObject):
         doc.said.emit("")
         text, *remarks = outcome.message.split("\n")
         if state is not None:
-            text += f" ({state.iteration} iterations, {outcome.seconds:.1f} s)"
+            done = "" if "iterations" in text else f"{state.iteration} iterations, "
+            text += f" ({done}{outcome.seconds:.1f} s)"
         record.words = (outcome.verdict, "\n".join([text, *remarks]))
         if outcome.verdict == "failed":
             doc.warned.emit(outcome.message)

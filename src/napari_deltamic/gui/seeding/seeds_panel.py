@@ -35,7 +35,7 @@ from .remarks import LINK, Remarks
 from .seed_list import SeedList
 from .seed_sources import SeedSources
 
-_FOLLOW, _SPHERES = "the membrane around the click", "a sphere"
+_FOLLOW, _SPHERES = "membrane around the click", "a sphere"
 _WAIT = 100  # ms; changes that follow each other faster are looked at together
 
 

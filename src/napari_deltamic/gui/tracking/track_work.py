@@ -138,7 +138,7 @@ class TrackWork(Task):
                 self.share = (number + (fit.level - 1) / max(fit.levels, 1)) / count
                 self.stage = (
                     f"frame {number + 1} of {count}: level {fit.level} of {fit.levels}, "
-                    f"{explained(fit.loss):.1f} % explained"
+                    f"{explained(fit.loss):.1f}% explained"
                 )
             yield
         left_out = sum(result.mesh is None for result in self.results)

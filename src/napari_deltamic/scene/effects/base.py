@@ -89,6 +89,7 @@ class Effect(BaseModel):
 
     name: ClassVar[str]
     where: ClassVar[Where]
+    title: ClassVar[str]
     help: ClassVar[str]
     cost: ClassVar[Cost] = Cost()
     contradicts: ClassVar[tuple[str, ...]] = ()

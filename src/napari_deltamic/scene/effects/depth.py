@@ -17,6 +17,7 @@ class Attenuation(FaceEffect):
     """Light is lost on its way: faces dim exponentially with depth."""
 
     name: ClassVar[str] = "attenuation"
+    title: ClassVar[str] = "dimmer with depth"
     help: ClassVar[str] = (
         "structures dim with depth, as absorption and scattering make them; left out, at 2 % per "
         "um, surfaces shift by about 10 nm along z"
@@ -39,6 +40,7 @@ class Bleaching(GainEffect):
     """The dye fades while the stack is taken: slices dim exponentially, one after the other."""
 
     name: ClassVar[str] = "bleaching"
+    title: ClassVar[str] = "bleaching during the stack"
     help: ClassVar[str] = (
         "slices dim one after the other while the stack is taken; left out, surfaces shift "
         "slightly along z"
@@ -67,6 +69,7 @@ class DepthPSF(DepthEffect):
     """
 
     name: ClassVar[str] = "depth_psf"
+    title: ClassVar[str] = "blur grows with depth"
     help: ClassVar[str] = (
         "the PSF widens from one end of the stack to the other; left out, surfaces are seen too "
         "thick at one end and too thin at the other"

@@ -14,6 +14,7 @@ class Camera(DetectorEffect):
     """From photons to intensities: ``variance = gain (image - offset) + read noise^2``."""
 
     name: ClassVar[str] = "camera"
+    title: ClassVar[str] = "camera"
     help: ClassVar[str] = (
         "gain, offset and read noise weigh the voxels, saturated ones are left out; without it the "
         "histogram of the image tells the weights"
@@ -61,6 +62,7 @@ class Missing(VoxelEffect):
     """Voxels that were not measured: a value that stands for nothing, or slices that failed."""
 
     name: ClassVar[str] = "missing"
+    title: ClassVar[str] = "missing voxels"
     help: ClassVar[str] = (
         "voxels of one value (what a registration pads with) or whole slices tell nothing; left "
         "in, they pull the surface as dark ground does"

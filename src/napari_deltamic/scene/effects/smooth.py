@@ -85,6 +85,7 @@ class Background(_Polynomial, OffsetEffect):
 
     name: ClassVar[str] = "background"
     of_one_image: ClassVar[bool] = True
+    title: ClassVar[str] = "uneven background"
     help: ClassVar[str] = (
         "the background rises or falls slowly over the image; left out, it pulls the surface and "
         "widens the PSF where it is fitted"
@@ -103,6 +104,7 @@ class Illumination(_Polynomial, GainEffect):
 
     name: ClassVar[str] = "illumination"
     axes: ClassVar[str] = "yx"
+    title: ClassVar[str] = "uneven illumination"
     help: ClassVar[str] = (
         "the field of view is lit unevenly; left out, at 10 %, surfaces shift by less than 1 nm, "
         "but densities are wrong"

@@ -15,6 +15,7 @@ class SecondView(ViewEffect):
     """The same scene through another PSF, as from a second objective, on the same grid."""
 
     name: ClassVar[str] = "second_view"
+    title: ClassVar[str] = "second view"
     help: ClassVar[str] = (
         "a second image, registered to the first, seen through another PSF; left out, what only "
         "that one resolves is lost"
