@@ -29,9 +29,9 @@ def test_going_on_from_an_earlier_moment(begun, spin):
     spin(lambda: len(begun.doc.timeline.moments) > 8)
     bar = begun.running.history
     bar.slider.setValue(0)
-    first = bar.chosen.mesh.vertices_numpy()
+    first, of = bar.chosen.mesh.vertices_numpy(), bar.chosen.iteration
     bar.go_on_button.click()
-    spin(lambda: "back to iteration 1" in notes(begun))
+    spin(lambda: f"back to iteration {of}" in notes(begun))
     moment = next(m for m in begun.doc.timeline.moments if m.note)
     np.testing.assert_array_equal(moment.mesh.vertices_numpy(), first)
     assert bar.chosen is None
