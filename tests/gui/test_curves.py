@@ -24,4 +24,4 @@ def test_the_history_tells_it_too(make_widget):
     bar = make_widget().running.history
     bar.show_moments([Moment(k, 0.4 - 0.1 * k, None, None) for k in (1, 2)], running=False)
     bar.slider.setValue(0)
-    assert bar.note.text() == "iteration 1, 70.0 % explained"
+    assert bar.note.text() == "iteration 1, 70.0% explained"

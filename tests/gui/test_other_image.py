@@ -89,7 +89,7 @@ def test_recommendations_are_of_their_image(seeded, spin, other, monkeypatch):
     seeded.settings.effects.start()
     spin(lambda: not seeded.settings.effects.busy)
     view = seeded.settings.effects
-    assert view.summary() == "none; attenuation recommended"
+    assert view.summary() == "none; dimmer with depth recommended"
     other()
     choose(seeded, "other")
     assert "recommended" not in view.summary()
@@ -97,7 +97,7 @@ def test_recommendations_are_of_their_image(seeded, spin, other, monkeypatch):
     assert view.table.row_of("attenuation")["how"] == ""
     assert "another image" in view.progress.text()
     choose(seeded, "cell")
-    assert view.summary() == "none; attenuation recommended"
+    assert view.summary() == "none; dimmer with depth recommended"
 
 
 def test_the_psf_of_a_session_is_of_its_image(seeded, spin, tmp_path, reopened, pixels):

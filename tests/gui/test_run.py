@@ -292,7 +292,7 @@ def test_the_verdict_is_one_line_with_a_list_behind(seeded, spin, monkeypatch):
     spin(lambda: not running(seeded))
     panel = seeded.running
     assert "meet" not in panel.verdict.text()
-    assert "(8 iterations" in panel.verdict.text()
+    assert "8 iterations" in panel.verdict.text()
     assert panel.remarks.title == "3 remarks"
     assert panel.remarks.content.isHidden()
     assert panel.remarks.label.text().split("\n") == [f"cells {k} and 9 meet" for k in (2, 3, 4)]

@@ -178,7 +178,7 @@ class HistoryBar(QWidget):
             return
         text = f"iteration {shown.iteration}"
         if shown.loss == shown.loss:
-            text += f", {explained(shown.loss):.1f} % explained"
+            text += f", {explained(shown.loss):.1f}% explained"
         self.note.setText(text + (f": {shown.note}" if shown.note else ""))
         self.note.setVisible(looking)
 

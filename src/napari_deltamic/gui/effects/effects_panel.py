@@ -165,7 +165,7 @@ class EffectsPanel(QWidget):
 
     def summary(self) -> str:
         """The present choice in a few words."""
-        chosen = [*self._effects.names, *(["second view"] if self.second.layer else [])]
+        chosen = [*self._effects.names, *(["second_view"] if self.second.layer else [])]
         names = ", ".join(spoken(name) for name in chosen)
         more = self._open_recommendations()
         if more:

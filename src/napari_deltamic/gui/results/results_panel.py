@@ -155,7 +155,7 @@ class ResultsPanel(QGroupBox):
         before = self.coloured_by
         blocker = QSignalBlocker(self.colour)
         self.colour.clear()
-        self.colour.addItem("a colour for each cell", "")
+        self.colour.addItem("by cell", "")
         for column in self.table.known_columns()[1:]:
             if self.table.numbers(column.key):
                 self.colour.addItem(f"by {column.name}", column.key)
