@@ -80,8 +80,8 @@ def seeds() -> None:
     for center in sample.centers:
         layer.add(center)
     viewer.dims.set_point(0, float(np.median(sample.centers[:, 0])))
-    viewer.reset_view()
     wait(lambda: any("start" in x.name for x in viewer.layers), 1.0)
+    viewer.reset_view()  # once the dock has its width
     shot(viewer, "seeds.png")
     viewer.close()
 
@@ -98,13 +98,13 @@ def embryo() -> None:
     layer = viewer.add_image(image, name="embryo", scale=(4, 1, 1), units=("um",) * 3)
     layer.contrast_limits = (0, float(np.percentile(image, 99.8)))
     viewer.dims.set_point(0, 17 * 4.0)
-    viewer.reset_view()
     widget.seeds.find_cells.click()
     wait(lambda: any(x.name == "found cells" for x in viewer.layers))
     correcting = widget.seeds.corrections
     correcting.bar.use("split")
     correcting.load(str(CLICKS))
     wait(lambda: not correcting.busy)
+    viewer.reset_view()
     shot(viewer, "correct.png")
     widget.settings.density.setCurrentText("smooth")
     widget.doc.look("image")

@@ -136,6 +136,20 @@ def test_contours_across_other_axes_and_in_time(viewer):
     np.testing.assert_allclose(contours.layer.data[:, 0, 1], 0.8, rtol=1e-5)
 
 
+def test_contours_between_tall_voxels_are_drawn(viewer):
+    """The slider stands there once a surface reaches beyond the image."""
+    layer = viewer.add_image(np.zeros((9, 30, 30)), scale=(4, 1, 1), units=("um",) * 3)
+    link = ViewerLink(viewer, layer, Frame.of(layer), print)
+    link.show_mesh(sphere((16, 15, 15), 12, subdivisions=2))
+    viewer.add_points([[-6.92, 0, 0]])  # so does this
+    viewer.dims.set_point(0, 17.08)
+    lines = link.contours.layer
+    assert abs(viewer.dims.point[0] - 16) > 0.5
+    assert len(lines.data) > 20
+    assert len(lines._view_data) == len(lines.data)
+    link.close()
+
+
 def test_effects_and_switches_reach_the_settings(make_widget):
     panel = make_widget().settings
     assert panel.scene_settings().effects.names == ()

@@ -45,7 +45,7 @@ class TrackLayers:
         self._on_time: Callable[[], None] | None = on_time
         self._connections = Connections()
         dims = viewer.dims.events
-        for emitter in (dims.current_step, dims.order, dims.ndisplay):
+        for emitter in (dims.point, dims.order, dims.ndisplay):
             self._connections.connect(emitter, self._moved)
         self._connections.connect(camera_of(viewer).events.zoom, self._zoomed)
 

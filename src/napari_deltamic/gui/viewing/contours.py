@@ -65,7 +65,9 @@ class Contours:
         segments, faces = section(mesh, axis, position)
         vectors = np.zeros((len(segments), 2, 3), np.float32)
         others = [k for k in range(3) if k != axis]
-        vectors[:, 0, axis] = position
+        # Where the viewer is, or else napari, which shows what lies within half a um of that, would
+        # drop them: its slider stands between voxels once surfaces reach beyond the image.
+        vectors[:, 0, axis] = self._point(dims, axis)
         vectors[:, 0, others] = segments[:, 0]
         vectors[:, 1, others] = segments[:, 1] - segments[:, 0]
         self._set(*self._two_coloured(vectors, mesh, faces, others))
@@ -94,11 +96,13 @@ class Contours:
 
     def position(self, dims: Any, axis: int) -> float:
         """um: where the slice across an axis lies that the viewer's dims are at."""
-        world = dims.point[axis - 3]
-        position = (world - self.frame.translate[axis]) * self.frame.um[axis]
         # The slice that napari shows of the image is that of the nearest voxel.
         size = self.frame.voxel_size[axis]
-        return float(round(position / size) * size)
+        return float(round(self._point(dims, axis) / size) * size)
+
+    def _point(self, dims: Any, axis: int) -> float:
+        """um: where the viewer is along an axis."""
+        return float((dims.point[axis - 3] - self.frame.translate[axis]) * self.frame.um[axis])
 
     def _two_coloured(
         self, vectors: NDArray[np.float32], mesh: Mesh, faces: NDArray[Any], others: list[int]

@@ -60,7 +60,7 @@ class MeshLayers:
         self._values: NDArray[np.float32] | None = None
         self.connections = Connections()
         dims = viewer.dims.events
-        for emitter in (dims.current_step, dims.order, dims.ndisplay):
+        for emitter in (dims.point, dims.order, dims.ndisplay):
             self.connections.connect(emitter, self.slice_changed)
         self.connections.connect(camera_of(viewer).events.zoom, self._zoomed)
 
