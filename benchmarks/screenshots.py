@@ -110,6 +110,7 @@ def embryo() -> None:
     widget.doc.look("image")
     widget.start()
     wait(lambda: widget.run is not None and not widget.run.running, 2.0)
+    wait(lambda: not widget.judging.busy)
     viewer.reset_view()
     shot(viewer, "widget.png")
     viewer.dims.ndisplay = 3
