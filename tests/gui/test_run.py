@@ -248,7 +248,9 @@ def test_the_command_repeats_the_run(seeded, with_image, tmp_path):
     seeded.settings.accuracy.setCurrentText("3e-3")
     seeded.settings.density.setCurrentText("smooth")
     seeded.settings.fit_psf.setChecked(True)
-    seeded.settings.sigma.set_value((0.4, 0.25, 0.25))
+    # As a user does: a PSF that is left open is found in the image by either.
+    for box, width in zip(seeded.settings.sigma._boxes, (0.4, 0.25, 0.25), strict=True):
+        box.setValue(width)
     pixels = seeded.doc.image.stack()
     grid = frame.grid(pixels.shape)
     settings = with_files(seeded.run_settings(seeds), pixels, grid, seeds, tmp_path)
