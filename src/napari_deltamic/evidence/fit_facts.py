@@ -15,6 +15,7 @@ from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import Mesh
 from ..scene import Grid
 from .first_sigma import first_sigma
+from .outgrowths import outgrowths
 from .predicted_error import predicted_error
 from .residual import Residual
 from .verdict import SETTINGS, CellFacts, Facts, Verdict, judged
@@ -52,6 +53,7 @@ def facts_of(
     modelled = state.light.interior != 0
     unsure = job.settings.fit.structure == "auto" and not modelled
     volumes = state.mesh.volumes()
+    grown_out = outgrowths(state.mesh, job.grid, state.optics)
     explained = {cell.region: cell.explained for cell in left.cells}
     light: dict[int, float] = {}
     for spot in left.spots:
@@ -66,6 +68,7 @@ def facts_of(
             None if modelled else inside.get(region),
             compact.get(region),
             unsure and hardly_wider(volumes[region], job.optics),
+            None if region not in grown_out else tuple(grown_out[region].tolist()),
         )
         for region, area in areas.items()
     )

@@ -86,6 +86,8 @@ class CellFacts:
         How round it is, over how round its start was; None where the start had no such cell.
     small
         Whether nobody said what shines, and it is too small for the image to tell.
+    outgrowth
+        Where a thin one ends, um, Z Y X (:func:`~.outgrowths.outgrowths`); None without one.
     """
 
     region: int
@@ -96,6 +98,7 @@ class CellFacts:
     inside: float | None = None
     compact: float | None = None
     small: bool = False
+    outgrowth: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -248,6 +251,10 @@ def _of_cell(cell: CellFacts, usual: float, facts: Facts, settings: VerdictSetti
     if cell.small:
         text = "it is so small beside the PSF that a membrane looks like an inside"
         found.append(("fair", f"{text}: say which of them shines (--structure)"))
+    if cell.outgrowth is not None:
+        z, y, x = cell.outgrowth
+        text = f"a thin outgrowth reaches to ({z:.1f}, {y:.1f}, {x:.1f}) um"
+        found.append(("fair", f"{text}: is it of the cell, or something bright beside it?"))
     if cell.cut:
         found.append(("fair", "the border of the image cuts it: what lies beyond is a guess"))
     grade, reasons = _worst(g for g, _ in found), tuple(text for _, text in found)

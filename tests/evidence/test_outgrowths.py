@@ -1,0 +1,36 @@
+import numpy as np
+import pytest
+
+from napari_deltamic import GaussianPSF, Grid, Mesh
+from napari_deltamic.evidence.outgrowths import outgrowths
+from napari_deltamic.geometry import sphere
+
+GRID = Grid((40, 40, 60), (0.2, 0.2, 0.2), (1.0, 0.0, 0.0))
+MIDDLE = np.array([5.0, 4.0, 4.0])
+OPTICS = GaussianPSF(0.25)
+
+
+def cell(reach: float, width: float = 0.3, region: int = 1) -> Mesh:
+    """A ball of 2 um whose right side is drawn out to a finger; lengths in um."""
+    ball = sphere((0, 0, 0), 2.0, edge_length=0.12)
+    v = ball.vertices_numpy().copy()
+    across = np.hypot(v[:, 0], v[:, 1])
+    v[:, 2] += reach * np.exp(-0.5 * (across / width) ** 4) * (v[:, 2] > 0)
+    return Mesh(v + MIDDLE, ball.faces, ball.regions * region)
+
+
+def test_a_finger_is_found_where_it_ends():
+    found = outgrowths(cell(3.0), GRID, OPTICS)
+    assert list(found) == [1]
+    assert found[1] == pytest.approx((5.0, 4.0, 9.0), abs=0.4)
+
+
+@pytest.mark.parametrize("mesh", [cell(0.0), cell(0.6), cell(2.0, 1.2)])
+def test_round_cells_short_bumps_and_thick_ones_have_none(mesh):
+    assert outgrowths(mesh, GRID, OPTICS) == {}
+
+
+def test_a_cell_that_is_thin_as_a_whole_has_none():
+    disc = sphere(MIDDLE, 2.0, edge_length=0.2)
+    flat = disc.with_vertices((disc.vertices_numpy() - MIDDLE) * [0.12, 1, 1] + MIDDLE)
+    assert outgrowths(flat, GRID, OPTICS) == {}
