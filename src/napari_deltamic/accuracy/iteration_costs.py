@@ -50,10 +50,9 @@ class ForecastRules:
         Standard deviations to which images are blurred, as level.py does.
     looks
         Iterations after which all voxels are looked at; chosen by eye.
-    psf_below, psf_every
-        Blur, in widths of the PSF, from which on its numbers are fitted, as fit_objective.py does;
-        an iteration of so many adds four images for them. Measured on a ball in 40 x 56 x 56
-        voxels: 1.3 to 2.8 ms, where 1.9 were forecast.
+    psf_every
+        Where the PSF is fitted, an iteration of so many adds four images for it. Measured on a ball
+        in 40 x 56 x 56 voxels: 1.3 to 2.8 ms, where 1.9 were forecast.
     window, more
         Iterations that a level which goes on beyond what was expected still needs, or this share of
         those that it has had: the end would always be near otherwise.
@@ -81,7 +80,6 @@ class ForecastRules:
     factoring: float = 100.0
     truncated: float = 3.5
     looks: int = 10
-    psf_below: float = 1.2
     psf_every: int = 5
     window: int = 12
     more: float = 0.1
@@ -128,7 +126,7 @@ def iteration_seconds(
         seconds += FORECAST.solves / 2 * vertices * costs.vertex + call / 2
     seconds += (len(mesh.faces) * costs.face + call) / Schedule().renewed_every
     seconds += voxels * costs.voxel / FORECAST.looks
-    if settings.fit_psf and factor <= FORECAST.psf_below:
+    if settings.fit_psf and factor <= Schedule().imaging_below:
         image = costs.rates(plan.single, False).seconds(Work(pixels=plan.work.pixels))
         seconds += (4 * image + 8 * near * costs.voxel) / FORECAST.psf_every
     return seconds

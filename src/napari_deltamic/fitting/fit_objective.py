@@ -24,7 +24,6 @@ from .schedule import Schedule
 from .structure_choice import chosen
 from .variables import Variables
 
-_PSF_BELOW = 1.2  # blur, in widths of the PSF, from which on PSF and effects are fitted
 _STRAYED = 0.97  # of as far as vertices may go: what is as far has arrived there
 
 
@@ -83,7 +82,7 @@ class Objective:
     ) -> None:
         self.terms, self._guard = terms, guard
         level, settings, width = terms.level, terms.settings, min(fitted.optics.sigma_um)
-        free = terms.imaging_fitted and level.factor <= _PSF_BELOW
+        free = terms.imaging_fitted and level.factor <= terms.schedule.imaging_below
         self._density = Density(fitted.mesh, settings.density, width)
         self._imaging = Imaging(
             fitted.optics, fitted.effects, fitted.first_optics, settings.fit_psf and free, free

@@ -47,6 +47,10 @@ class Schedule:
         Share by which the squares that are left must have fallen since the objective before: else
         its voxels and weights stay. Voxels that follow a surface where the image shows what no
         mesh describes would have it move for ever (seen on an embryo with foreign light).
+    imaging_below
+        Widths of the blurred PSF over that of the PSF from which on PSF and effects are fitted: at
+        the last level. From 2.5 on, they stood in for shapes that were still far off where light
+        inside was free as well (nuclei, benchmarks.defaults).
     """
 
     renewed_every: int = 20
@@ -62,6 +66,7 @@ class Schedule:
     held: int = 3
     level_variance: float = 0.1
     worth_renewing: float = 0.01
+    imaging_below: float = 1.2
 
 
 @dataclass(frozen=True)
