@@ -42,6 +42,12 @@ def test_a_level_that_finds_no_way_down_twice_ends():
     assert once.stepped(1.0 - 2 * S.gain, True, S).stuck == 0
 
 
+def test_ever_more_patches_may_move_after_a_while():
+    assert S.may_move(S.patience - 1) == 0
+    assert S.may_move(S.patience) == S.moving
+    assert S.may_move(S.patience + S.doubled_every) == 2 * S.moving
+
+
 def test_steps_that_gain_next_to_nothing_do_not_keep_a_fit_going():
     once = after([1.0, 1.0], moved=False)
     crept = once.stepped(1.0 - 0.5 * S.gain, True, S)
