@@ -28,14 +28,13 @@ def test_a_fit_ends_where_that_of_the_compiled_loops_does(monkeypatch, accuracy)
     for compiled in (True, False):
         for module in (particle_mesh, real_fft):
             monkeypatch.setattr(module, "compiled", lambda device, given=compiled: given)
-        settings = FitSettings(
-            accuracy=accuracy, levels=(1.5, 1.0), structure="membrane", max_iterations=40
-        )
+        # The shape alone: steps with PSF and brightness free carry rounding to 1e-4 um.
+        alone = {"structure": "membrane", "density": "uniform", "fit_psf": False}
+        settings = FitSettings(accuracy=accuracy, levels=(1.5, 1.0), max_iterations=40, **alone)
         *_, last = nd.fit(image, GRID, start, OPTICS, settings=settings)
         ends.append(last)
     ours, by_torch = (np.asarray(e.mesh.vertices_numpy()) for e in ends)
     assert ours.shape == by_torch.shape
-    # Rounding that 40 steps carry along, single or double, against the size of the cell.
-    assert np.abs(ours - by_torch).max() < (1e-3 if accuracy > 3e-5 else 1e-5) * 2.4
-    # Of the noise-free image less than 1e-6 is left.
-    assert ends[0].loss == pytest.approx(ends[1].loss, rel=1e-2)
+    # Rounding that a fit carries along, against the size of the cell.
+    assert np.abs(ours - by_torch).max() < (1e-3 if accuracy > 3e-5 else 1e-7) * 2.4
+    assert ends[0].loss == pytest.approx(ends[1].loss, rel=1e-3)

@@ -89,6 +89,13 @@ def test_a_start_in_no_dark_region_claims_nothing(neighbours):
     assert counted_around(image, grid, sphere((1.2, 1.2, 1.2), 0.3), OPTICS) is None
 
 
+def test_a_nucleus_alone_keeps_all_of_itself_wherever_it_lies():
+    for center in ((0.45, 0.45, 0.45), (1.9, 2.7, 2.7)):
+        image = bright(GRID, [(center, 0.5)])
+        counted = counted_around(image, GRID, sphere(center, 0.45), OPTICS)
+        assert counted[from_surface(GRID, center, 0) < 0.6].mean() > 0.99
+
+
 def test_light_inside_a_cell_is_its_own():
     inner = sphere(CENTER, 0.4 * RADIUS, subdivisions=3)
     image = measured(GRID, Mesh.merge([TRUTH, inner]), noise=0)

@@ -26,7 +26,7 @@ class RivalSettings:
     ----------
     steps
         Of each. Fits of ``mixed`` scenes (benchmarks.defaults) that were stuck 3 voxels from their
-        membranes had passed the others after 10.
+        membranes had passed the others by then.
     renewed_every
         Steps after which voxels and weights are chosen anew.
     less

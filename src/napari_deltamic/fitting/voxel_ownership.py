@@ -72,7 +72,7 @@ def counted_around(image: np.ndarray, grid: Grid, mesh: Mesh, optics: Optics) ->
     region: then nothing can be told.
     """
     starts = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
-    if not np.isin(mesh.region_ids(), starts).all():
+    if not (np.isfinite(image).any() and np.isin(mesh.region_ids(), starts).all()):
         return None
     labels = _bright_regions(image, grid, starts)
     if labels is None:
@@ -131,8 +131,12 @@ def _bright_regions(image: np.ndarray, grid: Grid, starts: Labels) -> Labels | N
     thick = distance_transform_edt(bright, sampling=size) > _THIN * radius
     things = label_components(thick)[0]
     own = np.isin(things, np.unique(things[starts > 0])) & thick
-    near, far = (distance_transform_edt(~mask, sampling=size) for mask in (own, thick & ~own))
-    mine = bright & (near <= far) & (near <= _THIN * radius)
+    if not own.any():
+        return None
+    near = distance_transform_edt(~own, sampling=size)
+    mine = bright & (near <= _THIN * radius)
+    if (thick & ~own).any():  # without any, distances to it mean nothing
+        mine &= near <= distance_transform_edt(own | ~thick, sampling=size)
     _, at = distance_transform_edt(starts == 0, sampling=size, return_indices=True)
     found: Labels = np.where(mine, starts[tuple(at)], 0)
     return found if _alike(found, starts, regions) else None
