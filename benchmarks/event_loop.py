@@ -268,7 +268,7 @@ def _user(viewer: Any, widget: Any) -> Any:
         for _ in range(8):
             yield
         viewer.dims.ndisplay = 2
-        widget.doc.look("image" if widget.doc.view == "model" else "model")
+        widget.doc.look("image" if widget.doc.view == "rendered" else "rendered")
         yield
 
 

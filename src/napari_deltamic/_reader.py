@@ -71,7 +71,7 @@ def read_sessions(path: str | Sequence[str]) -> list[LayerData]:
         image = image_layer(session.image)
         layers = [image, *(seed_layer(seed) for seed in session.seeds)]
         if session.result is not None:
-            name = f"{image.name} cells"
+            name = f"{image.name}: surfaces"
             layers.append(mesh_layer(session.result.state.mesh, name, Frame.of(image)))
         found += [layer.as_layer_data_tuple() for layer in layers]
     show_info("one session at a time also restores settings, table and history")

@@ -76,9 +76,9 @@ def test_the_preview_stays_until_the_meshes_are_there(make_widget, with_image, s
     with_image.layers["seeds"].add(CENTER)
     spin(lambda: widget.seeds.preview.mesh is not None)
     widget.start()
-    assert "cell start contours" in with_image.layers
+    assert "cell: start contours" in with_image.layers
     spin(lambda: widget.link.mesh is not None)
-    assert "cell start contours" not in with_image.layers
+    assert "cell: start contours" not in with_image.layers
 
 
 def test_found_cells_make_room_and_have_the_colours_of_the_result(

@@ -180,12 +180,12 @@ def test_an_accepted_effect_goes_into_the_fit_that_runs(seeded, spin, endless):
 
 def test_the_residual_is_in_standard_deviations_and_cells_are_judged(seeded, with_image, spin):
     table, n = seeded.results.table, EXPLAINED
-    seeded.doc.look("difference")
+    seeded.doc.look("residual")
     seeded.start()
     spin(lambda: not seeded.run.running, seconds=60)
     assert table.isColumnHidden(n)
     spin(lambda: not table.isColumnHidden(n), seconds=60)
-    layer = with_image.layers["cell residual"]
+    layer = with_image.layers["cell: residual"]
     assert tuple(layer.contrast_limits) == (-5, 5)
     assert np.std(layer.data) == pytest.approx(1, abs=0.25)
     assert "explained" in table.as_text().splitlines()[0]

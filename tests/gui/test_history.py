@@ -135,9 +135,9 @@ def test_remaining_time_is_told_where_it_is_known(begun, spin):
 
 
 def test_the_rendered_image_follows_the_result(ended, with_image, spin):
-    ended.doc.look("model")
-    spin(lambda: "cell rendered" in with_image.layers)
-    layer = with_image.layers["cell rendered"]
+    ended.doc.look("rendered")
+    spin(lambda: "cell: rendered" in with_image.layers)
+    layer = with_image.layers["cell: rendered"]
     assert layer.visible
     before = layer.data.copy()
     use(ended, "push").drag(right_end(ended))

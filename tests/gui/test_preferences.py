@@ -78,7 +78,7 @@ def test_a_new_widget_is_set_as_preferred(make_widget, monkeypatch, told):
     widget = make_widget()
     assert widget.settings.fit_settings() == chosen["fit"].model_copy(update={"accuracy": 3e-4})
     assert widget.settings.accuracy.choice == "3e-4"
-    assert widget.doc.view == "model"
+    assert widget.doc.view == "rendered"
     assert not widget.seeds.preview.isChecked()
     assert widget.doc.work.interval == 0.25
     scene = widget.settings.scene_settings()

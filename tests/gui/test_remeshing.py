@@ -84,7 +84,7 @@ def test_pins_shown_are_those_of_the_fit(begun, with_image, gate, spin):
     places = begun.run.state.mesh.vertices_numpy()[begun.run.state.pinned]
     remesh(begun, gate, spin)
     pause(begun, spin)
-    state, marks = begun.run.state, with_image.layers["cell pinned"]
+    state, marks = begun.run.state, with_image.layers["cell: pinned"]
     assert state.pinned.sum() >= n
     np.testing.assert_array_equal(begun.edits.pinned, state.pinned)
     np.testing.assert_allclose(marks.data, begun.link.mesh.vertices_numpy()[state.pinned])
@@ -146,7 +146,7 @@ def test_looking_back_across_a_remeshing_and_going_on_from_there(begun, with_ima
     spin(lambda: begun.running.history.slider.maximum() > 1)
     bar.slider.setValue(1)
     assert same_triangles(begun.link.shown, before)
-    assert len(with_image.layers["cell pinned"].data) in (0, begun.run.state.pinned.sum())
+    assert len(with_image.layers["cell: pinned"].data) in (0, begun.run.state.pinned.sum())
     begun.results.choose(1)
     bar.go_on_button.click()
     spin(lambda: any("back to" in m.note for m in begun.doc.timeline.moments))
@@ -183,7 +183,7 @@ def test_a_session_keeps_the_pins_of_other_triangles(begun, gate, spin, tmp_path
     spin(lambda: not begun.sessions.busy)
     np.testing.assert_array_equal(begun.doc.result.state.pinned, pinned)
     np.testing.assert_array_equal(begun.edits.pinned, pinned)
-    marks = [layer for layer in begun.link.viewer.layers if layer.name.startswith("cell pinned")]
+    marks = [layer for layer in begun.link.viewer.layers if layer.name.startswith("cell: pinned")]
     assert len(marks[-1].data) == pinned.sum()
     damaged = load_session(tmp_path / "kept.deltamic")
     assert {len(m.mesh.faces) for m in damaged.result.moments} >= {

@@ -149,7 +149,7 @@ def test_dialogs_add_what_a_name_lacks(widget, tmp_path, monkeypatch):
 
 
 def test_a_row_dims_the_other_cells_and_goes_there(widget, with_image):
-    surface = with_image.layers["cell cells"]
+    surface = with_image.layers["cell: surfaces"]
     plain = np.array(surface.data[2])
     with_image.dims.ndisplay = 2
     widget.results.table.selectRow(1)
@@ -293,7 +293,7 @@ def test_columns_are_chosen(ended, spin):
 def test_the_result_becomes_a_labels_layer_with_measurements(ended, viewer, spin):
     spin(lambda: ended.running.grade.text() != "", seconds=60)
     ended.results.add_labels()
-    layer = viewer.layers["cell labels"]
+    layer = viewer.layers["cell: labels"]
     inside = ended.link.frame.voxel_size
     volume = np.count_nonzero(layer.data == 1) * np.prod(inside)
     assert volume == pytest.approx(ended.results.table.numbers("volume_um3")[1], rel=0.1)

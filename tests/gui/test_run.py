@@ -39,7 +39,7 @@ def test_three_clicks_give_a_mesh(make_widget, with_image, spin):
     widget.footer.run_button.click()
     spin(lambda: not running(widget))
     assert widget.running.verdict.text().startswith("converged")
-    surface = with_image.layers["cell cells"]
+    surface = with_image.layers["cell: surfaces"]
     assert tuple(surface.translate) == (1, 2, 3)
     row = measure_cells(widget.link.mesh)[0]
     assert row["volume_um3"] == pytest.approx(VOLUME, rel=0.1)
@@ -117,24 +117,24 @@ def test_a_second_run_uses_the_same_layers(seeded, with_image, spin):
     assert [layer.name for layer in with_image.layers] == [
         "cell",
         "seeds",
-        "cell cells",
-        "cell contours",
+        "cell: surfaces",
+        "cell: contours",
     ]
 
 
-@pytest.mark.parametrize("name", ["cell", "cell cells"])
+@pytest.mark.parametrize("name", ["cell", "cell: surfaces"])
 def test_removing_a_layer_that_the_fit_needs_ends_it(seeded, with_image, spin, endless, told, name):
     seeded.start()
-    spin(lambda: "cell cells" in with_image.layers)
+    spin(lambda: "cell: surfaces" in with_image.layers)
     del with_image.layers[name]
     spin(lambda: not running(seeded))
     assert "removed" in told[-1]
     assert seeded.results.isEnabled()
 
 
-@pytest.mark.parametrize("name", ["cell contours", "seeds", "cell rendered", "cell residual"])
+@pytest.mark.parametrize("name", ["cell: contours", "seeds", "cell: rendered", "cell: residual"])
 def test_other_layers_can_be_removed_while_it_runs(seeded, with_image, spin, endless, name):
-    seeded.doc.look("difference" if "residual" in name else "model")
+    seeded.doc.look("residual" if "residual" in name else "rendered")
     seeded.start()
     spin(lambda: name in with_image.layers)
     del with_image.layers[name]
@@ -205,13 +205,13 @@ def test_what_is_missing_is_said(make_widget, with_image, told):
 
 def test_closing_the_widget_ends_the_fit(seeded, with_image, spin, endless):
     seeded.start()
-    spin(lambda: "cell cells" in with_image.layers)
+    spin(lambda: "cell: surfaces" in with_image.layers)
     run = seeded.run
     seeded.close_links()
     assert not run.running
     spin(lambda: run.done)
     with_image.dims.set_point(0, 4.0)  # nothing listens any more
-    del with_image.layers["cell cells"]
+    del with_image.layers["cell: surfaces"]
 
 
 def test_closing_releases_widget_run_and_link(seeded, make_widget, spin, endless):

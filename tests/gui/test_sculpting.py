@@ -59,11 +59,11 @@ def test_a_mouse_that_misses_moves_the_view(ended):
 
 def test_a_hidden_surface_is_not_touched(ended, with_image):
     mouse, before = use(ended, "push"), vertices(ended)
-    with_image.layers["cell contours"].visible = False
+    with_image.layers["cell: contours"].visible = False
     assert not mouse.drag(right_end(ended))
     assert "hidden" in ended.running.edit.hint.text()
     np.testing.assert_array_equal(vertices(ended), before)
-    del with_image.layers["cell contours"]
+    del with_image.layers["cell: contours"]
     assert not mouse.drag(right_end(ended))
 
 
@@ -125,7 +125,7 @@ def test_pinned_vertices_stay(begun, with_image, spin):
     n = len(begun.run.history.loss)
     spin(lambda: len(begun.run.history.loss) > n + 20)
     np.testing.assert_array_equal(vertices(begun)[pinned], held)
-    marks = with_image.layers["cell pinned"]
+    marks = with_image.layers["cell: pinned"]
     assert len(marks.data) == pinned.sum()
     assert begun.running.edit.pins.text().startswith(f"Free {pinned.sum()} pinned")
     begun.running.edit.pins.click()

@@ -18,16 +18,16 @@ from .seeding import FRAME, MEMBRANE, PLACE, SPHERE, add_points, texts
 def test_a_click_is_followed_by_contours_and_a_surface(panel, with_image, spin):
     seeds = add_points(panel, with_image, CENTER)
     with_image.dims.set_point(0, 1 + CENTER[0])
-    spin(lambda: "cell start contours" in with_image.layers)
-    contours = with_image.layers["cell start contours"]
+    spin(lambda: "cell: start contours" in with_image.layers)
+    contours = with_image.layers["cell: start contours"]
     assert len(contours.data) > 10
     assert with_image.layers.selection.active is seeds, "so that clicks go on"
     assert str(seeds.mode) == "add"
     assert [layer.name for layer in panel.chooser.ticked()] == ["seeds"]
     assert panel.chooser.count() == 1, "what the plugin shows is no source"
-    assert not with_image.layers["cell start"].visible, "only of use in 3D"
+    assert not with_image.layers["cell: start"].visible, "only of use in 3D"
     with_image.dims.ndisplay = 3
-    surface = with_image.layers["cell start"]
+    surface = with_image.layers["cell: start"]
     world = np.asarray(surface.data[0]) * surface.scale + surface.translate
     assert world.mean(axis=0) == pytest.approx(np.add(CENTER, (1, 2, 3)), abs=0.15)
     assert surface.visible
@@ -47,7 +47,7 @@ def test_the_preview_goes_with_spheres_with_the_points_and_with_a_run(panel, wit
         spin(lambda: panel.preview.mesh is not None)
         hide()
         spin(lambda: panel.preview.mesh is None)
-        assert "cell start contours" not in with_image.layers
+        assert "cell: start contours" not in with_image.layers
         again()
 
 
@@ -68,11 +68,11 @@ def test_of_several_previews_the_latest_is_shown(panel, with_image, spin, held):
 
 def test_a_preview_that_is_removed_is_off(panel, with_image, spin):
     add_points(panel, with_image, CENTER)
-    spin(lambda: "cell start contours" in with_image.layers)
-    del with_image.layers["cell start contours"]
+    spin(lambda: "cell: start contours" in with_image.layers)
+    del with_image.layers["cell: start contours"]
     assert not panel.preview.isChecked()
     spin(seconds=0.6, must=False)
-    assert "cell start contours" not in with_image.layers
+    assert "cell: start contours" not in with_image.layers
 
 
 def test_an_engine_that_fails_is_a_note(panel, with_image, spin, monkeypatch):
@@ -117,7 +117,7 @@ def test_closing_releases_a_panel_whose_preview_is_under_way(window, pixels, spi
     layer.add(CENTER)
     spin(seconds=0.7, must=False)
     assert len(calls) == 1
-    assert "cell start contours" not in window.layers
+    assert "cell: start contours" not in window.layers
 
 
 def test_a_closed_panel_shows_nothing_more(panel, with_image, spin, held):
@@ -129,7 +129,7 @@ def test_a_closed_panel_shows_nothing_more(panel, with_image, spin, held):
     layer.add((1.5, 1.2, 1.2))
     spin(seconds=0.7, must=False)
     assert len(calls) == 1
-    assert "cell start contours" not in with_image.layers
+    assert "cell: start contours" not in with_image.layers
 
 
 def test_closing_the_dock_takes_the_preview_away(window, pixels, spin):
@@ -137,9 +137,9 @@ def test_closing_the_dock_takes_the_preview_away(window, pixels, spin):
     widget = fit_widget.FitWidget(window)
     window.window.add_dock_widget(widget, name="deltaMic")
     add_points(widget.seeds, window, CENTER)
-    spin(lambda: "cell start contours" in window.layers)
+    spin(lambda: "cell: start contours" in window.layers)
     window.window.remove_dock_widget(widget)
-    assert "cell start contours" not in window.layers
+    assert "cell: start contours" not in window.layers
 
 
 # Warnings -------------------------------------------------------------------------------------

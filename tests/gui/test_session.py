@@ -59,14 +59,14 @@ def test_a_reopened_session_is_the_same(seeded, with_image, spin, tmp_path, told
     with_image.layers["cell"].contrast_limits = (120, 333)
     with_image.layers["cell"].colormap = "viridis"
     before = fitted(seeded, spin)
-    before.doc.look("model")
-    spin(lambda: "cell rendered" in with_image.layers)  # rendered in the background
+    before.doc.look("rendered")
+    spin(lambda: "cell: rendered" in with_image.layers)  # rendered in the background
     with_image.dims.set_point(0, 4.0)
     save(before, tmp_path / "a.deltamic", spin)
     assert told[-1] == f"saved {tmp_path / 'a.deltamic'}"
     viewer, after = reopened(tmp_path / "a.deltamic")
     assert shown(after) == shown(before)
-    spin(lambda: "cell rendered" in viewer.layers)
+    spin(lambda: "cell: rendered" in viewer.layers)
     names = {layer.name for layer in viewer.layers}
     assert names == {layer.name for layer in with_image.layers}
     for name in names:
@@ -86,14 +86,14 @@ def test_a_reopened_session_is_the_same(seeded, with_image, spin, tmp_path, told
     np.testing.assert_array_equal(seeds.size, with_image.layers["seeds"].size)
     for k in range(2):
         np.testing.assert_array_equal(
-            viewer.layers["cell cells"].data[k], with_image.layers["cell cells"].data[k]
+            viewer.layers["cell: surfaces"].data[k], with_image.layers["cell: surfaces"].data[k]
         )
     assert viewer.dims.point[-3:] == pytest.approx(with_image.dims.point[-3:])
     np.testing.assert_allclose(
-        viewer.layers["cell contours"].data, with_image.layers["cell contours"].data
+        viewer.layers["cell: contours"].data, with_image.layers["cell: contours"].data
     )
     np.testing.assert_allclose(
-        viewer.layers["cell rendered"].data, with_image.layers["cell rendered"].data, rtol=1e-4
+        viewer.layers["cell: rendered"].data, with_image.layers["cell: rendered"].data, rtol=1e-4
     )
 
 
@@ -129,7 +129,7 @@ def test_a_reopened_session_goes_on(seeded, spin, tmp_path, reopened):
     widget.running.history.slider.setValue(0)
     first = widget.doc.timeline.moments[0]
     np.testing.assert_allclose(
-        viewer.layers["cell cells"].data[0], first.mesh.vertices_numpy(), atol=1e-5
+        viewer.layers["cell: surfaces"].data[0], first.mesh.vertices_numpy(), atol=1e-5
     )
     before = len(widget.doc.timeline.moments)
     widget.running.history.go_on()

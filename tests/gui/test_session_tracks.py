@@ -46,8 +46,8 @@ def test_frames_come_back_as_they_were(widget, viewer, series, spin, reopened_he
     widget.tracking.start()
     spin(ended(widget), 60)
     before = widget.tracking.results
-    surface = viewer.layers["movie tracked cells"].data
-    paths = viewer.layers["movie tracks"].data
+    surface = viewer.layers["movie: tracked surfaces"].data
+    paths = viewer.layers["movie: tracks"].data
     viewer.dims.set_current_step(0, 1)
     other = reopened_here(widget)
     for old, new in zip(before, other.tracking.results, strict=True):
@@ -57,9 +57,9 @@ def test_frames_come_back_as_they_were(widget, viewer, series, spin, reopened_he
         np.testing.assert_array_equal(old.mesh.vertices, new.mesh.vertices)
     np.testing.assert_array_equal(viewer.layers["movie"].data, series)
     assert tuple(viewer.layers["movie"].scale) == (5, 0.3, 0.2, 0.2)
-    for part, again in zip(surface, viewer.layers["movie tracked cells"].data, strict=True):
+    for part, again in zip(surface, viewer.layers["movie: tracked surfaces"].data, strict=True):
         np.testing.assert_array_equal(part, again)
-    np.testing.assert_array_equal(viewer.layers["movie tracks"].data, paths)
+    np.testing.assert_array_equal(viewer.layers["movie: tracks"].data, paths)
     assert viewer.dims.current_step[0] == 1
     assert other.track_panel.frame.text().startswith("time 1: 1 cell")
     assert "4 frames tracked" in other.track_panel.verdict.text()
@@ -88,7 +88,7 @@ def test_a_fit_of_one_time_comes_back_at_its_time(widget, viewer, spin, reopened
     spin(ended(widget), 60)
     viewer.dims.set_current_step(0, 1)
     widget.settings.max_iterations.setValue(3)
-    widget.doc.look("model")
+    widget.doc.look("rendered")
     widget.start()
     spin(lambda: widget.run is not None and not widget.run.running, 60)
     viewer.dims.set_current_step(0, 3)
@@ -96,9 +96,9 @@ def test_a_fit_of_one_time_comes_back_at_its_time(widget, viewer, spin, reopened
     spin(lambda: other.doc.result.judged is not None, 60)
     assert other.link.time == (1,)
     assert viewer.dims.current_step[0] == 3
-    assert "movie rendered" not in viewer.layers  # made when it is first looked at
+    assert "movie: rendered" not in viewer.layers  # made when it is first looked at
     viewer.dims.set_current_step(0, 1)
-    assert viewer.layers["movie rendered"].visible
+    assert viewer.layers["movie: rendered"].visible
 
 
 def test_no_session_is_opened_while_cells_are_tracked(widget, spin, slow):
@@ -112,16 +112,16 @@ def test_no_session_is_opened_while_cells_are_tracked(widget, spin, slow):
 def test_the_rendered_image_is_there_at_its_time_only(widget, viewer, spin):
     viewer.dims.set_current_step(0, 1)
     widget.settings.max_iterations.setValue(3)
-    widget.doc.look("model")
+    widget.doc.look("rendered")
     widget.start()
     spin(lambda: widget.run is not None and not widget.run.running, 60)
     spin(lambda: widget.link.rendered is not None)
-    rendered = viewer.layers["movie rendered"]
+    rendered = viewer.layers["movie: rendered"]
     assert rendered.visible
     viewer.dims.set_current_step(0, 2)
     assert not rendered.visible
     widget.doc.look("image")
     viewer.dims.set_current_step(0, 1)
     assert not rendered.visible
-    widget.doc.look("model")
+    widget.doc.look("rendered")
     assert rendered.visible

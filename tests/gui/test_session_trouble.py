@@ -90,10 +90,10 @@ def test_the_reader_opens_the_layers(seeded, with_image, spin, tmp_path):
     viewer = napari.components.ViewerModel()
     for data, options, kind in _reader.get_reader(path)(path):
         getattr(viewer, f"add_{kind}")(data, **options)
-    assert [layer.name for layer in viewer.layers] == ["cell", "seeds", "cell cells"]
+    assert [layer.name for layer in viewer.layers] == ["cell", "seeds", "cell: surfaces"]
     np.testing.assert_array_equal(viewer.layers["cell"].data, with_image.layers["cell"].data)
-    assert viewer.layers["cell cells"].units == with_image.layers["cell cells"].units
-    assert tuple(viewer.layers["cell cells"].translate) == (1, 2, 3)
+    assert viewer.layers["cell: surfaces"].units == with_image.layers["cell: surfaces"].units
+    assert tuple(viewer.layers["cell: surfaces"].translate) == (1, 2, 3)
 
 
 @pytest.mark.parametrize("docked", [False, True])
@@ -113,7 +113,7 @@ def test_a_session_that_is_dropped_opens_whole(window, seeded, spin, tmp_path, d
     )
     assert own is None or widget is own
     spin(lambda: not widget.sessions.busy)
-    assert {layer.name for layer in window.layers} >= {"cell", "seeds", "cell cells"}
+    assert {layer.name for layer in window.layers} >= {"cell", "seeds", "cell: surfaces"}
     assert shown(widget)["cells"] == shown(seeded)["cells"]
     assert shown(widget)["fit"] == shown(seeded)["fit"]
     for one in (widget, seeded):

@@ -43,7 +43,7 @@ def test_one_click_gives_a_surface_over_time(widget, viewer, series, spin):
     widget.track_panel.track_button.click()
     spin(ended(widget), 60)
     assert "4 frames tracked" in widget.track_panel.verdict.text()
-    surface = viewer.layers["movie tracked cells"]
+    surface = viewer.layers["movie: tracked surfaces"]
     vertices, _, values = surface.data
     assert tuple(surface.scale) == (5, 1, 1, 1)
     assert tuple(surface.translate) == (0, 1, 2, 3)
@@ -51,7 +51,7 @@ def test_one_click_gives_a_surface_over_time(widget, viewer, series, spin):
         own = vertices[vertices[:, 0] == t]
         np.testing.assert_allclose(own[:, 1:].mean(axis=0), CENTER + t * STEP, atol=0.08)
     np.testing.assert_array_equal(values, surface.metadata[OWN]["cells"])
-    tracks = viewer.layers["movie tracks"]
+    tracks = viewer.layers["movie: tracks"]
     assert tracks.data.shape == (4, 5)
     assert viewer.dims.current_step[0] == 3, "what is looked at moves on with the frames"
     assert widget.track_panel.frame.text().startswith("time 3: 1 cell")
@@ -64,7 +64,7 @@ def test_contours_and_table_follow_the_slider(widget, viewer, spin):
     middle = {}
     for t in (0, 3):
         viewer.dims.set_point((0, 1), (5.0 * t, 1 + CENTER[0]))
-        contours = viewer.layers["movie tracked contours"].data
+        contours = viewer.layers["movie: tracked contours"].data
         assert len(contours) > 10
         middle[t] = contours[:, 0].mean(axis=0)
         assert widget.track_panel.frame.text().startswith(f"time {t}")
@@ -78,7 +78,7 @@ def test_tracking_starts_at_the_frame_shown(widget, viewer, spin):
     assert [r.frame for r in widget.tracking.results] == [2, 3]
     viewer.dims.set_current_step(0, 0)
     assert widget.track_panel.frame.text() == "not tracked at this time"
-    assert len(viewer.layers["movie tracked contours"].data) == 0
+    assert len(viewer.layers["movie: tracked contours"].data) == 0
 
 
 def test_stop_keeps_the_frames_that_are_done_and_go_on_tracks_the_rest(
@@ -92,7 +92,7 @@ def test_stop_keeps_the_frames_that_are_done_and_go_on_tracks_the_rest(
     widget.footer.stop_button.click()
     spin(ended(widget))
     assert widget.track_panel.verdict.text().startswith("stopped by you (2 frames are kept")
-    assert set(viewer.layers["movie tracked cells"].data[0][:, 0]) == {0, 1}
+    assert set(viewer.layers["movie: tracked surfaces"].data[0][:, 0]) == {0, 1}
     assert widget.footer.run_button.isEnabled()
     slow += [1] * 4
     assert widget.track_panel.go_on_button.isVisibleTo(widget.track_panel)
@@ -166,7 +166,7 @@ def test_the_surface_of_a_fit_is_there_at_its_time_only(widget, viewer, spin):
     viewer.dims.ndisplay = 3
     widget.start()
     spin(lambda: widget.run is not None and not widget.run.running, 60)
-    surface = viewer.layers["movie cells"]
+    surface = viewer.layers["movie: surfaces"]
     assert surface.visible
     viewer.dims.set_current_step(0, 2)
     assert not surface.visible

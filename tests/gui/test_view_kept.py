@@ -90,12 +90,12 @@ def test_the_slider_keeps_the_steps_of_the_image(app, viewer, pixels, spin, thic
     viewer.layers["seeds"].size = 2.2 * CENTER[0] * thick
     widget.start()
     spin(lambda: not widget.run.running)
-    assert "cell cells" in viewer.layers
+    assert "cell: surfaces" in viewer.layers
     assert (viewer.dims.range, viewer.dims.current_step) == before
     # They follow the image, and are as before for themselves.
     layer.scale = 2 * size
     assert viewer.dims.range[0].step == pytest.approx(2 * size[0])
-    viewer.layers["cell cells"].translate = (1, 1, 1)
+    viewer.layers["cell: surfaces"].translate = (1, 1, 1)
     viewer.layers.remove(layer)
     assert np.isfinite(viewer.dims.range).all()
     widget.close_links()

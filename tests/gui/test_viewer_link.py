@@ -4,7 +4,7 @@ import numpy as np
 
 from napari_deltamic.geometry import sphere
 from napari_deltamic.gui.viewing.frame import Frame
-from napari_deltamic.gui.viewing.viewer_link import ViewerLink
+from napari_deltamic.gui.viewing.viewer_link import ViewerLink, limits_of
 
 
 def test_the_rendered_image_is_shown_though_the_measured_one_was_removed(viewer):
@@ -14,8 +14,27 @@ def test_the_rendered_image_is_shown_though_the_measured_one_was_removed(viewer)
     link.show_mesh(sphere((3, 3, 3), 2, edge_length=1))
     viewer.layers.remove(layer)
     link.take_images(pixels, pixels)
-    for view in ("model", "difference"):
+    for view in ("rendered", "residual"):
         link.look(view)
     link.close()
     assert lost == ["the image layer was removed"]
-    assert {"cell rendered", "cell residual"} <= {one.name for one in viewer.layers}
+    assert {"cell: rendered", "cell: residual"} <= {one.name for one in viewer.layers}
+
+
+def test_a_residual_that_is_large_in_many_places_is_not_saturated_there(viewer):
+    noise = np.random.default_rng(0).normal(size=(6, 7, 8))
+    assert limits_of(noise) == (-5, 5)
+    assert limits_of(noise - 30) == (-31, 31)
+    assert limits_of(np.full((2, 2, 2), np.nan)) == (-5, 5)
+    layer = viewer.add_image(np.zeros((6, 7, 8)), name="cell")
+    link = ViewerLink(viewer, layer, Frame.of(layer), print)
+    link.take_images(noise, noise - 30)
+    link.look("residual")
+    shown = viewer.layers["cell: residual"]
+    assert shown.contrast_limits == [-31, 31]
+    link.take_images(noise, noise)
+    assert shown.contrast_limits == [-5, 5]
+    shown.contrast_limits = (-2, 2)
+    link.take_images(noise, noise - 30)
+    assert shown.contrast_limits == [-2, 2], "the user chose them"
+    link.close()

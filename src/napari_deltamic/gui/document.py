@@ -33,7 +33,7 @@ from .viewing.frame import Frame
 from .viewing.viewer_link import ViewerLink
 from .work import Work
 
-View = Literal["image", "model", "difference", "side by side"]
+View = Literal["image", "rendered", "residual", "side by side"]
 VIEWS: tuple[View, ...] = get_args(View)
 
 
@@ -286,13 +286,13 @@ class Document:
             self.selection_changed.emit()
 
     def look(self, view: View) -> None:
-        """Look at the image, or at what the model says of it."""
+        """Look at the image, or at what the fit says of it."""
         if view != self.view:
             self.view = view
             self.view_changed.emit()
 
     def look_further(self) -> None:
-        """At the image, the model, the difference, or both beside each other, in turn."""
+        """At the image, the rendered one, the residual, or both images, in turn."""
         self.look(VIEWS[(VIEWS.index(self.view) + 1) % len(VIEWS)])
 
     def guarded(self, action: Callable[[], None]) -> None:

@@ -30,12 +30,12 @@ def pause_or_resume(viewer: Viewer) -> None:
 
 
 def go_to_worst(viewer: Viewer) -> None:
-    """Go to where the image differs most from the model."""
+    """Go to where the image differs most from the rendered one."""
     fit_widget(viewer).running.go_to_worst()
 
 
 def next_view(viewer: Viewer) -> None:
-    """Look at the image, the model, the difference, or both beside each other, in turn."""
+    """Look at the image, the rendered image, the residual, or both images, in turn."""
     fit_widget(viewer).doc.look_further()
 
 

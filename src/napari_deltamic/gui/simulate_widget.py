@@ -118,14 +118,14 @@ def layers_of(made: Simulation, name: str) -> list[Any]:
         "units": ("um",) * 3,
         "axis_labels": AXES,
     }
-    labels = {**options, "name": f"{name}: labels", "opacity": 0.3, "visible": False}
+    labels = {**options, "name": f"{name}: true labels", "opacity": 0.3, "visible": False}
     labels["metadata"] = {OWN: {TRUTH: True}}
     layers: list[Any] = [
         (made.image, {**options, "name": name}, "image"),
         (made.labels, labels, "labels"),
     ]
     if made.mesh is not None:
-        layers.insert(1, _true_surface(made.mesh, f"{name}: surfaces"))
+        layers.insert(1, _true_surface(made.mesh, f"{name}: true surfaces"))
     return layers
 
 

@@ -41,12 +41,12 @@ class Compared:
     """The rendered image of a state, and how it differs from the measured one.
 
     rendered : (Z, Y, X).
-    difference : (Z, Y, X) measured minus rendered, in standard deviations of the noise.
+    residual : (Z, Y, X) measured minus rendered, in standard deviations of the noise.
     judged : how good the end of the fit is.
     """
 
     rendered: NDArray[np.float32]
-    difference: NDArray[np.float32]
+    residual: NDArray[np.float32]
     judged: Judged | None = None
 
 

@@ -75,7 +75,7 @@ class Preferences(BaseModel):
         settings.optics.objective.show_settings(self.objective)
         settings.optics.prefer(self.psf)
         doc.cells.prefer_preview(self.preview_seeds)
-        doc.look("model" if self.show_rendered else "image")
+        doc.look("rendered" if self.show_rendered else "image")
         doc.work.interval = 1 / self.updates_per_second
 
 

@@ -119,7 +119,7 @@ class ResultsPanel(QGroupBox):
         """Add the cells as a Labels layer with their measurements."""
         state, job, record = self._result()
         link = record.link
-        name = f"{link.image_layer.name} labels"
+        name = f"{link.image_layer.name}: labels"
         labels = labels_of(state.mesh, job.grid)
         self._doc.viewer.add_layer(labels_layer(labels, self.table.rows, link.frame, name))
 

@@ -106,16 +106,10 @@ def restore(parts: Parts, session: Session) -> None:
             viewer.dims.set_current_step(axis, int(step))
     if session.result is not None:
         _show_result(parts, session.result, session)
-    doc.look(_looked_at(session.panels.get("shown", {})))
+    view = session.panels.get("shown", {}).get("view")
+    doc.look(view if view in VIEWS else "image")
     viewer.layers.selection = {image}
     _show_view(viewer, session.panels.get("view", {}), fit_camera=empty)
-
-
-def _looked_at(shown: dict[str, Any]) -> Any:
-    """The view of a session; earlier ones had boxes."""
-    if shown.get("view") in VIEWS:
-        return shown["view"]
-    return "difference" if shown.get("residual") else "model" if shown.get("rendered") else "image"
 
 
 def _layers(session: Session) -> tuple[Any, list[Any], Any]:

@@ -62,7 +62,7 @@ class CheckPanel(QGroupBox):
         self.verdict.setWordWrap(True)
         self.grade = Note(self)
         self.worst = QPushButton("Worst place", self)
-        self.worst.setToolTip("<qt>Go to where the image differs most from the model.</qt>")
+        self.worst.setToolTip("<qt>Go to where the image differs most from the rendered one.</qt>")
         self.stray = Note(self)
         self.stray_row = QWidget(self)
         self.stray_go = QPushButton("Show", self)
@@ -83,9 +83,9 @@ class CheckPanel(QGroupBox):
         self.view = narrow_box(self, "what is shown", 9)
         self.view.addItems(VIEWS)
         self.view.setToolTip(
-            "<qt><b>model</b>: what the microscope would see of the present surfaces. "
-            "<b>difference</b>: measured minus model, in standard deviations of the noise, from -5 "
-            "(magenta: darker than the model) to 5 (green: brighter).</qt>"
+            "<qt><b>rendered</b>: what the microscope would see of the present surfaces. "
+            "<b>residual</b>: measured minus rendered, in standard deviations of the noise; green "
+            "is brighter than rendered, magenta darker.</qt>"
         )
         self.slice = narrow_box(self, "slices", 3)
         self.slice.addItems(list(_SLICES))
@@ -107,14 +107,14 @@ class CheckPanel(QGroupBox):
         self._hide_if_empty()
 
     def go_to_worst(self) -> None:
-        """Move the view to where the image differs most from the model."""
+        """Move the view to where the image differs most from the rendered one."""
         result = self._doc.result
         spots = () if result is None or result.judged is None else result.judged.found.spots
         if result is not None and spots:
             result.link.go_to(spots[0].position)
             kind = "brighter" if spots[0].z > 0 else "darker"
             self.tell(
-                f"In the middle of the view the image is {kind} than the model, by "
+                f"In the middle of the view the image is {kind} than rendered, by "
                 f"{abs(spots[0].z):.0f} standard deviations of the noise."
             )
 

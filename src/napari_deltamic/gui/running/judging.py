@@ -14,7 +14,7 @@ from .worker import Snapshot
 
 
 class Judging(QObject):
-    """Judges results in the background, and shows the model and the difference where wanted."""
+    """Judges results in the background, and shows what is rendered where it is wanted."""
 
     def __init__(self, doc: Document, parent: QObject | None = None) -> None:
         super().__init__(parent)
@@ -62,7 +62,7 @@ class Judging(QObject):
         if asked is None or (asked[1] is not None and asked[0].state is not asked[1]):
             return
         record, doc = asked[0], self._doc
-        record.link.take_images(images.rendered, images.difference)
+        record.link.take_images(images.rendered, images.residual)
         if images.judged is not None:
             record.judged = images.judged
             more = images.judged.cells

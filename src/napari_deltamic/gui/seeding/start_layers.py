@@ -73,7 +73,7 @@ class _Start(MeshLayers):
 
     def __init__(self, viewer: Any, image_layer: Any, frame: Frame) -> None:
         name = image_layer.name
-        names = (f"{name} start", f"{name} start contours")
+        names = (f"{name}: start", f"{name}: start contours")
         known = {"fit": True, "preview": True}
         super().__init__(viewer, image_layer, frame, names, known, _LOOK)
         self.mesh: Mesh | None = None

@@ -40,7 +40,7 @@ class TrackLayers:
         self.results: dict[int, FrameResult] = {}
         self.surface: Surface | None = None
         self.tracks: Tracks | None = None
-        self.contours = Contours(frame, f"{image_layer.name} tracked contours", image_layer)
+        self.contours = Contours(frame, f"{image_layer.name}: tracked contours", image_layer)
         self._coloured: Mapping[int, int] = {}  # colours that the surface has
         self._on_time: Callable[[], None] | None = on_time
         self._connections = Connections()
@@ -82,7 +82,7 @@ class TrackLayers:
         if layer is None:
             layer = self.surface = Surface(
                 (vertices.astype(np.float32), faces, cells.astype(np.float32)),
-                name=f"{self.image_layer.name} tracked cells",
+                name=f"{self.image_layer.name}: tracked surfaces",
                 shading="smooth",
                 visible=self.viewer.dims.ndisplay == 3,
                 metadata={OWN: {"fit": True}},
@@ -124,7 +124,7 @@ class TrackLayers:
                 features=colour,
                 color_by=_COLOUR,
                 colormaps_dict={_COLOUR: _colours(PALETTE_RGBA)},
-                name=f"{self.image_layer.name} tracks",
+                name=f"{self.image_layer.name}: tracks",
                 tail_width=3,
                 metadata={OWN: {"fit": True}},
                 **self._options(),

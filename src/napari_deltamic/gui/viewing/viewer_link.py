@@ -15,7 +15,9 @@ from ..editing.pins import Pins
 from .frame import OWN, Frame, camera_of
 from .mesh_layers import MeshLayers
 
-_DIFFERENCE = 5.0  # standard deviations of the noise that have the strongest colours
+_LEAST = 5.0  # standard deviations of the noise that have the strongest colours, at least
+_SHARE = 95  # per cent of the voxels whose residuals have colours of their own
+_LOOKED_AT = 1_000_000  # voxels
 _GAP = 1.05  # of the width of the image: where the one beside it begins
 
 
@@ -34,14 +36,16 @@ class ViewerLink(MeshLayers):
         self, viewer: Any, image_layer: Any, frame: Frame, on_lost: Callable[[str], None]
     ) -> None:
         name = image_layer.name
-        names = (f"{name} cells", f"{name} contours")
+        names = (f"{name}: surfaces", f"{name}: contours")
         super().__init__(viewer, image_layer, frame, names, {"fit": True}, {})
         self.mesh: Mesh | None = None  # the newest; ``shown`` may be another
         self._held: Mesh | None = None
         self.rendered: Image | None = None
         self.residual: Image | None = None
+        self._images: tuple[NDArray[Any], NDArray[Any]] | None = None
+        self._limits = (0.0, 0.0)  # of the residual, as long as the user chooses no others
         self._view = "image"
-        self._pins = Pins(viewer, frame, f"{name} pinned", image_layer)
+        self._pins = Pins(viewer, frame, f"{name}: pinned", image_layer)
         self._on_lost: Callable[[str], None] | None = on_lost
         self.connections.connect(viewer.layers.events.removed, self._layer_removed)
 
@@ -87,22 +91,23 @@ class ViewerLink(MeshLayers):
         if layer is not None and apart is not None and layer in self.viewer.layers:
             layer.features = features_at(rows, apart.sides.max(axis=1))
 
-    def take_images(self, rendered: NDArray[Any], difference: NDArray[Any]) -> None:
-        """Take the model's image, and the difference in standard deviations of the noise.
+    def take_images(self, rendered: NDArray[Any], residual: NDArray[Any]) -> None:
+        """Take the rendered image, and the residual in standard deviations of the noise.
 
         The layers are made when they are first looked at.
         """
-        self._images = (rendered, difference)
+        self._images = (rendered, residual)
         if self.rendered is not None and self.rendered in self.viewer.layers:
             self.rendered.data = rendered
-        if self.residual is not None and self.residual in self.viewer.layers:
-            self.residual.data = difference
+        shown = self.residual
+        if shown is not None and shown in self.viewer.layers:
+            shown.data = residual
+            if tuple(shown.contrast_limits) == self._limits:  # not those that the user chose
+                shown.contrast_limits = self._limits = limits_of(residual)
         self._place_images()
 
-    _images: tuple[NDArray[Any], NDArray[Any]] | None = None
-
     def look(self, view: str) -> None:
-        """Show the image alone, the model in its place or beside it, or the difference."""
+        """Show the image alone, the rendered one in its place or beside it, or the residual."""
         if view != self._view:
             self._view = view
             self._place_images()
@@ -130,28 +135,23 @@ class ViewerLink(MeshLayers):
 
     def _place_images(self) -> None:
         """Show the image that is looked at, at the time that it belongs to, and nowhere else."""
-        here, images = self.at_time, self._images
-        model = here and self._view in ("model", "side by side")
-        difference = here and self._view == "difference"
-        if model and self.rendered is None and images is not None:
-            image = self.image_layer
-            self.rendered = self._image(
-                images[0],
-                "rendered",
-                colormap=image.colormap,
-                contrast_limits=image.contrast_limits,
-            )
-        if difference and self.residual is None and images is not None:
-            limits = (-_DIFFERENCE, _DIFFERENCE)
-            self.residual = self._image(
-                images[1], "residual", colormap="PiYG", contrast_limits=limits
-            )
+        here, images, source = self.at_time, self._images, self.image_layer
+        beside = self._view == "side by side"
+        rendered = here and (beside or self._view == "rendered")
+        residual = here and self._view == "residual"
+        if rendered and self.rendered is None and images is not None:
+            look = {"colormap": source.colormap, "contrast_limits": source.contrast_limits}
+            self.rendered = self._image(images[0], "rendered", **look)
+        if residual and self.residual is None and images is not None:
+            self._limits = limits_of(images[1])
+            look = {"colormap": "PiYG", "contrast_limits": self._limits}
+            self.residual = self._image(images[1], "residual", **look)
             self.residual.colorbar.visible = True
-        for layer, wanted in ((self.rendered, model), (self.residual, difference)):
+        for layer, wanted in ((self.rendered, rendered), (self.residual, residual)):
             if layer is not None and bool(layer.visible) != wanted:
                 layer.visible = wanted
         if self.rendered is not None:
-            self._put_beside(self.rendered, self._view == "side by side")
+            self._put_beside(self.rendered, beside)
 
     def _put_beside(self, layer: Image, beside: bool) -> None:
         """Over the image, or to the right of it, as the slices lie."""
@@ -166,7 +166,7 @@ class ViewerLink(MeshLayers):
     def _image(self, data: NDArray[Any], what: str, **options: Any) -> Image:
         layer = Image(
             data,
-            name=f"{self.image_layer.name} {what}",
+            name=f"{self.image_layer.name}: {what}",
             metadata={OWN: {"fit": True}},
             visible=False,
             **self.frame.image_options(),
@@ -182,3 +182,12 @@ class ViewerLink(MeshLayers):
             self._on_lost("the image layer was removed")
         elif event.value is self.surface:
             self._on_lost("the layer of the meshes was removed")
+
+
+def limits_of(residual: NDArray[Any]) -> tuple[float, float]:
+    """Between which values a residual is shown: noise is pale, and little is saturated."""
+    some = residual.reshape(-1)[:: 1 + residual.size // _LOOKED_AT]
+    some = np.abs(some[np.isfinite(some)])
+    most = max(_LEAST, float(np.percentile(some, _SHARE)) if len(some) else 0.0)
+    most = float(f"{most:.2g}")
+    return -most, most
