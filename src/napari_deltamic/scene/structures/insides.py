@@ -1,0 +1,109 @@
+"""Insides: regions of a mesh, filled."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ...errors import InputError
+from ...fourier import Plan
+from ...fourier.solid import contrasts, solid_transform
+from ...geometry.mesh import FloatArray, Mesh
+from ...geometry.windings import right_side_out
+from ..effects import Effects
+from ..grid import Grid
+from .checked_numbers import Values, as_tensor, check_numbers
+from .seen import joined_boxes, shares
+from .site import Planned, Site, mesh_plan
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """The inside of the regions of a mesh: cytoplasm, nuclei, a filled bead.
+
+    Attributes
+    ----------
+    mesh
+        Closed regions; rendering is differentiable in the vertices where they are a tensor. Those
+        that are inside out are turned, with a RepairWarning.
+    density
+        Fluorophores per um^3: one number for all regions, region number -> number (0 for those not
+        named), or (R,) in the order of ``mesh.region_ids()``.
+    """
+
+    mesh: Mesh
+    density: Values | Mapping[int, float] = 1.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "mesh", right_side_out(self.mesh))
+        ids = self.mesh.region_ids()
+        if isinstance(self.density, Mapping):
+            unknown = [k for k in self.density if k not in ids]
+            if unknown:
+                raise InputError(f"the mesh has no region {unknown[0]}")
+            check_numbers(np.array(list(self.density.values()), float), None, "density", "region")
+        else:
+            check_numbers(self.density, len(ids), "density", "region")
+        for region, density in zip(ids.tolist(), self.densities().tolist(), strict=True):
+            if density and not self.mesh.is_closed(region):
+                raise InputError(f"region {region} is not closed: a solid needs closed surfaces")
+
+    def densities(self) -> Tensor:
+        """(R,) fluorophores per um^3, in the order of ``mesh.region_ids()``."""
+        ids = self.mesh.region_ids().tolist()
+        if isinstance(self.density, Mapping):
+            return torch.tensor([float(self.density.get(k, 0.0)) for k in ids])
+        return torch.as_tensor(self.density, dtype=torch.float64).expand(len(ids))
+
+    @cached_property
+    def _middles(self) -> Tensor:
+        """(R, 3) um, where effects on the object take the regions to lie."""
+        return torch.stack([_middle(self.mesh, k) for k in self.mesh.region_ids()])
+
+    def contrasts(self, effects: Effects, frame: Grid) -> list[Tensor]:
+        """(F,) signal per um^3 behind each face minus that in front, as the effects make it.
+
+        Two where the PSF changes with depth: what is seen through that of the first slice, and
+        through that of the last.
+        """
+        ids, regions = self.mesh.region_ids(), self.mesh.regions
+        own = self.densities().to(torch.float64)
+        seen = shares(own, lambda: self._middles, frame, effects)
+        return [contrasts(regions, ids, densities) for densities in seen]
+
+    def positions(self) -> FloatArray:
+        """See ``Structure``."""
+        return self.mesh.vertices_numpy()
+
+    def planned(self, site: Site) -> Planned:
+        """See ``Structure``."""
+        return _PlannedSolid(self, site, mesh_plan(self.mesh, site))
+
+
+class _PlannedSolid:
+    """See ``Planned``."""
+
+    def __init__(self, solid: Solid, site: Site, plan: Plan) -> None:
+        self._solid, self._site, self.plan = solid, site, plan
+        self._faces = torch.as_tensor(solid.mesh.faces)
+
+    def transform(
+        self, effects: Effects, vertices: Tensor | None = None, density: Tensor | None = None
+    ) -> Tensor:
+        """See ``Planned``."""
+        placed = self._site.local(
+            as_tensor(self._solid.mesh.vertices) if vertices is None else vertices
+        )
+        seen = self._solid.contrasts(effects, self._site.frame)
+        boxes = [solid_transform(self.plan, placed, self._faces, part) for part in seen]
+        return joined_boxes(boxes)
+
+
+def _middle(mesh: Mesh, region: int) -> Tensor:
+    used = np.unique(mesh.faces[(mesh.regions == region).any(1)])
+    return as_tensor(mesh.vertices)[torch.from_numpy(used)].detach().to(torch.float64).mean(0)

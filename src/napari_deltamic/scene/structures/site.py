@@ -1,0 +1,106 @@
+"""Where structures are transformed, and what each kind of structure has to offer for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ...fourier import Plan, make_plan
+from ...fourier.filament import LinePlan
+from ...fourier.plan import Cutoff, Method
+from ...fourier.spreading import Transfer
+from ...geometry.mesh import FloatArray, Mesh
+from ..effects import Effects
+from ..grid import Grid
+
+CPU = torch.device("cpu")
+
+
+@dataclass(frozen=True)
+class Site:
+    """Where and how structures are transformed.
+
+    Attributes
+    ----------
+    grid, frame
+        Of the image, and of the whole image, to which effects refer.
+    fft_shape
+        Of the periodic grid.
+    width
+        um along Z, Y, X; of the band (see :func:`napari_deltamic.fourier.make_plan`).
+    aligned
+        Whether the axes of the PSF are those of the grid.
+    cutoff
+        Where the OTF ends, for a PSF that is not Gaussian.
+    transfer
+        The OTF with what effects make of it.
+    stretch
+        By how much edges of a mesh may grow before its plan no longer holds.
+    device
+        Where structures are transformed.
+    """
+
+    grid: Grid
+    frame: Grid
+    fft_shape: tuple[int, int, int]
+    width: tuple[float, float, float]
+    accuracy: float
+    method: Method | None
+    aligned: bool
+    cutoff: Cutoff | None = None
+    transfer: Transfer | None = None
+    stretch: float = 1.0
+    device: torch.device = CPU
+
+    def local(self, positions: Tensor) -> Tensor:
+        """Positions relative to the centre of the first voxel."""
+        return positions - torch.tensor(self.grid.origin, dtype=positions.dtype)
+
+
+class Planned(Protocol):
+    """A structure planned for a site."""
+
+    @property
+    def plan(self) -> Plan | LinePlan:
+        """On the box of whose band transforms lie."""
+
+    def transform(
+        self, effects: Effects, vertices: Tensor | None = None, density: Tensor | None = None
+    ) -> Tensor:
+        """u_hat with the effects on the object; two boxes where the PSF changes with depth.
+
+        Differentiable. Vertices (V, 3) um and densities: others than those that it was planned with
+        (near them); densities of a surface alone.
+        """
+
+
+class Structure(Protocol):
+    """Something that shines."""
+
+    def positions(self) -> FloatArray:
+        """(N, 3) um: points whose bounds are those of the structure."""
+
+    def planned(self, site: Site) -> Planned:
+        """Ready to be transformed for a site; a :class:`~..render.Renderer` asks for it."""
+
+
+def mesh_plan(mesh: Mesh, site: Site) -> Plan:
+    """The plan for the triangles of a mesh."""
+    return make_plan(
+        mesh.vertices_numpy() - np.asarray(site.grid.origin),
+        mesh.faces,
+        site.fft_shape,
+        site.grid.voxel_size,
+        site.width,
+        site.accuracy,
+        site.method,
+        margin=site.stretch,
+        aligned=site.aligned,
+        cutoff=site.cutoff,
+        device=site.device.type,
+        transfer=site.transfer,
+    )
