@@ -3,95 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from napari_deltamic.errors import InputError
 
-from .pairs import unique_pairs
+from .arrays import FloatArray, IntArray, checked_vertices, is_tensor, to_numpy
+from .connectivity import OUTSIDE, Connectivity
 from .trimesh_exchange import from_trimesh, to_trimesh
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
-OUTSIDE = 0
-LARGEST_REGION = 1 << 40  # so that pairs of regions and edges have a number
-FARTHEST = 1e12  # um; products of three such lengths are still numbers
-
-
-def is_tensor(array: object) -> bool:
-    """True for a torch tensor. Asks by behaviour, so that geometry does not import torch."""
-    return hasattr(array, "detach") and hasattr(array, "requires_grad")
-
-
-def to_numpy(array: Any) -> NDArray[Any]:
-    """A numpy array from an array, a sequence or a tensor (detached, on the CPU)."""
-    return np.asarray(array.detach().cpu().numpy() if is_tensor(array) else array)
-
-
-class _Connectivity:
-    """Faces and regions, checked, and what follows from them alone; shared between meshes."""
-
-    def __init__(self, faces: Any, regions: Any, n_vertices: int) -> None:
-        self.n_vertices = n_vertices
-        self.faces = _integers(faces, 3, "faces")
-        if len(self.faces) == 0:
-            raise InputError("the mesh is empty: it has no faces")
-        low, high = int(self.faces.min()), int(self.faces.max())
-        if low < 0 or high >= n_vertices:
-            bad = low if low < 0 else high
-            raise InputError(
-                f"a face refers to vertex {bad}, but the mesh has vertices 0 to {n_vertices - 1}"
-            )
-        if regions is None:
-            self.regions: IntArray = np.tile(np.array([1, OUTSIDE]), (len(self.faces), 1))
-        else:
-            self.regions = _integers(regions, 2, "regions")
-        if len(self.regions) != len(self.faces):
-            raise InputError(
-                f"regions must have one row per face: {len(self.regions)} rows, "
-                f"{len(self.faces)} faces"
-            )
-        if self.regions.min() < 0:
-            raise InputError("region numbers must be 0 (outside) or positive")
-        if self.regions.max() >= LARGEST_REGION:
-            raise InputError(f"region {self.regions.max()} is too large a number")
-        n_same = int((self.regions[:, 0] == self.regions[:, 1]).sum())
-        if n_same:
-            raise InputError(f"{n_same} faces have the same region on both sides")
-
-    @cached_property
-    def region_ids(self) -> IntArray:
-        ids = np.unique(self.regions)
-        return ids[ids != OUTSIDE]
-
-    @cached_property
-    def interfaces(self) -> tuple[IntArray, IntArray]:
-        # Larger number first, so that both ways of writing a wall are one interface.
-        return unique_pairs(np.sort(self.regions, axis=1)[:, ::-1])
-
-    @cached_property
-    def edges(self) -> tuple[IntArray, IntArray]:
-        corners = np.sort(self.faces[:, [1, 2, 2, 0, 0, 1]].reshape(-1, 2), axis=1)
-        keys, index = np.unique(
-            corners[:, 0] * self.n_vertices + corners[:, 1], return_inverse=True
-        )
-        edges = np.column_stack(np.divmod(keys, self.n_vertices)).astype(np.int64)
-        return edges, index.reshape(-1, 3).astype(np.int64)
-
-    @cached_property
-    def open_regions(self) -> IntArray:
-        """Regions with an edge that an odd number of their faces share."""
-        face_edges = self.edges[1]
-        keys = np.concatenate(
-            [(self.regions[:, side, None] * len(self.edges[0]) + face_edges) for side in (0, 1)]
-        )
-        keys, counts = np.unique(keys, return_counts=True)
-        ids = np.unique(keys[counts % 2 == 1] // len(self.edges[0]))
-        return ids[ids != OUTSIDE].astype(np.int64)
+__all__ = ["OUTSIDE", "FloatArray", "IntArray", "Mesh"]
 
 
 class Mesh:
@@ -126,8 +49,8 @@ class Mesh:
     """
 
     def __init__(self, vertices: Any, faces: Any, regions: Any = None) -> None:
-        self.vertices = _checked_vertices(vertices)
-        self._connectivity = _Connectivity(faces, regions, len(self.vertices))
+        self.vertices = checked_vertices(vertices)
+        self._connectivity = Connectivity(faces, regions, len(self.vertices))
 
     @property
     def faces(self) -> IntArray:
@@ -154,7 +77,7 @@ class Mesh:
 
         Raises InputError for another number of vertices, NaN or infinite values.
         """
-        vertices = _checked_vertices(vertices)
+        vertices = checked_vertices(vertices)
         if len(vertices) != self._connectivity.n_vertices:
             raise InputError(
                 f"expected {self._connectivity.n_vertices} vertices, got {len(vertices)}"
@@ -337,47 +260,6 @@ class Mesh:
             offset += len(part.vertices)
         vertices = _concatenated([part.vertices for part in parts])
         return Mesh(vertices, np.concatenate(faces), np.concatenate(regions))
-
-
-def _integers(values: Any, columns: int, name: str) -> IntArray:
-    """A checked int64 copy of shape (n, columns)."""
-    try:
-        array = to_numpy(values)
-        if array.size == 0:
-            return np.zeros((0, columns), dtype=np.int64)
-        if not (np.isfinite(array).all() and (array == np.floor(array)).all()):
-            raise InputError(f"{name} must be whole numbers")
-        result = array.astype(np.int64)
-    except (TypeError, ValueError, OverflowError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{name} must be whole numbers of shape (n, {columns})") from error
-    if result.ndim != 2 or result.shape[1] != columns:
-        raise InputError(f"{name} must have shape (n, {columns}), not {result.shape}")
-    return result
-
-
-def _checked_vertices(vertices: Any) -> Any:
-    """Vertices as a float64 array (a copy), or the tensor itself, with finite values."""
-    if not is_tensor(vertices):
-        try:
-            if np.iscomplexobj(vertices):
-                raise TypeError("complex numbers")
-            vertices = np.array(vertices, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise InputError("vertices must be numbers of shape (n, 3)") from error
-    elif not vertices.is_floating_point():
-        raise InputError("a vertex tensor must hold floating point numbers")
-    if vertices.ndim != 2 or vertices.shape[1] != 3:
-        raise InputError(f"vertices must have shape (n, 3), not {tuple(vertices.shape)}")
-    places = to_numpy(vertices)
-    n_bad = int((~np.isfinite(places)).any(axis=1).sum())
-    if n_bad:
-        raise InputError(f"{n_bad} of {len(vertices)} vertices are NaN or infinite")
-    n_far = int((np.abs(places) >= FARTHEST).any(axis=1).sum())
-    if n_far:
-        raise InputError(f"{n_far} of {len(vertices)} vertices are {FARTHEST:g} um away or more")
-    return vertices
 
 
 def _triple(value: ArrayLike, name: str) -> FloatArray:

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from napari_deltamic.errors import InputError
+from napari_deltamic.geometry.arrays import FloatArray, IntArray, to_numpy
 from napari_deltamic.geometry.connected import connected
-from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, IntArray, Mesh, to_numpy
+from napari_deltamic.geometry.mesh import OUTSIDE, Mesh
 from napari_deltamic.geometry.windings import fix_windings
 
 MERGE_TOLERANCE = 1e-9  # of the box's diagonal: 0.1 picometre in 100 um is only rounding

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from ..errors import InputError
-from ..geometry.mesh import FARTHEST
+from ..geometry.arrays import FARTHEST
 from .parameters import RANGE, Parameter
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry.archive import ArchiveReader, ArchiveWriter, MeshReader, MeshWriter, opened
-from ..geometry.mesh import is_tensor, to_numpy
+from ..geometry.arrays import is_tensor, to_numpy
 from ..optics import GaussianPSF, Optics
 from ..runs.optics_settings import OpticsSettings, optics_from_values
 from ..scene.earlier_files import without_inside

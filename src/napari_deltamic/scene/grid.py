@@ -9,7 +9,7 @@ from math import isfinite
 import numpy as np
 
 from ..errors import InputError
-from ..geometry.mesh import FARTHEST
+from ..geometry.arrays import FARTHEST
 
 _SMALLEST = 1e-9  # um, of a voxel
 

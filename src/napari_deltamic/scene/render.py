@@ -12,7 +12,8 @@ from torch import Tensor
 from ..fourier import Band, Plan
 from ..fourier.devices import for_objects
 from ..fourier.plan import Method, check_accuracy
-from ..geometry.mesh import Mesh, is_tensor
+from ..geometry.arrays import is_tensor
+from ..geometry.mesh import Mesh
 from ..optics import GaussianPSF, Optics
 from .effects import Effects, OffsetEffect, as_effects
 from .formation import Formation

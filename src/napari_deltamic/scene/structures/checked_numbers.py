@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from ...errors import InputError
-from ...geometry.mesh import FARTHEST, FloatArray, is_tensor, to_numpy
+from ...geometry.arrays import FARTHEST, FloatArray, is_tensor, to_numpy
 
 Values = float | np.ndarray | Tensor
 _LARGEST_DENSITY = 1e30  # so that its products with areas and volumes are numbers

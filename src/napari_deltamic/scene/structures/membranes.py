@@ -10,7 +10,8 @@ from torch import Tensor
 
 from ...errors import InputError
 from ...fourier import Plan
-from ...geometry.mesh import FloatArray, Mesh, is_tensor
+from ...geometry.arrays import FloatArray, is_tensor
+from ...geometry.mesh import Mesh
 from ..effects import Effects
 from .checked_numbers import Values, as_tensor, check_numbers
 from .seen import act_on_object, joined_boxes, shares

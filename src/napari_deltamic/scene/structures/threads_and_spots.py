@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ...errors import InputError
 from ...fourier.filament import LinePlan, make_line_plan, path_segments
-from ...geometry.mesh import FloatArray, to_numpy
+from ...geometry.arrays import FloatArray, to_numpy
 from ..effects import Effects
 from .checked_numbers import Values, as_tensor, check_numbers, checked_positions, one_each
 from .seen import joined_boxes, shares
