@@ -18,8 +18,9 @@ from .imaging import Imaging
 from .level import Level
 from .metric import Metric
 from .pose import pose
-from .posterior import Evaluation, View
+from .posterior import Evaluation
 from .preconditioner import NEAR_JUNCTIONS, Preconditioners
+from .prediction import View
 from .schedule import Schedule
 from .structure_choice import chosen
 from .variables import Variables

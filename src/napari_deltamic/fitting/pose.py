@@ -22,8 +22,9 @@ from .density import Density
 from .imaging import Imaging
 from .level import Level, Voxels
 from .likelihood import Match, explained, total
-from .posterior import Posterior, Prior, View
+from .posterior import Posterior, Prior
 from .preconditioner import Preconditioner
+from .prediction import View
 from .shape import Shape
 from .tempering import tempered_variance
 from .variables import Variables

@@ -20,8 +20,8 @@ from .convergence import Remaining
 from .fit_objective import Objective, Terms
 from .fitted import Arrays, Fitted, fingerprint
 from .level import Level
-from .posterior import View
 from .preconditioner import Preconditioners
+from .prediction import View
 from .problem import Problem
 from .reporting import Reporter, verdict
 from .rival_structures import best_of

@@ -1,0 +1,262 @@
+"""What places of vertices, densities, PSF and effects predict: images, and their derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..common.choices import Structure
+from ..fourier.devices import for_objects, widest
+from ..geometry.mesh import FloatArray, Mesh
+from ..optics import Optics
+from ..scene import Renderer
+from ..scene.columns import Now, effect_columns, optics_columns
+from ..scene.effects import Effect, Effects
+from ..scene.light import Light
+from .amplitudes import light_of
+from .density import Density
+from .imaging import Imaging
+from .level import Level, Voxels
+from .likelihood import match
+from .variables import Variables
+
+
+@dataclass(frozen=True)
+class View:
+    """One image of the scene.
+
+    Attributes
+    ----------
+    voxels
+        Those that count.
+    variance
+        Of a residual times the root of its weight, times the number of voxels that one independent
+        voxel stands for; see :func:`~.tempering.tempered_variance`.
+    independent
+        Share of its voxels that are independent.
+    optics
+        Its PSF; None: that of the fit.
+    """
+
+    voxels: Voxels
+    variance: float
+    independent: float
+    optics: Optics | None = None
+
+
+class Prediction:
+    """The images that unknowns predict; voxels, weights, connectivity and plan do not change.
+
+    Parameters
+    ----------
+    level, renderer
+        Where images are compared, and what renders them.
+    views
+        The measured images, the fit's own first.
+    density, imaging
+        How the unknowns give densities of faces, PSF and effects.
+    density_fitted
+        Whether the densities are unknowns, or held.
+    structure
+        What may shine; how much of each is solved for at every evaluation.
+    """
+
+    def __init__(
+        self,
+        level: Level,
+        renderer: Renderer,
+        views: Sequence[View],
+        density: Density,
+        imaging: Imaging,
+        density_fitted: bool,
+        structure: Structure,
+    ) -> None:
+        self._level, self._renderer, self._views = level, renderer, views
+        self._density, self._imaging = density, imaging
+        self._structure, self._density_fitted = structure, density_fitted
+        self._faces_on = for_objects(level.device)
+
+    @property
+    def views(self) -> tuple[View, ...]:
+        """The measured images, the fit's own first."""
+        return tuple(self._views)
+
+    @property
+    def level(self) -> Level:
+        """Where images are compared."""
+        return self._level
+
+    def light(self, at: Variables) -> Light:
+        """What shines, and how much of each, in the first image."""
+        optics = self._imaging.optics_of(torch.tensor(at.optics))
+        effects = self._imaging.effects_of(at.effects)
+        return self._light(self._with(effects), at, optics, effects)
+
+    def shown(self, at: Variables, light: Light) -> FloatArray:
+        """(N,) the first image of a light where voxels count, of amplitude 1; no gradients."""
+        with torch.no_grad():
+            vertices, density, numbers = self._leaves(at)
+            view, renderer = self._views[0], self._with(self._imaging.effects_of(at.effects))
+            spectrum = renderer.transform(vertices, self._density.faces(density), light)
+            optics = self._imaging.optics_of(numbers)
+            return as_floats(view.voxels.of(self._image(view, renderer, spectrum, optics)))
+
+    def _light(self, renderer: Renderer, at: Variables, optics: Optics, effects: Effects) -> Light:
+        view = self._views[0]
+
+        def shown(light: Light) -> Tensor:
+            vertices, density, _ = self._leaves(at)
+            spectrum = renderer.transform(vertices, self._density.faces(density), light)
+            return view.voxels.of(self._image(view, renderer, spectrum, optics))
+
+        with torch.no_grad():
+            measured = self._measured(view, effects)
+            return light_of(self._structure, shown, measured, view.voxels.weights)
+
+    def images(self, at: Variables) -> list[FloatArray]:
+        """(N,) of each view: its rendering where voxels count, of amplitude 1; no gradients."""
+        with torch.no_grad():
+            vertices, density, numbers = self._leaves(at)
+            optics = self._imaging.optics_of(numbers)
+            effects = self._imaging.effects_of(at.effects)
+            renderer = self._with(effects)
+            light = self._light(renderer, at, optics, effects)
+            spectrum = renderer.transform(vertices, self._density.faces(density), light)
+            return self._of_every_view(renderer, spectrum, optics)
+
+    def images_of(self, mesh: Mesh, at: Variables, accuracy: float) -> list[FloatArray]:
+        """(N,) of each view: the rendering of a finer surface, of amplitude 1.
+
+        Parameters
+        ----------
+        mesh
+            Each face in the place of one of the fit's, or several in a row, all of its density.
+        at
+            Densities, PSF and effects.
+        accuracy
+            Of the images.
+        """
+        with torch.no_grad():
+            _, density, numbers = self._leaves(at)
+            optics = self._imaging.optics_of(numbers)
+            effects = self._imaging.effects_of(at.effects)
+            light = self._light(self._with(effects), at, optics, effects)
+            insides = light.interior != 0
+            renderer = self._level.renderer(mesh, optics, effects, accuracy, insides)
+            there = self._faces_on
+            weights = self._density.faces(density)
+            if weights is not None:
+                weights = weights.repeat_interleave(len(mesh.faces) // len(weights))
+            vertices = torch.from_numpy(mesh.vertices_numpy()).to(there)
+            spectrum = renderer.transform(vertices, weights, light=light)
+            return self._of_every_view(renderer, spectrum, optics)
+
+    def _of_every_view(
+        self, renderer: Renderer, spectrum: Tensor, optics: Optics
+    ) -> list[FloatArray]:
+        seen = [(view, self._image(view, renderer, spectrum, optics)) for view in self._views]
+        return [as_floats(view.voxels.of(image)) for view, image in seen]
+
+    def _image(self, view: View, renderer: Renderer, spectrum: Tensor, optics: Optics) -> Tensor:
+        """(Z, Y, X) through the view's own PSF, or the fit's."""
+        otf = renderer.otf(optics if view.optics is None else view.optics)
+        return self._level.rendered(renderer, spectrum, otf)
+
+    def measured(self, at: Variables) -> list[FloatArray]:
+        """(N,) of each view: what was measured, without what effects add."""
+        effects = self._imaging.effects_of(at.effects)
+        return [as_floats(self._measured(view, effects)) for view in self._views]
+
+    def _leaves(self, at: Variables) -> tuple[Tensor, Tensor, Tensor]:
+        there = self._faces_on
+        vertices = torch.tensor(at.vertices, device=there, dtype=widest(there), requires_grad=True)
+        density = torch.tensor(
+            at.density,
+            device=there,
+            dtype=widest(there),
+            requires_grad=self._density_fitted and len(at.density) > 0,
+        )
+        return vertices, density, torch.tensor(at.optics, requires_grad=len(at.optics) > 0)
+
+    def _with(self, effects: Effects) -> Renderer:
+        if effects == self._renderer.effects:
+            return self._renderer
+        return self._renderer.with_effects(effects)
+
+    def _measured(self, view: View, effects: Effects) -> Tensor:
+        """What was measured, without what effects add to the first image."""
+        measured = view.voxels.measured
+        added = self._level.offset(effects) if view.optics is None else None
+        if added is None:
+            return measured
+        return measured - added.reshape(-1)[view.voxels.index].to(measured.dtype)
+
+    def imaging_columns(self, at: Variables) -> tuple[FloatArray, FloatArray]:
+        """(N, P + E) derivatives of the first measured image by PSF and effects, and its rendering.
+
+        The rendering (N,) is of amplitude 1.
+        """
+        with torch.no_grad():
+            now = self._now(at)
+            columns = optics_columns(now) if len(at.optics) else []
+            for effect in self._imaging.fitted:
+                columns += effect_columns(now, getattr(now.effects, effect.name))
+            return _stacked(columns, len(now.image)), as_floats(now.image)
+
+    def psf_columns(self, at: Variables) -> FloatArray:
+        """(N, P) derivatives of the first measured image by its PSF, fitted or not."""
+        with torch.no_grad():
+            now = self._now(at)
+            return _stacked(optics_columns(now), len(now.image))
+
+    def columns_of(self, at: Variables, effect: Effect) -> FloatArray:
+        """(N, E) derivatives of the first measured image by the numbers of a further effect.
+
+        None for one that reaches further than images are padded for.
+        """
+        effects = self._imaging.effects_of(at.effects).adding(effect)
+        if not self._renderer.pads_enough_for(effects, self._imaging.optics):
+            return np.zeros((len(self._views[0].voxels.index), 0))
+        with torch.no_grad():
+            now = self._now(at, effect)
+            return _stacked(effect_columns(now, effect), len(now.image))
+
+    def _now(self, at: Variables, further: Effect | None = None) -> Now:
+        view = self._views[0]
+        vertices, density, numbers = self._leaves(at)
+        optics, effects = self._imaging.optics_of(numbers), self._imaging.effects_of(at.effects)
+        effects = effects if further is None else effects.adding(further)
+        renderer = self._with(effects)
+        weights = self._density.faces(density)
+        light = self._light(renderer, at, optics, effects)
+        spectrum, otf = renderer.transform(vertices, weights, light), renderer.otf(optics)
+        image = view.voxels.of(self._level.rendered(renderer, spectrum, otf))
+        _, found = match(image, self._measured(view, effects), view.voxels.weights)
+        return Now(
+            self._level,
+            renderer,
+            optics,
+            effects,
+            lambda other: other.transform(vertices, weights, light),
+            spectrum,
+            otf,
+            image,
+            view.voxels,
+            found.amplitude,
+        )
+
+
+def _stacked(columns: Sequence[Tensor], rows: int) -> FloatArray:
+    each = [as_floats(column) for column in columns]
+    return np.stack(each, 1) if each else np.zeros((rows, 0))
+
+
+def as_floats(gradient: Tensor | None) -> FloatArray:
+    """On the CPU; empty where there is none."""
+    if gradient is None:
+        return np.zeros(0)
+    return gradient.detach().cpu().numpy().astype(np.float64)
