@@ -88,6 +88,7 @@ def seeds() -> None:
 
 def embryo() -> None:
     """The embryo: find cells, correct them, run, look."""
+    from napari_deltamic.geometry import read_clicks_csv
     from napari_deltamic.images.stacks import read_image
 
     path = default_data_folder() / "images" / "celegans_tp33half_bgsub.tif"
@@ -101,9 +102,11 @@ def embryo() -> None:
     widget.seeds.find_cells.click()
     wait(lambda: any(x.name == "found cells" for x in viewer.layers))
     correcting = widget.seeds.corrections
+    for click in read_clicks_csv(CLICKS):
+        correcting.bar.use({"cell": "split"}.get(click.action, click.action))
+        correcting.click(np.array(click.place))
+        wait(lambda: not correcting.busy, 0)
     correcting.bar.use("split")
-    correcting.load(str(CLICKS))
-    wait(lambda: not correcting.busy)
     viewer.reset_view()
     shot(viewer, "correct.png")
     widget.settings.density.setCurrentText("smooth")

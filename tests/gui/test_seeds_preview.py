@@ -57,8 +57,8 @@ def test_of_several_previews_the_latest_is_shown(panel, with_image, spin, held):
     spin(lambda: calls == [1])
     assert "Looking for the membranes" in panel.remarks.text()
     seeds.add((50, 50, 50))  # outside: the preview goes on without it
-    spin(lambda: panel.preview._timer.isActive())
-    spin(lambda: not panel.preview._timer.isActive())
+    spin(lambda: panel.preview._background._waiting.isActive())
+    spin(lambda: not panel.preview._background._waiting.isActive())
     assert calls == [1], "one thread at a time"
     gate.set()
     spin(lambda: panel.preview.mesh is not None)

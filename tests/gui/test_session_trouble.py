@@ -14,7 +14,6 @@ from napari_deltamic import _reader
 from napari_deltamic.geometry import files
 from napari_deltamic.gui import fit_widget
 from napari_deltamic.gui.results.session import capture, restore
-from napari_deltamic.gui.results.session_layers import save_layer
 from napari_deltamic.results.session_file import load_session
 
 from .sessions import fitted, save, shown
@@ -174,13 +173,3 @@ def test_layers_that_napari_cannot_make_are_told_and_change_nothing(seeded, with
     seeded.sessions._opened(found)
     assert "damaged" in told[-1]
     assert list(with_image.layers) == before
-
-
-def test_damaged_clicks_are_told(seeded, with_image, told):
-    labels = with_image.add_labels(np.ones(with_image.layers["cell"].data.shape, int))
-    saved = save_layer(labels, (), ())
-    known = {"clicks": [[1.0, 2.0]]}
-    found, _ = capture(seeded.parts)
-    wrong = replace(saved, options={**saved.options, "known": known})
-    seeded.sessions._opened(replace(found, seeds=(wrong,)))
-    assert "damaged" in told[-1]

@@ -180,15 +180,7 @@ class FitWidget(QWidget):
         return bool(super().event(event))
 
     def _lay_out(self) -> None:
-        clicks = self.seeds.corrections.bar
-        self.header.offer(
-            [
-                self.sessions.open_action,
-                self.sessions.save_action,
-                clicks.load_action,
-                clicks.save_action,
-            ]
-        )
+        self.header.offer([self.sessions.open_action, self.sessions.save_action])
         inner = QWidget(self)
         column = QVBoxLayout(inner)
         column.setContentsMargins(2, 2, 2, 2)

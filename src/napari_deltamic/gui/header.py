@@ -24,7 +24,7 @@ class Header(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.more = QPushButton("More", self)
-        self.more.setToolTip("<qt>Sessions, the command of a run, clicks, simulated cells.</qt>")
+        self.more.setToolTip("<qt>Sessions, the command of a run, simulated cells.</qt>")
         self.menu = QMenu(self.more)
         self.more.setMenu(self.menu)
         self.help = QPushButton("?", self)

@@ -260,6 +260,10 @@ class Background(QObject):
         self._call: _Call | None = None
         self._next: Callable[[], Any] | None = None
         self._awaited = False  # the result of what runs
+        self._soon: Callable[[], None] | None = None
+        self._waiting = QTimer(self)
+        self._waiting.setSingleShot(True)
+        self._waiting.timeout.connect(self._waited)
         self._timer = QTimer(self)
         self._timer.setInterval(_LOOK_EVERY)
         self._timer.timeout.connect(self._look)
@@ -267,7 +271,17 @@ class Background(QObject):
     @property
     def busy(self) -> bool:
         """Whether a result is still to come."""
-        return self._awaited or self._next is not None
+        return self._awaited or self._next is not None or self._soon is not None
+
+    def soon(self, ask: Callable[[], None], wait: int) -> None:
+        """Call, on the main thread, what may ask; unless this is called again within ``wait`` ms.
+
+        It comes in the place of what is awaited.
+        """
+        if self._on_result is not None:
+            self.drop()
+            self._soon = ask
+            self._waiting.start(wait)
 
     def ask(self, work: Callable[[], Any]) -> None:
         """Run a function without arguments; it must not know of any widget."""
@@ -281,14 +295,20 @@ class Background(QObject):
 
     def drop(self) -> None:
         """No result is wanted any more."""
-        self._next, self._awaited = None, False
+        self._next, self._awaited, self._soon = None, False, None
 
     def close(self) -> None:
         """Call nobody any more."""
         self.drop()
         with suppress(RuntimeError):  # the application may have ended before
             self._timer.stop()
+            self._waiting.stop()
         self._call = self._on_result = self._on_error = None
+
+    def _waited(self) -> None:
+        ask, self._soon = self._soon, None
+        if ask is not None:
+            ask()
 
     def _start(self) -> None:
         work, self._next = self._next, None

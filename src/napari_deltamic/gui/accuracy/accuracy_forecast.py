@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from qtpy.QtCore import QObject, QTimer
+from qtpy.QtCore import QObject
 
 from ...accuracy.forecast import Forecast
 from ...accuracy.machine_costs import costs
@@ -32,15 +32,10 @@ class AccuracyForecast(QObject):
     def __init__(self, doc: Document, dial: AccuracyDial, parent: QObject | None = None) -> None:
         super().__init__(parent)
         self._doc, self._dial = doc, dial
-        self._open = True
         self._asked_of: tuple[Any, ...] = ()  # the image whose noise comes with the forecast
         self._told: Forecast | None = None  # that of the run, as it is shown
         self.noise = dial.noise = NoiseOf(doc)
         self._background = Background(self._show, self._fail)
-        self._timer = QTimer(self)
-        self._timer.setSingleShot(True)
-        self._timer.setInterval(WAIT)
-        self._timer.timeout.connect(self._ask)
         for signal in (doc.image.changed, doc.cells_changed, doc.settings_changed):
             signal.connect(self.later)
         dial.currentTextChanged.connect(self.later)
@@ -55,19 +50,16 @@ class AccuracyForecast(QObject):
     @property
     def busy(self) -> bool:
         """Whether a forecast is awaited."""
-        return self._open and (self._timer.isActive() or self._background.busy)
+        return self._background.busy
 
     def later(self, text: str = "") -> None:
         """Something may be different: forecast anew, unless it changes again at once."""
-        if self._open:
-            self._show_number()
-            self._timer.start()
+        self._show_number()
+        self._background.soon(self._ask, WAIT)
 
     def close_links(self) -> None:
         """End what is under way."""
-        self._open = False
         self._image = None
-        self._timer.stop()
         self._background.close()
 
     def _image_changed(self) -> None:
@@ -80,18 +72,16 @@ class AccuracyForecast(QObject):
     # --------------------------------------------------------------------------- before a run
 
     def _ask(self) -> None:
-        if not self._open or self._doc.running:
+        if self._doc.running:
             return  # the fit has a forecast of its own
         try:
             accuracy_of(self._dial.choice, 0.0)
         except InputError as error:
-            self._background.drop()
             self.predicts.emit(str(error))
             return
         try:
             scene = scene_now(self._doc)
         except InputError:
-            self._background.drop()
             self.predicts.emit("")  # what is missing is said by its panel
             return
         self._asked_of = self.noise.key()
@@ -127,7 +117,6 @@ class AccuracyForecast(QObject):
     def _work_changed(self) -> None:
         """A fit starts."""
         if self._doc.running and not self.noise.held:
-            self._timer.stop()
             self._background.drop()
             self.noise.held = self.noise.known is not None
             self._told = None

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
-from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QComboBox, QFormLayout, QVBoxLayout, QWidget
 
 from ...errors import InputError
@@ -47,7 +46,6 @@ class OpticsPanel(QWidget):
         self._doc = doc
         self._given: Any = None  # settings of a kind that has no fields here
         self._width = ""
-        self._open = True
         self.kind = QComboBox(self)
         for name in (GAUSSIAN, OBJECTIVE, MEASURED):
             self.kind.addItem(name)
@@ -74,10 +72,6 @@ class OpticsPanel(QWidget):
         layout.addWidget(self.width_note)
         layout.addWidget(self.picture)
         self._background = Background(self._show_width, self._complain)
-        self._timer = QTimer(self)
-        self._timer.setSingleShot(True)
-        self._timer.setInterval(_WAIT)
-        self._timer.timeout.connect(self._compute)
         self.kind.currentTextChanged.connect(self._edited)
         for fields in (self.objective, self.measured, self.sigma):
             fields.edited.connect(self._edited)
@@ -91,7 +85,7 @@ class OpticsPanel(QWidget):
     @property
     def busy(self) -> bool:
         """Whether a PSF is being computed to tell its widths."""
-        return self._open and (self._timer.isActive() or self._background.busy)
+        return self._background.busy
 
     @property
     def is_gaussian(self) -> bool:
@@ -182,13 +176,11 @@ class OpticsPanel(QWidget):
             return
         if self.kind.currentText() == GAUSSIAN:
             self._show_gaussian()
-        elif self._open:
-            self._timer.start()
+        else:
+            self._background.soon(self._compute, _WAIT)
 
     def close_links(self) -> None:
         """End what is under way."""
-        self._open = False
-        self._timer.stop()
         self._background.close()
         self.picture.close_links()
         self.measured.forget()
@@ -206,14 +198,13 @@ class OpticsPanel(QWidget):
         self.width_note.say("")
         self._background.drop()  # of what was shown before
         if self.kind.currentText() == GAUSSIAN:
-            self._timer.stop()
             self._show_gaussian()
-        elif self._open:
-            self._timer.start()
+        else:
+            self._background.soon(self._compute, _WAIT)
         self.described.emit()
 
     def _show_gaussian(self) -> None:
-        if self._open and self.kind.currentText() == GAUSSIAN:
+        if self.kind.currentText() == GAUSSIAN:
             self.picture.show_optics(GaussianPSF(self.sigma.value()))
 
     def _show_page(self) -> None:

@@ -15,7 +15,6 @@ from ...errors import InputError
 from ...geometry import Mesh
 from ...results.colouring import colour_indices
 from ...results.session_file import SavedImage, SavedLayer, SavedTracks
-from ..seeding.label_clicks import clicks_of, undo_arrays, with_undo
 from ..seeding.seed_kinds import at_time
 from ..viewing import own_layers
 from ..viewing.colours import LIMITS, region_colormap, side_values
@@ -101,9 +100,7 @@ def seed_layer(saved: SavedLayer) -> Layer:
         options = own_layers.known_here(options)
         return own_layers.Points(arrays["data"], metadata={OWN: own}, **more, **options)
     if saved.kind == "labels":
-        labels = Labels(arrays["data"], metadata={OWN: with_undo(own, arrays)}, **options)
-        clicks_of(labels)  # which fails where they are damaged
-        return labels
+        return Labels(arrays["data"], metadata={OWN: own}, **options)
     if saved.kind != "surface":
         raise InputError(f"a layer of an unknown kind: {saved.kind}")
     if "regions" in arrays:
@@ -134,7 +131,7 @@ def _points(layer: Any, step: tuple[int, ...], point: tuple[float, ...]) -> dict
 
 
 def _labels(layer: Any, step: tuple[int, ...], point: tuple[float, ...]) -> dict[str, NDArray[Any]]:
-    return {"data": stack_of(layer, step), **undo_arrays(layer)}
+    return {"data": stack_of(layer, step)}
 
 
 def _surface(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from qtpy.QtWidgets import QFileDialog, QPushButton, QVBoxLayout, QWidget
+from qtpy.QtWidgets import QPushButton, QVBoxLayout, QWidget
 
-from ..qt import QAction, Signal
+from ..qt import Signal
 from ..widgets import Note, ToolButtons
 
 Tool = Literal["split", "merge", "remove"]
@@ -18,16 +18,13 @@ _HINTS: dict[Tool, str] = {
     "remove": "Click on what is no cell.",
 }
 _IN_3D = " Cells that were missed are added on slices only."
-_KIND = "Clicks (*.csv)"
 
 
 class CorrectBar(QWidget):
-    """Buttons for the tools, of which one or none is in use; undo; clicks in files."""
+    """Buttons for the tools, of which one or none is in use; undo."""
 
     tool_chosen = Signal(object)  # a tool, or None
     undo = Signal()
-    load = Signal(str)
-    save = Signal(str)
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -36,13 +33,9 @@ class CorrectBar(QWidget):
         self.tools = ToolButtons({t: (_TITLES[t], f"{_HINTS[t]} {drags}") for t in _TITLES}, self)
         self.buttons, self.use = self.tools.buttons, self.tools.use
         self.undo_button = QPushButton("↶", self)
-        self.undo_button.setToolTip("Undo the last correction (Ctrl+Z while a tool is in use).")
+        self.undo_button.setToolTip("Undo the last correction, or stroke of the brush (Ctrl+Z).")
         self.undo_button.setFixedWidth(30)
         self.undo_button.setStyleSheet("padding: 2px; font-size: 15px;")
-        self.load_action = QAction("Load clicks...", self)
-        self.save_action = QAction("Save clicks...", self)
-        self.load_action.setToolTip("Make the clicks of a file on these labels.")
-        self.save_action.setToolTip("Save the clicks, to repeat them on the same labels.")
         self.tools.row.addWidget(self.undo_button)
         self.hint, self.count = Note(self), Note(self)
         layout = QVBoxLayout(self)
@@ -53,8 +46,6 @@ class CorrectBar(QWidget):
         layout.addWidget(self.count)
         self.tools.chosen.connect(self._told)
         self.undo_button.clicked.connect(self.undo)
-        self.load_action.triggered.connect(self._ask_load)
-        self.save_action.triggered.connect(self._ask_save)
 
     @property
     def tool(self) -> Tool | None:
@@ -67,14 +58,9 @@ class CorrectBar(QWidget):
         self._ndisplay = ndisplay
         self.explain()
 
-    def show_count(self, cells: int, corrections: int, *, can_undo: bool) -> None:
-        """How many cells there are, after how many clicks."""
-        text = f"{cells} {'cell' if cells == 1 else 'cells'}"
-        if corrections:
-            text += f", {corrections} {'click' if corrections == 1 else 'clicks'}"
-        self.count.say(text if corrections or self.tool is not None else "")
-        self.undo_button.setEnabled(can_undo)
-        self.save_action.setEnabled(corrections > 0)
+    def show_count(self, cells: int) -> None:
+        """How many cells there are."""
+        self.count.say(f"{cells} {'cell' if cells == 1 else 'cells'}" if self.tool else "")
 
     def say(self, text: str) -> None:
         """What a click did not do, or what it waits for."""
@@ -89,13 +75,3 @@ class CorrectBar(QWidget):
     def _told(self, tool: Tool | None) -> None:
         self.explain()
         self.tool_chosen.emit(tool)
-
-    def _ask_load(self, checked: bool = False) -> None:
-        path, _ = QFileDialog.getOpenFileName(self, "Load clicks", "", _KIND)
-        if path:
-            self.load.emit(path)
-
-    def _ask_save(self, checked: bool = False) -> None:
-        path, _ = QFileDialog.getSaveFileName(self, "Save clicks", "clicks.csv", _KIND)
-        if path:
-            self.save.emit(path)

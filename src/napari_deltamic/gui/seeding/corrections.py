@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -15,7 +15,7 @@ from qtpy.QtCore import QObject
 from qtpy.QtWidgets import QWidget
 
 from ...errors import InputError
-from ...geometry import Click, read_clicks_csv, write_clicks_csv
+from ...geometry import Click
 from ...geometry.labels.label_edits import Action, Corrector
 from ...runs.seeds import LabelSeeds
 from ..attempt import attempt
@@ -25,22 +25,14 @@ from ..qt import Signal
 from ..viewing.frame import FloatArray, Frame
 from ..work import Background
 from .correct_bar import CorrectBar, Tool
-from .label_clicks import Before, can_undo, clicks_of, note, put, undo
 from .seed_kinds import seeds_from_layer
 
 _STILL = 5.0  # px: a mouse that moves further drags
-_UNDO = "Control-Z"
 _ACTIONS: dict[Tool, Action] = {"split": "cell", "merge": "merge", "remove": "remove"}
 _BESIDE = "In 3D, click on a cell; what was missed is added on the slices."
 
 
-@dataclass(frozen=True, eq=False)
-class _Wanted:
-    """Clicks that are to be made, in one step that can be undone."""
-
-    layer: Any  # that is corrected
-    clicks: Sequence[Click]
-    from_file: bool = False
+_Wanted = tuple[Any, Sequence[Click]]  # the layer that is corrected, and how
 
 
 class Corrections(QObject):
@@ -66,20 +58,18 @@ class Corrections(QObject):
         self.bar = bar = CorrectBar(parent)
         self._first: Click | None = None  # of the two that are to be merged
         self._waiting: list[_Wanted] = []
-        # What is under way: the array of the layer, its labels, and what is to be done.
-        self._asked: tuple[Any, NDArray[np.int32], _Wanted] | None = None
+        # What is under way: the layer, its array, and its labels.
+        self._asked: tuple[Any, Any, NDArray[np.int32]] | None = None
         self._corrector: Corrector | None = None
         self._corrector_of: tuple[Any, ...] = ()
         self._corrector_data: Any = None
-        self._bound: Any = None  # the layer that takes Ctrl+Z
+        self._clicked_in: Any = None  # the layer whose cells the tool corrects
         self._background = Background(self._show, self._fail)
         self._callback = self._pressed  # one object, so that it can be taken out again
         self._connections = Connections()
         self._connections.connect(doc.viewer.dims.events.ndisplay, self._view_changed)
         bar.tool_chosen.connect(self._tool_chosen)
         bar.undo.connect(self.undo)
-        bar.load.connect(self._load)
-        bar.save.connect(self._save)
         self._view_changed()
 
     @property
@@ -105,56 +95,43 @@ class Corrections(QObject):
         if layer is None:
             self.lay_down()
             return
-        if self.bar.tool is not None and layer is not self._bound:
+        if self.bar.tool is not None and layer is not self._clicked_in:
             self._listen(layer)
             self.bar.explain()
-        cells, waits = _cells(np.asarray(layer.data)), self._first is not None
-        self.bar.show_count(cells, len(clicks_of(layer)), can_undo=waits or can_undo(layer))
+        self.bar.show_count(_cells(np.asarray(layer.data)))
 
     def click(self, place: FloatArray) -> None:
         """Use the tool at a place, um in the image's frame."""
         tool, layer = self.bar.tool, self.layer
         if tool is None or layer is None:
             return
-        if layer is not self._bound:  # another one was selected
+        if layer is not self._clicked_in:  # another one was selected
             self._listen(layer)
         z, y, x = (float(p) for p in place)
         click = Click((z, y, x), _ACTIONS[tool])
         if tool != "merge":
-            self._want(_Wanted(layer, [click]))
+            self._want((layer, [click]))
         elif self._first is None:
             self._first = click
             self.bar.say("Click the other half of this cell to merge them.")
             self.renew()
         else:
             first, self._first = self._first, None
-            self._want(_Wanted(layer, [first, click]))
+            self._want((layer, [first, click]))
 
-    def undo(self, layer: Any = None) -> None:
-        """Undo the last correction, or the first click of two."""
-        target = self.layer
-        if self.busy or target is None:
+    def undo(self) -> None:
+        """Undo what was last done to the labels, by clicks or brush, or the first click of two."""
+        layer = self.layer
+        if self.busy or layer is None:
             return
         if self._first is not None:
             self._first = None
-        elif can_undo(target):
-            undo(target)
+        else:
+            with suppress(IndexError):  # napari's steps may be of an array that was replaced
+                layer.undo()
             self.edited.emit()
         self.bar.explain()
         self.renew()
-
-    def load(self, path: str) -> None:
-        """Make the clicks of a file. InputError if it cannot be read."""
-        self._want(_Wanted(self.layer, read_clicks_csv(path), from_file=True))
-
-    def save(self, path: str) -> None:
-        """Save the clicks that were made. InputError if there are none, or they cannot be saved."""
-        layer = self.layer
-        clicks = [] if layer is None else clicks_of(layer)
-        if not clicks:
-            raise InputError("there are no clicks to save")
-        write_clicks_csv(path if path.lower().endswith(".csv") else f"{path}.csv", clicks)
-        self.bar.say(f"saved {path}")
 
     def forget(self) -> None:
         """Another image: what is under way is given up."""
@@ -168,12 +145,6 @@ class Corrections(QObject):
         self._listen(None)
         self._background.close()
         self._waiting, self._asked, self._corrector = [], None, None
-
-    def _load(self, path: str) -> None:
-        attempt(partial(self.load, path), self.bar.say)
-
-    def _save(self, path: str) -> None:
-        attempt(partial(self.save, path), self.bar.say)
 
     # ------------------------------------------------------------------------------------ mouse
 
@@ -190,17 +161,14 @@ class Corrections(QObject):
         self.renew()
 
     def _listen(self, layer: Any) -> None:
-        """To the mouse, and to Ctrl+Z on a layer; to nothing for None."""
+        """To clicks into a layer; to nothing for None."""
         self._first = None  # two clicks merge cells of one layer
         callbacks = self._viewer.mouse_drag_callbacks
         if self._callback in callbacks:
             callbacks.remove(self._callback)
-        if self._bound is not None:
-            self._bound.bind_key(_UNDO, None, overwrite=True)
-        self._bound = layer
+        self._clicked_in = layer
         if layer is not None:
             callbacks.append(self._callback)
-            layer.bind_key(_UNDO, self.undo, overwrite=True)
 
     def _view_changed(self, event: Any = None) -> None:
         self.bar.show_dimensions(self._viewer.dims.ndisplay)
@@ -254,17 +222,14 @@ class Corrections(QObject):
                 self.bar.say(str(error))
 
     def _start(self, wanted: _Wanted) -> None:
-        layer = wanted.layer
-        if layer is None or layer not in self._layers() or self._image.layer is None:
+        layer, clicks = wanted
+        if layer not in self._layers() or self._image.layer is None:
             raise InputError("tick the Labels layer that is to be corrected")
         frame, read = self._image.under(layer)
         seeds = seeds_from_layer(layer, frame, (), spheres=False)
         assert isinstance(seeds, LabelSeeds)
-        made = clicks_of(layer)
-        step = made[-1].step + 1 if made else 0
-        clicks = [replace(click, step=click.step + step) for click in wanted.clicks]
         work = partial(self._corrector_for(frame, read, layer.data).corrected, seeds.labels, clicks)
-        self._asked = (layer.data, seeds.labels, replace(wanted, clicks=clicks))
+        self._asked = (layer, layer.data, seeds.labels)
         self.bar.say("working ...")
         self._background.ask(work)
 
@@ -283,23 +248,30 @@ class Corrections(QObject):
     def _show(self, labels: NDArray[np.int32]) -> None:
         if self._asked is None:
             return
-        (data, before, wanted), self._asked = self._asked, None
-        layer = wanted.layer
+        (layer, data, before), self._asked = self._asked, None
         self.bar.explain()
         if layer in self._viewer.layers and layer.data is data:  # not replaced meanwhile
-            places = np.flatnonzero(labels != before)
-            old = put(layer, places, labels.ravel()[places].astype(np.int64))
-            note(layer, wanted.clicks, Before(len(wanted.clicks), places, old))
+            _put(layer, labels, labels != before)
             self.edited.emit()
         self.renew()
         self._next()
 
     def _fail(self, message: str) -> None:
-        asked, self._asked = self._asked, None
-        plain = asked is not None and not asked[2].from_file
-        self.bar.say(_without_numbers(message) if plain else message)
+        self._asked = None
+        self.bar.say(_without_numbers(message))
         self.renew()
         self._next()
+
+
+def _put(layer: Any, labels: NDArray[np.int32], where: NDArray[np.bool_]) -> None:
+    """Set voxels of a layer, so that napari can undo it."""
+    data, high = layer.data, int(labels.max(initial=0))
+    fits = (
+        isinstance(data, np.ndarray) and data.flags.writeable and high <= np.iinfo(data.dtype).max
+    )
+    if not fits:  # a file, or a kind of number that is too small
+        layer.data = np.array(data, np.int32)
+    layer.data_setitem(np.nonzero(where), labels[where])
 
 
 def _can_be_corrected(layer: Any) -> bool:

@@ -22,7 +22,6 @@ from ..viewing.colours import label_colormap
 from ..viewing.frame import Frame
 from ..widgets import sentence
 from ..work import Background
-from .label_clicks import forget
 
 NAME = "found cells"
 _OTHERS = 3  # sizes that are offered besides the one used, at most
@@ -158,7 +157,7 @@ class FindCells(QPushButton):
             and np.allclose(old.translate, options["translate"])
         ):
             old.data = labels
-            forget(old)
+            old._reset_history()  # a private name: napari keeps steps of the array before
             old.colormap = label_colormap(labels)
             old.visible = True
             return old

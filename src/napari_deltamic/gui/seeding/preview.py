@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QCheckBox, QWidget
 
 from ...geometry import Mesh
@@ -60,23 +59,18 @@ class Preview(QCheckBox):
         self.problems: tuple[Problem, ...] = ()
         self._wanted = wanted
         self._user_chose = False
-        self._open = True
         self._preferred = True
         self._asked: Wanted | None = None
         self._key: tuple[Any, ...] | None = None
         self._layers = StartLayers(viewer, self._removed_by_user)
         self._background = Background(self._show, self._fail)
-        self._timer = QTimer(self)
-        self._timer.setSingleShot(True)
-        self._timer.setInterval(WAIT)
-        self._timer.timeout.connect(self._ask)
         self.clicked.connect(self._note_choice)
         self.toggled.connect(self._toggled)
 
     @property
     def busy(self) -> bool:
         """Whether a preview is awaited."""
-        return self._open and (self._timer.isActive() or self._background.busy)
+        return self._background.busy
 
     @property
     def mesh(self) -> Mesh | None:
@@ -98,20 +92,15 @@ class Preview(QCheckBox):
 
     def later(self) -> None:
         """The points may be others: compute it anew, unless they change again at once."""
-        if not self._open:
-            return
         wanted = self._wanted() if self.isChecked() else None
         if wanted is None:
             self.clear()
         elif wanted.key() != self._key:
             self._key = wanted.key()
-            self._background.drop()
-            self._timer.start()
+            self._background.soon(self._ask, WAIT)
 
     def clear(self) -> None:
         """Show none until the points change."""
-        if self._open:
-            self._timer.stop()
         self._background.drop()
         self._asked = self._key = None
         self._layers.clear()
@@ -119,13 +108,12 @@ class Preview(QCheckBox):
 
     def close_links(self) -> None:
         """End what is under way and let the viewer go."""
-        self._open = False
         self._background.close()
         self._layers.close()
         self._asked = None
 
     def _ask(self) -> None:
-        asked = self._wanted() if self._open and self.isChecked() else None
+        asked = self._wanted() if self.isChecked() else None
         if asked is None:
             return
         attempt(partial(self._look_for, asked), self._fail)
