@@ -6,7 +6,6 @@ import pytest
 import napari_deltamic as nd
 from napari_deltamic.fitting.job import optics_of, scene_with
 from napari_deltamic.gui.document import Document
-from napari_deltamic.gui.optics import measured_fields
 from napari_deltamic.gui.optics.optics_panel import GAUSSIAN, MEASURED, OBJECTIVE, OpticsPanel
 from napari_deltamic.gui.running.live_numbers import LiveNumbers
 from napari_deltamic.images.stacks import write_image
@@ -70,16 +69,15 @@ def test_the_widths_of_the_psf_are_told(panel, spin):
         ("na", 1.4, "NA 1.4 must be below the refractive index of the immersion, 1.333"),
     ],
 )
-def test_an_error_stands_under_its_field(panel, spin, field, value, says):
+def test_an_error_is_told_in_words(panel, spin, field, value, says):
     panel.kind.setCurrentText(OBJECTIVE)
     panel.objective.numbers[field].setValue(value)
     spin(lambda: not panel.busy)
-    assert list(panel.objective.errors()) == [says]
-    assert panel.objective.notes[field].text() == says
+    assert panel.trouble.text() == says
     assert panel.summary().endswith("cannot be used")
     panel.objective.numbers[field].setValue(0.6)
     spin(lambda: not panel.busy)
-    assert list(panel.objective.errors()) == []
+    assert panel.trouble.text() == ""
 
 
 def test_a_bead_in_a_file_is_the_psf(panel, spin, bead):
@@ -93,18 +91,6 @@ def test_a_bead_in_a_file_is_the_psf(panel, spin, bead):
     panel.measured.diameter.setValue(200)
     with pytest.raises(nd.InputError, match=r"did you mean 0\.2"):
         panel.settings()
-
-
-def test_a_layer_that_is_in_no_file_is_saved_first(panel, with_image, monkeypatch, tmp_path):
-    path = tmp_path / "saved"
-    monkeypatch.setattr(
-        measured_fields.QFileDialog, "getSaveFileName", lambda *_: (str(path), "TIFF (*.tif)")
-    )
-    panel.kind.setCurrentText(MEASURED)
-    panel.measured.take_layer(with_image.layers["cell"])
-    assert panel.settings().file == f"{path}.tif"
-    assert panel.settings().voxel_size == pytest.approx(SIZE)
-    assert path.with_suffix(".tif").is_file()
 
 
 def test_settings_come_back_as_they_were_shown(panel):

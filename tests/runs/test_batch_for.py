@@ -7,9 +7,8 @@ import pytest
 
 from napari_deltamic.cli import build_parser
 from napari_deltamic.errors import InputError
-from napari_deltamic.gui.results.folder_run import write_batch
 from napari_deltamic.images.stacks import write_image
-from napari_deltamic.runs.batch import batch_for, batch_jobs
+from napari_deltamic.runs.batch import batch_for, batch_jobs, write_batch
 from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
 from napari_deltamic.scene.effects import Effects
 

@@ -47,8 +47,8 @@ class CellSource(Protocol):
     def ticked(self) -> list[Any]:
         """The layers that are chosen."""
 
-    def seeds(self, frame: Frame) -> Seeds:
-        """What they hold, copied. InputError where there is nothing, or it cannot be used."""
+    def seeds(self, frame: Frame, *, copied: bool = True) -> Seeds:
+        """What they hold. InputError where there is nothing, or it cannot be used."""
 
     def preview_mesh(self) -> Any:
         """The surfaces that are shown of them; None for none."""

@@ -20,7 +20,7 @@ from qtpy.QtWidgets import (
 
 from ..common.description import Described, described
 from .qt import Signal
-from .widgets import Note, show_row
+from .widgets import show_row
 
 Triple = tuple[float, float, float]
 _MOST = 1_000_000  # of a whole number without a limit
@@ -128,19 +128,17 @@ class Form(QWidget):
         self.form = QFormLayout(self)
         self.form.setContentsMargins(0, 0, 0, 0)
         self.fields: dict[str, Any] = {}
-        self.notes: dict[str, Note] = {}  # under each field: what is wrong with it
         self._exact: dict[str, Any] = {}  # what is shown, until it is edited
         for name, found in self.described.items():
             field = _field(found, self)
             field.setToolTip(tip_of(found))
             field.setAccessibleName(found.label)
             _edits(field).connect(partial(self._edited, name))
-            self.fields[name], self.notes[name] = field, Note(self, wrong=True)
+            self.fields[name] = field
             if found.kind == "switch":  # across both columns: a narrow dock has no room
                 self.form.addRow(field)
             else:
                 self.form.addRow(found.label, field)
-            self.form.addRow(self.notes[name])
 
     def values(self) -> dict[str, Any]:
         """What is shown, as plain values; together they may be no good."""

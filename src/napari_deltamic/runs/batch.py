@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from ..common.choices import AUTO, IMAGE_FILES, ZARR
 from ..common.reading import read_text, toml_values
-from ..errors import InputError
+from ..common.writing import write_atomically
+from ..errors import PROGRAM, InputError
 from ..images.stacks import read_voxel_size
 from .command import options_of
 from .fit_settings import validated
@@ -126,6 +128,21 @@ def batch_for(folder: str | Path, settings: RunSettings) -> BatchSettings:
     return BatchSettings(
         images=tuple(stack.name for stack in stacks), seeds=seeds, options=tuple(words)
     )
+
+
+def write_batch(folder: str | Path, settings: RunSettings) -> str:
+    """Write ``batch.toml`` into a folder of stacks; returns the command that fits them all.
+
+    Raises
+    ------
+    InputError
+        If there is a file of that name, no image, or the settings are those of one image only.
+    """
+    path = Path(folder) / "batch.toml"
+    if path.exists():
+        raise InputError(f"{path} is there already: rename it, or run it")
+    write_atomically(path, batch_for(folder, settings).to_toml().encode())
+    return shlex.join([PROGRAM, "batch", str(path), "-o", str(Path(folder) / "results")])
 
 
 def _fits(end: str, names: set[str]) -> bool:

@@ -2,16 +2,50 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from ..geometry.formats import MESH_FILES
-from ..images.stacks import write_image
+from ..images.stacks import holds_image, write_image
 from ..scene import Grid
+from .command import command
 from .seeds import Seeds
 from .settings import NEAR_LEVELS, RunSettings
+
+
+@dataclass(frozen=True, eq=False)
+class Chosen:
+    """A run as it is chosen in a window; ``second`` is the image of its second view, if any."""
+
+    settings: RunSettings
+    pixels: NDArray[Any]
+    grid: Grid
+    seeds: Seeds
+    second: NDArray[Any] | None = None
+
+    def compared(self) -> Chosen:
+        """The same, without the files of images that were edited since they were opened."""
+        settings, view = self.settings, self.settings.scene.effects.view
+        if settings.image and not holds_image(settings.image, self.pixels):
+            settings = settings.model_copy(update={"image": ""})
+        second = self.second
+        if view and view.image and second is not None and not holds_image(view.image, second):
+            settings = with_second_file(settings, "")
+        return replace(self, settings=settings)
+
+    def command(self, folder: str) -> str:
+        """That repeats it; what is in no file yet is written into the folder."""
+        settings, pixels = self.settings, self.pixels
+        if folder:
+            where = Path(folder)
+            settings = with_files(settings, pixels, self.grid, self.seeds, where, self.second)
+        output = str(Path(settings.seeds).with_name("result"))
+        missing = bool(np.isnan(pixels).any()) if pixels.dtype.kind == "f" else False
+        return command(settings, output, missing=missing)
 
 
 def needs_folder(settings: RunSettings) -> bool:

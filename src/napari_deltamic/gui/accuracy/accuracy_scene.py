@@ -3,30 +3,24 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
-from napari.layers import Labels, Points, Surface
 from numpy.typing import NDArray
 
 from ...accuracy.forecast import Forecast, forecast
 from ...accuracy.machine_costs import costs
+from ...accuracy.rough_surfaces import points_of, rough_surfaces
 from ...fitting.default_accuracy import image_noise
-from ...fitting.job import SeedKind, optics_of
-from ...geometry import Mesh, sphere
-from ...geometry.labels.meshes import EDGE_IN_VOXELS
+from ...fitting.job import optics_of
+from ...geometry import Mesh
 from ...optics import Optics
+from ...runs.seeds import Seeds
 from ...runs.settings import NEAR_LEVELS, FitSettings, SceneSettings
 from ...scene import Grid
-from ..document import Document, missing_cells
-from ..seeding.seed_kinds import at_time, seeds_from_layer
-from ..viewing.frame import FloatArray, Frame, unread_stack_of
+from ..document import Document
 from .accuracy_dial import accuracy_of
-
-Surfaces = Callable[[Grid], Mesh | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +31,7 @@ class SceneNow:
     image : (Z, Y, X), or what becomes such an array.
     scene : PSF and effects.
     settings : of the fit; the accuracy is that of the choice.
-    kind : of the seeds, which decides the levels.
-    surfaces : make the starting surfaces, or cheap ones about as large; may take a while.
-    guessed : whether their size is a guess.
+    known : surfaces that points of the seeds have already; None where that is not known.
     """
 
     choice: str
@@ -47,9 +39,8 @@ class SceneNow:
     grid: Grid
     scene: SceneSettings
     settings: FitSettings
-    kind: SeedKind
-    surfaces: tuple[Surfaces, ...]
-    guessed: bool
+    seeds: Seeds
+    known: Mesh | None
 
     @property
     def optics(self) -> Optics:
@@ -60,17 +51,9 @@ class SceneNow:
         """(Z, Y, X)."""
         return np.asarray(self.image)
 
-    def touching(self) -> bool | None:
-        """Whether cells touch, where only labels tell; None where the surfaces do."""
-        parts: list[Any] = [
-            p for p in self.surfaces if getattr(p, "func", None) is _balls_of_labels
-        ]
-        return any(_touch(np.asarray(part.args[0])) for part in parts) if parts else None
-
     def mesh(self) -> Mesh:
-        """The surfaces. InputError where there are none."""
-        found = [make(self.grid) for make in self.surfaces]
-        return Mesh.merge([mesh for mesh in found if mesh is not None])
+        """The surfaces, or some about as large. InputError where there are none."""
+        return rough_surfaces(self.seeds, self.grid, self.known).mesh
 
 
 @dataclass(frozen=True)
@@ -90,13 +73,14 @@ def outlook(scene: SceneNow) -> Outlook:
     noise = image_noise(pixels)
     accuracy = accuracy_of(scene.choice, noise)
     found: dict[str, Any] = {"accuracy": accuracy}
-    if scene.kind != "rough" and scene.settings.levels is None:
+    if scene.seeds.kind != "rough" and scene.settings.levels is None:
         found["levels"] = NEAR_LEVELS
     settings = scene.settings.model_copy(update=found)
     effects = scene.scene.effects
-    given = scene.grid, scene.mesh(), scene.optics, settings
-    expected = forecast(pixels, *given, None, effects, known, scene.touching())
-    return Outlook(noise, accuracy, expected, scene.guessed)
+    start = rough_surfaces(scene.seeds, scene.grid, scene.known)
+    given = scene.grid, start.mesh, scene.optics, settings
+    expected = forecast(pixels, *given, None, effects, known, start.touching)
+    return Outlook(noise, accuracy, expected, start.guessed)
 
 
 class NoiseOf:
@@ -144,60 +128,16 @@ def scene_key(doc: Document) -> tuple[Any, ...]:
 def scene_now(doc: Document) -> SceneNow:
     """The scene as it is chosen; touches no voxel. InputError if something is missing."""
     image, frame = doc.image, doc.image.frame()
-    grid = frame.grid(image.shape())
-    scene = doc.settings.scene_settings()
-    kind, surfaces, guessed = _surfaces(doc, frame, grid)
+    seeds = doc.cells.seeds(frame, copied=False)
     return SceneNow(
         choice=doc.settings.accuracy.choice,
         image=image.unread(image.layer),
-        grid=grid,
-        scene=scene,
+        grid=frame.grid(image.shape()),
+        scene=doc.settings.scene_settings(),
         settings=doc.settings.other_settings(),
-        kind=kind,
-        surfaces=surfaces,
-        guessed=guessed,
+        seeds=seeds,
+        known=_known_surfaces(doc, points_of(seeds)),
     )
-
-
-def _surfaces(
-    doc: Document, frame: Frame, grid: Grid
-) -> tuple[SeedKind, tuple[Surfaces, ...], bool]:
-    """How near the seeds are to the membranes, what makes surfaces of them, and if it guesses."""
-    point = tuple(float(p) for p in doc.viewer.dims.point)
-    step = tuple(doc.viewer.dims.current_step)
-    points, radii = [], []
-    made: list[Any] = []  # Surfaces
-    rough, guessed = False, False
-    spheres = doc.cells.spheres
-    for layer in doc.cells.ticked():
-        if isinstance(layer, Points):
-            if at_time(layer, layer.data, point).any():
-                own: Any = seeds_from_layer(layer, frame, step, spheres=spheres, point=point)
-                points.append(own.points)
-                radii.append(own.radii)
-        elif isinstance(layer, Labels):
-            made.append(partial(_balls_of_labels, unread_stack_of(layer, step)))
-            guessed = True
-        elif isinstance(layer, Surface):
-            scale, shift = frame.data_to_um(layer)
-            made.append(partial(_as_it_is, layer.data[0], layer.data[1], scale, shift))
-            rough = True
-    if points:
-        centres = np.concatenate(points)
-        whole = None if spheres else _known_surfaces(doc, len(centres))
-        if spheres:
-            rough = True
-            made.append(partial(_balls, centres, np.concatenate(radii)))
-        elif whole is not None:
-            made.append(partial(_given, whole))
-        else:
-            guessed = True
-            made.append(partial(_balls, centres, None))
-    if not made:
-        raise missing_cells()
-    labelled = any(part.func is _balls_of_labels for part in made)
-    near: SeedKind = "rough" if rough else "labels" if labelled else "image"
-    return near, tuple(made), guessed
 
 
 def _known_surfaces(doc: Document, points: int) -> Mesh | None:
@@ -213,53 +153,3 @@ def _known_surfaces(doc: Document, points: int) -> Mesh | None:
         return None
     mesh: Mesh = state.mesh
     return mesh if len(np.unique(mesh.regions[mesh.regions > 0])) == points else None
-
-
-def _given(mesh: Mesh, grid: Grid) -> Mesh:
-    return mesh
-
-
-def _as_it_is(vertices: Any, faces: Any, scale: FloatArray, shift: FloatArray, grid: Grid) -> Mesh:
-    """Of a Surface layer; of a series, those of its first time, as others are much alike."""
-    vertices, faces = np.asarray(vertices, float), np.asarray(faces)
-    if vertices.shape[1] > 3:
-        first = vertices[faces[:, 0], :-3]
-        faces = faces[(first == first[0]).all(axis=1)]
-    return Mesh(vertices[:, -3:] * scale + shift, faces)
-
-
-def _balls(centres: FloatArray, radii: FloatArray | None, grid: Grid) -> Mesh:
-    """Spheres around points, as large as their distances and the image let them be."""
-    edge = EDGE_IN_VOXELS * min(grid.voxel_size)
-    if radii is None or not np.all(np.nan_to_num(radii) > 0):
-        apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
-        np.fill_diagonal(apart, np.inf)
-        side = float(np.multiply(grid.shape, grid.voxel_size).min())
-        guess = np.clip(0.45 * apart.min(axis=1), 2 * edge, max(side / 3, 2 * edge))
-        radii = guess if radii is None else np.where(np.nan_to_num(radii) > 0, radii, guess)
-    return Mesh.merge(
-        [sphere(c, float(r), edge_length=edge) for c, r in zip(centres, radii, strict=True)]
-    )
-
-
-def _touch(labels: NDArray[Any]) -> bool:
-    """Whether voxels of two labels lie side by side."""
-    for axis in range(labels.ndim):
-        a, b = (np.moveaxis(labels, axis, 0)[k] for k in (slice(1, None), slice(None, -1)))
-        if ((a != b) & (a > 0) & (b > 0)).any():
-            return True
-    return False
-
-
-def _balls_of_labels(labels: Any, grid: Grid) -> Mesh | None:
-    """A sphere as large as each label."""
-    labels = np.asarray(labels)
-    if labels.ndim != 3 or labels.min(initial=0) < 0:
-        return None
-    numbers, volumes = np.unique(labels[labels > 0], return_counts=True)
-    if not len(numbers):
-        return None
-    radii = np.cbrt(3 / (4 * np.pi) * volumes * float(np.prod(grid.voxel_size)))
-    middle = (np.asarray(grid.shape) - 1) / 2 * grid.voxel_size
-    # Where they lie makes no difference to what they cost, as long as it is in the image.
-    return _balls(np.tile(middle, (len(numbers), 1)), radii, grid)

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 from qtpy.QtWidgets import QWidget
 
 from ...runs.optics_settings import MicroscopeOptics, optics_from_values
 from ..fields import Form
-from ..widgets import Note
 
 _LIT = ("confocal", "spinning disk")
 _LAYERED = ("vectorial", "gibson-lanni")
-# What an error names -> the field that it belongs to.
-_NAMED = {"NA": "na", "index": "immersion", "light sheet": "sheet"}
 
 
 class ObjectiveFields(Form):
@@ -27,8 +23,6 @@ class ObjectiveFields(Form):
         self.numbers = {n: self.fields[n] for n, d in self.described.items() if d.kind == "number"}
         self._fitted: tuple[str, ...] | None = None
         self._zernike: dict[int, float] | None = None
-        self.note = Note(self, wrong=True)
-        self.form.addRow(self.note)
         self.edited.connect(self._show_rows)
         self._show_rows()
 
@@ -50,17 +44,6 @@ class ObjectiveFields(Form):
         self.blockSignals(blocked)
         self._show_rows()
 
-    def complain(self, message: str) -> None:
-        """Show an error under the field that it names, else under all; '' for none."""
-        at = self._field_named(message)
-        for name, note in self.notes.items():
-            note.say(message if name == at else "")
-        self.note.say("" if at else message)
-
-    def errors(self) -> Iterator[str]:
-        """What is shown of errors."""
-        return (n.text() for n in (*self.notes.values(), self.note) if n.text())
-
     # ----------------------------------------------------------------------------------- inside
 
     def _needs(self, name: str) -> bool:
@@ -78,12 +61,3 @@ class ObjectiveFields(Form):
     def _show_rows(self) -> None:
         for name in self.fields:
             self.show_row(name, self._needs(name))
-
-    def _field_named(self, message: str) -> str:
-        """The field whose name an error begins with; '' for none."""
-        plain = message.removeprefix("optics.").removeprefix("optics: ").removeprefix("the ")
-        known = {**{name: name for name in self.fields}, **_NAMED}
-        for said, name in known.items():
-            if plain.startswith((f"{said} ", f"{said}:", f"unknown {said} ")):
-                return name
-        return "sheet" if "light sheet" in plain else ""

@@ -53,8 +53,8 @@ class OpticsPanel(QWidget):
         self.kind.setToolTip(f"<qt>{tips}</qt>")
         self.sigma = TripleField(tip, self)
         self.objective = ObjectiveFields(self)
-        self.measured = MeasuredFields(doc.viewer, self)
-        self.width_note = Note(self)
+        self.measured = MeasuredFields(self._complain, self)
+        self.width_note, self.trouble = Note(self), Note(self, wrong=True)
         self.picture = PsfPicture(self)
         self._wrong = False
         self._pages: dict[str, QWidget] = {
@@ -69,8 +69,8 @@ class OpticsPanel(QWidget):
         layout.addLayout(top)
         for page in self._pages.values():
             layout.addWidget(page)
-        layout.addWidget(self.width_note)
-        layout.addWidget(self.picture)
+        for row in (self.width_note, self.trouble, self.picture):
+            layout.addWidget(row)
         self._background = Background(self._show_width, self._complain)
         self.kind.currentTextChanged.connect(self._edited)
         for fields in (self.objective, self.measured, self.sigma):
@@ -183,7 +183,6 @@ class OpticsPanel(QWidget):
         """End what is under way."""
         self._background.close()
         self.picture.close_links()
-        self.measured.forget()
 
     # ----------------------------------------------------------------------------------- inside
 
@@ -235,10 +234,7 @@ class OpticsPanel(QWidget):
         self._wrong = bool(message)
         if message:
             self.picture.clear()
-        self.objective.complain(message if self.kind.currentText() == OBJECTIVE else "")
-        self.measured.complain(message if self.kind.currentText() == MEASURED else "")
-        if self.kind.currentText() == GIVEN:
-            self.width_note.say(message)
+        self.trouble.say(message)
         self.described.emit()
 
 

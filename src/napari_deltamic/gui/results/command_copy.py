@@ -2,35 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
 from qtpy.QtWidgets import QApplication, QFileDialog, QWidget
 
-from ...images.stacks import holds_image
-from ...runs.command import command
-from ...runs.run_files import needs_folder, with_files, with_second_file
-from ...runs.seeds import Seeds
-from ...runs.settings import RunSettings
-from ...scene import Grid
+from ...runs.batch import write_batch
+from ...runs.run_files import Chosen, needs_folder
 from ..document import Document
 from ..work import Background
-from .folder_run import write_batch
-
-
-@dataclass(frozen=True, eq=False)
-class Wanted:
-    """A run that a command is to repeat; ``second`` is the image of its second view, if any."""
-
-    settings: RunSettings
-    pixels: NDArray[Any]
-    grid: Grid
-    seeds: Seeds
-    second: NDArray[Any] | None = None
 
 
 class CommandCopy:
@@ -75,49 +55,26 @@ class CommandCopy:
         seeds = doc.cells.seeds(frame)
         settings, second = doc.run_settings(seeds), doc.settings.effects.second.pixels()
         doc.noted.emit("putting the command together ...")
-        wanted = Wanted(settings, pixels, frame.grid(pixels.shape), seeds, second)
-        self._checking.ask(partial(checked, wanted))
+        chosen = Chosen(settings, pixels, frame.grid(pixels.shape), seeds, second)
+        self._checking.ask(chosen.compared)
 
     def _run_folder(self) -> None:
         folder = QFileDialog.getExistingDirectory(self._parent, "Folder of stacks")
         if folder:
             self._done(write_batch(folder, self._doc.run_settings()))
 
-    def _checked(self, wanted: Wanted) -> None:
+    def _checked(self, chosen: Chosen) -> None:
         folder = ""
-        if needs_folder(wanted.settings):
+        if needs_folder(chosen.settings):
             self._doc.noted.emit("")
             title = "Folder for the image and the seeds, which are not in files yet"
             folder = str(QFileDialog.getExistingDirectory(self._parent, title))
             if not folder:
                 return
-        self._writing.ask(partial(written, wanted, folder))
+        self._writing.ask(partial(chosen.command, folder))
 
     def _done(self, text: str) -> None:
         self._doc.noted.emit("")
         clipboard: Any = QApplication.clipboard()
         clipboard.setText(text)
         self._doc.told.emit(f"copied: {text}")
-
-
-def checked(wanted: Wanted) -> Wanted:
-    """The same, without the files of images that were edited since they were opened."""
-    settings, view = wanted.settings, wanted.settings.scene.effects.second_view
-    if settings.image and not holds_image(settings.image, wanted.pixels):
-        settings = settings.model_copy(update={"image": ""})
-    second = wanted.second
-    if view and view.image and second is not None and not holds_image(view.image, second):
-        settings = with_second_file(settings, "")
-    return replace(wanted, settings=settings)
-
-
-def written(wanted: Wanted, folder: str) -> str:
-    """The command; what is in no file yet is written into the folder."""
-    settings, pixels = wanted.settings, wanted.pixels
-    if folder:
-        settings = with_files(
-            settings, pixels, wanted.grid, wanted.seeds, Path(folder), wanted.second
-        )
-    output = str(Path(settings.seeds).with_name("result"))
-    missing = bool(np.isnan(pixels).any()) if pixels.dtype.kind == "f" else False
-    return command(settings, output, missing=missing)

@@ -25,18 +25,20 @@ def seeds_from_layer(
     *,
     spheres: bool,
     point: tuple[float, ...] = (),
+    copied: bool = True,
 ) -> Seeds:
-    """The seeds that a Points, Labels or Surface layer holds, copied.
+    """The seeds that a Points, Labels or Surface layer holds.
 
     Parameters
     ----------
     step, point : of the viewer's dims: of layers of a series, the time shown is taken.
     spheres : points are spheres as large as they are drawn.
+    copied : so that they stay as they are, whatever becomes of the layer.
     """
     if isinstance(layer, Points):
         return _points(layer, frame, point, spheres=spheres)
     if isinstance(layer, Labels):
-        return _labels(layer, frame, step)
+        return _labels(layer, frame, step, copied=copied)
     if isinstance(layer, Surface):
         surface = mesh_of_surface(layer, frame, point)
         return MeshSeeds(surface, unchanged_file(layer, frame))
@@ -117,7 +119,7 @@ def _points(layer: Any, frame: Frame, point: tuple[float, ...], *, spheres: bool
     return PointSeeds(points, radii)
 
 
-def _labels(layer: Any, frame: Frame, step: tuple[int, ...]) -> LabelSeeds:
+def _labels(layer: Any, frame: Frame, step: tuple[int, ...], *, copied: bool) -> LabelSeeds:
     labels = stack_of(layer, step)
     if labels.ndim != 3:
         raise InputError(f"layer '{layer.name}' is not 3D")
@@ -127,4 +129,4 @@ def _labels(layer: Any, frame: Frame, step: tuple[int, ...]) -> LabelSeeds:
             f"layer '{layer.name}' does not lie on the voxels of the image: give both layers the "
             "same scale and translation"
         )
-    return LabelSeeds(labels[region].copy())
+    return LabelSeeds(labels[region].copy() if copied else labels[region])

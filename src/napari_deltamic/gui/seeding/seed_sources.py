@@ -23,15 +23,16 @@ class SeedSources:
     def __init__(self, viewer: Any, image_panel: Any, chosen: Any) -> None:
         self._viewer, self._image, self._chosen = viewer, image_panel, chosen
 
-    def seeds(self, frame: Frame, spheres: bool) -> Seeds:
-        """The seeds, copied. InputError where there are none, or they cannot be used."""
+    def seeds(self, frame: Frame, spheres: bool, *, copied: bool = True) -> Seeds:
+        """The seeds. InputError where there are none, or they cannot be used."""
         layers = self._chosen.ticked()
         if not layers:
             raise missing_cells()
         point = self._point()
         filled = [layer for layer in layers if not is_empty(layer, point)]
         # Where all are empty, the first of them says so itself.
-        return mixed([self._of(layer, frame, spheres) for layer in filled or layers[:1]])
+        chosen = filled or layers[:1]
+        return mixed([self._of(layer, frame, spheres, copied=copied) for layer in chosen])
 
     def points_layers(self) -> list[Any]:
         """Those of points."""
@@ -94,9 +95,9 @@ class SeedSources:
             sets.append(PointSet(layer, seeds.points, seeds.radii, rows, len(layers) > 1))
         return sets
 
-    def _of(self, layer: Any, frame: Frame, spheres: bool) -> Seeds:
-        step = tuple(self._viewer.dims.current_step)
-        return seeds_from_layer(layer, frame, step, spheres=spheres, point=self._point())
+    def _of(self, layer: Any, frame: Frame, spheres: bool, *, copied: bool = True) -> Seeds:
+        step, point = tuple(self._viewer.dims.current_step), self._point()
+        return seeds_from_layer(layer, frame, step, spheres=spheres, point=point, copied=copied)
 
     def _point(self) -> tuple[float, ...]:
         return tuple(float(p) for p in self._viewer.dims.point)

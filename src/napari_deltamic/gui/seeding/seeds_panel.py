@@ -69,9 +69,9 @@ class SeedsPanel(QGroupBox):
         """Whether points are to be spheres."""
         self.shape.setCurrentText(_SPHERES if on else _FOLLOW)
 
-    def seeds(self, frame: Frame) -> Seeds:
-        """The seeds chosen, copied. InputError where there are none, or they cannot be used."""
-        return self._sources.seeds(frame, self.spheres)
+    def seeds(self, frame: Frame, *, copied: bool = True) -> Seeds:
+        """The seeds chosen. InputError where there are none, or they cannot be used."""
+        return self._sources.seeds(frame, self.spheres, copied=copied)
 
     def ticked(self) -> list[Any]:
         """The layers that are chosen."""

@@ -1,0 +1,96 @@
+"""Surfaces about as large as those that seeds would give, at once: enough for a forecast."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..geometry import Mesh, sphere
+from ..geometry.labels.meshes import EDGE_IN_VOXELS
+from ..geometry.mesh import FloatArray
+from ..runs.seeds import LabelSeeds, MeshSeeds, MixedSeeds, PointSeeds, Seeds
+from ..scene import Grid
+
+
+@dataclass(frozen=True, eq=False)
+class RoughSurfaces:
+    """What a forecast is of.
+
+    guessed : whether their size is a guess.
+    touching : whether cells touch, where only labels tell; None where the surfaces do.
+    """
+
+    mesh: Mesh
+    guessed: bool
+    touching: bool | None
+
+
+def rough_surfaces(seeds: Seeds, grid: Grid, known: Mesh | None = None) -> RoughSurfaces:
+    """Surfaces of any seeds; InputError where there are none.
+
+    known : the surfaces that the image gives for the points, where that was found already.
+    """
+    parts = seeds.parts if isinstance(seeds, MixedSeeds) else (seeds,)
+    meshes, guessed, labels = [], False, []
+    for part in parts:
+        if isinstance(part, PointSeeds):
+            from_image = part.kind == "image"
+            if from_image and known is not None:
+                meshes.append(known)
+            else:
+                meshes.append(_balls(part.points, part.radii, grid))
+                guessed = guessed or from_image
+        elif isinstance(part, LabelSeeds):
+            labels.append(np.asarray(part.labels))
+            meshes += _balls_of_labels(labels[-1], grid)
+            guessed = True
+        elif isinstance(part, MeshSeeds):
+            meshes.append(part.surface)
+    if not meshes:
+        raise InputError("there are no surfaces to start from")
+    touching = any(map(_touch, labels)) if labels else None
+    return RoughSurfaces(Mesh.merge(meshes), guessed, touching)
+
+
+def points_of(seeds: Seeds) -> int:
+    """How many points of seeds become the surfaces that the image gives."""
+    parts = seeds.parts if isinstance(seeds, MixedSeeds) else (seeds,)
+    points = [part for part in parts if isinstance(part, PointSeeds) and part.kind == "image"]
+    return sum(len(part.points) for part in points)
+
+
+def _balls(centres: FloatArray, radii: FloatArray | None, grid: Grid) -> Mesh:
+    """Spheres around points, as large as their distances and the image let them be."""
+    edge = EDGE_IN_VOXELS * min(grid.voxel_size)
+    if radii is None or not np.all(np.nan_to_num(radii) > 0):
+        apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
+        np.fill_diagonal(apart, np.inf)
+        side = float(np.multiply(grid.shape, grid.voxel_size).min())
+        guess = np.clip(0.45 * apart.min(axis=1), 2 * edge, max(side / 3, 2 * edge))
+        radii = guess if radii is None else np.where(np.nan_to_num(radii) > 0, radii, guess)
+    return Mesh.merge(
+        [sphere(c, float(r), edge_length=edge) for c, r in zip(centres, radii, strict=True)]
+    )
+
+
+def _balls_of_labels(labels: NDArray[Any], grid: Grid) -> list[Mesh]:
+    """A sphere as large as each label; where they lie makes no difference to what they cost."""
+    numbers, volumes = np.unique(labels[labels > 0], return_counts=True)
+    if not len(numbers):
+        return []
+    radii = np.cbrt(3 / (4 * np.pi) * volumes * float(np.prod(grid.voxel_size)))
+    middle = (np.asarray(grid.shape) - 1) / 2 * grid.voxel_size
+    return [_balls(np.tile(middle, (len(numbers), 1)), radii, grid)]
+
+
+def _touch(labels: NDArray[Any]) -> bool:
+    """Whether voxels of two labels lie side by side."""
+    for axis in range(labels.ndim):
+        a, b = (np.moveaxis(labels, axis, 0)[k] for k in (slice(1, None), slice(None, -1)))
+        if ((a != b) & (a > 0) & (b > 0)).any():
+            return True
+    return False
