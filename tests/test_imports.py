@@ -136,6 +136,27 @@ def test_no_panel_knows_another_and_the_window_knows_no_command():
     assert wrong == []
 
 
+def test_the_rooms_of_the_window_know_only_those_below_them():
+    """Those of the folders; what lies beside them is shared, or is the window itself."""
+    rooms = {
+        room: {
+            target.split(".")[2]
+            for name, path in modules().items()
+            if name.startswith(f"napari_deltamic.gui.{room}")
+            for target, _ in imported_from(name, path)
+            if target.startswith("napari_deltamic.gui.")
+        }
+        - {room}
+        for room in sorted(p.name for p in (PACKAGE / "gui").iterdir() if p.is_dir())
+        if not room.startswith("_")
+    }
+    assert rooms["viewing"] == set(), "what shows layers knows nothing of the window"
+    while free := [room for room, known in rooms.items() if not known & set(rooms)]:
+        for room in free:
+            del rooms[room]
+    assert rooms == {}, "in a circle"
+
+
 def test_relative_imports_are_understood():
     path = PACKAGE / "fourier" / "plan.py"
     targets = set(imported("napari_deltamic.fourier.plan", path))

@@ -28,7 +28,7 @@ from ..runs.settings import FitSettings, RunSettings, SceneSettings
 from ..scene.effects import Effects
 from .attempt import attempt
 from .image_source import ImageSource
-from .layer_choice import Connections
+from .viewing.connections import Connections
 from .viewing.frame import Frame
 from .viewing.viewer_link import ViewerLink
 from .work import Work

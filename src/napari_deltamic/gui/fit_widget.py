@@ -27,14 +27,14 @@ from .panels.settings_panel import SettingsPanel
 from .results.command_copy import CommandCopy
 from .results.results_panel import ResultsPanel
 from .results.selection import ClickSelection
-from .results.session import Parts, capture, restore
-from .results.session_bar import SessionBar
 from .running.check_panel import CheckPanel
 from .running.footer import Footer
 from .running.judging import Judging
 from .running.live_settings import LiveSettings
 from .running.run_control import RunControl
 from .seeding.seeds_panel import SeedsPanel
+from .sessions.session import Parts, capture, restore
+from .sessions.session_bar import SessionBar
 from .tracking.control import TrackControl
 from .tracking.panel import TrackPanel
 from .viewing.frame import unwrapped

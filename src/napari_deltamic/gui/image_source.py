@@ -16,7 +16,8 @@ from psygnal import Signal
 from ..common.choices import IMAGE_FILES, TIFF
 from ..errors import InputError
 from ..images.stacks import read_voxel_size, stored_shape
-from .layer_choice import Connections, LayerChoice
+from .layer_choice import LayerChoice
+from .viewing.connections import Connections
 from .viewing.frame import (
     ORIGIN,
     OWN,

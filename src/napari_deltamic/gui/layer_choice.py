@@ -1,4 +1,4 @@
-"""Which layer of a viewer is used for something, and connections that are undone together."""
+"""Which layer of a viewer is used for something."""
 
 from __future__ import annotations
 
@@ -7,25 +7,8 @@ from typing import Any
 
 from psygnal import Signal
 
+from .viewing.connections import Connections
 from .viewing.frame import made_by_fit
-
-
-class Connections:
-    """Remembers what was connected to events of a viewer, so that nothing stays connected."""
-
-    def __init__(self) -> None:
-        self._made: list[tuple[Any, Callable[..., None]]] = []
-
-    def connect(self, emitter: Any, slot: Callable[..., None], **how: Any) -> None:
-        """Connect a slot to an emitter of events; ``how`` is for the emitter."""
-        emitter.connect(slot, **how)
-        self._made.append((emitter, slot))
-
-    def undo(self) -> None:
-        """Undo every connection."""
-        for emitter, slot in self._made:
-            emitter.disconnect(slot)
-        self._made.clear()
 
 
 class LayerChoice:

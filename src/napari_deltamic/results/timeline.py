@@ -101,3 +101,8 @@ class Timeline:
 
 def _joined(before: str, note: str) -> str:
     return "; ".join(filter(None, (before, note)))
+
+
+def explained(loss: float) -> float:
+    """Per cent of the variation of the voxels that count; NaN where a loss is not known."""
+    return 100 * (1 - loss)

@@ -9,10 +9,9 @@ from typing import Any
 from qtpy.QtCore import QSignalBlocker, Qt
 from qtpy.QtWidgets import QHBoxLayout, QPushButton, QSlider, QVBoxLayout, QWidget
 
-from ...results.timeline import Moment
+from ...results.timeline import Moment, explained
 from ..document import Document
 from ..qt import Signal
-from ..running.plots import explained
 from ..widgets import note_label
 from .edits import Edits
 

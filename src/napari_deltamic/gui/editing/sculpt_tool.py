@@ -14,7 +14,7 @@ from ...geometry.brush import Touch, falloff, outward, touched_by_ray, touched_o
 from ...geometry.carry import carried
 from ...measure import section
 from ..document import Document
-from ..layer_choice import Connections
+from ..viewing.connections import Connections
 from ..viewing.contours import sliced_axis
 from ..viewing.frame import FloatArray
 from ..viewing.viewer_link import ViewerLink

@@ -14,8 +14,9 @@ from ...scene.effects import SecondView
 from ..document import Document
 from ..fields import TripleField
 from ..image_source import file_of
-from ..layer_choice import Connections, LayerChoice
+from ..layer_choice import LayerChoice
 from ..qt import Signal
+from ..viewing.connections import Connections
 from ..viewing.frame import Frame, is_stack, shape_of, voxel_size
 from ..widgets import LayerChooser, Note, show_row
 

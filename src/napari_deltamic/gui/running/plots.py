@@ -11,6 +11,8 @@ from qtpy.QtCore import QPointF, QRectF
 from qtpy.QtGui import QColor, QPainter, QPaintEvent, QPalette, QPen, QPolygonF
 from qtpy.QtWidgets import QSizePolicy, QWidget
 
+from ...results.timeline import explained
+
 _MOST = 400  # points drawn
 _TEXT = 18  # px above the plot
 _COLOUR = "#ffb000"
@@ -101,11 +103,6 @@ class ExplainedCurve(QWidget):
         if self._now is not None:
             painter.setPen(QPen(ink, 1))
             mark(self._now)
-
-
-def explained(loss: float) -> float:
-    """Per cent of the variation of the voxels that count; NaN where a loss is not known."""
-    return 100 * (1 - loss)
 
 
 def _spread(n: int) -> list[int]:

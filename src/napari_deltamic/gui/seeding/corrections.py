@@ -20,8 +20,8 @@ from ...geometry.labels.label_edits import Action, Corrector
 from ...runs.seeds import LabelSeeds
 from ..attempt import attempt
 from ..document import Document
-from ..layer_choice import Connections
 from ..qt import Signal
+from ..viewing.connections import Connections
 from ..viewing.frame import FloatArray, Frame
 from ..work import Background
 from .correct_bar import CorrectBar, Tool

@@ -8,10 +8,10 @@ from napari.layers import Labels, Points, Surface
 from qtpy.QtCore import QSignalBlocker, QSize, Qt
 from qtpy.QtWidgets import QAbstractItemView, QListWidget, QListWidgetItem, QSizePolicy, QWidget
 
-from ..editing.pins import PINS
-from ..layer_choice import Connections
 from ..qt import Signal
+from ..viewing.connections import Connections
 from ..viewing.frame import OWN, made_by_fit
+from ..viewing.pins import PINS
 from .seed_kinds import SEED_LAYERS
 
 _ROWS = 5  # shown at once, at most

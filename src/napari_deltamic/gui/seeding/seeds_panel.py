@@ -22,7 +22,7 @@ from superqt import QLabeledDoubleSlider
 from ...errors import InputError
 from ...runs.seeds import Seeds
 from ..document import Document
-from ..layer_choice import Connections
+from ..viewing.connections import Connections
 from ..viewing.frame import Frame, made_by_fit
 from ..viewing.own_layers import Points as SeedPoints
 from ..viewing.own_layers import cut_by_slices

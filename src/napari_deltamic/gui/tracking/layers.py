@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from ...measure import measure_cells
 from ...results.colouring import PALETTE, colour_indices, plain_index
 from ...tracking import FrameResult, lineage, surface_4d
-from ..layer_choice import Connections
 from ..viewing.colours import PALETTE_RGBA, region_colours
+from ..viewing.connections import Connections
 from ..viewing.contours import Contours
 from ..viewing.frame import OWN, Frame, camera_of
 from ..viewing.own_layers import Surface, Tracks

@@ -10,10 +10,10 @@ from typing import Any, Literal
 from numpy.typing import NDArray
 
 from ...fitting.job import FitInput
+from ...results.timeline import explained
 from ...runs.track_run import TrackRun
 from ...tracking import FrameResult, track
 from ..attempt import words_of
-from ..running.plots import explained
 from ..viewing.frame import Box, finite
 from ..work import Task
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from ...geometry import Mesh
 from ...results.colouring import colour_indices
-from ..layer_choice import Connections
 from .colours import BY_VALUE, LIMITS, ByValue, region_colormap, side_values
+from .connections import Connections
 from .contours import Contours
 from .frame import OWN, Frame, camera_of
 from .own_layers import Surface

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from ...geometry import Mesh
 from ...results.features import features_at
-from ..editing.pins import Pins
 from .frame import OWN, Frame, camera_of
 from .mesh_layers import MeshLayers
+from .pins import Pins
 
 _LEAST = 5.0  # standard deviations of the noise that have the strongest colours, at least
 _SHARE = 95  # per cent of the voxels whose residuals have colours of their own

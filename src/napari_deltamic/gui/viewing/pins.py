@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...geometry import Mesh
-from ..viewing.frame import OWN, Frame
-from ..viewing.own_layers import Points, cut_by_slices
+from .frame import OWN, Frame
+from .own_layers import Points, cut_by_slices
 
 PINS = "pins"  # key under OWN
 _COLOUR = "white"

@@ -1,0 +1,1 @@
+"""The window as a file, and a file in the window."""
