@@ -57,7 +57,7 @@ def test_a_name_stands_for_a_number_on_this_image(seeded, pixels, spin):
         number = preset_accuracy(name, image_noise(pixels))
         dial.setCurrentText(name)
         assert dial.number() == number
-        assert seeded.settings.fit_settings().accuracy == (None if name == "standard" else number)
+        assert seeded.settings.fit_settings().accuracy == (None if name == "normal" else number)
         spin(settled(seeded))
         shown = seeded.settings.accuracy_number.text()
         assert accuracy_of(shown.removeprefix("= "), 0) == number
@@ -113,7 +113,7 @@ def test_typing_adds_nothing_to_the_list(seeded):
 
 def test_the_forecast_is_that_of_the_engine(seeded, pixels, spin, costs):
     ball = sphere(CENTER, 0.9, edge_length=EDGE)
-    for name in ("standard", "exact"):
+    for name in ("normal", "exact"):
         seeded.settings.accuracy.setCurrentText(name)
         spin(settled(seeded))
         number = preset_accuracy(name, image_noise(pixels))
@@ -299,13 +299,13 @@ def test_a_change_of_the_dial_is_forecast_anew(seeded, spin, endless):
     seeded.start()
     spin(went_on(seeded))
     dial = seeded.settings.accuracy
-    dial.setCurrentText("fine")
+    dial.setCurrentText("careful")
     seeded.settings.changed.emit()
     spin(lambda: len(jobs) == 2)
     assert jobs[1].settings.fit.accuracy == dial.number()
     spin(lambda: isinstance(seeded.run.forecast, RenewedForecast))
     assert seeded.run.forecast.iterations >= 3
-    dial.setCurrentText("standard")
+    dial.setCurrentText("normal")
     seeded.settings.changed.emit()
     spin(lambda: len(jobs) == 3)
     assert jobs[2].settings.fit.accuracy == dial.number(), "not what it had before"
@@ -328,13 +328,13 @@ def test_a_renewed_forecast_goes_by_the_time_since():
 
 
 def test_a_session_keeps_the_name(seeded, make_widget, spin):
-    seeded.settings.accuracy.setCurrentText("draft")
+    seeded.settings.accuracy.setCurrentText("quick")
     session, _ = capture(seeded.parts)
     number = seeded.settings.accuracy.number()
     assert session.settings.fit.accuracy == number
     other = make_widget()
     restore(other.parts, session)
-    assert other.settings.accuracy.choice == "draft"
+    assert other.settings.accuracy.choice == "quick"
     assert other.settings.fit_settings() == session.settings.fit
     # An earlier version kept the number alone.
     fit = session.settings.fit.model_copy(update={"shape_error": "normal"})
@@ -360,7 +360,7 @@ def test_the_command_names_a_number(seeded, pixels):
     for name in PRESETS:
         seeded.settings.accuracy.setCurrentText(name)
         words = command(seeded.run_settings(), "result").split()
-        if name == "standard":
+        if name == "normal":
             assert "--accuracy" not in words
         else:
             given = float(words[words.index("--accuracy") + 1])
@@ -370,9 +370,9 @@ def test_the_command_names_a_number(seeded, pixels):
 def test_another_image_has_another_noise(seeded, with_image, pixels, spin):
     spin(settled(seeded))
     dial = seeded.settings.accuracy
-    dial.setCurrentText("draft")
+    dial.setCurrentText("quick")
     smooth = np.full(SHAPE, 100, np.float32) + np.arange(SHAPE[2], dtype=np.float32)
     before = dial.number()
     layer = with_image.add_image(smooth, scale=SIZE, name="smooth")
     seeded.doc.image.choose(layer)
-    assert dial.number() == preset_accuracy("draft", image_noise(smooth)) != before
+    assert dial.number() == preset_accuracy("quick", image_noise(smooth)) != before

@@ -33,7 +33,7 @@ def way(accuracy, seconds, error):
 
 @pytest.fixture
 def ways(pixels):
-    standard = preset_accuracy("standard", image_noise(pixels))
+    standard = preset_accuracy("normal", image_noise(pixels))
     exact = Way("closed form", 0, "", "float64", gradient=1.0, error=0.0, reference=True)
     return [
         exact,
@@ -80,7 +80,7 @@ def test_each_way_is_a_line(measuring, ways, spin, pixels):
     spin(lambda: not view.busy)
     assert view.button.text() == "Measure on this scene"
     mesh, grid, optics, accuracy = asked[0]
-    assert (grid.shape, accuracy) == (SHAPE, preset_accuracy("standard", image_noise(pixels)))
+    assert (grid.shape, accuracy) == (SHAPE, preset_accuracy("normal", image_noise(pixels)))
     assert optics.sigma_um == pytest.approx(widget.settings.sigma.value())
     assert mesh.vertices_numpy().mean(axis=0) == pytest.approx(CENTER, abs=0.05)
     shown = lines(view)

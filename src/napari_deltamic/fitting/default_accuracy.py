@@ -25,12 +25,10 @@ from .likelihood import noise_ratio
 FINEST, COARSEST = 1e-3, 2e-2
 _LOOKED_AT = 400_000  # voxels
 
-Preset = Literal["draft", "standard", "fine", "exact"]
+Preset = Literal["quick", "normal", "careful", "exact"]
 PRESETS: tuple[Preset, ...] = get_args(Preset)
 # Relative to what the noise asks for, since no number is coarse or fine of itself.
-# As the dial calls them.
-PRESET_OF: dict[str, Preset] = {"quick": "draft", "normal": "standard", "careful": "fine"}
-_TIMES: dict[Preset, float] = {"draft": 5.0, "standard": 1.0, "fine": 0.1, "exact": 0.0}
+_TIMES: dict[Preset, float] = {"quick": 5.0, "normal": 1.0, "careful": 0.1, "exact": 0.0}
 
 
 def accuracy_for(noise: float) -> float:
@@ -50,10 +48,10 @@ def accuracy_for(noise: float) -> float:
     return float(f"{min(max(noise, FINEST), COARSEST):.0e}")
 
 
-def preset_accuracy(name: Preset, noise: float) -> float:
+def preset_accuracy(name: str, noise: float) -> float:
     """The accuracy that a name stands for, on an image with this noise.
 
-    ``standard`` is :func:`accuracy_for`; ``draft`` five times coarser, ``fine`` ten times finer,
+    ``normal`` is :func:`accuracy_for`; ``quick`` five times coarser, ``careful`` ten times finer,
     ``exact`` the closed form at every wavevector of the grid.
     """
     if name not in _TIMES:

@@ -20,7 +20,7 @@ from ..geometry.mesh import Mesh
 from ..geometry.remeshing import can_remesh, remesh
 from ..runs.fit_settings import FitSettings, asked_error
 from ..scene import Grid
-from .default_accuracy import PRESET_OF, accuracy_for, preset_accuracy
+from .default_accuracy import accuracy_for, preset_accuracy
 from .triangle_quality import median_edge
 
 
@@ -149,7 +149,7 @@ def dialled(choice: str, now: Situation, settings: DialSettings = SETTINGS) -> D
     if asked is not None:
         edge, accuracy, tolerance = _for_length(asked, now, s)
     else:
-        accuracy = preset_accuracy(PRESET_OF[choice], now.noise)
+        accuracy = preset_accuracy(choice, now.noise)
         edge, tolerance = now.edge, FitSettings().tolerance
         if choice == "quick":
             edge = max(edge, min(s.quick_edges * edge, s.longest * now.radius))

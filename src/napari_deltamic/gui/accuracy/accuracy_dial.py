@@ -12,20 +12,16 @@ from ...errors import InputError
 from ...fitting.default_accuracy import PRESETS, Preset, preset_accuracy
 from ...runs.fit_settings import SHAPE_CHOICES, asked_error
 
-STANDARD: Preset = "standard"
+NORMAL: Preset = "normal"
 # What the page of preferences offers; the dial also takes any other number.
 CHOICES: tuple[str, ...] = (*PRESETS, "1e-2", "3e-3", "1e-3", "3e-4", "1e-4", "1e-5")
-# As the dial calls them; sessions and preferences keep the names.
-_WORDS: dict[str, str] = {"draft": "quick", "standard": "normal", "fine": "careful"}
-# Names by which the choices are also known.
-_EARLIER = {"auto": STANDARD, "0": "exact", **{word: name for name, word in _WORDS.items()}}
 _TIPS: dict[Preset, str] = {
-    "draft": "Longer edges, images five times coarser than normal, an earlier end. The fastest, "
+    "quick": "Longer edges, images five times coarser than normal, an earlier end. The fastest, "
     "but the shape may be off by more than the noise makes it: for a first look.",
-    "standard": "As accurate as the noise of this image can tell: finer renderings take longer and "
+    "normal": "As accurate as the noise of this image can tell: finer renderings take longer and "
     "do not improve the shape.",
-    "fine": "Edges so short that flat triangles add nothing beside the noise, images ten times "
-    "finer than standard, a later end.",
+    "careful": "Edges so short that flat triangles add nothing beside the noise, images ten times "
+    "finer than normal, a later end.",
     "exact": "The closed form at every wavevector of the grid: no approximation at all, and often "
     "hundreds of times slower. To check the others with.",
 }
@@ -51,15 +47,15 @@ class AccuracyDial(QComboBox):
         self.setEditable(True)
         self.setInsertPolicy(QComboBox.InsertPolicy.NoInsert)
         for k, name in enumerate(PRESETS):
-            self.addItem(shown_as(name))
+            self.addItem(name)
             self.setItemData(k, f"<qt>{_TIPS[name]}</qt>", Qt.ItemDataRole.ToolTipRole)
-        rows = "".join(f"<br><b>{shown_as(name)}</b>: {_TIPS[name]}" for name in PRESETS)
+        rows = "".join(f"<br><b>{name}</b>: {_TIPS[name]}" for name in PRESETS)
         self.setToolTip(f"<qt>{_TIP}{rows}</qt>")
         self.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self.setMinimumContentsLength(8)
         self.setMinimumWidth(104)  # napari's style asks for more, and the dock could not be narrow
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
-        self.show_choice(STANDARD)
+        self.show_choice(NORMAL)
 
     @property
     def choice(self) -> str:
@@ -68,12 +64,12 @@ class AccuracyDial(QComboBox):
 
     def setting(self) -> float | None:
         """The accuracy for the settings; None leaves it to the noise. InputError if it is none."""
-        return None if self.choice == STANDARD or is_length(self.choice) else self.number()
+        return None if self.choice == NORMAL or is_length(self.choice) else self.number()
 
     @property
     def shape_error(self) -> str:
         """What the choice says of the shape: numbers without a unit are of images alone."""
-        word = shown_as(self.choice)
+        word = self.choice
         known = word in SHAPE_CHOICES or is_length(word)
         return word.replace(" ", "") if known else "normal"
 
@@ -87,22 +83,17 @@ class AccuracyDial(QComboBox):
         if shape_error != "normal":
             self.show_choice(shape_error)
             return
-        self.show_choice(STANDARD if accuracy is None else written(accuracy))
+        self.show_choice(NORMAL if accuracy is None else written(accuracy))
 
     def show_choice(self, choice: str) -> None:
         """Show a name or a number."""
-        self.setCurrentText(shown_as(chosen(choice)))
+        self.setCurrentText(chosen(choice))
 
 
 def chosen(text: str) -> str:
     """A choice as the dial shows it."""
     plain = text.strip().lower()
-    return _EARLIER.get(plain, plain)
-
-
-def shown_as(choice: str) -> str:
-    """What the dial calls a choice."""
-    return _WORDS.get(choice, choice)
+    return "exact" if plain == "0" else plain
 
 
 def relative(choice: str) -> bool:
@@ -124,16 +115,15 @@ def accuracy_of(choice: str, noise: float) -> float:
     if choice in PRESETS:
         return preset_accuracy(choice, noise)
     if is_length(choice):
-        return preset_accuracy(STANDARD, noise)  # until start and image are known
+        return preset_accuracy(NORMAL, noise)  # until start and image are known
     try:
         accuracy = float(choice.replace(",", "."))
     except ValueError:
         accuracy = -1.0
     if not 0 <= accuracy < 1:
-        names = ", ".join(map(shown_as, PRESETS))
         raise InputError(
-            f"accuracy must be {names}, a length such as 20nm, or a number from 0 to below 1, not "
-            f"'{choice}'"
+            f"accuracy must be {', '.join(PRESETS)}, a length such as 20nm, or a number from 0 to "
+            f"below 1, not '{choice}'"
         )
     return accuracy
 

@@ -16,7 +16,7 @@ from ...common.choices import Modality
 from ...runs.optics_settings import MicroscopeOptics
 from ...runs.settings import FitSettings
 from ...scene.effects import Effects
-from ..accuracy.accuracy_dial import STANDARD, usable_choice
+from ..accuracy.accuracy_dial import NORMAL, usable_choice
 from ..document import Document
 
 PLUGIN = "napari-deltamic"
@@ -44,7 +44,7 @@ class Preferences(BaseModel):
     model_config = ConfigDict(frozen=True)
 
     fit: FitSettings = FitSettings()
-    accuracy: Annotated[str, AfterValidator(usable_choice)] = STANDARD
+    accuracy: Annotated[str, AfterValidator(usable_choice)] = NORMAL
     preview_seeds: bool = True
     show_rendered: bool = False
     effects: Annotated[str, AfterValidator(_readable)] = "none"
