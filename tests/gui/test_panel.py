@@ -109,8 +109,6 @@ def test_what_is_rare_is_in_the_menu(shown):
     assert titles == [
         "Open session...",
         "Save session...",
-        "Load clicks...",
-        "Save clicks...",
         "Copy as command",
         "Run on a folder...",
         "Simulate cells...",
