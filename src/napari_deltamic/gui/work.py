@@ -13,6 +13,7 @@ import time
 import warnings
 from collections import deque
 from collections.abc import Callable, Generator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import partial
 from typing import Any
@@ -27,6 +28,8 @@ from .attempt import words_of
 INTERVAL = 1 / 15  # s between two looks at a task
 LONGEST_REST = 0.5  # s that a slow viewer is left alone, at most
 _LOOK_EVERY = 10  # ms, for the result of a function
+# They are kept: to start one waits for it, and where a fit is at work that takes a while.
+_THREADS = ThreadPoolExecutor(32, "deltaMic")
 
 
 class Task:
@@ -219,7 +222,7 @@ def _run(task: Task) -> None:
 
 def _in_thread(function: Callable[[Any], None], given: Any) -> None:
     """Python waits for it at its end; no thread should be at work in what is being unloaded."""
-    threading.Thread(target=function, args=(given,), name="deltaMic").start()
+    _THREADS.submit(function, given)
 
 
 class _Call:

@@ -27,7 +27,6 @@ from ...geometry.formats import MESH_FILES, MESH_FILES_LISTED, MESH_FILTERS
 from ...images.stacks import write_image
 from ...measure.table import csv_text
 from ...results.cell_columns import COLUMNS, value_of
-from ...results.colouring import colour_indices
 from ...results.exchange import labels_of
 from ...results.report import write_results
 from ..attempt import attempt
@@ -145,7 +144,7 @@ class ResultsPanel(QGroupBox):
         key = (record.state, record.judged)
         if key != self._shown_of:
             self._shown_of = key
-            self.table.show_rows(record.rows, colour_indices(record.state.mesh))
+            self.table.show_rows(record.rows, record.link.colours)
             self._offer_colours()
             if record.judged is not None:
                 record.link.describe(self.table.rows)

@@ -55,7 +55,7 @@ class Footer(QWidget):
         self.stop_button.setEnabled(task is not None)
         self.progress.setVisible(task is not None)
         if task is not None:
-            self.progress.setRange(0, 0)
+            self._advance(0, 0)
         else:
             self.message.say("")
             self.pause_button.setChecked(False)
@@ -66,8 +66,7 @@ class Footer(QWidget):
         if task is not None and not isinstance(task, FitRun):
             self.message.say(f"{task.stage} ..." if not task.stopping else "stopping ...")
             if task.share is not None:
-                self.progress.setRange(0, 100)
-                self.progress.setValue(round(100 * task.share))
+                self._advance(round(100 * task.share), 100)
 
     def _show_fit(self, snapshot: Snapshot) -> None:
         run, state, left = self._doc.run, snapshot.state, snapshot.remaining
@@ -78,16 +77,21 @@ class Footer(QWidget):
             # Never back: a forecast that grows stands still.
             share = round(100 * run.seconds / (run.seconds + left))
             share = max(share, self.progress.value() if self.progress.maximum() == 100 else 0)
-            self.progress.setRange(0, 100)
-            self.progress.setValue(min(share, 99))
-            text += ", %p%"
+            self._advance(min(share, 99), 100, f"{text}, %p%")
         else:
-            self.progress.setRange(0, state.levels)
-            self.progress.setValue(state.level - 1)
-        self.progress.setFormat(text)
+            self._advance(state.level - 1, state.levels, text)
         done, rate = len(run.history.loss), snapshot.iterations_per_second
         stands = f"paused after {done} iterations"
         self.message.say(stands if run.paused else progress_text(done, rate, left))
+
+    def _advance(self, done: int, of: int, text: str = "%p%") -> None:
+        """Show how far it is; painted when all is: Qt would paint the window, and wait for it."""
+        bar = self.progress
+        bar.setUpdatesEnabled(False)
+        bar.setRange(0, of)
+        bar.setValue(done)
+        bar.setFormat(text)
+        bar.setUpdatesEnabled(True)
 
     def _pause(self, paused: bool) -> None:
         self.pause_button.setText("Resume" if paused else "Pause")
