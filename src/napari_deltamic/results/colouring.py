@@ -119,13 +119,14 @@ def _join(graph: dict[int, set[int]], pairs: Iterable[Sequence[int]]) -> None:
 
 def _boxes(mesh: Mesh) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
     """Regions (R,), and the corners of the boxes around them, (R, 3) each, um."""
+    a, b, c = mesh.vertices_numpy()[mesh.faces.T]
     sides = np.concatenate([mesh.regions[:, 0], mesh.regions[:, 1]])
-    corners = mesh.vertices_numpy()[np.concatenate([mesh.faces, mesh.faces])]
     order = np.argsort(sides, kind="stable")
+    face = order % max(len(mesh.faces), 1)
     regions, starts = np.unique(sides[order], return_index=True)
-    low = (
-        np.minimum.reduceat(corners.min(axis=1)[order], starts) if len(starts) else np.zeros((0, 3))
-    )
-    high = np.maximum.reduceat(corners.max(axis=1)[order], starts) if len(starts) else low
+    low = high = np.zeros((0, 3))
+    if len(starts):
+        low = np.minimum.reduceat(np.minimum(np.minimum(a, b), c)[face], starts)
+        high = np.maximum.reduceat(np.maximum(np.maximum(a, b), c)[face], starts)
     inside = regions != OUTSIDE
     return regions[inside], low[inside], high[inside]
