@@ -112,8 +112,7 @@ class Posterior(Prediction):
         effects = self._imaging.effects_of(at.effects)
         renderer = self._with(effects)
         weights = self._prior.density.faces(density)
-        light = self._light(renderer, at, optics, effects)
-        spectrum = renderer.transform(vertices, weights, light)
+        spectrum, light = self._shining(renderer, vertices, weights, optics)
         nats, told, first = torch.zeros(()), None, None
         for view in self._views:
             otf = renderer.otf(optics if view.optics is None else view.optics)

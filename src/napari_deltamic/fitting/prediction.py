@@ -16,7 +16,7 @@ from ..optics import Optics
 from ..scene import Renderer
 from ..scene.columns import Now, effect_columns, optics_columns
 from ..scene.effects import Effect, Effects
-from ..scene.light import Light
+from ..scene.light import INSIDES, MEMBRANES, Light
 from .amplitudes import light_of
 from .density import Density
 from .imaging import Imaging
@@ -92,9 +92,11 @@ class Prediction:
 
     def light(self, at: Variables) -> Light:
         """What shines, and how much of each, in the first image."""
-        optics = self._imaging.optics_of(torch.tensor(at.optics))
-        effects = self._imaging.effects_of(at.effects)
-        return self._light(self._with(effects), at, optics, effects)
+        with torch.no_grad():
+            vertices, density, numbers = self._leaves(at)
+            renderer = self._with(self._imaging.effects_of(at.effects))
+            weights = self._density.faces(density)
+            return self._shining(renderer, vertices, weights, self._imaging.optics_of(numbers))[1]
 
     def shown(self, at: Variables, light: Light) -> FloatArray:
         """(N,) the first image of a light where voxels count, of amplitude 1; no gradients."""
@@ -105,17 +107,32 @@ class Prediction:
             optics = self._imaging.optics_of(numbers)
             return as_floats(view.voxels.of(self._image(view, renderer, spectrum, optics)))
 
-    def _light(self, renderer: Renderer, at: Variables, optics: Optics, effects: Effects) -> Light:
+    def _shining(
+        self, renderer: Renderer, vertices: Tensor, weights: Tensor | None, optics: Optics
+    ) -> tuple[Tensor, Light]:
+        """Spectrum of what shines, and how much of each does, by the first image.
+
+        Membranes and insides are transformed once each: what shines is a sum of the two.
+        """
         view = self._views[0]
+        parts: dict[Light, Tensor] = {}
+        with torch.no_grad():
+            otf = renderer.otf(optics if view.optics is None else view.optics)
+            measured = self._measured(view, renderer.effects)
+
+        def part(light: Light) -> Tensor:
+            if light not in parts:
+                parts[light] = renderer.transform(vertices, weights, light)
+            return parts[light]
 
         def shown(light: Light) -> Tensor:
-            vertices, density, _ = self._leaves(at)
-            spectrum = renderer.transform(vertices, self._density.faces(density), light)
-            return view.voxels.of(self._image(view, renderer, spectrum, optics))
+            image = self._level.rendered(renderer, part(light).detach(), otf)
+            return view.voxels.of(image)
 
-        with torch.no_grad():
-            measured = self._measured(view, effects)
-            return light_of(self._structure, shown, measured, view.voxels.weights)
+        light = light_of(self._structure, shown, measured, view.voxels.weights)
+        each = ((light.membrane, MEMBRANES), (light.interior, INSIDES))
+        shining = [part(of) if by == 1 else by * part(of) for by, of in each if by]
+        return (shining[0] if len(shining) == 1 else shining[0] + shining[1]), light
 
     def images(self, at: Variables) -> list[FloatArray]:
         """(N,) of each view: its rendering where voxels count, of amplitude 1; no gradients."""
@@ -124,8 +141,8 @@ class Prediction:
             optics = self._imaging.optics_of(numbers)
             effects = self._imaging.effects_of(at.effects)
             renderer = self._with(effects)
-            light = self._light(renderer, at, optics, effects)
-            spectrum = renderer.transform(vertices, self._density.faces(density), light)
+            weights = self._density.faces(density)
+            spectrum, _ = self._shining(renderer, vertices, weights, optics)
             return self._of_every_view(renderer, spectrum, optics)
 
     def images_of(self, mesh: Mesh, at: Variables, accuracy: float) -> list[FloatArray]:
@@ -144,7 +161,7 @@ class Prediction:
             _, density, numbers = self._leaves(at)
             optics = self._imaging.optics_of(numbers)
             effects = self._imaging.effects_of(at.effects)
-            light = self._light(self._with(effects), at, optics, effects)
+            light = self.light(at)
             insides = light.interior != 0
             renderer = self._level.renderer(mesh, optics, effects, accuracy, insides)
             there = self._faces_on
@@ -232,8 +249,8 @@ class Prediction:
         effects = effects if further is None else effects.adding(further)
         renderer = self._with(effects)
         weights = self._density.faces(density)
-        light = self._light(renderer, at, optics, effects)
-        spectrum, otf = renderer.transform(vertices, weights, light), renderer.otf(optics)
+        spectrum, light = self._shining(renderer, vertices, weights, optics)
+        otf = renderer.otf(optics)
         image = view.voxels.of(self._level.rendered(renderer, spectrum, otf))
         _, found = match(image, self._measured(view, effects), view.voxels.weights)
         return Now(
