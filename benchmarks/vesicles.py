@@ -89,7 +89,8 @@ def vesicles(options: Options) -> list[Row]:
     with tempfile.TemporaryDirectory() as folder:
         mesh, seconds, report = run(path, CENTRES, Path(folder) / "centres")
         rows = [at_most("vesicles, whole command", 60, seconds, "s")]
-        rows += _ridge_rows(mesh, image)
+        rendered = read_image(Path(folder) / "centres" / "rendered.tif")[0].astype(np.float32)
+        rows += _ridge_rows(mesh, image, rendered)
         alarms = [w for w in report["warnings"] if "leaked" in w]
         rows.append(at_most("vesicles, leaks reported", 0, len(alarms), ""))
         sets, inside, tried = shifted(image, points)
@@ -108,15 +109,20 @@ def vesicles(options: Options) -> list[Row]:
     return rows
 
 
-def _ridge_rows(mesh: Mesh, image: np.ndarray) -> list[Row]:
+def _ridge_rows(mesh: Mesh, image: np.ndarray, rendered: np.ndarray) -> list[Row]:
+    """The distance to the ridge, and what of it the rendered image does not show as well."""
     rows = []
     regions = [r for r in mesh.region_ids() if r != 0]
     closed = sum(mesh.is_closed(r) for r in regions)
     rows.append(at_least("vesicles, closed surfaces", 3, closed, ""))
     for region in regions:
-        found = ridge_distance(mesh.region_surface(region), image, VOXEL_SIZE).summary()
+        surface = mesh.region_surface(region)
+        measured = ridge_distance(surface, image, VOXEL_SIZE)
+        beyond = measured.beyond(ridge_distance(surface, rendered, VOXEL_SIZE)).summary()
+        found = measured.summary()
         note = (
             f"axial {found['axial_um'] * 1000:.0f} nm, "
+            f"shift {found['lateral_shift_um'] * 1000:.0f} nm, "
             f"no ridge on {found['fraction_without_ridge']:.1%}"
         )
         rows.append(
@@ -128,6 +134,12 @@ def _ridge_rows(mesh: Mesh, image: np.ndarray) -> list[Row]:
                 note,
             )
         )
+        name = f"vesicle {region}, the same, less what the rendered image shows"
+        note = (
+            f"shift {beyond['lateral_shift_um'] * 1000:.0f} nm, "
+            f"axial {beyond['axial_um'] * 1000:.0f} nm"
+        )
+        rows.append(Row(name, "", beyond["lateral_voxels"], "voxel", None, note))
     return rows
 
 

@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from napari_deltamic import GaussianPSF, Grid, render
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.mesh import Mesh
 from napari_deltamic.geometry.primitives import sphere
@@ -119,3 +120,23 @@ def test_lines_lie_evenly_over_a_face(voxel, count):
     assert (spots > 0).all()
     assert np.allclose(spots.sum(1), 1)
     assert np.allclose(spots.mean(0), 1 / 3)
+
+
+def test_the_ridge_of_its_own_image_tells_what_blur_does() -> None:
+    grid = Grid(SHAPE, tuple(SIZE))
+    optics = GaussianPSF((0.4, 0.15, 0.15))
+
+    def rendered(mesh: Mesh) -> NDArray[np.float64]:
+        return render(mesh, grid, optics, 1e-3).numpy()
+
+    truth, larger = (sphere(CENTER, r, edge_length=0.2) for r in (1.3, 1.35))
+    image = rendered(truth)
+    plain = ridge_distance(truth, image, SIZE)
+    # A right shape lies outside of the ridge of its image.
+    assert plain.summary()["lateral_shift_um"] < -0.03
+    assert plain.beyond(plain).summary()["lateral_um"] == 0
+    off = ridge_distance(larger, image, SIZE)
+    beyond = off.beyond(ridge_distance(larger, rendered(larger), SIZE))
+    assert beyond.summary()["lateral_shift_um"] == pytest.approx(-0.05, abs=0.01)
+    with pytest.raises(InputError, match="one mesh"):
+        off.beyond(ridge_distance(sphere(CENTER, 1.3, edge_length=0.4), image, SIZE))

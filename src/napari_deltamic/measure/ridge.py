@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -41,6 +41,26 @@ class RidgeDistance:
     def found(self) -> NDArray[np.bool_]:
         """(F,) bool, True where there is a ridge."""
         return np.isfinite(self.offset)
+
+    def beyond(self, own: RidgeDistance) -> RidgeDistance:
+        """Offsets less those of the mesh in its own rendered image; nan where one has no ridge.
+
+        The ridge of a blurred membrane is not where the membrane is (see `ridge_distance`). In the
+        image rendered of a mesh it is off by the same, as far as its PSF is right: what remains is
+        how far the mesh lies from where it would explain the measured ridge.
+
+        Parameters
+        ----------
+        own : distances of the same mesh, measured in its rendered image.
+
+        Raises
+        ------
+        InputError
+            They are of another number of faces.
+        """
+        if own.offset.shape != self.offset.shape:
+            raise InputError("the two ridges must be those of one mesh")
+        return replace(self, offset=self.offset - own.offset)
 
     def summary(self) -> dict[str, float]:
         """Medians over faces with a ridge (nan without any), counts, and the share without.
@@ -80,8 +100,9 @@ def ridge_distance(
     image are left out.
 
     The maximum of an image is not quite where the membrane is: a blurred shell of radius R peaks
-    inside by about sigma^2 / R, and a slope of haze pulls it further. Differences between meshes
-    on one image are more telling than a value.
+    inside by about sigma^2 / R, where the sigma of a tall PSF counts even at upright walls, and a
+    slope of haze pulls it further. `RidgeDistance.beyond` takes off what a rendered image of the
+    mesh shows of this.
 
     Parameters
     ----------
