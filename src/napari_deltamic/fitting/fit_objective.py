@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..common.choices import Structure
 from ..runs.settings import FitSettings
 from .collisions import CollisionGuard
 from .convergence import Patches, Remaining
@@ -22,7 +21,7 @@ from .posterior import Evaluation
 from .preconditioner import NEAR_JUNCTIONS, Preconditioners
 from .prediction import View
 from .schedule import Schedule
-from .structure_choice import chosen
+from .structure_choice import Chosen, chosen
 from .variables import Variables
 
 _STRAYED = 0.97  # of as far as vertices may go: what is as far has arrived there
@@ -166,9 +165,9 @@ class Objective:
         there = np.linalg.norm(away, axis=1) > _STRAYED * self._farthest
         return float(there.mean()) > self.terms.schedule.strayed
 
-    def structure(self) -> Structure:
+    def structure(self) -> Chosen:
         """What the image says that shines, of what may."""
-        return chosen(self.posed.posterior, self._descent.at, self.fitted.mesh)
+        return chosen(self.posed.posterior, self._descent.at, self.now, self.fitted.mesh)
 
     def remaining(self, tolerance: float) -> Remaining:
         """What is still to come where most is; tolerance : um."""

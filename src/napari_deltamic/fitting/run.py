@@ -99,8 +99,7 @@ class Run:
         asked = self._settings.structure == "auto" and self._fitted.structure == "both"
         if not (comes_last and asked):
             return
-        found = self._objective.structure()
-        if found != "membrane":
+        if self._objective.structure().structure != "membrane":
             self._fitted, taken = best_of(self._terms, self._fitted)
             self._stage = replace(self._stage, evaluations=self._stage.evaluations + taken)
 
@@ -162,10 +161,12 @@ class Run:
         self._objective = self._posed(views)
         if self._structure_is_open:
             found = self._objective.structure()
-            if found != self._fitted.structure:
-                self._fitted = self._fitted.with_structure(found)
-                self._stage = replace(self._stage, progress=self._stage.progress.released())
+            progress = replace(self._stage.progress, sure=found.sure)
+            if found.structure != self._fitted.structure:
+                self._fitted = self._fitted.with_structure(found.structure)
+                progress = progress.released()
                 self._objective = self._posed(())
+            self._stage = replace(self._stage, progress=progress)
         posed, progress = self._objective.posed, self._stage.progress
         progress = progress if posed.held else progress.freed()
         value = self._objective.now.value
@@ -192,7 +193,7 @@ class Run:
         """Whether to ask what shines: at the last level, once the surface has come near."""
         asked = self._settings.structure == "auto" and self._fitted.structure == "both"
         near = self._stage.level_number > 0 or self._stage.progress.iterations > 0
-        return asked and self._last and near
+        return asked and self._last and near and not self._stage.progress.sure
 
     @property
     def _density_fitted(self) -> bool:
@@ -234,7 +235,7 @@ class Run:
         self._stage = replace(self._stage, remaining=remaining, progress=progress)
         if not progress.at_rest(schedule):
             return False
-        late = progress.iterations >= 2 * schedule.patience
+        late = progress.iterations >= schedule.patience
         if not (progress.settled or late) and progress.stuck <= 1:
             self._due = True  # its variance is still that of a surface further off
             return False

@@ -63,7 +63,7 @@ class Schedule:
     coarse_most: int = 30
     gain: float = 0.1
     moving: float = 0.01
-    patience: int = 80
+    patience: int = 60
     doubled_every: int = 20
     rests: int = 2
     held: int = 3
@@ -101,6 +101,8 @@ class Progress:
         How often no way down was found since a step last gained something.
     rests
         How often in a row hardly anything was left to gain.
+    sure
+        Whether it is clear what shines.
     """
 
     iterations: int = 0
@@ -112,6 +114,7 @@ class Progress:
     settled: bool = False
     stuck: int = 0
     rests: int = 0
+    sure: bool = False
 
     def posed(
         self,

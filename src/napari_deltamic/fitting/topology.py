@@ -214,6 +214,11 @@ class TopologyPolicy:
         futile = () if tried else self.futile
         return replace(self, past=(*self.past, *places), futile=futile, most=_ALL, late=late)
 
+    def unlimited(self) -> TopologyPolicy:
+        """Go on with other places: that some of those before could not be changed together says
+        nothing of them."""
+        return replace(self, most=_ALL)
+
     def refused(
         self, places: Sequence[ThinPlace], hopeless: Sequence[ThinPlace], tried: bool
     ) -> TopologyPolicy:

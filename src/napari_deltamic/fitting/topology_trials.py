@@ -75,6 +75,7 @@ class TopologyTrials:
         if not _may_change(fitted, settings, factor):
             return fitted
         width = max(fitted.optics.sigma_um)
+        self.policy = self.policy.unlimited()
         candidates = self.policy.candidates(fitted.shape, width)
         while places := self.policy.worth_a_trial(candidates, fitted.shape, width):
             known = len(self.policy.futile), self.policy.most
