@@ -3,8 +3,9 @@
 ``python -m benchmarks.thresholds`` counts them in the rooms that have most, ``--list`` names those
 without a reason. Counted are named numbers (constants of a module, defaults of a dataclass) and
 fractions within functions; not 0, 1, 2, one half, guards against a division by zero, or the file
-that draws charts. A reason is a measurement, a benchmark, a paper, or what would happen otherwise,
-in the comment at the number, in the comment above it, or in the docstring where it is an attribute.
+that draws charts. A reason is a measurement, a benchmark, a paper, what would happen otherwise, or
+the admission that it was chosen; in the comment at the number, in the comment above it, or in the
+docstring where it is an attribute.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ ROOMS = ("fitting", "evidence", "tracking", "geometry", "measure", "accuracy")
 DRAWN = "chart.py"  # decides how something looks only
 PLAIN = {0, 1, 2, 0.5, -1}
 REASON = re.compile(
-    r"measured|benchmark|docs/|chosen|paper|prototype|criterion|standard normal|\b(19|20)\d\d\b"
+    r"[Mm]easured|[Cc]hosen|benchmark|docs/|paper|prototype|criterion|standard normal"
+    r"|\b(19|20)\d\d\b"
     r"|so that|\belse\b|otherwise|would|could|since|because|hardly|rounding"
     r"|\bseen\b|found|\bthan\b|enough|only|limits? of|definition|exact|whose|told|cannot|no use"
     r"|precision|as [\w.]+ does"

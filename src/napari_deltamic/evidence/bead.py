@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 from torch import Tensor
 
+from ..common.normal import SIGMA_PER_MEDIAN_DEVIATION
 from ..errors import InputError
 from ..fourier import Band
 from ..optics import Optics
@@ -23,7 +24,7 @@ from .camera import camera_from_image
 from .evidence_rules import BEAD
 
 Staining = Literal["solid", "shell", "rim"]
-_HALF_WIDTH = 2.355  # full width at half maximum of a Gaussian of sigma 1
+_HALF_WIDTH = 2.355  # by definition 2 sqrt(2 ln 2): at half the maximum of a Gaussian of sigma 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,11 +125,11 @@ def fit_bead(
         pixels, weight, voxel_size, optics, bead_diameter, bead, disturbances, pixel_integration
     )
     p = problem.start()
-    damping, cost, linear = 1e-3, *problem.cost(p)
+    damping, cost, linear = BEAD.first_damping, *problem.cost(p)
     for _ in range(iterations):
         normal, right = problem.unblocked(p, *problem.normal(p, linear))
         fallen = 0.0
-        while damping < 1e8:
+        while damping < BEAD.most_damping:
             diagonal = torch.diagonal(normal)
             # What the image says nothing of stays where it is.
             least = 1e-12 * diagonal.max()
@@ -138,7 +139,7 @@ def fit_bead(
             if new < cost:
                 fallen = 1 - new / cost
                 p, cost, linear = moved, new, new_linear
-                damping = max(damping / 10, 1e-9)
+                damping = max(damping / 10, BEAD.least_damping)
                 break
             damping *= 10
         if fallen < BEAD.settled:
@@ -327,7 +328,7 @@ def _variance(pixels: NDArray[np.float64]) -> NDArray[np.float64]:
     if line is not None:
         return line.variance(pixels)
     dark = float(np.median(pixels))
-    spread = 1.4826 * float(np.median(np.abs(pixels - dark)))
+    spread = SIGMA_PER_MEDIAN_DEVIATION * float(np.median(np.abs(pixels - dark)))
     return np.full(pixels.shape, spread**2)
 
 
@@ -343,7 +344,7 @@ def physical_errors(optics: Optics, covariance: Tensor) -> dict[str, float]:
         moved = optics.with_parameters(parameters)
         return np.array([q.value for q in moved.described() if q.fitted])
 
-    h = 1e-4
+    h = BEAD.unit_step
     slope = np.zeros((len(names), len(p)))
     for i in range(len(p)):
         change = torch.zeros_like(p)

@@ -16,14 +16,16 @@ from math import sqrt
 import numpy as np
 from scipy.ndimage import correlate1d, minimum_filter, uniform_filter
 
+from ..common.normal import SIGMA_PER_MEDIAN_DEVIATION
 from .estimate import Finding, unknown
 from .evidence_rules import CAMERA
 
-_SECOND = np.array([1.0, -2.0, 1.0]) / sqrt(6)  # along each axis: what it leaves of smooth parts is
-_SQUARES = _SECOND**2  # of sixth order; the mean with these weights is that of the noise it leaves
-# How many voxels share one independent square: squared autocorrelation of the filter's noise.
+_SECOND = np.array([1.0, -2.0, 1.0]) / sqrt(6)  # along each axis, so that what is left of smooth
+_SQUARES = _SECOND**2  # parts is of sixth order; means with these weights are those of what is left
+# How many voxels share one independent square: by definition the sum of squared autocorrelations of
+# the filter, 1, -2/3 and 1/6 along each axis.
 _SHARED = (1 + 2 * (4 / 9 + 1 / 36)) ** 3
-_WHITE = -2 / 3  # correlation of neighbours in filtered white noise
+_WHITE = -2 / 3  # of neighbours in filtered white noise, whose autocorrelation this is
 
 
 @dataclass(frozen=True)
@@ -147,7 +149,8 @@ def _ends(values: np.ndarray) -> tuple[Finding, float | None]:
         high = Finding(float(levels[-1]), 0.0, f"{top} voxels have exactly the largest value")
     # Few photons a voxel also pile up at zero, but then every next value is rarer in proportion.
     first, second, third = (float(c) for c in counts[:3])
-    cut = first > 0.005 * values.size and first > 5 * second and first / second > 3 * second / third
+    many = first > CAMERA.cut_share * values.size and first > CAMERA.over_next * second
+    cut = many and first / second > CAMERA.falls * second / third
     return high, float(levels[0]) if cut else None
 
 
@@ -167,8 +170,8 @@ def _line(values: np.ndarray, usable: np.ndarray) -> tuple[NoiseLine | None, str
     if whole.sum() < 4096:
         return None, "too few voxels are neither missing nor cut"
     m, r = mean[whole], noise[whole]
-    spread = 1.4826 * float(np.median(np.abs(r)))
-    if spread <= 1e-7 * float(np.abs(m).max()):
+    spread = SIGMA_PER_MEDIAN_DEVIATION * float(np.median(np.abs(r)))
+    if spread <= CAMERA.noiseless * float(np.abs(m).max()):
         return None, "the image has no noise"
     related = [_neighbours(noise, whole, axis) for axis in range(3)]
     if max(abs(c - _WHITE) for c in related) > CAMERA.coloured:
@@ -204,7 +207,7 @@ def _binned(
     around: np.ndarray, mean: np.ndarray, noise: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Number of voxels, mean and mean square of the noise in bins of the brightness around."""
-    low, high = np.quantile(around, (0.001, 0.9995))
+    low, high = np.quantile(around, CAMERA.levels)
     # Even in the square root of brightness: there counted photons spread alike.
     edges = low + (high - low) * np.linspace(0, 1, CAMERA.bins + 1) ** 2
     which = np.digitize(around, edges) - 1
@@ -216,7 +219,7 @@ def _binned(
             continue
         r = noise[inside].astype(np.float64)
         # Structure finer than the PSF (hot voxels) is cut, the tails of the noise are not.
-        limit = 5 * 1.4826 * np.median(np.abs(r)) + 1e-30
+        limit = 5 * SIGMA_PER_MEDIAN_DEVIATION * np.median(np.abs(r)) + 1e-30
         square = float((np.clip(r, -limit, limit) ** 2).mean())
         found.append((n, float(mean[inside].mean()), square))
     columns = np.array(found).reshape(-1, 3).T
@@ -232,7 +235,8 @@ def _weighted_line(x: np.ndarray, v: np.ndarray, n: np.ndarray) -> tuple[float, 
         spread = float((w * (x - middle) ** 2).sum())
         slope = float((w * (x - middle) * v).sum()) / max(spread, 1e-300)
         intercept = float(np.average(v, weights=w) - slope * middle)
-        model = np.maximum(slope * x + intercept, 0.2 * np.minimum(v.min(), model.min()) + 1e-300)
+        least = CAMERA.flattest * np.minimum(v.min(), model.min())
+        model = np.maximum(slope * x + intercept, least + 1e-300)
     # Where the line does not hold (structure, a camera's own noise) the scatter says so.
     excess = max(1.0, float((w * (v - slope * x - intercept) ** 2).sum()) / max(len(x) - 2, 1))
     return slope, intercept, sqrt(excess / max(spread, 1e-300))
@@ -242,7 +246,7 @@ def _rescaled(pixels: np.ndarray, finite: np.ndarray) -> bool:
     if not np.issubdtype(pixels.dtype, np.floating):
         return False
     low, high = float(pixels[finite].min()), float(pixels[finite].max())
-    return abs(high - 1) < 1e-6 and abs(low) < 0.5
+    return abs(high - 1) < 1e-6 and abs(low) < 0.5  # rounding; counts would begin at whole numbers
 
 
 # ---------------------------------------------------------------------------------- dark voxels

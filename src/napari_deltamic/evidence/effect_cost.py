@@ -15,8 +15,10 @@ from ..optics import Optics
 from ..scene import Grid, Renderer, Scene
 from ..scene.effects import Effect, Effects
 
-_PASSES = 6.0  # over the voxels that the loss and its gradient take
-_LONGEST, _FEWEST = 0.2, 3  # seconds of timing, repeats
+# Over the voxels that the loss and its gradient take: read, weigh, square; and back. Chosen, not
+# measured.
+_PASSES = 6.0
+_LONGEST, _FEWEST = 0.2, 3  # seconds and repeats of timing: enough for a least time, hardly noticed
 
 
 class EffectCosts:

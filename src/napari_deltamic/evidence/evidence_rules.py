@@ -1,7 +1,8 @@
 """The numbers that decide which effects an image calls for, and what it tells of its camera.
 
 ``python -m benchmarks.effects`` measures what these values find and miss (docs/effects.md); what
-single ones could be instead has been measured only where that is said.
+single ones could be instead has been measured only where that is said. "Half and twice" are those
+of ``python -m benchmarks.half_and_twice``, on its six small stacks.
 """
 
 from __future__ import annotations
@@ -133,6 +134,19 @@ class CameraRules:
         with fewer dark voxels their spread is not that of read noise.
     looked_at
         Voxels that are enough: more would take longer than a second.
+    cut_share, over_next, falls
+        Dark voxels were cut where those of the least value are more than such a share of all, so
+        many times those of the next value, and where this ratio is so many times the next ratio,
+        since few photons fall off evenly. Measured on eleven stacks, three of them cut, two of 1
+        and 3 photons: half and twice of the first and last change nothing; half of ``over_next``
+        sees one more cut, of three tenths of the voxels, which 5 does not.
+    levels
+        Quantiles of the brightness between which bins lie: single voxels beyond would stretch them.
+    noiseless
+        Noise over the largest value: less is rounding of single precision.
+    flattest
+        Of the smallest variance: a line that falls below it would give weights without bounds.
+        Measured: half and twice change nothing.
     """
 
     coloured: float = 0.06
@@ -142,6 +156,78 @@ class CameraRules:
     dark_radius: int = 2
     fewest_dark: int = 2000
     looked_at: int = 4_000_000
+    cut_share: float = 0.005
+    over_next: float = 5.0
+    falls: float = 3.0
+    levels: tuple[float, float] = (0.001, 0.9995)
+    noiseless: float = 1e-7
+    flattest: float = 0.2
+
+
+@dataclass(frozen=True)
+class SpectrumRules:
+    """When the spectrum of an image tells the width of its PSF.
+
+    Attributes
+    ----------
+    rings
+        Of wavenumbers in the plane. Measured: half and twice change widths by 0.5 % at most.
+    largest_error
+        Relative. Chosen, not measured: a start that is off by a quarter is still one.
+    shape_error
+        Relative, added to each error: surfaces do not face every direction alike. Found on spheres
+        and ellipsoids.
+    longest_wave
+        Of the image's side: longer waves tell of its frame. Measured: half and twice change widths
+        by 0.2 % at most.
+    looked_at
+        Voxels, of the middle: more would take longer than 2 s, as measured.
+    most_modes
+        That a ring counts as, since the modes of one ring belong to one shape. Measured: half and
+        twice change widths by 0.02 % at most.
+    noise_floor, low_waves
+        Quantiles of the power and of the wavenumbers from which the search for the noise and for
+        the light starts. Measured: half and twice change nothing.
+    starts
+        Voxels: widths from which it is searched for; three, since there could be other minima.
+        Measured: half and twice change nothing.
+    light, noise
+        Logarithms of power: how far from its start each may go, so that the search stays where
+        numbers are finite. Measured: half and twice change nothing.
+    log_widths, at_bound
+        Logarithms of widths in voxels (0.2 to 12), and how near to either end a width is not told:
+        narrower ones leave no trace below the largest wavenumber, wider ones only the frame.
+    sharp, above_noise
+        The light at the longest wave, blurred by so many voxels, must be so many times the noise:
+        otherwise there is none. Measured: half and twice change nothing.
+    step
+        Of logarithms, in differences: rounding and curvature are both below 1e-6 then.
+    in_voxels
+        Widths that a fit may start from: narrower ones the voxels cannot tell, and wider ones would
+        be haze, not a PSF.
+    z_over_yx
+        Of the widths: from a thin light sheet with its error to a low aperture; no microscope has
+        more, so that it would be something else than a PSF.
+    """
+
+    rings: int = 48
+    largest_error: float = 0.25
+    shape_error: float = 0.08
+    longest_wave: float = 0.5
+    looked_at: int = 3_000_000
+    most_modes: float = 200.0
+    noise_floor: float = 0.05
+    low_waves: float = 0.2
+    starts: tuple[float, ...] = (0.8, 1.5, 3.0)
+    light: tuple[float, float] = (-12.0, 12.0)
+    log_widths: tuple[float, float] = (-1.6, 2.5)
+    noise: tuple[float, float] = (-4.0, 6.0)
+    at_bound: float = 0.01
+    sharp: float = 0.3
+    above_noise: float = 3.0
+    step: float = 1e-4
+    in_voxels: tuple[float, float] = (0.5, 4.0)
+    z_over_yx: tuple[float, float] = (0.7, 7.0)
 
 
 @dataclass(frozen=True)
@@ -191,6 +277,12 @@ class BeadRules:
         voxels.
     accuracy
         Of the images: below the noise of any bead's image.
+    first_damping, least_damping, most_damping
+        Of Levenberg-Marquardt, relative to the diagonal; at the last nothing moves, so that the
+        search has ended. Measured: half and twice of any change nothing.
+    unit_step
+        By which errors in the PSF's numbers are carried over to its units: rounding and curvature
+        are both below 1e-6 then.
     """
 
     difference: float = 1e-3
@@ -201,6 +293,10 @@ class BeadRules:
     cores: tuple[float, float] = (0.02, 0.98)
     settled: float = 1e-4
     accuracy: float = 1e-3
+    first_damping: float = 1e-3
+    least_damping: float = 1e-9
+    most_damping: float = 1e8
+    unit_step: float = 1e-4
 
 
 @dataclass(frozen=True)
@@ -226,5 +322,5 @@ class ResidualRules:
 
 
 REFIT, MODES, JUDGING = RefitRules(), ModeRules(), JudgingRules()
-CAMERA, SLICES = CameraRules(), SliceRules()
+CAMERA, SPECTRUM, SLICES = CameraRules(), SpectrumRules(), SliceRules()
 BEAD, RESIDUAL = BeadRules(), ResidualRules()

@@ -18,15 +18,7 @@ from scipy.optimize import minimize
 from ..fitting.job import SIGMA_IN_VOXELS
 from ..runs.settings import SceneSettings
 from .estimate import Finding, unknown
-
-_RINGS = 48  # of wavenumbers, along z and in the plane
-_LARGEST_ERROR = 0.25  # relative
-_SHAPE_ERROR = 0.08  # relative: surfaces do not face every direction alike (spheres, ellipsoids)
-_LONGEST_WAVE = 0.5  # of the image's side: longer ones tell its frame
-_CROP = 3_000_000  # voxels
-# A width that can be used: told by the voxels, and not of something else than a PSF.
-_IN_VOXELS = (0.5, 4.0)
-_Z_OVER_YX = (0.7, 7.0)  # of a thin light sheet with its error, of a low aperture
+from .evidence_rules import SPECTRUM
 
 
 @dataclass(frozen=True)
@@ -70,9 +62,10 @@ def plausible_sigma(
         return None
     z, yx = found.z.value, found.yx.value
     in_voxels = z / voxel_size[0], yx / max(voxel_size[1:])
-    if not all(_IN_VOXELS[0] <= width <= _IN_VOXELS[1] for width in in_voxels):
+    low, high = SPECTRUM.in_voxels
+    if not all(low <= width <= high for width in in_voxels):
         return None
-    if not _Z_OVER_YX[0] <= z / yx <= _Z_OVER_YX[1]:
+    if not SPECTRUM.z_over_yx[0] <= z / yx <= SPECTRUM.z_over_yx[1]:
         return None
     return z, yx, yx
 
@@ -92,7 +85,7 @@ def with_first_psf(scene: SceneSettings, image: np.ndarray) -> tuple[SceneSettin
 
 def _prepared(pixels: np.ndarray) -> np.ndarray:
     """The middle of the stack, without its mean, fading towards the border."""
-    share = min(1.0, (_CROP / pixels.size) ** 0.5)
+    share = min(1.0, (SPECTRUM.looked_at / pixels.size) ** 0.5)
     kept = [pixels.shape[0], *(max(1, int(n * share)) for n in pixels.shape[1:])]
     cut = tuple(
         slice((n - m) // 2, (n - m) // 2 + m) for n, m in zip(pixels.shape, kept, strict=True)
@@ -116,15 +109,15 @@ def _rings(
     axes.append(2 * pi * np.fft.rfftfreq(n[2], voxel_size[2]))
     kz = np.abs(axes[0])[:, None, None] + np.zeros(power.shape)
     plane = np.sqrt(axes[1][:, None] ** 2 + axes[2][None] ** 2)[None] + np.zeros(power.shape)
-    long_z = kz < 2 * pi / (_LONGEST_WAVE * n[0] * voxel_size[0])
+    long_z = kz < 2 * pi / (SPECTRUM.longest_wave * n[0] * voxel_size[0])
     longest = min(n[1] * voxel_size[1], n[2] * voxel_size[2])
-    long_yx = plane < 2 * pi / (_LONGEST_WAVE * longest)
+    long_yx = plane < 2 * pi / (SPECTRUM.longest_wave * longest)
     limit = pi / max(voxel_size[1:])
     used = ~(long_z & long_yx) & (plane <= limit)
     # One ring a frequency along z: there are few. Rings in the plane are finer near the middle.
     row = np.rint(kz / (2 * pi / (n[0] * voxel_size[0]))).astype(int)
-    column = np.minimum((plane / limit * _RINGS).astype(int), _RINGS - 1)
-    ring = (row * _RINGS + column)[used]
+    column = np.minimum((plane / limit * SPECTRUM.rings).astype(int), SPECTRUM.rings - 1)
+    ring = (row * SPECTRUM.rings + column)[used]
     count = np.bincount(ring)
     filled = count > 0
 
@@ -143,9 +136,9 @@ def _fitted(
 ) -> FirstSigma:
     size = np.array([voxel_size[0], max(voxel_size[1:])])
     squared = kz**2 + k**2
-    floor = float(np.quantile(power, 0.05)) + 1e-30
+    floor = float(np.quantile(power, SPECTRUM.noise_floor)) + 1e-30
     # The modes of one ring belong to one shape: they are not as many draws as they are.
-    weight = np.minimum(count, 200.0)
+    weight = np.minimum(count, SPECTRUM.most_modes)
 
     def model(p: np.ndarray) -> np.ndarray:
         width_z, width_yx = np.exp(p[1:3]) * size
@@ -157,29 +150,36 @@ def _fitted(
         m = model(p)
         return float((weight * (np.log(m) + power / m)).sum())
 
-    low = squared < np.quantile(squared, 0.2)
+    low = squared < np.quantile(squared, SPECTRUM.low_waves)
     start = float(np.log(np.median(power[low] * squared[low]) + 1e-30))
     noise = float(np.log(floor))
-    bounds = [(start - 12, start + 12), (-1.6, 2.5), (-1.6, 2.5), (noise - 4, noise + 6)]
+    (darker, brighter), (quieter, louder) = SPECTRUM.light, SPECTRUM.noise
+    bounds = [
+        (start + darker, start + brighter),
+        SPECTRUM.log_widths,
+        SPECTRUM.log_widths,
+        (noise + quieter, noise + louder),
+    ]
     tried = (
         minimize(loss, [start, w, w, noise], method="L-BFGS-B", bounds=bounds)
-        for w in np.log((0.8, 1.5, 3.0))
+        for w in np.log(SPECTRUM.starts)
     )
     best = min(tried, key=lambda r: float(r.fun))
     p = np.asarray(best.x)
-    if not (np.exp(p[0] - (size.min() * 0.3) ** 2) / squared.min() > 3 * np.exp(p[3])):
+    signal = np.exp(p[0] - (size.min() * SPECTRUM.sharp) ** 2) / squared.min()
+    if not signal > SPECTRUM.above_noise * np.exp(p[3]):
         nothing = unknown("the spectrum shows no structure above the noise")
         return FirstSigma(nothing, nothing)
     errors = _errors(model, p, weight)
     return FirstSigma(
-        _width(p[1], float(errors[1]), size[0], bounds[1], "z"),
-        _width(p[2], float(errors[2]), size[1], bounds[2], "y and x"),
+        _width(p[1], float(errors[1]), size[0], "z"),
+        _width(p[2], float(errors[2]), size[1], "y and x"),
     )
 
 
 def _errors(model, p: np.ndarray, weight: np.ndarray) -> np.ndarray:  # type: ignore[no-untyped-def]
     """Standard deviations of the parameters, from the Fisher information of the periodogram."""
-    h = 1e-4
+    h = SPECTRUM.step
     base = model(p)
     columns = []
     for i in range(len(p)):
@@ -191,11 +191,11 @@ def _errors(model, p: np.ndarray, weight: np.ndarray) -> np.ndarray:  # type: ig
     return np.sqrt(np.maximum(np.diag(np.linalg.pinv(information)), 0))
 
 
-def _width(
-    log_width: float, error: float, size: float, bounds: tuple[float, float], axis: str
-) -> Finding:
-    if error > _LARGEST_ERROR or not bounds[0] + 0.01 < log_width < bounds[1] - 0.01:
+def _width(log_width: float, error: float, size: float, axis: str) -> Finding:
+    low, high = SPECTRUM.log_widths
+    inside = low + SPECTRUM.at_bound < log_width < high - SPECTRUM.at_bound
+    if error > SPECTRUM.largest_error or not inside:
         return unknown(f"the spectrum does not tell the width along {axis}")
     sigma = float(np.exp(log_width)) * size
-    error = hypot(error, _SHAPE_ERROR)
+    error = hypot(error, SPECTRUM.shape_error)
     return Finding(sigma, error * sigma, "where the spectrum sinks into the noise")

@@ -21,7 +21,7 @@ from .residual import Residual
 from .verdict import SETTINGS, CellFacts, Facts, Verdict, judged
 
 _DEEP, _FAR = 2.5, 6.0  # widths of the PSF from a surface: what its own light hardly reaches
-_FEWEST = 30  # voxels that a mean brightness is taken from
+_FEWEST = 30  # voxels whose mean is told to a fifth of their spread: enough for what is judged
 
 
 def verdict_of(

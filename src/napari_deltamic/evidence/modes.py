@@ -14,10 +14,12 @@ from ..fitting.preconditioner import adjacency
 from ..geometry.mesh import Mesh
 from .evidence_rules import MODES
 
-# Vertices up to which a dense solver is quicker: 0.005 against 0.014 s at 362 on a sphere, 0.032
-# against 0.022 s at 642, 0.060 against 0.031 s at 812. It also lets no other thread of Python run
-# (SciPy's LAPACK keeps the interpreter's lock): with 1500, a window stood still for half a second.
+# Vertices up to which a dense solver is quicker, measured on a sphere: 0.005 and 0.014 s at 362,
+# 0.032 against 0.022 s at 642, 0.060 against 0.031 s at 812. It also lets no other thread of Python
+# run (SciPy's LAPACK keeps the interpreter's lock): with 1500, a window stood still for half a
+# second.
 _DENSE = 500
+_BELOW_ALL = -1e-3  # where eigenvalues are sought: 0 is one, whose matrix could not be inverted
 
 
 @dataclass(frozen=True)
@@ -141,7 +143,7 @@ def _smoothest(links: sp.csr_matrix, count: int) -> np.ndarray:
     if n <= _DENSE:
         return np.asarray(eigh(laplacian.toarray(), subset_by_index=[0, count - 1])[1])
     start = np.random.default_rng(0).standard_normal(n)  # the same on every run
-    values, vectors = eigsh(laplacian.tocsc(), count, sigma=-1e-3, v0=start)
+    values, vectors = eigsh(laplacian.tocsc(), count, sigma=_BELOW_ALL, v0=start)
     return np.asarray(vectors[:, np.argsort(values)])
 
 

@@ -20,7 +20,7 @@ from ..scene.light import INSIDES
 from .candidates import allowed, chosen_candidates, points_inwards, variants
 
 _DRAWS = 16  # of the noise: over hundreds of patches, enough for their mean square
-_SURE = 4.5  # nats: three standard deviations; what gains less is no alternative
+_SURE = 4.5  # nats: by definition three standard deviations; what gains less is no alternative
 _AS_GOOD = 0.5  # of what the best alternative gains: then it is as likely
 _OTHER_PSF = "another PSF"
 _INSIDE = "light inside"

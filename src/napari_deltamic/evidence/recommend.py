@@ -232,7 +232,8 @@ def _detection(camera: Camera, pixels: np.ndarray) -> Detection:
     told, line = (camera.saturation.value, failed_slices(pixels)), camera.line
     if line is None:
         low, noise = float(pixels.min()), voxel_noise(pixels, np.ones(pixels.shape, bool))
-        return Detection(1e-6 * max(noise, 1e-6), low, noise, *told)
+        almost_none = 1e-6  # of the noise: a gain so that it would not grow with brightness
+        return Detection(almost_none * max(noise, 1e-6), low, noise, *told)  # only no division by 0
     offset = line.lowest if camera.offset.value is None else camera.offset.value
     read = np.sqrt(max(line.slope * offset + line.intercept, 0.0))
     return Detection(line.slope, offset, float(read), *told)
@@ -286,4 +287,4 @@ def _reason(judged: Judged, bias: float, voxel: float, search: Search) -> str:
 
 
 def _nm(um: float) -> str:
-    return f"{1e3 * um:.2g} nm" if um < 0.01 else f"{1e3 * um:.0f} nm"
+    return f"{1e3 * um:.2g} nm" if um < 0.01 else f"{1e3 * um:.0f} nm"  # would be 1e+01 nm

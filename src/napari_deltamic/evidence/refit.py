@@ -21,6 +21,10 @@ from .image_model import ImageModel, parameters_of, with_changed
 from .modes import ShapeModes
 from .voxel_variance import Variance
 
+# Of columns of size 1, so that those that are the same as others can be solved for. Measured: with
+# a thousandth and a thousand times of it scores change by 5e-4 at most.
+_RIDGE = 1e-9
+
 
 @dataclass(frozen=True)
 class Linearised:
@@ -62,7 +66,7 @@ class Linearised:
         """Sizes of the columns, and the normal equations of columns of size 1, factorised."""
         scale = np.sqrt(np.diag(self.gram))
         scale[scale == 0] = 1.0
-        normal = self.gram / np.outer(scale, scale) + np.diag(self.prior / scale**2 + 1e-9)
+        normal = self.gram / np.outer(scale, scale) + np.diag(self.prior / scale**2 + _RIDGE)
         return scale, lu_factor(normal)
 
     def solve(self, right: np.ndarray) -> np.ndarray:

@@ -193,6 +193,7 @@ def highest_by_chance(voxels: int, sigma: np.ndarray) -> float:
     in units of the filter's full width at half maximum.
     """
     cells = voxels / float(np.prod(2 * sqrt(2 * log(2)) * np.maximum(sigma, 0.5)))
+    # The formula is that of the paper; both signs count.
     factor = 2 * max(cells, 1.0) * (4 * log(2)) ** 1.5 / (2 * pi) ** 2
 
     def beyond(z: float) -> float:
@@ -211,7 +212,7 @@ def smoothed(deviation: np.ndarray, known: np.ndarray, sigma: np.ndarray) -> np.
     # Gaussian narrower by sqrt(2).
     share = gaussian_filter(known.astype(np.float32), sigma / sqrt(2), mode="constant", truncate=4)
     left = share * _self_overlap(sigma)
-    out: np.ndarray = total / np.sqrt(np.maximum(left, 1e-6))
+    out: np.ndarray = total / np.sqrt(np.maximum(left, 1e-6))  # only where nothing is known
     return np.where(known, out, 0)
 
 
@@ -220,7 +221,7 @@ def _self_overlap(sigma: np.ndarray) -> float:
     product = 1.0
     for s in sigma:
         k = np.arange(-int(4 * s + 0.5), int(4 * s + 0.5) + 1)
-        w = np.exp(-0.5 * (k / max(s, 1e-6)) ** 2)
+        w = np.exp(-0.5 * (k / max(s, 1e-6)) ** 2)  # only so that no blur can be asked for
         product *= float(((w / w.sum()) ** 2).sum())
     return product
 

@@ -36,26 +36,31 @@ class SanitySettings:
     Attributes
     ----------
     voxel_sides
-        um; least and largest side of a voxel in the plane of a light microscope.
+        um; least and largest side of a voxel in the plane of a light microscope. Chosen, not
+        measured: from super-resolution to light sheets of whole animals.
     psf_ratios
         Width of the PSF along Z over that in the plane. Light microscopes reach from 1 (a thin
-        sheet) to about 6 (widefield, low aperture); a wrong step of Z multiplies it.
+        sheet) to about 6 (widefield, low aperture); a wrong step of Z multiplies it. Measured: 0.74
+        to 4.5 in images in order.
     elongations
         Length of structures along Z over that in the plane, from where their surfaces face.
+        Measured: 0.73 to 1.21 in order, 0.31 to 0.6 and 2.3 to 3.9 where the step is wrong.
     doubtful_ratios, doubtful_elongations
-        The same where both point the same way.
+        The same where both point the same way: both at once would be a coincidence otherwise.
     lean
         um in the plane per um along Z: of a stage that moves at 30 to 60 degrees to the plane, 0.6
         to 1.7.
     cut
-        Share of voxels at the largest value.
+        Share of voxels at the largest value. Chosen, not measured: fewer hardly move a surface.
     structure
-        Standard deviation of the smoothed image over that of noise alone.
+        Standard deviation of the smoothed image over that of noise alone. Measured: 7 or more in
+        order, 1.0 where there is only noise.
     lasting
         Correlation of slices half a stack or more apart: of depth about 0, of time near 1.
+        Measured: 0.26 at most, and 0.98 in films.
     followed
         Share of the image's variance around the seeds that distance to them explains: 0.18 or more
-        in scenes whose seeds were half a radius off or had six bright neighbours, 0.05 at most with
+        in scenes whose seeds were half a radius off or had six bright neighbours, 0.07 at most with
         seeds of another image.
     """
 
@@ -81,7 +86,8 @@ class Doubt:
 
 SETTINGS = SanitySettings()
 _AROUND = 2.0  # radii of the seeds: the ground that is to follow them
-_VOXELS = 4_000_000  # of the middle of the image: a second
+_VOXELS = 4_000_000  # of the middle of the image: more would take longer than a second
+_SMOOTHED = 1.5  # voxels: about as wide as a PSF, so that it stands out best
 
 
 def doubts(
@@ -164,8 +170,9 @@ def _middle(shape: tuple[int, ...]) -> tuple[slice, ...]:
 def structured(pixels: Pixels) -> float:
     """Standard deviation of the smoothed image over what noise of its voxels leaves there."""
     noise = voxel_noise(pixels, np.ones(pixels.shape, bool))
-    smooth = gaussian_filter(pixels, 1.5)
-    left = noise / (2 * np.sqrt(np.pi) * 1.5) ** 1.5
+    smooth = gaussian_filter(pixels, _SMOOTHED)
+    # By definition a Gaussian leaves 1 / (2 sqrt(pi) width) of the variance along each axis.
+    left = noise / (2 * np.sqrt(np.pi) * _SMOOTHED) ** 1.5
     return float(smooth.std() / left) if left > 0 else float("inf")
 
 
@@ -200,7 +207,7 @@ def _facing_of_mesh(mesh: Mesh) -> float:
 def _facing_of(pixels: Pixels, voxel_size: tuple[float, float, float]) -> float:
     """Of the image: gradients after a blur that is as wide in every direction."""
     size = np.asarray(voxel_size)
-    width = 1.5 * float(size.max())
+    width = _SMOOTHED * float(size.max())
     blurred = pixels
     for axis in range(3):
         blurred = gaussian_filter1d(blurred, max(width / size[axis], 0.5), axis, mode="nearest")
@@ -214,7 +221,7 @@ def _facing_of(pixels: Pixels, voxel_size: tuple[float, float, float]) -> float:
 
 def _facing_table() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean square of the Z part of normals over spheroids of many ratios of axes."""
-    logs = np.linspace(-2.5, 2.5, 41)
+    logs = np.linspace(-2.5, 2.5, 41)  # ratios up to 12, further than any that could be doubted
     t = (np.arange(4000) + 0.5) / 4000 * np.pi / 2  # from the pole
     found = []
     for ratio in np.exp(logs):

@@ -11,6 +11,7 @@ from math import sqrt
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from ..common.normal import SIGMA_PER_MEDIAN_DEVIATION
 from ..fitting.likelihood import voxel_noise
 from .camera import mode
 from .estimate import Finding, unknown
@@ -96,7 +97,8 @@ def drift(image: np.ndarray, voxel_size: tuple[float, float, float]) -> tuple[Fi
     error = float(np.sqrt(np.mean(open_by**2) / 3 + (SLICES.least_error * size.mean()) ** 2))
     steps = next_one * size
     rate = np.median(steps, axis=0) / voxel_size[0]
-    spread = 1.4826 * np.median(np.abs(steps - np.median(steps, axis=0)), axis=0)
+    off = np.median(np.abs(steps - np.median(steps, axis=0)), axis=0)
+    spread = SIGMA_PER_MEDIAN_DEVIATION * off
     lean = Finding(
         float(np.hypot(*rate)),
         float(np.hypot(*spread)) / voxel_size[0] / sqrt(len(steps)),

@@ -14,8 +14,10 @@ from ..scene import Grid, Renderer, Scene
 from .fitted_scene import FittedScene
 from .modes import ShapeModes
 
-_MOVE = 0.08  # of the PSF's width: a difference of shapes
-_ACCURACY = 1e-2  # derivatives in the shape are many and need not be better
+# Of the PSF's width: a difference of shapes. Measured: half changes scores by 0.7 % and errors of a
+# PSF by 3 %, twice by 5 % and 12 %.
+_MOVE = 0.08
+_ACCURACY = 1e-2  # derivatives are many. Measured: half and twice change scores by 1 and 7 %
 
 
 class SurfaceColumns:

@@ -14,7 +14,7 @@ from ..scene.effects import DepthEffect, FaceEffect
 from ..scene.light import INSIDES, MEMBRANES, Light
 from .fitted_scene import FittedScene
 
-_KEPT = 12  # parts; those of a scene and of its candidates are asked for again and again
+_KEPT = 12  # parts of a scene and of its candidates, asked for again; more would only take memory
 
 
 class Transforms:

@@ -26,15 +26,17 @@ class VerdictSettings:
     ----------
     good, fair
         Least share of the signal around the surfaces that is explained, noise left out. Real
-        surfaces that lay where they should explained 0.79 to 0.95, wrong ones 0.11 to 0.45.
+        surfaces that lay where they should explained 0.79 to 0.95, as measured, wrong ones 0.11 to
+        0.45.
     stray
-        Largest share of the light of a cell that one place of the residual may hold. Scenes within
-        0.2 voxel had up to 0.09, nuclei and haze fitted as membranes 0.15 or more.
+        Largest share of the light of a cell that one place of the residual may hold. Measured:
+        scenes within 0.2 voxel had up to 0.09, nuclei and haze fitted as membranes 0.15 or more.
     widths
-        Width of the blur that the image tells over that of the PSF used. Where the PSF is right and
-        layers are thin 0.9 to 1.1; layers of 3 to 8 voxels and nuclei 1.2 to 1.5.
+        Width of the blur that the image tells over that of the PSF used. Measured: 0.9 to 1.1 where
+        the PSF is right and layers are thin; 1.2 to 1.5 for layers of 3 to 8 voxels and nuclei.
     grown, shrunk
         Volume over that of the start; with four cells or more, over what it is in the others.
+        Chosen, not measured: starts are rough, but hardly by so much.
     inside
         Brightness deep inside a cell less that outside, over that of its surface: with membranes
         alone within 0.02 of 0, with light inside or a haze around beyond 0.35.
@@ -42,9 +44,11 @@ class VerdictSettings:
         Area of the sphere of the same volume over that of the cell, over what it was at the start:
         0.9 to 1 where the shape was found, below 0.6 where it crumpled or swallowed a neighbour.
     psf_voxels
-        Narrowest PSF that an image can tell, in voxels.
+        Narrowest PSF that an image can tell, in voxels: at the largest wavenumber of voxels its
+        OTF is 0.17 still, so that most of the fall of a narrower one lies beyond.
     error_good, error_fair
         Largest predicted error of the shape, in voxels (the geometric mean of their sides).
+        Chosen: what a reader takes for right, and for a voxel off; not measured.
     """
 
     good: float = 0.75
@@ -281,6 +285,7 @@ def _of_error(
 
 def _usual_growth(cells: Iterable[CellFacts]) -> float:
     known = [cell.growth for cell in cells if cell.growth is not None]
+    # Of fewer cells the median could be one of those that are wrong.
     return max(median(known), 1e-9) if len(known) >= 4 else 1.0
 
 

@@ -31,5 +31,6 @@ def voxel_variance(
     camera = camera or camera_from_image(image, known)
     if camera.line is not None:
         return camera.line.variance
-    level = max(voxel_noise(pixels, known), 1e-6 * float(np.ptp(pixels[known])))
+    least = 1e-6 * float(np.ptp(pixels[known]))  # so that an image without noise has a variance
+    level = max(voxel_noise(pixels, known), least)
     return lambda expected: np.full(expected.shape, level**2)

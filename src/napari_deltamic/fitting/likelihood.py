@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from ..common.choices import Likelihood
+from ..common.normal import SIGMA_PER_MEDIAN_DEVIATION
 from ..fourier.devices import widest
 from ..fourier.explain import explain
 from ..fourier.real_fft import compiled
@@ -113,7 +114,9 @@ def voxel_noise(image: np.ndarray, known: np.ndarray) -> float:
     """
     left = image[..., 1:-1] - (image[..., :-2] + image[..., 2:]) / 2
     left = left[known[..., 1:-1] & known[..., :-2] & known[..., 2:]]
-    return 1.4826 * float(np.median(np.abs(left))) / sqrt(1.5) if left.size else 0.0
+    if not left.size:
+        return 0.0
+    return SIGMA_PER_MEDIAN_DEVIATION * float(np.median(np.abs(left))) / sqrt(1.5)
 
 
 def noise_ratio(image: np.ndarray, known: np.ndarray) -> float:

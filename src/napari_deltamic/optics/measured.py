@@ -12,6 +12,7 @@ from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
 from ..common.choices import Bead
+from ..common.normal import SIGMA_PER_MEDIAN_DEVIATION
 from ..errors import InputError
 from .otf_table import l2_width
 from .parameters import Spec, check_unit
@@ -238,7 +239,7 @@ def _prepared(pixels: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
         if axis > 0:
             rim.swapaxes(0, axis)[:width] = rim.swapaxes(0, axis)[-width:] = True
     dark = float(np.median(pixels[rim]))
-    noise = 1.4826 * float(np.median(np.abs(pixels[rim] - dark)))
+    noise = SIGMA_PER_MEDIAN_DEVIATION * float(np.median(np.abs(pixels[rim] - dark)))
     signal = pixels - dark
     smooth = gaussian_filter(signal, 0.7)
     peak = np.unravel_index(int(smooth.argmax()), smooth.shape)

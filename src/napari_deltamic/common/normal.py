@@ -1,0 +1,5 @@
+"""Numbers of the normal distribution."""
+
+# Standard deviation over the median of distances from the middle, whatever few outliers do: the
+# inverse of the standard normal's upper quartile, 0.67449.
+SIGMA_PER_MEDIAN_DEVIATION = 1.4826
