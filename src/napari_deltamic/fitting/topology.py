@@ -62,7 +62,8 @@ class TopologyRules:
         Changes at one place in a fit: what flips back and forth would go on for ever.
     late
         Times that trials of which nothing came put off the end of a fit; each costs ``patience``
-        iterations.
+        iterations. Two and three of them found no contact more in ten foams of 16 and 32 cells, and
+        took a fifth and a third longer.
     """
 
     thin: float = 0.25
@@ -82,7 +83,7 @@ class TopologyRules:
     one_peak: float = 2.0
     sharp: float = 2.0
     often: int = 3
-    late: int = 3
+    late: int = 1
 
     def patience_for(self, trial: Trial) -> int:
         """Iterations until a change is judged."""
