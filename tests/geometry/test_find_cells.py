@@ -68,6 +68,14 @@ def test_noise(noise):
     check(photographed(truth, noise=noise), truth, least=0.7)
 
 
+@pytest.mark.parametrize(
+    ("inside", "medium", "noise"), [(85.0, 70.0, 2.5), (85.0, 70.0, 4.0), (88.0, 88.0, 4.0)]
+)
+def test_dim_walls_count_where_the_noise_is_less(inside, medium, noise):
+    truth = owners(TWO)
+    check(photographed(truth, inside=inside, medium=medium, noise=noise), truth)
+
+
 @pytest.mark.parametrize("voxel", [(0.25, 0.25, 0.25), (0.6, 0.2, 0.2), (0.25, 0.4, 0.3)])
 def test_voxels_of_any_proportions(voxel):
     shape = tuple(np.ceil(np.array([10.2, 10.8, 14.6]) / voxel).astype(int))
@@ -168,6 +176,13 @@ def test_no_size_is_suggested(name):
     image, voxel, _, message = BAD[name]
     with pytest.raises(InputError, match=message):
         suggest_size(image, voxel)
+
+
+@pytest.mark.parametrize("size", [2.5, 4.0, 6.0])
+def test_no_draw_of_noise_has_cells(size):
+    for seed in range(8):
+        with pytest.raises(InputError, match="were found"):
+            find_cells(np.random.default_rng(seed).poisson(30, SHAPE), VOXEL, size)
 
 
 @pytest.mark.parametrize("sigma", [0, 0.7])

@@ -78,11 +78,14 @@ def label_basins(
 
 def noise_after(data: FloatArray, sigma: FloatArray) -> float:
     """Standard deviation of what is left of the image's noise by Gaussians of sigma voxels."""
-    noise = pixel_noise(data)
+    return pixel_noise(data) * noise_gain(sigma)
+
+
+def noise_gain(sigma: FloatArray) -> float:
+    """What Gaussians of sigma voxels leave of the standard deviation of single voxels' noise."""
     pulse = np.zeros(2 * int(4 * sigma.max() + 1) + 1)
     pulse[len(pulse) // 2] = 1
-    gains = [np.linalg.norm(ndimage.gaussian_filter1d(pulse, width)) for width in sigma]
-    return noise * float(np.prod(gains))
+    return float(np.prod([np.linalg.norm(ndimage.gaussian_filter1d(pulse, s)) for s in sigma]))
 
 
 def pixel_noise(data: FloatArray) -> float:

@@ -19,8 +19,9 @@ from skimage.morphology import local_minima
 from skimage.segmentation import watershed
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.labels.basins import border_area, noise_after
+from napari_deltamic.geometry.labels.basins import border_area, noise_after, noise_gain
 from napari_deltamic.geometry.labels.cell_rules import FINDING
+from napari_deltamic.geometry.labels.clear_rims import clear_rims, noise_magnitudes
 from napari_deltamic.geometry.labels.region_merging import Image, Labels, Regions, join_regions
 from napari_deltamic.geometry.mesh import FloatArray
 from napari_deltamic.geometry.three_numbers import three_numbers
@@ -54,10 +55,34 @@ def find_cells(
     """
     data, missing, voxel = checked_image(image, voxel_size)
     diameter = _checked_size(size, data.shape, voxel)
-    labels, _, _ = _find(data, missing, voxel, diameter, FINDING.finest)
+    seen = _Seen(data, missing, noise_magnitudes(data), voxel)
+    labels, _, _ = _find(seen, diameter, FINDING.finest)
     if not labels.any():
         raise InputError(f"no cells of about {diameter:g} um were found: try another size")
     return labels
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """An image without gaps, where its gaps are, its noise (see ``noise_magnitudes``), its voxel.
+
+    The second and third are None where there are none, or it cannot be told.
+    """
+
+    data: Image
+    missing: Image | None
+    noise: Image | None
+    voxel: FloatArray
+
+    def coarsened(self, step: NDArray[np.int_]) -> _Seen:
+        """Means of blocks of voxels."""
+        blocks = np.float32(np.prod(step) ** 0.5)
+        return _Seen(
+            _coarsened(self.data, step),
+            None if self.missing is None else _coarsened(self.missing, step),
+            None if self.noise is None else _coarsened(self.noise, step) / blocks,
+            self.voxel * step,
+        )
 
 
 @dataclass(frozen=True)
@@ -110,16 +135,14 @@ def suggest_sizes(image: ArrayLike, voxel_size: Sequence[float]) -> list[SizeFou
     extent = np.array(data.shape) * voxel
     step = np.floor(np.cbrt(np.prod(extent) / FINDING.tried_voxels) / voxel).astype(int)
     step = np.clip(step, 1, data.shape)
-    data, voxel = _coarsened(data, step), voxel * step
-    if missing is not None:
-        missing = _coarsened(missing.astype(np.float32), step) > 0.5
+    seen = _Seen(data, missing, noise_magnitudes(data), voxel).coarsened(step)
     size, tried = FINDING.first_tried * float(extent.max()), list[SizeFound]()
-    while size >= FINDING.smallest_tried * _mean_side(voxel):
-        _, found, quality = _find(data, missing, voxel, size, 0.0)
+    while size >= FINDING.smallest_tried * _mean_side(seen.voxel):
+        _, found, enclosed = _find(seen, size, 0.0)
         if len(found):
             typical = float(np.median(found))
             # Pieces of cells and of the outside are less enclosed than cells.
-            score = float((quality**4 * found**3).sum()) * np.exp(-2 * np.log(typical / size) ** 2)
+            score = float((enclosed**4 * found**3).sum()) * np.exp(-2 * np.log(typical / size) ** 2)
             tried.append(SizeFound(typical, len(found), score))
         size /= FINDING.step
     kept: list[SizeFound] = []
@@ -129,14 +152,13 @@ def suggest_sizes(image: ArrayLike, voxel_size: Sequence[float]) -> list[SizeFou
     return kept
 
 
-def _find(
-    data: Image, missing: Mask | None, voxel: FloatArray, size: float, finest: float
-) -> tuple[Labels, FloatArray, FloatArray]:
-    """Labels of the cells; of each region that is one its diameter (um), how enclosed it is."""
-    step = np.maximum(np.floor(finest * size / voxel), 1).astype(int)
-    step = np.minimum(step, data.shape)
-    coarse, side = _coarsened(data, step), voxel * step
-    walls = compressed_walls(coarse, side, size)
+def _find(seen: _Seen, size: float, finest: float) -> tuple[Labels, FloatArray, FloatArray]:
+    """Labels of the cells; of each its diameter (um), and how enclosed it is."""
+    step = np.maximum(np.floor(finest * size / seen.voxel), 1).astype(int)
+    step = np.minimum(step, seen.data.shape)
+    coarse = seen.coarsened(step)
+    side = coarse.voxel
+    walls = compressed_walls(coarse.data, side, size)
     seeds, _ = ndimage.label(
         local_minima(
             ndimage.gaussian_filter(walls, FINDING.seed_smoothing * size / side, mode="nearest")
@@ -145,16 +167,21 @@ def _find(
     ball = np.pi / 6 * size**3
     pieces = watershed(walls, seeds).astype(np.int32)
     regions = join_regions(pieces, walls, side, ball)
-    gone = None if missing is None else _coarsened(missing.astype(np.float32), step)
-    names = _cells(regions, side, size, gone)
-    labels = _trimmed(regions.labels, names, side, size)
-    diameters = np.cbrt(6 / np.pi * regions.volume[names])
-    return _refined(labels, step, data, voxel, size), diameters, regions.enclosed[names]
+    names, quality = _cells(regions, coarse, size)
+    labels, kept = _trimmed(regions.labels, names, side, size)
+    diameters = np.cbrt(6 / np.pi * regions.volume[names[kept]])
+    return _refined(labels, step, seen.data, seen.voxel, size), diameters, quality[kept]
+
+
+def _wall_sigma(side: FloatArray, size: float) -> FloatArray:
+    """Standard deviation, in voxels, of the Gaussian that smooths walls."""
+    sigma: FloatArray = max(FINDING.smoothing * size, FINDING.sharpest * float(side.min())) / side
+    return sigma
 
 
 def compressed_walls(data: Image, side: FloatArray, size: float) -> Image:
     """The smoothed image with its contrast compressed: dim walls count next to bright ones."""
-    sigma = max(FINDING.smoothing * size, FINDING.sharpest * float(side.min())) / side
+    sigma = _wall_sigma(side, size)
     smooth = ndimage.gaussian_filter(data, sigma, mode="nearest")
     low, high = np.percentile(smooth, FINDING.percentiles)
     floor = max(
@@ -167,37 +194,59 @@ def compressed_walls(data: Image, side: FloatArray, size: float) -> Image:
     return walls
 
 
-def _cells(
-    regions: Regions, side: FloatArray, size: float, missing: Image | None
-) -> NDArray[np.int64]:
-    """The regions that are cells: enclosed, of about the size, and not mostly on the border."""
-    n = len(regions.volume)
+def _cells(regions: Regions, seen: _Seen, size: float) -> tuple[NDArray[np.int64], FloatArray]:
+    """The regions that are cells, and how enclosed each is.
+
+    Enclosed, of about the size, and not mostly on the border.
+    """
+    n, side = len(regions.volume), seen.voxel
     flat = regions.labels.ravel()
     border = np.bincount(flat, border_area(regions.labels.shape, side).ravel(), n)
     diameter = np.cbrt(6 / np.pi * regions.volume)
     smallest, largest = FINDING.sizes
     good = (diameter >= smallest * size) & (diameter <= largest * size)
     share = border / np.maximum(np.pi * diameter**2, np.finfo(float).tiny)
-    least = np.maximum(
-        FINDING.enclosed, np.minimum(FINDING.enclosed + share, FINDING.enclosed_at_border)
-    )
     good &= share <= FINDING.border
-    good &= (regions.enclosed >= least) & (regions.height >= FINDING.height)
-    if missing is not None:
-        known = 1 - np.bincount(flat, missing.ravel(), n) / np.maximum(
+    bright = regions.enclosed >= _least(share, FINDING.enclosed, FINDING.enclosed_at_border)
+    bright &= regions.height >= FINDING.height
+    quality = np.where(bright, regions.enclosed, 0)
+    if seen.noise is not None:
+        sigma = _wall_sigma(side, size)
+        smooth = ndimage.gaussian_filter(seen.data, sigma, mode="nearest")
+        reach = FINDING.noise_reach * size / side
+        noise = ndimage.gaussian_filter(seen.noise, reach, mode="nearest") * noise_gain(sigma)
+        clear, height = clear_rims(regions.labels, n, smooth, noise, side)
+        dim = clear >= _least(share, FINDING.clear, FINDING.clear_at_border)
+        dim &= share <= FINDING.clear_border
+        dim &= (height >= FINDING.rim_mean) & (regions.height >= FINDING.rim_contrast)
+        quality = np.maximum(quality, np.where(dim, clear, 0))
+    good &= quality > 0
+    if seen.missing is not None:
+        known = 1 - np.bincount(flat, seen.missing.ravel(), n) / np.maximum(
             np.bincount(flat, None, n), 1
         )
         good &= known > FINDING.known
-    return np.flatnonzero(good)
+    names = np.flatnonzero(good)
+    return names, quality[names]
 
 
-def _trimmed(labels: Labels, names: NDArray[np.int64], side: FloatArray, size: float) -> Labels:
-    """Only the cells, from 1, each in one part without holes and without what has leaked out."""
+def _least(at_border: FloatArray, within: float, most: float) -> FloatArray:
+    """What share of a surface must be enclosed, from how much lies on the border."""
+    return np.maximum(within, np.minimum(within + at_border, most))
+
+
+def _trimmed(
+    labels: Labels, names: NDArray[np.int64], side: FloatArray, size: float
+) -> tuple[Labels, list[int]]:
+    """Only the cells, from 1, each in one part without holes and without what has leaked out.
+
+    And which of the names they are, since of some nothing is left.
+    """
     result = np.zeros_like(labels)
     radius = FINDING.leak * size
     boxes = ndimage.find_objects(labels)
-    number = 0
-    for name in names:
+    whose: list[int] = []
+    for place, name in enumerate(names):
         box = boxes[name - 1]
         solid = np.pad(ndimage.binary_fill_holes(labels[box] == name), 1)
         core = ndimage.distance_transform_edt(solid, side) > radius
@@ -207,10 +256,10 @@ def _trimmed(labels: Labels, names: NDArray[np.int64], side: FloatArray, size: f
         core = parts == 1 + np.bincount(parts.ravel())[1:].argmax()
         # The corners of a cell come back, its tongues do not.
         kept = solid & (ndimage.distance_transform_edt(~core, side) <= FINDING.corners * radius)
-        number += 1
+        whose.append(place)
         inner = kept[1:-1, 1:-1, 1:-1]
-        result[box][inner & (result[box] == 0)] = number
-    return result
+        result[box][inner & (result[box] == 0)] = len(whose)
+    return result, whose
 
 
 def _refined(
@@ -257,7 +306,7 @@ def _mean_side(voxel: FloatArray) -> float:
 
 def checked_image(
     image: ArrayLike, voxel_size: Sequence[float]
-) -> tuple[Image, Mask | None, FloatArray]:
+) -> tuple[Image, Image | None, FloatArray]:
     """The image without gaps, where its gaps are, and the voxel size."""
     array = np.asarray(unmasked(image))
     if array.ndim != 3 or not array.size:
@@ -278,7 +327,7 @@ def checked_image(
         raise InputError("the image has the same value everywhere")
     # Single precision would lose a faint image on a high pedestal.
     data = ((array - array.dtype.type(low)) / (high - low)).astype(np.float32)
-    return data, missing if missing.any() else None, voxel
+    return data, missing.astype(np.float32) if missing.any() else None, voxel
 
 
 def _checked_size(size: float, shape: tuple[int, ...], voxel: FloatArray) -> float:

@@ -49,13 +49,8 @@ class _Graph:
 
     def __init__(self, labels: Labels, image: Image, size: FloatArray) -> None:
         self.n = int(labels.max()) + 1
-        pairs, heights, areas = _faces_between(labels, image, size)
-        # The level of a region: the mean of the darker half of its voxels, as walls are bright.
-        middle = np.zeros(self.n)
-        middle[1:] = ndimage.median(image, labels, np.arange(1, self.n))
-        dark = np.where(image <= middle[labels], labels, 0).ravel()
-        count = np.bincount(dark, minlength=self.n)
-        total = np.bincount(dark, image.ravel(), self.n)
+        pairs, heights, areas = faces_between(labels, image, size)
+        count, total = dark_half(labels, image, self.n)
         level = total / np.maximum(count, 1)
         key, index = np.unique(pairs[0] * self.n + pairs[1], return_inverse=True)
         bounded = np.minimum(heights, level[pairs].max(axis=0) + FINDING.bound)
@@ -147,7 +142,16 @@ def join_regions(labels: Labels, image: Image, size: FloatArray, ball: float) ->
     return Regions(root[labels].astype(np.int32), np.array(graph.volume), enclosed, height)
 
 
-def _faces_between(
+def dark_half(labels: Labels, image: Image, count: int) -> tuple[FloatArray, FloatArray]:
+    """Of the darker half of each label's voxels, as walls are bright: how many, and their sum."""
+    middle = np.zeros(count)
+    middle[1:] = ndimage.median(image, labels, np.arange(1, count))
+    dark = np.where(image <= middle[labels], labels, 0).ravel()
+    voxels = np.bincount(dark, minlength=count).astype(np.float64)
+    return voxels, np.bincount(dark, image.ravel(), count).astype(np.float64)
+
+
+def faces_between(
     labels: Labels, image: Image, size: FloatArray
 ) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
     """Faces between voxels of two regions: (2, n) labels in order, height, area (um^2)."""
