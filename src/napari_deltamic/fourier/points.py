@@ -25,6 +25,12 @@ class Points:
     rules: Sequence[tuple[Rule, np.ndarray]] = field(repr=False)
     elements: int
 
+    def of(self, kept: np.ndarray) -> Points:
+        """The points of some elements; kept : (E,) bool."""
+        if kept.all():
+            return self
+        return Points([(r, of[kept[of]]) for r, of in self.rules], self.elements)
+
     @cached_property
     def count(self) -> int:
         """Of all points."""

@@ -156,6 +156,7 @@ def solid_transform(plan: Plan, vertices: Tensor, faces: Tensor, contrast: Tenso
         return _closed_form(plan, low, x, faces, contrast, centre)
     corners = x[faces]
     points, spreading, single = _means(plan, corners, contrast)
+    points = points.of(_seen(contrast))
     areas = _area_vectors(corners.detach())
     far = flux_ft(x, faces, areas, contrast, points, spreading, low.half, single)
     near = _low_shells(plan, low, corners.detach(), contrast, centre, reach)
@@ -183,6 +184,12 @@ def _normals(vertices: Tensor, faces: Tensor) -> Tensor:
     area = _area_vectors(vertices[faces])
     size = torch.linalg.vector_norm(area, dim=1, keepdim=True)
     return area / torch.where(size > 0, size, 1.0)
+
+
+def _seen(contrast: Tensor) -> np.ndarray:
+    """(F,) bool: walls between regions that shine alike show nothing."""
+    seen: np.ndarray = contrast.detach().numpy() != 0
+    return seen | contrast.requires_grad
 
 
 def _means(plan: Plan, corners: Tensor, contrast: Tensor) -> tuple[Points, Spreading, bool]:
@@ -253,9 +260,7 @@ def _low_shells(
     kind = torch.complex64 if plan.single else torch.complex128
     points, volumes = [], []
     vectors = _area_vectors(corners)
-    # Walls between regions that shine alike show nothing.
-    seen = contrast.detach().numpy() != 0
-    seen |= contrast.requires_grad
+    seen = _seen(contrast)
     for r, where in _low_rules(corners, reach, plan.accuracy):
         of = torch.from_numpy(where[seen[where]])
         arms = torch.from_numpy(r.barycentric) @ (corners[of] - centre)
