@@ -70,7 +70,8 @@ def _balls(centres: FloatArray, radii: FloatArray | None, grid: Grid) -> Mesh:
         apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
         np.fill_diagonal(apart, np.inf)
         side = float(np.multiply(grid.shape, grid.voxel_size).min())
-        guess = np.clip(0.45 * apart.min(axis=1), 2 * edge, max(side / 3, 2 * edge))
+        apart_by = 0.45  # of the way to the next: nearly half, so that no two touch
+        guess = np.clip(apart_by * apart.min(axis=1), 2 * edge, max(side / 3, 2 * edge))
         radii = guess if radii is None else np.where(np.nan_to_num(radii) > 0, radii, guess)
     return Mesh.merge(
         [sphere(c, float(r), edge_length=edge) for c, r in zip(centres, radii, strict=True)]

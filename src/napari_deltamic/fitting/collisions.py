@@ -14,13 +14,18 @@ from .triangle_quality import median_edge
 
 # As shares of the median edge:
 _LONG = 2.0  # longer steps are checked in parts, whose swept boxes overlap fewer others
-_NEAR = 0.25  # pairs further apart do not matter; at most half of it is moved without a look;
-# or of the longest edge at a vertex, where that is shorter
+# Pairs further apart do not matter, and at most half of it is moved without a look; or of the
+# longest edge at a vertex, where that is shorter. It only decides how often pairs are looked for.
+_NEAR = 0.25
 _CONTACT = 1e-3  # surfaces this near that approach each other stop, or the gap would go to nothing
-_TOUCH = 1e-9  # as good as crossing
+_TOUCH = 1e-9  # as good as crossing: nearer than rounding would tell
+# Of the way to where it should go: a vertex that is left with more has been held back. Half and
+# twice change nothing in small fits, as measured.
+_SHORT = 0.1
 # Counts:
-_PARTS = 8  # at most; what is longer still is cut
-_AGAIN = 10  # steps after which it is asked anew whether a surface still crosses
+_PARTS = 8  # at most; what is longer still is cut, since every part is a look
+# Steps after which it is asked anew whether a surface crosses: looks at all pairs would be many.
+_AGAIN = 10
 
 
 class CollisionGuard:
@@ -59,7 +64,7 @@ class CollisionGuard:
             return
         self._steps = 0
         self._mesh = mesh
-        self._edge = max(median_edge(mesh), 1e-9)
+        self._edge = max(median_edge(mesh), 1e-9)  # only no division by 0
         self._crossing = CrossingWalls(mesh)
         self._guard = self._library.Guard(
             np.ascontiguousarray(mesh.edges(), np.int64),
@@ -127,7 +132,7 @@ class CollisionGuard:
         if free:
             self.held[:] = 0
             return end
-        stopped = (np.abs(place - aim) > 0.1 * np.abs(aim - start)).any(1)
+        stopped = (np.abs(place - aim) > _SHORT * np.abs(aim - start)).any(1)
         self.held = np.where(stopped, self.held + 1, 0)
         return place
 

@@ -28,9 +28,10 @@ from .variables import Variables
 # What is affordable: 154 colours of a 64^3 image took 2 s, most of it in transforms, or 50 ns for
 # each voxel and colour: this is about a minute on one core.
 _MOST_WORK = 1e9  # colours times voxels of the grid
-_MOST_VERTICES = 20_000
+_MOST_VERTICES = 20_000  # chosen: some forty cells; not measured
 _DENSE = 4_000  # vertices: up to here LAPACK is faster than a sparse factor (a row has hundreds)
-_RIDGE = 1e-9  # of the mean diagonal: for vertices that no voxel sees and no prior holds
+_RANK = 1e-9  # of further columns: less is rounding, that is the same column again
+_RIDGE = 1e-9  # of the mean diagonal: so that vertices that nothing sees or holds stay
 
 Solve = Callable[[FloatArray], FloatArray]
 
@@ -156,7 +157,7 @@ class Curvature:
         rest = rest - self._own @ np.linalg.solve(self._followers, self._own.T @ weighted)
         right = rest.T @ (self._weights * self._residual)
         inner = rest.T @ (self._weights[:, None] * columns)
-        found = np.linalg.pinv((inner + inner.T) / 2, rcond=1e-9, hermitian=True) @ right
+        found = np.linalg.pinv((inner + inner.T) / 2, rcond=_RANK, hermitian=True) @ right
         return found, float(right @ found) / 2, followed
 
     def _free_times(self, along: FloatArray) -> FloatArray:

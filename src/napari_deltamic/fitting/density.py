@@ -16,7 +16,10 @@ from ..geometry.mesh import FloatArray, Mesh
 from .lbfgs import dot
 from .preconditioner import Preconditioner, adjacency
 
-_LARGEST_ESTIMATE = 1.5  # |log density| that the image at the start may say
+_SOLVED = 1e-9  # of the right-hand side: as exact as densities in a file
+# |log density| that the image at the start may say: a factor of 4.5, less than the limit of a fit,
+# so that it is free to go both ways. Measured: half and twice change nothing in small fits.
+_LARGEST_ESTIMATE = 1.5
 LIMIT = 2.0  # |log density|: a wall dimmer than e^-2 of the mean is no evidence of a wall
 # The squared size of a field is the sum of each, times the squared logarithm of a piece of surface
 # as large as the PSF's width squared, and times its squared differences along edges (which, in two
@@ -88,7 +91,7 @@ class Density:
         corners = self._faces.numpy()
         rows = np.repeat(np.arange(len(corners)), 3)
         mean = sp.coo_matrix((np.full(corners.size, 1 / 3), (rows, corners.ravel())))
-        found: FloatArray = lsqr(mean.tocsr(), each, atol=1e-9, btol=1e-9)[0]
+        found: FloatArray = lsqr(mean.tocsr(), each, atol=_SOLVED, btol=_SOLVED)[0]
         return found
 
     def prior(self, log: FloatArray, independent: float = 1.0) -> tuple[float, FloatArray]:

@@ -17,6 +17,10 @@ from .variables import Variables
 # those of effects in units of their scale. Further away the objective is no parabola; in many
 # effects it is. (The prototypes' caps; those of effects are wider than any of them needs.)
 _FAR, _FAR_DENSITY, _FAR_OPTICS, _FAR_EFFECTS = 0.6, 0.5, 0.3, 10.0
+# Of the step before, how much shorter the next one is: as J. E. Dennis and R. B. Schnabel bound it
+# (Numerical methods for unconstrained optimization, 1983) for backtracking by parabolas.
+_LEAST_CUT, _MOST_KEPT = 0.1, 0.5
+_MOVING = 1e-6  # of the longest part of a step: what is shorter is rounding, and says no proportion
 _ARMIJO = 1e-4  # share of the predicted gain that a step must bring (Nocedal & Wright, 2006)
 _LONGEST = 1e6  # widths: a step longer than this is shortened as a whole before it is capped
 _HELD = 0.1  # of its step that guard or bounds take from a vertex which counts as held back
@@ -129,7 +133,7 @@ class Descent:
             return cut
         # As a whole: all parts keep their proportions, so that it leads down.
         whole, capped = step.flat(), self._capped(step).flat()
-        moving = np.abs(whole) > 1e-6 * np.abs(whole).max(initial=0.0)
+        moving = np.abs(whole) > _MOVING * np.abs(whole).max(initial=0.0)
         share = float((capped[moving] / whole[moving]).min(initial=1.0))
         return self._cut(self.at.with_flat(share * whole))
 
@@ -156,8 +160,8 @@ class Descent:
                 return True
             # The least of the parabola through both values and the slope.
             curved = 2 * (gain - predicted)
-            better = -predicted / curved if np.isfinite(curved) and curved > 0 else 0.1
-            share *= float(np.clip(better, 0.1, 0.5))
+            better = -predicted / curved if np.isfinite(curved) and curved > 0 else _LEAST_CUT
+            share *= float(np.clip(better, _LEAST_CUT, _MOST_KEPT))
             trial = self._limit(self.at, self.at.with_flat(start + share * direction))
         return False
 

@@ -11,7 +11,7 @@ from ..geometry.mesh import FloatArray, IntArray, Mesh
 from .convergence import vertex_normals
 
 # Of the sum of squares of the normals of the walls that meet: what moves them by less is a move
-# along a junction.
+# along a junction. Chosen: walls that meet at 26 degrees or more count as two, since 120 are usual.
 _ACROSS = 0.05
 
 

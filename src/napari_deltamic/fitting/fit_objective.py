@@ -24,7 +24,7 @@ from .schedule import Schedule
 from .structure_choice import Chosen, chosen
 from .variables import Variables
 
-_STRAYED = 0.97  # of as far as vertices may go: what is as far has arrived there
+_STRAYED = 0.97  # of as far as vertices may go: only rounding and the guard keep it from all of it
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,10 @@ from .likelihood import ImageNoise, solve_scale
 from .problem import Problem
 from .tempering import tempered_variance
 
-_NEAR = 0.05  # of the brightest voxel of the rendered image: what is darker is far from a surface
-# Sides of the blocks over which differences are added up, in widths of the PSF: what a fit leaves
-# is correlated over about two.
+_NEAR = 0.05  # of the brightest voxel of the rendered image: what is darker lies further away than
+# two and a half widths of the PSF
+# Sides of the blocks over which differences are added up, in widths of the PSF: more than the two
+# over which what a fit leaves is correlated.
 _BLOCK = 3.0
 
 
@@ -157,7 +158,7 @@ def _weights(
     widths = np.asarray(optics.sigma_um) / np.asarray(problem.grid.voxel_size)
     share = gaussian_filter(counted.astype(float), widths)
     smooth = gaussian_filter(np.where(counted, measured, 0.0), widths)
-    smooth = torch.from_numpy(smooth / np.maximum(share, 1e-6))
+    smooth = torch.from_numpy(smooth / np.maximum(share, 1e-6))  # only no division by 0
     seen = torch.from_numpy(measured[counted])
     return ImageNoise(seen, "poisson", camera=effects.detector).weights(smooth)
 

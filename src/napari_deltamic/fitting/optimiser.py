@@ -6,6 +6,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+# Of the moments of before, at every step. Chosen: shorter than the 0.999 of Adam, since objectives
+# change with every level.
+_KEPT = (0.9, 0.99)
+
 
 class AdamUniform:
     """Steps of one size for all vertices of a piece, so that the direction field stays smooth.
@@ -22,10 +26,7 @@ class AdamUniform:
         Numbers per vertex.
     """
 
-    def __init__(
-        self, pieces: np.ndarray, columns: int, betas: tuple[float, float] = (0.9, 0.99)
-    ) -> None:
-        self._betas = betas
+    def __init__(self, pieces: np.ndarray, columns: int) -> None:
         self.count = 0
         self._pieces = torch.as_tensor(pieces.astype(np.int64))
         self.first = torch.zeros(len(pieces), columns, dtype=torch.float64)
@@ -38,7 +39,7 @@ class AdamUniform:
             self._pieces, self.first, self.second = (
                 t.to(gradient.device) for t in (self._pieces, self.first, self.second)
             )
-        b1, b2 = self._betas
+        b1, b2 = _KEPT
         self.count += 1
         largest = torch.zeros_like(self.second)
         if len(gradient):

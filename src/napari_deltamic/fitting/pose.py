@@ -29,7 +29,9 @@ from .shape import Shape
 from .tempering import tempered_variance
 from .variables import Variables
 
-_LEFT = 0.05  # share of its voxels by which a surface may have left those that are held
+# Share of its voxels by which a surface may have left those that are held: with more, the image
+# would no longer be judged where the surface is.
+_LEFT = 0.05
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,8 +27,8 @@ def components(mesh: Mesh) -> np.ndarray:
 
 
 # Weight of an edge that leaves a junction, where walls meet at an angle, once the surface is near:
-# a wall moves with its junctions, but is not held straight across them. Lower ones leave slivers
-# beside junctions; from afar, cells that do not move together swallow each other.
+# a wall moves with its junctions, but is not held straight across them. Lower ones were seen to
+# leave slivers beside junctions; from afar, cells that do not move together swallow each other.
 NEAR_JUNCTIONS = 0.3
 
 
@@ -109,7 +109,7 @@ class Preconditioners:
         return self._made[key]
 
 
-_KEPT = 3  # factorisations: that of displacements, of densities, and one of before
+_KEPT = 3  # factorisations: that of displacements, of densities, and one of before; more are no use
 
 
 def _at_junctions(a: sp.csr_matrix, mesh: Mesh, weight: float) -> sp.csr_matrix:

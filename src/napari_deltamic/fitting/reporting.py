@@ -8,7 +8,7 @@ from .fitted import Fitted
 from .growth_alarm import GrowthAlarm, shrunken, told_shrunken, why_stuck
 from .likelihood import Match
 
-_ALARMS_EVERY = 10  # iterations: regions grow slowly, and areas of all faces take time
+_ALARMS_EVERY = 10  # iterations: regions grow slowly; areas of all faces would take time each
 
 
 class Reporter:

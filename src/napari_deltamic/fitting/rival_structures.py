@@ -30,7 +30,8 @@ class RivalSettings:
     renewed_every
         Steps after which voxels and weights are chosen anew.
     less
-        Share of the squares that are left by which it must leave less.
+        Share of the squares that are left by which it must leave less: small differences could be
+        those of steps not yet taken. Half and twice change nothing in small fits.
     """
 
     steps: int = 12

@@ -38,15 +38,16 @@ class DialSettings:
         from spheroids, tori and double bubbles with edges of 0.26 to 0.8 um. With long edges there
         are fewer numbers for the noise to move, which is not in the first part, so it is less.
     curvature
-        Of 1 over the radius of a ball as large as the cell.
+        Of 1 over the radius of a ball as large as the cell: cells are less round. Chosen, not
+        measured.
     rendered, power
         Voxels at an accuracy of 0.1, and how they grow (docs/accuracy.md).
     unsettled
         Of tolerance times PSF width: tolerances and accuracies of 0.1 together added 3 to 6 nm.
     quick_edges, quick_tolerance
-        Of the edges that seeds come with; widths of the PSF.
+        Of the edges that seeds come with; widths of the PSF. Chosen: half the triangles.
     careful_share, careful_tolerance
-        Of the noise that triangles may add; widths of the PSF.
+        Of the noise that triangles may add; widths of the PSF. Chosen: as much as adds 6 % to it.
     finest, longest
         Edges: of the PSF's narrowest width; of the radius of the cell.
     shares
@@ -69,7 +70,9 @@ class DialSettings:
 
 
 SETTINGS = DialSettings()
-_ACCURACIES, _TOLERANCES = (1e-3, 1e-1), (0.005, 0.1)
+_ACCURACIES, _TOLERANCES = (1e-3, 1e-1), (0.005, 0.1)  # over which the parts above were measured
+_RENDERED_AT = 0.1  # accuracy at which ``rendered`` was measured
+_SAME_EDGES = 0.1  # chosen: triangles of one mesh differ by more
 
 
 @dataclass(frozen=True)
@@ -125,7 +128,7 @@ class Situation:
         parts = (
             self.floor(s),
             s.chord * edge**2 * s.curvature / self.radius,
-            s.rendered * self.voxel * (accuracy / 0.1) ** s.power,
+            s.rendered * self.voxel * (accuracy / _RENDERED_AT) ** s.power,
             s.unsettled * tolerance * self.width,
         )
         return float(np.sqrt(np.square(parts).sum()))
@@ -163,7 +166,7 @@ def dialled(choice: str, now: Situation, settings: DialSettings = SETTINGS) -> D
 def _for_length(asked: float, now: Situation, s: DialSettings) -> tuple[float, float, float]:
     rest = sqrt(max(asked**2 - now.floor(s) ** 2, (s.careful_share * now.floor(s)) ** 2, 1e-18))
     triangles, rendering, settling = (share * rest for share in s.shares)
-    accuracy = 0.1 * (rendering / (s.rendered * now.voxel)) ** (1 / s.power)
+    accuracy = _RENDERED_AT * (rendering / (s.rendered * now.voxel)) ** (1 / s.power)
     accuracy = min(max(accuracy, _ACCURACIES[0]), max(_ACCURACIES[1], accuracy_for(now.noise)))
     tolerance = settling / (s.unsettled * now.width)
     return (
@@ -175,7 +178,7 @@ def _for_length(asked: float, now: Situation, s: DialSettings) -> tuple[float, f
 
 def with_edges(mesh: Mesh, edge: float) -> Mesh:
     """The start with edges of about that length; itself where it has them, or cannot change."""
-    if not can_remesh() or abs(edge / median_edge(mesh) - 1) < 0.1:
+    if not can_remesh() or abs(edge / median_edge(mesh) - 1) < _SAME_EDGES:
         return mesh
     try:
         return remesh(mesh, edge, apart=True).mesh

@@ -38,7 +38,8 @@ class StructureSettings:
     block
         Side of the blocks in widths of the blurred PSF: what is left is correlated over about two.
     step
-        Displacement by which derivatives are taken, in widths of the PSF.
+        Displacement by which derivatives are taken, in widths of the PSF: so that their error, of
+        second order, is below a thousandth.
     """
 
     errors: float = 3.0
@@ -49,7 +50,8 @@ class StructureSettings:
 
 
 SETTINGS = StructureSettings()
-_UNSEEN = 1e-6  # of the stiffest block: the image does not say where the surface lies there
+_RANK = 1e-10  # of columns: less is rounding
+_UNSEEN = 1e-6  # of the stiffest block: there the image cannot say where the surface lies
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,7 @@ def told(
     for k in (0, 1):
         # What the other columns cannot show in its place, the surface has to.
         others = np.arange(len(found)) != k
-        share = np.linalg.lstsq(gram[others][:, others], gram[others][:, k], rcond=1e-10)[0]
+        share = np.linalg.lstsq(gram[others][:, others], gram[others][:, k], rcond=_RANK)[0]
         move = found[k] * (per_one[:, k] - per_one[:, others] @ share)[seen]
         rms = np.sqrt(np.average(move**2, weights=stiff[seen])) if seen.any() else 0.0
         results.append(Told(float(found[k] / errors[k]), float(rms)))

@@ -62,8 +62,8 @@ class TopologyRules:
         Changes at one place in a fit: what flips back and forth would go on for ever.
     late
         Times that trials of which nothing came put off the end of a fit; each costs ``patience``
-        iterations. Two and three of them found no contact more in ten foams of 16 and 32 cells, and
-        took a fifth and a third longer.
+        iterations. Measured: two and three found no contact more in ten foams of 16 and 32 cells,
+        and took a fifth and a third longer.
     """
 
     thin: float = 0.25

@@ -25,18 +25,20 @@ from ..scene import Grid
 Labels = NDArray[np.signedinteger]
 Mask = NDArray[np.bool_]
 
-_EXPLAINED = 3.0  # widths of the PSF around a starting surface that it explains
-_BRIGHT = 0.3  # of the typical membrane above the dark level: less is haze
+_EXPLAINED = 3.0  # widths of the PSF around a starting surface: beyond, hardly any light is its own
+_BRIGHT = 0.3  # of the typical membrane above the dark level: less is haze; chosen, not measured
 _OWN = 2.0  # widths around a starting surface that always count
-_HAZE = 4.0  # widths: what is as bright this far around on all sides is haze, and nobody's
+# Widths: what is as bright this far around on all sides is haze, and nobody's, since a membrane
+# would have faded.
+_HAZE = 4.0
 # A region of the image is that of a start placed by hand if its volume is that of the start, up to
-# this factor: starts of 0.5 to 2 radii.
+# this factor: of starts of 0.5 to 2 radii, whose volumes are an eighth to eight times that.
 _SAME = 10.0
-# Bright regions, in radii of the smallest start; tried on simulated nuclei, single and touching,
+# Bright regions, in radii of the smallest start; chosen on simulated nuclei, single and touching,
 # among specks, from 5 photons on. Noise and texture are smoothed away over this;
 _CALM = 0.15
 # the core of a start lies this deep: where it is not as bright as this share of its brightest
-# places, these are membranes;
+# places, these are membranes; chosen on the same images.
 _DEEP, _FULL = 0.5, 0.75
 _HALF = 0.5  # share of the brightness inside at which a bright region ends
 _THIN = 0.35  # what is thinner than twice this is another thing: a speck, a neck to a neighbour
@@ -172,7 +174,8 @@ def surface_voxels(mesh: Mesh, grid: Grid) -> np.ndarray:
     corners = mesh.vertices_numpy()[mesh.faces]
     size = np.asarray(grid.voxel_size)
     longest = np.abs((corners - np.roll(corners, 1, axis=1)) / size).max() if len(corners) else 0
-    n = max(1, int(np.ceil(1.5 * min(longest, 2 * max(grid.shape)))))
+    closer = 1.5  # points along an edge to a voxel, so that none is passed over
+    n = max(1, int(np.ceil(closer * min(longest, 2 * max(grid.shape)))))
     i, j = (k.ravel() for k in np.mgrid[0 : n + 1, 0 : n + 1])
     inside = i + j <= n
     weights = np.stack([i, j, n - i - j], 1)[inside] / n

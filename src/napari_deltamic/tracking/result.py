@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from math import nan
 from typing import Literal
 
 import numpy as np
@@ -51,10 +52,10 @@ class FrameResult:
     mesh: Mesh | None
     message: str = ""
     events: tuple[Event, ...] = ()
-    loss: float = float("nan")
+    loss: float = nan
     iterations: int = 0
     seconds: float = 0.0
-    sigma_um: tuple[float, float, float] = (float("nan"),) * 3
+    sigma_um: tuple[float, float, float] = (nan, nan, nan)
     psf: tuple[float, ...] = ()
 
     @property
