@@ -57,7 +57,7 @@ class FindingRules:
         places than in dark ones.
     rim_lowest, clear, clear_at_border
         Least share of the surface, as with ``enclosed``, that is above the inside by the first, in
-        standard deviations of the noise in the cell.
+        standard deviations of the noise in the cell. Measured: see ``rim_contrast``.
     clear_border
         As ``border``, where these rules decide: of a halved ball it is 0.4, and haze between a
         cluster and the border of the image may have 0.65.

@@ -21,8 +21,8 @@ from napari_deltamic.geometry.labels.region_merging import (
 )
 from napari_deltamic.geometry.mesh import FloatArray
 
-_SECOND = np.array([0.5, -1.0, 0.5]) / 1.5**0.5  # of white noise it leaves the variance as it is
-_WHITE = -2 / 3  # correlation of neighbours that it leaves of white noise
+_SECOND = np.array([0.5, -1.0, 0.5]) / 1.5**0.5  # so that white noise keeps its variance
+_WHITE = -2 / 3  # by definition, the correlation of neighbours that it leaves of white noise
 
 
 def noise_magnitudes(data: Image) -> Image | None:
