@@ -54,7 +54,11 @@ def _rows(scene: str, platform: str, seconds: float) -> list[Row]:
         found = _in_process(scene, platform, seconds)
     except MissingData as missing:
         return [Row(name, "", math.nan, "", None, str(missing))]
-    slots = ", ".join(f"{n} {ms:.0f}" for n, ms in found["slots_ms"])
+    slots, session = (
+        ", ".join(f"{n} {ms:.0f}" for n, ms in found[f"{of}slots_ms"])
+        + f"; processor at most {found[f'{of}computing_ms']:.0f} ms"
+        for of in ("", "session_")
+    )
     rate = found["iterations_per_second"]
     # A fit that is slower than that cannot be shown more often.
     bar = min(UPDATES, 0.8 * rate)
@@ -66,7 +70,7 @@ def _rows(scene: str, platform: str, seconds: float) -> list[Row]:
             SESSION,
             found["session_ms"],
             "ms",
-            ", ".join(f"{n} {ms:.0f}" for n, ms in found["session_slots_ms"]),
+            session,
         ),
         at_least(f"{name}: updates", round(bar, 2), found["updates_per_second"], "1/s", wanted),
         Row(
@@ -123,8 +127,9 @@ class Watch:
 
     def __init__(self) -> None:
         self.longest: dict[str, float] = {}
+        self.computing: dict[str, float] = {}  # s: the same, while the processor was at it
         self.napari = 0.0  # s: the longest that napari took for what is left out
-        self._left_out = 0.0  # s, in what is timed
+        self._left_out = np.zeros(2)  # s, in what is timed, and of the processor
         self.gaps: list[float] = []
         self._depth = 0
         self._last = 0.0
@@ -140,19 +145,20 @@ class Watch:
 
         @wraps(method)
         def timed(*args: Any, **options: Any) -> None:
-            start = time.perf_counter()
+            start = _now()
             method(*args, **options)
-            taken = time.perf_counter() - start
+            taken = _now() - start
             self._left_out += taken
-            self.napari = max(self.napari, taken)
+            self.napari = max(self.napari, taken[0])
 
         setattr(owner, name, timed)
 
-    def slots(self) -> list[tuple[str, float]]:
-        """The longest, ms, by name; they are forgotten."""
+    def slots(self) -> tuple[list[tuple[str, float]], float]:
+        """The longest, ms, by name, and the most of the processor; they are forgotten."""
         found = sorted(((n, 1e3 * s) for n, s in self.longest.items()), key=lambda x: -x[1])
-        self.longest = {}
-        return found[:4]
+        computing = 1e3 * max(self.computing.values())
+        self.longest, self.computing = {}, {}
+        return found[:4], computing
 
     def beat(self) -> None:
         """The timer's slot."""
@@ -164,7 +170,7 @@ class Watch:
     def _timed(self, method: Callable[..., Any], name: str) -> Callable[..., Any]:
         @wraps(method)
         def timed(*args: Any, **options: Any) -> Any:
-            start = time.perf_counter()
+            start = _now()
             self._left_out *= bool(self._depth)
             self._depth += 1
             try:
@@ -172,10 +178,16 @@ class Watch:
             finally:
                 self._depth -= 1
                 if not self._depth:
-                    taken = time.perf_counter() - start - self._left_out
-                    self.longest[name] = max(self.longest.get(name, 0), taken)
+                    taken = _now() - start - self._left_out
+                    for longest, s in zip((self.longest, self.computing), taken, strict=True):
+                        longest[name] = max(longest.get(name, 0.0), float(s))
 
         return timed
+
+
+def _now() -> np.ndarray:
+    """s: by the clock, and of the processor in this thread."""
+    return np.array([time.perf_counter(), time.thread_time()])
 
 
 def watched() -> Watch:
@@ -241,9 +253,10 @@ def measure(scene: str, seconds: float) -> dict[str, Any]:
     while widget.run.running:
         app.processEvents()
     timer.stop()
-    slots = watch.slots()
+    slots, computing = watch.slots()
     result = {
         "block_ms": slots[0][1],
+        "computing_ms": computing,
         "slots_ms": slots,
         "updates_per_second": shown / taken,
         "iterations_per_second": iterations / taken,
@@ -263,9 +276,14 @@ def measure(scene: str, seconds: float) -> dict[str, Any]:
         _wait(lambda: widget.doc.result is not None and not widget.judging.busy)
         _wait(lambda: not widget.settings.forecast.busy, 0.5)
         widget.close_links()
-    session = watch.slots()
-    adding = 1e3 * watch.napari
-    return {**result, "session_ms": session[0][1], "session_slots_ms": session, "napari_ms": adding}
+    session, computing = watch.slots()
+    return {
+        **result,
+        "session_ms": session[0][1],
+        "session_computing_ms": computing,
+        "session_slots_ms": session,
+        "napari_ms": 1e3 * watch.napari,
+    }
 
 
 def _wait(until: Callable[[], bool], rest: float = 0.1) -> None:

@@ -4,6 +4,7 @@ Children play: each opens napari with the widget, and does some hundred things i
 such as make no sense, while fits, previews, checks and sessions are under way. What is raised
 anywhere is counted, the time of every action is measured, and after each it is looked whether what
 the user has is still there: the image, the seeds, the result of the last fit, what a session holds.
+The last child opens and closes the dock, and looks for what that leaves behind.
 Without a display, as real canvases of napari crash by themselves where layers are removed fast.
 """
 
@@ -25,6 +26,7 @@ START = 120.0  # s for a child to start
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Those of this experiment."""
     parser.add_argument("--count", type=int, default=4000, help="actions")
+    parser.add_argument("--cycles", type=int, default=50, help="times that the dock is closed")
     parser.add_argument("--minutes", type=float, default=30.0, help="after which it ends")
     parser.add_argument("--display", action="store_true", help="in a window; no layer is removed")
 
@@ -36,7 +38,9 @@ def run(arguments: argparse.Namespace) -> int:
     troubles: list[str] = []
     while first < arguments.count and time.monotonic() < end:
         n = min(BATCH, arguments.count - first)
-        found, own = play(arguments.seed + first // BATCH, n, display=arguments.display)
+        cycles = arguments.cycles if first + n == arguments.count else 0
+        seed = arguments.seed + first // BATCH
+        found, own = play(seed, n, cycles, display=arguments.display)
         did.update(found)
         troubles += own
         first += n
@@ -48,7 +52,9 @@ def run(arguments: argparse.Namespace) -> int:
     return int(bool(troubles) or first < arguments.count)
 
 
-def play(seed: int, count: int, *, display: bool = False) -> tuple[dict[str, int], list[str]]:
+def play(
+    seed: int, count: int, cycles: int = 0, *, display: bool = False
+) -> tuple[dict[str, int], list[str]]:
     """What a child did, counted, and what went wrong, a line or a traceback each."""
     words = [sys.executable, "-X", "faulthandler", "-m", f"{__package__}.window_child"]
     environment = dict(os.environ)
@@ -56,11 +62,11 @@ def play(seed: int, count: int, *, display: bool = False) -> tuple[dict[str, int
         environment["QT_QPA_PLATFORM"] = "offscreen"
     try:
         done = subprocess.run(
-            [*words, str(seed), str(count), str(LONGEST)],
+            [*words, str(seed), str(count), str(LONGEST), str(cycles)],
             capture_output=True,
             text=True,
             env=environment,
-            timeout=START + count * 2.0,
+            timeout=START + count * 2.0 + cycles * 10.0,
         )
     except subprocess.TimeoutExpired as error:
         last = (error.stdout or b"").decode(errors="replace").splitlines()[-1:]

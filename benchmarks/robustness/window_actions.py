@@ -36,7 +36,8 @@ def start_image(session: Session) -> None:
 def actions(session: Session) -> list[Action]:
     """All of them; those of a fit more often."""
     named = _fitting(session) * 2 + _settings(session) + _seeds(session) + _viewer(session)
-    return named + _images(session) + _others(session)
+    named += _images(session) + _others(session)
+    return named + [("anything", lambda: anything(session))] * (len(named) // 2)
 
 
 def _fitting(s: Session) -> list[Action]:
@@ -316,6 +317,64 @@ def _others(s: Session) -> list[Action]:
         ("track", track),
         ("stop tracking", lambda: s.widget.tracking.stop()),
     ]
+
+
+def anything(s: Session) -> None:
+    """Use any field, button, table or entry of the menu that is there."""
+    from qtpy.QtWidgets import (
+        QAbstractButton,
+        QAbstractSlider,
+        QAbstractSpinBox,
+        QComboBox,
+        QLineEdit,
+        QListWidget,
+        QScrollBar,
+        QTableWidget,
+        QWidget,
+    )
+
+    kinds = (QAbstractButton, QAbstractSlider, QAbstractSpinBox, QComboBox, QLineEdit)
+    seen = [
+        one
+        for one in s.widget.findChildren(QWidget)
+        if isinstance(one, (*kinds, QTableWidget, QListWidget))
+        and not isinstance(one, QScrollBar)
+        and one.isEnabled()
+        and one.isVisibleTo(s.widget)
+    ]
+    if not seen:
+        return
+    one: Any = s.rng.choice(seen)
+    rng, menu = s.rng, getattr(one, "menu", lambda: None)()
+    s.said(f"{type(one).__name__} {getattr(one, 'text', str)()}")
+    if menu is not None:
+        menu.aboutToShow.emit()
+        rng.choice([entry for entry in menu.actions() if entry.text()]).trigger()
+    elif isinstance(one, QAbstractButton):
+        one.click()
+    elif isinstance(one, QComboBox):
+        _any_item(s, one)
+        if one.isEditable():
+            one.setCurrentText(rng.choice(["quick", "20 nm", "1e-3", "nonsense", "", "1.33"]))
+            one.lineEdit().editingFinished.emit()
+    elif isinstance(one, QAbstractSpinBox):
+        one.setValue(type(one.value())(rng.choice([0, 1, 0.3, 2, 50, 1e4])))
+    elif isinstance(one, QAbstractSlider):
+        one.setValue(type(one.value())(rng.uniform(one.minimum(), one.maximum())))
+    elif isinstance(one, QLineEdit):
+        before = one.text()
+        one.setText(rng.choice(["", "1", "4, 2 1", "words", "-1"]))
+        if one.hasAcceptableInput():
+            one.editingFinished.emit()
+        else:  # what cannot be typed
+            one.setText(before)
+    elif isinstance(one, QTableWidget) and one.rowCount():
+        item = one.item(rng.randrange(one.rowCount()), rng.randrange(one.columnCount()))
+        if item is not None:
+            one.setCurrentItem(item)
+    elif isinstance(one, QListWidget) and one.count():
+        one.itemClicked.emit(one.item(rng.randrange(one.count())))
+    s.did["anything"] += 1
 
 
 # ---------------------------------------------------------------------------------------- parts

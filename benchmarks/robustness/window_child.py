@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import faulthandler
+import gc
 import importlib
 import json
 import logging
@@ -12,6 +13,7 @@ import sys
 import time
 import traceback
 import warnings
+import weakref
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -23,13 +25,14 @@ import numpy as np
 from .window_actions import actions, cell_image, start_image
 
 
-def main(seed: int, count: int, longest: float) -> None:
-    """Play, and write what went wrong as it happens."""
+def main(seed: int, count: int, longest: float, cycles: int) -> None:
+    """Play, open and close the dock, and write what went wrong as it happens."""
     offscreen = os.environ.get("QT_QPA_PLATFORM") == "offscreen"
     with TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         session = Session(seed, Path(folder), offscreen=offscreen)
         session.play(count, longest)
+        session.open_and_close(cycles)
         print("did " + json.dumps(session.did), flush=True)
         # What napari and Qt do while they are taken down is no part of the experiment.
         os._exit(0)
@@ -52,6 +55,7 @@ class Session:
         if offscreen:
             _without_gl()
         import napari
+        from qtpy.QtGui import QDesktopServices
         from qtpy.QtWidgets import QApplication, QFileDialog, QMessageBox
 
         self.app: Any = QApplication.instance() or QApplication([])
@@ -62,6 +66,7 @@ class Session:
             setattr(QFileDialog, name, lambda *a, **k: ("", ""))
         QFileDialog.getExistingDirectory = lambda *a, **k: ""  # type: ignore[method-assign]
         QMessageBox.exec = lambda *a: 0  # type: ignore[method-assign]
+        QDesktopServices.openUrl = lambda *a: True  # type: ignore[method-assign]
         self.pixels = cell_image()
         start_image(self)
         self.dock()
@@ -114,6 +119,33 @@ class Session:
         self.spin(60, lambda: not self.running)
         if self.running:
             self.wrong("a fit that was stopped goes on")
+
+    def open_and_close(self, cycles: int) -> None:
+        """The dock, so many times; nothing of it may be left behind."""
+        self._name = "open and close"
+        before: list[int] = []
+        for _ in range(cycles):
+            gone = weakref.ref(self.widget)
+            self.viewer.window.remove_dock_widget(self.widget)
+            self.widget = None
+            self.spin(0.05)
+            gc.collect()
+            if gone() is not None:
+                self.wrong("a widget that was closed is still there")
+            left = [len(self.viewer.mouse_drag_callbacks), len(self.viewer.keymap)]
+            left += [len(e.callbacks) for e in self.viewer.layers.events.emitters.values()]
+            left += [len(e.callbacks) for e in self.viewer.dims.events.emitters.values()]
+            before = before or left
+            if left != before:
+                self.wrong(f"connections are left behind: {left}, at first {before}")
+            self.dock()
+            self.spin(0.05)
+            self.did["opened and closed"] += 1
+
+    def said(self, what: str) -> None:
+        """What an action has turned out to be."""
+        self._name = f"{self._name.partition(':')[0]}: {what}"
+        print(f"  {what!r}", flush=True)
 
     def wrong(self, what: str) -> None:
         """Note what went wrong; the same is said once."""
@@ -172,4 +204,4 @@ def _without_gl() -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3]))
+    main(int(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3]), int(sys.argv[4]))

@@ -40,7 +40,7 @@ class Header(QWidget):
         self.copy_action.setToolTip("The command that repeats this run without a window.")
         self.menu.setToolTipsVisible(True)
         layout = QHBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setContentsMargins(0, 2, 4, 0)
         layout.addStretch()
         layout.addWidget(self.more)
         layout.addWidget(self.help)

@@ -111,8 +111,16 @@ def told(known: Judged) -> str:
     )
     whole = verdict.error.whole
     text += "." if whole is None else f"; they are off by about {1000 * whole.total:.0f} nm."
-    reasons = [reason for reason in verdict.reasons if "is explained" not in reason]
+    reasons = [_spoken(reason) for reason in verdict.reasons if "is explained" not in reason]
     text += "".join(f" {reason[0].upper()}{reason[1:]}." for reason in reasons)
     if verdict.grade == "poor":
         text += " Look at the surfaces before you use them."
     return text
+
+
+def _spoken(reason: str) -> str:
+    """A reason; where it names cells of a grade, the table has their own reasons."""
+    word, _, cells = reason.partition(": ")
+    if word not in ("fair", "poor") or not cells.startswith("cell"):
+        return reason
+    return f"{cells} {'is' if cells.startswith('cell ') else 'are'} {word}, the table says why"

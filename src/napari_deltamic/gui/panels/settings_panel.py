@@ -224,7 +224,7 @@ class SettingsPanel(QGroupBox):
 
     def _show_number(self, number: float | None) -> None:
         named = self.accuracy.choice in PRESETS
-        text = f"= {short(number) if number else 0}" if named and number is not None else ""
+        text = f"{short(number) if number else 0}" if named and number is not None else ""
         self.accuracy_number.setText(text)
         self.tradeoff.show_accuracy(number)
 

@@ -247,7 +247,8 @@ def _cell(
     elif value is None and column.key in row:
         item.setToolTip(f"<qt>{row.get('note') or _WHY.get(column.key, _OPEN)}</qt>")
     elif isinstance(value, str):
-        item.setToolTip(f"<qt>{value}</qt>")
+        why = row.get("note") if column.key == "grade" else ""
+        item.setToolTip(f"<qt>{why or value}</qt>")
     return item
 
 
