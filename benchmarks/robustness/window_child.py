@@ -64,6 +64,7 @@ class Session:
         logging.getLogger("napari_deltamic").addHandler(_Handler(self._logged))
         for name in ("getOpenFileName", "getSaveFileName"):
             setattr(QFileDialog, name, lambda *a, **k: ("", ""))
+        QFileDialog.getOpenFileNames = lambda *a, **k: ([], "")  # type: ignore[method-assign]
         QFileDialog.getExistingDirectory = lambda *a, **k: ""  # type: ignore[method-assign]
         QMessageBox.exec = lambda *a: 0  # type: ignore[method-assign]
         QDesktopServices.openUrl = lambda *a: True  # type: ignore[method-assign]

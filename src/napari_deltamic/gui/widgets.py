@@ -23,6 +23,7 @@ from qtpy.QtWidgets import (
 from .layer_choice import LayerChoice
 from .qt import Signal
 
+GREEN, AMBER, RED = "#3fae6b", "#d99a1c", "#e0564f"  # readable on dark and on light
 _ARROW = 30  # px of the button of a fold that are not for its text
 
 
@@ -105,7 +106,7 @@ class Note(QLabel):
     def __init__(self, parent: QWidget | None = None, *, wrong: bool = False) -> None:
         super().__init__(parent)
         self.setWordWrap(True)
-        self.setStyleSheet("font-size: 11px;" + " color: #e0564f;" * wrong)
+        self.setStyleSheet("font-size: 11px;" + f" color: {RED};" * wrong)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Minimum)
         self.hide()
 

@@ -11,7 +11,7 @@ from ..document import Document
 from ..fields import TripleField
 from ..image_source import channel_axes, channels
 from ..viewing.frame import um_per_unit
-from ..widgets import LayerChooser, narrow_box, note_label, sentence, show_row
+from ..widgets import AMBER, LayerChooser, narrow_box, note_label, sentence, show_row
 
 WHOLE, BOX = "whole image", "the rectangle drawn"
 
@@ -75,19 +75,25 @@ class ImagePanel(QGroupBox):
             text = sentence(image.missing())
             if self._of_channels is None:
                 text = "Open a 3D image (drag it into napari), or File > Open Sample."
-            self.note.setText(text)
+            self._tell(text)
             return
         try:
             size = image.frame().voxel_size
         except InputError as error:
-            self.note.setText(str(error))
+            self._tell(str(error), needed=True)
             return
         self.voxel_size.set_value(size)
-        self.size_line.setText(" x ".join(f"{d:.3g}" for d in size) + " µm")
         unknown = um_per_unit(layer) is None and set(size) == {1.0}
+        shown = " x ".join(f"{d:.3g}" for d in size) + " µm"
+        self.size_line.setText("not known" if unknown else shown)
         if unknown:
             self.edit_size.setChecked(True)
-        self.note.setText(self._described(layer, unknown))
+        self._tell(self._described(layer, unknown), needed=unknown)
+
+    def _tell(self, text: str, *, needed: bool = False) -> None:
+        """Say something; in the colour of warnings where the user is needed."""
+        self.note.setStyleSheet("font-size: 11px;" + f" color: {AMBER};" * needed)
+        self.note.setText(text)
 
     def _described(self, layer: Any, unknown: bool) -> str:
         text = " x ".join(map(str, self._image.shape())) + " voxels"
@@ -121,7 +127,7 @@ class ImagePanel(QGroupBox):
             self._image.take_region(self._image.drawn_box() if drawn else None)
         except InputError as error:
             self._show()
-            self.note.setText(sentence(str(error)))
+            self._tell(sentence(str(error)), needed=True)
 
     def _rescale(self) -> None:
         self._image.rescale(self.voxel_size.value())

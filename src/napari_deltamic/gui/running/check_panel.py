@@ -21,19 +21,18 @@ from ..editing.edit_bar import EditBar
 from ..editing.edits import Edits
 from ..editing.history_bar import HistoryBar
 from ..qt import Signal
-from ..widgets import Fold, Note, narrow_box, note_label
+from ..widgets import AMBER, GREEN, RED, Fold, Note, narrow_box, note_label
 from .live_numbers import LiveNumbers
 from .plots import ExplainedCurve
 from .worker import Snapshot
 
-_GREEN, _AMBER, _RED = "#3fae6b", "#d99a1c", "#e0564f"
 _COLOURS = {
-    "ended": _AMBER,
-    "stopped": _AMBER,
-    "failed": _RED,
-    "good": _GREEN,
-    "fair": _AMBER,
-    "poor": _RED,
+    "ended": AMBER,
+    "stopped": AMBER,
+    "failed": RED,
+    "good": GREEN,
+    "fair": AMBER,
+    "poor": RED,
 }
 _SLICES = {"XY": (0, 1, 2), "XZ": (1, 0, 2), "YZ": (2, 0, 1)}
 

@@ -19,9 +19,9 @@ from ...measure import measure_cells
 from ...tracking import FrameResult, TrackSettings
 from ..qt import Signal
 from ..results.cell_table import CellTable
-from ..widgets import Note
+from ..widgets import AMBER, GREEN, RED, Note
 
-_COLOURS = {"done": "#3fae6b", "stopped": "#d99a1c", "failed": "#e0564f"}
+_COLOURS = {"done": GREEN, "stopped": AMBER, "failed": RED}
 
 
 class TrackPanel(QGroupBox):
