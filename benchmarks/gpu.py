@@ -17,12 +17,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from napari_deltamic import Mesh, fit, render
-from napari_deltamic.fitting.preconditioner import Preconditioner
 from napari_deltamic.fourier import Band
 from napari_deltamic.fourier.closed_form import band_ft
 from napari_deltamic.fourier.cuda import compiler, missing
@@ -248,19 +246,6 @@ def _large(place: Place) -> Mesh:
     return sphere_of(600 if place.dry else 20_000, voxels, 0.3 * voxels)
 
 
-def solver(place: Place) -> list[Row]:
-    """Smoothing a gradient of 10^4 vertices: where it is, or on the host and back."""
-    mesh, rows = _large(place), []
-    for where in (place.device, "cpu"):
-        smoother = Preconditioner(mesh, 10.0, device=torch.device(where))
-        b = torch.from_numpy(np.random.default_rng(0).normal(size=mesh.vertices.shape))
-        b = b.to(place.device)
-        spent = seconds(lambda smoother=smoother, b=b: smoother.solve(b), place)  # type: ignore[misc]
-        name = f"smoothing {len(b)} vertices, solved on {where}"
-        rows.append(Row(name, "", 1e3 * spent, "ms", None))
-    return rows
-
-
 def sphere_to_cow(place: Place) -> list[Row]:
     """A whole fit, until it is within 0.05 voxel."""
     voxels = place.size(200)
@@ -292,7 +277,6 @@ def sphere_to_cow(place: Place) -> list[Row]:
 FIGURES: dict[str, Callable[[Place], list[Row]]] = {
     "first-use": first_use,
     "rates": rates,
-    "solver": solver,
     "iterations": iterations,
     "sphere-to-cow": sphere_to_cow,
     "tests": tests,

@@ -1,13 +1,10 @@
-import csv
 from math import isnan, pi
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose
 
-from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import Mesh, box, sphere
-from napari_deltamic.measure import measure_cells, write_csv
+from napari_deltamic.measure import measure_cells
 
 
 def boxes_with_a_wall():
@@ -56,20 +53,3 @@ def test_an_open_cell_has_no_volume():
     assert row["area_um2"] > 12
     for name in ("volume_um3", "sphericity", "centroid_z_um"):
         assert isnan(row[name])
-
-
-def test_csv(tmp_path):
-    rows = measure_cells(boxes_with_a_wall())
-    write_csv(rows, tmp_path / "cells.csv")
-    with (tmp_path / "cells.csv").open() as stream:
-        table = list(csv.DictReader(stream))
-    assert [list(row) for row in table] == [list(row) for row in rows]
-    for row, written in zip(rows, table, strict=True):
-        assert {k: float(v) for k, v in written.items()} == pytest.approx(row, rel=1e-8)
-    assert table[0]["region"] == "1"
-    write_csv([], tmp_path / "none.csv")
-    assert (tmp_path / "none.csv").read_text().startswith("region,volume_um3,")
-    write_csv([{"region": 1, "volume_um3": float("nan")}], tmp_path / "open.csv")
-    assert (tmp_path / "open.csv").read_text() == "region,volume_um3\n1,\n"
-    with pytest.raises(InputError, match="cannot be written"):
-        write_csv(rows, tmp_path / "nowhere" / "cells.csv")

@@ -16,7 +16,6 @@ import torch
 from .. import __version__
 from ..accuracy.machine_costs import costs, expected_seconds, processor
 from ..errors import InputError
-from ..fitting.factors import DRIVER, driver_is_found
 from ..fourier import Plan, native, simd_level
 from ..fourier.cuda import compiler, missing
 from ..fourier.cuda.driver import driver_version
@@ -104,11 +103,6 @@ def _engines(problems: list[str]) -> dict[str, str]:
             f"compiled at first use by NVRTC {major}.{minor}, kept in {compiler.kept_folder()}"
         )
         found["particle-mesh on the GPU"] = "torch"
-        found["smoothing of gradients"] = (
-            "cholespy, on the GPU"
-            if driver_is_found()
-            else f"cholespy, on the CPU: it does not find the driver under the name {DRIVER}"
-        )
     module = native()
     if module is None:
         found["closed form"] = found["particle-mesh"] = "torch: the compiled extension is missing"

@@ -164,12 +164,6 @@ class Curvature:
         found: FloatArray = (self._free * along.T).T
         return found
 
-    def image_change(self, along: FloatArray) -> FloatArray:
-        """(N,) what displacements (D,) change the images by, with all that follows."""
-        return self._jacobian @ along - self._own @ np.linalg.solve(
-            self._followers, self._mixed @ along
-        )
-
     def newton_step(self, gradient: Variables) -> Variables:
         """The step to where the objective would be least if it were a parabola; no densities.
 

@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from ..geometry.mesh import Mesh
-from .factors import Solve, on_device, on_host
+from .factors import Solve, on_host
 
 
 def adjacency(mesh: Mesh) -> sp.csr_matrix:
@@ -52,8 +52,6 @@ class Preconditioner:
         (V,) bool: vertices where x is zero; around them it falls to zero smoothly.
     at_junctions
         Weight of edges that leave a junction.
-    device
-        Where it is solved.
     """
 
     def __init__(
@@ -62,11 +60,9 @@ class Preconditioner:
         smoothing: float,
         held: np.ndarray | None = None,
         at_junctions: float = 1.0,
-        device: torch.device | str = "cpu",
     ) -> None:
         self.smoothing = smoothing
-        device = torch.device(device)
-        self._held = None if held is None else torch.tensor(held[:, None], device=device)
+        self._held = None if held is None else torch.tensor(held[:, None])
         n = len(mesh.vertices)
         a = adjacency(mesh)
         if at_junctions != 1:
@@ -79,7 +75,7 @@ class Preconditioner:
             matrix = sp.coo_matrix(
                 (matrix.data[free], (matrix.row[free], matrix.col[free])), shape=(n, n)
             )
-        self._solve: Solve = on_device(matrix, device) or on_host(matrix)
+        self._solve: Solve = on_host(matrix)
 
     def solve(self, b: Tensor) -> Tensor:
         """(V, C) -> (V, C), float64."""

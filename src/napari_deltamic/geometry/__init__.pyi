@@ -4,7 +4,6 @@ from .labels.label_edits import (
     Click,
     correct_labels,
     read_clicks_csv,
-    write_clicks_csv,
 )
 from .labels.label_repair import RepairedLabels, repair_labels
 from .labels.meshes import mesh_from_labels
@@ -42,5 +41,4 @@ __all__ = [
     "sphere",
     "suggest_size",
     "torus",
-    "write_clicks_csv",
 ]

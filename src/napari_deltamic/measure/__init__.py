@@ -1,6 +1,6 @@
 """Measurements on meshes: cells, junctions, sections, distances to a surface or the image."""
 
-from napari_deltamic.measure.cells import measure_cells, write_csv
+from napari_deltamic.measure.cells import measure_cells
 from napari_deltamic.measure.image_similarity import ImageSimilarity, image_similarity
 from napari_deltamic.measure.junctions import Junction, junction_angles
 from napari_deltamic.measure.known import Known
@@ -41,5 +41,4 @@ __all__ = [
     "ridge_distance",
     "section",
     "surface_distance",
-    "write_csv",
 ]

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping, Sequence
 from math import nan, pi
 
 import numpy as np
 
-from napari_deltamic.common.writing import write_atomically
 from napari_deltamic.geometry.contacts import neighbours
 from napari_deltamic.geometry.mesh import FloatArray, Mesh
 from napari_deltamic.measure.sides import Sides
-from napari_deltamic.measure.table import csv_text
 
 COLUMNS = (
     "region",
@@ -110,14 +106,3 @@ def principal_axes(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
     largest = np.take_along_axis(rows, np.abs(rows).argmax(2)[:, :, None], 2)
     directions[known] = rows * np.where(largest < 0, -1.0, 1.0)
     return axes, directions
-
-
-def write_csv(rows: Sequence[Mapping[str, int | float]], path: str | os.PathLike[str]) -> None:
-    """Write rows (as from ``measure_cells``) as a CSV table, with a header.
-
-    The columns are those of the first row, or of ``measure_cells`` if there is no row; what is no
-    number is left empty. The file appears whole or not at all. Raises InputError if it cannot be
-    written.
-    """
-    text = csv_text(list(rows[0]) if rows else list(COLUMNS), rows)
-    write_atomically(path, text.encode())

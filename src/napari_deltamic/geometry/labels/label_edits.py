@@ -8,7 +8,6 @@ says where, the image says how far: cells are divided and added by a watershed o
 from __future__ import annotations
 
 import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +20,6 @@ from skimage.graph import MCP_Geometric
 from skimage.segmentation import watershed
 
 from napari_deltamic.common.reading import one_reason, read_text
-from napari_deltamic.common.writing import write_atomically
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.labels.cell_rules import CLICKS
 from napari_deltamic.geometry.labels.find_cells import checked_image, compressed_walls
@@ -115,7 +113,6 @@ def correct_labels(
     voxel_size: Sequence[float],
     labels: ArrayLike,
     clicks: Sequence[Click],
-    origin: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> NDArray[np.int32]:
     """Labels with the corrections that clicks ask for.
 
@@ -124,7 +121,7 @@ def correct_labels(
     Parameters
     ----------
     image : (Z, Y, X), membranes bright; NaN where missing.
-    voxel_size, origin : um, Z, Y, X; origin is the centre of the first voxel.
+    voxel_size : um, Z, Y, X; clicks count from the centre of the first voxel.
     labels : (Z, Y, X) integers, 0 = background, as `find_cells` gives.
     clicks : numbered from 1 in messages.
 
@@ -138,7 +135,7 @@ def correct_labels(
         Labels and image differ in shape; a click lies outside the image or where its action means
         nothing; an odd number of "merge".
     """
-    return Corrector(image, voxel_size, origin).corrected(labels, clicks)
+    return Corrector(image, voxel_size).corrected(labels, clicks)
 
 
 def read_clicks_csv(path: str | Path) -> list[Click]:
@@ -164,15 +161,6 @@ def read_clicks_csv(path: str | Path) -> list[Click]:
             except (ValueError, InputError) as error:
                 raise InputError(f"{path}, line {number}: {one_reason(error)}") from error
     return clicks
-
-
-def write_clicks_csv(path: str | Path, clicks: Sequence[Click]) -> None:
-    """Write what :func:`read_clicks_csv` reads. InputError if the file cannot be written."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(_COLUMNS)
-    writer.writerows([*map(repr, map(float, c.place)), c.action, c.step] for c in clicks)
-    write_atomically(Path(path), text.getvalue().encode())
 
 
 def _click(row: list[str]) -> Click:

@@ -30,7 +30,7 @@ from napari_deltamic.geometry.topology.submesh import (
 _HOPELESS = "surfaces cross in a way that cannot be repaired: start from other seeds"
 
 
-def untangled(mesh: Mesh, edge: float | None = None) -> Rearranged:
+def untangled(mesh: Mesh) -> Rearranged:
     """The mesh without crossings: each point belongs to the region in which it lies deepest.
 
     Closed surfaces that overlap come to share a wall. Clusters of cells in which nothing crosses
@@ -40,8 +40,6 @@ def untangled(mesh: Mesh, edge: float | None = None) -> Rearranged:
     ----------
     mesh
         Closed regions.
-    edge
-        um; default: the median edge length.
 
     Raises
     ------
@@ -55,7 +53,7 @@ def untangled(mesh: Mesh, edge: float | None = None) -> Rearranged:
         raise InputError("surfaces that cross can only be repaired where they are closed")
     ends = mesh.vertices_numpy()[mesh.edges()]
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    edge = float(np.median(length)) if edge is None else edge
+    edge = float(np.median(length))
     cutter = Cutter(mesh)
     parts = [cutter.part(rows) for rows in _crossing_clusters(mesh, found)]
     done = put_back(mesh, [(part, _untangled(part, edge)) for part in parts])
