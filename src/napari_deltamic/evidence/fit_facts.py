@@ -18,7 +18,7 @@ from .first_sigma import first_sigma
 from .outgrowths import outgrowths
 from .predicted_error import predicted_error
 from .residual import Residual
-from .verdict import SETTINGS, CellFacts, Facts, Verdict, judged
+from .verdict import RULES, CellFacts, Facts, Verdict, judged
 
 _DEEP, _FAR = 2.5, 6.0  # widths of the PSF from a surface: what its own light hardly reaches
 _FEWEST = 30  # voxels whose mean is told to a fifth of their spread: enough for what is judged
@@ -74,7 +74,7 @@ def facts_of(
     )
     sigma, size = np.asarray(state.optics.sigma_um), np.asarray(job.grid.voxel_size)
     fitted = job.settings.fit.fit_psf
-    narrow = fitted and bool((sigma < SETTINGS.psf_voxels * size).any())
+    narrow = fitted and bool((sigma < RULES.psf_voxels * size).any())
     # The spectrum of insides falls faster than that of membranes: it looks blurred.
     width = None if modelled else _width(np.asarray(job.image), job.grid, sigma)
     voxel = float(size.prod() ** (1 / 3))

@@ -14,7 +14,7 @@ from ..scene import Grid
 
 
 @dataclass(frozen=True)
-class OutgrowthSettings:
+class OutgrowthRules:
     """What counts as one; in widths of the PSF, axis by axis.
 
     Attributes
@@ -34,12 +34,10 @@ class OutgrowthSettings:
     length: float = 3.0
 
 
-SETTINGS = OutgrowthSettings()
+RULES = OutgrowthRules()
 
 
-def outgrowths(
-    mesh: Mesh, grid: Grid, optics: Optics, settings: OutgrowthSettings = SETTINGS
-) -> dict[int, FloatArray]:
+def outgrowths(mesh: Mesh, grid: Grid, optics: Optics) -> dict[int, FloatArray]:
     """Where the longest thin outgrowth of each cell ends, um, (3,); cells without one are left out.
 
     Cells that are thin as a whole have none.
@@ -51,12 +49,12 @@ def outgrowths(
         if box is None:
             continue
         own = np.pad(labels[box] == region, 1)
-        thick = distance_transform_edt(own, sampling=spacing) > settings.thin
+        thick = distance_transform_edt(own, sampling=spacing) > RULES.thin
         if not thick.any():
             continue
-        away = distance_transform_edt(~thick, sampling=spacing) - settings.thin
+        away = distance_transform_edt(~thick, sampling=spacing) - RULES.thin
         out = np.where(own, away, 0.0)
-        if (out > 0).sum() > settings.share * own.sum() or out.max() < settings.length:
+        if (out > 0).sum() > RULES.share * own.sum() or out.max() < RULES.length:
             continue
         at = np.unravel_index(int(out.argmax()), own.shape)
         first = np.array([s.start for s in box]) - 1

@@ -30,7 +30,7 @@ Pixels = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
-class SanitySettings:
+class SanityRules:
     """When something is said; chosen on the scenes of ``benchmarks.defaults.sanity``.
 
     Attributes
@@ -84,7 +84,7 @@ class Doubt:
     sentence: str
 
 
-SETTINGS = SanitySettings()
+RULES = SanityRules()
 _AROUND = 2.0  # radii of the seeds: the ground that is to follow them
 _VOXELS = 4_000_000  # of the middle of the image: more would take longer than a second
 _SMOOTHED = 1.5  # voxels: about as wide as a PSF, so that it stands out best
@@ -97,7 +97,6 @@ def doubts(
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
     *,
     close: bool = False,
-    settings: SanitySettings = SETTINGS,
 ) -> tuple[Doubt, ...]:
     """What speaks against an image, its voxel size and its seeds; usually nothing.
 
@@ -125,25 +124,25 @@ def doubts(
     middle = np.asarray(filled(np.where(known, pixels[cut], np.nan), voxel_size), np.float32)
     if not np.ptp(middle) > 0:
         return ()
-    if not structured(middle) > settings.structure:
+    if not structured(middle) > RULES.structure:
         sentence = (
             "the image shows nothing but noise: is it the right channel, and is it the stack that "
             "was meant?"
         )
         return (Doubt("empty", sentence),)
     found = [
-        _time(middle, settings),
-        _sides(voxel_size, settings),
-        _cut(pixels, settings),
+        _time(middle),
+        _sides(voxel_size),
+        _cut(pixels),
     ]
     if found[0] is None:
-        leaning = _lean(middle, voxel_size, settings)
+        leaning = _lean(middle, voxel_size)
         found.append(leaning)
         if leaning is None:
-            found.append(_step(middle, voxel_size, seeds if close else None, settings))
+            found.append(_step(middle, voxel_size, seeds if close else None))
     if seeds is not None and len(seeds.faces):
         grid = Grid(pixels.shape, voxel_size, origin)
-        found.append(_seeds(pixels, grid, seeds, settings))
+        found.append(_seeds(pixels, grid, seeds))
     return tuple(d for d in found if d is not None)
 
 
@@ -264,8 +263,8 @@ def followed(pixels: np.ndarray, grid: Grid, seeds: Mesh) -> float:
 # What is said ----------------------------------------------------------------------------------
 
 
-def _time(pixels: Pixels, settings: SanitySettings) -> Doubt | None:
-    if len(pixels) < 6 or lasting(pixels) < settings.lasting:
+def _time(pixels: Pixels) -> Doubt | None:
+    if len(pixels) < 6 or lasting(pixels) < RULES.lasting:
         return None
     return Doubt(
         "time",
@@ -274,8 +273,8 @@ def _time(pixels: Pixels, settings: SanitySettings) -> Doubt | None:
     )
 
 
-def _sides(voxel_size: tuple[float, float, float], settings: SanitySettings) -> Doubt | None:
-    low, high = settings.voxel_sides
+def _sides(voxel_size: tuple[float, float, float]) -> Doubt | None:
+    low, high = RULES.voxel_sides
     plane = voxel_size[1:]
     if min(plane) >= low and max(plane) <= high and voxel_size[0] <= 10 * high:
         return None
@@ -287,12 +286,12 @@ def _sides(voxel_size: tuple[float, float, float], settings: SanitySettings) -> 
     )
 
 
-def _cut(pixels: np.ndarray, settings: SanitySettings) -> Doubt | None:
+def _cut(pixels: np.ndarray) -> Doubt | None:
     saturation = camera_from_image(pixels).saturation
     if saturation.value is None:
         return None
     share = float((pixels >= saturation.value).mean())
-    if share < settings.cut:
+    if share < RULES.cut:
         return None
     return Doubt(
         "saturation",
@@ -301,11 +300,9 @@ def _cut(pixels: np.ndarray, settings: SanitySettings) -> Doubt | None:
     )
 
 
-def _lean(
-    pixels: Pixels, voxel_size: tuple[float, float, float], settings: SanitySettings
-) -> Doubt | None:
+def _lean(pixels: Pixels, voxel_size: tuple[float, float, float]) -> Doubt | None:
     lean, _ = drift(pixels, voxel_size)
-    if lean.value is None or lean.value - 3 * lean.error < settings.lean:
+    if lean.value is None or lean.value - 3 * lean.error < RULES.lean:
         return None
     return Doubt(
         "lean",
@@ -318,20 +315,19 @@ def _step(
     pixels: Pixels,
     voxel_size: tuple[float, float, float],
     seeds: Mesh | None,
-    settings: SanitySettings,
 ) -> Doubt | None:
     width = first_sigma(pixels, voxel_size)
     ratio = None
     if width.z.value is not None and width.yx.value is not None:
         ratio = width.z.value / width.yx.value
     longer = elongation(pixels, voxel_size, seeds)
-    large = longer > settings.elongations[1]
-    small = longer < settings.elongations[0]
+    large = longer > RULES.elongations[1]
+    small = longer < RULES.elongations[0]
     if ratio is not None:
-        large |= ratio > settings.psf_ratios[1]
-        small |= ratio < settings.psf_ratios[0]
-        large |= ratio > settings.doubtful_ratios[1] and longer > settings.doubtful_elongations[1]
-        small |= ratio < settings.doubtful_ratios[0] and longer < settings.doubtful_elongations[0]
+        large |= ratio > RULES.psf_ratios[1]
+        small |= ratio < RULES.psf_ratios[0]
+        large |= ratio > RULES.doubtful_ratios[1] and longer > RULES.doubtful_elongations[1]
+        small |= ratio < RULES.doubtful_ratios[0] and longer < RULES.doubtful_elongations[0]
     if large == small:
         return None
     word = "long" if large else "flat"
@@ -343,9 +339,9 @@ def _step(
     )
 
 
-def _seeds(pixels: np.ndarray, grid: Grid, seeds: Mesh, settings: SanitySettings) -> Doubt | None:
+def _seeds(pixels: np.ndarray, grid: Grid, seeds: Mesh) -> Doubt | None:
     share = followed(pixels, grid, seeds)
-    if share >= settings.followed:
+    if share >= RULES.followed:
         return None
     return Doubt(
         "seeds",

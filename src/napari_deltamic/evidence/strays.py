@@ -15,7 +15,7 @@ from .residual import Spot
 
 
 @dataclass(frozen=True)
-class StraySettings:
+class StrayRules:
     """What makes a bright thing one that has no cell.
 
     Attributes
@@ -35,7 +35,7 @@ class StraySettings:
     most: int = 20
 
 
-SETTINGS = StraySettings()
+RULES = StrayRules()
 
 
 @dataclass(frozen=True)
@@ -54,9 +54,7 @@ class Stray:
     z: float
 
 
-def strays(
-    spots: Sequence[Spot], mesh: Mesh, optics: Optics, settings: StraySettings = SETTINGS
-) -> tuple[Stray, ...]:
+def strays(spots: Sequence[Spot], mesh: Mesh, optics: Optics) -> tuple[Stray, ...]:
     """The bright things among the places of a residual that no surface lies near.
 
     Parameters
@@ -74,12 +72,12 @@ def strays(
     sigma = np.asarray(optics.sigma_um)
     places = np.array([spot.position for spot in bright])
     near, _ = cKDTree(mesh.vertices_numpy() / sigma).query(places / sigma)
-    kept = np.flatnonzero(near > settings.away)
+    kept = np.flatnonzero(near > RULES.away)
     if not len(kept):
         return ()
     regions = np.unique(mesh.regions[mesh.regions > 0]).tolist()
     volume = float(np.median([abs(mesh.region_volume(region)) for region in regions]))
-    reach = settings.together * float(np.cbrt(6 * volume / np.pi))
+    reach = RULES.together * float(np.cbrt(6 * volume / np.pi))
     groups = np.ones(1, int)
     if len(kept) > 1:
         groups = fcluster(linkage(places[kept], "single"), reach, "distance")
@@ -88,4 +86,4 @@ def strays(
         own = kept[groups == group]
         z, y, x = places[own].mean(axis=0).tolist()
         found.append(Stray((z, y, x), max(bright[k].z for k in own)))
-    return tuple(sorted(found, key=lambda stray: -stray.z)[: settings.most])
+    return tuple(sorted(found, key=lambda stray: -stray.z)[: RULES.most])

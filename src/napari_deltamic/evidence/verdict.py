@@ -19,7 +19,7 @@ _ORDER: tuple[Grade, ...] = ("good", "fair", "poor")
 
 
 @dataclass(frozen=True)
-class VerdictSettings:
+class VerdictRules:
     """What lowers a grade; from the scenes of ``benchmarks.defaults`` and three real stacks.
 
     Attributes
@@ -64,7 +64,7 @@ class VerdictSettings:
     error_fair: float = 1.0
 
 
-SETTINGS = VerdictSettings()
+RULES = VerdictRules()
 
 
 @dataclass(frozen=True)
@@ -180,11 +180,11 @@ class Verdict:
         return f"{self.grade}{about}" + (f": {'; '.join(self.reasons)}" if self.reasons else "")
 
 
-def judged(facts: Facts, settings: VerdictSettings = SETTINGS) -> Verdict:
+def judged(facts: Facts) -> Verdict:
     """The grade: that of most cells, lowered by what concerns all; one bad cell spoils no other."""
-    whole = _of_whole(facts, settings)
+    whole = _of_whole(facts)
     usual = _usual_growth(facts.cells)
-    cells = tuple(_of_cell(cell, usual, facts, settings) for cell in facts.cells)
+    cells = tuple(_of_cell(cell, usual, facts) for cell in facts.cells)
     grade = _worst(grade for grade, _ in whole)
     reasons = [text for _, text in whole]
     for word in _ORDER[1:]:
@@ -200,24 +200,24 @@ def judged(facts: Facts, settings: VerdictSettings = SETTINGS) -> Verdict:
     return Verdict(grade, tuple(reasons), cells, facts.error)
 
 
-def _of_whole(facts: Facts, settings: VerdictSettings) -> list[tuple[Grade, str]]:
+def _of_whole(facts: Facts) -> list[tuple[Grade, str]]:
     found: list[tuple[Grade, str]] = []
     if not facts.finished:
         found.append(("poor", "the fit did not come to an end: go on, or start nearer"))
     if facts.explained is None:
         found.append(("poor", "nothing around the surfaces is brighter or darker than noise"))
-    elif facts.explained < settings.good:
-        word: Grade = "fair" if facts.explained >= settings.fair else "poor"
+    elif facts.explained < RULES.good:
+        word: Grade = "fair" if facts.explained >= RULES.fair else "poor"
         found.append(
             (word, f"{facts.explained:.0%} of the signal around the surfaces is explained")
         )
-    if facts.width is not None and facts.width > settings.widths[1]:
+    if facts.width is not None and facts.width > RULES.widths[1]:
         text = (
             f"what shines is blurred {facts.width:.2g} times as wide as the PSF: a layer that is "
             "thick, light inside, or a PSF that is too narrow (--structure auto, --fit-psf)"
         )
         found.append(("fair", text))
-    elif facts.width is not None and facts.width < settings.widths[0]:
+    elif facts.width is not None and facts.width < RULES.widths[0]:
         text = f"the image is {1 / facts.width:.2g} times as sharp as the PSF: give its width"
         found.append(("fair", text))
     if facts.narrow:
@@ -225,32 +225,32 @@ def _of_whole(facts: Facts, settings: VerdictSettings) -> list[tuple[Grade, str]
     return found
 
 
-def _of_cell(cell: CellFacts, usual: float, facts: Facts, settings: VerdictSettings) -> CellVerdict:
+def _of_cell(cell: CellFacts, usual: float, facts: Facts) -> CellVerdict:
     found: list[tuple[Grade, str]] = []
     predicted = facts.error.cells.get(cell.region)
     if predicted is not None:
-        found += _of_error(predicted, facts, settings)
-    if cell.explained is not None and cell.explained < settings.good:
-        word: Grade = "fair" if cell.explained >= settings.fair else "poor"
+        found += _of_error(predicted, facts)
+    if cell.explained is not None and cell.explained < RULES.good:
+        word: Grade = "fair" if cell.explained >= RULES.fair else "poor"
         found.append((word, f"{cell.explained:.0%} of the signal around it is explained"))
-    if cell.stray > settings.stray:
+    if cell.stray > RULES.stray:
         text = f"light that no surface explains, {cell.stray:.0%} of that of the cell, lies at it"
         found.append(("fair", text + ": light inside, haze or a neighbour (--effects auto)"))
-    if cell.inside is not None and abs(cell.inside) > settings.inside:
+    if cell.inside is not None and abs(cell.inside) > RULES.inside:
         where = "inside it" if cell.inside > 0 else "around it"
         text = (
             f"light {where}, {abs(cell.inside):.0%} as bright as its surface, is not in the model"
         )
         found.append(("fair", f"{text} (--structure both)"))
-    if cell.compact is not None and cell.compact < settings.compact:
+    if cell.compact is not None and cell.compact < RULES.compact:
         text = "its surface has crumpled, or leaked into a neighbour: smooth it, or start anew"
         found.append(("fair", text))
     if cell.growth is not None:
         growth = cell.growth / usual
-        if growth > settings.grown:
+        if growth > RULES.grown:
             text = f"it has grown to {growth:.2g} times its volume: has it swallowed a neighbour?"
             found.append(("fair", text))
-        elif growth < settings.shrunk:
+        elif growth < RULES.shrunk:
             found.append(("poor", f"it has shrunk to {growth:.0%} of its volume"))
     if cell.small:
         text = "it is so small beside the PSF that a membrane looks like an inside"
@@ -266,13 +266,11 @@ def _of_cell(cell: CellFacts, usual: float, facts: Facts, settings: VerdictSetti
     return CellVerdict(cell.region, grade, reasons, error)
 
 
-def _of_error(
-    predicted: ShapeDeviation, facts: Facts, settings: VerdictSettings
-) -> list[tuple[Grade, str]]:
+def _of_error(predicted: ShapeDeviation, facts: Facts) -> list[tuple[Grade, str]]:
     off = predicted.total / facts.voxel
-    if off <= settings.error_good:
+    if off <= RULES.error_good:
         return []
-    word: Grade = "fair" if off <= settings.error_fair else "poor"
+    word: Grade = "fair" if off <= RULES.error_fair else "poor"
     parts = {
         "the noise": predicted.noise,
         "iterations that are missing": predicted.settling,

@@ -19,7 +19,7 @@ from .preconditioner import Preconditioners
 
 
 @dataclass(frozen=True)
-class RivalSettings:
+class RivalRules:
     """How long rivals are followed, and when one wins.
 
     Attributes
@@ -39,10 +39,10 @@ class RivalSettings:
     less: float = 0.05
 
 
-SETTINGS = RivalSettings()
+RULES = RivalRules()
 
 
-def best_of(terms: Terms, fitted: Fitted, settings: RivalSettings = SETTINGS) -> tuple[Fitted, int]:
+def best_of(terms: Terms, fitted: Fitted) -> tuple[Fitted, int]:
     """The fit that goes on, of both again, and evaluations that it took.
 
     Parameters
@@ -54,24 +54,22 @@ def best_of(terms: Terms, fitted: Fitted, settings: RivalSettings = SETTINGS) ->
     """
     terms, factored = replace(terms, imaging_fitted=False), Preconditioners()
     structures: tuple[Structure, ...] = ("both", "membrane", "interior")
-    ends = [_gone_on(terms, fitted.with_structure(s), factored, settings) for s in structures]
+    ends = [_gone_on(terms, fitted.with_structure(s), factored) for s in structures]
     (_, both, _), *alone = ends
     rival, left, _ = min(alone, key=lambda end: end[1])
     taken = sum(end[2] for end in ends)
-    stuck = left < (1 - settings.less) * both
+    stuck = left < (1 - RULES.less) * both
     return (rival.with_structure("both") if stuck else fitted), taken
 
 
-def _gone_on(
-    terms: Terms, fitted: Fitted, factored: Preconditioners, settings: RivalSettings
-) -> tuple[Fitted, float, int]:
+def _gone_on(terms: Terms, fitted: Fitted, factored: Preconditioners) -> tuple[Fitted, float, int]:
     """A few steps down; the squares that are left there, and evaluations."""
     terms = replace(terms, density_fitted=terms.density_fitted and fitted.structure != "interior")
     guard, taken, since = CollisionGuard(terms.settings.collisions), 0, 0
     objective = Objective(terms, fitted, guard, factored)
-    for _ in range(settings.steps):
+    for _ in range(RULES.steps):
         moved, since = objective.step(), since + 1
-        if since >= settings.renewed_every or objective.strayed() or not moved:
+        if since >= RULES.renewed_every or objective.strayed() or not moved:
             taken += objective.evaluations()
             objective, since = Objective(terms, objective.fitted, guard, factored), 0
     taken += objective.evaluations()

@@ -25,7 +25,7 @@ from .triangle_quality import median_edge
 
 
 @dataclass(frozen=True)
-class DialSettings:
+class DialRules:
     """What the parts are, and what the names stand for.
 
     Attributes
@@ -69,7 +69,7 @@ class DialSettings:
     shares: tuple[float, float, float] = (0.8, 0.4, 0.4)
 
 
-SETTINGS = DialSettings()
+RULES = DialRules()
 _ACCURACIES, _TOLERANCES = (1e-3, 1e-1), (0.005, 0.1)  # over which the parts above were measured
 _RENDERED_AT = 0.1  # accuracy at which ``rendered`` was measured
 _SAME_EDGES = 0.1  # chosen: triangles of one mesh differ by more
@@ -116,31 +116,29 @@ class Situation:
         radius = (3 * volume / (4 * np.pi)) ** (1 / 3)
         return cls(noise, voxel, float(np.prod(sigma) ** (1 / 3)), radius, median_edge(mesh))
 
-    def floor(self, settings: DialSettings = SETTINGS) -> float:
+    def floor(self) -> float:
         """um: the part of the noise."""
-        return settings.noise * self.noise * sqrt(self.voxel**3 / self.width)
+        return RULES.noise * self.noise * sqrt(self.voxel**3 / self.width)
 
-    def predicted(
-        self, edge: float, accuracy: float, tolerance: float, settings: DialSettings = SETTINGS
-    ) -> float:
+    def predicted(self, edge: float, accuracy: float, tolerance: float) -> float:
         """um: mean distance to the true surface."""
-        s = settings
+        s = RULES
         parts = (
-            self.floor(s),
+            self.floor(),
             s.chord * edge**2 * s.curvature / self.radius,
             s.rendered * self.voxel * (accuracy / _RENDERED_AT) ** s.power,
             s.unsettled * tolerance * self.width,
         )
         return float(np.sqrt(np.square(parts).sum()))
 
-    def edge_for(self, part: float, settings: DialSettings = SETTINGS) -> float:
+    def edge_for(self, part: float) -> float:
         """um: edges whose triangles are off by no more than ``part``, um."""
-        s = settings
+        s = RULES
         wanted = sqrt(part * self.radius / (s.chord * s.curvature))
         return max(min(wanted, s.longest * self.radius), s.finest * self.width)
 
 
-def dialled(choice: str, now: Situation, settings: DialSettings = SETTINGS) -> Dialled:
+def dialled(choice: str, now: Situation) -> Dialled:
     """What quick, normal, careful, or a length such as 20nm stand for.
 
     Raises
@@ -148,9 +146,9 @@ def dialled(choice: str, now: Situation, settings: DialSettings = SETTINGS) -> D
     InputError
         For anything else.
     """
-    s, asked = settings, asked_error(choice)
+    s, asked = RULES, asked_error(choice)
     if asked is not None:
-        edge, accuracy, tolerance = _for_length(asked, now, s)
+        edge, accuracy, tolerance = _for_length(asked, now)
     else:
         accuracy = preset_accuracy(choice, now.noise)
         edge, tolerance = now.edge, FitSettings().tolerance
@@ -158,19 +156,20 @@ def dialled(choice: str, now: Situation, settings: DialSettings = SETTINGS) -> D
             edge = max(edge, min(s.quick_edges * edge, s.longest * now.radius))
             tolerance = s.quick_tolerance
         elif choice == "careful":
-            edge = min(edge, now.edge_for(s.careful_share * now.floor(s), s))
+            edge = min(edge, now.edge_for(s.careful_share * now.floor()))
             tolerance = s.careful_tolerance
-    return Dialled(edge, accuracy, tolerance, now.predicted(edge, accuracy, tolerance, s))
+    return Dialled(edge, accuracy, tolerance, now.predicted(edge, accuracy, tolerance))
 
 
-def _for_length(asked: float, now: Situation, s: DialSettings) -> tuple[float, float, float]:
-    rest = sqrt(max(asked**2 - now.floor(s) ** 2, (s.careful_share * now.floor(s)) ** 2, 1e-18))
+def _for_length(asked: float, now: Situation) -> tuple[float, float, float]:
+    s = RULES
+    rest = sqrt(max(asked**2 - now.floor() ** 2, (s.careful_share * now.floor()) ** 2, 1e-18))
     triangles, rendering, settling = (share * rest for share in s.shares)
     accuracy = _RENDERED_AT * (rendering / (s.rendered * now.voxel)) ** (1 / s.power)
     accuracy = min(max(accuracy, _ACCURACIES[0]), max(_ACCURACIES[1], accuracy_for(now.noise)))
     tolerance = settling / (s.unsettled * now.width)
     return (
-        now.edge_for(triangles, s),
+        now.edge_for(triangles),
         float(f"{min(accuracy, _ACCURACIES[1]):.2g}"),
         float(f"{min(max(tolerance, _TOLERANCES[0]), _TOLERANCES[1]):.2g}"),
     )

@@ -22,7 +22,7 @@ from .variables import Variables
 
 
 @dataclass(frozen=True)
-class StructureSettings:
+class StructureRules:
     """When an amplitude leaves the model.
 
     Attributes
@@ -49,7 +49,7 @@ class StructureSettings:
     step: float = 0.05
 
 
-SETTINGS = StructureSettings()
+RULES = StructureRules()
 _RANK = 1e-10  # of columns: less is rounding
 _UNSEEN = 1e-6  # of the stiffest block: there the image cannot say where the surface lies
 
@@ -83,21 +83,20 @@ def chosen(
     at: Variables,
     now: Evaluation,
     mesh: Mesh,
-    settings: StructureSettings = SETTINGS,
 ) -> Chosen:
     """What stays of a model in which both may shine; where neither is clear, membranes do."""
-    membranes, insides = told(posterior, at, now, mesh, settings)
+    membranes, insides = told(posterior, at, now, mesh)
     voxel = float(np.prod(posterior.level.frame.voxel_size)) ** (1 / 3)
 
     def stays(times: float) -> bool:
-        errors, moves = times * settings.errors, times * settings.moves * voxel
+        errors, moves = times * RULES.errors, times * RULES.moves * voxel
         return abs(insides.errors) > errors and insides.moves > moves
 
     if not stays(1.0):
         return Chosen("membrane", False)
-    if membranes.errors <= settings.errors:
+    if membranes.errors <= RULES.errors:
         return Chosen("interior", False)
-    sure = stays(settings.sure) and membranes.errors > settings.sure * settings.errors
+    sure = stays(RULES.sure) and membranes.errors > RULES.sure * RULES.errors
     return Chosen("both", sure)
 
 
@@ -106,12 +105,11 @@ def told(
     at: Variables,
     now: Evaluation,
     mesh: Mesh,
-    settings: StructureSettings = SETTINGS,
 ) -> tuple[Told, Told]:
     """Of membranes and of insides; now : the evaluation there."""
     table = _columns(posterior, at)
-    patch = _patches(posterior, at, now, mesh, settings.step)
-    block = _blocks(posterior, settings.block)
+    patch = _patches(posterior, at, now, mesh, RULES.step)
+    block = _blocks(posterior, RULES.block)
     stiff = np.bincount(block, patch * patch)
     seen = stiff > _UNSEEN * stiff.max(initial=0.0)
     safe = np.where(seen, stiff, np.inf)

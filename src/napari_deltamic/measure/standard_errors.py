@@ -20,7 +20,7 @@ Tables = tuple[Table, ...]
 
 
 @dataclass(frozen=True)
-class ErrorSettings:
+class ErrorRules:
     """How standard errors are estimated.
 
     share
@@ -34,6 +34,9 @@ class ErrorSettings:
 
     share: float = 0.05
     known: float = 0.9
+
+
+RULES = ErrorRules()
 
 
 # Numbers of each table that have errors: what comes before and after "_se" and "_bias" in names.
@@ -58,7 +61,6 @@ def with_errors(
     tables: Sequence[Table],
     replicas: Replicas,
     measured: Callable[[Mesh], Sequence[Table]],
-    settings: ErrorSettings | None = None,
 ) -> Tables:
     """The tables with errors; their numbers are what is left when the mean errors are taken away.
 
@@ -71,7 +73,6 @@ def with_errors(
     measured
         The same of any mesh of the same walls.
     """
-    settings = settings or ErrorSettings()
     told = _Told(tables)
     move = replicas.mesh.with_vertices
     now = told.numbers(tables)
@@ -85,12 +86,12 @@ def with_errors(
     plus, minus = np.array(ends).transpose(1, 0, 2)
     with np.errstate(invalid="ignore"):
         odd, even = (plus - minus) / 2, (plus + minus) / 2 - now
-        seen = np.isfinite(odd).mean(0) >= settings.known
+        seen = np.isfinite(odd).mean(0) >= RULES.known
         scatter = np.sqrt(np.nanmean(np.where(seen, odd, 0.0) ** 2, axis=0))
         rough = np.nanmean(np.where(seen, even, 0.0), axis=0)
         bias = rough + flat + (pulled - refitted)
     # What more patience would change is no mean error: of a fit that was stopped it is a guess.
-    error = np.sqrt(scatter**2 + (settings.share * bias) ** 2 + (settled - now) ** 2)
+    error = np.sqrt(scatter**2 + (RULES.share * bias) ** 2 + (settled - now) ** 2)
     return told.filled(tables, np.where(seen, bias, np.nan), np.where(seen, error, np.nan))
 
 

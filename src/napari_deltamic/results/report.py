@@ -18,12 +18,9 @@ from numpy.typing import ArrayLike
 from ..common.writing import make_folder, write_atomically, written_together
 from ..evidence.verdict import Verdict
 from ..fitting import FitState
-from ..fitting.schedule import Schedule
-from ..fitting.topology import RULES as TOPOLOGY
 from ..fourier.devices import choose_device
 from ..fourier.native import threads
 from ..geometry import save_mesh
-from ..geometry.labels.cell_rules import FINDING
 from ..images.stacks import write_image
 from ..measure import measure
 from ..measure.of_fit import known_of
@@ -32,13 +29,8 @@ from ..scene import Grid, Renderer, Scene
 from ..scene.effects import Effects
 from ..scene.light import structure_of
 from .picture import picture_png
+from .rules_of_a_fit import RULES_OF_A_FIT
 
-# What decided, beside the settings of a run: it may be another in another version.
-RULES_OF_A_FIT = {
-    "cells": asdict(FINDING),
-    "schedule": asdict(Schedule()),
-    "topology": asdict(TOPOLOGY),
-}
 FILES = (
     "mesh.ply",
     "mesh.rec",

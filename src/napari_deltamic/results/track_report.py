@@ -24,7 +24,8 @@ from ..runs.track_run import TrackRun
 from ..scene import Grid
 from ..tracking import Event, FrameResult, lineage, surface_4d
 from ..tracking.track_rules import RULES
-from .report import PACKAGES, RULES_OF_A_FIT, plain_values, version_of
+from .report import PACKAGES, plain_values, version_of
+from .rules_of_a_fit import RULES_OF_A_FIT
 
 MESH_KINDS = (".ply", ".vtk")  # exact, with regions; and for viewers that play series
 FILES = ("tracks.csv", "surface.npz", "run.toml", "report.json")

@@ -65,6 +65,14 @@ class BetweenFrames:
         self.state, self.optics = state, state.optics
         self.edge = median_edge(mesh) if self.edge == 0 else self.edge
 
+    def two_new_cells(self) -> tuple[int, int]:
+        """Numbers that no cell has had."""
+        return self.next_cell, self.next_cell + 1
+
+    def named(self, cells: Sequence[int]) -> None:
+        """These numbers are taken."""
+        self.next_cell = max(self.next_cell, max(cells) + 1)
+
     def resume(self, done: Sequence[FrameResult], settings: FitSettings) -> None:
         """Go on after the last good one of some results."""
         for result in done:

@@ -265,13 +265,13 @@ class _Tracker:
             for found in calls:
                 if found.cell in refused:
                     continue
-                pair = (self.past.next_cell, self.past.next_cell + 1)
+                pair = self.past.two_new_cells()
                 try:
                     mesh = divide_region(mesh, found.cell, found.point, found.normal, pair)
                 except InputError:  # a plane that does not cut the cell in one loop
                     refused.add(found.cell)
                     continue
-                self.past.next_cell += 2
+                self.past.named(pair)
                 divided[found.cell] = (pair, found)
             if not divided:
                 break
