@@ -19,10 +19,10 @@ from pathlib import Path
 import numpy as np
 
 import napari_deltamic as nd
+from benchmarks.double_bubble import DoubleBubble
 from napari_deltamic.errors import InputError
 from napari_deltamic.fitting.job import assemble, start
 from napari_deltamic.geometry import mesh_from_labels, sphere, torus
-from napari_deltamic.geometry.double_bubble import DoubleBubble
 from napari_deltamic.measure import Measurements, measure
 from napari_deltamic.measure.of_fit import known_of, replicas_at
 from napari_deltamic.runs.settings import RunSettings, SceneSettings

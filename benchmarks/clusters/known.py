@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.joined_spheres import joined_spheres
 from napari_deltamic import FitState, GaussianPSF, Grid, Mesh, fit, load_mesh, render
 from napari_deltamic.geometry.contacts import contacts
 from napari_deltamic.geometry.foam import foam
-from napari_deltamic.geometry.joined_spheres import joined_spheres
 from napari_deltamic.measure import junction_angles, surface_distance
 from napari_deltamic.runs.settings import FitSettings
 

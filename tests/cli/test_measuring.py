@@ -4,10 +4,10 @@ import csv
 
 import numpy as np
 import pytest
+from benchmarks.double_bubble import DoubleBubble
 
 import napari_deltamic as nd
 from napari_deltamic.geometry import Mesh, sphere
-from napari_deltamic.geometry.double_bubble import DoubleBubble
 from napari_deltamic.images.stacks import read_image, write_image
 from napari_deltamic.results.measured_files import MEASURED
 from napari_deltamic.results.report import History

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.double_bubble import DoubleBubble
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.fitting import curvature as module
@@ -14,7 +15,6 @@ from napari_deltamic.fitting.normal_jacobian import Colouring, normal_jacobian
 from napari_deltamic.fitting.replicating import replicas_of
 from napari_deltamic.fitting.state import FitState
 from napari_deltamic.geometry import sphere
-from napari_deltamic.geometry.double_bubble import DoubleBubble
 from napari_deltamic.runs.settings import FitSettings
 from synthetic import CENTER, GRID, OPTICS, RADIUS, measured
 

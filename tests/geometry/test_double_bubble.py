@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from benchmarks.double_bubble import DoubleBubble
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.double_bubble import DoubleBubble
 
 BUBBLES = [
     ((1.0, 1.0, 1.0), 0.0),

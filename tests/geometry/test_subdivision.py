@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from benchmarks.double_bubble import DoubleBubble
 
 from napari_deltamic import Mesh
 from napari_deltamic.geometry import sphere
-from napari_deltamic.geometry.double_bubble import DoubleBubble
 from napari_deltamic.geometry.subdivision import subdivided
 
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.double_bubble import DoubleBubble
 from napari.layers import Image, Layer, Surface
 
 import napari_deltamic as nd
 from napari_deltamic.geometry import sphere
-from napari_deltamic.geometry.double_bubble import DoubleBubble
 from napari_deltamic.gui.measure_layer import measure_surface, measure_widget
 from napari_deltamic.gui.viewing.frame import OWN
 

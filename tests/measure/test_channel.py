@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from benchmarks.double_bubble import DoubleBubble
 
 import napari_deltamic as nd
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import sphere
-from napari_deltamic.geometry.double_bubble import DoubleBubble
 from napari_deltamic.measure.channel import ChannelSettings, channel_amounts
 from napari_deltamic.measure.channel_tables import channel_tables
 from napari_deltamic.measure.part_images import part_images

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from benchmarks.double_bubble import DoubleBubble
 from shapes import kelvin_cell
 
 from napari_deltamic.geometry import Mesh, box, sphere, torus
-from napari_deltamic.geometry.double_bubble import DoubleBubble
 from napari_deltamic.measure.discrete_curvature import (
     cell_curvature,
     wall_curvature,

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from benchmarks.joined_spheres import joined_spheres
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.foam import foam
-from napari_deltamic.geometry.joined_spheres import joined_spheres
 from napari_deltamic.measure import junction_angles
 
 CENTER = (3.0, -2.0, 7.0)

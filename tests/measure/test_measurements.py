@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.double_bubble import DoubleBubble
 from shapes import kelvin_cell
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import Mesh, box, sphere, torus
-from napari_deltamic.geometry.double_bubble import DoubleBubble
 from napari_deltamic.geometry.judgement import Judgement
 from napari_deltamic.geometry.replicas import Replicas
 from napari_deltamic.measure import Known, measure

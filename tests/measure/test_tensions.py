@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from benchmarks.double_bubble import DoubleBubble
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.double_bubble import DoubleBubble
 from napari_deltamic.measure import Junction, TensionSettings, measure, relative_tensions
 from napari_deltamic.measure.tensions import Estimate, relative_pressures, walls_around
 

@@ -5,12 +5,12 @@ import csv
 import numpy as np
 import pytest
 import tifffile
+from benchmarks.double_bubble import DoubleBubble
 from skimage.measure import regionprops
 
 import napari_deltamic as nd
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import Mesh, sphere
-from napari_deltamic.geometry.double_bubble import DoubleBubble
 from napari_deltamic.geometry.files.vtk import _Reader
 from napari_deltamic.images.stacks import read_image
 from napari_deltamic.measure import measure

@@ -7,11 +7,11 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from benchmarks.double_bubble import DoubleBubble
 from PIL import Image
 
 import napari_deltamic as nd
 from napari_deltamic.geometry import sphere
-from napari_deltamic.geometry.double_bubble import DoubleBubble
 from napari_deltamic.measure import Known, measure
 from napari_deltamic.results.html_page import html_page
 from napari_deltamic.results.measured_source import Measurable

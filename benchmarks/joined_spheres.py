@@ -8,7 +8,7 @@ import numpy as np
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.foam import foam
-from napari_deltamic.geometry.mesh import FloatArray, Mesh, _triple
+from napari_deltamic.geometry.mesh import FloatArray, Mesh
 from napari_deltamic.geometry.remeshing import can_remesh, remesh
 
 _ROUNDS = 3  # of remeshing and putting back. Measured: after none the least angle is 28, then 31
@@ -48,7 +48,7 @@ def joined_spheres(
     mesh = _projected(mesh, centers, radii)
     for _ in range(rounds):
         mesh = _projected(remesh(mesh, edge_length, passes=2).mesh, centers, radii)
-    return mesh.translated(_triple(center, "center"))
+    return mesh.translated(center)
 
 
 def _projected(mesh: Mesh, centers: FloatArray, radii: tuple[float, float]) -> Mesh:
