@@ -17,7 +17,7 @@ from ..scene.effects import Effect, Effects
 _PRIOR = 0.36
 # Standard deviation of log(width along Y / width along X) around what it is at the start:
 # objectives are round, and more of a difference is of what the model does not show. Measured: half
-# and twice move surfaces by 0.004 voxel at most.
+# and twice move surfaces of single cells by 0.004 voxel at most.
 _ROUND = 0.002
 _EFFECT_PRIOR = 100.0  # the same of an effect's, in units of its scale: their bounds say enough
 

@@ -6,8 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-# Of the moments of before, at every step. Chosen: shorter than the 0.999 of Adam, since objectives
-# change with every level.
+# Of the moments of before, at every step. Chosen, not measured: Adam's own are 0.9 and 0.999.
 _KEPT = (0.9, 0.99)
 
 

@@ -70,7 +70,7 @@ class DialRules:
 
 
 RULES = DialRules()
-_ACCURACIES, _TOLERANCES = (1e-3, 1e-1), (0.005, 0.1)  # over which the parts above were measured
+_ACCURACIES, _TOLERANCES = (1e-3, 1e-1), (0.005, 0.1)  # bounds; chosen, not measured
 _RENDERED_AT = 0.1  # accuracy at which ``rendered`` was measured
 _SAME_EDGES = 0.1  # chosen: triangles of one mesh differ by more
 

@@ -10,7 +10,7 @@ from ..common.normal import MEDIAN_SQUARE
 from ..geometry.mesh import FloatArray
 
 # Sides of the blocks, in widths of the blurred PSF: more than the two over which what is left
-# is correlated. Measured: half and twice change nothing in small fits.
+# is correlated. Measured: half and twice change no fit of one cell.
 _BLOCK = 4.0
 _FEWEST = 4  # voxels that a block must hold: a sum of fewer would be one voxel's
 
