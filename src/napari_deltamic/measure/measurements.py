@@ -61,8 +61,8 @@ def measure(
     # Of other meshes of the same walls nothing else is known.
     bare = Known(grid=known.grid, resolution=known.resolution)
 
-    def measured(other: Mesh) -> tuple[Table, Table, Table]:
-        return _measured(other, bare, settings, reach).tables
+    def measured(other: Mesh, part: float) -> tuple[Table, Table, Table]:
+        return _measured(other, bare, settings, part * reach).tables
 
     return Measurements(*with_errors(found.tables, known.replicas, measured))
 

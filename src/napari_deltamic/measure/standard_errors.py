@@ -27,12 +27,18 @@ class ErrorRules:
         Of what a number is corrected by, what the correction itself may be off by. From
         ``benchmarks.measurements``: areas of tori, which flat triangles are off by 1.6 %, came out
         right within 0.07 %.
+    nearer
+        Angles are read from arcs; those of this part of their reach say what the reach does to
+        them, at rims that the blur has rounded above all. On 16 double bubbles angles were off by
+        as much as the two readings differ (0.7 and 0.9 degrees rms at ratios up to 1.4, 3.3
+        and 2.9 at 1.8).
     known
         Share of the replicas on which a number must be measurable to have an error: the spread of
         those on which it happens to be would be too small.
     """
 
     share: float = 0.05
+    nearer: float = 0.7
     known: float = 0.9
 
 
@@ -60,7 +66,7 @@ _BY_EDGES = ("volume", "area", "sphericity", "mean_curvature")
 def with_errors(
     tables: Sequence[Table],
     replicas: Replicas,
-    measured: Callable[[Mesh], Sequence[Table]],
+    measured: Callable[[Mesh, float], Sequence[Table]],
 ) -> Tables:
     """The tables with errors; their numbers are what is left when the mean errors are taken away.
 
@@ -71,18 +77,18 @@ def with_errors(
     replicas
         Of the fit.
     measured
-        The same of any mesh of the same walls.
+        The same of any mesh of the same walls, its angles read from arcs of so much of their reach.
     """
     told = _Told(tables)
     move = replicas.mesh.with_vertices
     now = told.numbers(tables)
     settled, refitted, pulled = (
-        told.numbers(measured(move(v)))
+        told.numbers(measured(move(v), 1.0))
         for v in (replicas.settled, replicas.refitted, replicas.pulled)
     )
-    flat = refitted - told.numbers(measured(replicas.smooth))
+    flat = refitted - told.numbers(measured(replicas.smooth, 1.0))
     flat = np.where(told.by_edges, flat / (1 - 1 / replicas.finer), flat)
-    ends = [[told.numbers(measured(mesh)) for mesh in pair] for pair in replicas.pairs()]
+    ends = [[told.numbers(measured(mesh, 1.0)) for mesh in pair] for pair in replicas.pairs()]
     plus, minus = np.array(ends).transpose(1, 0, 2)
     with np.errstate(invalid="ignore"):
         odd, even = (plus - minus) / 2, (plus + minus) / 2 - now
@@ -90,8 +96,11 @@ def with_errors(
         scatter = np.sqrt(np.nanmean(np.where(seen, odd, 0.0) ** 2, axis=0))
         rough = np.nanmean(np.where(seen, even, 0.0), axis=0)
         bias = rough + flat + (pulled - refitted)
+    # Where arcs are too short to read anything, nothing is known of what their reach does.
+    rounded = np.nan_to_num(told.numbers(measured(replicas.mesh, RULES.nearer)) - now)
     # What more patience would change is no mean error: of a fit that was stopped it is a guess.
-    error = np.sqrt(scatter**2 + (RULES.share * bias) ** 2 + (settled - now) ** 2)
+    known = scatter**2 + (RULES.share * bias) ** 2
+    error = np.sqrt(known + (settled - now) ** 2 + rounded**2)
     return told.filled(tables, np.where(seen, bias, np.nan), np.where(seen, error, np.nan))
 
 
