@@ -322,3 +322,25 @@ def test_whatever_the_mesh_there_is_a_number_or_nothing(bubble, kind):
             mesh = Mesh(v, faces, np.where(turned[:, None], regions[:, ::-1], regions))
         density = rng.random(len(mesh.faces))
         check_no_silent_nan(measure(mesh, Known(grid=ROUND, density=density, resolution=0.3)))
+
+
+def test_a_rounded_rim_makes_angles_unsure(bubble):
+    """Arcs of different reach then read different angles."""
+
+    def outer_angle(mesh):
+        (row,) = measure(mesh, Known(replicas=replicas(mesh))).junctions.rows
+        return row["angle_a_deg"], row["angle_a_se_deg"]
+
+    ends = bubble.edges()
+    v = bubble.vertices_numpy().copy()
+    for _ in range(3):  # each vertex goes halfway to the middle of its neighbours
+        total, count = np.zeros_like(v), np.zeros(len(v))
+        for one, other in (ends.T, ends.T[::-1]):
+            np.add.at(total, one, v[other])
+            np.add.at(count, one, 1)
+        v = (v + total / count[:, None]) / 2
+    sharp, sure = outer_angle(bubble)
+    rounded, unsure = outer_angle(bubble.with_vertices(v))
+    assert sure < 0.6
+    assert rounded - sharp > 2.0
+    assert unsure > 0.5 * (rounded - sharp)
