@@ -365,4 +365,5 @@ def _user(viewer: Any, widget: Any) -> Any:
 if __name__ == "__main__":
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        print(json.dumps(measure(sys.argv[1], float(sys.argv[2]))))
+        print(json.dumps(measure(sys.argv[1], float(sys.argv[2]))), flush=True)
+        os._exit(0)  # what napari and Qt do while they are taken down is no part of this

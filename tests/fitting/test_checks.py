@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 import torch
 
-from napari_deltamic import Grid, InputError
-from napari_deltamic.fitting.checks import check_image, check_mesh
+from napari_deltamic import GaussianPSF, Grid, InputError
+from napari_deltamic.fitting.checks import check_image, check_mesh, check_psf
 from napari_deltamic.geometry import sphere
 
 GRID = Grid((4, 5, 6), (0.2, 0.1, 0.1), (1.0, 2.0, 3.0))
@@ -81,3 +81,9 @@ def test_mesh_must_meet_the_image():
             with pytest.raises(InputError, match="outside the image") as error:
                 check_mesh(sphere(center, 0.1), GRID)
             assert "\n" not in str(error.value)
+
+
+def test_a_psf_far_wider_than_the_image_is_refused():
+    check_psf(GaussianPSF((0.8, 0.3, 0.3)), GRID)
+    with pytest.raises(InputError, match=r"5e\+03 um along Y, where the image is only 0.5 um wide"):
+        check_psf(GaussianPSF((0.4, 5e3, 0.2)), GRID)

@@ -9,12 +9,14 @@ from torch import Tensor
 from ..errors import InputError
 from ..geometry.mesh import Mesh
 from ..images.missing import unmasked
+from ..optics import Optics
 from ..scene import Grid
 from .likelihood import voxel_noise
 
 # Squares of what lies outside are lost in single precision: a fit then changes with the unit.
 _SMALLEST, _LARGEST = 1e-9, 1e17
 FEWEST_VOXELS = 64  # that a fit needs
+_WIDEST = 3.0  # PSF, in sides of the image: a stack of few planes may be thinner than its PSF
 
 
 def check_image(image: np.ndarray | Tensor, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
@@ -64,6 +66,17 @@ def check_mesh(mesh: Mesh, grid: Grid) -> None:
         ranges = " ".join(f"{a:.3g}..{b:.3g}" for a, b in zip(low, high, strict=True))
         image = " ".join(f"{a:.3g}..{b:.3g}" for a, b in zip(first, last, strict=True))
         raise InputError(f"the mesh ({ranges} um, Z Y X) lies outside the image ({image} um)")
+
+
+def check_psf(optics: Optics, grid: Grid) -> None:
+    """InputError where a PSF is so wide that its numbers must be of another unit."""
+    sides = zip("ZYX", optics.sigma_um, grid.voxel_size, grid.shape, strict=True)
+    for axis, sigma, size, n in sides:
+        if sigma > _WIDEST * n * size:
+            raise InputError(
+                f"the PSF has a standard deviation of {sigma:.3g} um along {axis}, where the image "
+                f"is only {n * size:.3g} um wide: its numbers are in um"
+            )
 
 
 def hot_voxels(pixels: np.ndarray, known: np.ndarray) -> np.ndarray:

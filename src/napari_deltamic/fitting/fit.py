@@ -23,7 +23,7 @@ from ..runs.settings import WIDE_LEVELS, FitSettings
 from ..scene import Grid
 from ..scene.effects import Effects, as_effects
 from .change import Change
-from .checks import check_image, check_mesh, hot_voxels
+from .checks import check_image, check_mesh, check_psf, hot_voxels
 from .default_accuracy import accuracy_for_image
 from .paper import as_in_the_paper
 from .problem import Problem
@@ -99,6 +99,7 @@ def fit(
     known = known & ~hot
     mesh = right_side_out(mesh)
     check_mesh(mesh, grid)
+    check_psf(optics, grid)
     settings = _completed(settings, pixels, known)
     if settings.as_in_the_paper:
         return as_in_the_paper(Problem(pixels, known, grid), mesh, optics, settings, effects)

@@ -13,7 +13,7 @@ from ..geometry import Mesh
 from ..geometry.carry import carried
 from ..optics import Optics
 from .change import Change
-from .checks import check_mesh
+from .checks import check_mesh, check_psf
 from .job import FitInput
 
 
@@ -116,3 +116,5 @@ def usable(change: Change, mesh: Mesh, optics: Optics, job: FitInput) -> None:
     change.check(mesh, optics, settings)
     if change.mesh is not None:
         check_mesh(change.mesh, job.grid)
+    if change.optics is not None:
+        check_psf(change.optics, job.grid)

@@ -20,6 +20,8 @@ from ..fitting.job import FitInput
 from ..measure import measure
 from ..measure.of_fit import known_of
 
+_LISTED = 6  # cells, at most; of more it is told how many they are
+
 
 @dataclass(frozen=True, eq=False)
 class Judged:
@@ -111,16 +113,25 @@ def told(known: Judged) -> str:
     )
     whole = verdict.error.whole
     text += "." if whole is None else f"; they are off by about {1000 * whole.total:.0f} nm."
-    reasons = [_spoken(reason) for reason in verdict.reasons if "is explained" not in reason]
+    named = ("fair: cell", "poor: cell")  # each of them has reasons of its own
+    reasons = [r for r in verdict.reasons if "is explained" not in r and not r.startswith(named)]
+    if any(reason.startswith(named) for reason in verdict.reasons):
+        reasons.append(f"{_of_cells(verdict)}: the table says why")
     text += "".join(f" {reason[0].upper()}{reason[1:]}." for reason in reasons)
     if verdict.grade == "poor":
         text += " Look at the surfaces before you use them."
     return text
 
 
-def _spoken(reason: str) -> str:
-    """A reason; where it names cells of a grade, the table has their own reasons."""
-    word, _, cells = reason.partition(": ")
-    if word not in ("fair", "poor") or not cells.startswith("cell"):
-        return reason
-    return f"{cells} {'is' if cells.startswith('cell ') else 'are'} {word}, the table says why"
+def _of_cells(verdict: Verdict) -> str:
+    """Which cells are fair and which are poor; where they are many, how many."""
+    told_of = []
+    for grade in ("fair", "poor"):
+        regions = [cell.region for cell in verdict.cells if cell.grade == grade]
+        if len(regions) > _LISTED:
+            told_of.append(f"{len(regions)} of {len(verdict.cells)} cells are {grade}")
+        elif regions:
+            several = len(regions) > 1
+            names = ", ".join(map(str, regions))
+            told_of.append(f"cell{'s' * several} {names} {'are' if several else 'is'} {grade}")
+    return ", ".join(told_of)

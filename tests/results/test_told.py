@@ -1,0 +1,34 @@
+"""How good a fit is, in words: which cells are not good, and where the reasons are."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from napari_deltamic.evidence.verdict import CellVerdict
+from napari_deltamic.results.judged import told
+
+
+def judged(grades, reasons=()):
+    """What is known of a fit whose cells have these grades."""
+    cells = tuple(CellVerdict(k, grade) for k, grade in enumerate(grades, 1))
+    error = SimpleNamespace(whole=None)
+    verdict = SimpleNamespace(grade="fair", cells=cells, reasons=reasons, error=error)
+    return SimpleNamespace(verdict=verdict, found=SimpleNamespace(explained=0.9))
+
+
+@pytest.mark.parametrize(
+    ("grades", "reasons", "said"),
+    [
+        (["good"] * 3, (), "."),
+        (["fair", "good"], ("fair: cell 1",), ". Cell 1 is fair: the table says why."),
+        (
+            ["fair"] * 8 + ["poor", "poor", "good"],
+            ("the PSF is not that of the image", "fair: cells 1", "poor: cells 9, 10"),
+            ". The PSF is not that of the image."
+            " 8 of 11 cells are fair, cells 9, 10 are poor: the table says why.",
+        ),
+    ],
+)
+def test_cells_that_are_not_good_are_named_or_counted(grades, reasons, said):
+    text = "Fair: the cells explain 90% of the signal around them"
+    assert told(judged(grades, reasons)) == text + said
