@@ -200,6 +200,7 @@ def watched() -> Watch:
     from napari_deltamic.gui.panels.settings_panel import SettingsPanel
     from napari_deltamic.gui.running.run_control import RunControl
     from napari_deltamic.gui.seeding.seeds_panel import SeedsPanel
+    from napari_deltamic.gui.sessions.session_bar import SessionBar
     from napari_deltamic.gui.viewing.viewer_link import ViewerLink
     from napari_deltamic.gui.work import Background, Work
 
@@ -210,6 +211,7 @@ def watched() -> Watch:
     watch.over(Background, "_look", "_waited")
     watch.over(RunControl, "start")
     watch.over(SeedsPanel, "_look")
+    watch.over(SessionBar, "_go_on")
     watch.over(SettingsPanel, "_edited")
     watch.over(ViewerLink, "slice_changed")
     watch.over(HistoryBar, "_slid")

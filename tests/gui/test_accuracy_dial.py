@@ -333,13 +333,13 @@ def test_a_session_keeps_the_name(seeded, make_widget, spin):
     number = seeded.settings.accuracy.number()
     assert session.settings.fit.accuracy == number
     other = make_widget()
-    restore(other.parts, session)
+    list(restore(other.parts, session))
     assert other.settings.accuracy.choice == "quick"
     assert other.settings.fit_settings() == session.settings.fit
     # An earlier version kept the number alone.
     fit = session.settings.fit.model_copy(update={"shape_error": "normal"})
     settings = session.settings.model_copy(update={"fit": fit})
-    restore(other.parts, replace(session, panels={}, settings=settings))
+    list(restore(other.parts, replace(session, panels={}, settings=settings)))
     assert other.settings.accuracy.choice == written(number)
 
 

@@ -123,7 +123,7 @@ def test_a_session_keeps_it(seeded, second, spin, tmp_path, with_image, pixels):
     save_session(tmp_path / "a.deltamic", found)
     second.chooser.setCurrentIndex(0)
     with_image.layers.remove("side")
-    session.restore(seeded.parts, load_session(tmp_path / "a.deltamic"))
+    list(session.restore(seeded.parts, load_session(tmp_path / "a.deltamic")))
     assert second.layer is not None
     assert second.layer.name == "side"
     assert second.sigma.value() == SIGMA
@@ -148,7 +148,7 @@ def test_a_session_without_one_has_none(seeded, second, with_image):
     effects = found.settings.scene.effects.without("second_view")
     scene = found.settings.scene.model_copy(update={"effects": effects})
     settings = found.settings.model_copy(update={"scene": scene})
-    session.restore(seeded.parts, replace(found, settings=settings, second=None))
+    list(session.restore(seeded.parts, replace(found, settings=settings, second=None)))
     assert second.layer is None
     assert seeded.run_settings().scene.effects.second_view is None
 

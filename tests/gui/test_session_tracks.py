@@ -34,7 +34,7 @@ def reopened_here(app, viewer, spin, tmp_path):
         viewer.layers.clear()
         other = fit_widget.FitWidget(viewer)
         made.append(other)
-        session.restore(other.parts, load_session(tmp_path / "a.deltamic"))
+        list(session.restore(other.parts, load_session(tmp_path / "a.deltamic")))
         return other
 
     yield reopened_here
@@ -105,7 +105,7 @@ def test_no_session_is_opened_while_cells_are_tracked(widget, spin, slow):
     found, _ = session.capture(widget.parts)
     widget.tracking.start()
     with pytest.raises(InputError, match="being tracked"):
-        session.restore(widget.parts, found)
+        list(session.restore(widget.parts, found))
     widget.tracking.stop()
 
 

@@ -141,7 +141,7 @@ def test_capture_shares_the_pixels(seeded, with_image, spin):
     assert np.shares_memory(session.image.pixels, with_image.layers["cell"].data)
     viewer = napari.components.ViewerModel()
     widget = fit_widget.FitWidget(viewer)
-    restore(widget.parts, session)
+    list(restore(widget.parts, session))
     assert np.shares_memory(viewer.layers["cell"].data, session.image.pixels)
     widget.close_links()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from dataclasses import dataclass
 from typing import Any
 
@@ -69,8 +70,10 @@ def capture(parts: Parts) -> tuple[Session, str]:
     return session, left_out
 
 
-def restore(parts: Parts, session: Session) -> None:
+def restore(parts: Parts, session: Session) -> Generator[None]:
     """Show a session: its layers are added, the panels show what they did.
+
+    Where it yields, the window may do what waits: the result comes after image and cells.
 
     Raises
     ------
@@ -99,6 +102,9 @@ def restore(parts: Parts, session: Session) -> None:
         panel.chooser.choose(seed)
     if session.result is not None or session.tracks is not None:
         doc.cells.finish_placing()  # no preview of the start over its result
+    yield
+    if doc.work.occupied or doc.image.layer is not image:
+        return  # the user has begun something else
     if session.tracks is not None:
         parts.tracking.reopen(session.tracks)
         # The surface of a fit belongs to the time that is shown when it comes.

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from functools import partial
 from pathlib import Path
 
-from qtpy.QtCore import QObject
+from qtpy.QtCore import QObject, QTimer
 from qtpy.QtWidgets import QFileDialog, QWidget
 
 from ...errors import InputError
@@ -25,7 +25,7 @@ class SessionBar(QObject):
     Parameters
     ----------
     capture : gives the session that is shown, and a remark about it ('' for none).
-    restore : shows a session.
+    restore : shows a session, step by step.
     doc : the document.
     parent : Qt's, over which files are asked for.
     """
@@ -33,7 +33,7 @@ class SessionBar(QObject):
     def __init__(
         self,
         capture: Callable[[], tuple[Session, str]],
-        restore: Callable[[Session], None],
+        restore: Callable[[Session], Generator[None]],
         doc: Document,
         parent: QWidget,
     ) -> None:
@@ -52,6 +52,7 @@ class SessionBar(QObject):
         )
         self._saving = Background(self._saved, self._not_saved)
         self._opening = Background(self._opened, self._not_opened)
+        self._steps: Generator[None] | None = None  # that are left of showing a session
         self.open_action.triggered.connect(self._ask_open)
         self.save_action.triggered.connect(self._ask_save)
         self._show(saving=False, opening=False)
@@ -59,7 +60,7 @@ class SessionBar(QObject):
     @property
     def busy(self) -> bool:
         """Whether a file is being written or read."""
-        return self._saving.busy or self._opening.busy
+        return self._saving.busy or self._opening.busy or self._steps is not None
 
     def save(self, path: str) -> None:
         """Save what is shown now. InputError if there is nothing that could be saved."""
@@ -78,6 +79,7 @@ class SessionBar(QObject):
         """Call nobody any more; a file that is being written is written to its end."""
         self._saving.close()
         self._opening.close()
+        self._steps = None
 
     def _saved(self, path: str) -> None:
         self._show(saving=False)
@@ -88,8 +90,22 @@ class SessionBar(QObject):
         self._doc.warned.emit(reason)
 
     def _opened(self, session: Session) -> None:
-        self._show(opening=False)
-        attempt(partial(self._restore, session), self._doc.warned.emit)
+        self._steps = self._restore(session)
+        self._go_on()
+
+    def _go_on(self) -> None:
+        """The next step; then the window has its turn."""
+        steps, self._steps = self._steps, None
+        if steps is None:
+            return
+        attempt(partial(self._take_step, steps), self._doc.warned.emit)
+        self._show(opening=self._steps is not None)
+
+    def _take_step(self, steps: Generator[None]) -> None:
+        for _ in steps:
+            self._steps = steps
+            QTimer.singleShot(0, self._go_on)
+            break
 
     def _not_opened(self, reason: str) -> None:
         self._show(opening=False)
