@@ -29,9 +29,9 @@ class ErrorRules:
         right within 0.07 %.
     nearer
         Angles are read from arcs; those of this part of their reach say what the reach does to
-        them, at rims that the blur has rounded above all. On 16 double bubbles angles were off by
-        as much as the two readings differ (0.7 and 0.9 degrees rms at ratios up to 1.4, 3.3
-        and 2.9 at 1.8).
+        them, at rims that the blur has rounded above all. Measured on 16 double bubbles: angles
+        were off by as much as the two readings differ (0.7 and 0.9 degrees rms at ratios up to
+        1.4, 3.3 and 2.9 at 1.8).
     known
         Share of the replicas on which a number must be measurable to have an error: the spread of
         those on which it happens to be would be too small.
