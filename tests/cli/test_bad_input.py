@@ -1,9 +1,12 @@
 """The command line: one line, and nothing written, for whatever it cannot use."""
 
+import io
 import os
 
 import numpy as np
 import pytest
+
+from napari_deltamic.cli import main
 
 SHAPE = (20, 24, 24)
 VOXELS = ("--voxel-size", "0.3", "0.2", "0.2")
@@ -19,6 +22,12 @@ def new(path, content):
 def saved(path, array):
     np.save(path, array)
     return path
+
+
+def cut_short(path, to):
+    content = path.read_bytes()
+    to.write_bytes(content[: len(content) * 6 // 10])
+    return to
 
 
 def off(path, vertices, faces):
@@ -38,6 +47,7 @@ IMAGES = {
     "complex": (lambda d, t: saved(t / "a.npy", np.ones((9, 9, 9)) * 1j), "complex"),
     "flat": (lambda d, t: saved(t / "a.npy", np.ones((9, 9, 9))), "flat"),
     "NaN": (lambda d, t: d / "nan.tif", "2 NaN voxels; --missing-nan"),
+    "cut short": (lambda d, t: cut_short(d / "cell.tif", t / "a.tif"), "it is cut short"),
     "infinite": (lambda d, t: d / "inf.tif", "2 infinite voxels; --missing-nan"),
 }
 
@@ -58,6 +68,8 @@ def test_nothing_but_nan(data, tmp_path, fails):
 
 
 TRIANGLE = ([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])
+BALL = "z,y,x,radius\n2.9,2.3,2.3,{:g}\n"
+NOISE = np.random.default_rng(0).poisson(20, SHAPE)
 SEEDS = {
     "missing": (lambda d, t: t / "none.ply", "there is no such file"),
     "extension": (lambda d, t: new(t / "a.txt", "x"), "unknown extension '.txt' for seeds"),
@@ -76,6 +88,13 @@ SEEDS = {
     "no points": (lambda d, t: new(t / "a.csv", "z,y,x\n"), "no points"),
     "no number": (lambda d, t: new(t / "a.csv", "z,y,x\n1,2,three\n"), "line 2"),
     "point outside": (lambda d, t: new(t / "a.csv", "z,y,x\n1,2,90\n"), "outside the image"),
+    "radius in nm": (lambda d, t: new(t / "a.csv", BALL.format(900)), "holds the whole image"),
+    "radius in m": (lambda d, t: new(t / "a.csv", BALL.format(1e-6)), "smaller than a voxel"),
+    "mesh in m": (
+        lambda d, t: off(t / "a.off", np.multiply(TRIANGLE[0], 1e-6).tolist(), TRIANGLE[1]),
+        "less than a voxel: its numbers must be um",
+    ),
+    "intensities": (lambda d, t: saved(t / "a.npy", NOISE), "an image of intensities?"),
     "radius": (lambda d, t: new(t / "a.csv", "z,y,x,radius\n2,2,2,-1\n"), "radius -1"),
 }
 
@@ -87,6 +106,42 @@ def test_bad_seeds(data, tmp_path, fails, name):
     arguments = ("fit", data / "cell.npy", *VOXELS, *SIGMA, "--seeds", path)
     assert says in fails(*arguments, "-o", tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("slices", [1, 2])
+@pytest.mark.parametrize("radius", ["", ",radius"])
+def test_points_in_few_slices(data, tmp_path, fails, slices, radius):
+    image = saved(tmp_path / "a.npy", np.load(data / "cell.npy")[8 : 8 + slices])
+    points = new(tmp_path / "a.csv", f"z,y,x{radius}\n0,2.3,2.3{radius and ',1'}\n")
+    arguments = ("fit", image, *VOXELS, *SIGMA, "--seeds", points, "-o", tmp_path / "out")
+    assert f"3 voxels or more along each axis, not ({slices}, 24, 24)" in fails(*arguments)
+
+
+SETTINGS = {
+    "no TOML": ("a = = 3", "at line 1"),
+    "unknown": ("wibble = 3", "wibble: there is no such setting"),
+    "nothing": ("", "image: it must be given"),
+    "value": ('image="a"\nseeds="b"\nscene={voxel_size=[1,1]}', "voxel_size.2: it must be given"),
+}
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_bad_settings_name_their_file(tmp_path, fails, name):
+    text, says = SETTINGS[name]
+    path = new(tmp_path / "run.toml", text)
+    said = fails("fit", "--settings", path, "-o", tmp_path / "out")
+    assert f"cannot read settings from {path}: " in said
+    assert says in said
+
+
+def test_a_table_that_cannot_be_written(monkeypatch, capsys):
+    class Full(io.StringIO):
+        def flush(self):
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("sys.stdout", Full())
+    assert main(["doctor"]) == 1
+    assert "No space left" in capsys.readouterr().err
 
 
 OPTIONS = {

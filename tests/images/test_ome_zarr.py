@@ -180,3 +180,10 @@ def test_lazy_arrays_are_fitted_like_others(tmp_path, kind):
         states = nd.fit(given, grid, start, optics)
         ends.append(next(iter(states)))
     np.testing.assert_array_equal(ends[0].mesh.vertices, ends[1].mesh.vertices)
+
+
+def test_a_bare_array_is_refused_in_words(tmp_path):
+    zarr.create_array(str(tmp_path / "a.zarr"), data=np.ones((3, 4, 5), np.uint16))
+    for read in (read_image, read_voxel_size):
+        with pytest.raises(InputError, match="a bare Zarr array, which says neither axes nor"):
+            read(tmp_path / "a.zarr")

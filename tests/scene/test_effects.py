@@ -217,7 +217,7 @@ def test_text_gives_names_or_first_numbers():
         *((name, reason) for name, reason in REFUSED.items()),
         ("halo=2", "less than or equal to 0.8"),
         ("halo=dark", "halo.fraction: .* number"),
-        ("second_view", "second_view.sigma: Field required"),
+        ("second_view", "second_view.sigma: it must be given"),
         ("attenuation=nan", "attenuation.per_um"),
     ],
 )

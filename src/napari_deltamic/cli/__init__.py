@@ -49,7 +49,9 @@ def _run(arguments: argparse.Namespace) -> int:
         arguments.check(arguments)
         with notes.catching_warnings():
             command = import_module(f".{arguments.module}", __package__)  # loads the engine
-            return int(command.run(arguments, notes))
+            code = int(command.run(arguments, notes))
+        sys.stdout.flush()  # what cannot be written is an error here, not a remark at exit
+        return code
     except InputError as error:
         return _end(str(error), 2)
     except KeyboardInterrupt:

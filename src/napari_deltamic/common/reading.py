@@ -41,6 +41,16 @@ def read_text(path: str | Path) -> str:
         raise InputError(f"{path}: cannot be read: it is no text (UTF-8)") from None
 
 
+@contextmanager
+def reading(what: str, path: str | Path) -> Iterator[None]:
+    """An InputError says what could not be read, and from where."""
+    try:
+        yield
+    except InputError as error:
+        reason = str(error).removeprefix(f"{path}: ").removeprefix("cannot be read: ")
+        raise InputError(f"cannot read {what} from {path}: {reason}") from None
+
+
 def toml_values(text: str) -> dict[str, Any]:
     """What a TOML document says. InputError where it is none, or too deep."""
     _check_length(text)

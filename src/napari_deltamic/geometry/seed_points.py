@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from napari_deltamic.common.reading import one_reason, read_text
+from napari_deltamic.common.reading import one_reason, read_text, reading
 from napari_deltamic.errors import InputError, RepairWarning
 from napari_deltamic.geometry.foam import spheres_of_foam
 from napari_deltamic.geometry.labels.basins import label_basins
@@ -21,6 +21,7 @@ from napari_deltamic.geometry.three_numbers import three_numbers
 from napari_deltamic.images.missing import unmasked
 
 Triple = Sequence[float]
+FEWEST_SLICES = 3  # along each axis: a region between crests has a voxel and one on either side
 _NAMED = 10  # lines, at most, in a sentence: more would fill a window that nobody reads
 
 
@@ -108,6 +109,7 @@ def surfaces_of_points(
     )
     edge = EDGE_IN_VOXELS * float(size.min()) if edge_length is None else float(edge_length)
     radius, refused = _known_radii(radii, centres)
+    refused += _spheres_of_another_unit(radius, centres, size, start, data.shape)
     voxels, outside = _point_voxels(centres, size, start, data.shape)
     refused += outside
     left_out = {one.points[-1] for one in refused}
@@ -144,11 +146,12 @@ def read_points_csv(path: str | Path) -> tuple[FloatArray, FloatArray | None]:
         The file cannot be read, has another header, no points, or lines without numbers, all of
         which the first are named.
     """
-    try:
-        text = read_text(path)
-        rows = [[field.strip() for field in row] for row in csv.reader(text.splitlines())]
-    except (InputError, csv.Error) as error:
-        raise InputError(f"cannot read points from {path}: {error}") from error
+    with reading("points", path):
+        try:
+            lines = read_text(path).splitlines()
+            rows = [[field.strip() for field in row] for row in csv.reader(lines)]
+        except csv.Error as error:
+            raise InputError(str(error)) from error
     header = [field.lower() for field in rows[0]] if rows else []
     if header not in (["z", "y", "x"], ["z", "y", "x", "radius"]):
         raise InputError(f"{path}: the first line must be z,y,x or z,y,x,radius")
@@ -177,6 +180,11 @@ def _checked_image(image: ArrayLike) -> FloatArray:
     data = np.asarray(unmasked(image), np.float64)
     if data.ndim != 3 or not np.isfinite(data).all():
         raise InputError(f"the image must be a finite 3D array, not {data.ndim}D or with nan")
+    if min(data.shape) < FEWEST_SLICES:
+        raise InputError(
+            f"points need an image of {FEWEST_SLICES} voxels or more along each axis, not "
+            f"{data.shape}: nothing closes around them"
+        )
     if data.max() == data.min():
         raise InputError("the image has the same value everywhere")
     return data
@@ -209,6 +217,27 @@ def _known_radii(radii: ArrayLike | None, points: FloatArray) -> tuple[FloatArra
     wrong = np.flatnonzero((array < 0) | np.isinf(array)).tolist()
     texts = {k + 1: f"point {k + 1}: radius {array[k]:g} is not a length" for k in wrong}
     return np.nan_to_num(array), [Refused(text, (k,)) for k, text in texts.items()]
+
+
+def _spheres_of_another_unit(
+    radius: FloatArray,
+    points: FloatArray,
+    size: FloatArray,
+    origin: FloatArray,
+    shape: tuple[int, ...],
+) -> list[Refused]:
+    """Spheres whose surface does not meet the image, or that are smaller than a voxel."""
+    last = origin + size * (np.array(shape) - 1)
+    corner = np.maximum(np.abs(points - origin), np.abs(points - last))
+    around = radius > np.linalg.norm(corner, axis=1)
+    within = (radius > 0) & (2 * radius < size.min())
+    texts = {
+        k + 1: f"point {k + 1}: a sphere of radius {radius[k]:g} um "
+        + ("holds the whole image" if around[k] else "is smaller than a voxel")
+        + ": radii are in um"
+        for k in np.flatnonzero(around | within).tolist()
+    }
+    return [Refused(text, (k,)) for k, text in texts.items()]
 
 
 def _point_voxels(

@@ -51,6 +51,11 @@ def open_zarr(path: str | os.PathLike[str]) -> ZarrImage:
             group = zarr.open_group(str(path), mode="r")
         except (FileNotFoundError, NotADirectoryError):
             raise InputError("it holds no OME-Zarr image") from None
+        except zarr.errors.ContainsArrayError:
+            raise InputError(
+                "it is a bare Zarr array, which says neither axes nor voxel size: an OME-Zarr "
+                "image is needed, or a .tif"
+            ) from None
         attributes = dict(group.attrs)
         facts = _first_image(attributes.get("ome", attributes))
         dataset = facts["datasets"][0]

@@ -220,6 +220,7 @@ def _read_tiff(path: Path) -> _Stored:
             raise InputError("the file holds no image")
         series = tif.series[0]
         _check_size(path, series.shape, series.dtype)
+        _check_planes(tif)
         return series.asarray(), series.axes, tiff_voxel_size(tif)
 
 
@@ -249,6 +250,7 @@ def _tiff_header(path: Path) -> _Stored:
         if not tif.series:
             raise InputError("the file holds no image")
         series = tif.series[0]
+        _check_planes(tif)
         empty = _without_pixels(series.shape, np.dtype(series.dtype))
         return empty, series.axes, tiff_voxel_size(tif)
 
@@ -269,6 +271,21 @@ def _check_size(path: Path, shape: Sequence[int], dtype: Any) -> None:
     claimed = prod(int(n) for n in shape) * np.dtype(dtype).itemsize
     if claimed > max(_SMALL, _GROWTH * path.stat().st_size):
         raise InputError(f"it says that it holds {claimed:.3g} bytes, which it cannot")
+
+
+def _check_planes(tif: tifffile.TiffFile) -> None:
+    """InputError where the description promises more planes than are there: a copy cut short."""
+    plane = max(prod(tif.pages.first.shape), 1)
+    found, promised = prod(tif.series[0].shape) // plane, None
+    if tif.is_imagej:
+        promised = (tif.imagej_metadata or {}).get("images")
+    elif tif.is_shaped and tif.shaped_metadata:
+        promised = prod(tif.shaped_metadata[0].get("shape", ())) // plane
+    if isinstance(promised, int) and found < promised:
+        raise InputError(
+            f"it is cut short: it says that it holds {promised} planes, and holds {found}; copy or "
+            "save it again"
+        )
 
 
 def _checked(array: NDArray[Any], axes: str = "") -> NDArray[Any]:

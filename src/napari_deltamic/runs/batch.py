@@ -175,6 +175,8 @@ def _of_file(path: Path, seeds: str | None) -> list[BatchJob]:
     for text in settings.images:
         is_pattern = glob.has_magic(text) and not (folder / text).exists()
         names = sorted(glob.glob(text, root_dir=folder)) if is_pattern else [text]
+        if not names:
+            raise InputError(f"{path}: no file fits {text!r} in {folder.absolute()}")
         jobs += [_job(folder / name, pattern, folder) for name in names]
     for run in settings.runs:
         job = _job(folder / run.image, run.seeds or pattern, folder)

@@ -16,6 +16,7 @@ from ..common.choices import (
     StructureChoice,
 )
 from ..common.description import setting
+from ..common.wrong_value import first_wrong_value
 from ..errors import InputError
 
 # Coarse-to-fine schedules. A first blur wider than the gap between objects makes them attract each
@@ -240,16 +241,9 @@ class FitSettings(Settings):
         return levels
 
 
-_PLAIN = {"extra_forbidden": "there is no such setting", "missing": "it must be given"}
-
-
 def validated(model: type[Any], values: dict[str, Any]) -> Any:
     """A settings object from plain values; InputError in one line where they are wrong."""
     try:
         return model(**values)
     except ValidationError as error:
-        # A name that is spelt wrong explains the right one that is missing.
-        first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
-        where = ".".join(str(p) for p in first["loc"])
-        reason = _PLAIN.get(first["type"], str(first["msg"])).removeprefix("Value error, ")
-        raise InputError(f"{where}: {reason}" if where else reason) from None
+        raise InputError(first_wrong_value(error)) from None

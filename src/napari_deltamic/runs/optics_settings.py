@@ -13,7 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from ..common.choices import IMMERSIONS, Bead, Modality, PSFModel
 from ..common.description import setting
-from ..common.reading import read_text, toml_values
+from ..common.reading import read_text, reading, toml_values
+from ..common.wrong_value import first_wrong_value
 from ..errors import InputError
 
 if TYPE_CHECKING:
@@ -184,7 +185,8 @@ class MeasuredOptics(_Optics):
         size = self.voxel_size or found
         if size is None:
             raise InputError(
-                f"{Path(self.file).name} does not say its voxel size: give it with the PSF (um)"
+                f"{Path(self.file).name} does not say its voxel size: give that of the bead "
+                "(--psf-voxel-size Z Y X, um)"
             )
         try:
             return MeasuredPSF(image, size, self.bead_diameter, self.bead)
@@ -204,19 +206,13 @@ def optics_from_values(values: dict[str, Any]) -> Any:
     try:
         return _ADAPTER.validate_python(values)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(p) for p in first["loc"][1:])
-        reason = str(first["msg"]).removeprefix("Value error, ")
-        raise InputError(f"optics{'.' if where else ''}{where}: {reason}") from None
+        raise InputError(f"optics: {first_wrong_value(error, skip=1)}") from None
 
 
 def optics_from_toml(path: str | Path) -> Any:
     """Settings of a PSF from a TOML file; InputError says what is wrong."""
-    try:
-        values = toml_values(read_text(path))
-    except InputError as error:
-        raise InputError(f"cannot read optics from {path}: {error}") from None
-    found = optics_from_values(values)
+    with reading("optics", path):
+        found = optics_from_values(toml_values(read_text(path)))
     if isinstance(found, MeasuredOptics):
         # A file beside the settings is named as from there.
         found = found.model_copy(update={"file": str((Path(path).parent / found.file).absolute())})

@@ -123,7 +123,13 @@ class MeshSeeds:
     kind: SeedKind = "rough"
 
     def make(self, image: NDArray[Any], grid: Grid) -> Mesh:
-        """See ``Seeds``."""
+        """See ``Seeds``. InputError where the whole mesh is smaller than a voxel."""
+        low, high = self.surface.bounds()
+        sides = np.asarray(high) - np.asarray(low)
+        if sides.max() < min(grid.voxel_size):
+            raise InputError(
+                f"the mesh is {sides.max():.3g} um wide, less than a voxel: its numbers must be um"
+            )
         return self.surface
 
     def save(self, folder: Path, image: NDArray[Any], grid: Grid) -> Path:

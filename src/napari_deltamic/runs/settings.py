@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, Self, cast
 
 from pydantic import field_serializer, model_validator
 
-from ..common.reading import read_text, toml_values
+from ..common.reading import read_text, reading, toml_values
 from ..errors import InputError
 from ..scene.earlier_files import without_inside
 from ..scene.effects import Effects
@@ -68,13 +68,10 @@ class RunSettings(RunFields):
         return text
 
     @classmethod
-    def from_toml(cls, path: str | Path) -> RunSettings:
+    def from_toml(cls, path: str | Path) -> Self:
         """Read a document written by :meth:`to_toml`; InputError names what is wrong."""
-        try:
-            values = toml_values(read_text(path))
-        except InputError as error:
-            raise InputError(f"cannot read settings from {path}: {error}") from None
-        return validated(cls, values)
+        with reading("settings", path):
+            return cast(Self, validated(cls, toml_values(read_text(path))))
 
 
 def toml_value(value: Any) -> str:

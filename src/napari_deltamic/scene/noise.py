@@ -44,8 +44,8 @@ def detected(
     top = highest(bits)
     if expected.max() > top and (camera is None or camera.saturation is None):
         raise InputError(
-            f"the brightest voxel would be {expected.max():.4g}, but {bits} bits hold {top}: take "
-            "more bits, fewer photons, or a camera that saturates"
+            f"the brightest voxel would be {expected.max():.4g}, but {bits} bits hold {top:g}: "
+            "take more bits, fewer photons, or a camera that saturates"
         )
     image = rng.poisson(np.maximum(light, 0)).astype(np.float64)
     if camera is not None:

@@ -176,7 +176,7 @@ def _find_basin(tree: _Tree, low: int, size: FloatArray, least: float) -> _Basin
         leap = np.where(fair, leap, 0)
         node = int(leap.argmax())
     if not leap.any():
-        return "lies in no closed region of the image"
+        return "lies in no closed region of the image: give it a radius, or move it"
     if volume[node] < BASINS.fewest:
         return (
             f"lies in no closed region of the image (only {volume[node]:.0f} voxels around it): it "

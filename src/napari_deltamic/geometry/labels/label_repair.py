@@ -67,7 +67,8 @@ def repair_labels(
     Raises
     ------
     InputError
-        Not 3D, different shapes, values that are no whole numbers of 0 or more, or no label.
+        Not 3D, different shapes, values that are no whole numbers of 0 or more, no label, or
+        most labels in many parts, none of which is the larger half.
     """
     size = three_numbers(voxel_size, "voxel size")
     if isinstance(labels, (list, tuple)) and len(labels) and np.ndim(labels[0]) == 3:
@@ -163,7 +164,7 @@ def _together(
 
 def _in_one_part(numbers: NDArray[np.int32], repairs: list[str]) -> NDArray[np.int32]:
     result = numbers.copy()
-    broken, large, holes = [], [], []
+    broken, large, holes, torn = [], [], [], 0
     boxes = label_boxes(numbers)
     for name, box in boxes:
         mask = numbers[box] == name
@@ -173,8 +174,14 @@ def _in_one_part(numbers: NDArray[np.int32], repairs: list[str]) -> NDArray[np.i
         sizes = np.bincount(parts.ravel())[1:]
         result[box][mask & (parts != int(sizes.argmax()) + 1)] = 0
         broken.append(name)
+        torn += 2 * sizes.max() < sizes.sum()
         if np.sort(sizes)[-2] > _SMALL_PART * mask.sum():
             large.append(name)
+    if 2 * torn > len(boxes):
+        raise InputError(
+            f"{torn} of {len(boxes)} labels lie in many parts, none of which holds half of it: is "
+            "this an image of intensities? Else give each cell a number of its own"
+        )
     # Fragments of others leave holes, too.
     for name, box in boxes:
         mask = result[box] == name

@@ -9,6 +9,7 @@ from typing import Any, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from ...common.wrong_value import first_wrong_value
 from ...errors import InputError
 from .base import (
     Cost,
@@ -235,10 +236,7 @@ def _made(cls: type[Effects], values: Mapping[str, Any]) -> Effects:
     try:
         return cls(**values)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(p) for p in first["loc"])
-        reason = str(first["msg"]).removeprefix("Value error, ")
-        raise InputError(f"{where}: {reason}" if where else reason) from None
+        raise InputError(first_wrong_value(error)) from None
 
 
 __all__ = [
