@@ -15,6 +15,7 @@ from napari_deltamic.cli import build_parser, cluster
 from napari_deltamic.cli.arguments.batch_arguments import fit_words
 from napari_deltamic.common import writing
 from napari_deltamic.errors import InputError
+from napari_deltamic.fitting import fit
 from napari_deltamic.images.stacks import read_image, write_image
 from napari_deltamic.runs.batch import batch_jobs
 
@@ -108,12 +109,54 @@ def test_a_full_disk_keeps_what_is_finished(run, fails, stacks, tmp_path, monkey
     assert [row["status"] for row in rows(tmp_path / "out" / "summary.csv")] == ["ended"] * 2
 
 
-def child(*arguments):
+def child(*arguments, **more):
     return subprocess.Popen(
         [sys.executable, "-m", "napari_deltamic", *map(str, arguments)],
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        env={**os.environ, "OMP_NUM_THREADS": "1"}, **more,
     )  # fmt: skip
+
+
+def test_ctrl_c_ends_the_batch_and_what_it_cut_short_is_fitted_again(
+    run, stacks, tmp_path, monkeypatch
+):
+    (stacks / "bad.tif").unlink()
+    out, begun = tmp_path / "out", []
+
+    def interrupted(*given, **options):
+        begun.append(given)
+        for state in fit(*given, **options):
+            yield state
+            if len(begun) == 2:
+                raise KeyboardInterrupt
+
+    arguments = ("batch", stacks, *SEEDS, "--workers", 0, "-o", out, *FAST)
+    with monkeypatch.context() as patched:
+        patched.setattr("napari_deltamic.fitting.job.fit", interrupted)
+        code, _, err = run(*arguments)
+    assert code == 130
+    assert "2/2" not in err
+    assert [row["status"] for row in rows(out / "summary.csv")] == ["ended", "not done"]
+    code, _, err = run(*arguments)
+    assert code == 0
+    assert "1 of 2 are done already" in err
+    assert [row["iterations"] for row in rows(out / "summary.csv")] == ["3", "3"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no groups of processes to interrupt")
+def test_ctrl_c_reaches_all_processes_without_tracebacks(stacks, tmp_path):
+    pytest.importorskip("distributed")
+    slow = (*FAST[2:], "--max-iterations", "3000", "--tolerance", "1e-9")
+    arguments = ("batch", stacks, *SEEDS, "--workers", 2, "-o", tmp_path / "out", *slow)
+    with child(*arguments, start_new_session=True) as process:
+        for line in process.stderr:  # the spoilt one comes first: now all processes are at work
+            if line.startswith("1/3"):
+                break
+        os.killpg(process.pid, signal.SIGINT)
+        said = process.stderr.read()
+    assert process.wait(60) == 130
+    assert "interrupted" in said
+    assert "Traceback" not in said
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="the system has no such kill")

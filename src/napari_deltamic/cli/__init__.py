@@ -17,7 +17,7 @@ from typing import NoReturn
 from .. import __version__
 from ..errors import PROGRAM, Failure, InputError, failure, one_line
 from .arguments import COMMANDS
-from .messages import Notes
+from .messages import INTERRUPTED, Notes
 
 _log = logging.getLogger(__name__)
 
@@ -55,7 +55,7 @@ def _run(arguments: argparse.Namespace) -> int:
     except InputError as error:
         return _end(str(error), 2)
     except KeyboardInterrupt:
-        return _end("interrupted", 130)
+        return _end("interrupted", INTERRUPTED)
     except BrokenPipeError:  # whoever reads the results has left
         return 1
     except Exception as error:

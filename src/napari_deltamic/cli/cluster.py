@@ -5,22 +5,31 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import signal
 import sys
+import threading
 import traceback
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from ..errors import Failure, InputError, one_line
+from ..results.batch_tables import DONE
 from ..runs.batch import BatchJob
+from .messages import INTERRUPTED
 
-_PATIENCE = (
-    20.0  # s; until a scheduler has to answer: a busy one takes seconds, a missing one would never
-)
+# s; until a scheduler has to answer: a busy one takes seconds, a missing one would never
+_PATIENCE = 20.0
 
 
 def fit_in_folder(words: Sequence[str]) -> str:
-    """Run one command in this process; what went wrong, in one line, "" for nothing."""
+    """Run one command in this process; what went wrong, in one line, "" for nothing.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        If it was interrupted: it has then ended as it does on its own, in good order.
+    """
     from . import main  # in the process that works
 
     said = io.StringIO()
@@ -29,6 +38,8 @@ def fit_in_folder(words: Sequence[str]) -> str:
             code = main(list(words))
     except Exception:  # whatever it is, the others go on
         return traceback.format_exc(limit=-1).strip().splitlines()[-1]
+    if code == INTERRUPTED:
+        raise KeyboardInterrupt
     lines = [line for line in said.getvalue().splitlines() if "error:" in line]
     return "" if code == 0 else (lines or [f"it ended with code {code}"])[-1].split("error: ")[-1]
 
@@ -57,7 +68,12 @@ def outcomes(
     """
     if workers == 0 and scheduler is None:
         for job in jobs:
-            yield job, fit_in_folder(job.words(folder / job.name))
+            try:
+                error = fit_in_folder(job.words(folder / job.name))
+            except KeyboardInterrupt:  # what it wrote is no result: the next run fits it again
+                (folder / job.name / DONE).unlink(missing_ok=True)
+                raise
+            yield job, error
         return
     try:
         from distributed import as_completed
@@ -105,18 +121,33 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
             yield client
         return
     # Processes, as each fit computes; nothing listens to other machines.
-    with (
-        LocalCluster(
+    with _deaf_to_interrupts():
+        started = LocalCluster(
             n_workers=workers,
             threads_per_worker=1,
             processes=True,
             host="127.0.0.1",
             dashboard_address=None,
             memory_limit=0,
-        ) as cluster,
-        Client(cluster) as client,
-    ):
+        )
+    with started as cluster, Client(cluster) as client:
         yield client
+
+
+@contextlib.contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Processes started meanwhile take no notice of Ctrl-C, which a terminal sends to all of them.
+
+    They would end with a traceback each; this process ends them.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def default_workers() -> int:

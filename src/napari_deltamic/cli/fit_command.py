@@ -25,7 +25,7 @@ from ..results.report import History, write_results
 from ..runs.fit_settings import asked_error
 from .arguments.fit_arguments import CHECKPOINT
 from .inputs import gather
-from .messages import Notes, tell
+from .messages import INTERRUPTED, Notes, tell
 from .recommending import (
     as_plain,
     recommendation_for,
@@ -185,9 +185,9 @@ class _Run:
     def _interrupted(self) -> int:
         if self.last is None:
             print("interrupted before the first iteration: nothing to save", file=sys.stderr)
-            return 130
+            return INTERRUPTED
         if self.has_results:
-            return 130
+            return INTERRUPTED
         self._keep(self.last)
         print(f"interrupted; the state is in {self.checkpoint}", file=sys.stderr)
         done = self.last.converged
@@ -198,14 +198,14 @@ class _Run:
         except Exception as error:
             raise self._failed(error) from error
         if done and self.has_results:
-            return 130
+            return INTERRUPTED
         toml = self.folder / "run.toml"
         words = [PROGRAM, "fit", "--settings", toml, "--resume", self.checkpoint]
         # What is no part of the settings must be said again.
         words += ["--missing-nan"] if self.job.has_missing else []
         words += ["--overwrite", "-o", self.folder]
         print(f"to go on: {shlex.join(map(str, words))}", file=sys.stderr)
-        return 130
+        return INTERRUPTED
 
     def _failed(self, error: Exception) -> Exception:
         """What to raise instead; keeps the last state, from which a fit can go on."""

@@ -15,6 +15,8 @@ from tqdm import tqdm
 
 from ..errors import TOLD, one_line
 
+INTERRUPTED = 130  # exit code, as of a program that SIGINT has ended
+
 _log = logging.getLogger(__name__)
 
 

@@ -25,7 +25,7 @@ from ..tracking import FrameResult, track
 from .arguments.track_arguments import track_values
 from .folders import check_folder
 from .inputs import load_seeds, run_values, voxel_size_of, with_first_psf
-from .messages import Notes, tell
+from .messages import INTERRUPTED, Notes, tell
 
 _PRECIOUS = (*FILES, mesh_name(0))
 
@@ -131,7 +131,7 @@ class _Run:
         try:
             self._follow()
         except KeyboardInterrupt:
-            code = 130
+            code = INTERRUPTED
         except Exception as error:
             if self._frames_done():
                 self._write(surface=True)
@@ -148,7 +148,7 @@ class _Run:
             for path in self._write(surface=True):
                 tell(path)
         except KeyboardInterrupt:
-            code = 130
+            code = INTERRUPTED
         if code:
             words = [PROGRAM, "track", "--settings", self.folder / "run.toml"]
             words += ["--resume", self.folder, "-o", self.folder]

@@ -112,9 +112,7 @@ def _of_folder(path: Path, image: str | Path | None, voxel_size: Triple | None) 
         return _with_image(plain, image, voxel_size)
     settings = RunSettings.from_toml(path / "run.toml")
     source = Path(image or settings.image)
-    if not source.exists() or source.suffix.lower() not in IMAGE_FILES:
-        if image is not None:
-            raise InputError(f"{image}: there is no such file")
+    if image is None and not (source.exists() and source.suffix.lower() in IMAGE_FILES):
         lost = f"the image {source} is not there any more"
         return _with_image(Measurable(path.name, mesh, Known(), remarks=(lost,)), None, None)
     pixels, _ = read_image(source)
