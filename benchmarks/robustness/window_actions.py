@@ -2,35 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from .window_child import Session
-
-SIZE, SHAPE, CENTER = (0.3, 0.2, 0.2), (20, 24, 24), (2.9, 2.3, 2.3)
-PLACE = {"scale": SIZE, "units": ("um",) * 3}
-Action = tuple[str, Callable[[], Any]]
-
-
-def cell_image() -> NDArray[np.float32]:
-    """A noisy image of one cell."""
-    import napari_deltamic as nd
-    from napari_deltamic.geometry import sphere
-
-    truth = sphere(CENTER, (1.2, 1.1, 1.1), edge_length=0.3)
-    image = nd.render(truth, nd.Grid(SHAPE, SIZE), nd.GaussianPSF((0.36, 0.24, 0.24))).numpy()
-    noisy = np.random.default_rng(0).poisson(100 + 400 * image / image.max())
-    return np.asarray(noisy, np.float32)
-
-
-def start_image(session: Session) -> None:
-    """The image that all is about."""
-    session.viewer.add_image(session.pixels, name="cell", **PLACE)
+from .window_session import CENTER, SHAPE, SIZE, Action, Session
 
 
 def actions(session: Session) -> list[Action]:

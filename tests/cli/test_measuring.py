@@ -45,6 +45,18 @@ def fitted(data, run, seen, tmp_path):
     return folder, image
 
 
+def test_voxels_that_are_not_finite_are_missing(data, run, seen, tmp_path):
+    folder = tmp_path / "fitted"
+    image = data / "inf.tif"
+    given = ("--seeds", data / "start.ply", "--missing-nan", "-o", folder)
+    assert run("fit", image, *given)[0] == 0
+    further = ("--images", "tif", "--channel", image, "-o", tmp_path / "out")
+    code, _, err = run("measure", folder, *further)
+    assert code == 0, err
+    left, _ = read_image(tmp_path / "out" / "residual.ome.tif")
+    assert np.array_equal(np.isnan(left), ~np.isfinite(read_image(image)[0]))
+
+
 def test_a_mesh_without_an_image(bubble, run, tmp_path):
     code, out, err = run("measure", bubble, "-o", tmp_path / "out")
     assert code == 0, err

@@ -31,6 +31,7 @@ def test_a_fit_without_fault_is_good():
         ({"finished": False}, "poor", "come to an end"),
         ({"explained": 0.6}, "fair", "60% of the signal"),
         ({"explained": 0.2}, "poor", "20% of the signal"),
+        ({"explained": -1.7}, "poor", "none of the signal"),
         ({"explained": None}, "poor", "noise"),
         ({"width": 2.4}, "fair", "2.4 times as wide"),
         ({"width": 0.5}, "fair", "2 times as sharp"),

@@ -11,8 +11,6 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 from ..common.writing import interrupts_held, own_folder, write_atomically
 from ..errors import PROGRAM, InputError, failure
 from ..evidence import analyse_residual
@@ -25,7 +23,7 @@ from ..results.report import History, write_results
 from ..runs.fit_settings import asked_error
 from .arguments.fit_arguments import CHECKPOINT
 from .inputs import gather
-from .messages import INTERRUPTED, Notes, tell
+from .messages import INTERRUPTED, Bar, Notes, tell
 from .recommending import (
     as_plain,
     recommendation_for,
@@ -121,7 +119,7 @@ class _Run:
         saved = time.monotonic()
         terminal = sys.stderr.isatty()
         # How many iterations a fit takes is not known, so there is no share and no time left.
-        with _Bar(unit="it", file=sys.stderr, mininterval=0.2 if terminal else 10.0) as bar:
+        with Bar(unit="it", file=sys.stderr, mininterval=0.2 if terminal else 10.0) as bar:
             for state in states:
                 if self.last is not None and self.last.message:
                     self.notes.add(self.last.message)
@@ -219,9 +217,3 @@ class _Run:
         return type(reason)(
             f"{reason}; the state after {self.last.iteration} iterations is in {self.checkpoint}"
         )
-
-
-class _Bar(tqdm):  # type: ignore[misc]
-    """A progress bar without the thread that watches over progress bars."""
-
-    monitor_interval = 0

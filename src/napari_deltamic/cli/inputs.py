@@ -15,6 +15,7 @@ from ..evidence.first_sigma import with_first_psf as first_psf
 from ..fitting.checks import check_image
 from ..fitting.job import SIGMA_IN_VOXELS, FitInput, assemble
 from ..geometry import Mesh
+from ..images.missing import finite_or_nan
 from ..images.stacks import SIZES_AGREE, VoxelSize, read_image
 from ..runs.seeds import SeedKind, seeds_of
 from ..runs.settings import FitSettings, RunSettings, SceneSettings, validated
@@ -132,7 +133,7 @@ def _without_bad(image: NDArray[Any], missing_nan: bool, notes: Notes) -> NDArra
         voxels = "voxel" if nan + infinite == 1 else "voxels"
         raise InputError(f"the image holds {counts} {voxels}; --missing-nan leaves them out")
     notes.add(f"{counts} of {image.size} voxels are treated as missing")
-    return np.where(np.isfinite(image), image, np.nan)
+    return finite_or_nan(image)
 
 
 def _shown(values: Any) -> str:

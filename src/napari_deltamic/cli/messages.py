@@ -90,3 +90,9 @@ def tell(path: object) -> None:
             sys.stdout.buffer.flush()
     except (OSError, ValueError, AttributeError):
         sys.stdout = _Nowhere()
+
+
+class Bar(tqdm):  # type: ignore[misc]
+    """A progress bar without the thread that watches over progress bars."""
+
+    monitor_interval = 0

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 from ..common.writing import own_folder, written_together
 from ..errors import PROGRAM, InputError, failure
 from ..fitting.job import FitInput, assemble
+from ..images.missing import finite_or_nan
 from ..images.series import ImageSeries, open_series
 from ..results.track_report import FILES, mesh_name, read_results, write_frame, write_tracks
 from ..runs.settings import validated
@@ -25,7 +25,7 @@ from ..tracking import FrameResult, track
 from .arguments.track_arguments import track_values
 from .folders import check_folder
 from .inputs import load_seeds, run_values, voxel_size_of, with_first_psf
-from .messages import INTERRUPTED, Notes, tell
+from .messages import INTERRUPTED, Bar, Notes, tell
 
 _PRECIOUS = (*FILES, mesh_name(0))
 
@@ -109,7 +109,7 @@ def _seeded(
         )
     if bad:
         notes.add(f"{bad} of {image.size} voxels of frame {first} are treated as missing")
-    return np.where(np.isfinite(image), image, np.nan)
+    return finite_or_nan(image)
 
 
 class _Run:
@@ -172,7 +172,7 @@ class _Run:
             shared_ground=job.shared_ground,
             done=job.done,
         )
-        with _Bar(
+        with Bar(
             total=len(job.frames), initial=len(job.done), unit="frame", file=sys.stderr
         ) as bar:
             for state in states:
@@ -211,9 +211,3 @@ class _Run:
             warnings=self.notes.texts,
             surface=surface,
         )
-
-
-class _Bar(tqdm):  # type: ignore[misc]
-    """A progress bar without the thread that watches over progress bars."""
-
-    monitor_interval = 0

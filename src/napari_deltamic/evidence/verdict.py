@@ -209,7 +209,7 @@ def _of_whole(facts: Facts) -> list[tuple[Grade, str]]:
     elif facts.explained < RULES.good:
         word: Grade = "fair" if facts.explained >= RULES.fair else "poor"
         found.append(
-            (word, f"{facts.explained:.0%} of the signal around the surfaces is explained")
+            (word, f"{_share(facts.explained)} of the signal around the surfaces is explained")
         )
     if facts.width is not None and facts.width > RULES.widths[1]:
         text = (
@@ -232,9 +232,10 @@ def _of_cell(cell: CellFacts, usual: float, facts: Facts) -> CellVerdict:
         found += _of_error(predicted, facts)
     if cell.explained is not None and cell.explained < RULES.good:
         word: Grade = "fair" if cell.explained >= RULES.fair else "poor"
-        found.append((word, f"{cell.explained:.0%} of the signal around it is explained"))
+        found.append((word, f"{_share(cell.explained)} of the signal around it is explained"))
     if cell.stray > RULES.stray:
-        text = f"light that no surface explains, {cell.stray:.0%} of that of the cell, lies at it"
+        much = f"{cell.stray:.0%} of that" if cell.stray < 1 else "more than that"
+        text = f"light that no surface explains, {much} of the cell, lies at it"
         found.append(("fair", text + ": light inside, haze or a neighbour (--effects auto)"))
     if cell.inside is not None and abs(cell.inside) > RULES.inside:
         where = "inside it" if cell.inside > 0 else "around it"
@@ -285,6 +286,11 @@ def _usual_growth(cells: Iterable[CellFacts]) -> float:
     known = [cell.growth for cell in cells if cell.growth is not None]
     # Of fewer cells the median could be one of those that are wrong.
     return max(median(known), 1e-9) if len(known) >= 4 else 1.0
+
+
+def _share(explained: float) -> str:
+    """In words where it is no share: a model may be further from the image than none."""
+    return f"{explained:.0%}" if explained >= 0.005 else "none"
 
 
 def _worst(grades: Iterable[Grade]) -> Grade:

@@ -22,6 +22,13 @@ def unmasked(image: Any, instead: float = np.nan) -> Any:
     return image.filled(instead)
 
 
+def finite_or_nan(image: NDArray[Any]) -> NDArray[Any]:
+    """An image with NaN for whatever is not finite; the image itself where it holds no floats."""
+    if not np.issubdtype(image.dtype, np.floating):
+        return image
+    return np.where(np.isfinite(image), image, np.nan)
+
+
 def filled(image: NDArray[Any], voxel_size: Sequence[float] | None = None) -> NDArray[Any]:
     """Missing voxels (not finite) take the value of the nearest known one; (Z, Y, X).
 

@@ -19,7 +19,7 @@ from ..common.choices import IMAGE_FILES, TIFF, ZARR
 from ..common.reading import quiet
 from ..common.writing import write_atomically
 from ..errors import InputError
-from .missing import unmasked
+from .missing import finite_or_nan, unmasked
 from .ome_zarr import ZarrImage, open_zarr, write_zarr
 from .units import unit_um
 
@@ -192,16 +192,11 @@ def holds_image(path: str | os.PathLike[str], image: ArrayLike) -> bool:
         return False
     # Plane by plane: no third copy of a large stack.
     return all(
-        np.array_equal(_finite(a), _finite(b), equal_nan=a.dtype.kind == b.dtype.kind == "f")
+        np.array_equal(
+            finite_or_nan(a), finite_or_nan(b), equal_nan=a.dtype.kind == b.dtype.kind == "f"
+        )
         for a, b in zip(stored, array, strict=True)
     )
-
-
-def _finite(plane: NDArray[Any]) -> NDArray[Any]:
-    """A plane with NaN for whatever is no number."""
-    if plane.dtype.kind != "f":
-        return plane
-    return np.where(np.isfinite(plane), plane, np.nan)
 
 
 def _named_ome(path: Path) -> bool:
