@@ -28,7 +28,7 @@ def test_a_gpu_that_is_used_is_named_with_its_engines(one_gpu, monkeypatch):
     assert facts["devices"]["cuda:0"] == "NVIDIA H100 (used where nothing else is asked for)"
     assert "NVRTC 13.0, kept in" in facts["engines"]["closed form on the GPU"]
     assert facts["engines"]["particle-mesh on the GPU"] == "torch"
-    assert facts["problems"] == ["none found"]
+    assert facts["problems"] == []
 
 
 def test_what_a_gpu_lacks_is_a_problem_with_its_remedy(one_gpu):
@@ -59,5 +59,5 @@ def test_without_a_gpu_there_is_no_problem(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     facts = doctor_command.examine()
     assert facts["devices"]["cuda"] == "none (no NVIDIA GPU is found)"
-    assert facts["problems"] == ["none found"]
+    assert facts["problems"] == []
     assert facts["used"]["device"] == "cpu"

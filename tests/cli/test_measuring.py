@@ -103,8 +103,11 @@ def test_the_folder_of_a_fit(fitted, run, tmp_path):
     assert "explains" in page
     row = rows(tmp_path / "out" / "cells.csv")[0]
     assert list(row) == list(fit_row)
-    for name in ("volume_um3", "sphericity", "handles", "cut_by_border", "explained"):
+    same = ("volume_um3", "sphericity", "handles", "cut_by_border", "explained", "grade")
+    for name in same:
         assert row[name] == fit_row[name] != "", name
+    assert row["shape_error_um"] == fit_row["shape_error_um"]
+    assert f"shapes: {row['grade']}" in page
     image.unlink()
     code, _, err = run("measure", folder, "-o", tmp_path / "again")
     assert code == 0

@@ -43,6 +43,8 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
         lines = items.items() if isinstance(items, dict) else enumerate(items, 1)
         for name, text in lines:
             print(f"  {name}: {text}")
+        if not items:
+            print("  none found")
     return 0
 
 
@@ -60,7 +62,7 @@ def examine() -> dict[str, Any]:
         "engines": engines,
         "threads": _threads(),
         "used": used,
-        "problems": problems or ["none found"],
+        "problems": problems,
     }
 
 

@@ -92,8 +92,9 @@ def _verdict(source: Measurable, measured: Measurements) -> str:
     lines = [f"{cells} cells, {walls} walls, {junctions} junctions"]
     facts = source.facts
     verdict = facts.get("verdict")
-    if isinstance(verdict, (str, int, float)):
-        lines.append(f"verdict: {verdict}")
+    if isinstance(verdict, Mapping) and "grade" in verdict:
+        reasons = "; ".join(map(str, verdict.get("reasons") or ()))
+        lines.append(f"shapes: {verdict['grade']}" + (f": {reasons}" if reasons else ""))
     if "converged" in facts:
         ended = "has converged" if facts["converged"] else "has not converged"
         lines.append(f"the fit {ended} ({facts.get('iterations', '?')} iterations)")

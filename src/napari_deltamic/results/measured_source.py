@@ -15,6 +15,7 @@ from ..common.choices import IMAGE_FILES
 from ..errors import InputError
 from ..evidence import analyse_residual
 from ..geometry import Mesh, load_mesh
+from ..geometry.judgement import Judgement
 from ..images.missing import finite_or_nan
 from ..images.stacks import read_image
 from ..measure import Known
@@ -131,6 +132,7 @@ def _of_folder(path: Path, image: str | Path | None, voxel_size: Triple | None) 
         grid=grid,
         resolution=0.0 if sigma is None else float(np.prod(sigma) ** (1 / 3)),
         explained=_explained(report.get("residual")),
+        judgements=_judgements(report.get("verdict")),
     )
     return Measurable(path.name, mesh, known, grid, pixels, rendered, sigma, report)
 
@@ -204,3 +206,18 @@ def _explained(residual: Any) -> dict[int, float]:
         for cell in cells or ()
         if isinstance(cell, dict) and cell.get("explained") is not None and "region" in cell
     }
+
+
+def _judgements(verdict: Any) -> dict[int, Judgement]:
+    """How good the shape of each cell is, from a report."""
+    cells = verdict.get("cells") if isinstance(verdict, dict) else None
+    found = {}
+    for cell in cells or ():
+        if isinstance(cell, dict) and {"region", "grade"} <= set(cell):
+            error, reasons = cell.get("shape_error_um"), cell.get("reasons") or ()
+            found[int(cell["region"])] = Judgement(
+                str(cell["grade"]),
+                None if error is None else float(error),
+                "; ".join(map(str, reasons)),
+            )
+    return found
