@@ -69,7 +69,8 @@ def test_it_says_all_that_matters(source):
     for part in (
         "Measurements of cells <1>", "2 cells, 3 walls, 1 junctions", "converged (12 iterations)",
         "explains 80 %", "shapes: fair: fair: cell <2>", "mind this",
-        "the image is <dim>", "a & b.tif", "volume, µm³", "angles at junctions", "tension", "Versions", "torch", "How to cite", "Ichbiah",
+        "the image is <dim>", "a & b.tif", "volume, µm³", "angles at junctions", "tension",
+        "Versions", "torch", "How to cite", "Ichbiah",
     ):  # fmt: skip
         assert part in words, part
     assert "cells <1>" not in page  # escaped
