@@ -27,8 +27,8 @@ class Attenuation(FaceEffect):
 
     per_um: Annotated[float, Field(ge=-0.5, le=0.5)] = Field(
         default=0.0,
-        description="share of the light lost per um along z; 1/um, 1 in the middle of the image; "
-        "below 0 where the last slice is the nearest",
+        description="1/um; rate of the exponential loss of light along z, 0.02 for 2 % per um; "
+        "1 in the middle of the image; below 0 where the last slice is the nearest",
     )
 
     def face_weights(self, centroids: Tensor, frame: Grid) -> Tensor:
@@ -50,8 +50,8 @@ class Bleaching(GainEffect):
 
     per_slice: Annotated[float, Field(ge=-0.5, le=0.5)] = Field(
         default=0.0,
-        description="share of the light lost from one slice to the next; 1 in the middle slice; "
-        "below 0 where the last slice was taken first",
+        description="1/slice; rate of the exponential loss of light, 0.01 for 1 % from a slice to "
+        "the next; 1 in the middle slice; below 0 where the last slice was taken first",
     )
 
     def gain(self, grid: Grid, frame: Grid) -> Tensor:
