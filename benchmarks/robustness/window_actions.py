@@ -291,7 +291,7 @@ def _others(s: Session) -> list[Action]:
         *[("reopen a session", reopen)] * 4,
         ("close the dock", close),
         ("save meshes", save_meshes),
-        ("copy command", lambda: s.widget.header.copy_action.trigger()),
+        ("copy command", lambda: s.widget.commands.copy_action.trigger()),
         ("track", track),
         ("stop tracking", lambda: s.widget.tracking.stop()),
     ]

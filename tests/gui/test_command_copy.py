@@ -34,7 +34,7 @@ def test_membranes_are_found_in_the_background(mixture, told, spin, monkeypatch,
         return find(*arguments, **options)
 
     monkeypatch.setattr(seeds, "seeds_from_points", watched)
-    mixture.header.copy_action.trigger()
+    mixture.commands.copy_action.trigger()
     assert mixture.commands.busy
     assert "command" in mixture.running.note.text()
     spin(lambda: not mixture.commands.busy)
@@ -49,7 +49,7 @@ def test_membranes_are_found_in_the_background(mixture, told, spin, monkeypatch,
 
 def test_what_fails_is_told(mixture, with_image, told, spin):
     with_image.layers["seeds"].data = np.array([[50.0, 50.0, 50.0]])
-    mixture.header.copy_action.trigger()
+    mixture.commands.copy_action.trigger()
     spin(lambda: not mixture.commands.busy)
     assert told
     assert told[-1] == mixture.running.note.text() != ""
@@ -62,7 +62,7 @@ def test_closing_asks_nobody_any_more(mixture, told, spin, monkeypatch):
         "getExistingDirectory",
         staticmethod(lambda *a: asked.append(a) or ""),
     )
-    mixture.header.copy_action.trigger()
+    mixture.commands.copy_action.trigger()
     mixture.close_links()
     spin(seconds=0.2, must=False)
     assert not asked
@@ -71,9 +71,9 @@ def test_closing_asks_nobody_any_more(mixture, told, spin, monkeypatch):
 
 def test_a_folder_gets_a_batch_file(mixture, told, tmp_path):
     write_image(tmp_path / "a.tif", np.ones((4, 5, 6), np.float32), (0.3, 0.2, 0.2))
-    mixture.header.folder_action.trigger()
+    mixture.commands.folder_action.trigger()
     assert told[-1].startswith("copied: napari-deltamic batch ")
     assert command_copy.QApplication.clipboard().text() in told[-1]
     assert 'images = ["a.tif"]' in (tmp_path / "batch.toml").read_text()
-    mixture.header.folder_action.trigger()
+    mixture.commands.folder_action.trigger()
     assert "is there already" in told[-1]

@@ -115,17 +115,17 @@ def test_writing_that_fails_is_told_and_works_elsewhere(
 
     with monkeypatch.context() as patch:
         patch.setattr(files.os, "fsync", fail)
-        widget.results._save(save, str(tmp_path / name))
+        widget.results._write(save, str(tmp_path / name))
     assert os.strerror(code) in told[-1]
     assert "\n" not in told[-1]
     assert widget.results.isEnabled()
-    widget.results._save(save, str(tmp_path / f"b{name}"))
+    widget.results._write(save, str(tmp_path / f"b{name}"))
     assert told[-1].startswith("saved")
     assert (tmp_path / f"b{name}").exists()
 
 
 def test_a_folder_that_is_gone_is_told(widget, tmp_path, told):
-    widget.results._save(widget.results.save_meshes, str(tmp_path / "gone" / "a.ply"))
+    widget.results._write(widget.results.save_meshes, str(tmp_path / "gone" / "a.ply"))
     assert "cannot be written" in told[-1]
 
 
@@ -135,13 +135,15 @@ def test_dialogs_add_what_a_name_lacks(widget, tmp_path, monkeypatch):
         "napari_deltamic.gui.results.results_panel.QFileDialog.getSaveFileName",
         lambda parent, title, *a: (str(tmp_path / chosen["name"]), chosen.get("kind", "")),
     )
-    for name, kind, ask, found in (
-        ("m", "STL (*.stl)", widget.results._ask_meshes, "m.stl"),
-        ("i", "", widget.results._ask_image, "i.ome.tif"),
-        ("j.tif", "", widget.results._ask_image, "j.tif"),
+    entries = {action.text(): action for action in widget.results.export.menu().actions()}
+    for name, kind, entry, found in (
+        ("m", "STL (*.stl)", "Meshes...", "m.stl"),
+        ("i", "", "Image...", "i.ome.tif"),
+        ("j.tif", "", "Image...", "j.tif"),
+        ("t", "CSV (*.csv)", "Table...", "t.csv"),
     ):
         chosen.update(name=name, kind=kind)
-        ask()
+        entries[entry].trigger()
         assert (tmp_path / found).exists(), found
 
 
@@ -211,7 +213,7 @@ def from_file(make_widget, with_image, pixels, tmp_path, monkeypatch, spin):
     monkeypatch.setattr(command_copy.QFileDialog, "getExistingDirectory", lambda *a: str(tmp_path))
 
     def copied():
-        widget.header.copy_action.trigger()
+        widget.commands.copy_action.trigger()
         spin(lambda: not widget.commands.busy)
         words = shlex.split(command_copy.QApplication.clipboard().text())
         job = gather(build_parser().parse_args(words[1:]), Notes())

@@ -22,8 +22,9 @@ from .header import Header
 from .keys import Keys
 from .optics.optics_panel import OpticsPanel
 from .panels.image_panel import ImagePanel
-from .panels.preferences import read_preferences
+from .panels.preferences import PLUGIN, read_preferences
 from .panels.settings_panel import SettingsPanel
+from .qt import action
 from .results.command_copy import CommandCopy
 from .results.results_panel import ResultsPanel
 from .results.selection import ClickSelection
@@ -68,7 +69,6 @@ class FitWidget(QWidget):
         self.doc = doc = Document(unwrapped(napari_viewer))
         doc.told.connect(_tell)
         doc.warned.connect(_warn)
-        self.header = Header(self)
         self.image = ImagePanel(doc, self)
         self.seeds = SeedsPanel(doc, self)
         optics = OpticsPanel(doc, tip_of(described(SceneSettings)["sigma"]), self)
@@ -95,9 +95,6 @@ class FitWidget(QWidget):
         self.commands = CommandCopy(doc, self)
         # With its window the widget is deleted without a word to Python.
         self.destroyed.connect(doc.close)
-        self.header.copy_command.connect(self.commands.copy)
-        self.header.run_folder.connect(self.commands.run_folder)
-        self.header.simulate.connect(self._simulate)
         self.running.fit_again.connect(self._fit_again)
         doc.began.connect(self._show_check)
         doc.parts.append(
@@ -156,7 +153,7 @@ class FitWidget(QWidget):
 
     def _simulate(self) -> None:
         """Open the other widget of this plugin, in a dock of its own."""
-        self.doc.guarded(partial(_open_simulator, self.doc.viewer))
+        self.doc.viewer.window.add_plugin_dock_widget(PLUGIN, "Simulate cells")
 
     def _fit_again(self) -> None:
         self.settings.estimate_all()
@@ -180,7 +177,10 @@ class FitWidget(QWidget):
         return bool(super().event(event))
 
     def _lay_out(self) -> None:
-        self.header.offer([self.sessions.open_action, self.sessions.save_action])
+        simulate = action("Simulate cells...", "", partial(self.doc.guarded, self._simulate), self)
+        sessions, commands = self.sessions, self.commands
+        own = (commands.copy_action, commands.folder_action, simulate)
+        self.header = Header(((sessions.open_action, sessions.save_action), own), self)
         inner = QWidget(self)
         column = QVBoxLayout(inner)
         column.setContentsMargins(2, 2, 2, 2)
@@ -201,10 +201,6 @@ class FitWidget(QWidget):
         layout.addWidget(self.header)
         layout.addWidget(scroll, 1)
         layout.addWidget(self.footer)
-
-
-def _open_simulator(viewer: Any) -> None:
-    viewer.window.add_plugin_dock_widget("napari-deltamic", "Simulate cells")
 
 
 def _tell(text: str) -> None:

@@ -10,6 +10,7 @@ from qtpy.QtWidgets import QApplication, QFileDialog, QWidget
 from ...runs.batch import write_batch
 from ...runs.run_files import Chosen, needs_folder
 from ..document import Document
+from ..qt import action
 from ..work import Background
 
 
@@ -28,6 +29,11 @@ class CommandCopy:
         # Image files are compared, and meshes of seeds are computed: it may take seconds.
         self._checking = Background(self._checked, doc.refuse)
         self._writing = Background(self._done, doc.refuse)
+        tip = "The command that repeats this run without a window."
+        self.copy_action = action("Copy as command", tip, partial(doc.guarded, self.copy), parent)
+        tip = "Writes batch.toml with these settings beside the stacks, and copies its command."
+        slot = partial(doc.guarded, self._run_folder)
+        self.folder_action = action("Run on a folder...", tip, slot, parent)
         doc.parts.append(self)
 
     @property
@@ -35,21 +41,14 @@ class CommandCopy:
         """Whether a command is still to come."""
         return self._checking.busy or self._writing.busy
 
-    def copy(self) -> None:
-        """Put the command together of what is chosen."""
-        self._doc.guarded(self._copy)
-
-    def run_folder(self) -> None:
-        """Write a batch file with these settings beside the stacks of a folder."""
-        self._doc.guarded(self._run_folder)
-
     def close_links(self) -> None:
         """Call nobody any more."""
         self._checking.close()
         self._writing.close()
         self._parent = None
 
-    def _copy(self) -> None:
+    def copy(self) -> None:
+        """Put the command together of what is chosen. InputError where something is missing."""
         doc = self._doc
         frame, pixels = doc.image.frame(), doc.image.stack()
         seeds = doc.cells.seeds(frame)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +33,7 @@ from ...results.exchange import labels_of
 from ...results.report import write_results
 from ..attempt import attempt
 from ..document import Document, Record
+from ..qt import action
 from ..viewing.cell_features import labels_layer
 from ..widgets import Note, narrow_box
 from .cell_table import CellTable
@@ -192,56 +195,33 @@ class ResultsPanel(QGroupBox):
     def _export_menu(self) -> QMenu:
         menu = QMenu(self)
         menu.setToolTipsVisible(True)
-        for title, slot, tip in (
-            ("Meshes...", self._ask_meshes, f"Save the meshes: {MESH_FILES_LISTED}, um."),
-            ("Table...", self._ask_table, "Save all columns as .csv, um."),
-            (
-                "Image...",
-                self._ask_image,
-                "Save the rendered image with its voxel size: .ome.tif, or .tif for ImageJ.",
-            ),
-            (
-                "All...",
-                self._ask_all,
-                "Save everything in a folder: meshes, image, measurements, settings, report.",
-            ),
-            (
-                "Labels layer",
-                self._ask_labels,
-                "Add the cells as a Labels layer with their measurements.",
-            ),
+        meshes = f"mesh{MESH_FILES[0]}"
+        image = "Save the rendered image with its voxel size: .ome.tif, or .tif for ImageJ."
+        everything = "Save everything in a folder: meshes, image, measurements, settings, report."
+        labels = "Add the cells as a Labels layer with their measurements."
+        for title, tip, write, name, kinds in (
+            ("Meshes", f"Save: {MESH_FILES_LISTED}, um.", self.save_meshes, meshes, MESH_FILTERS),
+            ("Table", "Save all columns, um.", self.save_table, "measurements.csv", "CSV (*.csv)"),
+            ("Image", image, self.save_image, "rendered.ome.tif", IMAGE_FILES),
+            ("All", everything, self.save_all, "", ""),
         ):
-            action: Any = menu.addAction(title)
-            action.setToolTip(tip)
-            action.triggered.connect(slot)
+            slot = partial(self._ask, write, name, kinds)
+            menu.addAction(action(f"{title}...", tip, slot, menu))
+        add = partial(attempt, self.add_labels, self._doc.warned.emit)
+        menu.addAction(action("Labels layer", labels, add, menu))
         return menu
 
-    def _ask_labels(self, checked: bool = False) -> None:
-        attempt(self.add_labels, self._doc.warned.emit)
-
-    def _ask_meshes(self, checked: bool = False) -> None:
-        path, kind = QFileDialog.getSaveFileName(
-            self, "Save meshes", f"mesh{MESH_FILES[0]}", MESH_FILTERS
-        )
-        if path and not Path(path).suffix:
-            path += kind[kind.index("*") + 1 : -1]
-        self._save(self.save_meshes, path)
-
-    def _ask_table(self, checked: bool = False) -> None:
-        path, _ = QFileDialog.getSaveFileName(self, "Save table", "measurements.csv", "CSV (*.csv)")
-        self._save(self.save_table, path)
-
-    def _ask_image(self, checked: bool = False) -> None:
-        path, _ = QFileDialog.getSaveFileName(
-            self, "Save rendered image", "rendered.ome.tif", IMAGE_FILES
-        )
-        if path and not Path(path).suffix:
-            path += ".ome.tif"
-        self._save(self.save_image, path)
-
-    def _ask_all(self, checked: bool = False) -> None:
-        self._save(self.save_all, QFileDialog.getExistingDirectory(self, "Folder for the results"))
-
-    def _save(self, write: Callable[[str], None], path: str) -> None:
+    def _ask(self, write: Callable[[str], None], name: str, kinds: str) -> None:
+        """Ask for a file of some kinds, or for a folder where it has no name; then write it."""
+        if name:
+            path, kind = QFileDialog.getSaveFileName(self, "Save", name, kinds)
+            suffix = re.search(r"\*([.\w]+)", kind or kinds)
+            if path and suffix and not Path(path).suffix:
+                path += suffix[1]
+        else:
+            path = QFileDialog.getExistingDirectory(self, "Folder for the results")
         if path:
-            attempt(lambda: write(path), self._doc.warned.emit)
+            self._write(write, path)
+
+    def _write(self, write: Callable[[str], None], path: str) -> None:
+        attempt(partial(write, path), self._doc.warned.emit)

@@ -13,9 +13,10 @@ from ...errors import InputError
 from ...results.session_file import EXTENSION, Session, load_session, save_session
 from ..attempt import attempt
 from ..document import Document
-from ..qt import QAction
+from ..qt import action
 from ..work import Background
 
+_OPEN, _SAVE = ("Open session...", "Opening ..."), ("Save session...", "Saving ...")
 _KIND = f"deltaMic session (*{EXTENSION})"
 
 
@@ -41,21 +42,19 @@ class SessionBar(QObject):
         self._shown_in = parent
         self._doc, self._capture, self._restore = doc, capture, restore
         doc.parts.append(self)
-        self.open_action, self.save_action = QAction(self), QAction(self)
-        self.open_action.setToolTip(
+        tip = (
             "Open a .deltamic file: image, cells, settings, meshes, table and history come back "
             "as they were."
         )
-        self.save_action.setToolTip(
+        self.open_action = action(_OPEN[0], tip, self._ask_open, self)
+        tip = (
             "Save image, cells, settings, meshes and history in one file. Of a 4D image, the time "
             "that is fitted; all of it where cells were tracked."
         )
-        self._saving = Background(self._saved, self._not_saved)
-        self._opening = Background(self._opened, self._not_opened)
+        self.save_action = action(_SAVE[0], tip, self._ask_save, self)
+        self._saving = Background(partial(self._ended, "saved"), partial(self._ended, ""))
+        self._opening = Background(self._opened, partial(self._ended, ""))
         self._steps: Generator[None] | None = None  # that are left of showing a session
-        self.open_action.triggered.connect(self._ask_open)
-        self.save_action.triggered.connect(self._ask_save)
-        self._show(saving=False, opening=False)
 
     @property
     def busy(self) -> bool:
@@ -68,12 +67,12 @@ class SessionBar(QObject):
         if remark:
             self._doc.warned.emit(remark)
         self._saving.ask(partial(_save, path, session))
-        self._show(saving=True)
+        self._show()
 
     def open(self, path: str) -> None:
         """Open a session; it is shown when it has been read."""
         self._opening.ask(partial(load_session, path))
-        self._show(opening=True)
+        self._show()
 
     def close_links(self) -> None:
         """Call nobody any more; a file that is being written is written to its end."""
@@ -81,13 +80,13 @@ class SessionBar(QObject):
         self._opening.close()
         self._steps = None
 
-    def _saved(self, path: str) -> None:
-        self._show(saving=False)
-        self._doc.told.emit(f"saved {path}")
-
-    def _not_saved(self, reason: str) -> None:
-        self._show(saving=False)
-        self._doc.warned.emit(reason)
+    def _ended(self, done: str, text: str) -> None:
+        """A file was written, or could not be, or could not be read."""
+        self._show()
+        if done:
+            self._doc.told.emit(f"{done} {text}")
+        else:
+            self._doc.warned.emit(text)
 
     def _opened(self, session: Session) -> None:
         self._steps = self._restore(session)
@@ -99,7 +98,7 @@ class SessionBar(QObject):
         if steps is None:
             return
         attempt(partial(self._take_step, steps), self._doc.warned.emit)
-        self._show(opening=self._steps is not None)
+        self._show()
 
     def _take_step(self, steps: Generator[None]) -> None:
         for _ in steps:
@@ -107,16 +106,12 @@ class SessionBar(QObject):
             QTimer.singleShot(0, self._go_on)
             break
 
-    def _not_opened(self, reason: str) -> None:
-        self._show(opening=False)
-        self._doc.warned.emit(reason)
-
-    def _ask_open(self, checked: bool = False) -> None:
+    def _ask_open(self) -> None:
         path, _ = QFileDialog.getOpenFileName(self._shown_in, "Open session", "", _KIND)
         if path:
             attempt(partial(self.open, path), self._doc.warned.emit)
 
-    def _ask_save(self, checked: bool = False) -> None:
+    def _ask_save(self) -> None:
         path, _ = QFileDialog.getSaveFileName(
             self._shown_in, "Save session", f"session{EXTENSION}", _KIND
         )
@@ -130,15 +125,15 @@ class SessionBar(QObject):
                 raise InputError(f"{path} is there already: choose it, or another name")
         self.save(path)
 
-    def _show(self, saving: bool | None = None, opening: bool | None = None) -> None:
-        """What is under way; None leaves it as it is."""
-        for action, busy, words in (
-            (self.open_action, opening, ("Open session...", "Opening ...")),
-            (self.save_action, saving, ("Save session...", "Saving ...")),
+    def _show(self) -> None:
+        """What is under way."""
+        opening = self._opening.busy or self._steps is not None
+        for one, busy, words in (
+            (self.open_action, opening, _OPEN),
+            (self.save_action, self._saving.busy, _SAVE),
         ):
-            if busy is not None:
-                action.setEnabled(not busy)
-                action.setText(words[busy])
+            one.setEnabled(not busy)
+            one.setText(words[busy])
 
 
 def _save(path: str, session: Session) -> str:
