@@ -69,8 +69,7 @@ def numbers(layer):
 
 
 def told(seeds):
-    bar = seeds.corrections.bar
-    return bar.hint.text(), bar.count.text()
+    return seeds.corrections.bar.hint.text(), seeds.corrections.count.text()
 
 
 def test_the_tools_are_there_for_labels_only(seeds, viewer, scene):
@@ -149,7 +148,7 @@ def test_undo_goes_back_click_by_click_as_napari_does(seeds, viewer, joined, cli
     click("split", LEFT)
     split = joined.data.copy()
     click("remove", RIGHT)
-    seeds.corrections.bar.undo_button.click()
+    seeds.corrections.undo_button.click()
     np.testing.assert_array_equal(joined.data, split)
     assert told(seeds)[1] == "2 cells"
     joined.undo()  # napari's own, on Ctrl+Z

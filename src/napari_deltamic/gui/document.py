@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol, get_args
+from typing import Any, Literal, get_args
 
 from psygnal import Signal
 
@@ -24,8 +24,7 @@ from ..results.judged import Judged
 from ..results.report import History
 from ..results.timeline import Timeline
 from ..runs.seeds import Seeds
-from ..runs.settings import FitSettings, RunSettings, SceneSettings
-from ..scene.effects import Effects
+from ..runs.settings import RunSettings
 from .attempt import attempt
 from .image_source import ImageSource
 from .viewing.connections import Connections
@@ -35,65 +34,6 @@ from .work import Work
 
 View = Literal["image", "rendered", "residual", "side by side"]
 VIEWS: tuple[View, ...] = get_args(View)
-
-
-class CellSource(Protocol):
-    """Where a fit starts, as it is chosen."""
-
-    @property
-    def spheres(self) -> bool:
-        """Whether points are spheres."""
-
-    def ticked(self) -> list[Any]:
-        """The layers that are chosen."""
-
-    def seeds(self, frame: Frame, *, copied: bool = True) -> Seeds:
-        """What they hold. InputError where there is nothing, or it cannot be used."""
-
-    def preview_mesh(self) -> Any:
-        """The surfaces that are shown of them; None for none."""
-
-    def prefer_preview(self, on: bool) -> None:
-        """Whether they are shown at first."""
-
-    def add_clicks(self, places: Sequence[tuple[float, float, float]]) -> None:
-        """Add a click at each of some places, um."""
-
-    def finish_placing(self, *, keep_preview: bool = False) -> None:
-        """Clicks move the view again."""
-
-    def make_room(self) -> None:
-        """The meshes of a fit are there: hide what would cover them."""
-
-
-class SettingsSource(Protocol):
-    """What is chosen of a fit. What is shown may be no good: then reading it raises InputError."""
-
-    optics: Any
-    effects: Any
-    accuracy: Any
-
-    @property
-    def psf_is_open(self) -> bool:
-        """Whether the image is to tell the PSF when a fit starts."""
-
-    def fit_settings(self) -> FitSettings:
-        """Of the fit."""
-
-    def other_settings(self) -> FitSettings:
-        """The same, without the accuracy, which may have to look at the image."""
-
-    def scene_settings(self) -> SceneSettings:
-        """Of the scene."""
-
-    def show_settings(self, settings: FitSettings) -> None:
-        """Show settings of a fit."""
-
-    def show_scene(self, scene: SceneSettings) -> None:
-        """Show a PSF and corrections, which belong to the image chosen."""
-
-    def show_effects(self, effects: Effects) -> None:
-        """Show corrections."""
 
 
 @dataclass(eq=False)
@@ -158,8 +98,8 @@ class Document:
     failed = Signal(str)  # a fit could not start, or be shown
     finish_tools = Signal(object)  # the mouse is wanted by one: the others lay down theirs
 
-    cells: CellSource
-    settings: SettingsSource
+    cells: Any  # the panel that chooses them
+    settings: Any  # the panel that chooses what of a fit can be chosen
 
     def __init__(self, viewer: Any) -> None:
         self.viewer = viewer

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -73,18 +73,17 @@ def narrow_box(parent: QWidget, name: str, characters: int = 12) -> QComboBox:
     return box
 
 
+def small_button(sign: str, parent: QWidget) -> QPushButton:
+    """A button that is as wide as a sign."""
+    button = QPushButton(sign, parent)
+    button.setFixedWidth(30)
+    button.setStyleSheet("padding: 2px; font-size: 15px;")
+    return button
+
+
 def sentence(text: str) -> str:
     """A reason as a sentence."""
     return f"{text[0].upper()}{text[1:]}." if text else ""
-
-
-def note_label(text: str = "") -> QLabel:
-    """A line of explanation under a field."""
-    label = QLabel(text)
-    label.setWordWrap(True)
-    label.setStyleSheet("font-size: 11px;")
-    label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Minimum)
-    return label
 
 
 def show_row(form: QFormLayout, field: QWidget, shown: bool) -> None:
@@ -117,23 +116,33 @@ class Note(QLabel):
             self.setVisible(bool(text))
 
 
-class ToolButtons(QWidget):
-    """A row of buttons for tools of the mouse, of which one or none is in use.
+class ToolBar(QWidget):
+    """Buttons for tools of the mouse, of which one or none is in use, and what that one does.
 
     Parameters
     ----------
-    tools : title and tip of each, by name.
+    tools : title of each, and what it does, by name.
+    more : what else is to be known of a tool in a view of so many dimensions.
     parent : Qt's.
     """
 
-    chosen = Signal(object)  # a tool, or None
+    tool_chosen = Signal(object)  # a tool, or None
 
-    def __init__(self, tools: Mapping[str, tuple[str, str]], parent: QWidget | None = None) -> None:
+    def __init__(
+        self,
+        tools: Mapping[str, tuple[str, str]],
+        more: Callable[[str, int], str],
+        parent: QWidget | None = None,
+    ) -> None:
         super().__init__(parent)
+        self._tools, self._more, self._ndisplay = tools, more, 2
         self.buttons: dict[str, QPushButton] = {}
-        self.row = QHBoxLayout(self)
-        self.row.setContentsMargins(0, 0, 0, 0)
+        self.hint = Note(self)
+        self.row, self.column = QHBoxLayout(), QVBoxLayout(self)
         self.row.setSpacing(4)
+        self.column.setContentsMargins(0, 0, 0, 0)
+        self.column.addLayout(self.row)
+        self.column.addWidget(self.hint)
         for tool, (title, tip) in tools.items():
             button = self.buttons[tool] = QPushButton(title, self)
             button.setCheckable(True)
@@ -142,23 +151,32 @@ class ToolButtons(QWidget):
             self.row.addWidget(button, 1)
 
     @property
-    def tool(self) -> str | None:
-        """The tool in use."""
+    def tool(self) -> Any:
+        """The tool in use, or None."""
         return next((tool for tool, button in self.buttons.items() if button.isChecked()), None)
 
     def use(self, tool: str | None) -> None:
         """Take up a tool, or lay it down."""
         if tool != self.tool:
-            self._check(tool)
-            self.chosen.emit(tool)
+            for name, button in self.buttons.items():
+                button.setChecked(name == tool)
+            self.explain()
+            self.tool_chosen.emit(tool)
+
+    def show_dimensions(self, ndisplay: int) -> None:
+        """Whether the view is 2D or 3D."""
+        self._ndisplay = ndisplay
+        self.explain()
+
+    def explain(self) -> None:
+        """What the tool in use does."""
+        tool = self.tool
+        more = f"{self._tools[tool][1]} {self._more(tool, self._ndisplay)}" if tool else ""
+        self.hint.say(more.strip())
 
     def _clicked(self, tool: str, checked: bool) -> None:
-        self._check(tool if checked else None)
-        self.chosen.emit(self.tool)
-
-    def _check(self, tool: str | None) -> None:
-        for name, button in self.buttons.items():
-            button.setChecked(name == tool)
+        self.buttons[tool].setChecked(not checked)  # as it was
+        self.use(tool if checked else None)
 
 
 class Fold(QWidget):

@@ -12,7 +12,7 @@ from qtpy.QtWidgets import QHBoxLayout, QPushButton, QSlider, QVBoxLayout, QWidg
 from ...results.timeline import Moment, explained
 from ..document import Document
 from ..qt import Signal
-from ..widgets import note_label
+from ..widgets import Note, small_button
 from .edits import Edits
 
 _EVERY = 0.2  # s between two updates of the slider
@@ -39,14 +39,14 @@ class HistoryBar(QWidget):
         self._moments: tuple[Moment, ...] = ()
         self._chosen: Moment | None = None
         self._running = False
-        self.undo_button = _button("↶", self)
-        self.redo_button = _button("↷", self)
+        self.undo_button = small_button("↶", self)
+        self.redo_button = small_button("↷", self)
         self.slider = QSlider(Qt.Orientation.Horizontal, self)
         self.slider.setToolTip("Look at earlier moments; a fit goes on meanwhile.")
         self.slider.setMinimumWidth(60)
         self.live_button = QPushButton("Back to the end", self)
         self.live_button.setToolTip("Show the newest state again.")
-        self.note = note_label()
+        self.note = Note(self)
         self.go_on_button = QPushButton("Continue from here", self)
         self._lay_out()
         self.undo_button.clicked.connect(self.undo)
@@ -173,13 +173,12 @@ class HistoryBar(QWidget):
         )
         shown = self._chosen or (self._moments[-1] if self._moments else None)
         if shown is None or (not looking and self._running):
-            self.note.setVisible(False)
+            self.note.say("")
             return
         text = f"iteration {shown.iteration}"
         if shown.loss == shown.loss:
             text += f", {explained(shown.loss):.1f}% explained"
-        self.note.setText(text + (f": {shown.note}" if shown.note else ""))
-        self.note.setVisible(looking)
+        self.note.say((text + (f": {shown.note}" if shown.note else "")) * looking)
 
     def _lay_out(self) -> None:
         row = QHBoxLayout()
@@ -195,10 +194,3 @@ class HistoryBar(QWidget):
         layout.addLayout(row)
         layout.addWidget(self.note)
         layout.addLayout(below)
-
-
-def _button(text: str, parent: QWidget) -> QPushButton:
-    button = QPushButton(text, parent)
-    button.setFixedWidth(30)
-    button.setStyleSheet("padding: 2px; font-size: 15px;")
-    return button

@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from qtpy.QtCore import QObject
+from qtpy.QtCore import QObject, QSignalBlocker, Qt
+from qtpy.QtWidgets import QLabel, QPushButton, QWidget
+from superqt import QLabeledDoubleSlider
 
 from ...geometry import Mesh
 from ...geometry.brush import Touch, falloff, outward, touched_by_ray, touched_on_section
@@ -18,15 +20,59 @@ from ..viewing.connections import Connections
 from ..viewing.contours import sliced_axis
 from ..viewing.frame import FloatArray
 from ..viewing.viewer_link import ViewerLink
-from .edit_bar import EditBar, Tool
+from ..widgets import ToolBar
 from .edits import Edits
 
+_TIPS = {
+    "nudge": "Drag a part of the surface, in the plane of the slice or of the view.",
+    "push": "Drag over the surface to push it outward; with Shift, inward.",
+    "pin": "Drag over the surface: the fit leaves it where it is; with Shift, frees it again.",
+}
 _EARLIER = "This is an earlier moment: press 'Back to the end', or continue from here."
 _HIDDEN = "The surface is hidden: make its layer visible first."
 _OTHER_TIME = "The surface is that of another time point: go there first."
 _PUSH = 0.12  # of the brush's radius: how far a dab pushes
 _SPACING = 0.3  # of the radius: how far the mouse goes from one dab to the next
 _PINNED = 0.25  # weight from which on a vertex is pinned
+
+
+class EditBar(ToolBar):
+    """Tools that change the surface by hand, and the size of the brush, while one is in use."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        tools = {tool: (tool.capitalize(), tip) for tool, tip in _TIPS.items()}
+        super().__init__(tools, _start, parent)
+        self.pins = QPushButton(self)
+        self.pins.setToolTip("Free all pinned vertices.")
+        self.radius = QLabeledDoubleSlider(Qt.Orientation.Horizontal, self)
+        self.radius.setToolTip("Radius of the brush, µm; the effect fades towards its rim.")
+        self.row.insertWidget(0, QLabel("edit", self))
+        self.column.insertWidget(1, self.radius)
+        self.column.addWidget(self.pins)
+        self.radius.hide()
+        self.show_pins(0)
+
+    def explain(self) -> None:
+        """What the tool in use does, with its brush."""
+        super().explain()
+        self.radius.setVisible(self.tool is not None)
+
+    def set_scale(self, size: float) -> None:
+        """Fit the brush to a mesh of a size, um."""
+        blocker = QSignalBlocker(self.radius)
+        self.radius.setRange(size / 100, size / 2)
+        self.radius.setValue(size / 8)
+        blocker.unblock()
+
+    def show_pins(self, n: int) -> None:
+        """How many vertices are pinned."""
+        self.pins.setText(f"Free {n} pinned {'vertex' if n == 1 else 'vertices'}")
+        self.pins.setVisible(n > 0)
+
+
+def _start(tool: str, ndisplay: int) -> str:
+    place = "on a surface" if ndisplay == 3 else "near a contour"
+    return f"Start {place}; elsewhere the mouse moves the view."
 
 
 class Sculptor(QObject):
@@ -47,7 +93,7 @@ class Sculptor(QObject):
         self._connections = Connections()
         self._connections.connect(doc.viewer.dims.events.ndisplay, self._view_changed)
         bar.tool_chosen.connect(self._tool_chosen)
-        bar.free_all.connect(self._free_all)
+        bar.pins.clicked.connect(self._free_all)
         doc.finish_tools.connect(self._other_tool)
         doc.began.connect(self._began)
         doc.image.changed.connect(self._show_pins)
@@ -67,7 +113,7 @@ class Sculptor(QObject):
         if on:
             callbacks.insert(0, self._callback)  # before those that only look at a click
 
-    def _tool_chosen(self, tool: Tool | None) -> None:
+    def _tool_chosen(self, tool: str | None) -> None:
         self._listen(tool is not None)
         if tool is not None:
             # Points that are placed, or labels that are painted, would be in the way.
@@ -110,13 +156,13 @@ class Sculptor(QObject):
         if event.button != 1 or tool is None:
             return
         if self._doc.earlier:
-            self._bar.say(_EARLIER)
+            self._bar.hint.say(_EARLIER)
             return
         if link is None or link.shown is None or self._doc.present() is None:
-            self._bar.say("There is no surface yet: run a fit first.")
+            self._bar.hint.say("There is no surface yet: run a fit first.")
             return
         if not _to_be_seen(link):
-            self._bar.say(_HIDDEN if link.at_time else _OTHER_TIME)
+            self._bar.hint.say(_HIDDEN if link.at_time else _OTHER_TIME)
             return
         touch = touch_at(link, link.shown, event, self._bar.radius.value())
         if touch is None:
@@ -162,7 +208,7 @@ class _Stroke:
     """From the press of the mouse to its release: what it does to a mesh."""
 
     def __init__(
-        self, tool: Tool, link: ViewerLink, mesh: Mesh, touch: Touch, event: Any, radius: float
+        self, tool: str, link: ViewerLink, mesh: Mesh, touch: Touch, event: Any, radius: float
     ) -> None:
         self.tool, self._link, self.start, self._radius = tool, link, mesh, radius
         self._ndisplay = link.viewer.dims.ndisplay

@@ -11,7 +11,7 @@ from ..document import Document
 from ..fields import TripleField
 from ..image_source import channel_axes, channels
 from ..viewing.frame import um_per_unit
-from ..widgets import AMBER, LayerChooser, narrow_box, note_label, sentence, show_row
+from ..widgets import AMBER, LayerChooser, Note, narrow_box, sentence, show_row
 
 WHOLE, BOX = "whole image", "the rectangle drawn"
 
@@ -41,7 +41,7 @@ class ImagePanel(QGroupBox):
         self.edit_size = QPushButton("Edit", self)
         self.edit_size.setToolTip("<qt>Type another voxel size.</qt>")
         self.edit_size.setCheckable(True)
-        self.note = note_label()
+        self.note = Note(self)
         size = QHBoxLayout()
         size.addWidget(self.size_line, 1)
         size.addWidget(self.edit_size)
@@ -93,7 +93,7 @@ class ImagePanel(QGroupBox):
     def _tell(self, text: str, *, needed: bool = False) -> None:
         """Say something; in the colour of warnings where the user is needed."""
         self.note.setStyleSheet("font-size: 11px;" + f" color: {AMBER};" * needed)
-        self.note.setText(text)
+        self.note.say(text)
 
     def _described(self, layer: Any, unknown: bool) -> str:
         text = " x ".join(map(str, self._image.shape())) + " voxels"

@@ -17,11 +17,11 @@ from qtpy.QtWidgets import (
 from ...results.judged import told
 from ...results.timeline import Moment
 from ..document import VIEWS, Document, Record
-from ..editing.edit_bar import EditBar
 from ..editing.edits import Edits
 from ..editing.history_bar import HistoryBar
+from ..editing.sculpt_tool import EditBar
 from ..qt import Signal
-from ..widgets import AMBER, GREEN, RED, Fold, Note, narrow_box, note_label
+from ..widgets import AMBER, GREEN, RED, Fold, Note, narrow_box
 from .live_numbers import LiveNumbers
 from .plots import ExplainedCurve
 from .worker import Snapshot
@@ -264,13 +264,13 @@ class RemarkList(Fold):
     """What was remarked on the way: how much in its title, all of it when unfolded."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
-        self.label = note_label()
+        self.label = Note()
         super().__init__("", self.label, parent)
         self.hide()
 
     def show_remarks(self, remarks: Sequence[str]) -> None:
         """Show remarks; hidden where there are none."""
         self.set_title(f"{len(remarks)} {'remark' if len(remarks) == 1 else 'remarks'}")
-        self.label.setText("\n".join(remarks))
+        self.label.say("\n".join(remarks))
         self.unfold(False)
         self.setVisible(bool(remarks))

@@ -23,12 +23,23 @@ from ..document import Document
 from ..qt import Signal
 from ..viewing.connections import Connections
 from ..viewing.frame import FloatArray, Frame
+from ..widgets import Note, ToolBar, small_button
 from ..work import Background
-from .correct_bar import CorrectBar, Tool
 from .seed_kinds import seeds_from_layer
 
 _STILL = 5.0  # px: a mouse that moves further drags
-_ACTIONS: dict[Tool, Action] = {"split": "cell", "merge": "merge", "remove": "remove"}
+# Title, what it does, and its name among the edits of labels.
+_TOOLS: dict[str, tuple[str, str, Action]] = {
+    "split": (
+        "Split / add",
+        "Click in the middle of a cell: one that is part of a larger label is cut off, one that "
+        "was missed is added.",
+        "cell",
+    ),
+    "merge": ("Merge", "Click both halves of a cell, one after the other, to merge them.", "merge"),
+    "remove": ("Remove", "Click on what is no cell.", "remove"),
+}
+_IN_3D = "Cells that were missed are added on slices only."
 _BESIDE = "In 3D, click on a cell; what was missed is added on the slices."
 
 
@@ -55,7 +66,11 @@ class Corrections(QObject):
     ) -> None:
         super().__init__(parent)
         self._doc, self._viewer, self._image, self._layers = doc, doc.viewer, doc.image, layers
-        self.bar = bar = CorrectBar(parent)
+        self.bar = bar = ToolBar({t: one[:2] for t, one in _TOOLS.items()}, _more, parent)
+        self.undo_button, self.count = small_button("↶", bar), Note(bar)
+        self.undo_button.setToolTip("Undo the last correction, or stroke of the brush (Ctrl+Z).")
+        bar.row.addWidget(self.undo_button)
+        bar.column.addWidget(self.count)
         self._first: Click | None = None  # of the two that are to be merged
         self._waiting: list[_Wanted] = []
         # What is under way: the layer, its array, and its labels.
@@ -69,7 +84,7 @@ class Corrections(QObject):
         self._connections = Connections()
         self._connections.connect(doc.viewer.dims.events.ndisplay, self._view_changed)
         bar.tool_chosen.connect(self._tool_chosen)
-        bar.undo.connect(self.undo)
+        self.undo_button.clicked.connect(self.undo)
         self._view_changed()
 
     @property
@@ -98,7 +113,8 @@ class Corrections(QObject):
         if self.bar.tool is not None and layer is not self._clicked_in:
             self._listen(layer)
             self.bar.explain()
-        self.bar.show_count(_cells(np.asarray(layer.data)))
+        cells = _cells(np.asarray(layer.data)) if self.bar.tool else 0
+        self.count.say(f"{cells} {'cell' if cells == 1 else 'cells'}" if self.bar.tool else "")
 
     def click(self, place: FloatArray) -> None:
         """Use the tool at a place, um in the image's frame."""
@@ -108,12 +124,12 @@ class Corrections(QObject):
         if layer is not self._clicked_in:  # another one was selected
             self._listen(layer)
         z, y, x = (float(p) for p in place)
-        click = Click((z, y, x), _ACTIONS[tool])
+        click = Click((z, y, x), _TOOLS[tool][2])
         if tool != "merge":
             self._want((layer, [click]))
         elif self._first is None:
             self._first = click
-            self.bar.say("Click the other half of this cell to merge them.")
+            self.bar.hint.say("Click the other half of this cell to merge them.")
             self.renew()
         else:
             first, self._first = self._first, None
@@ -148,7 +164,7 @@ class Corrections(QObject):
 
     # ------------------------------------------------------------------------------------ mouse
 
-    def _tool_chosen(self, tool: Tool | None) -> None:
+    def _tool_chosen(self, tool: str | None) -> None:
         layer = self.layer if tool is not None else None
         self._listen(layer)
         if layer is not None:
@@ -186,7 +202,7 @@ class Corrections(QObject):
             if np.abs(np.asarray(event.pos, float) - start).max() > _STILL:
                 return  # the view is moved
             yield
-        attempt(partial(self._clicked, event), self.bar.say)
+        attempt(partial(self._clicked, event), self.bar.hint.say)
 
     def _clicked(self, event: Any) -> None:
         layer = self.layer
@@ -196,7 +212,7 @@ class Corrections(QObject):
         if len(event.dims_displayed) == 3:
             place = middle_on_ray(layer, event, frame)
             if place is None:
-                self.bar.say(_BESIDE)
+                self.bar.hint.say(_BESIDE)
                 return
         else:
             place = frame.to_um(np.asarray(event.position, float)[-3:])
@@ -219,7 +235,7 @@ class Corrections(QObject):
                 self._start(wanted)
             except InputError as error:
                 self._waiting = []
-                self.bar.say(str(error))
+                self.bar.hint.say(str(error))
 
     def _start(self, wanted: _Wanted) -> None:
         layer, clicks = wanted
@@ -230,7 +246,7 @@ class Corrections(QObject):
         assert isinstance(seeds, LabelSeeds)
         work = partial(self._corrector_for(frame, read, layer.data).corrected, seeds.labels, clicks)
         self._asked = (layer, layer.data, seeds.labels)
-        self.bar.say("working ...")
+        self.bar.hint.say("working ...")
         self._background.ask(work)
 
     def _corrector_for(
@@ -258,9 +274,13 @@ class Corrections(QObject):
 
     def _fail(self, message: str) -> None:
         self._asked = None
-        self.bar.say(_without_numbers(message))
+        self.bar.hint.say(_without_numbers(message))
         self.renew()
         self._next()
+
+
+def _more(tool: str, ndisplay: int) -> str:
+    return _IN_3D if tool == "split" and ndisplay == 3 else ""
 
 
 def _put(layer: Any, labels: NDArray[np.int32], where: NDArray[np.bool_]) -> None:

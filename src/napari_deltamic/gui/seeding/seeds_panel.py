@@ -26,7 +26,7 @@ from ..viewing.connections import Connections
 from ..viewing.frame import Frame, made_by_fit
 from ..viewing.own_layers import Points as SeedPoints
 from ..viewing.own_layers import cut_by_slices
-from ..widgets import note_label, sentence, show_row
+from ..widgets import Note, sentence, show_row
 from .corrections import Corrections
 from .find_cells_button import FindCells
 from .mesh_files import MeshFiles
@@ -88,14 +88,14 @@ class SeedsPanel(QGroupBox):
     def place_seeds(self) -> None:
         """A Points layer that takes clicks: one that is ticked, or a new one."""
         if self._image.layer is None:
-            self.note.setText(sentence(self._image.missing()))
+            self.note.say(sentence(self._image.missing()))
             return
         layer = self._points_layer()
         if layer is None:
             try:
                 layer = self._new_points(self._image.frame())
             except InputError as error:
-                self.note.setText(sentence(str(error)))
+                self.note.say(sentence(str(error)))
                 return
             self._viewer.add_layer(layer)
         self._doc.finish_tools.emit(self)
@@ -193,7 +193,7 @@ class SeedsPanel(QGroupBox):
             "click.</qt>"
         )
         self.preview = Preview(self._viewer, self._preview_wanted, self)
-        self.note = note_label()
+        self.note = Note(self)
         self.note.linkActivated.connect(self._try_size)
         self.remarks = Remarks(self._viewer, self)
 
@@ -365,7 +365,7 @@ class SeedsPanel(QGroupBox):
             texts.append(f"{n} {'point' if n == 1 else 'points'}.")
         elif not layers:
             texts.append("Press 'Find cells', or 'Click cells' and click inside each.")
-        self.note.setText(" ".join(filter(None, texts)))
+        self.note.say(" ".join(filter(None, texts)))
 
     def _show_remarks(self) -> None:
         remarks = self._sources.remarks(self.spheres, self.preview.problems) if self._open else []
