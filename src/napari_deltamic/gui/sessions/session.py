@@ -73,7 +73,7 @@ def capture(parts: Parts) -> tuple[Session, str]:
 def restore(parts: Parts, session: Session) -> Generator[None]:
     """Show a session: its layers are added, the panels show what they did.
 
-    Where it yields, the window may do what waits: the result comes after image and cells.
+    Where it yields, the window may do what waits: cells come after the image, then the result.
 
     Raises
     ------
@@ -90,6 +90,9 @@ def restore(parts: Parts, session: Session) -> Generator[None]:
         panel.chooser.choose(seed, False)
     viewer.add_layer(image)
     doc.image.choose(image)
+    yield
+    if _left(doc, image):
+        return
     doc.settings.show_settings(session.settings.fit)
     doc.settings.show_scene(session.settings.scene)
     _show_second(doc, session, second)
@@ -103,8 +106,8 @@ def restore(parts: Parts, session: Session) -> Generator[None]:
     if session.result is not None or session.tracks is not None:
         doc.cells.finish_placing()  # no preview of the start over its result
     yield
-    if doc.work.occupied or doc.image.layer is not image:
-        return  # the user has begun something else
+    if _left(doc, image):
+        return
     if session.tracks is not None:
         parts.tracking.reopen(session.tracks)
         # The surface of a fit belongs to the time that is shown when it comes.
@@ -112,10 +115,18 @@ def restore(parts: Parts, session: Session) -> Generator[None]:
             viewer.dims.set_current_step(axis, int(step))
     if session.result is not None:
         _show_result(parts, session.result, session)
+        yield
+        if _left(doc, image):
+            return
     view = session.panels.get("shown", {}).get("view")
     doc.look(view if view in VIEWS else "image")
     viewer.layers.selection = {image}
     _show_view(viewer, session.panels.get("view", {}), fit_camera=empty)
+
+
+def _left(doc: Document, image: Any) -> bool:
+    """Whether the user has begun something else meanwhile."""
+    return bool(doc.work.occupied) or doc.image.layer is not image
 
 
 def _layers(session: Session) -> tuple[Any, list[Any], Any]:
