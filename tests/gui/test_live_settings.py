@@ -35,7 +35,7 @@ def test_the_psf_is_taken_over(begun, spin):
 
 def test_effects_are_taken_over_and_taken_back(begun, spin):
     panel = begun.settings
-    panel.show_effects(Effects.of("attenuation"))
+    panel.effects.show_effects(Effects.of("attenuation"))
     panel.changed.emit()
     spin(lambda: begun.run.state.effects.names == ("attenuation",))
     spin(lambda: "effects attenuation" in " ".join(notes(begun)))

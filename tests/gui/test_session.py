@@ -22,7 +22,7 @@ from .sessions import done, fitted, save, shown
 def test_psf_and_effects_come_back_with_what_was_fitted(seeded, spin, tmp_path, told, reopened):
     chosen = {"kind": "microscope", "na": 0.6, "wavelength": 0.6, "immersion": "water"}
     seeded.settings.optics.show_settings(optics_from_values(chosen))
-    seeded.settings.show_effects(Effects.of(Attenuation(per_um=0.01)))
+    seeded.settings.effects.show_effects(Effects.of(Attenuation(per_um=0.01)))
     seeded.settings.fit_psf.setChecked(True)
     seeded.settings.max_iterations.setValue(70)
     seeded.start()

@@ -146,7 +146,7 @@ class FitWidget(QWidget):
 
     def close_links(self) -> None:
         """End what runs, and let the viewer go; the widget is of no use after that."""
-        self.seeds.clear_preview()
+        self.seeds.preview.clear()
         self.doc.close()
 
     # ----------------------------------------------------------------------------------- inside

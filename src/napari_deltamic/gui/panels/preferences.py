@@ -71,10 +71,10 @@ class Preferences(BaseModel):
         settings = doc.settings
         settings.show_settings(self.fit)
         settings.accuracy.show_choice(self.accuracy)
-        settings.show_effects(Effects.from_text(self.effects))
+        settings.effects.show_effects(Effects.from_text(self.effects))
         settings.optics.objective.show_settings(self.objective)
         settings.optics.prefer(self.psf)
-        doc.cells.prefer_preview(self.preview_seeds)
+        doc.cells.preview.prefer(self.preview_seeds)
         doc.look("rendered" if self.show_rendered else "image")
         doc.work.interval = 1 / self.updates_per_second
 

@@ -20,7 +20,6 @@ from ...common.description import described
 from ...fitting.default_accuracy import PRESETS, image_noise
 from ...fitting.job import SIGMA_IN_VOXELS
 from ...runs.settings import FitSettings, SceneSettings, validated
-from ...scene.effects import Effects
 from ..accuracy.accuracy_dial import AccuracyDial
 from ..accuracy.accuracy_forecast import AccuracyForecast
 from ..accuracy.accuracy_view import TradeoffView
@@ -148,11 +147,7 @@ class SettingsPanel(QGroupBox):
         self.optics.show_settings(scene.optics)
         if scene.sigma is not None:
             self.show_sigma(scene.sigma)
-        self.show_effects(scene.effects)
-
-    def show_effects(self, effects: Effects) -> None:
-        """Tick effects."""
-        self.effects.show_effects(effects)
+        self.effects.show_effects(scene.effects)
 
     # ----------------------------------------------------------------------------------- inside
 

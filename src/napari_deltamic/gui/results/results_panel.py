@@ -22,8 +22,6 @@ from qtpy.QtWidgets import (
 
 from ...common.writing import write_atomically
 from ...errors import InputError
-from ...fitting import FitState
-from ...fitting.job import FitInput
 from ...geometry import save_mesh
 from ...geometry.formats import MESH_FILES, MESH_FILES_LISTED, MESH_FILTERS
 from ...images.stacks import write_image
@@ -91,7 +89,7 @@ class ResultsPanel(QGroupBox):
         """Write the meshes, in the format of the path's extension."""
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            save_mesh(self._result()[0].mesh, path)
+            save_mesh(self._result().of_fit()[0].mesh, path)
         self._saved(path)
         for warning in caught:
             self._doc.warned.emit(str(warning.message))
@@ -105,13 +103,14 @@ class ResultsPanel(QGroupBox):
 
     def save_image(self, path: str) -> None:
         """Write the rendered image."""
-        state, job, _ = self._result()
+        state, job = self._result().of_fit()
         write_image(path, state.rendered(), job.grid.voxel_size)
         self._saved(path)
 
     def save_all(self, folder: str) -> None:
         """Write what the command line would."""
-        state, job, record = self._result()
+        record = self._result()
+        state, job = record.of_fit()
         given = job.image, job.grid, job.settings, record.history, record.seconds
         verdict = None if record.judged is None else record.judged.verdict
         write_results(folder, state, *given, verdict=verdict)
@@ -119,19 +118,19 @@ class ResultsPanel(QGroupBox):
 
     def add_labels(self) -> None:
         """Add the cells as a Labels layer with their measurements."""
-        state, job, record = self._result()
-        link = record.link
+        record = self._result()
+        (state, job), link = record.of_fit(), record.link
         name = f"{link.image_layer.name}: labels"
         labels = labels_of(state.mesh, job.grid)
         self._doc.viewer.add_layer(labels_layer(labels, self.table.rows, link.frame, name))
 
     # ----------------------------------------------------------------------------------- inside
 
-    def _result(self) -> tuple[FitState, FitInput, Record]:
+    def _result(self) -> Record:
         record = self._doc.result
         if record is None:
             raise InputError("there is no result yet: run a fit first")
-        return (*record.of_fit(), record)
+        return record
 
     def _saved(self, path: str) -> None:
         self._doc.told.emit(f"saved {path}")

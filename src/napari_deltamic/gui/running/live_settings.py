@@ -167,7 +167,7 @@ class LiveSettings(QObject):
             panel.show_scene(scene.model_copy(update={"effects": panel.effects.effects()}))
             self._psf = panel.optics.key()
         if back.effects is not None:
-            panel.show_effects(back.effects)
+            panel.effects.show_effects(back.effects)
             self._effects = panel.scene_settings().effects
 
 

@@ -62,7 +62,8 @@ class Preview(QCheckBox):
         self._preferred = True
         self._asked: Wanted | None = None
         self._key: tuple[Any, ...] | None = None
-        self._layers = StartLayers(viewer, self._removed_by_user)
+        self._viewer = viewer
+        self._layers: StartLayers | None = None
         self._background = Background(self._show, self._fail)
         self.clicked.connect(self._note_choice)
         self.toggled.connect(self._toggled)
@@ -75,7 +76,7 @@ class Preview(QCheckBox):
     @property
     def mesh(self) -> Mesh | None:
         """What is shown."""
-        return self._layers.mesh
+        return None if self._layers is None else self._layers.mesh
 
     def suit(self, shape: tuple[int, ...], size: tuple[float, ...]) -> None:
         """On for images of which it is fast, off for others; unless the user has chosen."""
@@ -103,14 +104,15 @@ class Preview(QCheckBox):
         """Show none until the points change."""
         self._background.drop()
         self._asked = self._key = None
-        self._layers.clear()
+        self._take_away()
         self._set_problems(())
 
     def close_links(self) -> None:
         """End what is under way and let the viewer go."""
         self._background.close()
-        self._layers.close()
-        self._asked = None
+        if self._layers is not None:  # which stay, as the window may be gone
+            self._layers.close()
+        self._layers = self._asked = None
 
     def _ask(self) -> None:
         asked = self._wanted() if self.isChecked() else None
@@ -128,14 +130,24 @@ class Preview(QCheckBox):
         asked, self._asked = self._asked, None
         if asked is None:
             return
-        if found.mesh is None:
-            self._layers.clear()
+        shown, of = self._layers, asked.layer
+        if found.mesh is None or of not in self._viewer.layers:
+            self._take_away()
         else:
-            self._layers.show(found.mesh, asked.layer, asked.frame)
+            if shown is None or shown.frame != asked.frame or shown.image_layer is not of:
+                self._take_away()
+                shown = StartLayers(self._viewer, of, asked.frame, self._removed)
+                self._layers = shown
+            shown.show(found.mesh)
         self._set_problems(found.problems)
 
+    def _take_away(self) -> None:
+        shown, self._layers = self._layers, None
+        if shown is not None:
+            shown.remove()
+
     def _fail(self, message: str) -> None:
-        self._layers.clear()
+        self._take_away()
         self._set_problems(((f"no preview: {message}", ()),))
 
     def _set_problems(self, problems: tuple[Problem, ...]) -> None:
@@ -148,6 +160,8 @@ class Preview(QCheckBox):
     def _toggled(self, checked: bool) -> None:
         self.later()
 
-    def _removed_by_user(self) -> None:
-        self._user_chose = True
-        self.setChecked(False)
+    def _removed(self, by_user: bool) -> None:
+        self._take_away()
+        if by_user:
+            self._user_chose = True
+            self.setChecked(False)

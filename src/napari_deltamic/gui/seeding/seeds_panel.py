@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from qtpy.QtCore import Qt, QTimer
 from qtpy.QtWidgets import (
     QComboBox,
+    QFileDialog,
     QFormLayout,
     QGroupBox,
     QHBoxLayout,
@@ -20,16 +22,18 @@ from qtpy.QtWidgets import (
 from superqt import QLabeledDoubleSlider
 
 from ...errors import InputError
+from ...geometry.formats import MESH_FILES_LISTED, MESH_FILTER
 from ...runs.seeds import Seeds
 from ..document import Document
 from ..viewing.connections import Connections
 from ..viewing.frame import Frame, made_by_fit
+from ..viewing.mesh_layer import LoadedMesh, load_meshes, surface_layer
 from ..viewing.own_layers import Points as SeedPoints
 from ..viewing.own_layers import cut_by_slices
 from ..widgets import Note, sentence, show_row
+from ..work import Background
 from .corrections import Corrections
 from .find_cells_button import FindCells
-from .mesh_files import MeshFiles
 from .preview import Preview, Wanted
 from .remarks import LINK, Remarks
 from .seed_list import SeedList
@@ -76,10 +80,6 @@ class SeedsPanel(QGroupBox):
     def ticked(self) -> list[Any]:
         """The layers that are chosen."""
         return self.chooser.ticked()
-
-    def prefer_preview(self, on: bool) -> None:
-        """Whether the surfaces that a fit would start from are shown at first."""
-        self.preview.prefer(on)
 
     def preview_mesh(self) -> Any:
         """The surfaces that are shown of the cells; None for none."""
@@ -140,12 +140,8 @@ class SeedsPanel(QGroupBox):
                 layer.visible = False
 
     def use_file(self, *paths: str) -> None:
-        """Add mesh files as Surface layers, which are seeds like others."""
-        self.open_file.read(*paths)
-
-    def clear_preview(self) -> None:
-        """Take the preview out of the viewer; not to be called when its window is gone."""
-        self.preview.clear()
+        """Add mesh files as Surface layers, which are seeds like others, once they are read."""
+        self._reading.ask(partial(load_meshes, list(paths)))
 
     def close_links(self) -> None:
         """End what is under way, and listen to the viewer no more; it is not touched."""
@@ -155,9 +151,9 @@ class SeedsPanel(QGroupBox):
             self.corrections,
             self.preview,
             self.find_cells,
-            self.open_file,
         ):
             part.close_links()
+        self._reading.close()
         self._connections.undo()
         self._of_layers.undo()
         self.remarks.forget()
@@ -173,7 +169,12 @@ class SeedsPanel(QGroupBox):
             "<qt>Then click inside each cell, on any slice or in 3D (there, points lie at the "
             "depth of the middle of the view).</qt>"
         )
-        self.open_file = MeshFiles(self._doc, self)
+        self.open_file = QPushButton("From file...", self)
+        self.open_file.setToolTip(
+            f"<qt>Adds surfaces from {MESH_FILES_LISTED} files as layers; their coordinates are um "
+            "from the centre of the first voxel.</qt>"
+        )
+        self._reading = Background(self._add_meshes, self._doc.warned.emit)
         self.find_cells = FindCells(self._doc, self)
         self.shape = QComboBox(self)
         self.shape.addItems([_FOLLOW, _SPHERES])
@@ -216,8 +217,8 @@ class SeedsPanel(QGroupBox):
 
     def _connect(self) -> None:
         self.place.clicked.connect(self.place_seeds)
-        for part in (self.open_file, self.find_cells):
-            part.told.connect(self._show)
+        self.open_file.clicked.connect(self._ask_file)
+        self.find_cells.told.connect(self._show)
         self.find_cells.found.connect(self.chooser.choose)
         self.find_cells.gone.connect(self._untick)
         self.chooser.chosen.connect(self._layers_chosen)
@@ -327,6 +328,21 @@ class SeedsPanel(QGroupBox):
             layer.size = sizes
         self._show_soon()  # napari does not tell
 
+    def _ask_file(self) -> None:
+        paths, _ = QFileDialog.getOpenFileNames(self, "Surfaces to start from", "", MESH_FILTER)
+        if paths:
+            self.use_file(*paths)
+
+    def _add_meshes(self, meshes: list[LoadedMesh]) -> None:
+        self._doc.guarded(partial(self._place_meshes, meshes))
+
+    def _place_meshes(self, meshes: list[LoadedMesh]) -> None:
+        frame = self._image.frame()
+        for loaded in meshes:
+            self._viewer.add_layer(surface_layer(loaded, frame).lie_on(self._image.layer))
+            for remark in loaded.remarks:
+                self._doc.warned.emit(remark)
+
     # ------------------------------------------------------------------------------------ spheres
 
     def _drawn_radius(self) -> float:
@@ -353,7 +369,7 @@ class SeedsPanel(QGroupBox):
         show_row(self._form, self.shape, shown)
         show_row(self._form, self.radius, shown and self.spheres)
         show_row(self._form, self.preview, shown and not self.spheres)
-        texts = [self.open_file.message, self.find_cells.message]
+        texts = [self.find_cells.message]
         others = [
             f"<a style='color: {LINK}' href='{size!r}'>{n or ''} of {size:.3g} µm</a>"
             for size, n in self.find_cells.others

@@ -47,8 +47,8 @@ class TrackControl(QObject):
         self._frames = range(0)
         self._seeds: list[Any] = []  # layers that the run started from
         self._of: Any = None  # the series that was tracked
-        panel.track.connect(self.start)
-        panel.go_on.connect(self.go_on)
+        panel.track_button.clicked.connect(self.start)
+        panel.go_on_button.clicked.connect(self.go_on)
         panel.save.connect(self.save)
         doc.image.changed.connect(self._image_changed)
         doc.work.changed.connect(self._work_changed)
@@ -248,7 +248,7 @@ class TrackControl(QObject):
         layers = self.layers
         if layers is None:
             return
-        result, colours = layers.results.get(layers.shown), layers.contours.colours
+        result, colours = layers.result, layers.colours
         self.panel.show_frame(result, tracked=bool(layers.results), colours=colours)
 
     def _complain(self, message: str) -> None:

@@ -10,20 +10,20 @@ import numpy as np
 from napari.utils import Colormap
 from numpy.typing import NDArray
 
+from ...geometry import Mesh
 from ...measure import measure_cells
 from ...results.colouring import PALETTE, colour_indices, plain_index
 from ...tracking import FrameResult, lineage, surface_4d
 from ..viewing.colours import PALETTE_RGBA, region_colours
-from ..viewing.connections import Connections
-from ..viewing.contours import Contours
-from ..viewing.frame import OWN, Frame, camera_of
+from ..viewing.frame import OWN, Frame
+from ..viewing.mesh_layers import MeshLayers
 from ..viewing.own_layers import Surface, Tracks
 
 _COLOUR = "colour"  # the feature by which paths have the colours of their cells
 
 
-class TrackLayers:
-    """Shows frames in a viewer until it is closed; then it leaves no connection.
+class TrackLayers(MeshLayers):
+    """Shows frames in a viewer until it is closed; the surface has all of them, over time.
 
     Parameters
     ----------
@@ -33,27 +33,34 @@ class TrackLayers:
     on_time : called when another time, or slice, is shown.
     """
 
+    at_time = True  # whatever is shown
+
     def __init__(
         self, viewer: Any, image_layer: Any, frame: Frame, on_time: Callable[[], None]
     ) -> None:
-        self.viewer, self.image_layer, self.frame = viewer, image_layer, frame
+        name = image_layer.name
+        names = (f"{name}: tracked surfaces", f"{name}: tracked contours")
+        super().__init__(viewer, image_layer, frame, names, {"fit": True}, {})
         self.results: dict[int, FrameResult] = {}
-        self.surface: Surface | None = None
         self.tracks: Tracks | None = None
-        self.contours = Contours(frame, f"{image_layer.name}: tracked contours", image_layer)
         self._coloured: Mapping[int, int] = {}  # colours that the surface has
         self._on_time: Callable[[], None] | None = on_time
-        self._connections = Connections()
-        dims = viewer.dims.events
-        for emitter in (dims.point, dims.order, dims.ndisplay):
-            self._connections.connect(emitter, self._moved)
-        self._connections.connect(camera_of(viewer).events.zoom, self._zoomed)
 
     @property
-    def shown(self) -> int:
-        """The frame that the viewer shows."""
+    def number(self) -> int:
+        """Of the frame that the viewer shows."""
         steps = tuple(self.viewer.dims.current_step)
         return int(steps[-4]) if len(steps) > 3 else 0
+
+    @property
+    def result(self) -> FrameResult | None:
+        """That frame, if it was tracked."""
+        return self.results.get(self.number)
+
+    @property
+    def shown(self) -> Mesh | None:
+        """Its mesh."""
+        return None if self.result is None else self.result.mesh
 
     def show(self, results: Sequence[FrameResult]) -> None:
         """Show these frames; one that is new is moved to if the one before it was looked at."""
@@ -66,13 +73,19 @@ class TrackLayers:
         self.contours.colours = colour_indices(*(r.mesh for r in meshes if r.mesh is not None))
         self._show_surface(meshes)
         self._show_tracks(meshes)
-        if len(news) == 1 and self.shown == news[0] - 1:
+        if len(news) == 1 and self.number == news[0] - 1:
             self.viewer.dims.set_current_step(self.viewer.dims.ndim - 4, news[0])
-        self._moved()
+        self.slice_changed()
+
+    def slice_changed(self, event: Any = None) -> None:
+        """See ``MeshLayers``."""
+        super().slice_changed(event)
+        if self._on_time is not None:
+            self._on_time()
 
     def close(self) -> None:
-        """Undo every connection; the layers stay."""
-        self._connections.undo()
+        """See ``MeshLayers``."""
+        super().close()
         self._on_time = None
 
     def _show_surface(self, results: Sequence[FrameResult]) -> None:
@@ -82,14 +95,14 @@ class TrackLayers:
         if layer is None:
             layer = self.surface = Surface(
                 (vertices.astype(np.float32), faces, cells.astype(np.float32)),
-                name=f"{self.image_layer.name}: tracked surfaces",
+                name=self._name,
                 shading="smooth",
-                visible=self.viewer.dims.ndisplay == 3,
+                visible=self._belongs(),
                 metadata={OWN: {"fit": True}},
                 **self._options(),
             ).lie_on(self.image_layer)
-            self._add(layer)
-            self._add(self.contours.layer)
+            self._placed = self._belongs()
+            self.add_layers(layer, self.contours.layer)
         elif layer in self.viewer.layers:
             layer.data = (vertices.astype(np.float32), faces, cells.astype(np.float32))
         if layer.contrast_limits[1] != last + 0.5 or self._coloured != self.contours.colours:
@@ -129,7 +142,7 @@ class TrackLayers:
                 metadata={OWN: {"fit": True}},
                 **self._options(),
             ).lie_on(self.image_layer)
-            self._add(self.tracks)
+            self.add(self.tracks)
         elif self.tracks in self.viewer.layers:
             with warnings.catch_warnings():
                 # Between new data and their features there is nothing to colour by.
@@ -148,28 +161,6 @@ class TrackLayers:
             "translate": (float(layer.translate[-4]), *options["translate"]),
             "units": (str(layer.units[-4]), *options["units"]),
         }
-
-    def _add(self, layer: Any) -> None:
-        """Add a layer, and leave the selection as it is."""
-        selected = set(self.viewer.layers.selection)
-        self.viewer.add_layer(layer)
-        self.viewer.layers.selection = selected or {layer}
-
-    def _moved(self, event: Any = None) -> None:
-        if event is not None and event.type == "ndisplay" and self.surface is not None:
-            # In 2D napari draws a few faces of a surface, which look like dirt on its contours.
-            self.surface.visible = self.viewer.dims.ndisplay == 3
-        result = self.results.get(self.shown)
-        if self.contours.layer in self.viewer.layers:
-            mesh = None if result is None else result.mesh
-            self.contours.update(mesh, self.viewer)
-        if self._on_time is not None:
-            self._on_time()
-
-    def _zoomed(self, event: Any = None) -> None:
-        result = self.results.get(self.shown)
-        if result is not None and self.contours.off_width(self.viewer):
-            self.contours.update(result.mesh, self.viewer)
 
 
 def _colours(table: NDArray[np.float64]) -> Colormap:

@@ -25,10 +25,8 @@ _COLOURS = {"done": GREEN, "stopped": AMBER, "failed": RED}
 
 
 class TrackPanel(QGroupBox):
-    """Shown for an image over time; signals for what the user asks for."""
+    """Shown for an image over time; ``save`` brings the folder that was chosen."""
 
-    track = Signal()
-    go_on = Signal()
     save = Signal(str)
 
     def __init__(self, parent: QWidget | None = None) -> None:
@@ -59,8 +57,6 @@ class TrackPanel(QGroupBox):
         rows: tuple[QWidget, ...] = (self.verdict, self.frame, self.table, self.save_button)
         for widget in rows:
             layout.addWidget(widget)
-        self.track_button.clicked.connect(self.track)
-        self.go_on_button.clicked.connect(self.go_on)
         self.save_button.clicked.connect(self._ask)
         self.allow(True, can_go_on=False)
         self.show_frame(None)
