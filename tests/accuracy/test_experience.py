@@ -5,15 +5,15 @@ import pytest
 from napari_deltamic.accuracy.experience import Experience, Learned
 
 
-def test_the_first_fit_counts_alone_and_later_ones_half(tmp_path):
+def test_the_speed_of_the_first_fit_counts_alone_and_of_later_ones_half(tmp_path):
     learned = Learned(tmp_path)
     assert learned.about("foam") == Experience()
     learned.learn("foam", Experience(4.0, 0.5))
     assert learned.about("foam").seconds == pytest.approx(4.0)
-    assert learned.about("foam").iterations == pytest.approx(0.5)
+    assert learned.about("foam").iterations == pytest.approx(0.5**0.25)
     learned.learn("foam", Experience(1.0, 2.0))
     assert learned.about("foam").seconds == pytest.approx(2.0)  # in the middle, as factors go
-    assert learned.about("foam").iterations == pytest.approx(1.0)
+    assert learned.about("foam").iterations == pytest.approx(0.5 ** (0.75 * 0.25) * 2.0**0.25)
 
 
 def test_of_a_kind_that_is_new_the_speed_is_known(tmp_path):

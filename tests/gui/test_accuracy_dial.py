@@ -263,10 +263,13 @@ def test_the_next_run_is_predicted_by_what_the_last_one_took(seeded, spin):
     run = seeded.run
     learned = whole.experience(run.history, run.state, run.seconds)
     assert learned.seconds < 0.1
+    known = seeded.doc.learned.about(whole.kind)
+    assert known.seconds == pytest.approx(learned.seconds)
+    assert learned.iterations < known.iterations < 1  # one fit says less of that
     seeded.start()
     spin(lambda: not running(seeded))
-    assert seeded.run.forecast.seconds == pytest.approx(whole.after(learned).seconds)
-    assert seeded.run.forecast.iterations == whole.after(learned).iterations
+    assert seeded.run.forecast.seconds == pytest.approx(whole.after(known).seconds)
+    assert seeded.run.forecast.iterations == whole.after(known).iterations
     # Also in words, before a third one starts.
     known = seeded.doc.learned.about(whole.kind)
     spin(lambda: not seeded.settings.forecast.busy)

@@ -270,6 +270,7 @@ def forecast(
     found: list[LevelForecast] = []
     tried = settings.topology and settings.collisions
     tried = tried and (bool(contacts(mesh)) if touching is None else touching)
+    cells = len(mesh.region_ids()) if tried else 0
     for number, factor in enumerate(factors, 1):
         shape = level_shape(grid, optics, settings, factor)
         voxels = seen_voxels(shape, grid) * share
@@ -294,15 +295,15 @@ def forecast(
                 method=plan.method,
                 accuracy=shape.accuracy,
                 seconds_per_iteration=each,
-                iterations=iterations_of(settings, factors, number, not found, tried),
+                iterations=iterations_of(settings, factors, number, not found, cells),
                 preparation=preparation_seconds(costs, shape, grid, mesh),
             )
         )
     if sum(level.iterations for level in found) > settings.max_iterations:
         found = _cut(found, settings.max_iterations)
     blurs = "-".join(f"{factor:g}" for factor in factors)
-    cells = "touching" if tried else "apart"
-    kind = f"{blurs} {cells} {settings.density}{' psf' * settings.fit_psf}"
+    meeting = "touching" if tried else "apart"
+    kind = f"{blurs} {meeting} {settings.density}{' psf' * settings.fit_psf}"
     return Forecast(tuple(found), costs.measured, kind)
 
 

@@ -232,7 +232,7 @@ class RunControl(QObject):
         text, *remarks = outcome.message.split("\n")
         if state is not None:
             done = "" if "iterations" in text else f"{state.iteration} iterations, "
-            text += f" ({done}{outcome.seconds:.1f} s)"
+            text += f" ({done}{outcome.seconds:.1f}\N{NO-BREAK SPACE}s)"
         record.words = (outcome.verdict, "\n".join([text, *remarks]))
         if outcome.verdict == "failed":
             doc.warned.emit(outcome.message)
