@@ -9,6 +9,7 @@ of its activity dock, which paints the window, is told apart: both happen once.
 
 from __future__ import annotations
 
+import gc
 import json
 import math
 import os
@@ -56,7 +57,8 @@ def _rows(scene: str, platform: str, seconds: float) -> list[Row]:
         return [Row(name, "", math.nan, "", None, str(missing))]
     slots, session = (
         ", ".join(f"{n} {ms:.0f}" for n, ms in found[f"{of}slots_ms"])
-        + f"; processor at most {found[f'{of}computing_ms']:.0f} ms"
+        + f"; processor at most {found[f'{of}computing_ms']:.0f} ms; of the longest, "
+        f"{found[f'{of}collecting_ms']:.0f} ms are garbage collection"
         for of in ("", "session_")
     )
     rate = found["iterations_per_second"]
@@ -82,6 +84,14 @@ def _rows(scene: str, platform: str, seconds: float) -> list[Row]:
             f"99 % of gaps below {found['gap_99_ms']:.0f} ms; drawing and napari included",
         ),
         Row(
+            f"{name}: longest collection of Python's garbage",
+            "",
+            found["collection_ms"],
+            "ms",
+            None,
+            found["collections"],
+        ),
+        Row(
             f"{name}: longest that napari takes to add a layer or a progress",
             "",
             found["napari_ms"],
@@ -93,7 +103,8 @@ def _rows(scene: str, platform: str, seconds: float) -> list[Row]:
 
 
 def _in_process(scene: str, platform: str, seconds: float) -> dict[str, Any]:
-    words = [sys.executable, "-m", f"{__package__}.event_loop", scene, str(seconds)]
+    words = [sys.executable, "-X", "faulthandler", "-m", f"{__package__}.event_loop"]
+    words += [scene, str(seconds)]
     environment = dict(os.environ)
     if platform == "offscreen":
         environment["QT_QPA_PLATFORM"] = "offscreen"
@@ -113,6 +124,7 @@ def _in_process(scene: str, platform: str, seconds: float) -> dict[str, Any]:
         check=False,
     )
     if done.returncode:
+        print(done.stderr, file=sys.stderr)  # with the stack, where it crashed
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]
         raise MissingData(f"ended with {done.returncode}: {last}")
     found: dict[str, Any] = json.loads(done.stdout.strip().splitlines()[-1])
@@ -127,6 +139,10 @@ class Watch:
 
     def __init__(self) -> None:
         self.longest: dict[str, float] = {}
+        self.collecting: dict[str, float] = {}  # s of the longest: collections of garbage
+        self.collections: list[tuple[int, float]] = []  # generation, s: in whatever thread
+        self._collecting = self._began = 0.0  # s of all of them; when the present one began
+        gc.callbacks.append(self._collected)
         self.computing: dict[str, float] = {}  # s: the same, while the processor was at it
         self.napari = 0.0  # s: the longest that napari took for what is left out
         self._left_out = np.zeros(2)  # s, in what is timed, and of the processor
@@ -153,12 +169,16 @@ class Watch:
 
         setattr(owner, name, timed)
 
-    def slots(self) -> tuple[list[tuple[str, float]], float]:
-        """The longest, ms, by name, and the most of the processor; they are forgotten."""
+    def slots(self) -> tuple[list[tuple[str, float]], float, float]:
+        """The longest, ms, by name; the most of the processor; and collecting in the longest.
+
+        They are forgotten.
+        """
         found = sorted(((n, 1e3 * s) for n, s in self.longest.items()), key=lambda x: -x[1])
         computing = 1e3 * max(self.computing.values())
-        self.longest, self.computing = {}, {}
-        return found[:4], computing
+        collecting = 1e3 * self.collecting[found[0][0]]
+        self.longest, self.computing, self.collecting = {}, {}, {}
+        return found[:4], computing, collecting
 
     def beat(self) -> None:
         """The timer's slot."""
@@ -167,10 +187,19 @@ class Watch:
             self.gaps.append(now - self._last)
         self._last = now
 
+    def _collected(self, phase: str, info: dict[str, int]) -> None:
+        """Called by Python, before and after it collects garbage; no thread runs meanwhile."""
+        if phase == "start":
+            self._began = time.perf_counter()
+        else:
+            taken = time.perf_counter() - self._began
+            self._collecting += taken
+            self.collections.append((info["generation"], taken))
+
     def _timed(self, method: Callable[..., Any], name: str) -> Callable[..., Any]:
         @wraps(method)
         def timed(*args: Any, **options: Any) -> Any:
-            start = _now()
+            start, collecting = _now(), self._collecting
             self._left_out *= bool(self._depth)
             self._depth += 1
             try:
@@ -179,6 +208,8 @@ class Watch:
                 self._depth -= 1
                 if not self._depth:
                     taken = _now() - start - self._left_out
+                    if taken[0] > self.longest.get(name, 0.0):
+                        self.collecting[name] = self._collecting - collecting
                     for longest, s in zip((self.longest, self.computing), taken, strict=True):
                         longest[name] = max(longest.get(name, 0.0), float(s))
 
@@ -255,9 +286,10 @@ def measure(scene: str, seconds: float) -> dict[str, Any]:
     while widget.run.running:
         app.processEvents()
     timer.stop()
-    slots, computing = watch.slots()
+    slots, computing, collecting = watch.slots()
     result = {
         "block_ms": slots[0][1],
+        "collecting_ms": collecting,
         "computing_ms": computing,
         "slots_ms": slots,
         "updates_per_second": shown / taken,
@@ -278,12 +310,17 @@ def measure(scene: str, seconds: float) -> dict[str, Any]:
         _wait(lambda: widget.doc.result is not None and not widget.judging.busy)
         _wait(lambda: not widget.settings.forecast.busy, 0.5)
         widget.close_links()
-    session, computing = watch.slots()
+    session, computing, collecting = watch.slots()
+    full = sorted(1e3 * s for generation, s in watch.collections if generation == 2)
     return {
         **result,
         "session_ms": session[0][1],
         "session_computing_ms": computing,
         "session_slots_ms": session,
+        "session_collecting_ms": collecting,
+        "collection_ms": 1e3 * max((s for _, s in watch.collections), default=0.0),
+        "collections": f"{len(watch.collections)}, {len(full)} of them of all there is: "
+        + (f"{full[0]:.0f} to {full[-1]:.0f} ms each" if full else "none"),
         "napari_ms": 1e3 * watch.napari,
     }
 
