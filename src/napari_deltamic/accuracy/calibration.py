@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable
 from dataclasses import astuple, dataclass, fields
 from math import log, sqrt
-from statistics import median
 
 import numpy as np
 import scipy.sparse as sp
@@ -28,7 +27,7 @@ from ..geometry.mesh import Mesh
 from ..geometry.primitives import sphere
 
 _BUDGET = 0.8  # s, after which no further round is begun, so that all takes about a second
-_ROUNDS = 5  # at most: a median of so many is hardly moved by one that was disturbed
+_ROUNDS = 5  # at most; the fastest counts: what is kept should not be that of a busy moment
 _PULL = 0.05  # towards the usual proportions: too weak to be seen where something was measured
 # What is timed: small and large, so that each cost is most of the time of some trial. Closed form:
 # subdivisions and radius (um) of a ball, wavevectors across.
@@ -62,9 +61,9 @@ class _Trial:
 
 
 def calibrate() -> Costs:
-    """Time what a rendering and a fit are made of; medians of several short runs.
+    """Time what a rendering and a fit are made of; the fastest of several short runs.
 
-    Takes about a second. The result is that of this moment: on a busy machine it is larger.
+    Takes about a second. What else the machine does is in the pace of a fit, and is learned.
     """
     start = time.perf_counter()
     trials = {single: _trials(single) for single in (True, False)}
@@ -86,14 +85,14 @@ def calibrate() -> Costs:
     rates = {}
     for single, some in trials.items():
         for which in (0, 1):
-            seconds = [median(t[which] for t in found[single, i]) for i in range(len(some))]
+            seconds = [min(t[which] for t in found[single, i]) for i in range(len(some))]
             rates[single, which] = _solved([t.work for t in some], seconds, single, which == 1)
     return Costs(
         rates[True, 0],
         rates[True, 1],
         rates[False, 0],
         rates[False, 1],
-        **{name: median(times) for name, times in other.items()},
+        **{name: min(times) for name, times in other.items()},
         measured=True,
     )
 
