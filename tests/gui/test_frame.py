@@ -158,7 +158,7 @@ def test_effects_and_switches_reach_the_settings(make_widget):
     panel.switches["remesh"].setChecked(False)
     assert panel.scene_settings().effects.names == ("pixel_integration",)
     assert (panel.fit_settings().collisions, panel.fit_settings().remesh) == (True, False)
-    panel.show_effects(Effects())
+    panel.effects.show_effects(Effects())
     assert panel.scene_settings().effects.names == ()
 
 
