@@ -158,8 +158,7 @@ def halves(stack: Stack, folder: Path, rng: np.random.Generator) -> tuple[Half, 
     photons = photons_of(image.astype(np.float64), camera.line)
     one = rng.binomial(photons, 0.5)
     found = [
-        _fitted(stack, folder / f"half{k}.tif", part)
-        for k, part in enumerate((one, photons - one))
+        _fitted(stack, folder / f"half{k}.tif", part) for k, part in enumerate((one, photons - one))
     ]
     return found[0], found[1]
 

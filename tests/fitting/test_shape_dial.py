@@ -1,5 +1,7 @@
 """The dial: what names and lengths stand for, and what is predicted of them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from napari_deltamic.fitting.job import assemble
 from napari_deltamic.fitting.shape_dial import Situation, dialled, with_edges
 from napari_deltamic.fitting.triangle_quality import median_edge
 from napari_deltamic.geometry import sphere
+from napari_deltamic.geometry.foam import foam
 from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
 
 SIZE = (0.2, 0.2, 0.2)
@@ -22,6 +25,23 @@ def test_a_situation_is_read_from_start_and_image():
     assert (NOW.voxel, NOW.width) == (pytest.approx(0.2), pytest.approx(0.26))
     # About what spheres and tori of 40 photons showed, once triangles were fine: 10 nm.
     assert NOW.floor() == pytest.approx(0.0105, abs=0.001)
+
+
+def test_rims_of_clusters_add_to_what_is_predicted():
+    pair = foam(np.array([[3.0, 3.0, 1.5], [3.0, 3.0, 4.5]]), np.array([2.0, 2.0]), 0.3)
+    cluster = Situation.of(pair, GRID, (0.26, 0.26, 0.26), 0.046)
+    rim = 2 * np.pi * np.sqrt(2.0**2 - 1.5**2)  # of spheres of 2 um whose centres are 3 um apart
+    outside = 2 * 2 * np.pi * 2.0 * (2.0 + 1.5)
+    wall = np.pi * (2.0**2 - 1.5**2)
+    assert cluster.rims == pytest.approx(rim * 0.26 / (outside + wall), rel=0.1)
+    assert NOW.rims == 0
+    assert NOW.fixed() == pytest.approx(NOW.floor())
+    alone = replace(cluster, rims=0.0)
+    more = dialled("normal", cluster).predicted ** 2 - dialled("normal", alone).predicted ** 2
+    assert more == pytest.approx(0.19**2 * 0.26**2 * cluster.rims)
+    # And what is asked for holds them.
+    asked = 1.5 * cluster.fixed()
+    assert dialled(f"{asked}um", cluster).predicted <= 1.02 * asked
 
 
 def test_names_go_from_coarse_to_fine():

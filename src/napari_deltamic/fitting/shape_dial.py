@@ -1,8 +1,9 @@
 """The dial: how near to the true shape a fit is to come, and what it takes.
 
-The mean distance of a fitted surface to the true one has four parts, which add in squares:
+The mean distance of a fitted surface to the true one has five parts, which add in squares:
 
 - the noise of the image, which no setting changes,
+- rims, where walls meet, which blur and prior round: no setting changes that either,
 - flat triangles: of edges h on a surface of curvature k they are off by ``0.028 h^2 k``,
 - the rendering: an accuracy A moves the surface by ``0.03 (A / 0.1)^1.25`` voxels,
 - iterations that are left out: 0.15 of the tolerance.
@@ -33,6 +34,9 @@ class DialRules:
     noise
         Of the noise ratio times root of voxel volume over PSF width, um: the shapes of
         ``benchmarks.measurements``; a furrowed cell of 10 to 1000 photons asked for 1.5.
+    rims
+        Of the PSF's width times the root of the share of the surface that lies within one of a
+        rim: 0.14 to 0.36 on twelve clusters of 2 to 16 cells (benchmarks.dial on 8ac1c91, careful).
     chord
         Of edge^2 times curvature: two thirds of the standard deviation of the gap over a triangle;
         from spheroids, tori and double bubbles with edges of 0.26 to 0.8 um. With long edges there
@@ -55,6 +59,7 @@ class DialRules:
     """
 
     noise: float = 1.35
+    rims: float = 0.19
     chord: float = 0.028
     curvature: float = 1.15
     rendered: float = 0.03
@@ -99,13 +104,17 @@ class Dialled:
 
 @dataclass(frozen=True)
 class Situation:
-    """What a prediction rests on: noise ratio, voxel size, PSF width, radius, edges; um."""
+    """What a prediction rests on: noise ratio, voxel size, PSF width, radius, edges; um.
+
+    rims : share of the surface that lies within a PSF width of where walls meet.
+    """
 
     noise: float
     voxel: float
     width: float
     radius: float
     edge: float
+    rims: float = 0.0
 
     @classmethod
     def of(cls, mesh: Mesh, grid: Grid, sigma: tuple[float, ...], noise: float) -> Situation:
@@ -114,17 +123,23 @@ class Situation:
         volume = float(np.median(sizes)) if len(sizes) and np.median(sizes) > 0 else np.inf
         voxel = float(np.prod(grid.voxel_size) ** (1 / 3))
         radius = (3 * volume / (4 * np.pi)) ** (1 / 3)
-        return cls(noise, voxel, float(np.prod(sigma) ** (1 / 3)), radius, median_edge(mesh))
+        width = float(np.prod(sigma) ** (1 / 3))
+        rims = min(1.0, _rim_length(mesh) * width / max(float(mesh.areas().sum()), 1e-300))
+        return cls(noise, voxel, width, radius, median_edge(mesh), rims)
 
     def floor(self) -> float:
         """um: the part of the noise."""
         return RULES.noise * self.noise * sqrt(self.voxel**3 / self.width)
 
+    def fixed(self) -> float:
+        """um: all that no setting changes, noise and rims."""
+        return float(np.hypot(self.floor(), RULES.rims * self.width * sqrt(self.rims)))
+
     def predicted(self, edge: float, accuracy: float, tolerance: float) -> float:
         """um: mean distance to the true surface."""
         s = RULES
         parts = (
-            self.floor(),
+            self.fixed(),
             s.chord * edge**2 * s.curvature / self.radius,
             s.rendered * self.voxel * (accuracy / _RENDERED_AT) ** s.power,
             s.unsettled * tolerance * self.width,
@@ -136,6 +151,14 @@ class Situation:
         s = RULES
         wanted = sqrt(part * self.radius / (s.chord * s.curvature))
         return max(min(wanted, s.longest * self.radius), s.finest * self.width)
+
+
+def _rim_length(mesh: Mesh) -> float:
+    """um: of all edges at which three walls or more meet."""
+    edges = mesh.edges()
+    ends = mesh.vertices_numpy()[edges]
+    rims = np.bincount(mesh.face_edges().reshape(-1), minlength=len(edges)) > 2
+    return float(np.linalg.norm(ends[rims, 1] - ends[rims, 0], axis=1).sum())
 
 
 def dialled(choice: str, now: Situation) -> Dialled:
@@ -163,7 +186,8 @@ def dialled(choice: str, now: Situation) -> Dialled:
 
 def _for_length(asked: float, now: Situation) -> tuple[float, float, float]:
     s = RULES
-    rest = sqrt(max(asked**2 - now.floor() ** 2, (s.careful_share * now.floor()) ** 2, 1e-18))
+    fixed = now.fixed()
+    rest = sqrt(max(asked**2 - fixed**2, (s.careful_share * fixed) ** 2, 1e-18))
     triangles, rendering, settling = (share * rest for share in s.shares)
     accuracy = _RENDERED_AT * (rendering / (s.rendered * now.voxel)) ** (1 / s.power)
     accuracy = min(max(accuracy, _ACCURACIES[0]), max(_ACCURACIES[1], accuracy_for(now.noise)))
