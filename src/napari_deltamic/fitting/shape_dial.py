@@ -36,7 +36,7 @@ class DialRules:
         ``benchmarks.measurements``; a furrowed cell of 10 to 1000 photons asked for 1.5.
     rims
         Of the PSF's width times the root of the share of the surface that lies within one of a
-        rim: 0.14 to 0.36 on twelve clusters of 2 to 16 cells (benchmarks.dial on 8ac1c91, careful).
+        rim: 0.14 to 0.36 on twelve clusters of 2 to 16 cells (benchmarks.dial, careful).
     chord
         Of edge^2 times curvature: two thirds of the standard deviation of the gap over a triangle;
         from spheroids, tori and double bubbles with edges of 0.26 to 0.8 um. With long edges there
