@@ -45,7 +45,8 @@ class TripleField(QWidget):
         for name in "ZYX":
             box = QDoubleSpinBox(self)
             box.setDecimals(4)
-            box.setRange(0.0001, 10000)
+            # Wider, napari's sliders could be asked for more steps than it can count.
+            box.setRange(0.001, 1000)
             box.setSingleStep(0.01)
             box.setPrefix(f"{name} ")
             box.setToolTip(tooltip)
