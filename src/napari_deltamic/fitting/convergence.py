@@ -27,12 +27,16 @@ class Remaining:
         In its middle.
     share
         Of all patches: those that would move and gain more than asked.
+    drift
+        um: how far the surface has moved along its normals over the last few steps, root mean
+        square.
     """
 
     move: float
     gain: float
     vertex: int
     share: float = 1.0
+    drift: float = 0.0
 
     def moves(self, tolerance: float, gain: float) -> bool:
         """Whether that is more than um and nats that count as rest."""

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..runs.settings import FitSettings
 from .collisions import CollisionGuard
-from .convergence import Patches, Remaining
+from .convergence import Patches, Remaining, vertex_normals
 from .density import LIMIT, Density
 from .descent import Descent
 from .fitted import Fitted
@@ -104,6 +105,7 @@ class Objective:
         known = learnt if learnt and learnt.fits(len(self.posed.at.flat())) else None
         self._descent = Descent(self._metric(factored), level.width, self._limited, known)
         self._descent.begin(self.posed.posterior, self.posed.at)
+        self._passed = deque([self.posed.at.vertices], maxlen=terms.schedule.window + 1)
         self.fitted = self.fitted.shining(self.now.light)
 
     def _metric(self, factored: Preconditioners) -> Metric:
@@ -153,6 +155,7 @@ class Objective:
     def step(self) -> bool:
         """Go down; False where no way was found. Raises FloatingPointError for NaN."""
         moved = self._descent.step()
+        self._passed.append(self._descent.at.vertices)
         if not np.isfinite(self.now.value):
             raise FloatingPointError("the fit met a number that is not finite")
         found = self.fitted.moved(self._descent.at, self._imaging, self.terms.density_fitted)
@@ -176,4 +179,12 @@ class Objective:
         free = (self._guard.held < schedule.held)[:, None]
         gradient = free * self.now.gradient.vertices
         given = at.vertices, free * step.vertices, gradient
-        return self._patches.worst(*given, tolerance, schedule.gain)
+        found = self._patches.worst(*given, tolerance, schedule.gain)
+        return replace(found, drift=self._drift())
+
+    def _drift(self) -> float:
+        """um: see :class:`~.convergence.Remaining`."""
+        now = self._descent.at.vertices
+        normals = vertex_normals(now, self.fitted.mesh.faces)
+        along = ((now - self._passed[0]) * normals).sum(1)
+        return float(np.sqrt((along**2).mean()))
