@@ -16,6 +16,8 @@ from napari_deltamic.fitting.replicating import replicas_of
 from napari_deltamic.fitting.state import FitState
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import FitSettings
+from napari_deltamic.scene import expected_image
+from napari_deltamic.scene.light import Light
 from synthetic import CENTER, GRID, OPTICS, RADIUS, measured
 
 MESH = sphere(CENTER, RADIUS, subdivisions=3)
@@ -124,6 +126,25 @@ def test_one_newton_step_gains_what_it_predicts():
     after = there.posterior(there.at.with_flat(there.at.flat() + step.flat()))
     predicted = -0.5 * float(before.gradient.flat() @ step.flat())
     assert before.value - after.value == pytest.approx(predicted, rel=0.3)
+
+
+def test_brightness_of_insides_follows_the_surface():
+    """How far noise moves all of it, against differences of gradients and of images."""
+    light = Light(1.0, 6.0)
+    image = expected_image(MESH, GRID, OPTICS, 1e-4, 300.0, 2.0, light=light)
+    given = replace(state(), light=light)
+    there = posed_at(image, GRID, given, FitSettings(accuracy=1e-4, fit_psf=False))
+    found = Curvature(there.posterior, there.at, MESH)
+    out = (there.at.vertices - CENTER) / RADIUS
+    step = 0.003
+
+    def gradient(by):
+        moved = replace(there.at, vertices=there.at.vertices + by * out)
+        return (there.posterior(moved).gradient.vertices * out).sum()
+
+    exact = (gradient(step) - gradient(-step)) / (2 * step)
+    along = found.directions.along(out)
+    assert along @ found.matrix() @ along == pytest.approx(exact, rel=0.05)
 
 
 def test_held_vertices_stay():

@@ -18,6 +18,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from ..errors import InputError
 from ..geometry.mesh import FloatArray, Mesh
+from ..scene.light import INSIDES
 from .directions import Directions
 from .factors import on_host
 from .likelihood import solve_scale
@@ -64,24 +65,26 @@ class Curvature:
             raise InputError(why)
         free = np.ones(len(at.vertices)) if held is None else 1.0 - np.asarray(held, float)
         self._free = free[self.directions.vertex]
-        images = posterior.images(at)
-        views = zip(posterior.views, images, posterior.measured(at), strict=True)
+        light = posterior.light(at)
+        images, measured = posterior.images(at, light), posterior.measured(at)
         jacobians = normal_jacobian(posterior, at, self.directions, colouring)
         weights, residuals, columns, scaled = [], [], [], []
-        for number, ((view, image, measured), jacobian) in enumerate(
-            zip(views, jacobians, strict=True)
-        ):
+        for number, view in enumerate(posterior.views):
+            image, own = images[number], np.zeros((len(images[number]), 2 * len(images)))
             weight = view.voxels.weights.detach().cpu().numpy().astype(np.float64)
-            amplitude, background = _scale(image, measured, weight)
-            own = np.zeros((len(image), 2 * len(images)))
+            amplitude, background = _scale(image, measured[number], weight)
             own[:, 2 * number], own[:, 2 * number + 1] = image, 1.0
             columns.append(own)
             weights.append(weight / view.variance)
-            residuals.append(measured - amplitude * image - background)
-            scaled.append(jacobian.multiply(amplitude))
+            residuals.append(measured[number] - amplitude * image - background)
+            scaled.append(jacobians[number].multiply(amplitude))
         self._weights, self._residual = np.concatenate(weights), np.concatenate(residuals)
         self._jacobian: sp.csr_matrix = sp.vstack(scaled).tocsr() @ sp.diags(self._free)
-        self._own = _with_imaging(np.concatenate(columns), posterior, at)
+        amplitudes = np.concatenate(columns)
+        if light.membrane and light.interior:
+            insides = np.concatenate(posterior.images(at, INSIDES))
+            amplitudes = np.column_stack([amplitudes, insides])
+        self._own = _with_imaging(amplitudes, posterior, at)
         self._factor(posterior, at)
 
     def _factor(self, posterior: Posterior, at: Variables) -> None:

@@ -86,7 +86,8 @@ def normal_jacobian(
 
     Vertices of one colour are moved together, and each voxel's change belongs to the one within
     reach: one rendering for each colour (A. R. Curtis, M. J. D. Powell, J. K. Reid, "On the
-    estimation of sparse Jacobian matrices", 1974). Amplitude 1; rows are the voxels that count.
+    estimation of sparse Jacobian matrices", 1974). Amplitude 1, what shines as it is there; rows
+    are the voxels that count.
 
     Parameters
     ----------
@@ -97,7 +98,8 @@ def normal_jacobian(
     colouring
         Of the directions.
     """
-    base = posterior.images(at)
+    light = posterior.light(at)
+    base = posterior.images(at, light)
     widths = _widths(posterior, at)
     step = _STEP * float(widths.min())
     views = [
@@ -110,7 +112,7 @@ def normal_jacobian(
     for group in groups:
         vertices = at.vertices.copy()
         vertices[directions.vertex[group]] += step * directions.way[group]
-        moved = posterior.images(replace(at, vertices=vertices))
+        moved = posterior.images(replace(at, vertices=vertices), light)
         for part, seen, now, before in zip(parts, views, moved, base, strict=True):
             change = (now - before) / step
             part += [change[seen[one]] for one in group]

@@ -134,15 +134,21 @@ class Prediction:
         shining = [part(of) if by == 1 else by * part(of) for by, of in each if by]
         return (shining[0] if len(shining) == 1 else shining[0] + shining[1]), light
 
-    def images(self, at: Variables) -> list[FloatArray]:
-        """(N,) of each view: its rendering where voxels count, of amplitude 1; no gradients."""
+    def images(self, at: Variables, light: Light | None = None) -> list[FloatArray]:
+        """(N,) of each view: its rendering where voxels count, of amplitude 1; no gradients.
+
+        light : what shines; by default what explains most.
+        """
         with torch.no_grad():
             vertices, density, numbers = self._leaves(at)
             optics = self._imaging.optics_of(numbers)
             effects = self._imaging.effects_of(at.effects)
             renderer = self._with(effects)
             weights = self._density.faces(density)
-            spectrum, _ = self._shining(renderer, vertices, weights, optics)
+            if light is None:
+                spectrum, _ = self._shining(renderer, vertices, weights, optics)
+            else:
+                spectrum = renderer.transform(vertices, weights, light)
             return self._of_every_view(renderer, spectrum, optics)
 
     def images_of(self, mesh: Mesh, at: Variables, accuracy: float) -> list[FloatArray]:

@@ -239,6 +239,9 @@ class Run:
         if not (progress.settled or late) and progress.stuck <= 1:
             self._due = True  # its variance is still that of a surface further off
             return False
+        if self._other_structure():
+            self._due = True
+            return False
         if self._topology.too_soon(self._stage.iteration) and progress.stuck <= 1:
             return False
         if self._topology.trial is not None:
@@ -246,6 +249,17 @@ class Run:
         given = self._fitted, self._settings, self._level.factor, self._stage.iteration
         self._due = self._surface(self._topology.tried(*given)) or self._due
         return not self._due
+
+    def _other_structure(self) -> bool:
+        """Whether, at rest, something else shines than what had been clear on the way."""
+        if not (self._stage.progress.sure and self._fitted.structure == "both"):
+            return False
+        found = self._objective.structure().structure
+        if found == "both":
+            return False
+        self._fitted = self._fitted.with_structure(found)
+        self._stage = replace(self._stage, progress=self._stage.progress.released())
+        return True
 
     @property
     def _tolerance(self) -> float:
