@@ -71,6 +71,7 @@ def test_a_wrong_neighbour_is_exchanged(half, photons):
     states, told = fitted(truth, flip_of(truth), photons)
     assert contacts(states[-1].mesh) == contacts(truth)
     assert told
+    assert all(len(state.density) == len(state.mesh.faces) for state in states)
 
 
 @pytest.mark.parametrize("photons", [40, 2000])

@@ -3,7 +3,7 @@ import pytest
 from numpy.testing import assert_array_equal
 from scipy.ndimage import gaussian_filter
 
-from napari_deltamic import Grid, Mesh
+from napari_deltamic import GaussianPSF, Grid, Mesh
 from napari_deltamic.fitting import counted_voxels
 from napari_deltamic.fitting.voxel_ownership import counted_around, surface_voxels
 from napari_deltamic.geometry import box, sphere
@@ -84,9 +84,26 @@ def test_a_start_beside_its_membrane_gets_the_ground_of_its_cell(neighbours):
     assert counted[from_surface(grid, other, RADIUS) < 0.05].mean() < 0.02
 
 
-def test_a_start_in_no_dark_region_claims_nothing(neighbours):
-    grid, image, _ = neighbours
-    assert counted_around(image, grid, sphere((1.2, 1.2, 1.2), 0.3), OPTICS) is None
+def test_a_start_in_no_dark_region_claims_what_is_within_its_radius(neighbours):
+    grid, image, other = neighbours
+    start = sphere((1.2, 1.2, 1.2), 0.5)
+    counted = counted_around(image, grid, start, OPTICS)
+    assert counted[from_surface(grid, (1.2, 1.2, 1.2), 0.5) < 0.35].all()
+    assert not counted[from_surface(grid, other, RADIUS) < 0.05].all()
+
+
+def test_noise_is_nobodys_where_most_of_a_membrane_is_dim():
+    """One side ten times as bright as the other, whose light is hardly above the noise."""
+    bright = measured()
+    side = np.linspace(0.1, 1, GRID.shape[2])
+    image = np.random.default_rng(0).poisson(0.4 * (2 + (bright - 2) * side))
+    assert counted_voxels(image, GRID, TRUTH, OPTICS).mean() > 0.9
+
+
+def test_a_wide_image_is_the_surfaces_own():
+    """Through a PSF three times as wide as it is taken for."""
+    wide = GaussianPSF([3 * s for s in OPTICS.sigma_um])
+    assert counted_voxels(measured(optics=wide), GRID, TRUTH, OPTICS).all()
 
 
 def test_a_nucleus_alone_keeps_all_of_itself_wherever_it_lies():

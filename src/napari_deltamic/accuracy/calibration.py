@@ -27,7 +27,7 @@ from ..geometry.mesh import Mesh
 from ..geometry.primitives import sphere
 
 _BUDGET = 0.8  # s, after which no further round is begun, so that all takes about a second
-_ROUNDS = 5  # at most; the fastest counts: what is kept should not be that of a busy moment
+_ROUNDS = 5  # at most; the fastest counts, or what is kept would be that of a busy moment
 _PULL = 0.05  # towards the usual proportions: too weak to be seen where something was measured
 # What is timed: small and large, so that each cost is most of the time of some trial. Closed form:
 # subdivisions and radius (um) of a ball, wavevectors across.

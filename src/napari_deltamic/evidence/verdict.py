@@ -290,7 +290,8 @@ def _usual_growth(cells: Iterable[CellFacts]) -> float:
 
 def _share(explained: float) -> str:
     """In words where it is no share: a model may be further from the image than none."""
-    return f"{explained:.0%}" if explained >= 0.005 else "none"
+    least = 0.005  # less than that is rounded to 0 %, by definition
+    return f"{explained:.0%}" if explained >= least else "none"
 
 
 def _worst(grades: Iterable[Grade]) -> Grade:

@@ -17,6 +17,7 @@ from .change import Change
 from .checkpoint import Checkpoint
 from .collisions import CollisionGuard
 from .convergence import Remaining
+from .density import Density
 from .fit_objective import Objective, Terms
 from .fitted import Arrays, Fitted, fingerprint
 from .level import Level
@@ -335,9 +336,17 @@ class Run:
 
     # ---------------------------------------------------------------------------- reporting
 
+    def _face_densities(self) -> np.ndarray:
+        fitted = self._fitted
+        if self._objective.fitted.mesh.faces is fitted.mesh.faces:
+            return self._objective.face_densities
+        # A change of topology has come since the objective was posed.
+        found, log = Density(fitted.mesh, fitted.shape.model, 1.0), fitted.shape.log_density
+        return found.faces_numpy(np.zeros(len(found)) if log is None else log)
+
     def _state(self, ends: bool, finished: bool) -> FitState:
         fitted, stage, found = self._fitted, self._stage, self._objective.now.match
-        density, grid, kept = self._objective.face_densities, self._problem.grid, self._kept
+        density, grid, kept = self._face_densities(), self._problem.grid, self._kept
         accuracy = self._settings.image_accuracy
         self._reporter.say(self._guard.remark())
         message, events = self._reporter.told(fitted.mesh, stage.iteration, ends)

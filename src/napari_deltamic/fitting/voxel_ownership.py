@@ -11,7 +11,13 @@ import warnings
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_erosion, distance_transform_edt, gaussian_filter, minimum_filter
+from scipy.ndimage import (
+    binary_erosion,
+    distance_transform_edt,
+    gaussian_filter,
+    maximum_filter,
+    minimum_filter,
+)
 from scipy.ndimage import label as label_components
 
 from ..errors import InputError, RepairWarning
@@ -25,9 +31,19 @@ from ..scene import Grid
 Labels = NDArray[np.signedinteger]
 Mask = NDArray[np.bool_]
 
-_EXPLAINED = 3.0  # widths of the PSF around a starting surface: beyond, hardly any light is its own
+# Widths of the PSF around a starting surface: beyond, hardly any light is its own. Less where it
+# lies on the membranes than where it was made from regions of the image: measured on neighbours of
+# all kinds (benchmarks.defaults), which then end 0.07 to 0.09 voxel off, not 0.11 to 0.23; with 2
+# everywhere, cells with wrong starts were lost.
+_NEAR, _EXPLAINED = 2.0, 3.0
+_FARTHEST, _FURTHER = 8.0, 0.5  # and what a wider PSF may add to it, in these steps; chosen
+_MARGIN = 1.0  # widths, of what is found so: its edge is not sharp
+_MOST = 0.5  # share of what lies so far away that is bright where it is still its own; as is 0.7
 _BRIGHT = 0.3  # of the typical membrane above the dark level: less is haze; chosen, not measured
-_OWN = 2.0  # widths around a starting surface that always count
+# Standard deviations of noise above it, smoothed over this many widths: else single voxels of noise
+# were taken for neighbours where most of a membrane is dim.
+_ABOVE, _SMOOTH = 4.0, 0.7
+_LOW, _DEVIATION = 10, 1.2816  # a percentile of the standard normal distribution, and where it lies
 # Widths: what is as bright this far around on all sides is haze, and nobody's, since a membrane
 # would have faded.
 _HAZE = 4.0
@@ -63,15 +79,14 @@ def counted_voxels(image: np.ndarray, grid: Grid, mesh: Mesh, optics: Optics) ->
     (Z, Y, X) bool.
     """
     labels = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
-    return _shared_out(image, grid, surface_voxels(mesh, grid), labels > 0, optics)
+    return _shared_out(image, grid, surface_voxels(mesh, grid), labels > 0, optics, _NEAR)
 
 
 def counted_around(image: np.ndarray, grid: Grid, mesh: Mesh, optics: Optics) -> np.ndarray | None:
     """The same for starting surfaces that may lie far from the membranes.
 
     Which ground is theirs is asked of the image: the dark region that each start lies in, up to the
-    crest of its membrane, or the bright one, up to where it ends. None where some start has no such
-    region: then nothing can be told.
+    crest of its membrane, or the bright one, up to where it ends. None where nothing can be told.
     """
     starts = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
     if not (np.isfinite(image).any() and np.isin(mesh.region_ids(), starts).all()):
@@ -80,36 +95,75 @@ def counted_around(image: np.ndarray, grid: Grid, mesh: Mesh, optics: Optics) ->
     if labels is None:
         labels = _dark_regions(image, grid, mesh, starts)
     if labels is None:
-        return None
+        # The image shows no such region: what lies as near as the membrane may is theirs.
+        given = surface_voxels(mesh, grid), starts > 0, optics
+        return _shared_out(image, grid, *given, max(_EXPLAINED, _radius(mesh, optics)))
     surface = np.zeros(labels.shape, bool)
     for region in np.unique(labels[labels > 0]):
         own = labels == region
         surface |= own & ~binary_erosion(own, border_value=1)
-    return _shared_out(image, grid, surface, labels > 0, optics)
+    return _shared_out(image, grid, surface, labels > 0, optics, _EXPLAINED)
 
 
 def _shared_out(
-    image: np.ndarray, grid: Grid, surface: Mask, inside: Mask, optics: Optics
+    image: np.ndarray, grid: Grid, surface: Mask, inside: Mask, optics: Optics, explained: float
 ) -> np.ndarray:
     known = np.isfinite(image)
     if not (surface & known).any():
         return known
     pixels = np.where(known, image, np.nanmedian(image)).astype(np.float32)
-    pixels = gaussian_filter(pixels, 0.5)
     spacing = np.asarray(grid.voxel_size) / np.asarray(optics.sigma_um)
-    own = distance_transform_edt(~surface, sampling=spacing)
+    pixels = gaussian_filter(pixels, _SMOOTH / spacing)
+    own, at = distance_transform_edt(~surface, sampling=spacing, return_indices=True)
     dark = np.percentile(pixels[known], 20)
     # The brightest voxel near each piece of surface is what a membrane looks like here.
     membrane = np.percentile(pixels[(own < 1) & known], 60)
-    around = np.maximum(2 * np.ceil(_HAZE / spacing).astype(int) + 1, 3)
-    haze = minimum_filter(pixels, tuple(around), mode="nearest") - dark
-    bright = pixels - np.maximum(haze, 0) > dark + _BRIGHT * (membrane - dark)
+    haze = minimum_filter(pixels, tuple(_across(_HAZE / spacing)), mode="nearest") - dark
+    # Beside a bright side of a cell its own image reaches further.
+    crest = np.maximum(maximum_filter(pixels, tuple(_across(1 / spacing)))[tuple(at)], membrane)
+    least = np.maximum(_BRIGHT * (crest - dark), _ABOVE * _noise(pixels[known]))
+    bright = pixels - np.maximum(haze, 0) > dark + least
     # What lies in a cell is light of this cell, whatever it is.
-    foreign = bright & (own > _EXPLAINED) & ~inside & known
+    foreign = bright & (own > _reach(bright, own, ~inside & known, explained)) & ~inside & known
     if not foreign.any():
         return known
     other = distance_transform_edt(~foreign, sampling=spacing)
-    return known & ((own < other) | (own < _OWN) | inside)
+    return known & ((own < other) | inside)
+
+
+def _across(radius: np.ndarray) -> NDArray[np.signedinteger]:
+    """(3,) odd numbers of voxels of a filter that reaches so many to each side."""
+    return np.maximum(2 * np.ceil(radius).astype(int) + 1, 3)
+
+
+def _radius(mesh: Mesh, optics: Optics) -> float:
+    """Of the median cell, in widths of the PSF."""
+    volume = float(np.median(list(mesh.volumes().values())))
+    radius = np.cbrt(3 / (4 * np.pi) * abs(volume))
+    return float(radius / np.prod(optics.sigma_um) ** (1 / 3))
+
+
+def _reach(bright: Mask, own: np.ndarray, around: Mask, least: float) -> float:
+    """Widths to which the image of the surfaces themselves reaches, ``least`` of them at least.
+
+    Where most of what lies so far from them is bright, it is theirs: of a PSF that is wider than it
+    was taken for, or of membranes further out than the starts. Neighbours lie to some sides only.
+    """
+    shells = max(int((_FARTHEST - least) / _FURTHER), 0)
+    near = around & (own >= least) & (own < least + shells * _FURTHER)
+    shell = ((own[near] - least) / _FURTHER).astype(int)
+    all_of_it = np.bincount(shell, minlength=shells)
+    share = np.bincount(shell, bright[near], shells) / np.maximum(all_of_it, 1)
+    dark = np.flatnonzero(share < _MOST)
+    if not (dark.size and dark[0]):
+        return least
+    return least + _FURTHER * float(dark[0]) + _MARGIN
+
+
+def _noise(values: np.ndarray) -> float:
+    """Standard deviation of the darker half of voxels, whose median is the level of the dark."""
+    low, middle = np.percentile(values, (_LOW, 50))
+    return float(middle - low) / _DEVIATION
 
 
 def _bright_regions(image: np.ndarray, grid: Grid, starts: Labels) -> Labels | None:

@@ -21,7 +21,7 @@ from napari_deltamic.geometry.three_numbers import three_numbers
 from napari_deltamic.images.missing import unmasked
 
 Triple = Sequence[float]
-FEWEST_SLICES = 3  # along each axis: a region between crests has a voxel and one on either side
+FEWEST_SLICES = 3  # along each axis: else a region has no voxel with a crest on either side
 _NAMED = 10  # lines, at most, in a sentence: more would fill a window that nobody reads
 
 
