@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from napari.layers import Labels, Surface
 
-from napari_deltamic import load_mesh, save_mesh
+from napari_deltamic import Grid, load_mesh, save_mesh
 from napari_deltamic.cli import build_parser
 from napari_deltamic.cli.inputs import gather
 from napari_deltamic.cli.messages import Notes
@@ -174,7 +174,7 @@ def test_mesh_files_become_layers_in_the_frame_of_the_image(panel, with_image, m
     assert world.mean(axis=0) == pytest.approx(np.add((4.0, 3.4, 3.4), (1, 2, 3)), abs=0.05)
     panel.chooser.choose(layers[1], False)
     assert taken(panel).path == str(mesh_file)
-    mesh = taken(panel).make(None, None)
+    mesh = taken(panel).make(None, Grid(SHAPE, SIZE))
     np.testing.assert_array_equal(mesh.vertices_numpy(), load_mesh(mesh_file).vertices_numpy())
 
 
