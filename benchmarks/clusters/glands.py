@@ -16,7 +16,7 @@ from napari_deltamic import GaussianPSF, Grid, fit
 from napari_deltamic.geometry import mesh_from_labels
 from napari_deltamic.geometry.labels.voxels import voxel_labels
 from napari_deltamic.images.stacks import read_image
-from napari_deltamic.runs.settings import FitSettings
+from napari_deltamic.runs.settings import NEAR_LEVELS, FitSettings
 
 from ..figure import Figure, MissingData, Options, Row, at_most
 
@@ -25,7 +25,7 @@ VOXEL_SIZE = (1.0, 2.0, 2.0)  # relative
 SIGMA = (1.6, 1.6, 1.6)  # membranes are about a voxel thin
 EDGE = 4.0
 ERODED = 2  # voxels
-SETTINGS = FitSettings(levels=(1.35, 1.0), density="smooth")
+SETTINGS = FitSettings(levels=NEAR_LEVELS)  # as the command line fits labels
 
 
 def boundary_error(found: NDArray, truth: NDArray) -> float:

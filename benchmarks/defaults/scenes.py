@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,7 @@ class Recipe:
     haze: float = 0.0  # light outside, of the membrane's brightness
     specks: int = 0
     thickness: float = 0.0
+    unequal: float = 0.0  # standard deviation of the log brightness from cell to cell
     seeds: SeedKind = "spheres"
     start: tuple[float, float] = (0.9, 0.1)  # radius of spheres and meshes, offset, in radii
     told: tuple[str, ...] = ()  # what the command that knows all is told besides the PSF
@@ -94,12 +95,19 @@ def scene_of(name: str, recipe: Recipe, rng: np.random.Generator) -> Scene:
     light = np.zeros(space.fine_shape)
     sigma = (recipe.psf[0] * voxel[0], recipe.psf[1] * unit, recipe.psf[1] * unit)
     thickness = recipe.thickness * unit
-    shining = surface_light(truth, space, rng, _density(recipe, middle, unit, rng), thickness)
+    cell = dict.fromkeys(centres, 1.0)
+    if recipe.unequal:
+        cell = {k: float(np.exp(recipe.unequal * rng.normal())) for k in centres}
+    density = _density(recipe, middle, unit, rng)
+    shining = sum(
+        brightness * surface_light(part, space, rng, density, thickness)
+        for part, brightness in _alike(truth, cell)
+    )
     peak = float(np.percentile(imaged(shining, space, sigma), 99.5))
     light += recipe.membrane * shining / peak
     solid = {k: inside(truth, k, space.fine_shape, space.fine_position) for k in centres}
-    for occupied in solid.values():
-        light += recipe.interior * occupied
+    for k, occupied in solid.items():
+        light += recipe.interior * cell[k] * occupied
     if recipe.haze:
         light += recipe.haze * _haze(space, rng) * (1 - sum(solid.values()))
     clean = imaged(light, space, sigma)
@@ -113,6 +121,19 @@ def scene_of(name: str, recipe: Recipe, rng: np.random.Generator) -> Scene:
     labels = np.where(np.isin(every, recipe.seeded), every, 0).astype(np.int32)
     given = (truth, strangers, centres, radii, _careless(labels, rng), every)
     return Scene(name, recipe, image, voxel, effective_sigma(space, sigma), *given)
+
+
+def _alike(mesh: Mesh, cell: dict[int, float]) -> list[tuple[Mesh, float]]:
+    """Faces of one brightness each: walls have the mean of their cells."""
+    if len(set(cell.values())) == 1:
+        return [(mesh, next(iter(cell.values())))]
+    parts = []
+    for pair in np.unique(mesh.regions, axis=0):
+        faces = mesh.faces[(mesh.regions == pair).all(1)]
+        sides = [cell[int(k)] for k in pair if k > 0]
+        part = Mesh(mesh.vertices_numpy(), faces, np.tile(pair, (len(faces), 1)))
+        parts.append((part, float(np.mean(sides))))
+    return parts
 
 
 def _cells(
@@ -226,6 +247,18 @@ def _tissue(rng: np.random.Generator, radius: float = 8.0) -> tuple[tuple[float,
     return tuple((*p.tolist(), s) for p, s in zip(places, sizes, strict=True))
 
 
+def _crowd(rng: np.random.Generator, **others: Any) -> Recipe:
+    """Eight cells of unequal brightness, side by side, all with labels."""
+    corners = np.array([[a, b, c] for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)])
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    radii, cells = rng.uniform(5.5, 8, 8), []
+    for corner, radius in zip(corners @ turn, radii, strict=True):
+        cells.append((*(corner * (8.2 + rng.uniform(0.5, 1.5))).tolist(), float(radius)))
+    names = tuple(range(1, 9))
+    given = {"roughness": 0.08, "shape": (54, 54, 54), "seeds": "labels", "unequal": 0.4}
+    return Recipe(tuple(cells), names, photons=rng.uniform(20, 200), **(given | others))
+
+
 def _mixed(rng: np.random.Generator) -> Recipe:
     """One cell in which everything differs at once, and perhaps neighbours without a seed."""
 
@@ -301,6 +334,19 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
     ),
     "tissue-spheres": lambda rng: Recipe(
         _tissue(rng), (1, 2, 3, 4), True, roughness=0.08, shape=(44, 44, 44), start=(0.95, 0.05)
+    ),
+    "crowd": lambda rng: _crowd(rng),
+    "crowd-nuclei": lambda rng: _crowd(rng, membrane=0.0, interior=1.0),
+    "crowd-both": lambda rng: _crowd(rng, interior=rng.uniform(0.2, 0.8)),
+    "tissue-both": lambda rng: Recipe(
+        _tissue(rng),
+        (1, 2, 3, 4),
+        True,
+        roughness=0.08,
+        shape=(44, 44, 44),
+        seeds="labels",
+        interior=rng.uniform(0.2, 0.8),
+        unequal=0.4,
     ),
     "flat": lambda rng: replace(
         PLAIN, aspect=rng.uniform(3.5, 5), shape=(16, 44, 44), cells=((0, 0, 0, 13.0),)
