@@ -337,6 +337,7 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
     ),
     "crowd": lambda rng: _crowd(rng),
     "crowd-nuclei": lambda rng: _crowd(rng, membrane=0.0, interior=1.0),
+    "crowd-nuclei-spheres": lambda rng: _crowd(rng, membrane=0.0, interior=1.0, seeds="spheres"),
     "crowd-both": lambda rng: _crowd(rng, interior=rng.uniform(0.2, 0.8)),
     "tissue-both": lambda rng: Recipe(
         _tissue(rng),

@@ -46,7 +46,8 @@ KNOWN = {**{e.name: e for e in PRESENT.present()}, "bleaching": Bleaching(per_sl
 class Plain(Renderer):
     """The formula of rendering, without any notion of an effect."""
 
-    def transform(self, vertices, density=None, light=None):
+    def transform(self, vertices, density=None, light=None, cells=None):
+        assert cells is None
         assert light is None or light.interior == 0
         (of,) = self._planned
         weight = of._membranes if density is None else of._membranes * density

@@ -13,7 +13,6 @@ from ..fourier import Plan
 from ..scene import Grid, Renderer
 from ..scene.columns import Now, effect_columns, optics_columns
 from ..scene.effects import Effect, Effects
-from ..scene.light import INSIDES
 from .fitted_scene import FittedScene
 from .modes import ShapeModes
 from .surface import SurfaceColumns
@@ -129,7 +128,8 @@ class ImageModel:
         """(N, 2 or 3): for amplitude and background, and the interior where both kinds shine."""
         columns = [rendered, np.ones(len(rendered))]
         if scene.light.membrane and scene.light.interior:
-            columns.append(scene.amplitude * self.rendered(replace(scene, light=INSIDES)))
+            insides = replace(scene, light=scene.light.insides())
+            columns.append(scene.amplitude * self.rendered(insides))
         return np.array(columns).T
 
     def shape_columns(self, scene: FittedScene, modes: ShapeModes) -> np.ndarray:

@@ -43,8 +43,11 @@ class SurfaceColumns:
         self._reach = np.asarray(scene.optics.reach(self.accuracy))
         for effect in scene.effects.present():
             self._reach = np.hypot(self._reach, effect.reach(self.accuracy))
-        seen = [] if scene.insides is None else scene.insides.contrasts(scene.effects, frame)
-        self.contrasts = [scene.light.interior * one.numpy() for one in seen]
+        self.contrasts: list[np.ndarray] = []
+        if scene.insides is not None:
+            cells = torch.from_numpy(scene.light.of_cells(scene.mesh.region_ids()))
+            seen = scene.insides.contrasts(scene.effects, frame, cells)
+            self.contrasts = [scene.light.interior * one.numpy() for one in seen]
 
     def shape(self, modes: ShapeModes) -> np.ndarray:
         """Change of the expected image for a coefficient of 1 um of each mode."""

@@ -11,7 +11,7 @@ from torch import Tensor
 from ..fourier.cuda.kept import Kept
 from ..scene import Renderer
 from ..scene.effects import DepthEffect, FaceEffect
-from ..scene.light import INSIDES, MEMBRANES, Light
+from ..scene.light import MEMBRANES, Light
 from .fitted_scene import FittedScene
 
 _KEPT = 12  # parts of a scene and of its candidates, asked for again; more would only take memory
@@ -42,7 +42,7 @@ class Transforms:
             return self._part(whose, what, lambda: renderer.transform(vertices, density, light))
 
         light, total = scene.light, torch.zeros(())
-        for share, alone in ((light.membrane, MEMBRANES), (light.interior, INSIDES)):
+        for share, alone in ((light.membrane, MEMBRANES), (light.interior, light.insides())):
             if share:
                 total = total + share * part(alone)
         return total

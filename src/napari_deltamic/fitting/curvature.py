@@ -18,9 +18,10 @@ from scipy.linalg import cho_factor, cho_solve
 
 from ..errors import InputError
 from ..geometry.mesh import FloatArray, Mesh
-from ..scene.light import INSIDES
+from ..scene.light import INSIDES, Light
 from .directions import Directions
 from .factors import on_host
+from .insides import each_alone
 from .likelihood import solve_scale
 from .normal_jacobian import Colouring, normal_jacobian
 from .posterior import Posterior
@@ -81,9 +82,8 @@ class Curvature:
         self._weights, self._residual = np.concatenate(weights), np.concatenate(residuals)
         self._jacobian: sp.csr_matrix = sp.vstack(scaled).tocsr() @ sp.diags(self._free)
         amplitudes = np.concatenate(columns)
-        if light.membrane and light.interior:
-            insides = np.concatenate(posterior.images(at, INSIDES))
-            amplitudes = np.column_stack([amplitudes, insides])
+        insides = [np.concatenate(posterior.images(at, one)) for one in _insides(light)]
+        amplitudes = np.column_stack([amplitudes, *insides])
         self._own = _with_imaging(amplitudes, posterior, at)
         self._factor(posterior, at)
 
@@ -184,7 +184,16 @@ class Curvature:
         follow = np.linalg.solve(self._followers, -pull - self._mixed @ step)
         rest = follow[len(pull) - len(imaging) :]
         moved = self.directions.displaced(self._free * step)
-        return Variables(moved, np.zeros_like(gradient.density), rest[:n], rest[n:])
+        still = np.zeros_like(gradient.density), np.zeros_like(gradient.insides)
+        return Variables(moved, *still, rest[:n], rest[n:])
+
+
+def _insides(light: Light) -> list[Light]:
+    """Insides whose brightness follows the surface; where they shine alone, one is the scale."""
+    if not light.interior:
+        return []
+    each = each_alone(np.array([k for k, _ in light.cells], np.int64)) or [INSIDES]
+    return each if light.membrane else each[1:]
 
 
 def affordable(posterior: Posterior, at: Variables, mesh: Mesh) -> bool:

@@ -13,10 +13,11 @@ from .metric import Metric
 from .posterior import Evaluation, Posterior
 from .variables import Variables
 
-# Of one step, at most: widths of the blurred PSF, log density, unbounded numbers of the PSF, and
-# those of effects in units of their scale. Further away the objective is no parabola; in many
+# Of one step, at most: widths of the blurred PSF, log density, brightness of an inside over that of
+# all, unbounded numbers of the PSF, and those of effects in units of their scale. Further away the
+# objective is no parabola; in many
 # effects it is. (The prototypes' caps; those of effects are wider than any of them needs.)
-_FAR, _FAR_DENSITY, _FAR_OPTICS, _FAR_EFFECTS = 0.6, 0.5, 0.3, 10.0
+_FAR, _FAR_DENSITY, _FAR_INSIDES, _FAR_OPTICS, _FAR_EFFECTS = 0.6, 0.5, 0.5, 0.3, 10.0
 # Of the step before, how much shorter the next one is: as J. E. Dennis and R. B. Schnabel bound it
 # (Numerical methods for unconstrained optimization, 1983) for backtracking by parabolas.
 _LEAST_CUT, _MOST_KEPT = 0.1, 0.5
@@ -64,8 +65,9 @@ class Descent:
     def begin(self, posterior: Posterior, at: Variables) -> None:
         """Go down an objective from here."""
         self._posterior = posterior
-        self._metric.measure(posterior.imaging_curvature(at))
         self.at, self.now = at, posterior(at)
+        insides = posterior.insides_curvature(at, self.now)
+        self._metric.measure(posterior.imaging_curvature(at), insides)
         self._evaluations += 1
 
     def learnt(self) -> Learnt:
@@ -176,6 +178,7 @@ class Descent:
         return Variables(
             vertices / np.maximum(far, 1.0),
             np.clip(step.density, -_FAR_DENSITY, _FAR_DENSITY),
+            np.clip(step.insides, -_FAR_INSIDES, _FAR_INSIDES),
             step.optics / max(rest, 1.0),
             step.effects / max(rest, 1.0),
         )

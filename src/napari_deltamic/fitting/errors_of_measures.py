@@ -60,4 +60,5 @@ def posed_at(
     shape = Shape.begun(state.mesh, settings.density).moved(state.mesh.vertices_numpy(), log)
     optics = state.optics.detach()
     imaging = Imaging(optics, state.effects, optics, settings.fit_psf, True)
-    return pose((level, None), shape, density, imaging, False, True, (), structure_of(state.light))
+    posed = (level, None), shape, density, imaging, False, True, ()
+    return pose(*posed, structure_of(state.light), state.light)

@@ -15,6 +15,7 @@ from .density import LIMIT, Density
 from .descent import Descent
 from .fitted import Fitted
 from .imaging import Imaging
+from .insides import Insides
 from .level import Level
 from .metric import Metric
 from .pose import pose
@@ -97,6 +98,7 @@ class Objective:
             terms.last,
             held,
             fitted.structure,
+            fitted.light,
         )
         self.fitted = fitted.moved(self.posed.at, self._imaging, terms.density_fitted)
         guard.watch(fitted.mesh)
@@ -130,6 +132,7 @@ class Objective:
         return Variables(
             self._guard.limited(start.vertices, vertices),
             np.clip(end.density, -LIMIT, LIMIT),
+            Insides.bounded(end.insides),
             *self._imaging.bounded(end.optics, end.effects),
         )
 

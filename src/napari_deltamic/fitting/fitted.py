@@ -71,6 +71,7 @@ class Fitted:
     def with_structure(self, structure: Structure) -> Fitted:
         """Something else may shine: what was learnt is of another model."""
         light = INSIDES if structure == "interior" else MEMBRANES
+        light = replace(light, cells=self.light.cells)
         return replace(self, structure=structure, light=light, learnt=None)
 
     @property
@@ -127,6 +128,7 @@ class Fitted:
             "pinned": self.shape.pinned,
             "log_density": np.zeros(0) if log is None else log,
             "optics": self.optics.parameters().detach().numpy(),
+            "insides": np.array(self.light.cells, np.float64).reshape(-1, 2),
             **({} if self.learnt is None else self.learnt.saved()),
         }
 
@@ -158,7 +160,10 @@ class Fitted:
             if found["log_density"].shape != (known,):
                 raise InputError("the checkpoint is damaged: its densities are of another mesh")
             shape = shape.moved(mesh.vertices_numpy(), found["log_density"])
-        return replace(restored, shape=shape, effects=effects, learnt=Learnt.loaded(found))
+        cells = {"cells": found.get("insides", ())}  # earlier versions knew none
+        light = replace(self.light, cells=Light.from_dict(cells).cells)
+        learnt = Learnt.loaded(found)
+        return replace(restored, shape=shape, effects=effects, light=light, learnt=learnt)
 
 
 def other_settings() -> InputError:

@@ -20,7 +20,7 @@ _SMOOTHEST = (
 
 
 class Metric:
-    """``(I + lambda L)^-2`` on vertices, ``(I + L)^-1`` on densities, a matrix on PSF and effects.
+    """``(I + lambda L)^-2`` on vertices, ``(I + L)^-1`` on densities, measured on all others.
 
     Parameters
     ----------
@@ -71,11 +71,13 @@ class Metric:
         if self._smooth:
             self._smoother = factored.of(mesh, 1.0, None, at_junctions)
         self._imaging: FloatArray = np.zeros((0, 0))
+        self._insides: FloatArray = np.zeros(0)
 
-    def measure(self, curvature: FloatArray) -> None:
-        """Take the second derivatives (P + E, P + E) by PSF and effects."""
+    def measure(self, curvature: FloatArray, insides: FloatArray) -> None:
+        """Take the second derivatives (P + E, P + E) by PSF and effects, and (R,) by insides."""
         found = np.linalg.inv(curvature) if len(curvature) else curvature
         self._imaging = np.asarray(found, dtype=np.float64)
+        self._insides = 1.0 / np.maximum(insides, 1e-300)
 
     def solve(self, gradient: Variables, scale: float) -> Variables:
         """The guessed inverse Hessian times a gradient; ``scale`` is that of the surface."""
@@ -89,4 +91,4 @@ class Metric:
             density = density * (scale * _DENSITY)
         n = len(gradient.optics)
         rest = self._imaging @ np.concatenate([gradient.optics, gradient.effects])
-        return Variables(moved, density, rest[:n], rest[n:])
+        return Variables(moved, density, self._insides * gradient.insides, rest[:n], rest[n:])

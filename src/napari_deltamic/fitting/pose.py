@@ -20,6 +20,7 @@ from ..scene.light import MEMBRANES, Light
 from .amplitudes import light_of
 from .density import Density
 from .imaging import Imaging
+from .insides import Insides
 from .level import Level, Voxels
 from .likelihood import Match, explained, total
 from .posterior import Posterior, Prior
@@ -32,6 +33,9 @@ from .variables import Variables
 # Share of its voxels by which a surface may have left those that are held: with more, the image
 # would no longer be judged where the surface is.
 _LEFT = 0.05
+# Steps to the brightness of insides at the start, before the shape follows what they differ by: of
+# cells side by side, each is off by less than a hundredth then.
+_ROUNDS = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +79,7 @@ def pose(
     tempered: bool,
     held: Sequence[View] = (),
     structure: Structure = "membrane",
+    shone: Light = MEMBRANES,
 ) -> Posed:
     """The objective at a level, from where the surface is now.
 
@@ -95,14 +100,20 @@ def pose(
         long as the surface has not left them.
     structure
         What may shine.
+    shone
+        What shone before: insides are as bright as they were. Where it says nothing of them, they
+        begin with what the image says.
     """
     level, second = levels
     known = shape.log_density
     log = np.zeros(len(density)) if known is None else density.centred(known)
-    at = Variables(shape.mesh.vertices_numpy(), log, *imaging.numbers())
+    insides = Insides.of(shape.mesh, density.model, structure, imaging.optics, level.factor)
+    volumes = np.array(list(shape.mesh.volumes().values()))
+    cells = insides.numbers(shone, volumes)
+    at = Variables(shape.mesh.vertices_numpy(), log, cells, *imaging.numbers())
     given = shape.mesh, imaging.optics, imaging.effects
     renderer = level.renderer(*given, insides=structure != "membrane")
-    look = _Look(level, renderer, density, imaging, structure)
+    look = _Look(level, renderer, density, insides, imaging, structure)
     voxels, light = look.voxels(at)
     if held and _left_out(voxels, held[0].voxels, level.grid.shape) > _LEFT:
         held = ()
@@ -126,11 +137,22 @@ def pose(
     stiffness = level.settings.bending
     width = float(np.prod(imaging.optics.sigma_um)) ** (1 / 3)
     bending = BendingEnergy(shape.mesh), JunctionBending(shape.mesh, width)
-    prior = Prior(*bending, stiffness, density, imaging)
+    prior = Prior(*bending, stiffness, density, insides, imaging)
     posterior = Posterior(level, renderer, views, prior, density_fitted, structure)
+    if len(insides) and not shone.cells:
+        at = _with_insides(posterior, at)
     firmness = look.firmness(voxels, rendered, found, light) / variance
     left = found.squares / max(float(total(voxels.weights)), 1e-300)
     return Posed(posterior, at, renderer, variance, left, bool(held), firmness)
+
+
+def _with_insides(posterior: Posterior, at: Variables) -> Variables:
+    """The same with insides as bright as the image says; the shape is held."""
+    for _ in range(_ROUNDS):
+        now = posterior(at)
+        step = now.gradient.insides / posterior.insides_curvature(at, now)
+        at = replace(at, insides=posterior.prior.insides.bounded(at.insides - step))
+    return at
 
 
 def _left_out(now: Voxels, before: Voxels, shape: tuple[int, int, int]) -> float:
@@ -147,6 +169,7 @@ class _Look:
     level: Level
     renderer: Renderer
     density: Density
+    insides: Insides
     imaging: Imaging
     structure: Structure
 
@@ -164,7 +187,8 @@ class _Look:
         with torch.no_grad():
             vertices = torch.from_numpy(at.vertices.copy()).to(there)
             weights = self.density.faces(torch.from_numpy(at.density).to(there))
-            spectrum = renderer.transform(vertices, weights, light)
+            cells = self.insides.factors(torch.from_numpy(at.insides).to(there))
+            spectrum = renderer.transform(vertices, weights, light, cells)
             otf = renderer.otf(level.optics or imaging.optics)
             return level.rendered(renderer, spectrum, otf)
 

@@ -17,13 +17,14 @@ from ..optics import Optics
 from ..scene import Renderer
 from ..scene.columns import Now, effect_columns
 from ..scene.effects import Effects
-from ..scene.light import Light
+from ..scene.light import INSIDES, Light
 from .density import Density
 from .imaging import Imaging
+from .insides import Insides
 from .lbfgs import dot
 from .level import Level
 from .likelihood import Match, explained, total
-from .prediction import Prediction, View, as_floats
+from .prediction import Prediction, Unknowns, View, as_floats
 from .variables import Variables
 
 
@@ -37,8 +38,8 @@ class Prior:
         The bending energies of the surface and of the lines where walls meet.
     stiffness
         Their weight, a pure number.
-    density
-        The densities and their prior.
+    density, insides
+        The densities and their prior; the brightness of insides and theirs.
     imaging
         PSF and effects, and theirs.
     """
@@ -47,6 +48,7 @@ class Prior:
     junctions: JunctionBending
     stiffness: float
     density: Density
+    insides: Insides
     imaging: Imaging
 
 
@@ -101,18 +103,17 @@ class Posterior(Prediction):
         density_fitted: bool,
         structure: Structure = "membrane",
     ) -> None:
-        given = prior.density, prior.imaging, density_fitted, structure
+        given = prior.density, prior.insides, prior.imaging, density_fitted, structure
         super().__init__(level, renderer, views, *given)
         self._prior = prior
 
     def __call__(self, at: Variables) -> Evaluation:
         """Value and gradient."""
-        vertices, density, optics_numbers = self._leaves(at)
-        optics = self._imaging.optics_of(optics_numbers)
+        unknowns = self._unknowns(at)
+        optics = self._imaging.optics_of(unknowns.optics)
         effects = self._imaging.effects_of(at.effects)
         renderer = self._with(effects)
-        weights = self._prior.density.faces(density)
-        spectrum, light = self._shining(renderer, vertices, weights, optics)
+        spectrum, light = self._shining(renderer, unknowns, optics)
         nats, told, first = torch.zeros(()), None, None
         for view in self._views:
             otf = renderer.otf(optics if view.optics is None else view.optics)
@@ -126,14 +127,17 @@ class Posterior(Prediction):
         assert told is not None
         assert first is not None
         nats.backward()
-        held = weights.detach() if weights is not None else None
-        given = effects, optics, vertices.detach(), held, light
-        by_effects = self._by_effects(*given, spectrum, first, told)
+        by_effects = self._by_effects(effects, optics, unknowns, light, spectrum, first, told)
+        # None where membranes or insides do not shine.
+        by_density, by_insides = (
+            np.zeros_like(own) if leaf.grad is None else as_floats(leaf.grad)
+            for own, leaf in ((at.density, unknowns.density), (at.insides, unknowns.insides))
+        )
         gradient = Variables(
-            as_floats(vertices.grad),
-            # None where membranes do not shine.
-            np.zeros_like(at.density) if density.grad is None else as_floats(density.grad),
-            as_floats(optics_numbers.grad),
+            as_floats(unknowns.vertices.grad),
+            by_density,
+            by_insides,
+            as_floats(unknowns.optics.grad),
             by_effects,
         )
         value, gradient = self._with_priors(float(nats.detach()), gradient, at)
@@ -148,8 +152,7 @@ class Posterior(Prediction):
         self,
         effects: Effects,
         optics: Optics,
-        vertices: Tensor,
-        density: Tensor | None,
+        unknowns: Unknowns,
         light: Light,
         spectrum: Tensor,
         first: tuple[Tensor, Tensor],
@@ -169,7 +172,7 @@ class Posterior(Prediction):
                 self._with(effects),
                 optics.detach(),
                 effects,
-                lambda other: other.transform(vertices, density, light),
+                lambda other: self._transform(other, unknowns, light),
                 spectrum.detach(),
                 otf,
                 values,
@@ -188,15 +191,37 @@ class Posterior(Prediction):
         kappa = self._prior.stiffness
         rough, by_density = self._prior.density.prior(at.density, self._views[0].independent)
         known, by_optics, by_effects = self._imaging.prior(at.optics, at.effects)
+        unequal, by_insides = self._prior.insides.prior(at.insides)
         if not self._density_fitted:
             by_density = np.zeros_like(by_density)
         gradient = Variables(
             by_image.vertices + kappa * (by_vertices + by_lines),
             by_image.density + by_density,
+            by_image.insides + by_insides,
             by_image.optics + by_optics,
             by_image.effects + by_effects,
         )
-        return nats + kappa * (bend + turn) + rough + known, gradient
+        return nats + kappa * (bend + turn) + rough + unequal + known, gradient
+
+    def insides_curvature(self, at: Variables, now: Evaluation) -> FloatArray:
+        """(R,) at least the Gauss-Newton second derivatives by the brightness of insides.
+
+        Of all together: with images of insides that are not negative, no combination of them is
+        stiffer than the sums of the rows of their products. now : the evaluation there.
+        """
+        if not len(at.insides):
+            return np.zeros(0)
+        unknowns, view = self._unknowns(at), self._views[0]
+        renderer = self._with(self._imaging.effects_of(at.effects))
+        with torch.no_grad():
+            optics = self._imaging.optics_of(unknowns.optics)
+        alike = torch.ones_like(unknowns.insides, requires_grad=True)
+        spectrum = renderer.transform(unknowns.vertices.detach(), None, INSIDES, alike)
+        shown = view.voxels.of(self._image(view, renderer, spectrum, optics))
+        (total(view.voxels.weights * shown * shown) / 2).backward()
+        bright = now.match.amplitude * now.light.interior
+        rows = np.maximum(as_floats(alike.grad), 0.0)
+        return bright**2 / view.variance * rows + self._prior.insides.prior_curvature(at.insides)
 
     def imaging_curvature(self, at: Variables) -> FloatArray:
         """(P + E, P + E) Gauss-Newton second derivatives by PSF and effects.

@@ -1,4 +1,4 @@
-"""What places of vertices, densities, PSF and effects predict: images, and their derivatives."""
+"""The images that unknowns of a fit predict, and their derivatives."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from ..scene.light import INSIDES, MEMBRANES, Light
 from .amplitudes import light_of
 from .density import Density
 from .imaging import Imaging
+from .insides import Insides
 from .level import Level, Voxels
 from .likelihood import match
 from .variables import Variables
@@ -48,6 +49,16 @@ class View:
     optics: Optics | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class Unknowns:
+    """Vertices, densities, insides and PSF as tensors to differentiate by; see Variables."""
+
+    vertices: Tensor
+    density: Tensor
+    insides: Tensor
+    optics: Tensor
+
+
 class Prediction:
     """The images that unknowns predict; voxels, weights, connectivity and plan do not change.
 
@@ -57,8 +68,8 @@ class Prediction:
         Where images are compared, and what renders them.
     views
         The measured images, the fit's own first.
-    density, imaging
-        How the unknowns give densities of faces, PSF and effects.
+    density, insides, imaging
+        How the unknowns give densities of faces, the brightness of insides, PSF and effects.
     density_fitted
         Whether the densities are unknowns, or held.
     structure
@@ -71,12 +82,13 @@ class Prediction:
         renderer: Renderer,
         views: Sequence[View],
         density: Density,
+        insides: Insides,
         imaging: Imaging,
         density_fitted: bool,
         structure: Structure,
     ) -> None:
         self._level, self._renderer, self._views = level, renderer, views
-        self._density, self._imaging = density, imaging
+        self._density, self._insides, self._imaging = density, insides, imaging
         self._structure, self._density_fitted = structure, density_fitted
         self._faces_on = for_objects(level.device)
 
@@ -93,23 +105,25 @@ class Prediction:
     def light(self, at: Variables) -> Light:
         """What shines, and how much of each, in the first image."""
         with torch.no_grad():
-            vertices, density, numbers = self._leaves(at)
+            unknowns = self._unknowns(at)
             renderer = self._with(self._imaging.effects_of(at.effects))
-            weights = self._density.faces(density)
-            return self._shining(renderer, vertices, weights, self._imaging.optics_of(numbers))[1]
+            return self._shining(renderer, unknowns, self._imaging.optics_of(unknowns.optics))[1]
 
     def shown(self, at: Variables, light: Light) -> FloatArray:
         """(N,) the first image of a light where voxels count, of amplitude 1; no gradients."""
         with torch.no_grad():
-            vertices, density, numbers = self._leaves(at)
+            unknowns = self._unknowns(at)
             view, renderer = self._views[0], self._with(self._imaging.effects_of(at.effects))
-            spectrum = renderer.transform(vertices, self._density.faces(density), light)
-            optics = self._imaging.optics_of(numbers)
+            spectrum = self._transform(renderer, unknowns, light)
+            optics = self._imaging.optics_of(unknowns.optics)
             return as_floats(view.voxels.of(self._image(view, renderer, spectrum, optics)))
 
-    def _shining(
-        self, renderer: Renderer, vertices: Tensor, weights: Tensor | None, optics: Optics
-    ) -> tuple[Tensor, Light]:
+    def _transform(self, renderer: Renderer, at: Unknowns, light: Light) -> Tensor:
+        """Spectrum of a light, of the insides that are unknowns."""
+        weights, cells = self._density.faces(at.density), self._insides.factors(at.insides)
+        return renderer.transform(at.vertices, weights, light, cells)
+
+    def _shining(self, renderer: Renderer, at: Unknowns, optics: Optics) -> tuple[Tensor, Light]:
         """Spectrum of what shines, and how much of each does, by the first image.
 
         Membranes and insides are transformed once each: what shines is a sum of the two.
@@ -122,7 +136,7 @@ class Prediction:
 
         def part(light: Light) -> Tensor:
             if light not in parts:
-                parts[light] = renderer.transform(vertices, weights, light)
+                parts[light] = self._transform(renderer, at, light)
             return parts[light]
 
         def shown(light: Light) -> Tensor:
@@ -132,7 +146,8 @@ class Prediction:
         light = light_of(self._structure, shown, measured, view.voxels.weights)
         each = ((light.membrane, MEMBRANES), (light.interior, INSIDES))
         shining = [part(of) if by == 1 else by * part(of) for by, of in each if by]
-        return (shining[0] if len(shining) == 1 else shining[0] + shining[1]), light
+        spectrum = shining[0] if len(shining) == 1 else shining[0] + shining[1]
+        return spectrum, self._insides.shining(light, as_floats(at.insides))
 
     def images(self, at: Variables, light: Light | None = None) -> list[FloatArray]:
         """(N,) of each view: its rendering where voxels count, of amplitude 1; no gradients.
@@ -140,15 +155,14 @@ class Prediction:
         light : what shines; by default what explains most.
         """
         with torch.no_grad():
-            vertices, density, numbers = self._leaves(at)
-            optics = self._imaging.optics_of(numbers)
-            effects = self._imaging.effects_of(at.effects)
-            renderer = self._with(effects)
-            weights = self._density.faces(density)
+            unknowns = self._unknowns(at)
+            optics = self._imaging.optics_of(unknowns.optics)
+            renderer = self._with(self._imaging.effects_of(at.effects))
             if light is None:
-                spectrum, _ = self._shining(renderer, vertices, weights, optics)
+                spectrum, _ = self._shining(renderer, unknowns, optics)
             else:
-                spectrum = renderer.transform(vertices, weights, light)
+                weights = self._density.faces(unknowns.density)
+                spectrum = renderer.transform(unknowns.vertices, weights, light)
             return self._of_every_view(renderer, spectrum, optics)
 
     def images_of(self, mesh: Mesh, at: Variables, accuracy: float) -> list[FloatArray]:
@@ -164,14 +178,14 @@ class Prediction:
             Of the images.
         """
         with torch.no_grad():
-            _, density, numbers = self._leaves(at)
-            optics = self._imaging.optics_of(numbers)
+            unknowns = self._unknowns(at)
+            optics = self._imaging.optics_of(unknowns.optics)
             effects = self._imaging.effects_of(at.effects)
             light = self.light(at)
             insides = light.interior != 0
             renderer = self._level.renderer(mesh, optics, effects, accuracy, insides)
             there = self._faces_on
-            weights = self._density.faces(density)
+            weights = self._density.faces(unknowns.density)
             if weights is not None:
                 weights = weights.repeat_interleave(len(mesh.faces) // len(weights))
             vertices = torch.from_numpy(mesh.vertices_numpy()).to(there)
@@ -194,16 +208,16 @@ class Prediction:
         effects = self._imaging.effects_of(at.effects)
         return [as_floats(self._measured(view, effects)) for view in self._views]
 
-    def _leaves(self, at: Variables) -> tuple[Tensor, Tensor, Tensor]:
+    def _unknowns(self, at: Variables) -> Unknowns:
         there = self._faces_on
-        vertices = torch.tensor(at.vertices, device=there, dtype=widest(there), requires_grad=True)
-        density = torch.tensor(
-            at.density,
-            device=there,
-            dtype=widest(there),
-            requires_grad=self._density_fitted and len(at.density) > 0,
-        )
-        return vertices, density, torch.tensor(at.optics, requires_grad=len(at.optics) > 0)
+
+        def leaf(numbers: FloatArray, fitted: bool = True) -> Tensor:
+            asked = fitted and len(numbers) > 0
+            return torch.tensor(numbers, device=there, dtype=widest(there), requires_grad=asked)
+
+        optics = torch.tensor(at.optics, requires_grad=len(at.optics) > 0)
+        density = leaf(at.density, self._density_fitted)
+        return Unknowns(leaf(at.vertices), density, leaf(at.insides), optics)
 
     def _with(self, effects: Effects) -> Renderer:
         if effects == self._renderer.effects:
@@ -250,12 +264,12 @@ class Prediction:
 
     def _now(self, at: Variables, further: Effect | None = None) -> Now:
         view = self._views[0]
-        vertices, density, numbers = self._leaves(at)
-        optics, effects = self._imaging.optics_of(numbers), self._imaging.effects_of(at.effects)
+        unknowns = self._unknowns(at)
+        optics = self._imaging.optics_of(unknowns.optics)
+        effects = self._imaging.effects_of(at.effects)
         effects = effects if further is None else effects.adding(further)
         renderer = self._with(effects)
-        weights = self._density.faces(density)
-        spectrum, light = self._shining(renderer, vertices, weights, optics)
+        spectrum, light = self._shining(renderer, unknowns, optics)
         otf = renderer.otf(optics)
         image = view.voxels.of(self._level.rendered(renderer, spectrum, otf))
         _, found = match(image, self._measured(view, effects), view.voxels.weights)
@@ -264,7 +278,7 @@ class Prediction:
             renderer,
             optics,
             effects,
-            lambda other: other.transform(vertices, weights, light),
+            lambda other: self._transform(other, unknowns, light),
             spectrum,
             otf,
             image,

@@ -9,7 +9,7 @@ what a fit leaves is alike in neighbouring voxels (H. White, 1980).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -166,7 +166,7 @@ def _displaced(at: Variables, mesh: Mesh, by: float) -> Variables:
     for corner in range(3):
         np.add.at(each, mesh.faces[:, corner], normals)
     each /= np.linalg.norm(each, axis=1, keepdims=True) + 1e-300
-    return Variables(at.vertices + by * each, at.density, at.optics, at.effects)
+    return replace(at, vertices=at.vertices + by * each)
 
 
 def _blocks(posterior: Posterior, side: float) -> np.ndarray:

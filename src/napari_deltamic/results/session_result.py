@@ -102,7 +102,7 @@ def saved_result(archive: ArchiveReader, facts: Mapping[str, Any], grid: Grid) -
     scalars: dict[str, Any] = {name: nan if shown[name] is None else shown[name] for name in _STATE}
     # Earlier versions saved neither effects, nor pins, nor what shines.
     effects, inside = without_inside(shown.get("effects", settings.scene.effects.to_dict()))
-    light = Light(**shown.get("light", {}))
+    light = Light.from_dict(shown.get("light", {}))
     state = FitState(
         mesh=meshes.mesh(shown["mesh"]),
         optics=_optics(shown["optics"], first),

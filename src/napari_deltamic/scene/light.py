@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ..common.choices import Structure
 
@@ -18,14 +23,33 @@ class Light:
     interior
         Fluorophores per um^3 that every cell has more than the outside, for one per um^2 of
         membrane; below 0 where the medium around is brighter. 0: insides are not computed.
+    cells
+        Pairs of a region's number and how bright its inside is, of ``interior``; 1 for regions
+        that are not named.
     """
 
     membrane: float = 1.0
     interior: float = 0.0
+    cells: tuple[tuple[int, float], ...] = ()
 
     def of(self, surface: bool) -> float:
         """The factor on a surface, or on a solid."""
         return self.membrane if surface else self.interior
+
+    def of_cells(self, regions: Sequence[int] | NDArray) -> NDArray[np.float64]:
+        """(R,) how bright the insides of these regions are, of ``interior``."""
+        known = dict(self.cells)
+        return np.array([known.get(int(k), 1.0) for k in regions], dtype=np.float64)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Light:
+        """What a file holds; earlier versions knew no cells."""
+        cells = tuple((int(k), float(by)) for k, by in values.get("cells", ()))
+        return cls(**{**values, "cells": cells})
+
+    def insides(self) -> Light:
+        """Its insides alone, of amplitude 1."""
+        return Light(0.0, 1.0, self.cells)
 
 
 def structure_of(light: Light) -> Structure:

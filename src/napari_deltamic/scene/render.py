@@ -20,7 +20,7 @@ from .formation import Formation
 from .grid import Grid
 from .light import MEMBRANES, Light
 from .scene import Scene
-from .structures import Planned, Site, Surface
+from .structures import Planned, Site, Solid, Surface
 
 _STRETCH = 1.1  # of edges, within the life of a plan for a mesh that moves
 
@@ -133,6 +133,7 @@ class Renderer:
         vertices: Tensor | None = None,
         density: Tensor | None = None,
         light: Light | None = None,
+        cells: Tensor | None = None,
     ) -> Tensor:
         """u_hat on the box of the band, differentiable; two boxes where the PSF changes with depth.
 
@@ -145,11 +146,13 @@ class Renderer:
         light
             Factors on its surfaces and solids; what does not shine is not computed. 1 where not
             given.
+        cells
+            (R,) how bright the inside of each region of a solid is; in place of those of the light.
 
         Raises
         ------
         InputError
-            If there is not one density for each face.
+            If there is not one density for each face, or one number for each region.
         """
         total: Tensor | None = None
         for structure, planned in zip(self.scene.structures, self._planned, strict=True):
@@ -158,6 +161,8 @@ class Renderer:
                 continue
             moved = vertices if structure in self._moving else None
             own = density if isinstance(structure, Surface) else None
+            if isinstance(structure, Solid):
+                own = _cells(structure, light) if cells is None else cells
             box = self._held(planned.transform(self.effects, moved, own))
             box = _widened(box, planned.plan.band, self.band)
             box = box if factor == 1 else factor * box
@@ -305,6 +310,13 @@ def expected_image(
         image = amplitude * image + background
         added = offset(chosen, grid)
         return (image if added is None else image + added).to(torch.float32).numpy()
+
+
+def _cells(solid: Solid, light: Light | None) -> Tensor | None:
+    """(R,) how bright the insides of its regions are; None where all are alike."""
+    if light is None or not light.cells:
+        return None
+    return torch.from_numpy(light.of_cells(solid.mesh.region_ids()))
 
 
 def _widened(box: Tensor, band: Band, to: Band) -> Tensor:

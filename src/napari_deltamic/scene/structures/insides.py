@@ -65,14 +65,18 @@ class Solid:
         """(R, 3) um, where effects on the object take the regions to lie."""
         return torch.stack([_middle(self.mesh, k) for k in self.mesh.region_ids()])
 
-    def contrasts(self, effects: Effects, frame: Grid) -> list[Tensor]:
+    def contrasts(
+        self, effects: Effects, frame: Grid, factors: Tensor | None = None
+    ) -> list[Tensor]:
         """(F,) signal per um^3 behind each face minus that in front, as the effects make it.
 
-        Two where the PSF changes with depth: what is seen through that of the first slice, and
-        through that of the last.
+        Differentiable in ``factors`` (R,) on the densities of the regions. Two where the PSF
+        changes with depth: what is seen through that of the first slice, and through that of the
+        last.
         """
         ids, regions = self.mesh.region_ids(), self.mesh.regions
         own = self.densities().to(torch.float64)
+        own = own if factors is None else own * factors.to(own)
         seen = shares(own, lambda: self._middles, frame, effects)
         return [contrasts(regions, ids, densities) for densities in seen]
 
@@ -99,7 +103,7 @@ class _PlannedSolid:
         placed = self._site.local(
             as_tensor(self._solid.mesh.vertices) if vertices is None else vertices
         )
-        seen = self._solid.contrasts(effects, self._site.frame)
+        seen = self._solid.contrasts(effects, self._site.frame, density)
         boxes = [solid_transform(self.plan, placed, self._faces, part) for part in seen]
         return joined_boxes(boxes)
 

@@ -73,8 +73,8 @@ class Planned(Protocol):
     ) -> Tensor:
         """u_hat with the effects on the object; two boxes where the PSF changes with depth.
 
-        Differentiable. Vertices (V, 3) um and densities: others than those that it was planned with
-        (near them); densities of a surface alone.
+        Differentiable. Vertices (V, 3) um: others than those that it was planned with (near them).
+        Densities: of a surface (F,), in place of its own; of a solid (R,), factors on its own.
         """
 
 

@@ -1,0 +1,103 @@
+"""How bright the inside of each cell is: nuclei and cytoplasm are seldom alike."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from torch import Tensor
+
+from ..common.choices import DensityModel, Structure
+from ..geometry.mesh import FloatArray, IntArray, Mesh
+from ..optics import Optics
+from ..scene.light import Light
+from .amplitudes import hardly_wider
+from .lbfgs import dot
+
+# In the mean over cells, of what they share: insides that differ by less count as alike, as smooth
+# densities of membranes do.
+_ALIKE = 0.05
+# How much darker or brighter than what they share an inside may be, of that: beyond, a cell is none
+# of those that the others are; chosen, not measured.
+_LEAST, _MOST = -2.0, 9.0
+_SHARED = 0.1  # of what they share: with a smaller mean, cells of either sign, that is no scale
+
+
+@dataclass(frozen=True, eq=False)
+class Insides:
+    """The brightness of insides as unknowns of a fit, their bounds and prior.
+
+    How unequal they are, nobody knows beforehand: as for membranes, a Gaussian prior of unknown
+    variance, integrated over it, pulls what the image does not ask for to nothing.
+
+    Attributes
+    ----------
+    regions
+        (R,) numbers of the regions whose insides are unknowns; empty where all are alike.
+    """
+
+    regions: IntArray
+
+    @classmethod
+    def of(
+        cls,
+        mesh: Mesh,
+        model: DensityModel,
+        structure: Structure,
+        optics: Optics,
+        blur: float = 1.0,
+    ) -> Insides:
+        """Of a mesh of which that shines, in an image blurred to so many widths of the PSF.
+
+        Alike where densities are to be the same everywhere, and while the blur hides insides: they
+        would stand in for shapes that are still far off.
+        """
+        regions = mesh.region_ids()
+        free = structure != "membrane" and model != "uniform" and len(regions) > 1
+        if free:
+            typical = float(np.median(np.abs(list(mesh.volumes().values()))))
+            free = not hardly_wider(typical, optics, blur)
+        return cls(regions if free else regions[:0])
+
+    def __len__(self) -> int:
+        return len(self.regions)
+
+    def numbers(self, light: Light, volumes: FloatArray) -> FloatArray:
+        """(R,) those of a light, so that insides of volumes (R,) um^3 share their mean."""
+        if not len(self):
+            return np.zeros(0)
+        cells = light.of_cells(self.regions)
+        mean = float(np.average(cells, weights=np.abs(volumes) + 1e-300))
+        return self.bounded(cells / mean - 1 if mean > _SHARED else cells - 1)
+
+    def factors(self, numbers: Tensor) -> Tensor | None:
+        """(R,) on what they share, differentiable in the numbers (R,); None: alike."""
+        return 1 + numbers if len(self) else None
+
+    def shining(self, light: Light, numbers: FloatArray) -> Light:
+        """The same light with these insides."""
+        cells = zip(self.regions.tolist(), (1 + numbers).tolist(), strict=True)
+        return replace(light, cells=tuple(cells))
+
+    @staticmethod
+    def bounded(numbers: FloatArray) -> FloatArray:
+        """The same within their bounds."""
+        return np.clip(numbers, _LEAST, _MOST)
+
+    @staticmethod
+    def prior(numbers: FloatArray) -> tuple[float, FloatArray]:
+        """Nats, and their gradient (R,)."""
+        even = len(numbers) * _ALIKE**2
+        value = 0.5 * len(numbers) * float(np.log1p(dot(numbers, numbers) / max(even, 1e-300)))
+        return value, Insides.prior_curvature(numbers) * numbers
+
+    @staticmethod
+    def prior_curvature(numbers: FloatArray) -> FloatArray:
+        """(R,) how firmly it holds each."""
+        firm = len(numbers) / max(len(numbers) * _ALIKE**2 + dot(numbers, numbers), 1e-300)
+        return np.full(len(numbers), firm)
+
+
+def each_alone(regions: IntArray) -> list[Light]:
+    """The inside of each region by itself, of amplitude 1."""
+    return [Light(0.0, 1.0, tuple((int(k), float(k == one)) for k in regions)) for one in regions]
