@@ -236,12 +236,12 @@ class Run:
         self._stage = replace(self._stage, remaining=remaining, progress=progress)
         if not progress.at_rest(schedule):
             return False
+        if self._other_structure():
+            self._due = True
+            return False
         late = progress.iterations >= schedule.patience
         if not (progress.settled or late) and progress.stuck <= 1:
             self._due = True  # its variance is still that of a surface further off
-            return False
-        if self._other_structure():
-            self._due = True
             return False
         if self._topology.too_soon(self._stage.iteration) and progress.stuck <= 1:
             return False
