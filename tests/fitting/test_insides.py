@@ -8,6 +8,7 @@ import pytest
 from napari_deltamic import GaussianPSF, Grid, Mesh, fit
 from napari_deltamic.fitting.errors_of_measures import posed_at
 from napari_deltamic.fitting.insides import Insides, each_alone
+from napari_deltamic.fitting.structure_choice import told
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure import surface_distance
 from napari_deltamic.runs.settings import FitSettings
@@ -145,3 +146,16 @@ def test_images_of_unequal_insides_add_up():
         for light in each_alone(np.array([1, 2]))
     )
     np.testing.assert_allclose(whole, one + 0.3 * other, atol=1e-4 * whole.max())
+
+
+def test_membranes_fitted_to_noise_do_not_shine():
+    """Densities that follow the noise of an image of nuclei make membranes of no significance."""
+    image = image_of(DIM)
+    last = fitted(image, two(8.0), structure="both", max_iterations=4)
+    found = posed_at(image, GRID, last, SETTINGS)
+    noise = np.random.default_rng(0).normal(0, 0.5, len(last.mesh.vertices))
+    uneven, even = (replace(found.at, density=d) for d in (noise, 0 * noise))
+    answers = [
+        told(found.posterior, at, found.posterior(at), last.mesh)[0] for at in (uneven, even)
+    ]
+    assert answers[0].errors == pytest.approx(answers[1].errors, rel=0.2)
