@@ -146,17 +146,21 @@ def test_ctrl_c_ends_the_batch_and_what_it_cut_short_is_fitted_again(
 @pytest.mark.skipif(sys.platform == "win32", reason="no groups of processes to interrupt")
 def test_ctrl_c_reaches_all_processes_without_tracebacks(stacks, tmp_path):
     pytest.importorskip("distributed")
-    slow = (*FAST[2:], "--max-iterations", "3000", "--tolerance", "1e-9")
-    arguments = ("batch", stacks, *SEEDS, "--workers", 2, "-o", tmp_path / "out", *slow)
+    for name in ("one", "two"):  # fits that never end: they wait for their seeds
+        (stacks / f"{name}_seeds.ply").unlink()
+        os.mkfifo(stacks / f"{name}_seeds.ply")
+    arguments = ("batch", stacks, *SEEDS, "--workers", 2, "-o", tmp_path / "out", *FAST)
     with child(*arguments, start_new_session=True) as process:
-        for line in process.stderr:  # the spoilt one comes first: now all processes are at work
+        for line in process.stderr:  # the spoilt one: now all processes are at work
             if line.startswith("1/3"):
                 break
         os.killpg(process.pid, signal.SIGINT)
         said = process.stderr.read()
-    assert process.wait(60) == 130
+    assert process.wait(60) == 130, said
     assert "interrupted" in said
     assert "Traceback" not in said
+    summary = rows(tmp_path / "out" / "summary.csv")
+    assert [row["status"] for row in summary] == ["failed", "not done", "not done"]
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="the system has no such kill")

@@ -134,6 +134,9 @@ def test_a_scheduler_that_is_gone(blocked, alone, tmp_path, capsys):
 class Future:
     """One whose worker died over and over."""
 
+    def add_done_callback(self, told):
+        told(self)
+
     def cancelled(self):
         return False
 
@@ -147,7 +150,6 @@ def test_an_image_that_kills_its_workers_fails_alone(monkeypatch, tmp_path):
     from napari_deltamic.cli import cluster
     from napari_deltamic.runs.batch import BatchJob
 
-    monkeypatch.setattr("distributed.as_completed", iter)
     monkeypatch.setattr(cluster, "_client", lambda *a: FakeClient())
     job = BatchJob("a", tmp_path / "a.tif", "auto", ())
     ((found, error),) = cluster.outcomes([job], tmp_path, 1, None)
@@ -167,3 +169,35 @@ class FakeClient:
 
     def submit(self, *arguments, **options):
         return Future()
+
+
+class Interrupting:
+    """Ctrl-C while it is destroyed, where Python drops every exception."""
+
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)
+
+
+def test_ctrl_c_is_not_lost_at_any_line(monkeypatch, tmp_path):
+    """Not in a destructor, and not when the processes do not close in good order either."""
+    from napari_deltamic.cli import cluster
+    from napari_deltamic.runs.batch import BatchJob
+
+    class Unclosable(FakeClient):
+        def close(self):
+            raise TimeoutError
+
+    monkeypatch.setattr(Future, "exception", lambda self: None)
+    monkeypatch.setattr(Future, "result", lambda self: "", raising=False)
+    monkeypatch.setattr("distributed.Client", lambda *a, **k: Unclosable())
+    monkeypatch.setattr(cluster, "_local_cluster", lambda workers: Unclosable())
+    before = signal.getsignal(signal.SIGINT)
+    for ended in (1, 2):  # with one left, and with none
+        jobs = [BatchJob(name, tmp_path / name, "auto", ()) for name in "ab"]
+        outcomes = cluster.outcomes(jobs, tmp_path, 1, None)
+        assert [next(outcomes) for _ in range(ended)] == [(job, "") for job in jobs[:ended]]
+        Interrupting()
+        with pytest.raises(KeyboardInterrupt):
+            for _ in outcomes:
+                pass
+        assert signal.getsignal(signal.SIGINT) is before

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import io
+import logging
 import os
 import signal
 import sys
 import threading
 import traceback
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from multiprocessing import resource_tracker
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from typing import Any
 
+from ..common.writing import interrupts_held
 from ..errors import Failure, InputError, one_line
 from ..results.batch_tables import DONE
 from ..runs.batch import BatchJob
@@ -20,6 +25,9 @@ from .messages import INTERRUPTED
 
 # s; until a scheduler has to answer: a busy one takes seconds, a missing one would never
 _PATIENCE = 20.0
+_TURN = 0.2  # s; after which a wait looks for Ctrl-C, where that does not end it
+
+_log = logging.getLogger(__name__)
 
 
 def fit_in_folder(words: Sequence[str]) -> str:
@@ -65,6 +73,8 @@ def outcomes(
         If Dask is not installed, or the scheduler does not answer.
     Failure
         If the scheduler is gone before all jobs have ended.
+    KeyboardInterrupt
+        At Ctrl-C, whatever else goes wrong then.
     """
     if workers == 0 and scheduler is None:
         for job in jobs:
@@ -76,7 +86,7 @@ def outcomes(
             yield job, error
         return
     try:
-        from distributed import as_completed
+        import distributed  # noqa: F401
     except ImportError:
         raise InputError(
             "several processes need Dask: pip install 'napari-deltamic[many]'; --workers 0 does "
@@ -87,7 +97,7 @@ def outcomes(
             client.submit(fit_in_folder, job.words(folder / job.name), pure=False): job
             for job in jobs
         }
-        for future in as_completed(list(futures)):
+        for future in _as_they_end(list(futures)):
             if future.cancelled():  # which nobody but a lost connection does
                 raise Failure(
                     "the connection to the scheduler was lost; what is finished is kept, and the "
@@ -96,6 +106,55 @@ def outcomes(
             error = future.exception()
             # A worker that died over and over, say: its image failed, the others go on.
             yield futures[future], _in_words(error) if error else future.result()
+
+
+def _as_they_end(futures: Sequence[Any]) -> Iterator[Any]:
+    """The futures of Dask in the order in which they end.
+
+    Ctrl-C waits in the queue with them. As an exception at whatever line runs just then it could
+    be lost: what a destructor or a callback of a library raises is dropped.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        If Ctrl-C was pressed meanwhile, also after the last has ended.
+    """
+    ended: SimpleQueue[Any] = SimpleQueue()
+    for future in futures:
+        future.add_done_callback(ended.put)
+    with _first_interrupt_in(ended):
+        for _ in futures:
+            yield _next(ended)
+        if not ended.empty():
+            raise KeyboardInterrupt
+
+
+def _next(ended: SimpleQueue[Any]) -> Any:
+    while True:
+        with contextlib.suppress(Empty):
+            future = ended.get(timeout=_TURN)
+            break
+    if future is None:
+        raise KeyboardInterrupt
+    return future
+
+
+@contextlib.contextmanager
+def _first_interrupt_in(queue: SimpleQueue[Any]) -> Iterator[None]:
+    """The first Ctrl-C puts None into a queue; a second one does what it did before."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def put(*told: object) -> None:
+        signal.signal(signal.SIGINT, before)
+        queue.put(None)
+
+    before = signal.signal(signal.SIGINT, put)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _in_words(error: BaseException) -> str:
@@ -107,7 +166,7 @@ def _in_words(error: BaseException) -> str:
 
 @contextlib.contextmanager
 def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
-    from distributed import Client, LocalCluster
+    from distributed import Client
 
     if scheduler is not None:
         try:
@@ -115,14 +174,30 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
         except (OSError, ValueError, TimeoutError) as error:
             reason = " ".join(str(error).split()) or type(error).__name__
             raise InputError(f"the scheduler {scheduler} does not answer: {reason}") from None
-        with client:
+        with _closed(client):
             if not client.scheduler_info()["workers"]:
                 print(f"{scheduler} has no workers yet: waiting for the first", file=sys.stderr)
             yield client
         return
-    # Processes, as each fit computes; nothing listens to other machines.
-    with _deaf_to_interrupts():
-        started = LocalCluster(
+    with contextlib.ExitStack() as opened:
+        with interrupts_held():  # until it is sure that what was started is closed as well
+            cluster = opened.enter_context(_closed(_local_cluster(workers)))
+        yield opened.enter_context(_closed(Client(cluster)))
+
+
+def _local_cluster(workers: int) -> Any:
+    """Processes of this machine, as each fit computes; nothing listens to other machines.
+
+    They take no notice of Ctrl-C, which a terminal sends to all of them: they would end with a
+    traceback each, and this process ends them. They have that from the thread that starts them.
+    """
+    from distributed import LocalCluster
+
+    def start() -> Any:
+        if sys.platform != "win32":
+            resource_tracker.ensure_running()  # its start would let signals in again
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        return LocalCluster(
             n_workers=workers,
             threads_per_worker=1,
             processes=True,
@@ -130,24 +205,21 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
             dashboard_address=None,
             memory_limit=0,
         )
-    with started as cluster, Client(cluster) as client:
-        yield client
+
+    with ThreadPoolExecutor(1) as thread:
+        return thread.submit(start).result()
 
 
 @contextlib.contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
-    """Processes started meanwhile take no notice of Ctrl-C, which a terminal sends to all of them.
-
-    They would end with a traceback each; this process ends them.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _closed(opened: Any) -> Iterator[Any]:
+    """Closes something of Dask; that it fails to close is no reason to lose how the jobs ended."""
     try:
-        yield
+        yield opened
     finally:
-        signal.signal(signal.SIGINT, before)
+        try:
+            opened.close()
+        except Exception:
+            _log.warning("%r does not close", opened, exc_info=True)
 
 
 def default_workers() -> int:
