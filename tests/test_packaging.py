@@ -73,6 +73,11 @@ def test_cholespy_is_asked_for_where_there_are_wheels(project, platform, wheels)
     assert ("cholespy" in names(project["dependencies"], platform)) == wheels
 
 
+def test_the_script_is_what_python_m_runs(project):
+    """One place that Ctrl-C cannot pass by while modules load."""
+    assert project["scripts"] == {"napari-deltamic": "napari_deltamic.__main__:main"}
+
+
 @pytest.mark.parametrize("platform", ["linux", "windows"])
 def test_the_extra_for_gpus_has_what_compiles_the_kernels(project, platform):
     found = names(project["optional-dependencies"]["gpu"], platform)

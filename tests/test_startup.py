@@ -105,8 +105,27 @@ def test_mistakes_load_no_engine():
     assert done.stdout.strip() == "[]", done.stderr
 
 
+@pytest.mark.parametrize("module", ["cli", "cli.arguments", "cli.fit_command"])
+def test_ctrl_c_while_modules_load_is_one_line(tmp_path, module):
+    """Those of the command line, of its parser, and of the engine; also in what is executed."""
+    (tmp_path / "sitecustomize.py").write_text(
+        "import signal, sys\n"
+        "class Pressed:\n"
+        "    def find_spec(self, name, *told):\n"
+        f"        if name == 'napari_deltamic.{module}':\n"
+        "            exec('signal.raise_signal(signal.SIGINT)')\n"
+        "sys.meta_path.insert(0, Pressed())\n"
+    )
+    words = ["fit", __file__, "--seeds", "auto", "-o", str(tmp_path / "out")]
+    done = subprocess.run(
+        [sys.executable, "-m", "napari_deltamic", *words],
+        capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(tmp_path)},
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (130, "napari-deltamic: error: interrupted\n")
+
+
 def test_every_public_name_is_there():
-    assert set(nd.__all__) <= set(dir(nd)) | {"__version__"}
+    assert set(nd.__all__) <= set(dir(nd))
     for name in nd.__all__:
         assert getattr(nd, name) is not None
     with pytest.raises(AttributeError, match="nonsense"):

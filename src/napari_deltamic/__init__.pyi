@@ -1,4 +1,5 @@
 from . import fourier
+from .common.version import __version__
 from .errors import InputError
 from .fitting import Change, FitState, fit
 from .geometry import Mesh, load_mesh, save_mesh
@@ -25,8 +26,6 @@ from .scene import (
     render_scene,
     simulate,
 )
-
-__version__: str
 
 __all__ = [
     "Change",
