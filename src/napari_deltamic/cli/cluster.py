@@ -204,7 +204,7 @@ def _local_cluster(workers: int) -> Any:
             host="127.0.0.1",
             dashboard_address=None,
             memory_limit=0,
-            silence_logs=logging.ERROR,  # that it cancels what Ctrl-C cut short, say
+            silence_logs=logging.CRITICAL,  # of what Ctrl-C cuts short; what fails is told
         )
 
     with ThreadPoolExecutor(1) as thread:
