@@ -18,7 +18,6 @@ from scipy.ndimage import (
     maximum_filter,
     minimum_filter,
 )
-from scipy.ndimage import label as label_components
 
 from ..errors import InputError, RepairWarning
 from ..geometry.labels.voxels import voxel_labels
@@ -27,9 +26,7 @@ from ..geometry.seed_points import labels_from_points
 from ..images.missing import filled
 from ..optics import Optics
 from ..scene import Grid
-
-Labels = NDArray[np.signedinteger]
-Mask = NDArray[np.bool_]
+from .bright_regions import STRANGER, Labels, Mask, alike, bright_regions
 
 # Widths of the PSF around a starting surface: beyond, hardly any light is its own. Less where it
 # lies on the membranes than where it was made from regions of the image: measured on neighbours of
@@ -47,17 +44,6 @@ _LOW, _DEVIATION = 10, 1.2816  # a percentile of the standard normal distributio
 # Widths: what is as bright this far around on all sides is haze, and nobody's, since a membrane
 # would have faded.
 _HAZE = 4.0
-# A region of the image is that of a start placed by hand if its volume is that of the start, up to
-# this factor: of starts of 0.5 to 2 radii, whose volumes are an eighth to eight times that.
-_SAME = 10.0
-# Bright regions, in radii of the smallest start; chosen on simulated nuclei, single and touching,
-# among specks, from 5 photons on. Noise and texture are smoothed away over this;
-_CALM = 0.15
-# the core of a start lies this deep: where it is not as bright as this share of its brightest
-# places, these are membranes; chosen on the same images.
-_DEEP, _FULL = 0.5, 0.75
-_HALF = 0.5  # share of the brightness inside at which a bright region ends
-_THIN = 0.35  # what is thinner than twice this is another thing: a speck, a neck to a neighbour
 
 
 def counted_voxels(image: np.ndarray, grid: Grid, mesh: Mesh, optics: Optics) -> np.ndarray:
@@ -79,7 +65,7 @@ def counted_voxels(image: np.ndarray, grid: Grid, mesh: Mesh, optics: Optics) ->
     (Z, Y, X) bool.
     """
     labels = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
-    return _shared_out(image, grid, surface_voxels(mesh, grid), labels > 0, optics, _NEAR)
+    return _shared_out(image, grid, surface_voxels(mesh, grid), labels, optics, _NEAR)
 
 
 def counted_around(image: np.ndarray, grid: Grid, mesh: Mesh, optics: Optics) -> np.ndarray | None:
@@ -91,24 +77,24 @@ def counted_around(image: np.ndarray, grid: Grid, mesh: Mesh, optics: Optics) ->
     starts = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
     if not (np.isfinite(image).any() and np.isin(mesh.region_ids(), starts).all()):
         return None
-    labels = _bright_regions(image, grid, starts)
+    labels = bright_regions(image, grid, starts)
     if labels is None:
         labels = _dark_regions(image, grid, mesh, starts)
     if labels is None:
         # The image shows no such region: what lies as near as the membrane may is theirs.
-        given = surface_voxels(mesh, grid), starts > 0, optics
+        given = surface_voxels(mesh, grid), starts, optics
         return _shared_out(image, grid, *given, max(_EXPLAINED, _radius(mesh, optics)))
     surface = np.zeros(labels.shape, bool)
     for region in np.unique(labels[labels > 0]):
         own = labels == region
         surface |= own & ~binary_erosion(own, border_value=1)
-    return _shared_out(image, grid, surface, labels > 0, optics, _EXPLAINED)
+    return _shared_out(image, grid, surface, labels, optics, _EXPLAINED)
 
 
 def _shared_out(
-    image: np.ndarray, grid: Grid, surface: Mask, inside: Mask, optics: Optics, explained: float
+    image: np.ndarray, grid: Grid, surface: Mask, labels: Labels, optics: Optics, explained: float
 ) -> np.ndarray:
-    known = np.isfinite(image)
+    known, inside = np.isfinite(image), labels > 0
     if not (surface & known).any():
         return known
     pixels = np.where(known, image, np.nanmedian(image)).astype(np.float32)
@@ -123,8 +109,10 @@ def _shared_out(
     crest = np.maximum(maximum_filter(pixels, tuple(_across(1 / spacing)))[tuple(at)], membrane)
     least = np.maximum(_BRIGHT * (crest - dark), _ABOVE * _noise(pixels[known]))
     bright = pixels - np.maximum(haze, 0) > dark + least
-    # What lies in a cell is light of this cell, whatever it is.
+    # What lies in a cell is light of this cell, whatever it is; that of strangers is theirs however
+    # near: half way to them, a fit still grew into what it could not see of them.
     foreign = bright & (own > _reach(bright, own, ~inside & known, explained)) & ~inside & known
+    foreign |= known & (labels == STRANGER)
     if not foreign.any():
         return known
     other = distance_transform_edt(~foreign, sampling=spacing)
@@ -166,44 +154,6 @@ def _noise(values: np.ndarray) -> float:
     return float(middle - low) / _DEVIATION
 
 
-def _bright_regions(image: np.ndarray, grid: Grid, starts: Labels) -> Labels | None:
-    """(Z, Y, X) the bright region that each start lies in; None if one is dark, or has none.
-
-    Bright things that touch are parted where they are narrow, and thin ones do not belong to it.
-    """
-    size = np.asarray(grid.voxel_size)
-    regions = np.unique(starts[starts > 0])
-    radius = min(np.cbrt(3 / (4 * np.pi) * (starts == r).sum() * size.prod()) for r in regions)
-    smooth = gaussian_filter(filled(image).astype(np.float32), _CALM * radius / size)
-    dark = np.percentile(smooth, 20)
-    deep = distance_transform_edt(starts > 0, sampling=size) > _DEEP * radius
-    levels = []
-    for r in regions:
-        inside, core = smooth[starts == r] - dark, smooth[deep & (starts == r)] - dark
-        if not core.size or np.median(core) < _FULL * np.percentile(inside, 95):
-            return None
-        levels.append(np.median(inside))
-    bright = smooth - dark > _HALF * min(levels)
-    thick = distance_transform_edt(bright, sampling=size) > _THIN * radius
-    things = label_components(thick)[0]
-    own = np.isin(things, np.unique(things[starts > 0])) & thick
-    if not own.any():
-        return None
-    near = distance_transform_edt(~own, sampling=size)
-    mine = bright & (near <= _THIN * radius)
-    if (thick & ~own).any():  # without any, distances to it mean nothing
-        mine &= near <= distance_transform_edt(own | ~thick, sampling=size)
-    _, at = distance_transform_edt(starts == 0, sampling=size, return_indices=True)
-    found: Labels = np.where(mine, starts[tuple(at)], 0)
-    return found if _alike(found, starts, regions) else None
-
-
-def _alike(found: Labels, starts: Labels, regions: np.ndarray) -> bool:
-    """Whether each region of the image is about as large as its start."""
-    volumes = ((int((found == r).sum()), int((starts == r).sum())) for r in regions)
-    return all(start / _SAME < volume < start * _SAME for volume, start in volumes)
-
-
 def _dark_regions(image: np.ndarray, grid: Grid, mesh: Mesh, starts: Labels) -> Labels | None:
     """(Z, Y, X) the dark region around the deepest voxel of each start; None if one has none."""
     size, first = np.asarray(grid.voxel_size), np.asarray(grid.origin)
@@ -220,7 +170,7 @@ def _dark_regions(image: np.ndarray, grid: Grid, mesh: Mesh, starts: Labels) -> 
         return None
     names = np.concatenate([[0], mesh.region_ids()])
     named = names[found]
-    return named if _alike(named, starts, np.asarray(mesh.region_ids())) else None
+    return named if alike(named, starts, np.asarray(mesh.region_ids())) else None
 
 
 def surface_voxels(mesh: Mesh, grid: Grid) -> np.ndarray:

@@ -1,0 +1,91 @@
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+from scipy.ndimage import gaussian_filter
+
+from napari_deltamic import GaussianPSF, Grid
+from napari_deltamic.fitting.bright_regions import STRANGER, bright_regions
+from napari_deltamic.fitting.voxel_ownership import counted_around
+from napari_deltamic.geometry import sphere
+
+GRID = Grid((20, 26, 44), (2.0, 1.0, 1.0))  # um
+OPTICS = GaussianPSF((2.4, 1.2, 1.2))
+CENTER, RADIUS = (20.0, 13.0, 13.0), 9.0
+
+
+def ball(center, radius):
+    """(Z, Y, X) bool."""
+    voxels = np.moveaxis(np.indices(GRID.shape), 0, -1) * GRID.voxel_size
+    return np.linalg.norm(voxels - center, axis=-1) < radius
+
+
+def photographed(light, photons=60):
+    """Photons of what shines, blurred, over 2."""
+    blurred = gaussian_filter(light.astype(float), (0.9, 1.3, 1.3))
+    return np.random.default_rng(0).poisson(2 + photons * blurred).astype(np.float32)
+
+
+def overlap(found, true):
+    """Volume that both hold over that of either."""
+    return (found & true).sum() / (found | true).sum()
+
+
+OWN = ball(CENTER, RADIUS)
+OTHER = ball((20, 13, 29.5), 8.0) & ~OWN  # touches it
+WITHIN_OTHER = ball((20, 13, 29.5), 6.5)
+
+
+@pytest.mark.parametrize(("scale", "offset"), [(0.6, -0.3), (1.0, 0.1), (1.4, 0.1)])
+def test_a_nucleus_that_touches_is_told_from_the_other(scale, offset):
+    start = ball(np.add(CENTER, (0, 0, offset * RADIUS)), scale * RADIUS).astype(np.int32)
+    found = bright_regions(photographed(OWN | OTHER), GRID, start)
+    assert overlap(found == 1, OWN) > 0.8
+    assert (found[OTHER] == 1).mean() < 0.01
+    assert (found[WITHIN_OTHER] == STRANGER).mean() > 0.9
+
+
+@pytest.mark.parametrize("brightness", [1 / 3, 3])
+def test_whatever_the_brightness_of_the_other(brightness):
+    image = photographed(OWN + brightness * OTHER)
+    start = ball(np.add(CENTER, (2, 1, -1)), 0.8 * RADIUS).astype(np.int32)
+    found = bright_regions(image, GRID, start)
+    assert overlap(found == 1, OWN) > 0.75
+    assert (found[OTHER] == 1).mean() < 0.02
+
+
+def test_what_touches_does_not_count_however_near():
+    start = sphere(np.add(CENTER, (1, 1, 1)), 0.9 * RADIUS)
+    counted = counted_around(photographed(OWN | OTHER), GRID, start, OPTICS)
+    assert counted[OWN].mean() > 0.98
+    assert counted[OTHER].mean() < 0.02
+
+
+def test_a_nucleus_of_two_lobes_stays_whole_where_its_start_holds_both():
+    first, second = ball((20, 13, 12), 8.0), ball((20, 13, 25), 8.0)
+    image = photographed(first | second)
+    whole = bright_regions(image, GRID, ball((20, 13, 18.5), 11.5).astype(np.int32))
+    assert overlap(whole == 1, first | second) > 0.8
+    half = bright_regions(image, GRID, ball((20, 13, 12), 7.0).astype(np.int32))
+    assert (half[second & ~first] == 1).mean() < 0.25
+
+
+def test_nuclei_of_unequal_brightness_end_at_half_of_their_own():
+    image = photographed(OWN + OTHER / 4, photons=200)
+    starts = ball(CENTER, 8.0) + 3_000_000_000 * ball((20, 13, 29.5), 7.0).astype(np.int64)
+    found = bright_regions(image, GRID, starts)
+    assert overlap(found == 1, OWN) > 0.85
+    assert overlap(found == 3_000_000_000, OTHER) > 0.75
+    assert_array_equal(np.unique(found), (0, 1, 3_000_000_000))
+
+
+def test_a_speck_beside_a_nucleus_is_a_stranger():
+    speck = ball((20, 13, 25.5), 2.1)
+    image = photographed(OWN + 4 * speck)
+    found = bright_regions(image, GRID, OWN.astype(np.int32))
+    assert overlap(found == 1, OWN) > 0.8
+    assert (found[speck] == STRANGER).mean() > 0.7
+
+
+def test_dark_cores_have_no_bright_region():
+    image = photographed(OWN & ~ball(CENTER, 0.7 * RADIUS))
+    assert bright_regions(image, GRID, OWN.astype(np.int32)) is None
