@@ -16,6 +16,7 @@ from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.foam import foam
 
 from .imaging import (
+    FINE,
     Array,
     Field,
     counted_photons,
@@ -50,6 +51,8 @@ class Recipe:
     specks: int = 0
     thickness: float = 0.0
     unequal: float = 0.0  # standard deviation of the log brightness from cell to cell
+    grain: float = 0.0  # the same inside cells, over a few voxels: chromatin
+    fading: float = 1.0  # brightness of the last slice, of that of the first
     seeds: SeedKind = "spheres"
     start: tuple[float, float] = (0.9, 0.1)  # radius of spheres and meshes, offset, in radii
     told: tuple[str, ...] = ()  # what the command that knows all is told besides the PSF
@@ -106,10 +109,14 @@ def scene_of(name: str, recipe: Recipe, rng: np.random.Generator) -> Scene:
     peak = float(np.percentile(imaged(shining, space, sigma), 99.5))
     light += recipe.membrane * shining / peak
     solid = {k: inside(truth, k, space.fine_shape, space.fine_position) for k in centres}
+    grain = _grain(recipe, space, rng) if recipe.grain else 1.0
     for k, occupied in solid.items():
-        light += recipe.interior * cell[k] * occupied
+        light += recipe.interior * cell[k] * occupied * grain
     if recipe.haze:
         light += recipe.haze * _haze(space, rng) * (1 - sum(solid.values()))
+    if recipe.fading != 1:
+        deep = (np.arange(space.fine_shape[0]) / FINE - space.rim) / recipe.shape[0]
+        light *= (recipe.fading**deep)[:, None, None]
     clean = imaged(light, space, sigma)
     if recipe.specks:
         clean += _specks(recipe, space, solid, rng)
@@ -182,6 +189,13 @@ def _density(
         return np.asarray(np.exp(log))
 
     return density
+
+
+def _grain(recipe: Recipe, space: Field, rng: np.random.Generator) -> Array:
+    """Clumps of about four voxels, one on average."""
+    noise = gaussian_filter(rng.normal(size=space.fine_shape), 1.7 * FINE)
+    clumps = np.exp(recipe.grain * noise / noise.std())
+    return np.asarray(clumps / clumps.mean())
 
 
 def _haze(space: Field, rng: np.random.Generator) -> Array:
@@ -348,6 +362,26 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
         seeds="labels",
         interior=rng.uniform(0.2, 0.8),
         unequal=0.4,
+    ),
+    "tissue-partial": lambda rng: Recipe(
+        _tissue(rng), (1, 2), True, roughness=0.08, shape=(44, 44, 44), seeds="labels"
+    ),
+    "grainy-nuclei": lambda rng: _crowd(
+        rng, membrane=0.0, interior=1.0, grain=rng.uniform(0.2, 0.5)
+    ),
+    "fading": lambda rng: replace(PLAIN, fading=rng.uniform(0.2, 0.5)),
+    "fading-tissue": lambda rng: Recipe(
+        _tissue(rng),
+        (1, 2, 3, 4),
+        True,
+        roughness=0.08,
+        shape=(44, 44, 44),
+        seeds="labels",
+        interior=rng.uniform(0.0, 0.5),
+        fading=rng.uniform(0.2, 0.5),
+    ),
+    "neighbours-nuclei": lambda rng: replace(
+        _neighbours(rng, "labels"), membrane=0.0, interior=1.0, unequal=0.4
     ),
     "flat": lambda rng: replace(
         PLAIN, aspect=rng.uniform(3.5, 5), shape=(16, 44, 44), cells=((0, 0, 0, 13.0),)

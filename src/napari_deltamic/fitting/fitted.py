@@ -128,6 +128,7 @@ class Fitted:
             "pinned": self.shape.pinned,
             "log_density": np.zeros(0) if log is None else log,
             "optics": self.optics.parameters().detach().numpy(),
+            "light": np.array([self.light.membrane, self.light.interior]),
             "insides": np.array(self.light.cells, np.float64).reshape(-1, 2),
             **({} if self.learnt is None else self.learnt.saved()),
         }
@@ -160,8 +161,11 @@ class Fitted:
             if found["log_density"].shape != (known,):
                 raise InputError("the checkpoint is damaged: its densities are of another mesh")
             shape = shape.moved(mesh.vertices_numpy(), found["log_density"])
-        cells = {"cells": found.get("insides", ())}  # earlier versions knew none
-        light = replace(self.light, cells=Light.from_dict(cells).cells)
+        light = self.light
+        if "light" in found:  # earlier versions kept none
+            membrane, interior = found["light"].tolist()
+            kept = {"membrane": membrane, "interior": interior, "cells": found["insides"]}
+            light = Light.from_dict(kept)
         learnt = Learnt.loaded(found)
         return replace(restored, shape=shape, effects=effects, light=light, learnt=learnt)
 

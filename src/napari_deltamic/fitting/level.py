@@ -138,12 +138,12 @@ class Level:
         self.volume_ratio = float(1 / np.prod(shape.step))
         self.device = choose_device(settings.device)
         blurred = self._blurred(image, counted, grid)
-        self.target, self._counted, self._known = (t.to(self.device) for t in blurred)
+        self.target, self.counted, self._known = (t.to(self.device) for t in blurred)
         # Where the blur is wider than the field of view, hardly a voxel is left to go by.
-        self.usable = int(self._counted.sum()) >= FEWEST_VOXELS
+        self.usable = int(self.counted.sum()) >= FEWEST_VOXELS
         if self.usable:
             self.noise = ImageNoise(
-                self.target[self._counted], settings.likelihood, camera=effects.detector
+                self.target[self.counted], settings.likelihood, camera=effects.detector
             )
         self._spread = spread if effects.spread > 0 else 0.0
 
@@ -262,7 +262,7 @@ class Level:
         near = (plain(effects.without(*hiding)) if hiding else membranes) > least
         if hiding and self._spread > 0:
             near = _dilated(near, [self._spread / d for d in self.grid.voxel_size])
-        return self._varied(near & self._counted)
+        return self._varied(near & self.counted)
 
     def weighted(self, index: Tensor, rendered: Tensor, effects: Effects) -> Voxels:
         """Some voxels, weighted by the likelihood.
@@ -282,7 +282,7 @@ class Level:
         a, b, _ = solve_scale(model, measured - further, torch.ones_like(measured))
         expected = a * model + b + further
         left = self.target - (a * rendered + (0.0 if added is None else added)).to(self.target)
-        noise = _differences(left).reshape(-1)[index]
+        noise = differences(left).reshape(-1)[index]
         return Voxels(
             index, measured, self.noise.weights(measured, expected, measured - expected, noise)
         )
@@ -291,7 +291,7 @@ class Level:
         """Flat indices of these voxels; of all that count where these are too few."""
         index = torch.nonzero(inside.reshape(-1))[:, 0]
         if len(index) < FEWEST_VOXELS:
-            index = torch.nonzero(self._counted.reshape(-1))[:, 0]
+            index = torch.nonzero(self.counted.reshape(-1))[:, 0]
         values = self.target.reshape(-1)[index]
         if not bool(values.min() < values.max()):
             raise InputError("the image is flat wherever the mesh reaches: start nearer to it")
@@ -304,7 +304,7 @@ class Level:
         return float(np.exp(-(self.settings.reach**2) / 2) * peak)
 
 
-def _differences(image: Tensor) -> Tensor:
+def differences(image: Tensor) -> Tensor:
     """(Z, Y, X) what is left of voxels when the mean of their neighbours along X is taken away.
 
     As large as the noise of one voxel in the mean.

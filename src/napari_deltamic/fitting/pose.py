@@ -16,12 +16,13 @@ from ..geometry.junction_bending import JunctionBending
 from ..geometry.mesh import FloatArray
 from ..scene import Renderer
 from ..scene.effects import Effects
-from ..scene.light import MEMBRANES, Light
+from ..scene.light import INSIDES, MEMBRANES, Light
 from .amplitudes import light_of
 from .density import Density
+from .evening import unevenness
 from .imaging import Imaging
 from .insides import Insides
-from .level import Level, Voxels
+from .level import Level, Voxels, differences
 from .likelihood import Match, explained, total
 from .posterior import Posterior, Prior
 from .preconditioner import Preconditioner
@@ -129,6 +130,10 @@ def pose(
         rendered = look.rendered(at, light)
     found = look.found(voxels, rendered)
     views = list(held)
+    read = level.factor == 1 and density.model != "uniform" and shone.interior > 0
+    if read and not held:
+        voxels = look.evened(voxels, at, light, found)
+        found = look.found(voxels, rendered)
     if not held:
         views = [look.view(voxels, rendered, found, tempered)]
         if second is not None:
@@ -252,6 +257,30 @@ class _Look:
         given = residual, index, level.grid.shape, tuple(widths)
         variance = tempered_variance(*given, alone)
         return View(voxels, variance, alone / variance, optics)
+
+    def evened(self, voxels: Voxels, at: Variables, light: Light, found: Match) -> Voxels:
+        """With insides as even as they are modelled, where the image says that they are not."""
+        level = self.level
+        if light.interior <= 0 or not found.amplitude > 0:
+            return voxels
+        volume = float(np.prod(level.grid.voxel_size)) * level.volume_ratio
+        alike = replace(at, insides=np.zeros_like(at.insides))
+        share = _double(self.rendered(alike, INSIDES)) / volume
+        shown = found.amplitude * _double(self.rendered(at, replace(light, membrane=0.0)))
+        rest = found.amplitude * _double(self.rendered(at, light)) - shown + found.background
+        added = level.offset(self.imaging.effects)
+        insides = _double(level.target if added is None else level.target - added) - rest
+        widths = np.asarray(self.imaging.optics.sigma_um) / np.asarray(level.grid.voxel_size)
+        noise = _double(differences(torch.from_numpy(insides - shown)))
+        share = np.where(level.counted.cpu().numpy(), share, 0.0)
+        uneven = unevenness(insides, shown, share, noise, widths)
+        if uneven is None:
+            return voxels
+        index = voxels.index.cpu().numpy()
+        gain = torch.from_numpy(uneven.reshape(-1)[index]).to(voxels.weights)
+        own = torch.from_numpy(insides.reshape(-1)[index]).to(gain)
+        evened = voxels.measured + own * (1 / gain - 1)
+        return replace(voxels, measured=evened, weights=voxels.weights * gain**2)
 
     def second_view(self, level: Level, at: Variables, light: Light, tempered: bool) -> View:
         """The second image, with a background and an amplitude of its own."""

@@ -12,7 +12,7 @@ from typing import Any
 
 from ..evidence import outgrowths, sanity, strays, verdict
 from ..evidence.evidence_rules import CAMERA, RESIDUAL, SPECTRUM
-from ..fitting import rival_structures, shape_dial, structure_choice, topology
+from ..fitting import evening, rival_structures, shape_dial, structure_choice, topology
 from ..fitting.schedule import Schedule
 from ..geometry.labels.cell_rules import FINDING
 
@@ -23,6 +23,7 @@ RULES_OF_A_FIT: dict[str, dict[str, Any]] = {
     "shape": asdict(shape_dial.RULES),
     "schedule": asdict(Schedule()),
     "structure": asdict(structure_choice.RULES),
+    "uneven insides": asdict(evening.RULES),
     "rivals": asdict(rival_structures.RULES),
     "topology": asdict(topology.RULES),
     "camera": asdict(CAMERA),

@@ -1,0 +1,73 @@
+"""Insides that are uneven: read from voxels deep inside, and carried to the border."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import distance_transform_edt, gaussian_filter
+
+from napari_deltamic import GaussianPSF, Grid, fit
+from napari_deltamic.fitting.evening import RULES, unevenness
+from napari_deltamic.geometry import sphere
+from napari_deltamic.measure import surface_distance
+from napari_deltamic.runs.settings import FitSettings
+from napari_deltamic.scene.light import INSIDES
+from napari_deltamic.scene.render import expected_image
+
+GRID, OPTICS, CENTRE = Grid((34,) * 3, (1.0,) * 3), GaussianPSF(1.3), (16.4, 16.7, 16.2)
+BALL = sphere(CENTRE, 9.0, edge_length=1.2)
+WIDTHS = np.full(3, 1.3)
+INSIDE = expected_image(BALL, GRID, OPTICS, 1e-4, 1.0, 0.0, light=INSIDES).clip(0).astype(float)
+
+
+def field(sd=0.3, seed=1):
+    """Brightness that differs over about five voxels, one on average."""
+    noise = gaussian_filter(np.random.default_rng(seed).normal(size=GRID.shape), 3.0)
+    return np.exp(sd * noise / noise.std())
+
+
+def read(true, photons=100.0):
+    """What is read of an image, and where it is deep inside."""
+    shown = photons * INSIDE
+    seen = np.random.default_rng(0).poisson(shown * true + 3.0) - 3.0
+    noise = np.sqrt(shown + 3.0) * np.random.default_rng(2).choice([-1.0, 1.0], GRID.shape)
+    return unevenness(seen, shown, INSIDE, noise, WIDTHS), RULES.deep < INSIDE
+
+
+def test_it_is_read_where_a_voxel_sees_nothing_else():
+    true = field()
+    found, deep = read(true)
+    assert np.abs(found / true - 1)[deep].mean() < 0.04
+    assert np.abs(true - 1)[deep].mean() > 0.15
+
+
+def test_it_is_carried_to_the_border():
+    true = field()
+    found, deep = read(true)
+    beyond = distance_transform_edt(~deep)
+    border = (beyond > 0) & (beyond <= 2)
+    assert np.abs(found / true - 1)[border].mean() < 0.5 * np.abs(true - 1)[border].mean()
+
+
+def test_noise_alone_says_nothing():
+    assert read(np.ones(GRID.shape), photons=5.0)[0] is None
+    assert read(np.ones(GRID.shape), photons=100.0)[0] is None
+
+
+def test_where_nothing_is_deep_nothing_is_read():
+    given = INSIDE, INSIDE, 0.5 * INSIDE, 0 * INSIDE, WIDTHS
+    assert unevenness(*given) is None
+
+
+def test_it_is_no_less_and_no_more_than_a_cell_may_be():
+    found, _ = read(np.where(np.arange(34)[:, None, None] < 16, 0.02, 2.0) * np.ones(GRID.shape))
+    assert found.min() >= RULES.least
+    assert found.max() <= RULES.most
+
+
+@pytest.mark.parametrize("sd", [0.0, 0.35])
+def test_a_grainy_nucleus_is_found(sd):
+    """0.32 voxel off where its image is taken as it is."""
+    image = np.random.default_rng(4).poisson(4 + 80 * INSIDE * field(sd, seed=5)).astype(float)
+    start = sphere(CENTRE, 8.4, edge_length=2.2)
+    *_, last = fit(image, GRID, start, OPTICS, settings=FitSettings(levels=(1.0,)))
+    assert last.light.membrane == 0
+    assert surface_distance(last.mesh, BALL).mean < (0.22 if sd else 0.06)
