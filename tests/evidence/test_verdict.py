@@ -55,6 +55,7 @@ def test_what_concerns_all(change, grade, word):
         ({"inside": 0.4}, "fair", "light inside"),
         ({"inside": -0.4}, "fair", "light around"),
         ({"compact": 0.4}, "fair", "crumpled"),
+        ({"uneven": 0.2}, "fair", "its inside is uneven, by 20% in the mean"),
     ],
 )
 def test_what_concerns_one_cell(change, grade, word):

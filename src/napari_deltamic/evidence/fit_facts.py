@@ -18,6 +18,7 @@ from .first_sigma import first_sigma
 from .outgrowths import outgrowths
 from .predicted_error import predicted_error
 from .residual import Residual
+from .uneven_insides import uneven_insides
 from .verdict import RULES, CellFacts, Facts, Verdict, judged
 
 _DEEP, _FAR = 2.5, 6.0  # widths of the PSF from a surface: what its own light hardly reaches
@@ -58,6 +59,7 @@ def facts_of(
     light: dict[int, float] = {}
     for spot in left.spots:
         light[spot.region] = max(light.get(spot.region, 0.0), abs(spot.light))
+    uneven = uneven_insides(job, state, np.asarray(image))
     cells = tuple(
         CellFacts(
             region,
@@ -69,6 +71,7 @@ def facts_of(
             compact.get(region),
             unsure and hardly_wider(volumes[region], job.optics),
             None if region not in grown_out else tuple(grown_out[region].tolist()),
+            uneven.get(region, 0.0),
         )
         for region, area in areas.items()
     )

@@ -1,0 +1,49 @@
+"""How uneven the inside of each cell is: what a model of even insides cannot show."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from ..fitting.evening import RULES, unevenness
+from ..fitting.job import FitInput
+from ..fitting.level import differences
+from ..fitting.state import FitState
+from ..geometry.labels.voxels import voxel_labels
+from ..scene.light import INSIDES
+from ..scene.render import expected_image
+
+_ACCURACY = 1e-2  # of images that are only compared where they are brightest
+
+
+def uneven_insides(job: FitInput, state: FitState, rendered: np.ndarray) -> dict[int, float]:
+    """Standard deviation of the relative brightness deep inside each cell, noise left out.
+
+    Parameters
+    ----------
+    rendered
+        (Z, Y, X) image of the state.
+    """
+    if state.light.interior <= 0 or not state.amplitude > 0:
+        return {}
+    grid, mesh = job.grid, state.mesh
+    given = mesh, grid, state.optics, _ACCURACY
+    alone = replace(state.light, membrane=0.0)
+    shown = expected_image(*given, state.amplitude, 0.0, effects=state.effects, light=alone)
+    share = expected_image(*given, 1.0, 0.0, light=INSIDES) / float(np.prod(grid.voxel_size))
+    image = np.asarray(job.image, np.float64)
+    known = np.isfinite(image)
+    left = np.where(known, image - rendered, 0.0)
+    share = np.where(known if job.counted is None else known & job.counted, share, 0.0)
+    widths = np.asarray(state.optics.sigma_um) / np.asarray(grid.voxel_size)
+    noise = differences(torch.from_numpy(left)).numpy()
+    shown = shown.astype(np.float64)
+    found = unevenness(left + shown, shown, share.astype(np.float64), noise, widths)
+    if found is None:
+        return {}
+    labels = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
+    deep = share > RULES.deep
+    cells = {int(k): deep & (labels == k) for k in mesh.region_ids()}
+    return {k: float(found[own].std()) for k, own in cells.items() if own.any()}
