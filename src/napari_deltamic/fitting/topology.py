@@ -29,8 +29,6 @@ class TopologyRules:
     thin
         Median edges: what is thinner may give way. The guard holds surfaces apart at a thousandth;
         a quarter is what triangles of that size can no longer show.
-    small
-        Median edges squared: walls smaller than that may go: they are less than a triangle.
     narrow, small_at_end
         Median edges: what is tried at the end of a fit, when nothing presses: necks and holes as
         narrow, walls and junctions as small. Two rows of triangles face each other there.
@@ -67,7 +65,6 @@ class TopologyRules:
     """
 
     thin: float = 0.25
-    small: float = 0.5
     narrow: float = 1.6
     small_at_end: float = 1.0
     close: float = 0.5
@@ -171,12 +168,14 @@ class TopologyPolicy:
     late: int = 0
     most: int = _ALL
 
-    def pressing(self, shape: Shape, blur: float) -> tuple[TopologyPolicy, list[ThinPlace]]:
-        """Places that have been thin for a while, narrowest first."""
+    def pressing(self, shape: Shape) -> tuple[TopologyPolicy, list[ThinPlace]]:
+        """Places that have been thin for a while, narrowest first.
+
+        Small walls are none: those that a blurred level took for nothing were half of the large
+        contacts that foams of 16 cells lost. The image tells, at the end.
+        """
         edge = median_edge(shape.mesh)
         places = thin_places(shape.mesh, RULES.thin * edge, apart=RULES.same * edge)
-        if blur > 1:  # else the image tells, at the end
-            places += small_walls(shape.mesh, RULES.small * edge**2)
         found = self._free(shape, places, self.hopeless)
         lasting = [p for p in found if any(_lasts(p, q, edge) for q in self.seen)]
         lasting = sorted(lasting, key=lambda p: p.width)[: self.most]

@@ -57,7 +57,7 @@ class TopologyTrials:
         if self._waits(iteration):
             return fitted
         fitted = self.judged(fitted, settings)
-        self.policy, places = self.policy.pressing(fitted.shape, factor)
+        self.policy, places = self.policy.pressing(fitted.shape)
         return self._changed(fitted, settings, places, iteration, tried=False) if places else fitted
 
     def end_level(self, fitted: Fitted, settings: FitSettings, iteration: int) -> Fitted:
