@@ -1,6 +1,7 @@
 """What several tests need."""
 
 import os
+import signal
 import tempfile
 from pathlib import Path
 
@@ -9,6 +10,11 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import pytest
 import torch
+
+# A shell that starts the tests in the background has them ignore Ctrl-C, and so the programs that
+# they start, which are to be interrupted.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Costs that a user's machine has kept are no business of the tests, nor theirs of the user's.
 _CACHE = tempfile.TemporaryDirectory()

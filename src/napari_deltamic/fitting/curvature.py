@@ -21,10 +21,10 @@ from ..geometry.mesh import FloatArray, Mesh
 from ..scene.light import INSIDES, Light
 from .directions import Directions
 from .factors import on_host
-from .insides import each_alone
 from .likelihood import solve_scale
 from .normal_jacobian import Colouring, normal_jacobian
 from .posterior import Posterior
+from .unequal_insides import each_alone
 from .variables import Variables
 
 # What is affordable: 154 colours of a 64^3 image took 2 s, most of it in transforms, or 50 ns for

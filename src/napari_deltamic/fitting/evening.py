@@ -30,7 +30,8 @@ class EveningRules:
         Widths of the PSF over which it is smoothed, and so how far it is carried: 0.7 and 1.5 were
         about as good.
     cut_off
-        Standard deviations at which the filter ends; further out it is carried as it is.
+        Standard deviations at which the filter ends: so far that it reaches the border of a cell
+        from wherever brightness is read.
     noise
         Times the variance that noise gives it: what exceeds that is believed.
     least, most
@@ -46,7 +47,9 @@ class EveningRules:
 
 
 RULES = EveningRules()
-_FADES = 1e-3  # of the largest sum of weights: beyond its reach brightness is taken to be even
+# Of the largest sum of weights: where there is less, nothing is near enough to read from, and
+# brightness is taken to be even.
+_FADES = 1e-3
 
 
 def unevenness(

@@ -15,7 +15,6 @@ from .density import LIMIT, Density
 from .descent import Descent
 from .fitted import Fitted
 from .imaging import Imaging
-from .insides import Insides
 from .level import Level
 from .metric import Metric
 from .pose import pose
@@ -24,6 +23,7 @@ from .preconditioner import NEAR_JUNCTIONS, Preconditioners
 from .prediction import View
 from .schedule import Schedule
 from .structure_choice import Chosen, chosen
+from .unequal_insides import Insides
 from .variables import Variables
 
 _STRAYED = 0.97  # of as far as vertices may go: only rounding and the guard keep it from all of it

@@ -21,7 +21,6 @@ from .amplitudes import light_of
 from .density import Density
 from .evening import unevenness
 from .imaging import Imaging
-from .insides import Insides
 from .level import Level, Voxels, differences
 from .likelihood import Match, explained, total
 from .posterior import Posterior, Prior
@@ -29,6 +28,7 @@ from .preconditioner import Preconditioner
 from .prediction import View
 from .shape import Shape
 from .tempering import tempered_variance
+from .unequal_insides import Insides
 from .variables import Variables
 
 # Share of its voxels by which a surface may have left those that are held: with more, the image

@@ -20,11 +20,11 @@ from ..scene.effects import Effects
 from ..scene.light import INSIDES, Light
 from .density import Density
 from .imaging import Imaging
-from .insides import Insides
 from .lbfgs import dot
 from .level import Level
 from .likelihood import Match, explained, total
 from .prediction import Prediction, Unknowns, View, as_floats
+from .unequal_insides import Insides
 from .variables import Variables
 
 

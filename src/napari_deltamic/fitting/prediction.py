@@ -20,9 +20,9 @@ from ..scene.light import INSIDES, MEMBRANES, Light
 from .amplitudes import light_of
 from .density import Density
 from .imaging import Imaging
-from .insides import Insides
 from .level import Level, Voxels
 from .likelihood import match
+from .unequal_insides import Insides
 from .variables import Variables
 
 
