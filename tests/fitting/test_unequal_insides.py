@@ -60,19 +60,18 @@ def test_where_densities_are_to_be_alike_so_are_insides():
 
 def test_of_one_cell_nothing_further_is_fitted():
     ball = sphere(CENTRES[0], 7.0, edge_length=2.0)
-    assert len(Insides.of(ball, "smooth", "interior", OPTICS)) == 0
-    assert len(Insides.of(two(7.0), "smooth", "membrane", OPTICS)) == 0
+    assert len(Insides.of(ball, "smooth", "interior", False)) == 0
+    assert len(Insides.of(two(7.0), "smooth", "membrane", False)) == 0
 
 
-def test_where_a_blur_hides_insides_they_are_alike():
-    given = two(7.0), "smooth", "both", OPTICS
-    assert len(Insides.of(*given, blur=2.0)) == 2
-    assert len(Insides.of(*given, blur=3.0)) == 0
+def test_at_blurred_levels_they_are_alike():
+    assert len(Insides.of(two(7.0), "smooth", "both", blurred=False)) == 2
+    assert len(Insides.of(two(7.0), "smooth", "both", blurred=True)) == 0
 
 
 def test_numbers_belong_to_regions_by_name():
     mesh = two(7.0, first=4)
-    insides = Insides.of(mesh, "smooth", "both", OPTICS)
+    insides = Insides.of(mesh, "smooth", "both", False)
     light = Light(1.0, 2.0, ((5, 0.5), (4, 1.5), (9, 7.0)))
     numbers = insides.numbers(light, np.array([3.0, 3.0]))
     np.testing.assert_allclose(numbers, [0.5, -0.5])

@@ -99,10 +99,7 @@ def may_shine(asked: StructureChoice, mesh: Mesh, optics: Optics) -> Structure:
     return "membrane" if hardly_wider(float(np.median(volumes)), optics) else "both"
 
 
-def hardly_wider(volume: float, optics: Optics, blur: float = 1.0) -> bool:
-    """Whether insides of a cell of so many um^3 look like membranes through the PSF.
-
-    blur : widths of the PSF to which the image is blurred.
-    """
+def hardly_wider(volume: float, optics: Optics) -> bool:
+    """Whether insides of a cell of so many um^3 look like membranes through the PSF."""
     radius = np.cbrt(3 / (4 * np.pi) * abs(volume))
-    return bool(radius <= _TELLING * blur * float(np.prod(optics.sigma_um)) ** (1 / 3))
+    return bool(radius <= _TELLING * float(np.prod(optics.sigma_um)) ** (1 / 3))

@@ -108,7 +108,7 @@ def pose(
     level, second = levels
     known = shape.log_density
     log = np.zeros(len(density)) if known is None else density.centred(known)
-    insides = Insides.of(shape.mesh, density.model, structure, imaging.optics, level.factor)
+    insides = Insides.of(shape.mesh, density.model, structure, level.factor > 1)
     volumes = np.array(list(shape.mesh.volumes().values()))
     cells = insides.numbers(shone, volumes)
     at = Variables(shape.mesh.vertices_numpy(), log, cells, *imaging.numbers())

@@ -9,9 +9,7 @@ from torch import Tensor
 
 from ..common.choices import DensityModel, Structure
 from ..geometry.mesh import FloatArray, IntArray, Mesh
-from ..optics import Optics
 from ..scene.light import Light
-from .amplitudes import hardly_wider
 from .lbfgs import dot
 
 # In the mean over cells, of what they share: insides that differ by less count as alike, as smooth
@@ -39,25 +37,15 @@ class Insides:
     regions: IntArray
 
     @classmethod
-    def of(
-        cls,
-        mesh: Mesh,
-        model: DensityModel,
-        structure: Structure,
-        optics: Optics,
-        blur: float = 1.0,
-    ) -> Insides:
-        """Of a mesh of which that shines, in an image blurred to so many widths of the PSF.
+    def of(cls, mesh: Mesh, model: DensityModel, structure: Structure, blurred: bool) -> Insides:
+        """Of a mesh of which that shines.
 
-        Alike where densities are to be the same everywhere, and while the blur hides insides: they
+        Alike where densities are to be the same everywhere, and at blurred levels, where they
         would stand in for shapes that are still far off.
         """
         regions = mesh.region_ids()
-        free = structure != "membrane" and model != "uniform" and len(regions) > 1
-        if free:
-            typical = float(np.median(np.abs(list(mesh.volumes().values()))))
-            free = not hardly_wider(typical, optics, blur)
-        return cls(regions if free else regions[:0])
+        free = structure != "membrane" and model != "uniform" and not blurred
+        return cls(regions if free and len(regions) > 1 else regions[:0])
 
     def __len__(self) -> int:
         return len(self.regions)
