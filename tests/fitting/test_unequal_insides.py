@@ -1,6 +1,7 @@
 """Insides that are not equally bright."""
 
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -130,6 +131,10 @@ def test_a_fit_goes_on_from_a_checkpoint_with_its_insides(tmp_path):
     resumed = fit(image, GRID, two(7.0), OPTICS, settings=SETTINGS, resume=tmp_path / "kept.npz")
     *_, again = resumed
     assert again.light.cells == states[-1].light.cells
+
+
+def test_a_light_is_what_its_report_says():
+    assert Light.from_dict(json.loads(json.dumps(asdict(BOTH)))) == BOTH
 
 
 def test_a_light_from_an_earlier_file_has_insides_alike():
