@@ -32,8 +32,8 @@ class StructureRules:
     membranes, outshone
         The same of membranes beside insides that differ from 0 by so many times as many errors.
         Measured (benchmarks.defaults): where nuclei with chromatin shine alone, 3 to 4, and insides
-        30 to 60 times as many; where there were membranes, 8 to 300, and 3 to 5 while their shape
-        was off, with insides at one to four times as many.
+        30 to 60 times as many; where there were membranes, 8 to 300, and 1 to 5 while their shape
+        was off, with insides at one to five times as many.
     moves
         Voxels. An amplitude also leaves where the surface would move by less than this without it,
         root mean square: the bound below which effects are left out, too.
@@ -49,7 +49,7 @@ class StructureRules:
 
     errors: float = 3.0
     membranes: float = 5.0
-    outshone: float = 10.0
+    outshone: float = 6.0
     moves: float = 0.02
     sure: float = 3.0
     block: float = 4.0
@@ -101,8 +101,8 @@ def chosen(
 
     if not stays(1.0):
         return Chosen("membrane", False)
-    outshone = insides.errors > RULES.outshone * membranes.errors
-    if membranes.errors <= (RULES.membranes if outshone else RULES.errors):
+    outshone = abs(insides.errors) > RULES.outshone * membranes.errors
+    if membranes.errors <= RULES.membranes and outshone:
         return Chosen("interior", False)
     sure = stays(RULES.sure) and membranes.errors > RULES.sure * RULES.errors
     return Chosen("both", sure)
