@@ -261,6 +261,12 @@ def _tissue(rng: np.random.Generator, radius: float = 8.0) -> tuple[tuple[float,
     return tuple((*p.tolist(), s) for p, s in zip(places, sizes, strict=True))
 
 
+def _labelled_tissue(rng: np.random.Generator) -> Recipe:
+    """Four cells that share walls, all with labels."""
+    cells, names, size = _tissue(rng), (1, 2, 3, 4), (44, 44, 44)
+    return Recipe(cells, names, True, roughness=0.08, shape=size, seeds="labels")
+
+
 def _crowd(rng: np.random.Generator, **others: Any) -> Recipe:
     """Eight cells of unequal brightness, side by side, all with labels."""
     corners = np.array([[a, b, c] for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)])
@@ -343,42 +349,24 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
     "cut-deep": lambda rng: replace(
         PLAIN, cells=((rng.uniform(10, 16), 13.0, 3.0, 11.0),), shape=(36, 36, 36)
     ),
-    "tissue": lambda rng: Recipe(
-        _tissue(rng), (1, 2, 3, 4), True, roughness=0.08, shape=(44, 44, 44), seeds="labels"
+    "tissue": _labelled_tissue,
+    "tissue-spheres": lambda rng: replace(
+        _labelled_tissue(rng), seeds="spheres", start=(0.95, 0.05)
     ),
-    "tissue-spheres": lambda rng: Recipe(
-        _tissue(rng), (1, 2, 3, 4), True, roughness=0.08, shape=(44, 44, 44), start=(0.95, 0.05)
-    ),
-    "crowd": lambda rng: _crowd(rng),
+    "crowd": _crowd,
     "crowd-nuclei": lambda rng: _crowd(rng, membrane=0.0, interior=1.0),
     "crowd-nuclei-spheres": lambda rng: _crowd(rng, membrane=0.0, interior=1.0, seeds="spheres"),
     "crowd-both": lambda rng: _crowd(rng, interior=rng.uniform(0.2, 0.8)),
-    "tissue-both": lambda rng: Recipe(
-        _tissue(rng),
-        (1, 2, 3, 4),
-        True,
-        roughness=0.08,
-        shape=(44, 44, 44),
-        seeds="labels",
-        interior=rng.uniform(0.2, 0.8),
-        unequal=0.4,
+    "tissue-both": lambda rng: replace(
+        _labelled_tissue(rng), interior=rng.uniform(0.2, 0.8), unequal=0.4
     ),
-    "tissue-partial": lambda rng: Recipe(
-        _tissue(rng), (1, 2), True, roughness=0.08, shape=(44, 44, 44), seeds="labels"
-    ),
+    "tissue-partial": lambda rng: replace(_labelled_tissue(rng), seeded=(1, 2)),
     "grainy-nuclei": lambda rng: _crowd(
         rng, membrane=0.0, interior=1.0, grain=rng.uniform(0.2, 0.5)
     ),
     "fading": lambda rng: replace(PLAIN, fading=rng.uniform(0.2, 0.5)),
-    "fading-tissue": lambda rng: Recipe(
-        _tissue(rng),
-        (1, 2, 3, 4),
-        True,
-        roughness=0.08,
-        shape=(44, 44, 44),
-        seeds="labels",
-        interior=rng.uniform(0.0, 0.5),
-        fading=rng.uniform(0.2, 0.5),
+    "fading-tissue": lambda rng: replace(
+        _labelled_tissue(rng), interior=rng.uniform(0.0, 0.5), fading=rng.uniform(0.2, 0.5)
     ),
     "neighbours-nuclei": lambda rng: replace(
         _neighbours(rng, "labels"), membrane=0.0, interior=1.0, unequal=0.4

@@ -28,7 +28,7 @@ class StructureRules:
     Attributes
     ----------
     errors
-        Standard errors that it must differ from 0 by (ONE_MODEL; benchmarks.defaults).
+        Standard errors by which insides must differ from 0 to stay (benchmarks.defaults).
     membranes, outshone
         The same of membranes beside insides that differ from 0 by so many times as many errors.
         Measured (benchmarks.defaults): where nuclei with chromatin shine alone, 3 to 4, and insides
