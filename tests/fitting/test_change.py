@@ -7,6 +7,7 @@ from napari_deltamic import Change, GaussianPSF, Grid, InputError, Mesh, fit, re
 from napari_deltamic.fitting.triangle_quality import median_edge
 from napari_deltamic.geometry import remesh, sphere
 from napari_deltamic.runs.settings import FitSettings
+from napari_deltamic.scene.effects import Effects, Halo
 from synthetic import CENTER, GRID, OPTICS, RADIUS, VOXEL, apart, measured, start
 
 QUICK = FitSettings(levels=(2.0, 1.0))
@@ -138,6 +139,33 @@ def test_a_change_is_part_of_the_checkpoint(image, tmp_path):
     again = fit(image, GRID, start(2), OPTICS, settings=QUICK, resume=tmp_path / "kept.npz")
     np.testing.assert_array_equal(next(again).mesh.vertices_numpy(), moved)
     np.testing.assert_array_equal(finished(again, None).mesh.vertices_numpy()[:5], moved[:5])
+
+
+@pytest.mark.parametrize(
+    ("change", "effects"),
+    [
+        (Change(optics=GaussianPSF(0.2)), ()),
+        (Change(effects=Effects.of(Halo(fraction=0.1, width=0.6))), (Halo(width=0.2),)),
+    ],
+)
+def test_a_fit_that_was_changed_and_resumed_is_the_one_that_went_on(tmp_path, change, effects):
+    """Its priors lie around what was given last, and its patience begins there."""
+    image = measured(noise=0)
+    settings = QUICK.model_copy(update={"fit_psf": True, "max_iterations": 25})
+    given = image, GRID, start(2), OPTICS
+    options = {"settings": settings, "effects": Effects.of(*effects)}
+    states = fit(*given, **options)
+    for _ in range(8):
+        next(states)
+    state = states.send(change)
+    state.save(tmp_path / "kept.npz")
+    last = finished(states, state)
+    resumed = [*fit(*given, **options, resume=tmp_path / "kept.npz")][-1]
+    assert resumed.iteration == last.iteration == 8 + 25
+    np.testing.assert_allclose(resumed.optics.sigma_um, last.optics.sigma_um, rtol=1e-9)
+    np.testing.assert_allclose(
+        resumed.mesh.vertices_numpy(), last.mesh.vertices_numpy(), rtol=0, atol=1e-6
+    )
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from napari_deltamic import GaussianPSF, InputError, fit
+from napari_deltamic.fitting.state import load_checkpoint
 from napari_deltamic.runs.settings import FitSettings
 from synthetic import GRID, OPTICS, apart, fitted, measured, start
 
@@ -56,6 +57,17 @@ def checkpoint(image, tmp_path):
 def resume(image, path, mesh=None, optics=OPTICS, **settings):
     mesh = start(1) if mesh is None else mesh
     return fit(image, GRID, mesh, optics, settings=FitSettings(**settings), resume=path)
+
+
+def test_of_the_first_versions_surface_and_psf_are_taken(image, checkpoint, tmp_path):
+    """They kept no ``run``: neither the iteration nor what the optimiser knew."""
+    kept, before = load_checkpoint(checkpoint), tmp_path / "before.npz"
+    np.savez(before, **{name: values for name, values in kept.items() if name != "run"})
+    state = next(resume(image, before))
+    assert state.iteration == 1
+    np.testing.assert_array_equal(state.mesh.vertices_numpy(), kept["vertices"])
+    np.testing.assert_array_equal(state.optics.parameters(), kept["optics"])
+    assert apart(state.mesh, start(1)) > 1
 
 
 def test_refuses_the_checkpoint_of_another_fit(image, checkpoint):

@@ -5,6 +5,7 @@ inside, with its image, and a fit of 30 iterations to an image of one cell, whos
 15th iteration and end are kept.
 """
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 
 import napari_deltamic as nd
 from napari_deltamic.errors import InputError
+from napari_deltamic.fitting.state import load_checkpoint
 from napari_deltamic.results.scene_file import load_scene
 from napari_deltamic.results.session_file import load_session
 from napari_deltamic.runs.settings import RunSettings, validated
@@ -69,8 +71,11 @@ def test_a_fit_goes_on_from_a_checkpoint():
     grid = Grid(image.shape, settings.scene.voxel_size)
     given = image, grid, before.start, optics
     options = {"settings": settings.fit, "effects": settings.scene.effects}
+    kept = load_checkpoint(FOLDER / "checkpoint.npz")
     states = list(nd.fit(*given, **options, resume=FOLDER / "checkpoint.npz"))
-    assert states[0].iteration <= 15
+    assert states[0].iteration == json.loads(str(kept["run"]))["iteration"] + 1 == 14
+    np.testing.assert_array_equal(states[0].mesh.vertices_numpy(), kept["vertices"])
+    assert not np.allclose(kept["vertices"], before.start.vertices_numpy(), atol=0.1)
     last = states[-1]
     assert last.light.interior == pytest.approx(ENDED, rel=0.05)
     assert last.mesh.volumes()[1] == pytest.approx(before.state.mesh.volumes()[1], rel=0.01)

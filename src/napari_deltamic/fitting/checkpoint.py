@@ -49,6 +49,7 @@ class Checkpoint:
             **self.stage.to_dict(),
             "upkeep": self.remeshing,
             "effects": self.fitted.effects.to_dict(),
+            "first_effects": self.fitted.first_effects.to_dict(),
             "policy": self.policy.to_dict(),
             "density": shape.model,
             "structure": self.fitted.structure,
@@ -94,9 +95,12 @@ class Checkpoint:
             raise InputError("the checkpoint is damaged: it is of a level that there is not")
         values, inside = without_inside(plain["effects"])
         effects, known = Effects(**values), bool(plain["density_known"])
+        first = self.fitted.first_effects
+        if "first_effects" in plain:  # earlier versions kept none
+            first = Effects(**plain["first_effects"])
         structure: Structure = plain.get("structure", self.fitted.structure)
         structure = "both" if inside else structure
-        fitted = self.fitted.with_structure(structure).loaded(found, effects, known)
+        fitted = self.fitted.with_structure(structure).loaded(found, effects, first, known)
         blurred_for = fitted.optics.with_parameters(torch.from_numpy(found["level_optics"]))
         return replace(
             self,

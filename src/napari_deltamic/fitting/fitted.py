@@ -128,6 +128,7 @@ class Fitted:
             "pinned": self.shape.pinned,
             "log_density": np.zeros(0) if log is None else log,
             "optics": self.optics.parameters().detach().numpy(),
+            "first_optics": self.first_optics.parameters().detach().numpy(),
             "light": np.array([self.light.membrane, self.light.interior]),
             "insides": np.array(self.light.cells, np.float64).reshape(-1, 2),
             **({} if self.learnt is None else self.learnt.saved()),
@@ -150,9 +151,11 @@ class Fitted:
         optics = self.optics.with_parameters(torch.from_numpy(found["optics"]))
         return replace(self, shape=shape, optics=optics)
 
-    def loaded(self, found: Arrays, effects: Effects, density_known: bool) -> Fitted:
+    def loaded(
+        self, found: Arrays, effects: Effects, first: Effects, density_known: bool
+    ) -> Fitted:
         """With all of :meth:`saved`. Raises InputError as :meth:`surface_loaded`."""
-        if effects.names != self.effects.names:
+        if (effects.names, first.names) != 2 * (self.effects.names,):
             raise other_settings()
         restored = self.surface_loaded(found)
         shape, mesh = restored.shape, restored.mesh
@@ -166,8 +169,11 @@ class Fitted:
             membrane, interior = found["light"].tolist()
             kept = {"membrane": membrane, "interior": interior, "cells": found["insides"]}
             light = Light.from_dict(kept)
-        learnt = Learnt.loaded(found)
-        return replace(restored, shape=shape, effects=effects, light=light, learnt=learnt)
+        optics = self.first_optics
+        if "first_optics" in found:  # earlier versions kept none
+            optics = optics.with_parameters(torch.from_numpy(found["first_optics"]))
+        around = replace(restored, effects=effects, first_optics=optics, first_effects=first)
+        return replace(around, shape=shape, light=light, learnt=Learnt.loaded(found))
 
 
 def other_settings() -> InputError:

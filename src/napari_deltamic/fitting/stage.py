@@ -9,7 +9,7 @@ from ..optics import Optics
 from .convergence import Remaining
 from .schedule import Progress
 
-_COUNTS = ("iteration", "evaluations", "level_number")
+_COUNTS = ("iteration", "evaluations", "level_number", "changed_at")
 
 
 @dataclass(frozen=True)
@@ -50,5 +50,11 @@ class Stage:
         """What :meth:`to_dict` gave."""
         held = values["progress"]
         progress = Progress(**{**held, "values": tuple(held["values"])})
-        iteration, evaluations, number = (int(values[name]) for name in _COUNTS)
-        return cls(number, blurred_for, progress, iteration=iteration, evaluations=evaluations)
+        return cls(
+            int(values["level_number"]),
+            blurred_for,
+            progress,
+            iteration=int(values["iteration"]),
+            evaluations=int(values["evaluations"]),
+            changed_at=int(values.get("changed_at", 0)),  # earlier versions kept none
+        )
