@@ -84,7 +84,8 @@ def test_a_cell_divides_and_its_daughters_have_new_numbers():
 def test_no_division_where_it_is_not_wanted():
     images = [photographed(ball(), 0), photographed(pair(4.0), 1)]
     results = tracked(images, tracking=TrackSettings(divisions=False))
-    assert all(r.mesh is None or r.cells == (1,) for r in results)
+    assert [r.cells for r in results] == [(1,), (1,)]
+    assert not any(r.events for r in results)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -158,19 +159,28 @@ def test_one_of_two_cells_leaves():
     )
 
 
-def test_tracking_goes_on_from_a_frame():
-    images = np.array(drifting(4))
+def dividing():
+    """A cell, and its daughters in two more frames."""
+    return [photographed(ball(), 0), photographed(pair(4.0), 1), photographed(pair(5.0), 2)]
+
+
+@pytest.mark.parametrize(
+    ("images", "done", "cells"),
+    [(drifting(4), 2, [(1,), (1,)]), (dividing(), 2, [(2, 3)]), (dividing(), 1, 2 * [(2, 3)])],
+    ids=["drifting", "divided", "before it divides"],
+)
+def test_tracking_that_goes_on_from_a_frame_finds_the_same(images, done, cells):
+    """Numbers of cells that are no more included: they are never given twice."""
     whole = tracked(images)
-    rest = tracked(images, done=whole[:2])
-    assert [r.frame for r in rest] == [2, 3]
-    np.testing.assert_allclose(center(rest[1].mesh), center(whole[3].mesh), atol=0.02)
-
-
-def test_numbers_are_never_given_twice():
-    images = [photographed(ball(), 0), photographed(pair(4.0), 1), photographed(pair(5.0), 2)]
-    done = tracked(images[:2])
-    rest = tracked(images, done=done)
-    assert rest[0].cells == (2, 3)
+    rest = tracked(images, done=whole[:done])
+    assert [r.cells for r in rest] == cells
+    for one, other in zip(rest, whole[done:], strict=True):
+        assert (one.frame, one.cells, one.events) == (other.frame, other.cells, other.events)
+        assert (one.iterations, one.psf) == (other.iterations, pytest.approx(other.psf))
+        np.testing.assert_array_equal(one.mesh.faces, other.mesh.faces)
+        np.testing.assert_array_equal(one.mesh.regions, other.mesh.regions)
+        places = one.mesh.vertices_numpy(), other.mesh.vertices_numpy()
+        np.testing.assert_allclose(*places, rtol=0, atol=1e-9)
 
 
 def test_frames_before_and_after_those_asked_for_are_not_fitted():
