@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from napari_deltamic.geometry.contacts import neighbours
+from napari_deltamic.geometry.contacts import contact_areas, neighbours, wall_areas
 from napari_deltamic.geometry.mesh import OUTSIDE
 from napari_deltamic.measure.cells import measure_cells, moments, principal_axes
 from napari_deltamic.measure.discrete_curvature import cell_curvature
@@ -133,19 +133,18 @@ def _curvatures(sides: Sides) -> list[dict[str, Value]]:
 
 
 def _contacts(sides: Sides) -> list[dict[str, Value]]:
-    mesh = sides.mesh
-    inner = (mesh.regions != OUTSIDE).all(1)
-    areas = mesh.areas()[sides.face]
-    shared = sides.total(np.where(inner[sides.face], areas, 0.0))
-    free = sides.total(np.where(inner[sides.face], 0.0, areas))
-    others = neighbours(mesh)
+    others, areas = neighbours(sides.mesh), wall_areas(sides.mesh)
+    shared = dict.fromkeys(others, 0.0)
+    for pair, area in contact_areas(sides.mesh).items():
+        for cell in pair:
+            shared[cell] += area
     return [
         {
-            "neighbours": " ".join(map(str, others[int(cell)])),
-            "contact_area_um2": float(contact),
-            "free_area_um2": float(outer),
+            "neighbours": " ".join(map(str, others[cell])),
+            "contact_area_um2": shared[cell],
+            "free_area_um2": areas.get((OUTSIDE, cell), 0.0),
         }
-        for cell, contact, outer in zip(sides.cells, shared, free, strict=True)
+        for cell in sides.cells.tolist()
     ]
 
 
