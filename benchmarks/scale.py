@@ -24,7 +24,6 @@ from scipy.spatial import cKDTree
 from napari_deltamic.fitting.collisions import CollisionGuard
 from napari_deltamic.fitting.growth_alarm import GrowthAlarm, shrunken
 from napari_deltamic.fitting.topology import _meet
-from napari_deltamic.fitting.triangle_quality import median_edge
 from napari_deltamic.geometry import Mesh, mesh_from_labels, remesh
 from napari_deltamic.geometry.topology.crossings import crossings
 from napari_deltamic.geometry.topology.rearranging import give_way
@@ -134,7 +133,7 @@ def operations(cells: int, seed: int, only: list[str] | None) -> dict[str, float
     found["mesh from labels"] = time.perf_counter() - began
     found["faces"] = len(mesh.faces)
     found["peak memory (GB)"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    edge = median_edge(mesh)
+    edge = mesh.median_edge()
 
     def add(name: str, work: Callable[[], object], repeats: int = _REPEATS) -> None:
         if only is None or any(o in name for o in only):

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from napari_deltamic import Change, GaussianPSF, Grid, InputError, Mesh, fit, render
-from napari_deltamic.fitting.triangle_quality import median_edge
 from napari_deltamic.geometry import remesh, sphere
 from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene.effects import Effects, Halo
@@ -51,7 +50,7 @@ def test_goes_on_from_moved_vertices(image):
 def test_goes_on_with_other_triangles(image):
     settings = QUICK.model_copy(update={"density": "smooth"})
     states, state = begun(image, 20, settings)
-    finer = remesh(state.mesh, 0.6 * median_edge(state.mesh)).mesh
+    finer = remesh(state.mesh, 0.6 * state.mesh.median_edge()).mesh
     pinned = np.arange(len(finer.vertices)) == 0
     after = states.send(Change(mesh=finer, pinned=pinned))
     np.testing.assert_array_equal(after.mesh.vertices_numpy(), finer.vertices)

@@ -9,7 +9,6 @@ import napari_deltamic as nd
 from napari_deltamic.fitting.default_accuracy import accuracy_for
 from napari_deltamic.fitting.job import assemble
 from napari_deltamic.fitting.shape_dial import Situation, dialled, with_edges
-from napari_deltamic.fitting.triangle_quality import median_edge
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
@@ -84,7 +83,7 @@ def test_a_run_takes_edges_accuracy_and_tolerance_from_it():
 
     normal, careful, quick = job(), job(shape_error="careful"), job(shape_error="quick")
     assert normal.mesh is BALL
-    assert median_edge(careful.mesh) < 0.9 * median_edge(BALL)
+    assert careful.mesh.median_edge() < 0.9 * BALL.median_edge()
     assert careful.settings.fit.accuracy < normal.settings.fit.accuracy
     assert careful.settings.fit.tolerance < normal.settings.fit.tolerance
     assert quick.predicted > normal.predicted > careful.predicted
@@ -93,5 +92,5 @@ def test_a_run_takes_edges_accuracy_and_tolerance_from_it():
 
 
 def test_edges_that_are_about_right_stay():
-    assert with_edges(BALL, 1.05 * median_edge(BALL)) is BALL
+    assert with_edges(BALL, 1.05 * BALL.median_edge()) is BALL
     assert len(with_edges(BALL, 0.3).vertices) > 2 * len(BALL.vertices)

@@ -5,7 +5,7 @@ import pytest
 
 from napari_deltamic import Change, InputError, Mesh, fit
 from napari_deltamic.fitting.growth_alarm import GrowthAlarm
-from napari_deltamic.fitting.triangle_quality import Remeshing, median_edge
+from napari_deltamic.fitting.triangle_quality import Remeshing
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.remeshing import can_remesh, smallest_angles
 from napari_deltamic.runs.settings import FitSettings
@@ -41,7 +41,7 @@ def test_slivers_go_and_the_fit_converges(image):
     assert (smallest_angles(last.mesh) < 15).mean() < 0.02
     assert last.converged
     assert apart(last.mesh) < 0.06
-    assert 0.7 < median_edge(last.mesh) / median_edge(start) < 1.6
+    assert 0.7 < last.mesh.median_edge() / start.median_edge() < 1.6
 
 
 def test_not_where_it_is_not_wanted(image):

@@ -15,6 +15,7 @@ from scipy.optimize import nnls
 from scipy.sparse.linalg import splu
 from torch import Tensor
 
+from ..fitting.level import CUT_OFF
 from ..fourier.band import Band
 from ..fourier.closed_form import band_ft
 from ..fourier.cost import BUILT_IN, Costs, Rates, Work, count_work
@@ -40,7 +41,7 @@ _IMAGES = ((15, 32), (31, 60))  # wavevectors and voxels across: two, since ther
 
 # Voxels, their size and the PSF's width (um), accuracy: the time of a plan hardly depends on them.
 _PLANNED = ((40,) * 3, (0.05,) * 3, (0.07,) * 3, 1e-3)
-_BLUR, _CUT, _TAPS = 3.0, 3.5, 21  # voxels; exact: 3.5 standard deviations to either side
+_BLUR = 3.0  # voxels
 
 
 @dataclass(frozen=True)
@@ -207,8 +208,8 @@ def _others() -> dict[str, tuple[Callable[[], object], float]]:
         "voxel": (loss, voxels),
         "face": (plan, len(mesh.faces)),
         "tap": (
-            lambda: gaussian_filter(block, _BLUR, truncate=_CUT),
-            block.size * 3 * _TAPS,
+            lambda: gaussian_filter(block, _BLUR, truncate=CUT_OFF),
+            block.size * 3 * 2 * CUT_OFF * _BLUR,
         ),
     }
 

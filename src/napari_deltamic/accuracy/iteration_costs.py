@@ -8,7 +8,7 @@ from math import prod
 
 import numpy as np
 
-from ..fitting.level import LevelShape
+from ..fitting.level import CUT_OFF, LevelShape
 from ..fitting.schedule import Schedule
 from ..fourier.cost import Costs, Work
 from ..fourier.plan import Plan
@@ -52,8 +52,6 @@ class ForecastRules:
     factoring
         Solves that the factors of the preconditioner's matrix take. Measured: 171, 147 and 29 for
         642, 2562 and 10242 vertices.
-    truncated
-        Standard deviations to which images are blurred, as level.py does.
     looks
         Iterations after which all voxels are looked at; chosen by eye.
     psf_every
@@ -85,7 +83,6 @@ class ForecastRules:
     overhead: float = 1.0
     smooth: float = 1.3
     factoring: float = 100.0
-    truncated: float = 3.5
     looks: int = 10
     psf_every: int = 5
     window: int = 12
@@ -141,7 +138,7 @@ def iteration_seconds(
 
 def preparation_seconds(costs: Costs, shape: LevelShape, grid: Grid, mesh: Mesh) -> float:
     """Seconds before the first iteration of a level: blurred images, plan, preconditioner."""
-    taps = 2 * FORECAST.truncated * np.divide(shape.blur, grid.voxel_size).sum() + 3
+    taps = 2 * CUT_OFF * np.divide(shape.blur, grid.voxel_size).sum() + 3
     blurred = 2 * prod(grid.shape) * taps * costs.tap if any(shape.blur) else 0.0
     return float(
         blurred

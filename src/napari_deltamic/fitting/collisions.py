@@ -10,7 +10,6 @@ import numpy as np
 from ..geometry.compiled import native
 from ..geometry.mesh import Mesh
 from ..geometry.topology.crossings import CrossingWalls
-from .triangle_quality import median_edge
 
 # As shares of the median edge:
 _LONG = 2.0  # longer steps are checked in parts, whose swept boxes overlap fewer others
@@ -64,7 +63,7 @@ class CollisionGuard:
             return
         self._steps = 0
         self._mesh = mesh
-        self._edge = max(median_edge(mesh), 1e-9)  # only no division by 0
+        self._edge = max(mesh.median_edge(), 1e-9)  # only no division by 0
         self._crossing = CrossingWalls(mesh)
         self._guard = self._library.Guard(
             np.ascontiguousarray(mesh.edges(), np.int64),

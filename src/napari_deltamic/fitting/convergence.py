@@ -51,9 +51,8 @@ class Patches:
 
     def __init__(self, mesh: Mesh, width: float) -> None:
         self._faces = mesh.faces
-        ends = mesh.vertices_numpy()[mesh.edges()]
-        edge = float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)))
-        self._rings = int(np.clip(round(width / max(edge, 1e-300)), 1, _MOST_RINGS))
+        rings = width / max(mesh.median_edge(), 1e-300)
+        self._rings = int(np.clip(round(rings), 1, _MOST_RINGS))
         n = len(mesh.vertices)
         self._around: sp.csr_matrix = sp.eye(n, format="csr") + adjacency(mesh)
 

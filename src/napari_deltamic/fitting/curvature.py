@@ -22,7 +22,7 @@ from ..scene.light import INSIDES, Light
 from .directions import Directions
 from .factors import on_host
 from .likelihood import solve_scale
-from .normal_jacobian import Colouring, normal_jacobian
+from .normal_jacobian import Colouring, normal_jacobian, widest_psf
 from .posterior import Posterior
 from .unequal_insides import each_alone
 from .variables import Variables
@@ -214,11 +214,8 @@ def _too_much(colouring: Colouring, posterior: Posterior) -> str:
 def _colouring(
     posterior: Posterior, at: Variables, mesh: Mesh, directions: Directions
 ) -> Colouring:
-    widths = np.asarray(posterior.prior.imaging.optics.sigma_um) * posterior.level.factor
-    for view in posterior.views:
-        if view.optics is not None:
-            widths = np.maximum(widths, np.asarray(view.optics.sigma_um) * posterior.level.factor)
-    return Colouring.of(at.vertices, mesh.edges(), widths, directions.vertex)
+    given = at.vertices, mesh.edges(), widest_psf(posterior)
+    return Colouring.of(*given, directions.vertex)
 
 
 def _scale(image: FloatArray, measured: FloatArray, weight: FloatArray) -> tuple[float, float]:

@@ -29,7 +29,7 @@ _SEEN = 0.3  # of the median brightness of a surface: only what is brighter tell
 # Of the weights of a blur: voxels count whose blur rests on more. Beside a flat border it is 0.5;
 # half of it lets the blur of what is missing in: surfaces move by 0.09 voxel, as measured.
 _MOSTLY = 0.6
-_CUT_OFF = 3.5  # widths of a blur: only 5e-4 of a Gaussian lies beyond
+CUT_OFF = 3.5  # widths of a blur: only 5e-4 of a Gaussian lies beyond
 _ANY = 1e-3  # of those weights: what rests on less is not known; half and twice do nothing
 _COARSE_ACCURACY = 1e-2  # of all levels but the last: they only have to point the right way
 
@@ -154,8 +154,8 @@ class Level:
         else:
             sigma = np.asarray(self.blur) / np.asarray(grid.voxel_size)
             known = counted.astype(np.float32)
-            share = gaussian_filter(known, sigma, mode="constant", truncate=_CUT_OFF)
-            y = gaussian_filter(image * known, sigma, mode="constant", truncate=_CUT_OFF)
+            share = gaussian_filter(known, sigma, mode="constant", truncate=CUT_OFF)
+            y = gaussian_filter(image * known, sigma, mode="constant", truncate=CUT_OFF)
             y = y / np.maximum(share, 1e-6)  # only no division by 0
             inside, any_inside = (share > _MOSTLY) & counted, share > _ANY
         return (

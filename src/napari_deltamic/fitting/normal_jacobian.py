@@ -100,7 +100,7 @@ def normal_jacobian(
     """
     light = posterior.light(at)
     base = posterior.images(at, light)
-    widths = _widths(posterior, at)
+    widths = widest_psf(posterior)
     step = _STEP * float(widths.min())
     views = [
         _seen(posterior.level.grid, view.voxels.index.cpu().numpy(), widths, colouring)
@@ -122,8 +122,8 @@ def normal_jacobian(
     ]
 
 
-def _widths(posterior: Posterior, at: Variables) -> FloatArray:
-    """(3,) um: the widest of the PSFs along each axis."""
+def widest_psf(posterior: Posterior) -> FloatArray:
+    """(3,) um: the widest of the blurred PSFs of all images along each axis."""
     own = posterior.prior.imaging.optics.sigma_um
     all_of_them = [own, *(v.optics.sigma_um for v in posterior.views if v.optics is not None)]
     return np.max(np.asarray(all_of_them, float), axis=0) * posterior.level.factor

@@ -22,7 +22,6 @@ from ..geometry.remeshing import can_remesh, remesh
 from ..runs.fit_settings import FitSettings, asked_error
 from ..scene import Grid
 from .default_accuracy import accuracy_for, preset_accuracy
-from .triangle_quality import median_edge
 
 
 @dataclass(frozen=True)
@@ -125,7 +124,7 @@ class Situation:
         radius = (3 * volume / (4 * np.pi)) ** (1 / 3)
         width = float(np.prod(sigma) ** (1 / 3))
         rims = min(1.0, _rim_length(mesh) * width / max(float(mesh.areas().sum()), 1e-300))
-        return cls(noise, voxel, width, radius, median_edge(mesh), rims)
+        return cls(noise, voxel, width, radius, mesh.median_edge(), rims)
 
     def floor(self) -> float:
         """um: the part of the noise."""
@@ -201,7 +200,7 @@ def _for_length(asked: float, now: Situation) -> tuple[float, float, float]:
 
 def with_edges(mesh: Mesh, edge: float) -> Mesh:
     """The start with edges of about that length; itself where it has them, or cannot change."""
-    if not can_remesh() or abs(edge / median_edge(mesh) - 1) < _SAME_EDGES:
+    if not can_remesh() or abs(edge / mesh.median_edge() - 1) < _SAME_EDGES:
         return mesh
     try:
         return remesh(mesh, edge, apart=True).mesh

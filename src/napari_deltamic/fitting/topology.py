@@ -14,7 +14,6 @@ from ..geometry.topology.small_pieces import small_pieces
 from ..geometry.topology.thin_places import ThinPlace, short_junctions, small_walls, thin_places
 from .local_misfit import Gap, Misfit
 from .shape import Shape
-from .triangle_quality import median_edge
 
 _ALL = 10**6  # more places than there are: no limit
 _KEPT = ("seen", "past", "left_alone", "hopeless", "futile")  # lists of places in a checkpoint
@@ -174,7 +173,7 @@ class TopologyPolicy:
         Small walls are none: those that a blurred level took for nothing were half of the large
         contacts that foams of 16 cells lost. The image tells, at the end.
         """
-        edge = median_edge(shape.mesh)
+        edge = shape.mesh.median_edge()
         places = thin_places(shape.mesh, RULES.thin * edge, apart=RULES.same * edge)
         found = self._free(shape, places, self.hopeless)
         lasting = [p for p in found if any(_lasts(p, q, edge) for q in self.seen)]
@@ -185,7 +184,7 @@ class TopologyPolicy:
         """Where another shape might explain the image; width : um, largest of the PSF."""
         if self.late >= RULES.late:
             return []
-        mesh, edge = shape.mesh, median_edge(shape.mesh)
+        mesh, edge = shape.mesh, shape.mesh.median_edge()
         size = max(RULES.small_at_end * edge, width)
         places = small_pieces(mesh, 4 / 3 * np.pi * (RULES.piece * width) ** 3)
         reach = max(RULES.narrow * edge, RULES.one_peak * width)
@@ -199,7 +198,7 @@ class TopologyPolicy:
         self, candidates: Sequence[ThinPlace], shape: Shape, width: float
     ) -> list[ThinPlace]:
         """Those of the candidates that are tried now: none near another."""
-        edge, chosen = median_edge(shape.mesh), list[ThinPlace]()
+        edge, chosen = shape.mesh.median_edge(), list[ThinPlace]()
         for place in self._free(shape, candidates, self.futile):
             if any(_reverts(place, q, edge) for q in self.past):
                 continue
@@ -251,7 +250,7 @@ class TopologyPolicy:
         self, shape: Shape, places: Sequence[ThinPlace], given_up: Sequence[ThinPlace]
     ) -> list[ThinPlace]:
         """Those that are neither pinned nor known to stay."""
-        edge = median_edge(shape.mesh)
+        edge = shape.mesh.median_edge()
         pins = shape.mesh.vertices_numpy()[shape.pinned]
         found = []
         for place in places:

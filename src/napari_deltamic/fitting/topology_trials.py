@@ -14,7 +14,6 @@ from .fitted import Fitted
 from .local_misfit import Misfit, gaps, misfit_of
 from .problem import Problem
 from .topology import RULES, TopologyPolicy, Trial, may_change
-from .triangle_quality import median_edge
 
 
 class TopologyTrials:
@@ -112,7 +111,7 @@ class TopologyTrials:
             return fitted
         restored, before = fitted.retriangulated(trial.before), trial.before
         if judged.kept:
-            made = give_way(before.mesh, judged.kept, median_edge(before.mesh))
+            made = give_way(before.mesh, judged.kept, before.mesh.median_edge())
             if made.mesh is not before.mesh:
                 self._events += made.events if trial.tried else ()
                 return restored.retriangulated(before.retriangulated(made.mesh, made.origin))
@@ -124,7 +123,7 @@ class TopologyTrials:
         self, fitted: Fitted, settings: FitSettings, places: list[Any], iteration: int, tried: bool
     ) -> Fitted:
         before = fitted.shape
-        made = give_way(before.mesh, places, median_edge(before.mesh))
+        made = give_way(before.mesh, places, before.mesh.median_edge())
         if made.mesh is before.mesh:
             self.policy = self.policy.refused(places, made.hopeless, tried)
             return fitted

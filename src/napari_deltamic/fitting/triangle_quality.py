@@ -40,7 +40,7 @@ class Remeshing:
         corners = np.sort(mesh.faces, axis=1)
         whole = bool((corners[:, 1:] != corners[:, :-1]).all())
         self.able = can_remesh() and whole
-        self._start, self._area = median_edge(mesh), float(mesh.areas().sum())
+        self._start, self._area = mesh.median_edge(), float(mesh.areas().sum())
         self._finest = min(_FINEST * width, self._start)
         self.left = 0.0  # share of slivers that the last remeshing left: no use to try again
         self._coarse = 0.0  # um: edges of the level
@@ -50,7 +50,7 @@ class Remeshing:
         """Edges as long as a level allows. blurred : um, width of its PSF; 0 if it is sharp."""
         volumes = np.abs([v for v in mesh.volumes().values()])
         radius = float((3 * volumes.min() / (4 * np.pi)) ** (1 / 3)) if len(volumes) else 0.0
-        fewest = median_edge(mesh) * float(np.sqrt(len(mesh.vertices) / _FEWEST))
+        fewest = mesh.median_edge() * float(np.sqrt(len(mesh.vertices) / _FEWEST))
         self._coarse = min(_COARSE * blurred, _OF_RADIUS * radius, fewest)
         self.left, self._begun = 0.0, False
 
@@ -71,7 +71,7 @@ class Remeshing:
         return other or _slivers(mesh) > self.left + _MANY
 
     def _of_another_level(self, mesh: Mesh) -> bool:
-        return not 1 / _FAR_OFF < self._level_length(mesh) / median_edge(mesh) < _FAR_OFF
+        return not 1 / _FAR_OFF < self._level_length(mesh) / mesh.median_edge() < _FAR_OFF
 
     def _level_length(self, mesh: Mesh) -> float:
         grown = self._start * float(np.sqrt(mesh.areas().sum() / max(self._area, 1e-300)))
@@ -82,7 +82,7 @@ class Remeshing:
         length = self._level_length(mesh)
         if self._of_another_level(mesh):
             return length
-        return min(max(median_edge(mesh), self._start), max(_GROWTH * self._start, length))
+        return min(max(mesh.median_edge(), self._start), max(_GROWTH * self._start, length))
 
     def renewed(
         self, mesh: Mesh, carried: np.ndarray, fixed: np.ndarray, apart: bool = False
@@ -107,9 +107,3 @@ class Remeshing:
 
 def _slivers(mesh: Mesh) -> float:
     return float((smallest_angles(mesh) < _BAD_ANGLE).mean())
-
-
-def median_edge(mesh: Mesh) -> float:
-    """um."""
-    ends = mesh.vertices_numpy()[mesh.edges()]
-    return float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)))

@@ -219,6 +219,12 @@ class Mesh:
         """Row in ``edges`` of the edge opposite each corner, (F, 3)."""
         return self._connectivity.edges[1]
 
+    def median_edge(self) -> float:
+        """Length of a typical edge, um; 0 where there is none."""
+        ends = self.vertices_numpy()[self.edges()]
+        lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        return float(np.median(lengths)) if len(lengths) else 0.0
+
     # ---- other libraries --------------------------------------------------------------------
 
     def to_trimesh(self) -> Any:

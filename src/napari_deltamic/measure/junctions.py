@@ -114,7 +114,7 @@ def junction_angles(
         If the reach is not positive.
     """
     ends = mesh.vertices_numpy()[mesh.edges()]
-    edge = _edge(mesh)
+    edge = mesh.median_edge()
     reach = angle_reach(mesh) if reach is None else reach
     if not reach > 0:
         raise InputError(f"the reach of junction angles must be positive (um), not {reach}")
@@ -145,12 +145,7 @@ def junction_angles(
 
 def angle_reach(mesh: Mesh) -> float:
     """um: how far into a wall its shape is looked at, by default."""
-    return RULES.reach * _edge(mesh)
-
-
-def _edge(mesh: Mesh) -> float:
-    ends = mesh.vertices_numpy()[mesh.edges()]
-    return float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)))
+    return RULES.reach * mesh.median_edge()
 
 
 def _directions(line: FloatArray, reach: float) -> FloatArray:

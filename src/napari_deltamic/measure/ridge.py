@@ -160,9 +160,7 @@ def _spots(mesh: Mesh, voxel: float) -> NDArray[np.float64]:
 
     One for each part of about two voxels of a typical face.
     """
-    ends = mesh.vertices_numpy()[mesh.edges()]
-    edge = float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))) if len(ends) else 0.0
-    n = int(np.clip(round(edge / (2 * voxel)), 1, 3))
+    n = int(np.clip(round(mesh.median_edge() / (2 * voxel)), 1, 3))
     i, j = (k.ravel() for k in np.mgrid[0:n, 0:n])
     upward = np.stack([i, j, n - 1 - i - j], 1)[i + j < n] + 1 / 3
     downward = np.stack([i, j, n - 2 - i - j], 1)[i + j < n - 1] + 2 / 3

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from ..fitting.fit import fit
 from ..fitting.state import FitState
-from ..fitting.triangle_quality import median_edge
 from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..runs.settings import FitSettings
@@ -48,7 +47,7 @@ class BetweenFrames:
     def __init__(self, grid: Grid, mesh: Mesh, optics: Optics, first: int) -> None:
         self.mesh, self.optics, self.frame = mesh, optics, first
         self.state: FitState | None = None
-        self.edge = median_edge(mesh)
+        self.edge = mesh.median_edge()
         self.quality = Quality(grid, optics)
         self.looks: dict[int, CellLook] = {}
         self.largest: dict[int, float] = {}
@@ -63,7 +62,7 @@ class BetweenFrames:
         self.quality.accept(frame.pixels, state.loss)
         self._see(frame.number, mesh, events)
         self.state, self.optics = state, state.optics
-        self.edge = median_edge(mesh) if self.edge == 0 else self.edge
+        self.edge = mesh.median_edge() if self.edge == 0 else self.edge
 
     def two_new_cells(self) -> tuple[int, int]:
         """Numbers that no cell has had."""

@@ -14,7 +14,6 @@ from ..errors import InputError
 from ..fitting.checks import check_mesh
 from ..fitting.fit import fit
 from ..fitting.state import FitState
-from ..fitting.triangle_quality import median_edge
 from ..fitting.voxel_ownership import counted_voxels
 from ..geometry.mesh import Mesh
 from ..geometry.remeshing import can_remesh, remesh, smallest_angles
@@ -233,7 +232,7 @@ class _Tracker:
             return mesh
         rules = RULES.meshes
         poor = float((smallest_angles(mesh) < rules.poor_angle).mean()) > rules.poor_share
-        change = median_edge(mesh) / self.past.edge
+        change = mesh.median_edge() / self.past.edge
         if poor or not 1 / rules.edge_change < change < rules.edge_change:
             return remesh(mesh, self.past.edge, passes=2).mesh
         return mesh

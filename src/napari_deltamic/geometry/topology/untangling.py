@@ -51,9 +51,7 @@ def untangled(mesh: Mesh) -> Rearranged:
         return Rearranged(mesh, ())
     if not mesh.is_closed():
         raise InputError("surfaces that cross can only be repaired where they are closed")
-    ends = mesh.vertices_numpy()[mesh.edges()]
-    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    edge = float(np.median(length))
+    edge = mesh.median_edge()
     cutter = Cutter(mesh)
     parts = [cutter.part(rows) for rows in _crossing_clusters(mesh, found)]
     done = put_back(mesh, [(part, _untangled(part, edge)) for part in parts])
