@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from napari_deltamic import Mesh
-from napari_deltamic.fitting.convergence import Patches
+from napari_deltamic.fitting.convergence import Patches, vertex_normals
 from napari_deltamic.geometry import sphere
 
 BALL = sphere((0, 0, 0), 1.0, subdivisions=3)
@@ -15,7 +15,8 @@ EDGE = 0.14
 
 def worst(step, gradient=None, tolerance=0.0, mesh=BALL, width=2 * EDGE):
     gradient = -step if gradient is None else gradient
-    return Patches(mesh, width).worst(mesh.vertices_numpy(), step, gradient, tolerance, 0.1)
+    normals = vertex_normals(mesh.vertices_numpy(), mesh.faces)
+    return Patches(mesh, width).worst(normals, step, gradient, tolerance, 0.1)
 
 
 def test_a_surface_that_moves_as_a_whole_moves_by_that():

@@ -10,6 +10,7 @@ import numpy as np
 from ..geometry.compiled import native
 from ..geometry.mesh import Mesh
 from ..geometry.topology.crossings import CrossingWalls
+from ..geometry.vectors import lengths
 
 # As shares of the median edge:
 _LONG = 2.0  # longer steps are checked in parts, whose swept boxes overlap fewer others
@@ -112,7 +113,7 @@ class CollisionGuard:
         self._steps += 1
         if self._crossing and self._steps % _AGAIN == 0:
             self.watch(self._mesh.with_vertices(start))
-        length = np.linalg.norm(end - start, axis=1)
+        length = lengths(end - start)
         parts = ceil(float(length.max()) / (_LONG * self._edge))
         aim = end
         if parts > _PARTS:

@@ -8,6 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..geometry.mesh import FloatArray, IntArray, Mesh
+from ..geometry.vectors import crossed, lengths
 from .preconditioner import adjacency
 
 _MOST_RINGS = 4  # of vertices around one that make a patch: finer meshes than that are rare
@@ -50,15 +51,17 @@ class Patches:
     """
 
     def __init__(self, mesh: Mesh, width: float) -> None:
-        self._faces = mesh.faces
         rings = width / max(mesh.median_edge(), 1e-300)
         self._rings = int(np.clip(round(rings), 1, _MOST_RINGS))
         n = len(mesh.vertices)
         self._around: sp.csr_matrix = sp.eye(n, format="csr") + adjacency(mesh)
+        self._walks = np.ones(n)
+        for _ in range(self._rings):
+            self._walks = self._around @ self._walks
 
     def worst(
         self,
-        vertices: FloatArray,
+        normals: FloatArray,
         step: FloatArray,
         gradient: FloatArray,
         width: float,
@@ -68,34 +71,28 @@ class Patches:
 
         Parameters
         ----------
-        vertices, step, gradient
-            (V, 3): where they are, the step to where the objective is thought to be least, and its
+        normals, step, gradient
+            (V, 3): of the surface, the step to where the objective is thought to be least, and its
             gradient.
         width
             um.
         least
             Nats that count as a gain.
         """
-        normal = vertex_normals(vertices, self._faces)
-        along = (step * normal).sum(1)
-        gain = -0.5 * (gradient * step).sum(1)
-        count = np.ones(len(along))
-        for _ in range(self._rings):
-            along, gain, count = (self._around @ a for a in (along, gain, count))
-        move = np.abs(along / count)
+        each = np.stack([(step * normals).sum(1), -0.5 * (gradient * step).sum(1)], 1)
         # Sums over rings count a vertex several times: as many as there are walks to it.
-        gain = gain / count * self._size()
+        along, gain = self.means(each).T
+        move, gain = np.abs(along), gain * self._size()
         far = np.where(move > width, gain, -np.inf)
         at = int(np.argmax(far if np.isfinite(far).any() else move))
         share = float(((move > width) & (gain > least)).mean())
         return Remaining(float(move[at]), float(max(gain[at], 0.0)), at, share)
 
     def means(self, values: FloatArray) -> FloatArray:
-        """(V,) means of one number for each vertex over the patch around it."""
-        count = np.ones(len(values))
+        """(V,) or (V, K) means of numbers of each vertex over the patch around it."""
         for _ in range(self._rings):
-            values, count = self._around @ values, self._around @ count
-        found: FloatArray = values / count
+            values = self._around @ values
+        found: FloatArray = (values.T / self._walks).T
         return found
 
     def _size(self) -> float:
@@ -109,10 +106,9 @@ def vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
 
     At a junction they depend on how its walls are oriented.
     """
-    corners = vertices[faces]
-    each = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    rows = faces.ravel()
-    sums = [np.bincount(rows, np.repeat(each[:, i], 3), len(vertices)) for i in range(3)]
-    found = np.stack(sums, 1)
-    length = np.linalg.norm(found, axis=1, keepdims=True)
+    first, second, third = (vertices.T[:, corner] for corner in faces.T)
+    rows, n = np.concatenate(faces.T), len(vertices)
+    each = crossed(second - first, third - first)
+    found = np.stack([np.bincount(rows, np.tile(one, 3), n) for one in each], 1)
+    length = lengths(found)[:, None]
     return np.divide(found, length, out=np.zeros_like(found), where=length > 0)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..geometry.mesh import FloatArray
+from ..geometry.vectors import lengths
 from .lbfgs import Learnt, Memory, dot
 from .metric import Metric
 from .posterior import Evaluation, Posterior
@@ -124,8 +125,8 @@ class Descent:
         cut = self._cut(self._capped(step))
         if cut.slope < 0:
             return cut
-        short = np.linalg.norm(self.at.vertices + cut.step.vertices - cut.end.vertices, axis=1)
-        held = short > _HELD * np.linalg.norm(cut.step.vertices, axis=1)
+        short = lengths(self.at.vertices + cut.step.vertices - cut.end.vertices)
+        held = short > _HELD * lengths(cut.step.vertices)
         free = np.where(held[:, None], 0.0, 1.0)
         gradient = replace(self.now.gradient, vertices=free * self.now.gradient.vertices)
         step = self._direction(gradient)
@@ -172,7 +173,7 @@ class Descent:
         # Where an amplitude jumps, a step may be so long that its square is no number.
         longest = float(np.abs(step.vertices).max(initial=0.0)) / (_LONGEST * self._width)
         vertices = step.vertices / max(longest, 1.0)
-        far = np.sqrt((vertices**2).sum(1, keepdims=True)) / (_FAR * self._width)
+        far = lengths(vertices)[:, None] / (_FAR * self._width)
         optics = np.abs(step.optics).max(initial=0.0) / _FAR_OPTICS
         rest = max(optics, np.abs(step.effects).max(initial=0.0) / _FAR_EFFECTS)
         return Variables(

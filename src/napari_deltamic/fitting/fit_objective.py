@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..geometry.vectors import lengths
 from ..runs.settings import FitSettings
 from .collisions import CollisionGuard
 from .convergence import Patches, Remaining, vertex_normals
@@ -127,7 +128,7 @@ class Objective:
         """As near to the end as guard and bounds allow, where voxels count."""
         from_here = self.posed.at.vertices
         away = end.vertices - from_here
-        far = np.linalg.norm(away, axis=1, keepdims=True) / self._farthest
+        far = lengths(away)[:, None] / self._farthest
         vertices = from_here + away / np.maximum(far, 1.0)
         return Variables(
             self._guard.limited(start.vertices, vertices),
@@ -168,7 +169,7 @@ class Objective:
     def strayed(self) -> bool:
         """Whether many vertices are as far as they may go."""
         away = self._descent.at.vertices - self.posed.at.vertices
-        there = np.linalg.norm(away, axis=1) > _STRAYED * self._farthest
+        there = lengths(away) > _STRAYED * self._farthest
         return float(there.mean()) > self.terms.schedule.strayed
 
     def structure(self) -> Chosen:
@@ -181,13 +182,8 @@ class Objective:
         # What the guard holds back has come as far as it can.
         free = (self._guard.held < schedule.held)[:, None]
         gradient = free * self.now.gradient.vertices
-        given = at.vertices, free * step.vertices, gradient
+        normals = vertex_normals(at.vertices, self.fitted.mesh.faces)
+        given = normals, free * step.vertices, gradient
         found = self._patches.worst(*given, tolerance, schedule.gain)
-        return replace(found, drift=self._drift())
-
-    def _drift(self) -> float:
-        """um: see :class:`~.convergence.Remaining`."""
-        now = self._descent.at.vertices
-        normals = vertex_normals(now, self.fitted.mesh.faces)
-        along = ((now - self._passed[0]) * normals).sum(1)
-        return float(np.sqrt((along**2).mean()))
+        drifted = ((at.vertices - self._passed[0]) * normals).sum(1)
+        return replace(found, drift=float(np.sqrt((drifted**2).mean())))

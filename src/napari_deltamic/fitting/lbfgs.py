@@ -90,7 +90,7 @@ class Memory:
         ``free`` (n,) bool: the unknowns whose curvature the scale of the metric follows.
         """
         curvature = dot(step, change)
-        if curvature <= _LEAST_CURVATURE * float(np.linalg.norm(step) * np.linalg.norm(change)):
+        if curvature <= _LEAST_CURVATURE * np.sqrt(dot(step, step) * dot(change, change)):
             return
         rounded = step.astype(np.float32), change.astype(np.float32)
         self._pairs.append((*rounded, dot(*rounded)))

@@ -37,6 +37,9 @@ _LEFT = 0.05
 # Steps to the brightness of insides at the start, before the shape follows what they differ by: of
 # cells side by side, each is off by less than a hundredth then.
 _ROUNDS = 5
+# Of the peak of a membrane's blurred image: insides that are darker are not computed at a blurred
+# level until the objective is posed anew. As small as those of cells without light inside.
+_HARDLY = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +119,9 @@ def pose(
     renderer = level.renderer(*given, insides=structure != "membrane")
     look = _Look(level, renderer, density, insides, imaging, structure)
     voxels, light = look.voxels(at)
+    widths = level.factor * np.asarray(imaging.optics.sigma_um)
+    if level.factor > 1 and _hardly_shine(light, widths):
+        structure, light = "membrane", MEMBRANES
     if held and _left_out(voxels, held[0].voxels, level.grid.shape) > _LEFT:
         held = ()
     voxels = held[0].voxels if held else voxels
@@ -149,6 +155,12 @@ def pose(
     firmness = look.firmness(voxels, rendered, found, light) / variance
     left = found.squares / max(float(total(voxels.weights)), 1e-300)
     return Posed(posterior, at, renderer, variance, left, bool(held), firmness)
+
+
+def _hardly_shine(light: Light, widths: FloatArray) -> bool:
+    """Whether insides may be left out; widths : um of the blurred PSF."""
+    peak = abs(light.membrane) / (np.sqrt(2 * np.pi) * float(np.prod(widths)) ** (1 / 3))
+    return abs(light.interior) < _HARDLY * peak
 
 
 def _with_insides(posterior: Posterior, at: Variables) -> Variables:

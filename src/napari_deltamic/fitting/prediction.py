@@ -120,7 +120,8 @@ class Prediction:
 
     def _transform(self, renderer: Renderer, at: Unknowns, light: Light) -> Tensor:
         """Spectrum of a light, of the insides that are unknowns."""
-        weights, cells = self._density.faces(at.density), self._insides.factors(at.insides)
+        weights = self._density.faces(at.density) if light.membrane else None
+        cells = self._insides.factors(at.insides) if light.interior else None
         return renderer.transform(at.vertices, weights, light, cells)
 
     def _shining(self, renderer: Renderer, at: Unknowns, optics: Optics) -> tuple[Tensor, Light]:
