@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 import napari_deltamic as nd
 from napari_deltamic.evidence import analyse_residual
@@ -122,6 +123,8 @@ def test_facts_of_a_fit():
     assert facts.error.unknown == ""
     # Of 200 photons and a surface of 0.2 um voxels: a few nm, and nothing that it lacks.
     assert 0.0005 < facts.error.whole.total < 0.02
+    smoothed = replace(job, image=gaussian_filter(image, 1.0))
+    assert facts_of(smoothed, state, analyse_residual(image, grid, state)).width is None
     hazy = image + 80 * (voxel_labels(truth, shape, size) == 0)
     hazy_job = replace(job, image=hazy.astype(np.float32))
     hazy_facts = facts_of(hazy_job, state, analyse_residual(image, grid, state))

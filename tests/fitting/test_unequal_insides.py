@@ -70,6 +70,15 @@ def test_at_blurred_levels_they_are_alike():
     assert len(Insides.of(two(7.0), "smooth", "both", blurred=True)) == 0
 
 
+@pytest.mark.parametrize(("interior", "left_out"), [(0.0, True), (0.3, False)])
+def test_insides_that_hardly_show_are_left_out_at_blurred_levels(interior, left_out):
+    image = image_of(Light(1.0, interior))
+    settings = SETTINGS.model_copy(update={"levels": (2.0, 1.0), "structure": "both"})
+    states = fit(image, GRID, two(8.0), OPTICS, settings=settings)
+    shone = [state.light.interior for state in states if state.level == 1]
+    assert (shone[-1] == 0) is left_out
+
+
 def test_numbers_belong_to_regions_by_name():
     mesh = two(7.0, first=4)
     insides = Insides.of(mesh, "smooth", "both", False)

@@ -22,6 +22,10 @@ from .uneven_insides import uneven_insides
 from .verdict import RULES, CellFacts, Facts, Verdict, judged
 
 _DEEP, _FAR = 2.5, 6.0  # widths of the PSF from a surface: what its own light hardly reaches
+_LONG_ENOUGH = 12  # voxels: a shorter axis has few voxels with others three apart on both sides
+# Times. White noise gives 1; a Gaussian of half a voxel 1.4, of one voxel 3.2: computed from the
+# correlations that it leaves, exp(-n^2 / 4 s^2) over n voxels.
+_COLOURED = 1.25
 _FEWEST = 30  # voxels whose mean is told to a fifth of their spread: enough for what is judged
 
 
@@ -80,6 +84,8 @@ def facts_of(
     narrow = fitted and bool((sigma < RULES.psf_voxels * size).any())
     # The spectrum of insides falls faster than that of membranes: it looks blurred.
     width = None if modelled else _width(np.asarray(job.image), job.grid, sigma)
+    if width is not None and width < 1 and not _white(np.asarray(job.image) - np.asarray(image)):
+        width = None  # noise that was smoothed looks like light that is sharper
     voxel = float(size.prod() ** (1 / 3))
     error = predicted_error(job, state)
     return Facts(state.converged, left.explained, width, narrow, cells, error, voxel)
@@ -89,6 +95,22 @@ def _width(image: np.ndarray, grid: Grid, sigma: np.ndarray) -> float | None:
     """Of the blur in the plane, over that of the PSF; voxels blur, too."""
     told = first_sigma(image, grid.voxel_size).yx.value
     return None if told is None else told / float(max(sigma[1:]))
+
+
+def _white(left: np.ndarray) -> bool:
+    """Whether what a fit leaves is as different between neighbours as between voxels three apart:
+    by second differences along each axis."""
+    for axis in np.flatnonzero(np.array(left.shape) >= _LONG_ENOUGH):
+        rows = np.moveaxis(left, axis, -1)
+        near, far = (
+            float(
+                np.nanmedian(np.abs(rows[..., : -2 * n] - 2 * rows[..., n:-n] + rows[..., 2 * n :]))
+            )
+            for n in (1, 3)
+        )
+        if far > _COLOURED * near:
+            return False
+    return True
 
 
 def _areas(mesh: Mesh) -> dict[int, float]:

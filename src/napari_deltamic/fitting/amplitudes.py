@@ -7,7 +7,7 @@ c is where the medium around is brighter than the inside.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
@@ -16,7 +16,7 @@ from torch import Tensor
 from ..common.choices import Structure, StructureChoice
 from ..errors import InputError
 from ..fourier.devices import widest
-from ..geometry.mesh import Mesh
+from ..geometry.mesh import FloatArray, Mesh
 from ..optics import Optics
 from ..scene.light import INSIDES, MEMBRANES, Light
 from .likelihood import total
@@ -82,6 +82,12 @@ def _slope(image: Tensor, measured: Tensor, weights: Tensor) -> float:
 
 def _inside_alone(slope: float) -> Light:
     return Light(0.0, 1.0 if slope >= 0 else -1.0)
+
+
+def inside_over_membrane(light: Light, widths: Sequence[float] | FloatArray) -> float:
+    """How bright an inside is over the peak of a flat membrane's image; widths : (3,) um, PSF."""
+    peak = abs(light.membrane) / (np.sqrt(2 * np.pi) * float(np.prod(widths)) ** (1 / 3))
+    return abs(light.interior) / max(peak, 1e-300)
 
 
 def may_shine(asked: StructureChoice, mesh: Mesh, optics: Optics) -> Structure:

@@ -109,6 +109,6 @@ def vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
     first, second, third = (vertices.T[:, corner] for corner in faces.T)
     rows, n = np.concatenate(faces.T), len(vertices)
     each = crossed(second - first, third - first)
-    found = np.stack([np.bincount(rows, np.tile(one, 3), n) for one in each], 1)
+    found: FloatArray = np.stack([np.bincount(rows, np.tile(one, 3), n) for one in each], 1)
     length = lengths(found)[:, None]
     return np.divide(found, length, out=np.zeros_like(found), where=length > 0)

@@ -34,6 +34,11 @@ class EveningRules:
         from wherever brightness is read.
     noise
         Times the variance that noise gives it: what exceeds that is believed.
+    inside
+        Of the peak of a membrane's image: an inside that is darker is left as it is, since what is
+        uneven there may be the membrane's own light. At 0.3 of it and more, evening it brought
+        surfaces 1.1 to 2 times as near (cells with a chromatin of 0.2 and 0.4, a membrane and an
+        inside); on vesicles with 0.08 it took them 0.03 to 0.1 voxel further from their ridge.
     least, most
         Of the even brightness: beyond, it is another thing.
     """
@@ -42,6 +47,7 @@ class EveningRules:
     width: float = 1.0
     cut_off: float = 6.0
     noise: float = 2.0
+    inside: float = 0.2
     least: float = 0.3
     most: float = 3.0
 
