@@ -22,9 +22,10 @@ from .uneven_insides import uneven_insides
 from .verdict import RULES, CellFacts, Facts, Verdict, judged
 
 _DEEP, _FAR = 2.5, 6.0  # widths of the PSF from a surface: what its own light hardly reaches
-_LONG_ENOUGH = 12  # voxels: a shorter axis has few voxels with others three apart on both sides
-# Times. White noise gives 1; a Gaussian of half a voxel 1.4, of one voxel 3.2: computed from the
-# correlations that it leaves, exp(-n^2 / 4 s^2) over n voxels.
+# Voxels: in a shorter axis hardly any have others three apart on both sides. Chosen, not measured.
+_LONG_ENOUGH = 12
+# Times: chosen between white noise, which gives 1, and what a Gaussian of half a voxel has smoothed,
+# which gives 1.4 (from the correlations that it leaves, exp(-n^2 / 4 s^2) over n voxels).
 _COLOURED = 1.25
 _FEWEST = 30  # voxels whose mean is told to a fifth of their spread: enough for what is judged
 
