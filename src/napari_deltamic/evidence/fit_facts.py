@@ -22,9 +22,9 @@ from .uneven_insides import uneven_insides
 from .verdict import RULES, CellFacts, Facts, Verdict, judged
 
 _DEEP, _FAR = 2.5, 6.0  # widths of the PSF from a surface: what its own light hardly reaches
-# Voxels: in a shorter axis hardly any have others three apart on both sides. Chosen, not measured.
+# Voxels: in a shorter axis few have others three apart on both sides. Chosen, not measured.
 _LONG_ENOUGH = 12
-# Times: chosen between white noise, which gives 1, and what a Gaussian of half a voxel has smoothed,
+# Times. Chosen between white noise, which gives 1, and one smoothed by a Gaussian of half a voxel,
 # which gives 1.4 (from the correlations that it leaves, exp(-n^2 / 4 s^2) over n voxels).
 _COLOURED = 1.25
 _FEWEST = 30  # voxels whose mean is told to a fifth of their spread: enough for what is judged
