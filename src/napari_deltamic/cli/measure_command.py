@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..common.triple import Triple, triple
 from ..common.writing import own_folder, write_atomically
 from ..errors import InputError, failure
 from ..evidence.residual import residual_map
@@ -21,7 +22,7 @@ from ..optics import GaussianPSF
 from ..results.html_page import html_page
 from ..results.lineage_graph import GEFF, write_geff
 from ..results.measured_files import write_measurements
-from ..results.measured_source import Measurable, Triple, measurable
+from ..results.measured_source import Measurable, measurable
 from ..results.track_report import holds_tracks, read_results, tracks_csv
 from .messages import Notes, tell
 
@@ -34,7 +35,7 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
         return _tracks(Path(arguments.source), folder, notes)
     try:
         source = measurable(
-            arguments.source, arguments.image, _triple(arguments.voxel_size), arguments.errors
+            arguments.source, arguments.image, _asked(arguments.voxel_size), arguments.errors
         )
         for remark in source.remarks:
             notes.add(remark)
@@ -43,7 +44,7 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
         measured = measure(source.mesh, source.known)
         with own_folder(folder):
             notes.release()
-            size = _triple(arguments.label_voxel)
+            size = _asked(arguments.label_voxel)
             paths = write_measurements(
                 folder,
                 source.mesh,
@@ -100,7 +101,7 @@ def _channel(arguments: argparse.Namespace, source: Measurable, notes: Notes) ->
     """The tables of another channel."""
     if source.grid is None:
         raise InputError("--channel needs the image of the mesh: give --image")
-    sigma = _triple(arguments.channel_sigma) or source.sigma
+    sigma = _asked(arguments.channel_sigma) or source.sigma
     if sigma is None:
         raise InputError("--channel needs the widths of its PSF: give --channel-sigma Z Y X")
     on = arguments.channel_on
@@ -118,8 +119,5 @@ def _channel(arguments: argparse.Namespace, source: Measurable, notes: Notes) ->
     return channel_tables(source.mesh, found)
 
 
-def _triple(values: list[float] | None) -> Triple | None:
-    if values is None:
-        return None
-    z, y, x = values
-    return z, y, x
+def _asked(values: list[float] | None) -> Triple | None:
+    return None if values is None else triple(values)

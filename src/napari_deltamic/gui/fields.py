@@ -19,10 +19,10 @@ from qtpy.QtWidgets import (
 )
 
 from ..common.description import Described, described
+from ..common.triple import Triple
 from .qt import Signal
 from .widgets import show_row
 
-Triple = tuple[float, float, float]
 _MOST = 1_000_000  # of a whole number without a limit
 
 

@@ -9,12 +9,12 @@ from typing import Self
 import torch
 from torch import Tensor
 
+from ..common.triple import Triple
 from ..fourier.plan import Cutoff
 from .parameters import Parameter, Spec, as_value, bound, check_fitted, decode, encode, free_range
 from .spectrum import band_radius, reach
 
 Axes = tuple[Tensor, Tensor, Tensor]
-Triple = tuple[float, float, float]
 
 
 class ParametricPSF:

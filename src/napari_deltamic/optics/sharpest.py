@@ -9,13 +9,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..common.triple import Triple, triple
 from ..fourier.plan import Cutoff
 from .gaussian import GaussianPSF
 
 if TYPE_CHECKING:
     from . import Optics
-
-Triple = tuple[float, float, float]
 
 
 class Sharpest:
@@ -33,11 +32,11 @@ class Sharpest:
 
     def reach(self, accuracy: float) -> Triple:
         """um along Z, Y, X: of the wider one along each axis."""
-        return _triple(np.maximum(self._first.reach(accuracy), self._second.reach(accuracy)))
+        return triple(np.maximum(self._first.reach(accuracy), self._second.reach(accuracy)))
 
     def width(self) -> Triple:
         """um: of the sharper one along each axis."""
-        return _triple(np.minimum(self._first.width(), self._second.width()))
+        return triple(np.minimum(self._first.width(), self._second.width()))
 
     def otf(self, axes: tuple[Tensor, Tensor, Tensor]) -> Tensor:
         """The larger one of both |OTF| at each wavevector."""
@@ -52,11 +51,6 @@ class Sharpest:
         def found(error: float, area: float, thin: bool) -> tuple[Triple, float]:
             radius, at_edge = first(error, area, thin)
             second = sqrt(2 * log(1 / at_edge)) / np.hypot(self._second.width(), blur)
-            return _triple(np.maximum(radius, second)), at_edge
+            return triple(np.maximum(radius, second)), at_edge
 
         return found
-
-
-def _triple(values: np.ndarray) -> Triple:
-    z, y, x = (float(v) for v in values)
-    return z, y, x

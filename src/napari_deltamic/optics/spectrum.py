@@ -9,7 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-Triple = tuple[float, float, float]
+from ..common.triple import Triple
+
 # An OTF that is not round meets the directions of a surface unevenly; seen to cost up to 1.8.
 _DIRECTIONS = 0.5
 _REACH_SHARE = 0.3  # of the accuracy: what may come round from the other side

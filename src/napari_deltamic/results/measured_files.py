@@ -9,6 +9,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from ..common.triple import Triple
 from ..common.writing import make_folder, write_atomically, written_together
 from ..geometry import Mesh, save_mesh
 from ..images.stacks import write_image
@@ -27,7 +28,6 @@ MEASURED = (
     "labels.ome.tif",
     "measurements.html",
 )
-Triple = tuple[float, float, float]
 
 
 def write_measurements(

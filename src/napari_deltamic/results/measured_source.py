@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.choices import IMAGE_FILES
+from ..common.triple import Triple
 from ..errors import InputError
 from ..evidence import analyse_residual
 from ..geometry import Mesh, load_mesh
@@ -23,8 +24,6 @@ from ..measure.of_fit import known_of, replicas_at
 from ..runs.settings import RunSettings
 from ..scene import Grid
 from .session_file import EXTENSION, load_session
-
-Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True, eq=False)

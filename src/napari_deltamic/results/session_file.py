@@ -11,11 +11,12 @@ from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
+from ..common.triple import triple
 from ..errors import InputError
 from ..geometry.archive import ArchiveReader, ArchiveWriter, MeshWriter, opened
 from .session_bead import keep_bead
 from .session_parts import SavedImage, SavedLayer, SavedResult, SavedTracks, Session
-from .session_result import result_facts, saved_result, settings_of, triple
+from .session_result import result_facts, saved_result, settings_of
 from .session_tracks import saved_tracks, tracks_facts
 
 EXTENSION = ".deltamic"

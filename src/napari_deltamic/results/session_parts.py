@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..common.triple import Triple
 from ..fitting import FitState
 from ..geometry import Mesh
 from ..runs.settings import RunSettings
@@ -16,8 +17,6 @@ from ..scene import Grid
 from ..tracking import FrameResult
 from .report import History
 from .timeline import Moment
-
-Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True, eq=False)

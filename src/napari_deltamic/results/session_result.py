@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from math import isfinite, nan
 from typing import Any
@@ -12,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 
 from ..common.reading import toml_values
+from ..common.triple import triple
 from ..errors import InputError
 from ..fitting import FitState
 from ..fitting.job import optics_of
@@ -24,7 +25,7 @@ from ..scene.effects import Effects
 from ..scene.light import Light
 from .report import History
 from .session_bead import keep_bead, with_bead
-from .session_parts import SavedResult, Triple
+from .session_parts import SavedResult
 from .timeline import Moment
 
 _STATE = (  # what of a state is a plain value
@@ -184,9 +185,3 @@ def settings_of(archive: ArchiveReader, name: str) -> RunSettings:
         scene = settings.scene.model_copy(update={"effects": effects})
         settings = settings.model_copy(update={"scene": scene})
     return with_bead(archive, name.replace(".toml", "/bead"), settings)
-
-
-def triple(values: Iterable[Any]) -> Triple:
-    """Three numbers."""
-    z, y, x = (float(v) for v in values)
-    return z, y, x

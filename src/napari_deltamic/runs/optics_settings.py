@@ -14,13 +14,12 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from ..common.choices import IMMERSIONS, Bead, Modality, PSFModel
 from ..common.description import setting
 from ..common.reading import read_text, reading, toml_values
+from ..common.triple import Triple
 from ..common.wrong_value import first_wrong_value
 from ..errors import InputError
 
 if TYPE_CHECKING:
     from ..optics import Optics, Parameter
-
-Triple = tuple[float, float, float]
 
 
 class _Optics(BaseModel):

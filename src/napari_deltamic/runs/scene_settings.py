@@ -8,10 +8,9 @@ from typing import Any, Self
 from pydantic import field_serializer, field_validator, model_validator
 
 from ..common.description import setting
+from ..common.triple import Triple
 from .fit_settings import Settings
 from .optics_settings import OpticsSettings
-
-Triple = tuple[float, float, float]
 
 
 class SceneFields(Settings):

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..common.triple import triple
 from ..errors import InputError
 from ..geometry import Mesh
 from ..geometry.labels.meshes import EDGE_IN_VOXELS
@@ -75,9 +76,4 @@ def coarser(image: NDArray[Any], grid: Grid) -> tuple[NDArray[Any], Grid]:
     size = np.multiply(grid.voxel_size, factors)
     # The first voxel is now the middle of several.
     origin = np.add(grid.origin, np.multiply(grid.voxel_size, np.subtract(factors, 1)) / 2)
-    return blocks, Grid(blocks.shape, _triple(size), _triple(origin))
-
-
-def _triple(values: Any) -> tuple[float, float, float]:
-    z, y, x = (float(v) for v in values)
-    return z, y, x
+    return blocks, Grid(blocks.shape, triple(size), triple(origin))

@@ -10,6 +10,7 @@ import pint
 from napari.layers import Image
 from numpy.typing import ArrayLike, NDArray
 
+from ...common.triple import Triple, triple
 from ...errors import InputError
 from ...scene import Grid
 
@@ -19,7 +20,6 @@ OWN = "deltamic"  # key in the metadata of layers: what this plugin knows of the
 ORIGIN = "origin"
 TRUTH = "truth"  # under it: whether the layer shows what is true of a simulated image
 FloatArray = NDArray[np.float64]
-Triple = tuple[float, float, float]
 Box = tuple[tuple[int, int], tuple[int, int], tuple[int, int]]  # voxels, Z, Y, X: first, and end
 
 
@@ -52,16 +52,16 @@ class Frame:
                 "or give it a positive scale"
             )
         return cls(
-            _triple(size),
+            triple(size),
             um,
-            _triple(layer.translate[-3:]),
+            triple(layer.translate[-3:]),
             tuple(str(u) for u in layer.units[-3:]),
         )
 
     def within(self, box: Box) -> Frame:
         """The frame of a region of the image."""
         first = np.array([low for low, _ in box]) * self.voxel_size
-        return replace(self, translate=_triple(self.to_world(first)), box=box)
+        return replace(self, translate=triple(self.to_world(first)), box=box)
 
     def region(self, layer: Any, shape: tuple[int, ...]) -> tuple[slice, ...] | None:
         """The voxels of this region in a layer of all the image, or of the region alone.
@@ -138,14 +138,14 @@ def camera_of(viewer: Any) -> Any:
 def um_per_unit(layer: Any) -> Triple | None:
     """um in one unit of a layer's last three axes; None if they are no lengths (pixels)."""
     try:
-        return _triple([float((1 * unit).to("micrometer").magnitude) for unit in layer.units[-3:]])
+        return triple([float((1 * unit).to("micrometer").magnitude) for unit in layer.units[-3:]])
     except (pint.DimensionalityError, pint.UndefinedUnitError):
         return None
 
 
 def voxel_size(layer: Any) -> Triple:
     """Of an image layer, um, whichever way its axes run."""
-    return _triple(np.abs(np.asarray(layer.scale, float)[-3:]) * (um_per_unit(layer) or (1.0,) * 3))
+    return triple(np.abs(np.asarray(layer.scale, float)[-3:]) * (um_per_unit(layer) or (1.0,) * 3))
 
 
 def made_by_fit(layer: Any) -> bool:
@@ -197,8 +197,3 @@ def _check_straight(layer: Any) -> None:
             f"layer '{layer.name}' is rotated, sheared or has an affine transform; "
             "only scale and translation can be used"
         )
-
-
-def _triple(values: Any) -> Triple:
-    z, y, x = (float(v) for v in values)
-    return z, y, x
