@@ -31,7 +31,8 @@ from napari_deltamic.accuracy.calibration import calibrate
 from napari_deltamic.accuracy.chart import Chart
 from napari_deltamic.accuracy.forecast import forecast
 from napari_deltamic.accuracy.shape_error import DRAWS, photons_for, shape_errors
-from napari_deltamic.accuracy.tradeoff import Way, duration, measure_ways, with_front
+from napari_deltamic.accuracy.tradeoff import Way, measure_ways, with_front
+from napari_deltamic.common.words import duration
 from napari_deltamic.fitting.default_accuracy import accuracy_for_image, image_noise
 from napari_deltamic.fourier.cost import Costs
 from napari_deltamic.fourier.cuda import missing

@@ -7,7 +7,8 @@ import pytest
 import torch
 
 import napari_deltamic as nd
-from napari_deltamic.accuracy.tradeoff import PLANNED, Way, duration, measure_ways, with_front
+from napari_deltamic.accuracy.tradeoff import PLANNED, Way, measure_ways, with_front
+from napari_deltamic.common.words import duration
 from napari_deltamic.fourier.cost import BUILT_IN, Rates
 from napari_deltamic.geometry import sphere
 from napari_deltamic.scene import memory

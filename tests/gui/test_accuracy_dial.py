@@ -12,8 +12,8 @@ import napari_deltamic as nd
 from napari_deltamic.accuracy import machine_costs
 from napari_deltamic.accuracy.forecast import Forecast, LevelForecast, forecast
 from napari_deltamic.accuracy.renewed_forecast import RenewedForecast
-from napari_deltamic.accuracy.tradeoff import duration
 from napari_deltamic.common.cache_folder import CACHE_VARIABLE
+from napari_deltamic.common.words import duration
 from napari_deltamic.errors import InputError
 from napari_deltamic.fitting.default_accuracy import PRESETS, image_noise, preset_accuracy
 from napari_deltamic.geometry import sphere

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from napari_deltamic.gui.running.footer import duration, progress_text
+from napari_deltamic.gui.running.footer import forecast_text, progress_text
 
 from .interacting import notes, pause, right_end, use, vertices, went_on
 
@@ -125,7 +125,7 @@ def test_remaining_time_is_told_where_it_is_known(begun, spin):
         spin(lambda: not begun.run.running)
     assert "left" not in progress_text(10, 3.0, None)
     assert progress_text(10, 0.25, None).endswith("0.2 a second")
-    assert [duration(s) for s in (1, 20, 100, 4000, 9000)] == [
+    assert [forecast_text(s) for s in (1, 20, 100, 4000, 9000)] == [
         "a second",
         "about 20 s",
         "about 2 min",

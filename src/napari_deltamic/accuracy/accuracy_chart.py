@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from ..common.words import duration, scientific
 from .chart import Chart, Note, Series, time_text
 from .shape_error import ShapeError, enough
-from .tradeoff import Way, duration
+from .tradeoff import Way
 
 _WAYS = ("way", "image", "with gradient", "memory", "image error", "gradient error", "")
 _SHAPES = (
@@ -188,10 +189,7 @@ def aligned(rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> str:
 
 def short(accuracy: float) -> str:
     """1e-3 rather than 0.001 or 1e-03."""
-    if accuracy == 0:
-        return "0 (exact)"
-    mantissa, _, exponent = f"{accuracy:.2e}".partition("e")
-    return f"{float(mantissa):g}e{int(exponent)}"
+    return "0 (exact)" if accuracy == 0 else scientific(accuracy)
 
 
 def _or_dash(value: Any, text: Any) -> str:

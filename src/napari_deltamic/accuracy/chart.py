@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from ..common.words import scientific
 from ..errors import InputError
 
 Marker = Literal["circle", "square", "triangle", "diamond", "cross"]
@@ -32,11 +33,8 @@ _RADIUS = 5.5  # px of a marker
 
 
 def _power(value: float) -> str:
-    """1e-3 rather than 1e-03; plain where that is as short."""
-    if 0.01 <= value < 1e4:
-        return f"{value:g}"
-    mantissa, _, exponent = f"{value:.0e}".partition("e")
-    return f"{mantissa}e{int(exponent)}"
+    """Plain where that is as short."""
+    return f"{value:g}" if 0.01 <= value < 1e4 else scientific(value, 1)
 
 
 @dataclass(frozen=True)

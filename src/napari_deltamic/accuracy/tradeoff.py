@@ -13,11 +13,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..common.accuracy_bounds import check_accuracy
 from ..common.choices import RENDERED_ACCURACY
+from ..common.words import duration
 from ..errors import InputError
 from ..fourier import Band, Plan, make_plan
 from ..fourier.cost import Costs, count_work
-from ..fourier.plan import Method, _edge_phases, check_accuracy
+from ..fourier.plan import Method, _edge_phases
 from ..fourier.quadrature import DEGREES, rule
 from ..fourier.spreading import choose_spreading
 from ..geometry.mesh import Mesh
@@ -198,16 +200,6 @@ def with_front(ways: Iterable[Way]) -> list[Way]:
         return not beats.any()
 
     return [replace(w, on_front=on_front(p)) for w, p in zip(ways, points, strict=True)]
-
-
-def duration(seconds: float) -> str:
-    """A time in words that fit a table."""
-    # Limits below which two digits of the unit tell more than those of the next one would.
-    for limit, unit, size in ((9.95e-2, "ms", 1e-3), (90, "s", 1), (5400, "min", 60)):
-        if seconds < limit:
-            return f"{seconds / size:.2g} {unit}"
-    hours = seconds / 3600
-    return f"{hours:.2g} h" if hours < 48 else f"{hours / 24:.0f} days"
 
 
 # ------------------------------------------------------------------------------------ the ways

@@ -28,8 +28,9 @@ from ..accuracy.accuracy_chart import (
 from ..accuracy.forecast import Forecast, forecast
 from ..accuracy.machine_costs import costs
 from ..accuracy.shape_error import DRAWS, ShapeError, photons_for, shape_errors
-from ..accuracy.tradeoff import Way, duration, measure_ways, with_front
+from ..accuracy.tradeoff import Way, measure_ways, with_front
 from ..common.choices import RENDERED_ACCURACY
+from ..common.words import duration
 from ..common.writing import make_folder, write_atomically
 from ..errors import failure
 from ..fitting import fit

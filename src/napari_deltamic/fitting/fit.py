@@ -10,9 +10,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..common.accuracy_bounds import check_accuracy
 from ..errors import InputError
 from ..fourier.devices import choose_device
-from ..fourier.plan import check_accuracy
 from ..geometry.mesh import Mesh
 from ..geometry.topology.crossings import crosses
 from ..geometry.topology.untangling import untangled

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
+from ..common.accuracy_bounds import check_accuracy
 from ..errors import InputError
 from .band import Band
 from .closed_form import row_wavevectors
@@ -25,7 +26,6 @@ from .plan import (
     EXACT_BELOW,
     Cutoff,
     Method,
-    check_accuracy,
     checked_method,
     choose_band,
     spreading_for,

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..common.accuracy_bounds import check_accuracy
 from ..errors import InputError
 from .band import Band, band_error, threshold_for
 from .closed_form import band_ft
@@ -270,12 +271,6 @@ def choose_band(
     return BandChoice(
         band, threshold, single, tolerance, quadrature, held, at_edge, is_round, error
     )
-
-
-def check_accuracy(accuracy: float) -> None:
-    """InputError unless the accuracy is at least 0 and below 1."""
-    if not 0 <= accuracy < 1:
-        raise InputError(f"accuracy must be at least 0 and below 1, not {accuracy}")
 
 
 def _size(vertices: np.ndarray, faces: np.ndarray) -> tuple[float, bool]:

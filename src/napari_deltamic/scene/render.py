@@ -9,9 +9,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..common.accuracy_bounds import check_accuracy
 from ..fourier import Band, Plan
 from ..fourier.devices import for_objects
-from ..fourier.plan import Method, check_accuracy
+from ..fourier.plan import Method
 from ..geometry.arrays import is_tensor
 from ..geometry.mesh import Mesh
 from ..optics import GaussianPSF, Optics

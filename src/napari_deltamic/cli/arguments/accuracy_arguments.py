@@ -13,7 +13,7 @@ from ...runs.scene_settings import SceneFields
 from ..flags import TRIPLE, add_flags
 from ..folders import check_folder
 from ..optics_arguments import add_optics, optics_values
-from .argument_checks import check_accuracy, check_files
+from .argument_checks import check_files, check_given_accuracy
 
 _FILES = ("accuracy.json", "accuracy.png", "shape.png")
 
@@ -70,7 +70,7 @@ def _check(arguments: argparse.Namespace) -> None:
         raise InputError(f"budget must be a positive number of seconds, not {arguments.budget:g}")
     if arguments.draws is not None and arguments.draws < 1:
         raise InputError("--draws must be 1 or more")
-    check_accuracy(arguments)
+    check_given_accuracy(arguments)
     kind = Path(arguments.scene).suffix.lower()
     if kind in MESH_FILES:
         _check_mesh(arguments)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from ...common.accuracy_bounds import check_accuracy
 from ...common.choices import AUTO
 from ...errors import InputError
 
@@ -18,8 +19,7 @@ def check_files(arguments: argparse.Namespace, *names: str) -> None:
             raise InputError(f"{path}: there is no such file")
 
 
-def check_accuracy(arguments: argparse.Namespace) -> None:
-    """InputError unless the accuracy of a rendering can be one."""
-    accuracy = arguments.accuracy
-    if accuracy is not None and not 0 <= accuracy < 1:
-        raise InputError(f"accuracy must be at least 0 and below 1, not {accuracy:g}")
+def check_given_accuracy(arguments: argparse.Namespace) -> None:
+    """InputError unless the accuracy of a rendering, where it is given, can be one."""
+    if arguments.accuracy is not None:
+        check_accuracy(arguments.accuracy)

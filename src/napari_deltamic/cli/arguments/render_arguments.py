@@ -11,7 +11,7 @@ from ...common.choices import IMAGE_FILES, RENDERED_ACCURACY, ZARR
 from ...errors import InputError
 from ...geometry.formats import MESH_FILES_LISTED
 from ..optics_arguments import add_grid_and_optics, optics_values
-from .argument_checks import check_accuracy, check_files
+from .argument_checks import check_files, check_given_accuracy
 
 
 def add_parser(commands: Any) -> None:
@@ -51,6 +51,6 @@ def _check(arguments: argparse.Namespace) -> None:
         raise InputError(f"{path} is there already; --overwrite replaces it")
     if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
         raise InputError(f"{path.parent}: no folder that can be written to")
-    check_accuracy(arguments)
+    check_given_accuracy(arguments)
     check_files(arguments, "mesh")
     optics_values(arguments)

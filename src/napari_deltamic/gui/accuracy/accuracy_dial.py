@@ -8,6 +8,8 @@ from typing import Any
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QComboBox, QSizePolicy, QWidget
 
+from ...common.accuracy_bounds import is_accuracy
+from ...common.words import scientific
 from ...errors import InputError
 from ...fitting.default_accuracy import PRESETS, Preset, preset_accuracy
 from ...runs.fit_settings import SHAPE_CHOICES, asked_error
@@ -120,7 +122,7 @@ def accuracy_of(choice: str, noise: float) -> float:
         accuracy = float(choice.replace(",", "."))
     except ValueError:
         accuracy = -1.0
-    if not 0 <= accuracy < 1:
+    if not is_accuracy(accuracy):
         raise InputError(
             f"accuracy must be {', '.join(PRESETS)}, a length such as 20nm, or a number from 0 to "
             f"below 1, not '{choice}'"
@@ -132,8 +134,7 @@ def written(accuracy: float) -> str:
     """A number as a user would type it: 3e-3, and 'exact' for 0."""
     if accuracy == 0:
         return "exact"
-    mantissa, _, exponent = f"{accuracy:e}".partition("e")
-    short = f"{float(mantissa):g}e{int(exponent)}"
+    short = scientific(accuracy, 7)
     # All digits where they matter: a saved analysis goes on with the very number.
     return short if float(short) == accuracy else repr(float(accuracy))
 

@@ -10,7 +10,7 @@ from qtpy.QtCore import QObject
 from ...accuracy.forecast import Forecast
 from ...accuracy.machine_costs import costs
 from ...accuracy.renewed_forecast import RenewedForecast
-from ...accuracy.tradeoff import duration
+from ...common.words import duration
 from ...errors import InputError
 from ..document import Document
 from ..qt import Signal

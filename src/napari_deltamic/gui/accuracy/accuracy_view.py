@@ -10,7 +10,8 @@ from qtpy.QtWidgets import QListWidget, QListWidgetItem, QPushButton, QVBoxLayou
 
 from ...accuracy.accuracy_chart import short
 from ...accuracy.machine_costs import costs
-from ...accuracy.tradeoff import Way, duration, measure_ways
+from ...accuracy.tradeoff import Way, measure_ways
+from ...common.words import duration
 from ...errors import InputError
 from ...fitting.default_accuracy import image_noise
 from ..attempt import words_of

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from qtpy.QtWidgets import QFileDialog, QLabel, QPushButton, QSizePolicy, QVBoxLayout, QWidget
 
+from ...common.choices import IMAGE_FILES, ZARR
 from ...errors import InputError
 from ...images.stacks import read_voxel_size
 from ...runs.optics_settings import MeasuredOptics
@@ -15,7 +16,7 @@ from ..attempt import attempt
 from ..fields import Form
 from ..qt import Signal
 
-_FILES = "images (*.tif *.tiff *.npy)"
+_FILES = f"images ({' '.join(f'*{kind}' for kind in IMAGE_FILES if kind != ZARR)})"
 
 
 class MeasuredFields(QWidget):

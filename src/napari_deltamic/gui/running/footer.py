@@ -6,6 +6,7 @@ from typing import Any
 
 from qtpy.QtWidgets import QHBoxLayout, QProgressBar, QPushButton, QVBoxLayout, QWidget
 
+from ...common.words import duration
 from ..document import Document
 from ..widgets import Note
 from .worker import FitRun, Snapshot
@@ -107,14 +108,9 @@ class Footer(QWidget):
 def progress_text(iterations: int, rate: float, remaining: float | None) -> str:
     """Iterations done, how many a second, and the time that remains, in words."""
     text = f"{iterations} iterations, {rate:.{0 if rate >= 2 else 1}f} a second"
-    return text if remaining is None else f"{duration(remaining)} left; {text}"
+    return text if remaining is None else f"{forecast_text(remaining)} left; {text}"
 
 
-def duration(seconds: float) -> str:
-    """About how long, in words; never more exact than a forecast can be."""
-    if seconds < 1.5:
-        return "a second"
-    for size, name in ((1, "s"), (60, "min"), (3600, "h")):
-        if seconds < 90 * size or name == "h":
-            return f"about {seconds / size:.0f} {name}"
-    return ""
+def forecast_text(seconds: float) -> str:
+    """About how long, in words."""
+    return "a second" if seconds < 1.5 else f"about {duration(seconds, whole=True)}"

@@ -1,0 +1,20 @@
+"""Numbers as they are read."""
+
+from __future__ import annotations
+
+
+def scientific(value: float, digits: int = 3) -> str:
+    """1e-3 rather than 0.001 or 1e-03, of at most so many digits."""
+    mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
+    return f"{float(mantissa):g}e{int(exponent)}"
+
+
+def duration(seconds: float, whole: bool = False) -> str:
+    """A time in words that fit a table; ``whole``: no more exact than a forecast can be."""
+    digits = ".0f" if whole else ".2g"
+    # Limits below which two digits of the unit tell more than those of the next one would.
+    for limit, unit, size in ((9.95e-2, "ms", 1e-3), (90, "s", 1), (5400, "min", 60)):
+        if seconds < limit:
+            return f"{seconds / size:{digits}} {unit}"
+    hours = seconds / 3600
+    return f"{hours:{digits}} h" if hours < 48 else f"{hours / 24:.0f} days"
