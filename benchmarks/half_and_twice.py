@@ -27,7 +27,6 @@ from napari_deltamic import GaussianPSF, Grid, PupilPSF, fit
 from napari_deltamic.evidence.bead import fit_bead
 from napari_deltamic.evidence.camera import camera_from_image
 from napari_deltamic.evidence.first_sigma import first_sigma
-from napari_deltamic.evidence.psf_errors import psf_standard_errors
 from napari_deltamic.evidence.recommend import recommend
 from napari_deltamic.evidence.sanity import elongation, followed, lasting, structured
 from napari_deltamic.evidence.slices import drift
@@ -138,12 +137,6 @@ def scores() -> Found:
     return found
 
 
-def psf_errors() -> Found:
-    """Standard errors of a PSF."""
-    _, state = _ended()
-    return dict(psf_standard_errors(state, GRID, 4.0))
-
-
 def membrane() -> Found:
     """A surface, PSF and smooth density."""
     return _fitted(plain(), START, fit_psf=True, density="smooth")
@@ -169,13 +162,12 @@ CASES: dict[str, Callable[[], Found]] = {
         looks,
         beads,
         scores,
-        psf_errors,
         membrane,
         cluster,
         insides,
     )
 }
-EVIDENCE = ("widths", "cameras", "looks", "beads", "scores", "psf_errors")
+EVIDENCE = ("widths", "cameras", "looks", "beads", "scores")
 
 
 def _last(image: np.ndarray, mesh: Mesh, **more: object) -> FitState:

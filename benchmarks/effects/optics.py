@@ -22,7 +22,6 @@ from napari_deltamic import (
 )
 from napari_deltamic.evidence.bead import BeadFit, fit_bead
 from napari_deltamic.evidence.camera import camera_from_image
-from napari_deltamic.evidence.psf_errors import psf_standard_errors
 from napari_deltamic.geometry import sphere
 from napari_deltamic.images.stacks import read_image
 from napari_deltamic.optics import Optics
@@ -30,6 +29,7 @@ from napari_deltamic.optics.measured import bead_transform
 from napari_deltamic.runs.settings import FitSettings
 
 from ..figure import Figure, MissingData, Options, Row, at_least, at_most
+from .psf_errors import psf_standard_errors
 
 GRID = Grid((24, 40, 40), (0.2, 0.1, 0.1))
 CENTRE = (2.3, 1.95, 1.95)

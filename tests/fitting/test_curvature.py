@@ -8,7 +8,7 @@ from benchmarks.double_bubble import DoubleBubble
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.fitting import curvature as module
-from napari_deltamic.fitting.curvature import Curvature, affordable
+from napari_deltamic.fitting.curvature import Curvature
 from napari_deltamic.fitting.directions import Directions
 from napari_deltamic.fitting.errors_of_measures import posed_at
 from napari_deltamic.fitting.normal_jacobian import Colouring, normal_jacobian
@@ -206,9 +206,7 @@ def test_junctions_move_in_two_directions_across_them():
 
 
 def test_what_is_not_affordable_is_refused(there, monkeypatch):
-    assert affordable(there.posterior, there.at, MESH)
     monkeypatch.setattr(module, "_MOST_WORK", 10.0)
-    assert not affordable(there.posterior, there.at, MESH)
     with pytest.raises(InputError, match="renderings"):
         Curvature(there.posterior, there.at, MESH)
     monkeypatch.setattr(module, "_MOST_VERTICES", 10)

@@ -57,14 +57,22 @@ def asked(monkeypatch):
     gate.release(99)
 
 
+def row_of(panel, name):
+    """What the table shows of an effect, by the first words of the titles."""
+    table, row = panel.table, panel.table.names().index(name)
+    columns = range(table.columnCount())
+    titles = [table.horizontalHeaderItem(c).text().partition("\n")[0] for c in columns]
+    return dict(zip(titles, (table.item(row, c).text() for c in columns), strict=True))
+
+
 def test_nothing_is_ticked_before_the_user_does(panel):
     assert panel.summary() == "none; check this image"
     panel.show_found(recommendation(HALO, FADING))
     assert panel.effects() == Effects()
     assert panel.summary() == "none; dimmer with depth recommended"
-    row = panel.table.row_of("attenuation")
+    row = row_of(panel, "attenuation")
     assert row == {"correction": "dimmer with depth", "how": "12.3", "shift": "85", "slower": "3.2"}
-    assert panel.table.row_of("pixel_integration")["how"] == ""
+    assert row_of(panel, "pixel_integration")["how"] == ""
     assert "gain 2" in panel.remarks.text()
 
 

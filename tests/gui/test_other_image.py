@@ -9,7 +9,7 @@ from napari_deltamic.runs.settings import FitSettings
 
 from .conftest import SIZE
 from .sessions import done, fitted, save
-from .test_effects_panel import FADING, HALO, recommendation
+from .test_effects_panel import FADING, HALO, recommendation, row_of
 
 
 @pytest.fixture
@@ -94,7 +94,7 @@ def test_recommendations_are_of_their_image(seeded, spin, other, monkeypatch):
     choose(seeded, "other")
     assert "recommended" not in view.summary()
     assert view.take_button.isHidden()
-    assert view.table.row_of("attenuation")["how"] == ""
+    assert row_of(view, "attenuation")["how"] == ""
     assert "another image" in view.progress.text()
     choose(seeded, "cell")
     assert view.summary() == "none; dimmer with depth recommended"

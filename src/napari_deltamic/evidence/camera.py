@@ -40,7 +40,6 @@ class NoiseLine:
     intercept: float
     slope_error: float
     lowest: float
-    highest: float
 
     def variance(self, mean: np.ndarray) -> np.ndarray:
         """Variance of voxels with these means; never below that of the darkest ones seen."""
@@ -188,7 +187,7 @@ def _line(values: np.ndarray, usable: np.ndarray) -> tuple[NoiseLine | None, str
     slope, intercept, error = _weighted_line(x, v, n)
     if not slope > 0 or error > CAMERA.largest_error * slope:
         return None, "the noise does not grow with brightness as that of counted photons does"
-    return NoiseLine(slope, intercept, error, float(x[0]), float(x[-1])), ""
+    return NoiseLine(slope, intercept, error, float(x[0])), ""
 
 
 def _neighbours(noise: np.ndarray, whole: np.ndarray, axis: int) -> float:

@@ -53,7 +53,7 @@ class Curvature:
     Raises
     ------
     InputError
-        If there are too many vertices or voxels, see :func:`affordable`.
+        If there are so many vertices or voxels that it would take more than about a minute.
     """
 
     def __init__(
@@ -194,12 +194,6 @@ def _insides(light: Light) -> list[Light]:
         return []
     each = each_alone(np.array([k for k, _ in light.cells], np.int64)) or [INSIDES]
     return each if light.membrane else each[1:]
-
-
-def affordable(posterior: Posterior, at: Variables, mesh: Mesh) -> bool:
-    """Whether a curvature takes no more than about a minute on one core."""
-    directions = Directions.of(mesh, at.vertices)
-    return not _too_much(_colouring(posterior, at, mesh, directions), posterior)
 
 
 def _too_much(colouring: Colouring, posterior: Posterior) -> str:

@@ -84,7 +84,7 @@ class BendingEnergy:
         gradient = np.roll(gradient, -1, axis=1) - np.roll(gradient, 1, axis=1)
         free = (raw > _LEAST) & (raw < _LARGEST)
         by_cotangent = 0.5 * free * np.einsum("fpi,fpi->fp", difference, edges)
-        gradient += _through_cotangents(by_cotangent, dots, doubled, edges)
+        gradient += _through_cotangents(by_cotangent, doubled, edges)
         by_area = -density[self._faces].sum(1) / 6 - (by_cotangent * dots).sum(1) / doubled**2
         # d |N| by a corner is the edge opposite it, turned about the normal.
         turned = np.cross((normal / doubled[:, None])[:, None], edges)
@@ -129,7 +129,7 @@ class BendingEnergy:
 
 
 def _through_cotangents(
-    by_cotangent: FloatArray, dots: FloatArray, doubled: FloatArray, edges: FloatArray
+    by_cotangent: FloatArray, doubled: FloatArray, edges: FloatArray
 ) -> FloatArray:
     """(F, 3, 3) gradient through the dot products of the cotangents, areas held."""
     by_dot = by_cotangent / doubled[:, None]

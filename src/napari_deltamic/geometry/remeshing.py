@@ -36,8 +36,8 @@ class Remeshed:
     origin
         (V,) the given vertex that each one is, moved or not; -1 for those that are new. What is
         left of the given ones keeps their order.
-    splits, collapses, flips
-        How many edges were split, collapsed and flipped.
+    splits, collapses
+        How many edges were split and collapsed.
     """
 
     mesh: Mesh
@@ -46,7 +46,6 @@ class Remeshed:
     origin: IntArray
     splits: int
     collapses: int
-    flips: int
 
 
 def can_remesh() -> bool:
@@ -152,7 +151,7 @@ def _kept_apart(
             return done
         trouble = np.concatenate([trouble, found])
     # By rounding.
-    return Remeshed(mesh, loads, held > 0, np.arange(len(vertices)), 0, 0, 0)
+    return Remeshed(mesh, loads, held > 0, np.arange(len(vertices)), 0, 0)
 
 
 def _crossing_corners(mesh: Mesh, near: float) -> FloatArray:
@@ -174,7 +173,7 @@ def _remeshed(
 ) -> Remeshed:
     library = native()
     assert library is not None
-    vertices, faces, regions, held_now, loads_now, origin, counts = library.remesh(
+    vertices, faces, regions, held_now, loads_now, origin, (splits, collapses, _) = library.remesh(
         np.ascontiguousarray(mesh.vertices_numpy(), np.float64),
         np.ascontiguousarray(mesh.faces, np.int64),
         np.ascontiguousarray(mesh.regions, np.int64),
@@ -192,7 +191,8 @@ def _remeshed(
         loads_now.reshape(shape),
         held_now[:, 0] > 0,
         origin[:, 0],
-        *counts,
+        splits,
+        collapses,
     )
 
 

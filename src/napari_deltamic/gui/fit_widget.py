@@ -73,7 +73,7 @@ class FitWidget(QWidget):
         self.seeds = SeedsPanel(doc, self)
         optics = OpticsPanel(doc, tip_of(described(SceneSettings)["sigma"]), self)
         self.settings = SettingsPanel(doc, optics, EffectsPanel(doc, self), self)
-        self.control = RunControl(doc, parent=self)
+        self.control = RunControl(doc, self)
         self.edits = Edits(doc, self.control, self)
         self.live_settings = LiveSettings(doc, self.edits, self)
         self.judging = Judging(doc, self)

@@ -30,11 +30,9 @@ _ARROW = 30  # px of the button of a fold that are not for its text
 class LayerChooser(QComboBox):
     """Shows a choice of layers, and lets the user make it."""
 
-    def __init__(
-        self, choice: LayerChoice, parent: QWidget | None = None, *, nothing: str = "none"
-    ) -> None:
+    def __init__(self, choice: LayerChoice, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.choice, self._nothing = choice, nothing
+        self.choice = choice
         be_narrow(self)
         choice.listed.connect(self._show)
         self.currentIndexChanged.connect(self._chosen)
@@ -47,7 +45,7 @@ class LayerChooser(QComboBox):
         blocker = QSignalBlocker(self)
         layers = self._shown()
         self.clear()
-        self.addItems([self._nothing if layer is None else layer.name for layer in layers])
+        self.addItems(["none" if layer is None else layer.name for layer in layers])
         chosen = self.choice.layer
         self.setCurrentIndex(layers.index(chosen) if chosen in layers else -1)
         blocker.unblock()

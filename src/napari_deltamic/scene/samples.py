@@ -15,6 +15,7 @@ from ..optics import GaussianPSF
 from . import Grid, render
 
 LayerData = tuple[Any, dict[str, Any], str]
+_PHOTONS, _BACKGROUND = 60.0, 20.0  # counts: of the brightest voxels, and everywhere
 
 
 @dataclass(frozen=True)
@@ -114,13 +115,11 @@ def _sample(
     grid: Grid,
     sigma: Sequence[float],
     centers: Sequence[NDArray[np.float64]],
-    photons: float = 60.0,
-    background: float = 20.0,
 ) -> Sample:
     """Rendered, with the noise of counted photons."""
     optics = GaussianPSF(sigma)
     clean = np.clip(render(truth, grid, optics).numpy(), 0, None)
-    expected = background + photons * clean / np.percentile(clean, 99.5)
+    expected = _BACKGROUND + _PHOTONS * clean / np.percentile(clean, 99.5)
     image = np.random.default_rng(1).poisson(expected).astype(np.float32)
     return Sample(name, image, grid, optics, truth, np.array(centers))
 

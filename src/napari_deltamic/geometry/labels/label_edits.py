@@ -55,17 +55,11 @@ class Corrector:
     Parameters
     ----------
     image : (Z, Y, X), membranes bright; NaN where missing.
-    voxel_size, origin : um, Z, Y, X; origin is the centre of the first voxel.
+    voxel_size : um, Z, Y, X.
     """
 
-    def __init__(
-        self,
-        image: ArrayLike,
-        voxel_size: Sequence[float],
-        origin: Sequence[float] = (0.0, 0.0, 0.0),
-    ) -> None:
+    def __init__(self, image: ArrayLike, voxel_size: Sequence[float]) -> None:
         self._data, _, self._voxel = checked_image(image, voxel_size)
-        self._origin = np.asarray(origin, np.float64)
         self._size = 0.0  # um, of a typical cell of the first labels; 0 before there are any
         self._found: Image | None = None
 
@@ -76,7 +70,7 @@ class Corrector:
             raise InputError(f"the labels have shape {result.shape}, the image {self._data.shape}")
         if not clicks:
             return result
-        places = _voxels(clicks, self._voxel, self._origin, result.shape)
+        places = _voxels(clicks, self._voxel, result.shape)
         self._size = self._size or _typical(result, self._voxel)
         for step in sorted({click.step for click in clicks}):
             numbered = [(k, c.action) for k, c in enumerate(clicks) if c.step == step]
@@ -301,12 +295,10 @@ def _rounded(
 # Places ---------------------------------------------------------------------------------------
 
 
-def _voxels(
-    clicks: Sequence[Click], voxel: FloatArray, origin: FloatArray, shape: tuple[int, ...]
-) -> list[_Place]:
+def _voxels(clicks: Sequence[Click], voxel: FloatArray, shape: tuple[int, ...]) -> list[_Place]:
     places = []
     for k, click in enumerate(clicks):
-        index = np.floor((np.array(click.place) - origin) / voxel + 0.5).astype(int)
+        index = np.floor(np.array(click.place) / voxel + 0.5).astype(int)
         if ((index < 0) | (index >= shape)).any():
             where = ", ".join(f"{value:g}" for value in click.place)
             raise InputError(f"click {k + 1} ({where} um) lies outside the image")

@@ -52,7 +52,7 @@ class AccuracyForecast(QObject):
         """Whether a forecast is awaited."""
         return self._background.busy
 
-    def later(self, text: str = "") -> None:
+    def later(self) -> None:
         """Something may be different: forecast anew, unless it changes again at once."""
         self._show_number()
         self._background.soon(self._ask, WAIT)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any
 
 from qtpy.QtCore import QSignalBlocker, Qt
@@ -84,13 +84,6 @@ class EffectsTable(QTableWidget):
         """Change a box as the user does."""
         item: Any = self.item(self.names().index(name), 0)
         item.setCheckState(Qt.CheckState.Checked if on else Qt.CheckState.Unchecked)
-
-    def row_of(self, name: str) -> Mapping[str, str]:
-        """What is shown of an effect, by the titles of the columns."""
-        r = self.names().index(name)
-        cells: list[Any] = [self.item(r, c) for c in range(len(_COLUMNS))]
-        titles = [title.partition("\n")[0] for title, _ in _COLUMNS]
-        return {t: cell.text() for t, cell in zip(titles, cells, strict=True)}
 
     def showEvent(self, event: QShowEvent | None) -> None:
         """Qt's; before it is shown, the theme has not decided how high a row is."""

@@ -120,10 +120,6 @@ class CellTable(QTableWidget):
         blocker.unblock()
         self._tell(by_hand=False)
 
-    def show_more(self, more: Mapping[int, Mapping[str, Any]]) -> None:
-        """Add what else is known of cells, by region."""
-        self.show_rows([{**row, **more.get(region, {})} for region, row in self._rows.items()])
-
     def chosen_regions(self) -> tuple[int, ...]:
         """The regions of the rows selected, in the order in which they were."""
         model: Any = self.selectionModel()

@@ -36,18 +36,13 @@ class RunControl(QObject):
     Parameters
     ----------
     doc : the document.
-    forecaster : see ``FitRun``.
     parent : Qt's.
     """
 
-    def __init__(
-        self,
-        doc: Document,
-        forecaster: Callable[[FitInput], Forecaster | None] | None = expected,
-        parent: QObject | None = None,
-    ) -> None:
+    def __init__(self, doc: Document, parent: QObject | None = None) -> None:
         super().__init__(parent)
-        self._doc, self._forecaster = doc, forecaster
+        self._doc = doc
+        self._forecaster: Callable[[FitInput], Forecaster | None] = expected
         self._asked: list[tuple[int, str]] = []  # changes by number, until the fit has them
         self._lets_go = False
         self._fresh = True  # whether the run has a new mesh
@@ -177,7 +172,7 @@ class RunControl(QObject):
             partial(self._show, record),
             partial(self._ended, record),
             self._not_taken,
-            self._forecaster and partial(_after, doc.learned, self._forecaster),
+            partial(_after, doc.learned, self._forecaster),
             first,
         )
         record.words, record.judged = ("", ""), None
