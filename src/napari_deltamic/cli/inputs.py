@@ -16,6 +16,7 @@ from ..fitting.checks import check_image
 from ..fitting.job import SIGMA_IN_VOXELS, FitInput, assemble
 from ..geometry import Mesh
 from ..images.missing import finite_or_nan
+from ..images.padding import without_padding
 from ..images.stacks import SIZES_AGREE, VoxelSize, read_image
 from ..runs.seeds import SeedKind, seeds_of
 from ..runs.settings import FitSettings, RunSettings, SceneSettings, validated
@@ -34,10 +35,12 @@ def gather(arguments: argparse.Namespace, notes: Notes) -> FitInput:
     scene = values["scene"]
     scene["voxel_size"] = voxel_size_of(scene.get("voxel_size"), found, values["image"], notes)
     settings: RunSettings = validated(RunSettings, values)
+    image, padded = without_padding(_without_bad(image, arguments.missing_nan, notes))
+    if padded:
+        notes.add(f"{Path(settings.image).name}: {padded}")
     if settings.scene.sigma is None and settings.scene.optics is None:
         settings = with_first_psf(settings, image, notes)
     grid = Grid(image.shape, settings.scene.voxel_size, settings.scene.origin)
-    image = _without_bad(image, arguments.missing_nan, notes)
     check_image(image, grid)
     mesh, kind = load_seeds(settings.seeds, image, grid)
     return assemble(settings, image, grid, mesh, kind)

@@ -14,6 +14,7 @@ from ..common.writing import own_folder, write_atomically
 from ..errors import InputError, failure
 from ..evidence.residual import residual_map
 from ..images.missing import finite_or_nan
+from ..images.padding import without_padding
 from ..images.stacks import read_image
 from ..measure import Table, measure
 from ..measure.channel import ChannelSettings, channel_amounts
@@ -106,7 +107,7 @@ def _channel(arguments: argparse.Namespace, source: Measurable, notes: Notes) ->
         raise InputError("--channel needs the widths of its PSF: give --channel-sigma Z Y X")
     on = arguments.channel_on
     settings = ChannelSettings(walls=on != "insides", insides=on != "walls")
-    pixels = finite_or_nan(read_image(arguments.channel)[0])
+    pixels = finite_or_nan(without_padding(read_image(arguments.channel)[0])[0])
     try:
         found = channel_amounts(pixels, source.grid, source.mesh, GaussianPSF(sigma), settings)
     except InputError as error:

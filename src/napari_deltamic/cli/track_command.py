@@ -16,6 +16,7 @@ from ..common.writing import own_folder, written_together
 from ..errors import PROGRAM, InputError, failure
 from ..fitting.job import FitInput, assemble
 from ..images.missing import finite_or_nan
+from ..images.padding import without_padding
 from ..images.series import ImageSeries, open_series
 from ..results.track_report import FILES, mesh_name, read_results, write_frame, write_tracks
 from ..runs.settings import validated
@@ -95,8 +96,6 @@ def _seeded(
 ) -> NDArray[np.float32]:
     """The frame to which the seeds belong."""
     image = np.asarray(images[first])
-    if not np.issubdtype(image.dtype, np.floating):
-        return image
     bad = image.size - int(np.isfinite(image).sum())
     if bad == image.size:
         raise InputError(
@@ -109,7 +108,10 @@ def _seeded(
         )
     if bad:
         notes.add(f"{bad} of {image.size} voxels of frame {first} are treated as missing")
-    return finite_or_nan(image)
+    image, padded = without_padding(finite_or_nan(image))
+    if padded:
+        notes.add(f"frame {first}: {padded}")
+    return image
 
 
 class _Run:

@@ -23,8 +23,8 @@ def unmasked(image: Any, instead: float = np.nan) -> Any:
 
 
 def finite_or_nan(image: NDArray[Any]) -> NDArray[Any]:
-    """An image with NaN for whatever is not finite; the image itself where it holds no floats."""
-    if not np.issubdtype(image.dtype, np.floating):
+    """An image with NaN for whatever is not finite; the image itself where all is."""
+    if not np.issubdtype(image.dtype, np.floating) or np.isfinite(image).all():
         return image
     return np.where(np.isfinite(image), image, np.nan)
 

@@ -18,6 +18,7 @@ from ..evidence import analyse_residual
 from ..geometry import Mesh, load_mesh
 from ..geometry.judgement import Judgement
 from ..images.missing import finite_or_nan
+from ..images.padding import without_padding
 from ..images.stacks import read_image
 from ..measure import Known
 from ..measure.of_fit import known_of, replicas_at
@@ -95,7 +96,7 @@ def _with_image(
         words = "no image: nothing is known of its border"
         return Measurable(found.name, found.mesh, found.known, remarks=(*found.remarks, words))
     pixels, stored = read_image(image)
-    pixels = finite_or_nan(pixels)
+    pixels = finite_or_nan(without_padding(pixels)[0])
     size = voxel_size or stored
     if size is None:
         raise InputError(f"{Path(image).name} does not say its voxel size: give --voxel-size Z Y X")
@@ -117,7 +118,7 @@ def _of_folder(path: Path, image: str | Path | None, voxel_size: Triple | None) 
     if image is None and not (source.exists() and source.suffix.lower() in IMAGE_FILES):
         lost = f"the image {source} is not there any more"
         return _with_image(Measurable(path.name, mesh, Known(), remarks=(lost,)), None, None)
-    pixels = finite_or_nan(read_image(source)[0])
+    pixels = finite_or_nan(without_padding(read_image(source)[0])[0])
     z, y, x = pixels.shape
     grid = Grid((z, y, x), voxel_size or settings.scene.voxel_size, settings.scene.origin)
     _check_near(mesh, grid)

@@ -13,6 +13,7 @@ from scipy.ndimage import gaussian_filter
 
 from ..errors import InputError
 from ..images.missing import unmasked
+from ..images.padding import without_padding
 from ..optics import Optics
 from ..scene import Grid
 from .track_rules import RULES
@@ -72,7 +73,7 @@ class Frame:
             )
         if not np.issubdtype(image.dtype, np.number) or np.iscomplexobj(image):
             raise InputError(f"an image of real numbers is needed, not of {image.dtype}")
-        values = image.astype(np.float32)
+        values = without_padding(image)[0].astype(np.float32)
         known = np.isfinite(values)
         return Frame(number, np.where(known, values, 0).astype(np.float32), known)
 

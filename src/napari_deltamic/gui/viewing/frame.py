@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...common.triple import Triple, triple
 from ...errors import InputError
+from ...images.missing import finite_or_nan
+from ...images.padding import without_padding
 from ...scene import Grid
 
 OWN = "deltamic"  # key in the metadata of layers: what this plugin knows of them
@@ -175,11 +177,8 @@ def unread_stack_of(layer: Any, step: tuple[int, ...]) -> Any:
 
 
 def finite(data: Any) -> NDArray[Any]:
-    """An array whose gaps are all NaN."""
-    read = np.asarray(data)
-    if np.issubdtype(read.dtype, np.floating) and not np.isfinite(read).all():
-        return np.where(np.isfinite(read), read, np.nan)
-    return read
+    """An array whose gaps and padding are all NaN."""
+    return finite_or_nan(without_padding(np.asarray(data))[0])
 
 
 def shape_of(layer: Any) -> tuple[int, ...]:
