@@ -24,6 +24,9 @@ _ROUNDS = 100
 _SWELLINGS = 8
 # um: a crossing keeps so far from a node where two labels are level, or vertices would coincide.
 _LEAST_LEAD = 1e-9
+# Edges: lead of a node for which no other label competes. By definition: boxes of labels reach three
+# edges beyond them (as far as ``around`` says), so others are no nearer.
+_ALONE = 3.0
 _SQUARE = np.array([(0, 0, 0), (0, 0, 1), (0, 1, 1), (0, 1, 0)])  # around, across the first axis
 
 
@@ -52,6 +55,8 @@ def partition_mesh(labels: IntArray, size: FloatArray, origin: FloatArray, edge:
     nodes = _compete(labels, size, edge)
     _mend(nodes)
     lead = np.maximum(nodes.first - nodes.next, _LEAST_LEAD)
+    # Where only one label competes, its lead has no end; repairs bring others next to such nodes.
+    lead = np.minimum(lead, _ALONE * edge)
     vertices, quads, regions = dual_net(nodes.best, lead)
     if not len(quads):
         raise TooCoarse("no label is large enough for the edge length")
