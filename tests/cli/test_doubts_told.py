@@ -2,6 +2,10 @@
 
 import json
 
+import numpy as np
+
+from napari_deltamic.images.stacks import read_image, write_image
+
 
 def test_doubts_are_said_and_reported(data, tmp_path, run):
     given = "fit", data / "cell.tif", "--seeds", data / "start.ply", "--max-iterations", "1"
@@ -15,3 +19,15 @@ def test_doubts_are_said_and_reported(data, tmp_path, run):
     report = json.loads((out / "report.json").read_text())
     assert "voxel size" in [doubt["kind"] for doubt in report["sanity"]]
     assert any("step along Z too large" in text for text in report["warnings"])
+
+
+def test_padding_is_told_and_left_out(data, tmp_path, run):
+    image, _ = read_image(data / "cell.tif")
+    padded = image.astype(np.float32) + 100
+    padded[:2], padded[:, :, :3] = 0, 0
+    write_image(tmp_path / "turned.tif", padded, (0.2, 0.2, 0.2))
+    given = "--seeds", data / "start.ply", "--max-iterations", "1", "-o", tmp_path / "out"
+    code, _, err = run("fit", tmp_path / "turned.tif", *given)
+    assert code == 0
+    assert "turned.tif: " in err
+    assert "padding of value 0: taken as missing" in err

@@ -6,6 +6,8 @@ from mesh_edges import edge_valences
 from numpy.testing import assert_allclose, assert_array_equal
 
 from napari_deltamic import InputError
+from napari_deltamic.geometry.labels import partition
+from napari_deltamic.geometry.labels.dual_net import dual_net
 from napari_deltamic.geometry.labels.partition import partition_mesh, with_volumes
 
 ONE, ZERO = np.ones(3), np.zeros(3)
@@ -120,3 +122,15 @@ def test_regions_get_their_volumes():
         assert_allclose(full.region_volume(k), volume, rtol=2e-3)
     moved = np.linalg.norm(full.vertices_numpy() - mesh.vertices_numpy(), axis=1)
     assert moved.max() < 2.0
+
+
+def test_a_node_for_which_one_label_alone_competes_may_lie_beside_another():
+    """As repairs of a thousand crowded labels made it: between two leads without an end, the
+    crossing was no number."""
+    nodes = partition._Nodes(np.zeros(3), np.array([5, 5, 5]))
+    everywhere = (slice(None),) * 3
+    nodes.enter(0, everywhere, np.ones((5, 5, 5)))
+    nodes.best[2, 2, 2] = 1
+    vertices, quads, _ = dual_net(nodes.best, nodes.lead(edge=2.0))
+    assert len(quads) == 6
+    assert np.isfinite(vertices).all()

@@ -85,3 +85,11 @@ def test_good_divisions_are_kept_where_others_are_not(monkeypatch):
         next(states)
     assert [(e.kind, e.cell) for e in events] == [("divided", 1)]
     assert 2 in end.value.value.mesh.region_ids()
+
+
+def test_padding_of_a_frame_is_not_known():
+    image = 100 + np.random.default_rng(0).poisson(5.0, GRID.shape)
+    image[:, :4] = 0
+    frame = Frame.of(1, image, GRID)
+    assert not frame.known[:, :4].any()
+    assert frame.known[:, 4:].all()

@@ -44,6 +44,7 @@ class PaddingRules:
 
 RULES = PaddingRules()
 _BLOCK = np.ones((3, 3, 3), bool)
+_SOME = 8  # voxels; chosen, it decides nothing
 _CORNERS = 2  # voxels by which blocks fall short of a slanted edge: by definition of three
 
 
@@ -71,10 +72,10 @@ def padding(image: NDArray[Any]) -> Mask | None:
     """
     if image.ndim != 3 or not np.issubdtype(image.dtype, np.number):
         return None
-    finite = np.isfinite(image)
-    if not finite.any():
+    floats = np.issubdtype(image.dtype, np.floating)
+    if not image.size or (floats and not np.isfinite(image).any()):
         return None
-    value = image[finite].min()
+    value = image[np.isfinite(image)].min() if floats else image.min()
     slices = _flat_slices(image, value)
     if not (any(s.any() for s in slices) or _solid_at_border(image, value)):
         return None
@@ -83,13 +84,20 @@ def padding(image: NDArray[Any]) -> Mask | None:
     for axis, flat in enumerate(slices):
         np.moveaxis(region, axis, 0)[flat] = True
     region = ndimage.binary_dilation(region, _BLOCK, _CORNERS, mask=equal)
-    beside = ndimage.binary_dilation(region, _BLOCK) & ~region & finite
+    beside = ndimage.binary_dilation(region, _BLOCK) & ~region & np.isfinite(image)
     return region if _stands_apart(image, value, beside) else None
 
 
 def _flat_slices(image: NDArray[Any], value: Any) -> list[Mask]:
     """Along each axis: slices of nothing but the value."""
-    return [(image == value).all(tuple(a for a in range(3) if a != axis)) for axis in range(3)]
+    found = []
+    for axis in range(3):
+        along = np.moveaxis(image, axis, 0)
+        flat = (along[:, ::_SOME, ::_SOME] == value).all((1, 2))  # most are ruled out by a few
+        for k in np.flatnonzero(flat):
+            flat[k] = (along[k] == value).all()
+        found.append(flat)
+    return found
 
 
 def _solid_at_border(image: NDArray[Any], value: Any) -> bool:

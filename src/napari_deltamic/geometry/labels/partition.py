@@ -24,8 +24,8 @@ _ROUNDS = 100
 _SWELLINGS = 8
 # um: a crossing keeps so far from a node where two labels are level, or vertices would coincide.
 _LEAST_LEAD = 1e-9
-# Edges: lead of a node for which no other label competes. By definition: boxes of labels reach three
-# edges beyond them (as far as ``around`` says), so others are no nearer.
+# Edges: largest lead. By definition: boxes of labels reach three edges beyond them, so that a label
+# that does not compete for a node is no nearer.
 _ALONE = 3.0
 _SQUARE = np.array([(0, 0, 0), (0, 0, 1), (0, 1, 1), (0, 1, 0)])  # around, across the first axis
 
@@ -54,10 +54,7 @@ def partition_mesh(labels: IntArray, size: FloatArray, origin: FloatArray, edge:
     """
     nodes = _compete(labels, size, edge)
     _mend(nodes)
-    lead = np.maximum(nodes.first - nodes.next, _LEAST_LEAD)
-    # Where only one label competes, its lead has no end; repairs bring others next to such nodes.
-    lead = np.minimum(lead, _ALONE * edge)
-    vertices, quads, regions = dual_net(nodes.best, lead)
+    vertices, quads, regions = dual_net(nodes.best, nodes.lead(edge))
     if not len(quads):
         raise TooCoarse("no label is large enough for the edge length")
     vertices, quads = _unpinched(vertices * edge + nodes.corner + origin, quads)
@@ -118,6 +115,10 @@ class _Nodes:
         after[...] = np.where(wins, first, np.where(follows, values, after))
         best[...] = np.where(wins, name, best)
         first[...] = np.where(wins, values, first)
+
+    def lead(self, edge: float) -> FloatArray:
+        """How far each node is on the side of its label, um; with an end where none competes."""
+        return np.clip(self.first - self.next, _LEAST_LEAD, _ALONE * edge)
 
 
 def _compete(labels: IntArray, size: FloatArray, edge: float) -> _Nodes:
