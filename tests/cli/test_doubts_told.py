@@ -30,4 +30,4 @@ def test_padding_is_told_and_left_out(data, tmp_path, run):
     code, _, err = run("fit", tmp_path / "turned.tif", *given)
     assert code == 0
     assert "turned.tif: " in err
-    assert "padding of value 0: taken as missing" in err
+    assert "padding, all of one value: taken as missing" in err

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter, median_filter
+from scipy.ndimage import affine_transform, binary_erosion, gaussian_filter, median_filter
 
 from napari_deltamic.images.padding import padding, without_padding
 
@@ -18,6 +18,8 @@ def stack(offset=100, photons=60.0, dark=4.0):
 BORDERS = (Z < 3) | (Y < 4) | (X >= 30)
 WEDGE = X + Z < 12
 SLICE = Z == 7
+MIDDLE = (np.array(SHAPE) - 1) / 2
+TURN = np.array([[1, 0, 0], [0, np.cos(0.3), np.sin(0.3)], [0, -np.sin(0.3), np.cos(0.3)]])
 
 
 @pytest.mark.parametrize("where", [BORDERS, WEDGE, SLICE, BORDERS | SLICE], ids=str)
@@ -31,8 +33,20 @@ def test_what_nobody_measured_is_found(where, offset):
     known, told = without_padding(image)
     np.testing.assert_array_equal(np.isnan(known), found)
     np.testing.assert_array_equal(known[~found], image[~found])
-    assert "padding of value 0" in told
+    assert "padding, all of one value" in told
     assert known.dtype == np.float32
+
+
+@pytest.mark.parametrize("order", [1, 3])
+def test_what_was_turned_is_found_with_what_it_smeared(order):
+    turned = affine_transform(
+        stack().astype(np.float32), TURN, offset=MIDDLE - TURN @ MIDDLE, order=order
+    )
+    inside = affine_transform(np.ones(SHAPE), TURN, offset=MIDDLE - TURN @ MIDDLE, order=1)
+    found = padding(turned)
+    assert found[inside < 0.2].mean() > 0.97
+    whole = binary_erosion(inside > 0.999, iterations=3, border_value=1)
+    assert not found[whole].any()
 
 
 def cut_off(image):
