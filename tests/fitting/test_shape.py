@@ -67,6 +67,18 @@ def test_what_is_not_known_stays_so(model):
     assert Shape.begun(COARSE, model).retriangulated(FINE).log_density is None
 
 
+def test_densities_of_faces_follow():
+    shape = Shape.begun(COARSE, "smooth")
+    np.testing.assert_array_equal(shape.face_densities(), 1)
+    log = COARSE.vertices_numpy()[:, 0]
+    found = shape.moved(COARSE.vertices_numpy(), log).face_densities()
+    np.testing.assert_allclose(found, np.exp(log[COARSE.faces].mean(1)))
+    walls = Shape.begun(two(1), "interface").moved(two(1).vertices, np.array([0.3, -0.4]))
+    pairs, row = two(1).interfaces()
+    np.testing.assert_allclose(walls.face_densities(), np.exp([0.3, -0.4])[row])
+    assert len(pairs) == 2
+
+
 def test_another_kind_of_density_is_not_known():
     shape = Shape.begun(COARSE, "smooth").moved(COARSE.vertices_numpy(), np.ones(162))
     assert shape.with_model("smooth") is shape

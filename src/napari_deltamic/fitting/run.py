@@ -17,7 +17,6 @@ from .change import Change
 from .checkpoint import Checkpoint
 from .collisions import CollisionGuard
 from .convergence import Remaining
-from .density import Density
 from .fit_objective import Objective, Terms
 from .fitted import Arrays, Fitted, fingerprint
 from .level import Level
@@ -341,8 +340,7 @@ class Run:
         if self._objective.fitted.mesh.faces is fitted.mesh.faces:
             return self._objective.face_densities
         # A change of topology has come since the objective was posed.
-        found, log = Density(fitted.mesh, fitted.shape.model, 1.0), fitted.shape.log_density
-        return found.faces_numpy(np.zeros(len(found)) if log is None else log)
+        return fitted.shape.face_densities()
 
     def _state(self, ends: bool, finished: bool) -> FitState:
         fitted, stage, found = self._fitted, self._stage, self._objective.now.match

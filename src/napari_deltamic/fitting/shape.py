@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 
 from ..common.choices import DensityModel
 from ..geometry.mesh import FloatArray, IntArray, Mesh
+from .density import Density
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +38,12 @@ class Shape:
         """One of which only the mesh is known."""
         shape = cls(mesh, model, None, np.zeros(len(mesh.vertices), bool))
         return shape.moved(mesh.vertices_numpy(), None)
+
+    def face_densities(self) -> FloatArray:
+        """(F,) relative to the mean; 1 while nothing is known of them."""
+        density = Density(self.mesh, self.model, 1.0)  # its width is of priors
+        log = np.zeros(len(density)) if self.log_density is None else self.log_density
+        return density.faces_numpy(log)
 
     def moved(self, vertices: FloatArray, log_density: FloatArray | None) -> Shape:
         """The same connectivity elsewhere: vertices (V, 3) um."""

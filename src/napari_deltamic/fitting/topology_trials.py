@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from ..geometry.topology.rearranging import give_way
 from ..runs.settings import FitSettings
-from .density import Density, evener
+from .density import evener
 from .fitted import Fitted
 from .local_misfit import Misfit, gaps, misfit_of
 from .problem import Problem
@@ -135,8 +133,7 @@ class TopologyTrials:
         return fitted.retriangulated(before.retriangulated(made.mesh, made.origin))
 
     def _misfit(self, fitted: Fitted, settings: FitSettings, like: Misfit | None = None) -> Misfit:
-        density, log = Density(fitted.mesh, settings.density, 1.0), fitted.shape.log_density
-        faces = density.faces_numpy(np.zeros(len(density)) if log is None else log)
+        faces = fitted.shape.face_densities()
         given = fitted.optics, fitted.effects, settings.image_accuracy
         return misfit_of(self._problem, fitted.mesh, faces, *given, like, fitted.light)
 
