@@ -57,8 +57,9 @@ class ModeRules:
     Attributes
     ----------
     per_region, many
-        Modes of each region for up to so many regions, and for more: what effects and shape share
-        is smooth, and columns are dear. On a sphere 25 are the harmonics up to degree 4.
+        Pairs: for up to so many regions, this many modes of each; and the modes of each for more
+        regions. Few do, because what effects and shape share is smooth, and each mode costs a
+        derivative of the image. On a sphere 25 are the harmonics up to degree 4.
     density
         Fields of the density on each region: the harmonics up to degree 2.
     alike

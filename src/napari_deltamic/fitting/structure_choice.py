@@ -30,7 +30,8 @@ class StructureRules:
     errors
         Standard errors by which insides must differ from 0 to stay (benchmarks.defaults).
     membranes, outshone
-        The same of membranes beside insides that differ from 0 by so many times as many errors.
+        Standard errors by which membranes must differ from 0 to stay, where insides do by at least
+        ``outshone`` times as many of theirs.
         Measured (benchmarks.defaults): where nuclei with chromatin shine alone, 3 to 4, and insides
         30 to 60 times as many; where there were membranes, 8 to 300, and 1 to 5 while their shape
         was off, with insides at one to five times as many.
@@ -38,8 +39,9 @@ class StructureRules:
         Voxels. An amplitude also leaves where the surface would move by less than this without it,
         root mean square: the bound below which effects are left out, too.
     sure
-        Times these bounds from which on it is not asked again in a level: asking at every renewal
-        took a third of the time of an embryo's fit, and the answer stayed the same.
+        Where insides and membranes exceed these bounds this many times, the question is not asked
+        again in a level: asking at every renewal took a third of the time of an embryo's fit, and
+        the answer stayed the same.
     block
         Side of the blocks in widths of the blurred PSF: what is left is correlated over about two.
     step

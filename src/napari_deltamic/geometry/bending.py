@@ -10,8 +10,8 @@ from .mesh import FloatArray, IntArray, Mesh
 
 # Cotangents beyond these are of slivers, whose curvature says nothing of the surface.
 _LEAST, _LARGEST = -2.0, 4.0
-# Of the mean area of a vertex: one with less, among slivers, would be the stiffer the less the
-# curvature there says of the surface.
+# Of the mean area of a vertex. The energy divides by that area: without a bound, vertices among
+# slivers would be held hardest, just where the curvature tells least about the surface.
 _SMALL = 0.25
 _POINT = 1e-100  # um^2: a surface without area has no curvature
 _NO_AREA = 1e-12  # of the mean area: a face without area has no cotangents

@@ -8,8 +8,8 @@ import scipy.sparse as sp
 from .mesh import FloatArray, Mesh
 
 _POINT = 1e-3  # of the mean length: a shorter edge has no direction
-# Of the mean length: the direction of an edge shorter than that says the less about the line the
-# shorter it is, and would be the stiffer.
+# Of the mean length. The energy divides by lengths: without a bound, the shortest edges would be
+# held hardest, although their directions tell least about the line.
 _SHORT = 0.5
 
 

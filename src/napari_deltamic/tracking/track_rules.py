@@ -67,8 +67,8 @@ class MotionRules:
     near
         A start nearer than this many widths needs no blurred level, since a sharp one reaches it.
     far
-        Correlation that a shift as far as may be must bring: cells look alike, and of two shifts
-        almost as good the shorter one is taken.
+        By how much the correlation must be better for the farthest shift than for none. Cells look
+        alike: of two shifts that are almost as good, the shorter one is taken.
     better
         Share of the loss of the plainest start that another must come below: less than noise
         changes it would have meshes hop.

@@ -140,7 +140,8 @@ class BasinRules:
         Two points are in one object when the pass between them is lower than this fraction of the
         rise from the inside to the leak.
     lower_leap
-        A lower leap than the largest is believed only if it rises by so much of what that does.
+        Where the largest leap is that of the outside, one below it is taken instead, but only if it
+        rises by at least this share of that one's rise.
     noise_rise
         A leap counts only if it rises above the lowest voxel by this many standard deviations of
         the noise: dark puddles of noise, which the minimum of many voxels deepens, are no objects.

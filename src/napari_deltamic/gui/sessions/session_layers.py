@@ -201,7 +201,7 @@ def _plain(value: Any) -> Any:
 
 
 def _jsonable(values: dict[str, Any]) -> dict[str, Any]:
-    """What of a dict JSON knows."""
+    """The entries of a dict whose values JSON can hold."""
 
     def fits(value: Any) -> bool:
         try:
