@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .window_anything import any_item, anything
 from .window_session import CENTER, SHAPE, SIZE, Action, Session
 
 
@@ -112,7 +113,7 @@ def _settings(s: Session) -> list[Action]:
         ("stop the check", lambda: s.widget.doc.work.stop(at_once=True)),
         ("use recommended", lambda: of().effects.take_button.click()),
         ("measure", lambda: of().tradeoff.findChildren(_button())[0].click()),
-        ("second view", lambda: _any_item(s, of().effects.second.chooser)),
+        ("second view", lambda: any_item(s, of().effects.second.chooser)),
     ]
 
 
@@ -231,8 +232,8 @@ def _images(s: Session) -> list[Action]:
         ("add an image", add),
         ("remove a layer", drop),
         ("remove a layer", drop),
-        ("choose an image", lambda: _any_item(s, s.widget.image.chooser)),
-        ("choose a channel", lambda: _any_item(s, s.widget.image.channels)),
+        ("choose an image", lambda: any_item(s, s.widget.image.chooser)),
+        ("choose a channel", lambda: any_item(s, s.widget.image.channels)),
         ("choose the cell", lambda: s.widget.doc.image.choose(s.viewer.layers["cell"])),
         (
             "voxel size",
@@ -297,64 +298,6 @@ def _others(s: Session) -> list[Action]:
     ]
 
 
-def anything(s: Session) -> None:
-    """Use any field, button, table or entry of the menu that is there."""
-    from qtpy.QtWidgets import (
-        QAbstractButton,
-        QAbstractSlider,
-        QAbstractSpinBox,
-        QComboBox,
-        QLineEdit,
-        QListWidget,
-        QScrollBar,
-        QTableWidget,
-        QWidget,
-    )
-
-    kinds = (QAbstractButton, QAbstractSlider, QAbstractSpinBox, QComboBox, QLineEdit)
-    seen = [
-        one
-        for one in s.widget.findChildren(QWidget)
-        if isinstance(one, (*kinds, QTableWidget, QListWidget))
-        and not isinstance(one, QScrollBar)
-        and one.isEnabled()
-        and one.isVisibleTo(s.widget)
-    ]
-    if not seen:
-        return
-    one: Any = s.rng.choice(seen)
-    rng, menu = s.rng, getattr(one, "menu", lambda: None)()
-    s.said(f"{type(one).__name__} {getattr(one, 'text', str)()}")
-    if menu is not None:
-        menu.aboutToShow.emit()
-        rng.choice([entry for entry in menu.actions() if entry.text()]).trigger()
-    elif isinstance(one, QAbstractButton):
-        one.click()
-    elif isinstance(one, QComboBox):
-        _any_item(s, one)
-        if one.isEditable():
-            one.setCurrentText(rng.choice(["quick", "20 nm", "1e-3", "nonsense", "", "1.33"]))
-            one.lineEdit().editingFinished.emit()
-    elif isinstance(one, QAbstractSpinBox):
-        one.setValue(type(one.value())(rng.choice([0, 1, 0.3, 2, 50, 1e4])))
-    elif isinstance(one, QAbstractSlider):
-        one.setValue(type(one.value())(rng.uniform(one.minimum(), one.maximum())))
-    elif isinstance(one, QLineEdit):
-        before = one.text()
-        one.setText(rng.choice(["", "1", "4, 2 1", "words", "-1"]))
-        if one.hasAcceptableInput():
-            one.editingFinished.emit()
-        else:  # what cannot be typed
-            one.setText(before)
-    elif isinstance(one, QTableWidget) and one.rowCount():
-        item = one.item(rng.randrange(one.rowCount()), rng.randrange(one.columnCount()))
-        if item is not None:
-            one.setCurrentItem(item)
-    elif isinstance(one, QListWidget) and one.count():
-        one.itemClicked.emit(one.item(rng.randrange(one.count())))
-    s.did["anything"] += 1
-
-
 # ---------------------------------------------------------------------------------------- parts
 
 
@@ -404,13 +347,6 @@ def _frame(s: Session) -> Any:
         return s.widget.doc.image.frame()
     except InputError:
         return None
-
-
-def _any_item(s: Session, box: Any) -> None:
-    if box.count():
-        index = s.rng.randrange(box.count())
-        box.setCurrentIndex(index)
-        box.activated.emit(index)
 
 
 def _button() -> Any:

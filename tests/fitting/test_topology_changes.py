@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from noisy_cells import events_of, photographed
 
-from napari_deltamic import Change, GaussianPSF, Grid, Mesh, fit, render
+from napari_deltamic import Change, GaussianPSF, Mesh, fit
 from napari_deltamic.fitting import topology_trials as module
 from napari_deltamic.fitting.topology import TopologyPolicy
 from napari_deltamic.fitting.topology_trials import TopologyTrials
@@ -20,28 +21,18 @@ from napari_deltamic.runs.settings import FitSettings
 pytestmark = pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
 VOXEL = 0.1
 OPTICS = GaussianPSF(0.13)
+TAKEN = {"voxel": VOXEL, "optics": OPTICS}
 SETTINGS = FitSettings(levels=(3.0, 1.5, 1.0))
 
 
-def photographed(truth, start):
-    """Image with a peak of 40 photons, noise included, and its grid."""
-    bounds = np.stack([truth.bounds(), start.bounds()])
-    low, high = bounds[:, 0].min(0) - 0.6, bounds[:, 1].max(0) + 0.6
-    shape = tuple(int(n) for n in np.ceil((high - low) / VOXEL) + 1)
-    grid = Grid(shape, (VOXEL,) * 3, tuple(low))
-    image = render(truth, grid, OPTICS, 1e-4).numpy().astype(np.float64)
-    image = 2 + 40 * image.clip(0) / image.max()
-    return np.random.default_rng(0).poisson(image), grid
-
-
 def fitted(truth, start, settings=SETTINGS):
-    image, grid = photographed(truth, start)
+    image, grid = photographed(truth, start, **TAKEN)
     states = list(fit(image, grid, start, OPTICS, settings=settings))
     assert not any(crosses(s.mesh) for s in states)
     last = states[-1]
     assert last.converged
     assert last.mesh.is_closed()
-    return last, "; ".join(e for s in states for e in s.events)
+    return last, events_of(states)
 
 
 def error(mesh, truth):
@@ -145,7 +136,7 @@ def changed_once(monkeypatch, start, look):
 @pytest.mark.parametrize("look", ["pressing", "worth_a_trial"])
 def test_a_change_that_the_image_speaks_against_is_undone(look, monkeypatch):
     start = four(0.6, 0.2, radius=0.7)
-    image, grid = photographed(four(0.6, 0.12), start)
+    image, grid = photographed(four(0.6, 0.12), start, **TAKEN)
     balls = changed_once(monkeypatch, start, look)
     settings = SETTINGS.model_copy(update={"levels": (1.0,), "remesh": False})
     states = list(fit(image, grid, start, OPTICS, settings=settings))
@@ -162,7 +153,7 @@ def test_a_change_that_the_image_speaks_against_is_undone(look, monkeypatch):
 @pytest.mark.parametrize("kind", ["pinned", "optics"])
 def test_what_changes_from_outside_is_not_undone_with_the_topology(kind, monkeypatch):
     start = four(0.6, 0.2, radius=0.7)
-    image, grid = photographed(four(0.6, 0.12), start)
+    image, grid = photographed(four(0.6, 0.12), start, **TAKEN)
     place, open_changes = ThinPlace((1,), (2, 3), start.vertices_numpy(), 0.1), []
 
     def look(self, fitted, settings, factor, iteration):
@@ -186,7 +177,7 @@ def test_what_changes_from_outside_is_not_undone_with_the_topology(kind, monkeyp
 def test_pinned_places_do_not_change():
     truth = foam(np.array([[0, 0, -0.5], [0, 0, 0.5]]), np.array([0.65, 0.65]), 0.1)
     start = Mesh.merge([sphere((0, 0, -0.55), 0.5, 0.2), sphere((0, 0, 0.55), 0.5, 0.2)])
-    image, grid = photographed(truth, start)
+    image, grid = photographed(truth, start, **TAKEN)
     states = fit(image, grid, start, OPTICS, settings=SETTINGS)
     next(states)
     pinned = np.abs(start.vertices_numpy()[:, 2]) < 0.15

@@ -4,8 +4,9 @@ import warnings
 
 import numpy as np
 import pytest
+from noisy_cells import events_of, photographed
 
-from napari_deltamic import GaussianPSF, Grid, Mesh, fit, render
+from napari_deltamic import GaussianPSF, Mesh, fit
 from napari_deltamic.fitting.local_misfit import Gap
 from napari_deltamic.fitting.topology import TopologyPolicy, Trial
 from napari_deltamic.geometry import remesh
@@ -23,21 +24,11 @@ OPTICS = GaussianPSF(0.2)
 SETTINGS = FitSettings(levels=(1.0,))
 
 
-def photographed(truth, photons=40):
-    """Image, noise included, and its grid."""
-    low, high = truth.bounds() + np.array([[-0.6], [0.6]])
-    shape = tuple(int(n) for n in np.ceil((high - low) / VOXEL) + 1)
-    grid = Grid(shape, (VOXEL,) * 3, tuple(low))
-    image = render(truth, grid, OPTICS, 1e-4).numpy().astype(np.float64)
-    image = photons * (0.05 + image.clip(0) / image.max())
-    return np.random.default_rng(0).poisson(image), grid
-
-
 def fitted(truth, start, photons=40):
-    image, grid = photographed(truth, photons)
+    image, grid = photographed(truth, voxel=VOXEL, optics=OPTICS, photons=photons)
     states = list(fit(image, grid, start, OPTICS, settings=SETTINGS))
     assert states[-1].converged
-    return states, "; ".join(e for s in states for e in s.events)
+    return states, events_of(states)
 
 
 def five(half):

@@ -79,15 +79,6 @@ class Operations(TorchDispatchMode):
         return made
 
 
-@pytest.fixture
-def one_thread():
-    """Sums in one order."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
-
-
 def rendered(renderer):
     vertices = torch.tensor(BALL.vertices_numpy(), requires_grad=True)
     image = renderer.image(renderer.transform(vertices), renderer.otf(OPTICS))
