@@ -81,6 +81,10 @@ def samples(folder: Path) -> dict[str, tuple[Path, Reader]]:
     np.save(folder / "image.npy", pixels)
     for name in ("image.tif", "image.ome.tif", "packed.tif", "image.npy"):
         found[name] = folder / name, read_image
+    named = {"axes": "ZCYX", "Channel": {"Name": ["a", "b"]}}
+    both = np.stack([small, small], axis=1)
+    tifffile.imwrite(folder / "channels.ome.tif", both, ome=True, metadata=named)
+    found["channels.ome.tif"] = folder / "channels.ome.tif", lambda p: read_image(p, "b")
     tifffile.imwrite(folder / "series.tif", np.stack([small] * 2), metadata={"axes": "TZYX"})
     np.save(folder / "series.npy", np.stack([pixels] * 2))
     for name in ("series.tif", "series.npy"):

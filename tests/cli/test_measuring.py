@@ -50,7 +50,7 @@ def test_voxels_that_are_not_finite_are_missing(data, run, seen, tmp_path):
     image = data / "inf.tif"
     given = ("--seeds", data / "start.ply", "--missing-nan", "-o", folder)
     assert run("fit", image, *given)[0] == 0
-    further = ("--images", "tif", "--channel", image, "-o", tmp_path / "out")
+    further = ("--images", "tif", "--other-channel", image, "-o", tmp_path / "out")
     code, _, err = run("measure", folder, *further)
     assert code == 0, err
     left, _ = read_image(tmp_path / "out" / "residual.ome.tif")
@@ -207,11 +207,17 @@ def test_another_channel(bubble, run, fails, tmp_path):
     light = 2000 * nd.render(mesh, grid, OPTICS).double().numpy() + 3
     noisy = np.random.default_rng(0).poisson(light).astype(np.float32)
     write_image(tmp_path / "channel.tif", noisy, grid.voxel_size)
-    arguments = ("measure", bubble, "--channel", tmp_path / "channel.tif")
+    arguments = ("measure", bubble, "--other-channel", tmp_path / "channel.tif")
     assert "give --image" in fails(*arguments, "-o", tmp_path / "a")
     arguments = (*arguments, "--image", tmp_path / "channel.tif")
-    assert "give --channel-sigma" in fails(*arguments, "-o", tmp_path / "b")
-    arguments = (*arguments, "--channel-sigma", *OPTICS.sigma_um, "--channel-on", "walls")
+    assert "give --other-channel-sigma" in fails(*arguments, "-o", tmp_path / "b")
+    arguments = (
+        *arguments,
+        "--other-channel-sigma",
+        *OPTICS.sigma_um,
+        "--other-channel-on",
+        "walls",
+    )
     code, out, err = run(*arguments, "-o", tmp_path / "out")
     assert code == 0, err
     assert "the channel lies" in err
@@ -240,8 +246,10 @@ def test_an_open_surface_and_a_channel_of_another_shape(run, fails, tmp_path):
         assert "nan" not in (tmp_path / "out" / f"{name}.csv").read_text().lower()
     for name, shape in (("image", GRID.shape), ("other", (5, 6, 7))):
         write_image(tmp_path / f"{name}.tif", np.ones(shape, np.float32), SIZE)
-    options = ("--image", tmp_path / "image.tif", "--channel", tmp_path / "other.tif")
-    said = fails(*arguments[:2], *options, "--channel-sigma", 0.3, 0.2, 0.2, "-o", tmp_path / "b")
+    options = ("--image", tmp_path / "image.tif", "--other-channel", tmp_path / "other.tif")
+    said = fails(
+        *arguments[:2], *options, "--other-channel-sigma", 0.3, 0.2, 0.2, "-o", tmp_path / "b"
+    )
     assert "other.tif" in said
     assert "shape" in said
     assert not (tmp_path / "b").exists()

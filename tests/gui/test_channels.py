@@ -1,12 +1,23 @@
 """Images that are no stack of one channel: what to do is said, and channels can be chosen."""
 
+import shlex
+import zipfile
+
 import numpy as np
 import pytest
+import tifffile
+from napari.layers._source import layer_source
 
+from napari_deltamic.cli import build_parser
+from napari_deltamic.cli.inputs import gather
+from napari_deltamic.cli.messages import Notes
 from napari_deltamic.errors import InputError
 from napari_deltamic.gui import fit_widget
+from napari_deltamic.gui.results import command_copy
+from napari_deltamic.runs.settings import RunSettings
 
 from .conftest import CENTER, SHAPE, SIZE
+from .sessions import save
 
 
 @pytest.fixture
@@ -91,3 +102,118 @@ def test_what_may_be_channels_is_said(widget, viewer):
     viewer.add_image(np.zeros((12, 2, 20, 24)), axis_labels=("z", "c", "y", "x"), name="both")
     assert channels(widget)[1:] == ["1 of 2, along axis 2", "2 of 2, along axis 2"]
     assert "12 times of 2 planes; if it has channels, choose one" in widget.image.note.text()
+
+
+# ---- channels that the file of the image tells ---------------------------------------------------
+
+
+NAMES = ["DAPI", "membrane"]
+
+
+@pytest.fixture
+def from_file(viewer, pixels, tmp_path):
+    """Adds the image as a reader does that knows no channels, from a file that tells them."""
+
+    def add(axes="ZCYX", **options):
+        path = tmp_path / "both.ome.tif"
+        data = np.stack([np.full_like(pixels, 7), pixels], axis=axes.index("C") - axes.count("T"))
+        if axes[0] == "T":
+            data = np.stack([data, data + 1])
+        metadata = {"axes": axes, "Channel": {"Name": NAMES}}
+        for name, side in zip("ZYX", SIZE, strict=True):
+            metadata |= {f"PhysicalSize{name}": side, f"PhysicalSize{name}Unit": "µm"}
+        tifffile.imwrite(path, data, ome=True, photometric="minisblack", metadata=metadata)
+        with layer_source(path=str(path)):
+            viewer.add_image(data, name="both", **options)
+        return path
+
+    return add
+
+
+@pytest.mark.parametrize("axes", ["ZCYX", "CZYX", "TCZYX"])
+def test_the_file_says_which_channels_there_are(widget, viewer, pixels, from_file, axes, told):
+    from_file(axes)
+    words = "'both' has 2 channels (1 DAPI, 2 membrane): choose the one that shows the membranes"
+    assert widget.image.note.text().startswith(words)
+    widget.start()
+    assert words in told[-1]
+    assert channels(widget)[1:] == ["1 of 2, DAPI", "2 of 2, membrane"]
+    choose(widget, "2 of 2, membrane")
+    assert widget.doc.image.layer.name == "both, channel 2, membrane"
+    np.testing.assert_array_equal(widget.doc.image.stack(), pixels)
+    if "T" not in axes:
+        assert widget.image.voxel_size.value() == pytest.approx(SIZE)
+
+
+def command_of(widget, spin):
+    widget.commands.copy_action.trigger()
+    spin(lambda: not widget.commands.busy)
+    return shlex.split(command_copy.QApplication.clipboard().text())[1:]
+
+
+def test_the_channel_ends_in_the_command(
+    widget, viewer, pixels, from_file, spin, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(command_copy.QFileDialog, "getExistingDirectory", lambda *a: str(tmp_path))
+    path = from_file()
+    choose(widget, "2 of 2, membrane")
+    viewer.add_points([CENTER], name="seeds", ndim=3)
+    widget.seeds.chooser.choose(viewer.layers["seeds"])
+    words = command_of(widget, spin)
+    assert words[1] == str(path)
+    assert words[words.index("--channel") + 1] == "2"
+    np.testing.assert_array_equal(gather(build_parser().parse_args(words), Notes()).image, pixels)
+    # Edited voxels are in no file, nor is a channel of it.
+    widget.doc.image.layer.data = pixels + 1
+    words = command_of(widget, spin)
+    assert words[1] == str(tmp_path / "image.tif")
+    assert "--channel" not in words
+    found = gather(build_parser().parse_args(words), Notes()).image
+    np.testing.assert_array_equal(found, pixels + 1)
+
+
+def test_a_session_can_be_run_again(widget, viewer, pixels, from_file, spin, tmp_path):
+    path = from_file()
+    choose(widget, "2 of 2, membrane")
+    save(widget, tmp_path / "a.deltamic", spin)
+    with zipfile.ZipFile(tmp_path / "a.deltamic") as archive:
+        (tmp_path / "run.toml").write_bytes(archive.read("run.toml"))
+    saved = RunSettings.from_toml(tmp_path / "run.toml")
+    assert (saved.image, saved.channel) == (str(path), "2")
+    words = ["fit", "--settings", tmp_path / "run.toml", "--seeds", "auto", "-o", tmp_path / "out"]
+    job = gather(build_parser().parse_args([str(word) for word in words]), Notes())
+    np.testing.assert_array_equal(job.image, pixels)
+    assert job.settings.channel == "2"
+
+
+@pytest.mark.parametrize(("name", "channel"), [("membrane", "2"), ("both [1]", None)])
+def test_a_reader_that_splits_channels_names_them(widget, viewer, pixels, from_file, name, channel):
+    path = from_file()
+    viewer.layers.clear()
+    with layer_source(path=str(path)):
+        viewer.add_image(pixels, name=name)
+    assert widget.doc.image.channel() == channel
+    assert widget.doc.image.path() == (str(path) if channel else "")
+
+
+def test_tracking_says_the_channel(widget, viewer, from_file):
+    path = from_file("TCZYX")
+    choose(widget, "2 of 2, membrane")
+    widget.image.voxel_size.set_value(SIZE)
+    widget.doc.image.rescale(SIZE)
+    viewer.add_points([CENTER], name="seeds", ndim=3)
+    widget.seeds.chooser.choose(viewer.layers["seeds"])
+    seeds = widget.doc.cells.seeds(widget.doc.image.frame())
+    settings = widget.tracking._settings(seeds, 0, 1.0)
+    assert (settings.image, settings.channel) == (str(path), "2")
+
+
+def test_a_second_view_names_no_file_of_several_channels(widget, viewer, pixels, from_file):
+    from_file()
+    choose(widget, "2 of 2, membrane")
+    image = widget.doc.image.layer
+    viewer.add_image(pixels, scale=image.scale, name="other")
+    widget.doc.image.choose(viewer.layers["other"])
+    second = widget.doc.settings.effects.second
+    second.choice.choose(image)
+    assert second.view().image == ""

@@ -110,7 +110,7 @@ BAD = {
             )
             or p / "a.tif"
         ),
-        "several channels",
+        "has 3 channels",
     ),
 }
 

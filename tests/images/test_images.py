@@ -146,11 +146,11 @@ BAD = {
     "2D": (lambda p: save(p, STACK[0]), r"a 2D image \(shape \(5, 6\), axes YX\)"),
     "colours": (
         lambda p: save(p, np.zeros((4, 5, 6, 3), np.uint8), photometric="rgb"),
-        r"several channels.*\(4, 5, 6, 3\)",
+        r"has 3 channels \(1 red, 2 green, 3 blue\).*\(4, 5, 6, 3\)",
     ),
     "channels": (
         lambda p: ome(p, array=np.zeros((2, 4, 5, 6), np.uint8), axes="CZYX", Z=1, Y=1, X=1),
-        r"several channels.*\(2, 4, 5, 6\), axes CZYX",
+        r"has 2 channels \(1 to 2\): save one of them alone.*\(2, 4, 5, 6\), axes CZYX",
     ),
     "time": (
         lambda p: save(p, STACK, imagej=True, metadata={"axes": "TYX"}),

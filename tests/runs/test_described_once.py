@@ -89,7 +89,7 @@ def test_the_command_that_repeats_a_run_gives_it(model, name):
     base |= {"file": "bead.tif"} if model is MeasuredOptics else {}
     base |= {"voxel_size": (1.0, 1.0, 1.0)} if model is SceneSettings else {}
     if model is RunSettings:
-        base = {"image": "i.tif", "scene": SceneSettings(voxel_size=(1, 1, 1))}
+        base = {"image": "i.tif", "seeds": "s.ply", "scene": SceneSettings(voxel_size=(1, 1, 1))}
     value = another(found)
     words = flags_of(model(**{**base, name: value}))
     parser = parser_of("track" if model is TrackSettings else "fit")

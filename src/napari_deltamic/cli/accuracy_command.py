@@ -123,7 +123,7 @@ class _Blank(argparse.Namespace):
 
 
 def _from_image(arguments: argparse.Namespace, notes: Notes) -> _Scene:
-    given = ("seeds", "voxel_size", "sigma", "missing_nan", *OPTICS_ARGUMENTS)
+    given = ("channel", "seeds", "voxel_size", "sigma", "missing_nan", *OPTICS_ARGUMENTS)
     asked = {name: getattr(arguments, name) for name in given}
     job = gather(_Blank(image=arguments.scene, **asked), notes)
     noise = image_noise(job.image)

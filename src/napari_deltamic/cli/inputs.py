@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.choices import AUTO
+from ..common.description import described
 from ..errors import InputError
 from ..evidence.first_sigma import with_first_psf as first_psf
 from ..fitting.checks import check_image
@@ -17,7 +18,8 @@ from ..fitting.job import SIGMA_IN_VOXELS, FitInput, assemble
 from ..geometry import Mesh
 from ..images.missing import finite_or_nan
 from ..images.padding import without_padding
-from ..images.stacks import SIZES_AGREE, VoxelSize, read_image
+from ..images.stacks import SIZES_AGREE, read_image
+from ..images.stored import VoxelSize
 from ..runs.seeds import SeedKind, seeds_of
 from ..runs.settings import FitSettings, RunSettings, SceneSettings, validated
 from ..scene import Grid
@@ -27,11 +29,13 @@ from .messages import Notes
 from .optics_arguments import optics_values
 from .second_view_input import with_second_view
 
+CHANNEL = described(RunSettings)["channel"].flag
+
 
 def gather(arguments: argparse.Namespace, notes: Notes) -> FitInput:
     """Read everything that a fit needs. Raises InputError where something cannot be used."""
     values = run_values(arguments, notes)
-    image, found = read_image(values["image"])
+    image, found = read_image(values["image"], values.get("channel"), CHANNEL)
     scene = values["scene"]
     scene["voxel_size"] = voxel_size_of(scene.get("voxel_size"), found, values["image"], notes)
     settings: RunSettings = validated(RunSettings, values)
@@ -87,6 +91,7 @@ def run_values(
         if given is not None:
             # Absolute, so that run.toml can be used from any folder.
             values[name] = given if given == AUTO else str(Path(given).absolute())
+    values |= values_given(arguments, RunSettings, ("channel",))
     values["fit"] |= values_given(arguments, FitSettings)
     values["scene"] |= values_given(arguments, SceneSettings, ("voxel_size", "sigma"))
     optics = optics_values(arguments)

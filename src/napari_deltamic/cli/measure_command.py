@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..common.choices import IMAGE_FILES
 from ..common.triple import Triple, triple
 from ..common.writing import own_folder, write_atomically
 from ..errors import InputError, failure
@@ -36,11 +37,15 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
         return _tracks(Path(arguments.source), folder, notes)
     try:
         source = measurable(
-            arguments.source, arguments.image, _asked(arguments.voxel_size), arguments.errors
+            arguments.source,
+            arguments.image,
+            _asked(arguments.voxel_size),
+            arguments.errors,
+            arguments.channel,
         )
         for remark in source.remarks:
             notes.add(remark)
-        further = () if arguments.channel is None else _channel(arguments, source, notes)
+        further = () if arguments.other_channel is None else _other(arguments, source, notes)
         images = _images(arguments, source)
         measured = measure(source.mesh, source.known)
         with own_folder(folder):
@@ -79,7 +84,15 @@ def _images(arguments: argparse.Namespace, source: Measurable) -> dict[str, NDAr
 
 def _check_of_tracks(arguments: argparse.Namespace) -> None:
     """InputError for options that say something of one image."""
-    for name in ("image", "voxel_size", "label_voxel", "channel", "images", "errors"):
+    for name in (
+        "image",
+        "channel",
+        "voxel_size",
+        "label_voxel",
+        "other_channel",
+        "images",
+        "errors",
+    ):
         if getattr(arguments, name):
             option = name.replace("_", "-")
             raise InputError(f"tracks become a table and a graph: leave out --{option}")
@@ -98,26 +111,37 @@ def _tracks(source: Path, folder: Path, notes: Notes) -> int:
     return 0
 
 
-def _channel(arguments: argparse.Namespace, source: Measurable, notes: Notes) -> tuple[Table, ...]:
+def _other(arguments: argparse.Namespace, source: Measurable, notes: Notes) -> tuple[Table, ...]:
     """The tables of another channel."""
     if source.grid is None:
-        raise InputError("--channel needs the image of the mesh: give --image")
-    sigma = _asked(arguments.channel_sigma) or source.sigma
+        raise InputError("--other-channel needs the image of the mesh: give --image")
+    asked, sigma = arguments.other_channel, _asked(arguments.other_channel_sigma) or source.sigma
     if sigma is None:
-        raise InputError("--channel needs the widths of its PSF: give --channel-sigma Z Y X")
-    on = arguments.channel_on
+        raise InputError("no widths of the PSF are known: give --other-channel-sigma Z Y X")
+    on = arguments.other_channel_on
     settings = ChannelSettings(walls=on != "insides", insides=on != "walls")
-    pixels = finite_or_nan(without_padding(read_image(arguments.channel)[0])[0])
+    pixels = finite_or_nan(without_padding(_other_pixels(asked, source))[0])
     try:
         found = channel_amounts(pixels, source.grid, source.mesh, GaussianPSF(sigma), settings)
     except InputError as error:
-        raise InputError(f"{arguments.channel}: {error}") from None
+        raise InputError(f"{asked}: {error}") from None
     shift, widths = (" ".join(f"{v:.3f}" for v in t) for t in (found.shift, found.sigma))
     notes.add(
         f"the channel lies {shift} um (Z Y X) beside the mesh, its PSF is {widths} um wide, and "
         f"{100 * found.explained:.0f} % of it are explained"
     )
     return channel_tables(source.mesh, found)
+
+
+def _other_pixels(asked: str, source: Measurable) -> NDArray[Any]:
+    """Those of a file, or of a channel of the image that the mesh was fitted to."""
+    if Path(asked).suffix.lower() in IMAGE_FILES:
+        return read_image(asked)[0]
+    if not source.file:
+        raise InputError(
+            f"--other-channel {asked}: the session holds one channel only: give a file"
+        )
+    return read_image(source.file, asked, "--other-channel")[0]
 
 
 def _asked(values: list[float] | None) -> Triple | None:

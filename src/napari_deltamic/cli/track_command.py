@@ -25,7 +25,7 @@ from ..scene import Grid
 from ..tracking import FrameResult, track
 from .arguments.track_arguments import track_values
 from .folders import check_folder
-from .inputs import load_seeds, run_values, voxel_size_of, with_first_psf
+from .inputs import CHANNEL, load_seeds, run_values, voxel_size_of, with_first_psf
 from .messages import INTERRUPTED, Bar, Notes, tell
 
 _PRECIOUS = (*FILES, mesh_name(0))
@@ -65,7 +65,7 @@ class _Job:
 
 def _gather(arguments: argparse.Namespace, notes: Notes) -> _Job:
     values = run_values(arguments, notes, TrackRun)
-    images = open_series(values["image"])
+    images = open_series(values["image"], values.get("channel"), CHANNEL)
     if len(images) < 2:
         raise InputError(f"{values['image']}: tracking needs two frames or more, not {len(images)}")
     scene = values["scene"]

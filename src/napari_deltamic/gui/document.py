@@ -172,6 +172,7 @@ class Document:
             scene = scene.model_copy(update={"sigma": None})
         return RunSettings(
             image=self.image.path(),
+            channel=self.image.channel(),
             seeds=seeds.path,
             scene=scene,
             fit=self.settings.fit_settings(),

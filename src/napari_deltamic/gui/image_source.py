@@ -8,14 +8,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pint
-from napari.layers import Image, Shapes
+from napari.layers import Shapes
 from numpy.typing import ArrayLike, NDArray
 from psygnal import Signal
 
-from ..common.choices import IMAGE_FILES, TIFF
+from ..common.choices import TIFF
 from ..errors import InputError
-from ..images.stacks import read_voxel_size, stored_shape
+from ..images.stacks import read_voxel_size
+from .layer_channels import (
+    READ_AGAIN,
+    Choice,
+    channel_layer,
+    data_of,
+    file_of,
+    is_one_channel,
+    origin_of,
+    why_unusable,
+)
 from .layer_choice import LayerChoice
 from .viewing.connections import Connections
 from .viewing.frame import (
@@ -25,15 +34,10 @@ from .viewing.frame import (
     Frame,
     camera_of,
     finite,
-    is_stack,
-    made_by_fit,
     um_per_unit,
     unread_stack_of,
 )
 
-_READ_AGAIN = 200e6  # bytes; larger files are not opened a second time for their voxel size
-_MOST = 5  # an axis of more than so many steps is no axis of stains, unless it is named so
-_CHANNEL, _OTHER = ("c", "ch", "channel", "channels"), ("t", "time", "z", "y", "x")
 _SMALLEST = 4  # voxels along each side of a region
 
 
@@ -51,10 +55,11 @@ class ImageSource:
     def __init__(self, viewer: Any) -> None:
         self.viewer = viewer
         self.box: Box | None = None  # the region of the layer that is fitted; None: all of it
-        self._asked: set[str] = set()  # files that were asked for their voxel size
+        # Files, and channels in them, that were asked for their voxel size.
+        self._asked: set[tuple[str, str | None]] = set()
         self._scaled: Any = None
         self._connections = Connections()
-        self.choice = LayerChoice(viewer, is_stack)
+        self.choice = LayerChoice(viewer, is_one_channel)
         self.choice.changed.connect(self._chosen)
         events = viewer.layers.events
         self._connections.connect(events.inserted, self._place_meshes)
@@ -100,7 +105,7 @@ class ImageSource:
 
     def shape(self) -> tuple[int, ...]:
         """Of ``stack``, without reading it."""
-        shape = tuple(_data(self.layer).shape[-3:])
+        shape = tuple(data_of(self.layer).shape[-3:])
         return shape if self.box is None else tuple(b - a for a, b in self.box)
 
     def stack(self, layer: Any = None) -> NDArray[Any]:
@@ -124,14 +129,22 @@ class ImageSource:
 
     def path(self) -> str:
         """The file of the layer, if an image of this shape is in it; else ''."""
-        return "" if self.layer is None or self.box is not None else file_of(self.layer)
+        return self._file()[0]
+
+    def channel(self) -> str | None:
+        """Which channel of this file; None where it has one only."""
+        return self._file()[1]
+
+    def _file(self) -> tuple[str, str | None]:
+        known = self.layer is not None and self.box is None
+        return file_of(self.layer) if known else ("", None)
 
     # ---- what is chosen of the layer ----------------------------------------------------------
 
-    def take_channel(self, whole: Any, axis: int, channel: int) -> None:
+    def take_channel(self, whole: Any, choice: Choice) -> None:
         """One channel of a layer as a layer of its own, in the place of all."""
         if whole is not None and whole in self.viewer.layers:
-            layer = channel_layer(whole, axis, channel)
+            layer = channel_layer(whole, choice)
             whole.visible = False
             self.viewer.add_layer(layer)
             self.choose(layer)
@@ -171,7 +184,7 @@ class ImageSource:
 
     def _box_between(self, low: ArrayLike, high: ArrayLike) -> Box:
         """Of two corners in the world, cut to the image."""
-        layer, shape = self.layer, np.array(_data(self.layer).shape[-3:])
+        layer, shape = self.layer, np.array(data_of(self.layer).shape[-3:])
         ends = [(np.asarray(x) - layer.translate[-3:]) / layer.scale[-3:] for x in (low, high)]
         first = np.clip(np.ceil(ends[0] - 0.5), 0, shape)
         last = np.clip(np.floor(ends[1] + 0.5) + 1, 0, shape)
@@ -225,18 +238,18 @@ class ImageSource:
 
     def _take_size_of_file(self, layer: Any) -> None:
         """The voxel size that a TIFF file notes, where the layer has none."""
-        path = layer.source.path
+        path, channel = asked = origin_of(layer)
         unscaled = np.allclose(layer.scale, 1) and um_per_unit(layer) is None
-        if not path or not unscaled or path in self._asked:
+        if not path or not unscaled or asked in self._asked:
             return
-        self._asked.add(path)
+        self._asked.add(asked)
         file = Path(path)
         if file.suffix.lower() not in TIFF or not file.is_file():
             return
-        if file.stat().st_size > _READ_AGAIN:
+        if file.stat().st_size > READ_AGAIN:
             return
         try:
-            size = read_voxel_size(file)
+            size = read_voxel_size(file, channel)
         except InputError:
             return  # napari could read it, so it is an image all the same; its size stays unknown
         if size is not None and layer.ndim == 3:
@@ -248,89 +261,6 @@ class ImageSource:
         self._scaled = layer
         if layer is not None:
             layer.events.scale.connect(self._look)
-
-
-# ---- channels ------------------------------------------------------------------------------------
-
-
-def channel_axes(layer: Any) -> tuple[int, ...]:
-    """Axes of an image layer that channels may lie along; those that are named so, if any are."""
-    if not isinstance(layer, Image) or layer.rgb or layer.ndim < 4 or made_by_fit(layer):
-        return ()
-    names = [str(name).lower() for name in layer.axis_labels]
-    named = tuple(axis for axis, name in enumerate(names) if name in _CHANNEL)
-    if named:
-        return named
-    shape = _data(layer).shape
-    return tuple(
-        axis
-        for axis in range(layer.ndim - 2)
-        if 1 < shape[axis] <= _MOST and names[axis] not in _OTHER and not _is_time(layer, axis)
-    )
-
-
-def channels(layer: Any) -> list[tuple[int, int, int]]:
-    """Axis, channel and how many there are, of each channel that a layer may have."""
-    axes = () if layer is None else channel_axes(layer)
-    counts = [(axis, int(_data(layer).shape[axis])) for axis in axes]
-    return [(axis, k, n) for axis, n in counts for k in range(n)]
-
-
-def channel_layer(layer: Any, axis: int, channel: int) -> Image:
-    """One channel of an image layer, as a layer at the same place; it shares the voxels."""
-    index: list[Any] = [slice(None)] * layer.ndim
-    index[axis] = channel
-    kept = {
-        name: tuple(value for k, value in enumerate(getattr(layer, name)) if k != axis)
-        for name in ("scale", "translate", "units", "axis_labels")
-    }
-    return Image(_data(layer)[tuple(index)], name=f"{layer.name}, channel {channel + 1}", **kept)
-
-
-def why_unusable(layer: Any) -> str:
-    """Why an image layer cannot be fitted, and what to do; '' for no image layer of the user's."""
-    if not isinstance(layer, Image) or made_by_fit(layer):
-        return ""
-    name = f"'{layer.name}'"
-    if layer.rgb:
-        return (
-            f"{name} is a colour image: right-click it in the layer list, choose 'Split RGB', and "
-            "keep the colour of the membranes"
-        )
-    if layer.ndim < 3:
-        return f"{name} is a single plane: open a stack of planes (Z, Y, X) of it"
-    if layer.ndim < 5:
-        return ""
-    if channel_axes(layer):
-        return f"{name} has {layer.ndim} axes: choose the channel that shows the membranes"
-    return (
-        f"{name} has {layer.ndim} axes: keep Z, Y, X, and time before them if there is any "
-        "(right-click it in the layer list, 'Split Stack')"
-    )
-
-
-def file_of(layer: Any) -> str:
-    """The file that a 3D image layer was opened from, if an image of its shape is in it; else ''.
-
-    The pixels may have been edited since: see :func:`.stacks.holds_image`.
-    """
-    path = layer.source.path
-    if not path or layer.ndim != 3 or Path(path).suffix.lower() not in IMAGE_FILES:
-        return ""
-    if stored_shape(path) != tuple(_data(layer).shape):
-        return ""  # a crop, a channel, a time point
-    return str(Path(path).absolute())
-
-
-def _data(layer: Any) -> Any:
-    return layer.data[0] if layer.multiscale else layer.data
-
-
-def _is_time(layer: Any, axis: int) -> bool:
-    try:
-        return bool(np.isfinite(float((1 * layer.units[axis]).to("second").magnitude)))
-    except (pint.DimensionalityError, pint.UndefinedUnitError):
-        return False
 
 
 def _rescale(viewer: Any, layer: Any, scale: ArrayLike) -> None:

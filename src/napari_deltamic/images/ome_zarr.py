@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ..common.writing import folder_atomically
 from ..errors import InputError
+from .channel_names import known_names, zarr_channel_names
 from .units import unit_um
 
 _CHUNK = 64  # voxels along each axis: 1 MB of float32, so that viewers read one in one go
@@ -30,11 +31,13 @@ class ZarrImage:
     array : as stored; slicing it gives a numpy array.
     axes : a letter for each, such as "TCZYX".
     voxel_size : um, Z Y X; None where it is not told.
+    channels : their names; () where they are not told.
     """
 
     array: Any
     axes: str
     voxel_size: tuple[float, float, float] | None
+    channels: tuple[str, ...] = ()
 
 
 def open_zarr(path: str | os.PathLike[str]) -> ZarrImage:
@@ -57,13 +60,16 @@ def open_zarr(path: str | os.PathLike[str]) -> ZarrImage:
                 "image is needed, or a .tif"
             ) from None
         attributes = dict(group.attrs)
-        facts = _first_image(attributes.get("ome", attributes))
+        told = attributes.get("ome", attributes)
+        facts = _first_image(told)
         dataset = facts["datasets"][0]
         array = group[dataset["path"]]
     axes = "".join(_axis_name(axis) for axis in facts.get("axes", ())).upper()
     if axes and len(axes) != len(array.shape):
         raise InputError(f"it names {len(axes)} axes of {len(array.shape)}")
-    return ZarrImage(array, axes, _voxel_size(facts, dataset))
+    count = array.shape[axes.index("C")] if "C" in axes else 1
+    names = known_names(zarr_channel_names(told), count)
+    return ZarrImage(array, axes, _voxel_size(facts, dataset), names)
 
 
 def write_zarr(

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.choices import IMAGE_FILES
+from ..common.description import described
 from ..common.triple import Triple
 from ..errors import InputError
 from ..evidence import analyse_residual
@@ -26,6 +27,8 @@ from ..runs.settings import RunSettings
 from ..scene import Grid
 from .session_file import EXTENSION, load_session
 
+_FLAG = described(RunSettings)["channel"].flag
+
 
 @dataclass(frozen=True, eq=False)
 class Measurable:
@@ -37,6 +40,7 @@ class Measurable:
     sigma : um, Z Y X; widths of the PSF, where they are known.
     facts : what to say of the fit: settings, verdict, versions; plain values.
     remarks : what could not be found, a sentence each.
+    file : of the image; "" where it is in none.
     """
 
     name: str
@@ -48,6 +52,7 @@ class Measurable:
     sigma: Triple | None = None
     facts: Mapping[str, Any] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
+    file: str = ""
 
 
 def measurable(
@@ -55,6 +60,7 @@ def measurable(
     image: str | Path | None = None,
     voxel_size: Triple | None = None,
     errors: bool = False,
+    channel: str | None = None,
 ) -> Measurable:
     """Read what is to be measured.
 
@@ -69,6 +75,8 @@ def measurable(
     errors
         Whether standard errors are computed, which takes about as long as a fit. A session alone
         holds what they need.
+    channel
+        Of that image, by number or name; None for the one that was fitted, or the only one.
 
     Raises
     ------
@@ -79,23 +87,28 @@ def measurable(
     if path.suffix.lower() == EXTENSION:
         if image is not None:
             raise InputError(f"{path.name} holds its image: leave out --image")
+        if channel is not None:
+            raise InputError(f"{path.name} holds one channel only: leave out --channel")
         return _of_session(path, errors)
     if errors:
         raise InputError("standard errors need a session: save one in the window")
     if path.is_dir():
-        return _of_folder(path, image, voxel_size)
+        return _of_folder(path, image, voxel_size, channel)
     mesh = load_mesh(path)
-    return _with_image(Measurable(path.name, mesh, Known()), image, voxel_size)
+    return _with_image(Measurable(path.name, mesh, Known()), image, voxel_size, channel)
 
 
 def _with_image(
-    found: Measurable, image: str | Path | None, voxel_size: Triple | None
+    found: Measurable,
+    image: str | Path | None,
+    voxel_size: Triple | None,
+    channel: str | None = None,
 ) -> Measurable:
     """With the grid of an image; the mesh counts from the centre of its first voxel."""
     if image is None:
         words = "no image: nothing is known of its border"
         return Measurable(found.name, found.mesh, found.known, remarks=(*found.remarks, words))
-    pixels, stored = read_image(image)
+    pixels, stored = read_image(image, channel, _FLAG)
     pixels = finite_or_nan(without_padding(pixels)[0])
     size = voxel_size or stored
     if size is None:
@@ -103,22 +116,25 @@ def _with_image(
     z, y, x = pixels.shape
     grid = Grid((z, y, x), size)
     _check_near(found.mesh, grid)
-    return Measurable(found.name, found.mesh, Known(grid=grid), grid, pixels)
+    return Measurable(found.name, found.mesh, Known(grid=grid), grid, pixels, file=str(image))
 
 
-def _of_folder(path: Path, image: str | Path | None, voxel_size: Triple | None) -> Measurable:
+def _of_folder(
+    path: Path, image: str | Path | None, voxel_size: Triple | None, channel: str | None
+) -> Measurable:
     if not (path / "mesh.ply").is_file():
         raise InputError(f"{path}: no folder of a fit: it holds no mesh.ply")
     mesh = load_mesh(path / "mesh.ply")
     plain = Measurable(path.name, mesh, Known())
     if not (path / "run.toml").is_file():
-        return _with_image(plain, image, voxel_size)
+        return _with_image(plain, image, voxel_size, channel)
     settings = RunSettings.from_toml(path / "run.toml")
     source = Path(image or settings.image)
     if image is None and not (source.exists() and source.suffix.lower() in IMAGE_FILES):
         lost = f"the image {source} is not there any more"
         return _with_image(Measurable(path.name, mesh, Known(), remarks=(lost,)), None, None)
-    pixels = finite_or_nan(without_padding(read_image(source)[0])[0])
+    pixels = read_image(source, channel or settings.channel, _FLAG)[0]
+    pixels = finite_or_nan(without_padding(pixels)[0])
     z, y, x = pixels.shape
     grid = Grid((z, y, x), voxel_size or settings.scene.voxel_size, settings.scene.origin)
     _check_near(mesh, grid)
@@ -134,7 +150,9 @@ def _of_folder(path: Path, image: str | Path | None, voxel_size: Triple | None) 
         explained=_explained(report.get("residual")),
         judgements=_judgements(report.get("verdict")),
     )
-    return Measurable(path.name, mesh, known, grid, pixels, rendered, sigma, report)
+    return Measurable(
+        path.name, mesh, known, grid, pixels, rendered, sigma, report, file=str(source)
+    )
 
 
 def _of_session(path: Path, errors: bool) -> Measurable:

@@ -120,7 +120,7 @@ def batch_for(folder: str | Path, settings: RunSettings) -> BatchSettings:
     names = {p.name for p in folder.iterdir()}
     seeds = next((end for end in SEED_ENDS if _fits(end, names)), AUTO)
     stacks = [job.image for job in batch_jobs(folder, seeds)]
-    told = all(_tells_voxel_size(stack) for stack in stacks)
+    told = all(_tells_voxel_size(stack, settings.channel) for stack in stacks)
     words = options_of(settings)
     if told:
         at = words.index("--voxel-size")
@@ -151,9 +151,9 @@ def _fits(end: str, names: set[str]) -> bool:
     return any(end.replace(STEM, _stem(stack)) in names for stack in stacks)
 
 
-def _tells_voxel_size(stack: Path) -> bool:
+def _tells_voxel_size(stack: Path, channel: str | None) -> bool:
     try:
-        return read_voxel_size(stack) is not None
+        return read_voxel_size(stack, channel) is not None
     except InputError:
         return True  # the batch will say what is wrong with it
 

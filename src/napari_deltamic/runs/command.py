@@ -35,8 +35,9 @@ def options_of(settings: RunSettings) -> list[str]:
     InputError
         If no flags give the PSF.
     """
-    scene = settings.scene
-    words = flags_of(scene)
+    scene, channel = settings.scene, described(type(settings))["channel"]
+    words = [] if settings.channel is None else _words(channel, settings.channel)
+    words += flags_of(scene)
     words += [] if scene.optics is None else optics_flags(scene.optics)
     words += ["--effects", scene.effects.to_text()] if scene.effects.names else []
     return words + flags_of(settings.fit)

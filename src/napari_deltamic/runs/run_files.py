@@ -30,7 +30,7 @@ class Chosen:
     def compared(self) -> Chosen:
         """The same, without the files of images that were edited since they were opened."""
         settings, view = self.settings, self.settings.scene.effects.view
-        if settings.image and not holds_image(settings.image, self.pixels):
+        if settings.image and not holds_image(settings.image, self.pixels, settings.channel):
             settings = settings.model_copy(update={"image": ""})
         second = self.second
         if view and view.image and second is not None and not holds_image(view.image, second):
@@ -73,11 +73,11 @@ def with_files(
     second: NDArray[Any] | None = None,
 ) -> RunSettings:
     """The settings with files for what has none; InputError if they cannot be written."""
-    files = {"image": settings.image, "seeds": settings.seeds}
+    files: dict[str, str | None] = {"image": settings.image, "seeds": settings.seeds}
     if not files["image"]:
         path = _unused(folder / "image.tif")
         write_image(path, image, grid.voxel_size)
-        files["image"] = str(path.absolute())
+        files |= {"image": str(path.absolute()), "channel": None}
     if not files["seeds"]:
         path = seeds.save(folder, image, grid)
         files["seeds"] = str(path.absolute())

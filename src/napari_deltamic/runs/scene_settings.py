@@ -86,9 +86,29 @@ class RunFields(Settings):
     """What is fitted to what."""
 
     image: str = setting(title="image", tip="image file, .tif, .npy or .zarr", flag=None)
+    channel: str | None = setting(
+        None,
+        title="channel",
+        tip="which channel of the image: its number, the first is 1, or its name in the file; "
+        "where not given, the image must have one only",
+        metavar="N",
+        automatic="the only one",
+    )
     seeds: str = setting(
         title="cells",
         tip="where the fit starts: a mesh, a label image, a CSV (z,y,x or z,y,x,radius; um), or "
         "auto, which looks for the cells of the image",
         metavar="FILE",
     )
+
+    @field_validator("channel", mode="before")
+    @classmethod
+    def _counted_from_one(cls, channel: Any) -> Any:
+        if isinstance(channel, bool) or not isinstance(channel, int | str):
+            return channel
+        text = str(channel).strip()
+        if not text:
+            raise ValueError("a number, from 1, or a name is needed")
+        if text.lstrip("+-").isdecimal() and int(text) < 1:
+            raise ValueError(f"the first is 1, as in Fiji: there is no channel {text}")
+        return text

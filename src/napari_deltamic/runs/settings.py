@@ -59,7 +59,7 @@ class RunSettings(RunFields):
         for name, value in self.model_dump().items():
             if isinstance(value, dict):
                 tables.append((name, value))
-            else:
+            elif value is not None:
                 lines.append((name, value))
         text = "".join(f"{k} = {toml_value(v)}\n" for k, v in lines)
         for name, table in tables:

@@ -9,11 +9,11 @@ from typing import Any
 from ...common.choices import IMAGE_FILES
 from ...errors import InputError
 from ...geometry.formats import MESH_FILES
-from ...runs.scene_settings import SceneFields
+from ...runs.scene_settings import RunFields, SceneFields
 from ..flags import TRIPLE, add_flags
 from ..folders import check_folder
 from ..optics_arguments import add_optics, optics_values
-from .argument_checks import check_files, check_given_accuracy
+from .argument_checks import check_channel, check_files, check_given_accuracy
 
 _FILES = ("accuracy.json", "accuracy.png", "shape.png")
 
@@ -30,6 +30,7 @@ def add_parser(commands: Any) -> None:
     add("scene", metavar="MESH or IMAGE", help=f"{', '.join(MESH_FILES)}; or .tif, .npy")
     add("--shape", nargs=3, type=int, metavar=TRIPLE, help="voxels (with a mesh)")
     add("--seeds", metavar="FILE", help="mesh, label image, or CSV of points (with an image)")
+    add_flags(parser, RunFields, ("channel",))
     add_flags(parser, SceneFields, ("voxel_size", "sigma"))
     add_optics(parser)
     add(
@@ -89,6 +90,8 @@ def _check_mesh(arguments: argparse.Namespace) -> None:
             raise InputError(f"a mesh needs --{name.replace('_', '-')} Z Y X")
     if arguments.seeds is not None:
         raise InputError("--seeds goes with an image, not with a mesh")
+    if arguments.channel is not None:
+        raise InputError("--channel goes with an image, not with a mesh")
     if arguments.shape_error and not (arguments.photons and arguments.photons > 0):
         raise InputError("--shape-error with a mesh needs --photons P, at the peak of the images")
 
@@ -100,3 +103,4 @@ def _check_image(arguments: argparse.Namespace) -> None:
         raise InputError("--photons goes with a mesh; an image has its own noise")
     if arguments.seeds is None:
         raise InputError("an image needs --seeds FILE")
+    check_channel(arguments)

@@ -8,6 +8,9 @@ from pathlib import Path
 from ...common.accuracy_bounds import check_accuracy
 from ...common.choices import AUTO
 from ...errors import InputError
+from ...runs.fit_settings import validated
+from ...runs.scene_settings import RunFields
+from ..flags import values_given
 
 
 def check_files(arguments: argparse.Namespace, *names: str) -> None:
@@ -23,3 +26,9 @@ def check_given_accuracy(arguments: argparse.Namespace) -> None:
     """InputError unless the accuracy of a rendering, where it is given, can be one."""
     if arguments.accuracy is not None:
         check_accuracy(arguments.accuracy)
+
+
+def check_channel(arguments: argparse.Namespace) -> None:
+    """InputError unless the channel of the image can be one."""
+    given = values_given(arguments, RunFields, ("channel",))
+    validated(RunFields, {"image": "", "seeds": "", **given})

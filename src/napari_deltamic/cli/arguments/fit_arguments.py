@@ -13,7 +13,7 @@ from ...runs.scene_settings import RunFields, SceneFields
 from ..flags import TRIPLE, add_flags, values_given
 from ..folders import check_folder
 from ..optics_arguments import add_optics, optics_values
-from .argument_checks import check_files
+from .argument_checks import check_channel, check_files
 
 CHECKPOINT = "checkpoint.npz"
 # What one would not want to lose; the other results belong to them.
@@ -80,6 +80,7 @@ def check_fit_options(arguments: argparse.Namespace, command: str) -> None:
                 f"{command} needs {wanted}, or --settings with a run.toml that names it"
             )
     check_files(arguments, "seeds")
+    check_channel(arguments)
     validated(FitSettings, values_given(arguments, FitSettings))
     optics_values(arguments)
 

@@ -7,10 +7,12 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from ...common.choices import IMAGE_FILES
 from ...errors import InputError
-from ..flags import TRIPLE
+from ...runs.scene_settings import RunFields
+from ..flags import TRIPLE, add_flags
 from ..folders import check_folder
-from .argument_checks import check_files
+from .argument_checks import check_channel, check_files
 
 PRECIOUS = ("cells.csv", "walls.csv", "junctions.csv", "measurements.html", "tracks.geff")
 
@@ -32,6 +34,10 @@ def add_parser(commands: Any) -> None:
         help="mesh file (um), session (.deltamic), or the folder that fit or track wrote",
     )
     add("--image", metavar="FILE", help="that the mesh was fitted to: says what its border cuts")
+    text = (
+        "of that image, the one the mesh was fitted to: number, from 1, or name (default: as fit)"
+    )
+    add_flags(parser, RunFields, ("channel",), helps={"channel": text})
     add("--voxel-size", nargs=3, type=float, metavar=TRIPLE, help="um, of that image")
     add(
         "--label-voxel",
@@ -40,15 +46,19 @@ def add_parser(commands: Any) -> None:
         metavar=TRIPLE,
         help="um, of the label image (default: as the image; without one there are no labels)",
     )
-    add("--channel", metavar="FILE", help="another channel: how much of it is on walls, in cells")
     add(
-        "--channel-on",
+        "--other-channel",
+        metavar="FILE_OR_N",
+        help="how much of another channel is on walls, in cells: a file, or a channel of the image",
+    )
+    add(
+        "--other-channel-on",
         choices=("both", "walls", "insides"),
         default="both",
         help="what shines in it (default: %(default)s)",
     )
     add(
-        "--channel-sigma",
+        "--other-channel-sigma",
         nargs=3,
         type=float,
         metavar=TRIPLE,
@@ -67,10 +77,20 @@ def add_parser(commands: Any) -> None:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    check_files(arguments, "source", "image", "channel")
-    for name in ("voxel_size", "label_voxel", "channel_sigma"):
+    check_files(arguments, "source", "image")
+    check_channel(arguments)
+    if _is_image(arguments.channel):
+        raise InputError("--channel is one of the image: give a file to --other-channel")
+    if _is_image(arguments.other_channel):
+        check_files(arguments, "other_channel")
+    for name in ("voxel_size", "label_voxel", "other_channel_sigma"):
         size = getattr(arguments, name)
         if size is not None and not all(isfinite(d) and d > 0 for d in size):
             option = name.replace("_", "-")
             raise InputError(f"--{option} must be three positive numbers (um)")
     check_folder(Path(arguments.output), PRECIOUS, overwrite=arguments.overwrite)
+
+
+def _is_image(text: str | None) -> bool:
+    """Whether it names an image file, not a channel."""
+    return text is not None and Path(text).suffix.lower() in IMAGE_FILES

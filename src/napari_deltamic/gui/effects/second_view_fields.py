@@ -13,7 +13,7 @@ from ...fitting.job import SIGMA_IN_VOXELS
 from ...scene.effects import SecondView
 from ..document import Document
 from ..fields import TripleField
-from ..image_source import file_of
+from ..layer_channels import file_of
 from ..layer_choice import LayerChoice
 from ..qt import Signal
 from ..viewing.connections import Connections
@@ -79,7 +79,9 @@ class SecondViewFields(QWidget):
         if layer is None or image is None:
             return None
         _check_on_voxels(layer, image)
-        return SecondView(sigma=self.sigma.value(), image=file_of(layer))
+        path, channel = file_of(layer)
+        # The file of a second view holds nothing else.
+        return SecondView(sigma=self.sigma.value(), image="" if channel else path)
 
     def pixels(self) -> NDArray[Any] | None:
         """(Z, Y, X) of the layer, at the time shown; None for no second view."""

@@ -9,7 +9,7 @@ from qtpy.QtWidgets import QFormLayout, QGroupBox, QHBoxLayout, QLabel, QPushBut
 from ...errors import InputError
 from ..document import Document
 from ..fields import TripleField
-from ..image_source import channel_axes, channels
+from ..layer_channels import Choice, channel_axes, channels
 from ..viewing.frame import um_per_unit
 from ..widgets import AMBER, LayerChooser, Note, narrow_box, sentence, show_row
 
@@ -52,7 +52,7 @@ class ImagePanel(QGroupBox):
         layout.addRow("voxel", size)
         layout.addRow(self.voxel_size)
         layout.addRow(self.note)
-        self._choices: list[tuple[int, int, int]] = []
+        self._choices: list[Choice] = []
         self._of_channels: Any = None  # the layer whose channels are offered
         doc.image.looked.connect(self._show)
         doc.image.changed.connect(self._show)
@@ -111,15 +111,16 @@ class ImagePanel(QGroupBox):
         layer = self._of_channels = self._image.with_channels()
         self._choices = channels(layer)
         self.channels.clear()
-        series = layer is not None and layer.ndim == 4
+        series = layer is not None and layer is self._image.layer
         self.channels.addItem("none: it is a series in time" if series else "...")
-        self.channels.addItems([f"{k + 1} of {n}, along axis {a + 1}" for a, k, n in self._choices])
+        self.channels.addItems(
+            [f"{k + 1} of {n}, {name or f'along axis {a + 1}'}" for a, k, n, name in self._choices]
+        )
         show_row(self._form, self.channels, bool(self._choices))
 
     def _take_channel(self, index: int) -> None:
         if 0 < index <= len(self._choices):
-            axis, channel, _ = self._choices[index - 1]
-            self._image.take_channel(self._of_channels, axis, channel)
+            self._image.take_channel(self._of_channels, self._choices[index - 1])
 
     def _take_region(self, index: int) -> None:
         drawn = self.region.currentText() == BOX

@@ -46,6 +46,7 @@ def capture(parts: Parts) -> tuple[Session, str]:
     pixels = result[1].image if result else doc.image.stack()
     settings = RunSettings(
         image=doc.image.path(),
+        channel=doc.image.channel(),
         seeds="",
         scene=doc.settings.scene_settings(),
         fit=doc.settings.fit_settings(),

@@ -21,6 +21,7 @@ from ...scene import Grid
 from ...tracking import FrameResult, TrackSettings
 from ..attempt import attempt
 from ..document import Document
+from ..layer_channels import origin_of
 from ..viewing.frame import Frame
 from .layers import TrackLayers
 from .panel import TrackPanel
@@ -164,8 +165,10 @@ class TrackControl(QObject):
             divisions=self.panel.divisions.isChecked(),
             time_step=scale if scale > 0 else 1.0,
         )
+        path, channel = origin_of(self._doc.image.layer)
         values = {
-            "image": str(getattr(self._doc.image.layer.source, "path", None) or ""),
+            "image": path,
+            "channel": channel,
             "seeds": run.seeds,
             "scene": run.scene,
             "fit": run.fit,

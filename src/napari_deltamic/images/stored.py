@@ -1,0 +1,250 @@
+"""What image files hold, before their voxels are read: shape, axes, voxel size, channels."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from math import prod
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+
+from ..common.choices import IMAGE_FILES, TIFF, ZARR
+from ..common.reading import quiet
+from ..errors import InputError
+from .channel_names import tiff_channel_names
+from .ome_zarr import open_zarr
+from .units import unit_um
+
+VoxelSize = tuple[float, float, float]
+Index = tuple[int | slice, ...]
+
+# A voxel side outside of this range (um) is no microscope's: the metadata is wrong.
+_PLAUSIBLE = (1e-4, 1e4)
+ALL = slice(None)
+
+
+@dataclass(frozen=True, eq=False)
+class Stored:
+    """An image file that was opened.
+
+    shape, dtype : as stored.
+    axes : a letter for each, such as "TCZYX"; "" where the file does not name them.
+    voxel_size : um, Z Y X, as the metadata says; None where all three sides in a unit of length
+        are not given, or are not plausible.
+    channels : their names; () where the file does not tell them.
+    read : the voxels at an index of all axes, a copy in memory.
+    in_parts : whether only what is asked for is read.
+    """
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    axes: str
+    voxel_size: VoxelSize | None
+    channels: tuple[str, ...]
+    read: Callable[[Index], NDArray[Any]]
+    in_parts: bool = True
+
+    @property
+    def described(self) -> str:
+        """Shape and axes in words."""
+        return f"shape {self.shape}" + (f", axes {self.axes}" if self.axes else "")
+
+    def whole(self) -> NDArray[Any]:
+        """All voxels."""
+        return self.read((ALL,) * len(self.shape))
+
+
+def open_stored(path: str | os.PathLike[str]) -> Stored:
+    """Open a .tif or .tiff file (OME, ImageJ or plain; the first series), .npy, or OME-Zarr.
+
+    Raises
+    ------
+    InputError
+        Unknown extension, empty, no image, cut short; and whatever parsers raise: see ``naming``.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in IMAGE_FILES:
+        known = ", ".join(IMAGE_FILES)
+        raise InputError(f"unknown image extension '{path.suffix}'; known are {known}")
+    if path.suffix.lower() == ZARR and path.exists():
+        return _open_zarr(path)
+    if path.stat().st_size == 0:
+        raise InputError("the file is empty")
+    return _open_tiff(path) if path.suffix.lower() in TIFF else _open_npy(path)
+
+
+@contextmanager
+def naming(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Whatever goes wrong becomes an InputError that names the file."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file") from None
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    except MemoryError:
+        raise
+    except Exception as error:  # whatever a parser may raise on damaged data
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: not a readable image ({reason})") from error
+
+
+# ---- kinds of files ------------------------------------------------------------------------------
+
+
+def _open_npy(path: Path) -> Stored:
+    with quiet():
+        # Mapped: that checks the size before memory is asked for.
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    return Stored(
+        tuple(array.shape), array.dtype, "", None, (), lambda index: np.array(array[index])
+    )
+
+
+def _open_zarr(path: Path) -> Stored:
+    found = open_zarr(path)
+    array = found.array
+    return Stored(
+        tuple(int(n) for n in array.shape),
+        np.dtype(array.dtype),
+        found.axes,
+        plausible(found.voxel_size),
+        found.channels,
+        lambda index: np.asarray(array[index]),
+    )
+
+
+def _open_tiff(path: Path) -> Stored:
+    with quiet("tifffile"), tifffile.TiffFile(path) as tif:
+        if not tif.series:
+            raise InputError("the file holds no image")
+        series = tif.series[0]
+        _check_planes(tif)
+        shape, dtype = tuple(int(n) for n in series.shape), np.dtype(series.dtype)
+        place, pages = series.dataoffset, _pages(series)
+        size, names = tiff_voxel_size(tif), tiff_channel_names(tif)
+        stored = dtype.newbyteorder(tif.byteorder)
+        read = partial(_tiff_part, path, shape, stored, place, pages)
+        in_parts = place is not None or pages is not None
+        return Stored(shape, dtype, series.axes, size, names, read, in_parts)
+
+
+def _pages(series: Any) -> NDArray[np.intp] | None:
+    """The number of the page at each index of the axes before those of a page.
+
+    None where pages do not follow each other in the order of the axes.
+    """
+    inside = len(series.keyframe.shape)
+    before = tuple(series.shape[: len(series.shape) - inside])
+    ordered = series.shape[len(before) :] == series.keyframe.shape
+    if not ordered or len(series.pages) != prod(before):
+        return None
+    return np.arange(prod(before)).reshape(before)
+
+
+def _tiff_part(
+    path: Path,
+    shape: tuple[int, ...],
+    dtype: np.dtype[Any],
+    place: int | None,
+    pages: NDArray[np.intp] | None,
+    index: Index,
+) -> NDArray[Any]:
+    """The voxels at an index; pages that are not asked for are not read, where that can be."""
+    whole = all(at == ALL for at in index) or (place is None and pages is None)
+    read = [n for n, at in zip(shape, index, strict=True) if whole or at == ALL]
+    _check_size(path, read, dtype)
+    if place is not None and not whole:
+        return np.array(np.memmap(path, dtype, "r", place, shape)[index])
+    with quiet("tifffile"), tifffile.TiffFile(path) as tif:
+        series = tif.series[0]
+        if whole or pages is None:
+            return np.asarray(series.asarray())[index]
+        asked = np.asarray(pages[index[: pages.ndim]])
+        found = tif.asarray(key=asked.ravel().tolist(), series=0)
+        inside = shape[pages.ndim :]
+        return np.asarray(found).reshape(*asked.shape, *inside)[
+            (..., *index[pages.ndim :]) if inside else ...
+        ]
+
+
+# What a file of so many bytes may hold, so many times as much: strong compressions of an empty
+# image reach this; more would only fill the memory.
+_GROWTH, _SMALL = 2000, 1 << 30
+
+
+def _check_size(path: Path, shape: Sequence[int], dtype: Any) -> None:
+    """InputError where a header claims more than the file can hold, before memory is asked for."""
+    claimed = prod(int(n) for n in shape) * np.dtype(dtype).itemsize
+    if claimed > max(_SMALL, _GROWTH * path.stat().st_size):
+        raise InputError(f"it says that it holds {claimed:.3g} bytes, which it cannot")
+
+
+def _check_planes(tif: tifffile.TiffFile) -> None:
+    """InputError where the description promises more planes than are there: a copy cut short."""
+    plane = max(prod(tif.pages.first.shape), 1)
+    found, promised = prod(tif.series[0].shape) // plane, None
+    if tif.is_imagej:
+        promised = (tif.imagej_metadata or {}).get("images")
+    elif tif.is_shaped and tif.shaped_metadata:
+        promised = prod(tif.shaped_metadata[0].get("shape", ())) // plane
+    if isinstance(promised, int) and found < promised:
+        raise InputError(
+            f"it is cut short: it says that it holds {promised} planes, and holds {found}; copy or "
+            "save it again"
+        )
+
+
+# ---- voxel sizes ---------------------------------------------------------------------------------
+
+
+def tiff_voxel_size(tif: tifffile.TiffFile) -> VoxelSize | None:
+    """um, Z Y X; None where the metadata does not say, or cannot be right."""
+    try:
+        size = _ome_size(tif) if tif.is_ome else _imagej_size(tif) if tif.is_imagej else None
+    except (ValueError, KeyError, TypeError, ZeroDivisionError, ElementTree.ParseError):
+        return None
+    return plausible(size)
+
+
+def plausible(size: VoxelSize | None) -> VoxelSize | None:
+    """A voxel size that a microscope may have; else None."""
+    low, high = _PLAUSIBLE
+    # This comparison is also false for NaN.
+    return size if size and all(low <= d <= high for d in size) else None
+
+
+def _ome_size(tif: tifffile.TiffFile) -> VoxelSize | None:
+    root = ElementTree.fromstring(tif.ome_metadata or "")
+    pixels = next((e for e in root.iter() if e.tag.endswith("}Pixels")), None)
+    if pixels is None:
+        return None
+    sides = []
+    for name in "ZYX":
+        unit = unit_um(pixels.get(f"PhysicalSize{name}Unit", "um"))
+        value = pixels.get(f"PhysicalSize{name}")
+        if value is None or unit is None:
+            return None
+        sides.append(float(value) * unit)
+    return sides[0], sides[1], sides[2]
+
+
+def _imagej_size(tif: tifffile.TiffFile) -> VoxelSize | None:
+    metadata = tif.imagej_metadata or {}
+    unit = unit_um(str(metadata.get("unit", "")))
+    if unit is None or "spacing" not in metadata:
+        return None
+    tags = tif.pages.first.tags
+    sides = [float(metadata["spacing"])]
+    for name in ("YResolution", "XResolution"):
+        count, length = tags[name].value  # pixels per unit, as a fraction
+        sides.append(length / count)
+    return sides[0] * unit, sides[1] * unit, sides[2] * unit
