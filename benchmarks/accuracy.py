@@ -28,8 +28,8 @@ from napari_deltamic.accuracy.accuracy_chart import (
     ways_chart,
 )
 from napari_deltamic.accuracy.calibration import calibrate
-from napari_deltamic.accuracy.chart import Chart
 from napari_deltamic.accuracy.forecast import forecast
+from napari_deltamic.accuracy.log_chart import Chart
 from napari_deltamic.accuracy.shape_error import DRAWS, photons_for, shape_errors
 from napari_deltamic.accuracy.tradeoff import Way, measure_ways, with_front
 from napari_deltamic.common.words import duration

@@ -11,7 +11,7 @@ import torch
 
 from napari_deltamic import GaussianPSF, Grid, Mesh
 from napari_deltamic.accuracy.accuracy_chart import short
-from napari_deltamic.accuracy.chart import Chart, Series, time_text
+from napari_deltamic.accuracy.log_chart import Chart, Series, time_text
 from napari_deltamic.common.words import duration
 from napari_deltamic.fourier import Band
 from napari_deltamic.fourier.closed_form import band_ft

@@ -19,7 +19,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "src" / "napari_deltamic"
 ROOMS = ("fitting", "evidence", "tracking", "geometry", "measure", "accuracy")
-DRAWN = "chart.py"  # decides how something looks only
+DRAWN = "log_chart.py"  # decides how something looks only
 PLAIN = {0, 1, 2, 0.5, -1}
 REASON = re.compile(
     r"[Mm]easured|[Cc]hosen|benchmark|docs/|paper|prototype|criterion|standard normal"

@@ -14,7 +14,7 @@ from napari_deltamic.accuracy.accuracy_chart import (
     ways_chart,
     ways_table,
 )
-from napari_deltamic.accuracy.chart import PALETTE, Chart, Note, Series, time_text
+from napari_deltamic.accuracy.log_chart import PALETTE, Chart, Note, Series, time_text
 from napari_deltamic.accuracy.shape_error import ShapeError
 from napari_deltamic.accuracy.tradeoff import Way, with_front
 from napari_deltamic.errors import InputError

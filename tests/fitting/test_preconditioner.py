@@ -6,7 +6,7 @@ import torch
 from numpy.testing import assert_allclose, assert_array_equal
 
 from napari_deltamic import Mesh
-from napari_deltamic.fitting.optimiser import AdamUniform
+from napari_deltamic.fitting.paper_optimiser import AdamUniform
 from napari_deltamic.fitting.preconditioner import (
     Preconditioner,
     adjacency,

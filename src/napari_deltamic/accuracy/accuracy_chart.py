@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..common.words import duration, scientific
-from .chart import Chart, Note, Series, time_text
+from .log_chart import Chart, Note, Series, time_text
 from .shape_error import ShapeError, enough
 from .tradeoff import Way
 

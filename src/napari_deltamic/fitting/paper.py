@@ -20,7 +20,7 @@ from ..scene import Renderer, Scene, expected_image
 from ..scene.effects import Effects
 from .change import Change
 from .likelihood import Match, match
-from .optimiser import AdamUniform
+from .paper_optimiser import AdamUniform
 from .preconditioner import Preconditioner, components
 from .problem import Problem
 from .state import FitState

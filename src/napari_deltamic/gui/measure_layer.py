@@ -12,8 +12,8 @@ from napari.types import LayerDataTuple
 from ..common.writing import own_folder
 from ..errors import InputError
 from ..measure import Known, measure
-from ..results.exchange import labels_of
 from ..results.measured_files import write_measurements
+from ..results.mesh_exchange import labels_of
 from .seeding.seed_kinds import mesh_of_surface
 from .viewing.cell_features import labels_options
 from .viewing.frame import Frame, shape_of

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..evidence.fit_facts import verdict_of
 from ..evidence.residual import Residual, analyse_residual
-from ..evidence.strays import Stray, strays
+from ..evidence.unseeded_objects import Stray, strays
 from ..evidence.verdict import Verdict
 from ..evidence.voxel_variance import Variance, voxel_variance
 from ..fitting import FitState

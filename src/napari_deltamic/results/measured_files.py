@@ -15,7 +15,7 @@ from ..geometry import Mesh, save_mesh
 from ..images.stacks import write_image
 from ..measure import Measurements, Table
 from ..scene import Grid
-from .exchange import cells_apart, labels_grid, labels_of, wall_attributes
+from .mesh_exchange import cells_apart, labels_grid, labels_of, wall_attributes
 
 MEASURED = (
     "cells.csv",

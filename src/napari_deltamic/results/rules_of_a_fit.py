@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
-from ..evidence import outgrowths, sanity, strays, verdict
+from ..evidence import outgrowths, sanity, unseeded_objects, verdict
 from ..evidence.evidence_rules import CAMERA, RESIDUAL, SPECTRUM
 from ..fitting import evening, rival_structures, shape_dial, structure_choice, topology
 from ..fitting.schedule import Schedule
@@ -29,6 +29,6 @@ RULES_OF_A_FIT: dict[str, dict[str, Any]] = {
     "camera": asdict(CAMERA),
     "residual": asdict(RESIDUAL),
     "outgrowths": asdict(outgrowths.RULES),
-    "strays": asdict(strays.RULES),
+    "strays": asdict(unseeded_objects.RULES),
     "verdict": asdict(verdict.RULES),
 }

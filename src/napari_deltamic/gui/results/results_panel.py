@@ -27,7 +27,7 @@ from ...geometry.formats import MESH_FILES, MESH_FILES_LISTED, MESH_FILTERS
 from ...images.stacks import write_image
 from ...measure.table import csv_text
 from ...results.cell_columns import COLUMNS, value_of
-from ...results.exchange import labels_of
+from ...results.mesh_exchange import labels_of
 from ...results.report import write_results
 from ..attempt import attempt
 from ..document import Document, Record

@@ -14,8 +14,8 @@ from napari_deltamic.geometry import Mesh, sphere
 from napari_deltamic.geometry.files.vtk import _Reader
 from napari_deltamic.images.stacks import read_image
 from napari_deltamic.measure import measure
-from napari_deltamic.results.exchange import cells_apart, labels_grid, labels_of
 from napari_deltamic.results.measured_files import MEASURED, write_measurements
+from napari_deltamic.results.mesh_exchange import cells_apart, labels_grid, labels_of
 from napari_deltamic.scene import Grid
 
 CENTER = (6.0, 7.0, 8.0)

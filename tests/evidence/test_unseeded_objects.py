@@ -5,7 +5,7 @@ import pytest
 
 from napari_deltamic import GaussianPSF
 from napari_deltamic.evidence.residual import Spot
-from napari_deltamic.evidence.strays import strays
+from napari_deltamic.evidence.unseeded_objects import strays
 from napari_deltamic.geometry import sphere
 
 OPTICS = GaussianPSF((0.3, 0.2, 0.2))
