@@ -1,7 +1,7 @@
 from . import fourier
 from .common.version import __version__
 from .errors import InputError
-from .fitting import Change, FitState, fit
+from .fitting import Change, FitState, SceneFit, fit, fit_scene
 from .geometry import Mesh, load_mesh, save_mesh
 from .optics import (
     ConfocalPSF,
@@ -44,11 +44,13 @@ __all__ = [
     "PupilPSF",
     "ScalarPSF",
     "Scene",
+    "SceneFit",
     "Solid",
     "Surface",
     "VectorialPSF",
     "__version__",
     "fit",
+    "fit_scene",
     "fourier",
     "load_mesh",
     "microscope",

@@ -114,12 +114,21 @@ def test_both_ways_agree_on_a_band(accuracy, length):
 
 
 def test_longer_segments_take_more_points():
-    def points(length):
-        v = np.array([[0, 0, 0], [0, 0, length]])
-        plan = make_line_plan(v, path_segments(2), *GRID, 1e-3)
-        return sum(len(rule.weights) * len(where) for rule, where in plan.rules)
-
     assert points(0.01) < points(0.5) < points(5.0) < 60
+
+
+def points(length, **more):
+    """How many a segment takes."""
+    v = np.array([[0, 0, 0], [0, 0, length]])
+    plan = make_line_plan(v, path_segments(2), *GRID, 1e-3, **more)
+    return sum(len(rule.weights) * len(where) for rule, where in plan.rules)
+
+
+def test_segments_that_may_grow_take_the_points_of_longer_ones():
+    lengths = np.linspace(0.1, 3, 40)
+    grown = [points(length, margin=1.3) for length in lengths]
+    assert grown == [points(1.3 * length) for length in lengths]
+    assert grown != [points(length) for length in lengths]
 
 
 @pytest.mark.parametrize(

@@ -79,6 +79,25 @@ def test_structures_add_up():
     assert_allclose(render_scene(scene_of("all"), GRID, 0), sum(parts), atol=1e-12)
 
 
+def test_parts_of_a_plan_are_its_structures():
+    """Each alone, elsewhere and of another brightness: as a scene of it."""
+    renderer = Renderer(scene_of("all"), GRID, 1e-5, margin=0.2)
+    otf = renderer.otf(OPTICS)
+    whole = sum(renderer.part(k) for k in range(4))
+    assert_allclose(renderer.image(whole, otf), renderer.rendered(), atol=1e-12)
+    twice = torch.full((9,), 2.0, dtype=torch.float64)
+    shift = np.array([0.1, -0.05, 0.1])
+    spots, path = (torch.tensor(t + shift) for t in (SPOTS, PATH))
+    weights = STRUCTURES["points"].weight, STRUCTURES["filament"].density
+    for number, at, moved in (
+        (3, spots, Points(SPOTS + shift, 2 * weights[0])),
+        (2, path, Filament(PATH + shift, density=2 * weights[1])),
+    ):
+        found = renderer.image(renderer.part(number, at, twice[: len(weights[3 - number])]), otf)
+        exact = render_scene(Scene(moved, OPTICS), GRID, 0)
+        assert float((found - exact).norm() / exact.norm()) < 1e-5
+
+
 def test_sums_are_the_total_signal():
     wide = nd.Grid((44, 46, 45), GRID.voxel_size, origin=(-0.7, -1.2, -0.9))
     length = np.linalg.norm(np.diff(PATH, axis=0), axis=1) @ STRUCTURES["filament"].density

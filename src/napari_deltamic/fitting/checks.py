@@ -7,7 +7,7 @@ from scipy.ndimage import maximum_filter
 from torch import Tensor
 
 from ..errors import InputError
-from ..geometry.mesh import Mesh
+from ..geometry.mesh import FloatArray, Mesh
 from ..images.missing import unmasked
 from ..optics import Optics
 from ..scene import Grid
@@ -19,8 +19,10 @@ FEWEST_VOXELS = 64  # that a fit needs
 _WIDEST = 3.0  # PSF, in sides of the image: a stack of few planes may be thinner than its PSF
 
 
-def check_image(image: np.ndarray | Tensor, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
-    """Float32 image without NaN, and where it is known; masked voxels are not.
+def check_image(
+    image: np.ndarray | Tensor, grid: Grid, counted: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Float32 image without NaN, and where it is known and counted; masked voxels are not.
 
     Raises
     ------
@@ -53,7 +55,12 @@ def check_image(image: np.ndarray | Tensor, grid: Grid) -> tuple[np.ndarray, np.
             f"the image lies between {low:g} and {high:g}: multiply it by a number that brings it "
             "to an ordinary range, 0 to 1000 for example"
         )
-    return np.where(known, pixels, 0).astype(np.float32), known
+    pixels = np.where(known, pixels, 0).astype(np.float32)
+    if counted is None:
+        return pixels, known
+    if counted.shape != grid.shape:
+        raise InputError(f"counted has shape {counted.shape}, the image {grid.shape}")
+    return pixels, known & (np.asarray(unmasked(counted, 0)) != 0)
 
 
 def check_mesh(mesh: Mesh, grid: Grid) -> None:
@@ -61,11 +68,16 @@ def check_mesh(mesh: Mesh, grid: Grid) -> None:
     if not mesh.areas().sum() > 0:
         raise InputError("the mesh has no area")
     low, high = mesh.bounds()
+    check_inside("the mesh", low, high, grid)
+
+
+def check_inside(what: str, low: FloatArray, high: FloatArray, grid: Grid) -> None:
+    """InputError where what reaches from ``low`` to ``high`` um lies wholly outside the image."""
     first, last = grid.extent
     if (np.asarray(high) < first).any() or (np.asarray(low) > last).any():
         ranges = " ".join(f"{a:.3g}..{b:.3g}" for a, b in zip(low, high, strict=True))
         image = " ".join(f"{a:.3g}..{b:.3g}" for a, b in zip(first, last, strict=True))
-        raise InputError(f"the mesh ({ranges} um, Z Y X) lies outside the image ({image} um)")
+        raise InputError(f"{what} ({ranges} um, Z Y X) lies outside the image ({image} um)")
 
 
 def check_psf(optics: Optics, grid: Grid) -> None:

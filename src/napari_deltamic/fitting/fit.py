@@ -17,7 +17,6 @@ from ..geometry.mesh import Mesh
 from ..geometry.topology.crossings import crosses
 from ..geometry.topology.untangling import untangled
 from ..geometry.windings import right_side_out
-from ..images.missing import unmasked
 from ..optics import Optics
 from ..runs.settings import WIDE_LEVELS, FitSettings
 from ..scene import Grid
@@ -90,11 +89,7 @@ def fit(
     check_accuracy(settings.image_accuracy)
     choose_device(settings.device)  # one that cannot be used is told now
     effects = as_effects(effects)
-    pixels, known = check_image(image, grid)
-    if counted is not None:
-        if counted.shape != grid.shape:
-            raise InputError(f"counted has shape {counted.shape}, the image {grid.shape}")
-        known = known & (np.asarray(unmasked(counted, 0)) != 0)
+    pixels, known = check_image(image, grid, counted)
     hot = hot_voxels(pixels, known)
     known = known & ~hot
     mesh = right_side_out(mesh)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil, sqrt
 from typing import Any
 
@@ -24,7 +24,7 @@ from ..scene.render import offset
 from .checks import FEWEST_VOXELS
 from .likelihood import ImageNoise, Match, solve_scale
 
-_SHARPER = 0.9  # of the width of a PSF that is fitted: what is narrower would need a new plan
+SHARPER = 0.9  # of the width of a PSF that is fitted: what is narrower would need a new plan
 _SEEN = 0.3  # of the median brightness of a surface: only what is brighter tells of its density
 # Of the weights of a blur: voxels count whose blur rests on more. Beside a flat border it is 0.5;
 # half of it lets the blur of what is missing in: surfaces move by 0.09 voxel, as measured.
@@ -178,18 +178,24 @@ class Level:
         accuracy: float | None = None,
         insides: bool = False,
     ) -> Renderer:
-        """A renderer planned for this mesh, and for what a fit may make of it until it is renewed.
+        """A renderer planned for this mesh; insides : whether they may shine, too."""
+        return self.renderer_of(Scene.of(mesh, optics, effects, None, insides), accuracy)
+
+    def renderer_of(self, scene: Scene, accuracy: float | None = None) -> Renderer:
+        """A renderer planned for a scene, and for what a fit may make of it until it is renewed.
 
         Of the level's accuracy, or a finer one.
 
         With a PSF that is being fitted the band reaches further: cut at today's width, it would
-        hide what a sharper PSF explains. insides : whether they may shine, too.
+        hide what a sharper PSF explains.
         """
-        sharper: Any = optics if not self.settings.fit_psf else optics.sharpened(_SHARPER)
+        sharper: Any = scene.optics
+        if self.settings.fit_psf:
+            sharper = sharper.sharpened(SHARPER)
         if self._second is not None:
             sharper = Sharpest(sharper, self._second)
         return Renderer(
-            Scene.of(mesh, sharper, effects, None, insides),
+            replace(scene, optics=sharper),
             self.grid,
             self.accuracy if accuracy is None else min(accuracy, self.accuracy),
             blur=self.blur,

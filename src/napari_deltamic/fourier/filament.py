@@ -175,12 +175,14 @@ def make_line_plan(
     aligned: bool = True,
     cutoff: Cutoff | None = None,
     transfer: Transfer | None = None,
+    margin: float = 1.0,
 ) -> LinePlan:
     """Choose band and rules for segments (S, 2) or points (P, 1); as :func:`make_plan`.
 
     The power of a line falls more slowly with the wavevector than that of a surface, that of a
     point not at all, so that the band is a little larger. The particle-mesh is taken unless the
-    closed form is forced, or the accuracy is below what it can reach.
+    closed form is forced, or the accuracy is below what it can reach. margin : by how much segments
+    may grow while the plan is used.
 
     Raises
     ------
@@ -197,7 +199,7 @@ def make_line_plan(
     rules: list[tuple[Rule, np.ndarray]] = [(_POINT, np.arange(len(elements)))]
     if elements.shape[1] == 2:
         along = np.abs(vertices[elements[:, 1]] - vertices[elements[:, 0]]) * np.asarray(c.held)
-        phases = np.linalg.norm(along, axis=1) if c.round else along.sum(1)
+        phases = margin * (np.linalg.norm(along, axis=1) if c.round else along.sum(1))
         rules = _choose_line_rules(phases, c.at_edge, c.quadrature)
     spreading = spreading_for(c, rules, width, transfer or gaussian(width), inf)
     work = count_work("particle-mesh", c.band, 0, np.zeros(0), rules, spreading)

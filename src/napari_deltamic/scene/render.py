@@ -156,7 +156,7 @@ class Renderer:
             If there is not one density for each face, or one number for each region.
         """
         total: Tensor | None = None
-        for structure, planned in zip(self.scene.structures, self._planned, strict=True):
+        for number, structure in enumerate(self.scene.structures):
             factor = 1.0 if light is None else light.of(isinstance(structure, Surface))
             if factor == 0:
                 continue
@@ -164,12 +164,30 @@ class Renderer:
             own = density if isinstance(structure, Surface) else None
             if isinstance(structure, Solid):
                 own = _cells(structure, light) if cells is None else cells
-            box = self._held(planned.transform(self.effects, moved, own))
-            box = _widened(box, planned.plan.band, self.band)
+            box = self.part(number, moved, own)
             box = box if factor == 1 else factor * box
             total = box if total is None else total + box
         assert total is not None, "a scene has structures, and something of it shines"
         return total
+
+    def part(
+        self, number: int, positions: Tensor | None = None, density: Tensor | None = None
+    ) -> Tensor:
+        """As :meth:`transform`, of one structure alone, whichever it is.
+
+        Parameters
+        ----------
+        number
+            Of the structure in the scene, from 0 on.
+        positions
+            (N, 3) um: its vertices or points from here on; by default as it was planned with.
+        density
+            As ``transform`` takes it for a surface or a solid; (S,) or (P,) factors on the
+            densities of segments or the weights of points.
+        """
+        planned = self._planned[number]
+        box = self._held(planned.transform(self.effects, positions, density))
+        return _widened(box, planned.plan.band, self.band)
 
     def _held(self, box: Tensor) -> Tensor:
         """On the device of the image, in a type that it holds."""

@@ -74,7 +74,8 @@ class Planned(Protocol):
         """u_hat with the effects on the object; two boxes where the PSF changes with depth.
 
         Differentiable. Vertices (V, 3) um: others than those that it was planned with (near them).
-        Densities: of a surface (F,), in place of its own; of a solid (R,), factors on its own.
+        Densities: of a surface (F,), in place of its own; of a solid (R,), segments (S,) or points
+        (P,), factors on its own.
         """
 
 

@@ -118,6 +118,7 @@ class _PlannedLine:
             site.aligned,
             site.cutoff,
             site.transfer,
+            site.stretch,
         )
         return cls(plan, vertices, torch.from_numpy(elements), weights, site)
 
@@ -131,5 +132,6 @@ class _PlannedLine:
         def middles() -> Tensor:
             return vertices[self.elements].mean(1).to(torch.float64)
 
-        seen = shares(self.weights, middles, self.site.frame, effects)
+        weights = self.weights if density is None else self.weights * density
+        seen = shares(weights, middles, self.site.frame, effects)
         return joined_boxes([self.plan.transform(placed, self.elements, part) for part in seen])
