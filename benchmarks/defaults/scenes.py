@@ -28,6 +28,7 @@ from .imaging import (
 
 SeedKind = Literal["labels", "spheres", "points", "mesh", "auto"]
 _EDGE = 1.2  # voxels; of the true meshes
+_OFFSET = 100  # of a camera, where padding is to be seen
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,11 @@ class Recipe:
     unequal: float = 0.0  # standard deviation of the log brightness from cell to cell
     grain: float = 0.0  # the same inside cells, over a few voxels: chromatin
     fading: float = 1.0  # brightness of the last slice, of that of the first
+    tilted: tuple[float, float] = (
+        0.0,
+        0.0,
+    )  # how the background rises along X, and squared; photons
+    padded: float = 0.0  # share of the sum of Z and X below which nothing was measured
     seeds: SeedKind = "spheres"
     start: tuple[float, float] = (0.9, 0.1)  # radius of spheres and meshes, offset, in radii
     told: tuple[str, ...] = ()  # what the command that knows all is told besides the PSF
@@ -121,6 +127,12 @@ def scene_of(name: str, recipe: Recipe, rng: np.random.Generator) -> Scene:
     if recipe.specks:
         clean += _specks(recipe, space, solid, rng)
     image = counted_photons(clean, recipe.photons, recipe.dark, rng)
+    if recipe.tilted != (0.0, 0.0):
+        across, (rise, bend) = np.linspace(-1, 1, recipe.shape[2]), recipe.tilted
+        image += rng.poisson(abs(rise) + abs(bend) + rise * across + bend * across**2, image.shape)
+    if recipe.padded:
+        z, _, x = np.indices(image.shape) / np.array(image.shape).reshape(3, 1, 1, 1)
+        image = np.where(z + x < recipe.padded, 0, image + _OFFSET).astype(np.float32)
     strangers = tuple(k for k in centres if k not in recipe.seeded)
     every = np.zeros(recipe.shape, np.int32)
     for k, occupied in solid.items():
@@ -368,6 +380,12 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
     "fading-tissue": lambda rng: replace(
         _labelled_tissue(rng), interior=rng.uniform(0.0, 0.5), fading=rng.uniform(0.2, 0.5)
     ),
+    "tilted": lambda rng: replace(PLAIN, tilted=(rng.uniform(-40, 40), rng.uniform(-10, 10))),
+    "tilted-nuclei": lambda rng: replace(
+        _crowd(rng, membrane=0.0, interior=1.0), tilted=(rng.uniform(-60, 60), 0.0)
+    ),
+    "padded": lambda rng: replace(PLAIN, padded=rng.uniform(0.4, 0.7)),
+    "padded-tissue": lambda rng: replace(_labelled_tissue(rng), padded=rng.uniform(0.4, 0.6)),
     "neighbours-nuclei": lambda rng: replace(
         _neighbours(rng, "labels"), membrane=0.0, interior=1.0, unequal=0.4
     ),

@@ -31,3 +31,16 @@ def test_padding_is_told_and_left_out(data, tmp_path, run):
     assert code == 0
     assert "turned.tif: " in err
     assert "padding, all of one value: taken as missing" in err
+
+
+def test_an_uneven_background_is_told_and_fitted(data, tmp_path, run):
+    image, _ = read_image(data / "cell.tif")
+    rising = image.astype(np.float32) + np.linspace(0, 3, image.shape[2]) * np.ptp(image)
+    write_image(tmp_path / "rising.tif", rising, (0.2, 0.2, 0.2))
+    given = "fit", tmp_path / "rising.tif", "--seeds", data / "start.ply", "--max-iterations", "1"
+    _, _, err = run(*given, "-o", tmp_path / "out")
+    assert "the background varies by" in err
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert [effect["name"] for effect in report["effects"]] == ["background"]
+    _, _, err = run(*given, "--effects", "none", "-o", tmp_path / "none")
+    assert "the background varies by" not in err

@@ -13,8 +13,9 @@ from ..common.choices import AUTO
 from ..common.description import described
 from ..errors import InputError
 from ..evidence.first_sigma import with_first_psf as first_psf
+from ..evidence.tilted_ground import with_ground
 from ..fitting.checks import check_image
-from ..fitting.job import SIGMA_IN_VOXELS, FitInput, assemble
+from ..fitting.job import SIGMA_IN_VOXELS, FitInput, assemble, levelled
 from ..geometry import Mesh
 from ..images.missing import finite_or_nan
 from ..images.padding import without_padding
@@ -42,11 +43,17 @@ def gather(arguments: argparse.Namespace, notes: Notes) -> FitInput:
     image, padded = without_padding(_without_bad(image, arguments.missing_nan, notes))
     if padded:
         notes.add(f"{Path(settings.image).name}: {padded}")
-    if settings.scene.sigma is None and settings.scene.optics is None:
-        settings = with_first_psf(settings, image, notes)
     grid = Grid(image.shape, settings.scene.voxel_size, settings.scene.origin)
     check_image(image, grid)
-    mesh, kind = load_seeds(settings.seeds, image, grid)
+    if arguments.effects is None and not arguments.settings:
+        scene, uneven = with_ground(settings.scene, image)
+        if uneven:
+            notes.add(uneven)
+            settings = settings.model_copy(update={"scene": scene})
+    level = levelled(image, grid, settings.scene)
+    if settings.scene.sigma is None and settings.scene.optics is None:
+        settings = with_first_psf(settings, level, notes)
+    mesh, kind = load_seeds(settings.seeds, level, grid)
     return assemble(settings, image, grid, mesh, kind)
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter, gaussian_filter1d
 
 from ..errors import DoubtWarning
-from ..fitting.job import FitInput
+from ..fitting.job import FitInput, levelled
 from ..fitting.likelihood import voxel_noise
 from ..fitting.voxel_ownership import surface_voxels
 from ..geometry.labels.voxels import voxel_labels
@@ -148,7 +148,12 @@ def doubts(
 
 def tell_doubts(job: FitInput) -> tuple[Doubt, ...]:
     """The doubts about what a fit is to work on, each also as a DoubtWarning."""
-    given = np.asarray(job.image), job.grid.voxel_size, job.mesh, job.grid.origin
+    given = (
+        levelled(np.asarray(job.image), job.grid, job.settings.scene),
+        job.grid.voxel_size,
+        job.mesh,
+        job.grid.origin,
+    )
     found = doubts(*given, close=job.kind != "rough")
     for doubt in found:
         warnings.warn(doubt.sentence, DoubtWarning, stacklevel=2)

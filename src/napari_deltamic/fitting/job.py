@@ -16,6 +16,7 @@ from ..runs.optics_settings import optics_from_values
 from ..runs.seeds import SeedKind as SeedKind
 from ..runs.settings import NEAR_LEVELS, FitSettings, RunSettings, SceneSettings
 from ..scene import Grid
+from ..scene.render import offset
 from . import FitState, counted_voxels, fit
 from .default_accuracy import image_noise
 from .shape_dial import Situation, dialled, with_edges
@@ -52,6 +53,12 @@ class FitInput:
     def has_missing(self) -> bool:
         """Whether some voxels are missing."""
         return bool(np.isnan(self.image).any())
+
+
+def levelled(image: NDArray[Any], grid: Grid, scene: SceneSettings) -> NDArray[Any]:
+    """An image without what the effects of a scene add to it; itself where they add nothing."""
+    added = offset(scene.effects, grid)
+    return image if added is None else np.asarray(image - added.numpy(), np.float32)
 
 
 def optics_of(scene: SceneSettings) -> Optics:
@@ -96,7 +103,8 @@ def assemble(
     if kind != "rough" and settings.fit.levels is None:
         found["levels"] = NEAR_LEVELS
     optics = optics_of(settings.scene)
-    now = Situation.of(mesh, grid, optics.sigma_um, image_noise(image))
+    level = levelled(image, grid, settings.scene)
+    now = Situation.of(mesh, grid, optics.sigma_um, image_noise(level))
     wanted = dialled(settings.fit.shape_error, now)
     mesh = with_edges(mesh, wanted.edge)
     if settings.fit.accuracy is None:
@@ -105,7 +113,7 @@ def assemble(
         found["tolerance"] = wanted.tolerance
     settings = settings.model_copy(update={"fit": settings.fit.model_copy(update=found)})
     ground = counted_around if kind == "rough" else counted_voxels
-    counted = ground(image, grid, mesh, optics)
+    counted = ground(level, grid, mesh, optics)
     given = settings, image, grid, mesh, optics, counted, second, kind
     return FitInput(*given, predicted=wanted.predicted)
 

@@ -17,9 +17,10 @@ from ..accuracy.experience import Learned
 from ..errors import InputError
 from ..evidence.first_sigma import with_first_psf
 from ..evidence.sanity import tell_doubts
+from ..evidence.tilted_ground import with_ground
 from ..fitting import FitState
 from ..fitting.checks import check_image
-from ..fitting.job import FitInput, assemble
+from ..fitting.job import FitInput, assemble, levelled
 from ..results.judged import Judged
 from ..results.report import History
 from ..results.timeline import Timeline
@@ -189,9 +190,11 @@ class Document:
         def prepare() -> FitInput:
             pixels = read()
             check_image(pixels, grid)  # which takes a while where the image is large
-            scene, _ = with_first_psf(settings.scene, pixels)
+            scene, _ = with_ground(settings.scene, pixels)
+            level = levelled(pixels, grid, scene)
+            scene, _ = with_first_psf(scene, level)
             whole = settings.model_copy(update={"scene": scene})
-            start = seeds.make(pixels, grid)
+            start = seeds.make(level, grid)
             job = assemble(whole, pixels, grid, start, seeds.kind, second)
             tell_doubts(job)
             return job

@@ -1,0 +1,152 @@
+"""Whether the background of an image rises from side to side, before anything is fitted to it.
+
+A fit finds such a background with the effect of that name, but only once its shape is near: a start
+whose surroundings are brighter on one side follows them away. So it is read from the darkest voxels
+of blocks all over the image, which a plane, or a curved one, has to explain nearly all of.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from ..runs.settings import SceneSettings
+from ..scene.effects.smooth import Background
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class GroundRules:
+    """How the background is read, and when it counts as uneven.
+
+    Attributes
+    ----------
+    blocks
+        Along each axis, of three voxels at least. Chosen, not measured.
+    smoothed
+        Voxels: noise of single voxels would be all that the darkest ones tell. Chosen.
+    dark
+        Quantile of a block: cells fill most of some.
+    brighter
+        Standard deviations by which blocks may lie above the others: cells fill those beyond.
+        Chosen, not measured.
+    fewest
+        Share of the blocks that must be left, and of a block that must be known. Chosen.
+    explained
+        Share of their variance that a polynomial of each degree must explain. Measured: 1.00 where
+        a background rises evenly, 0.97 where it fades with depth, at most 0.6 in real stacks and
+        0.25 in simulated haze. A dome of light around cells comes nearer to the second degree.
+    worth
+        Of the contrast of the image: less does not mislead a fit. Chosen, not measured.
+    """
+
+    blocks: int = 8
+    smoothed: float = 1.0
+    dark: float = 0.1
+    brighter: float = 2.5
+    fewest: float = 0.5
+    explained: tuple[float, ...] = (0.9, 0.97)
+    worth: float = 0.1
+
+
+RULES = GroundRules()
+_ROUNDS = 20  # of leaving blocks out; chosen, a handful is enough
+_MANY = 4  # blocks for each number: chosen, so that noise is not explained by as many
+_NORMAL = 1.4826  # by definition: standard deviation over median magnitude of a normal deviate
+
+
+def with_ground(scene: SceneSettings, image: NDArray[Any]) -> tuple[SceneSettings, str]:
+    """A scene with the background that an image shows, and a sentence on it; "" where it is even.
+
+    A scene that says which effects there are stays as it is. image : (Z, Y, X); NaN where missing.
+    """
+    found = None if scene.effects.present() else tilted_ground(image)
+    if found is None:
+        return scene, ""
+    told = (
+        f"the background varies by {_range(found):.3g} over the image: it is fitted with the rest "
+        "(--effects none would not)"
+    )
+    return scene.model_copy(update={"effects": scene.effects.adding(found)}), told
+
+
+def tilted_ground(image: NDArray[Any]) -> Background | None:
+    """The background of an image, where it is uneven; None where it is even, or cannot be told."""
+    if image.ndim != 3 or min(image.shape) < 3:
+        return None
+    places, dark, contrast = _blocks(np.asarray(image, np.float64))
+    for order, least in enumerate(RULES.explained, 1):
+        ground = Background(order=order)
+        if len(dark) < _MANY * len(ground.coefficients):
+            return None
+        numbers, kept, explained = _lowest(_columns(ground, places), dark)
+        if kept >= RULES.fewest and explained >= least:
+            ground = Background(order=order, coefficients=tuple(numbers.tolist()))
+            return ground if _range(ground) > RULES.worth * contrast else None
+    return None
+
+
+def _blocks(image: Floats) -> tuple[Floats, Floats, float]:
+    """(N, 3) places of blocks, -1 to 1 over the image, (N,) their dark values, the contrast."""
+    known = np.isfinite(image)
+    if not known.any():
+        return np.zeros((0, 3)), np.zeros(0), 0.0
+    smooth = gaussian_filter(np.where(known, image, np.median(image[known])), RULES.smoothed)
+    counts = [max(1, min(RULES.blocks, n // 3)) for n in image.shape]
+    cuts = [np.linspace(0, n, k + 1).astype(int) for n, k in zip(image.shape, counts, strict=True)]
+    last = np.array(image.shape) - 1
+    places, dark = [], []
+    for box in np.ndindex(*counts):
+        ends = np.array([cut[i : i + 2] for cut, i in zip(cuts, box, strict=True)])
+        part = tuple(slice(a, b) for a, b in ends)
+        if known[part].mean() > RULES.fewest:
+            places.append((ends.sum(1) - 1) / last - 1)
+            dark.append(float(np.quantile(smooth[part][known[part]], RULES.dark)))
+    low, high = np.quantile(smooth[known], [RULES.dark, 1 - RULES.dark / 10])
+    return np.array(places).reshape(-1, 3), np.array(dark), float(high - low)
+
+
+def _lowest(columns: Floats, dark: Floats) -> tuple[Floats, float, float]:
+    """The polynomial through the blocks without those that cells brighten.
+
+    columns : (N, K) of the blocks. Its numbers, the share of blocks left, and of their variance
+    that it explains.
+    """
+    columns = np.column_stack([columns, np.ones(len(dark))])
+    kept = np.ones(len(dark), bool)
+    for _ in range(_ROUNDS):
+        numbers = np.asarray(np.linalg.lstsq(columns[kept], dark[kept], rcond=None)[0], float)
+        left = dark - columns @ numbers
+        middle = np.median(left[kept])
+        spread = _NORMAL * float(np.median(np.abs(left[kept] - middle)))
+        now = left <= middle + RULES.brighter * spread
+        if (now == kept).all() or now.sum() < _MANY * columns.shape[1]:
+            break
+        kept = now
+    explained = 1 - float(left[kept].var()) / max(float(dark[kept].var()), 1e-300)
+    return numbers[:-1], float(kept.mean()), explained
+
+
+def _columns(ground: Background, places: Floats) -> Floats:
+    """(N, K) the terms of its polynomial at places (N, 3)."""
+    columns = []
+    for name in ground.names_of("coefficients"):  # such as "zy"
+        along = [
+            legendre.legval(at, [0.0] * name.count(axis) + [1.0])
+            for at, axis in zip(places.T, ground.axes, strict=True)
+        ]
+        columns.append(np.prod(along, axis=0))
+    return np.stack(columns, 1)
+
+
+def _range(ground: Background) -> float:
+    """From its darkest place to its brightest."""
+    steps = np.linspace(-1, 1, 5)  # for two degrees as good as all voxels
+    places = np.stack(np.meshgrid(steps, steps, steps), -1).reshape(-1, 3)
+    return float(np.ptp(_columns(ground, places) @ np.array(ground.coefficients)))
