@@ -134,7 +134,7 @@ def test_a_voxel_size_against_the_metadata_is_told(data, tmp_path, run, seen):
 def test_render(data, tmp_path, run, fails):
     path = tmp_path / "image.tif"
     arguments = ("render", data / "start.ply", "--shape", *SHAPE, *VOXELS, *SIGMA, "-o", path)
-    assert run(*arguments, "--pixel-integration") == (0, [str(path)], "")
+    assert run(*arguments, "--effects", "pixel-integration") == (0, [str(path)], "")
     image, voxel_size = read_image(path)
     assert voxel_size == pytest.approx(SIZE, rel=1e-6)
     wanted = nd.render(
@@ -145,7 +145,9 @@ def test_render(data, tmp_path, run, fails):
     )
     assert np.array_equal(image, wanted.numpy())
     assert "--overwrite" in fails(*arguments)
+    assert "unknown effect 'magic'" in fails(*arguments, "--effects", "magic", "--overwrite")
     assert run(*arguments, "--overwrite")[0] == 0
+    assert not np.array_equal(read_image(path)[0], image)
 
 
 def test_help_and_version(run):

@@ -10,6 +10,7 @@ from ..fitting.checks import check_mesh
 from ..geometry import load_mesh
 from ..images.stacks import write_image
 from ..scene import Grid, render
+from ..scene.effects import Effects
 from .messages import Notes, tell
 from .optics_arguments import optics_from_arguments
 
@@ -19,11 +20,11 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
     output = Path(arguments.output)
     grid = Grid(tuple(arguments.shape), tuple(arguments.voxel_size))
     optics = optics_from_arguments(arguments)
+    effects = Effects.from_text(arguments.effects or "none")
     mesh = load_mesh(arguments.mesh)
     check_mesh(mesh, grid)
     notes.release()
     try:
-        effects = ("pixel_integration",) if arguments.pixel_integration else ()
         image = render(mesh, grid, optics, arguments.accuracy, effects=effects)
         write_image(output, image.numpy(), grid.voxel_size)
     except (MemoryError, RuntimeError) as error:

@@ -12,7 +12,7 @@ from ..common.choices import TIFF
 from ..errors import InputError
 from ..images.stacks import SIZES_AGREE, read_voxel_size
 from ..runs.settings import SceneSettings, validated
-from ..scene.effects import Effects, SecondView
+from ..scene.effects import Effects, ViewEffect, kind_of
 
 
 def with_second_view(scene: dict[str, Any], arguments: argparse.Namespace) -> None:
@@ -23,8 +23,8 @@ def with_second_view(scene: dict[str, Any], arguments: argparse.Namespace) -> No
     InputError
         If the file or the PSF is missing, or the PSF cannot be.
     """
-    file = getattr(arguments, "second_view", None)
-    sigma = getattr(arguments, "second_sigma", None)
+    file = getattr(arguments, "view_file", None)
+    sigma = getattr(arguments, "view_sigma", None)
     if file is None and sigma is None:
         return
     if file is None:
@@ -33,7 +33,9 @@ def with_second_view(scene: dict[str, Any], arguments: argparse.Namespace) -> No
         raise InputError("--second-view needs --second-sigma Z Y X (um), the widths of its PSF")
     if not Path(file).is_file():
         raise InputError(f"--second-view: there is no file {file}")
-    view = validated(SecondView, {"sigma": tuple(sigma), "image": str(Path(file).absolute())})
+    view = validated(
+        kind_of(ViewEffect), {"sigma": tuple(sigma), "image": str(Path(file).absolute())}
+    )
     present = scene.get("effects") or Effects()
     if not isinstance(present, Effects):  # plain values, of a run.toml
         present = validated(Effects, present)

@@ -99,9 +99,11 @@ def _add_second_view(parser: argparse.ArgumentParser) -> None:
         "second view", "the same scene through another PSF, registered to IMAGE, on its voxels"
     )
     add = group.add_argument
-    add("--second-view", metavar="FILE", help="image of the second view, .tif or .npy")
+    text = "image of the second view, .tif or .npy"
+    add("--second-view", dest="view_file", metavar="FILE", help=text)
     add(
         "--second-sigma",
+        dest="view_sigma",
         nargs=3,
         type=float,
         metavar=TRIPLE,

@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from ...common.choices import IMAGE_FILES, RENDERED_ACCURACY, ZARR
+from ...common.choices import EFFECTS, IMAGE_FILES, RENDERED_ACCURACY, ZARR
 from ...errors import InputError
 from ...geometry.formats import MESH_FILES_LISTED
 from ..optics_arguments import add_grid_and_optics, optics_values
@@ -32,9 +32,10 @@ def add_parser(commands: Any) -> None:
         help="relative L2 error of the image; 0 is the closed form (default: %(default)s)",
     )
     add(
-        "--pixel-integration",
-        action="store_true",
-        help="a voxel integrates over its size, rather than sampling at its centre",
+        "--effects",
+        metavar="E",
+        help=f"some of {', '.join(EFFECTS)}, with commas between, and with their numbers, as "
+        "halo:fraction=0.1:width=2",
     )
     add("--overwrite", action="store_true", help="replace the image if it is there")
     add("-o", "--output", required=True, metavar="IMAGE", help=".tif, .npy or .zarr")

@@ -16,7 +16,7 @@ from ...evidence.candidates import CONSIDERED
 from ...fitting import FitState
 from ...fitting.job import FitInput, optics_of, start
 from ...runs.settings import NEAR_LEVELS, RunSettings
-from ...scene.effects import KINDS, Effects
+from ...scene.effects import KINDS, Effects, ViewEffect, kind_of
 from ..accuracy.accuracy_scene import scene_key
 from ..attempt import words_of
 from ..document import Document
@@ -145,7 +145,7 @@ class EffectsPanel(QWidget):
         InputError
             If the layer of the second view cannot be used.
         """
-        return self._effects.replace(second_view=self.second.view())
+        return self._effects.in_role(ViewEffect, self.second.view())
 
     @property
     def own(self) -> Effects:
@@ -154,7 +154,7 @@ class EffectsPanel(QWidget):
 
     def show_effects(self, effects: Effects) -> None:
         """Tick effects, without a signal; the second view, which is a layer, stays as it is."""
-        self._effects = effects.without("second_view")
+        self._effects = effects.in_role(ViewEffect, None)
         self.table.show_present(self._effects.names)
         self._show_outcome()
 
@@ -165,7 +165,7 @@ class EffectsPanel(QWidget):
 
     def summary(self) -> str:
         """The present choice in a few words."""
-        chosen = [*self._effects.names, *(["second_view"] if self.second.layer else [])]
+        chosen = [*self._effects.names, *([kind_of(ViewEffect).name] if self.second.layer else [])]
         names = ", ".join(spoken(name) for name in chosen)
         more = self._open_recommendations()
         if more:

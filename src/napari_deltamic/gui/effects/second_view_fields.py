@@ -10,7 +10,7 @@ from qtpy.QtWidgets import QFormLayout, QVBoxLayout, QWidget
 
 from ...errors import InputError
 from ...fitting.job import SIGMA_IN_VOXELS
-from ...scene.effects import SecondView
+from ...scene.effects import ViewEffect, kind_of
 from ..document import Document
 from ..fields import TripleField
 from ..layer_channels import file_of
@@ -19,6 +19,8 @@ from ..qt import Signal
 from ..viewing.connections import Connections
 from ..viewing.frame import Frame, is_stack, shape_of, voxel_size
 from ..widgets import LayerChooser, Note, show_row
+
+_VIEW = kind_of(ViewEffect)
 
 
 class SecondViewFields(QWidget):
@@ -36,7 +38,7 @@ class SecondViewFields(QWidget):
         self._image = doc.image
         self.choice = LayerChoice(doc.viewer, self._accepts, optional=True)
         self.chooser = LayerChooser(self.choice, self)
-        helped = SecondView.help
+        helped = _VIEW.help
         self.chooser.setToolTip(f"<qt>{helped[0].upper()}{helped[1:]}.</qt>")
         self.sigma = TripleField(
             "Standard deviations of the second view's PSF, um: known, or measured on a bead. "
@@ -67,7 +69,7 @@ class SecondViewFields(QWidget):
         """The layer chosen; None for no second view."""
         return self.choice.layer
 
-    def view(self) -> SecondView | None:
+    def view(self) -> ViewEffect | None:
         """The effect, or None for no second view.
 
         Raises
@@ -81,7 +83,7 @@ class SecondViewFields(QWidget):
         _check_on_voxels(layer, image)
         path, channel = file_of(layer)
         # The file of a second view holds nothing else.
-        return SecondView(sigma=self.sigma.value(), image="" if channel else path)
+        return _VIEW(sigma=self.sigma.value(), image="" if channel else path)
 
     def pixels(self) -> NDArray[Any] | None:
         """(Z, Y, X) of the layer, at the time shown; None for no second view."""

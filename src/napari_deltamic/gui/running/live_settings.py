@@ -13,11 +13,11 @@ from ...fitting import Change
 from ...fitting.job import optics_of, scene_with
 from ...optics import Optics
 from ...runs.settings import FitSettings, SceneSettings
-from ...scene.effects import Effects
+from ...scene.effects import Effects, ViewEffect, kind_of
 from ..document import Document
 from ..editing.edits import Edits
 
-_SCENE = {"voxel_size": "voxel size", "origin": "origin", "second_view": "second view"}
+_SCENE = {"voxel_size": "voxel size", "origin": "origin", "view": kind_of(ViewEffect).title}
 _FIT = described(FitSettings)
 
 
@@ -91,7 +91,7 @@ class LiveSettings(QObject):
         settings = self._doc.settings
         fit, scene, psf = settings.fit_settings(), settings.scene_settings(), settings.optics.key()
         # The fit has the image of its second view, or has none.
-        shown = scene.effects.replace(second_view=self._effects.second_view)
+        shown = scene.effects.in_role(ViewEffect, self._effects.view)
         assert self._fit is not None
         other = [name for name in _FIT if getattr(fit, name) != getattr(self._shown, name)]
         later = [_FIT[name].title for name in other if not _FIT[name].live]
@@ -175,7 +175,7 @@ def _scene(settings: SceneSettings) -> dict[str, Any]:
     return {
         "voxel_size": settings.voxel_size,
         "origin": settings.origin,
-        "second_view": settings.effects.second_view,
+        "view": settings.effects.view,
     }
 
 

@@ -198,7 +198,7 @@ def _second(doc: Document, frame: Frame, job: FitInput | None) -> SavedImage | N
 
 
 def _show_second(doc: Document, session: Session, layer: Any) -> None:
-    view, fields = session.settings.scene.effects.second_view, doc.settings.effects.second
+    view, fields = session.settings.scene.effects.view, doc.settings.effects.second
     if layer is not None and view is not None:
         doc.viewer.add_layer(layer)
         fields.show_view(layer, view.sigma)
@@ -209,7 +209,7 @@ def _show_second(doc: Document, session: Session, layer: Any) -> None:
 def _show_result(parts: Parts, result: SavedResult, session: Session) -> None:
     state, history = result.state, result.history
     image, second = session.image, session.second
-    has_second = result.settings.scene.effects.second_view is not None
+    has_second = result.settings.scene.effects.view is not None
     job = FitInput(
         settings=result.settings,
         image=image.pixels,

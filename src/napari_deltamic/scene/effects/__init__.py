@@ -150,6 +150,11 @@ class Effects(BaseModel):
         """um: how far from the surface's own image voxels count because of them; 0: no further."""
         return max((e.spread for e in self.present() if isinstance(e, TransferEffect)), default=0.0)
 
+    def in_role(self, kind: type[Effect], effect: Effect | None) -> Effects:
+        """The same with this one alone, or (None) none, that does a kind of thing."""
+        others = self.without(*(e.name for e in self.present() if isinstance(e, kind)))
+        return others if effect is None else others.adding(effect)
+
     def replace(self, **changed: Effect | None) -> Effects:
         """The same with some changed, added, or (None) absent."""
         return _made(type(self), {**dict(self), **changed})
@@ -222,6 +227,11 @@ def as_effects(chosen: Effects | Sequence[str]) -> Effects:
     return chosen if isinstance(chosen, Effects) else Effects.of(*chosen)
 
 
+def kind_of(role: type[E]) -> type[E]:
+    """The class of the effect that does a kind of thing, of which there is one."""
+    return next(kind for kind in KINDS.values() if issubclass(kind, role))
+
+
 def check_name(name: str) -> None:
     """ValueError, with what to do, unless it is the name of an effect."""
     if name in REFUSED:
@@ -266,4 +276,5 @@ __all__ = [
     "ViewEffect",
     "VoxelEffect",
     "as_effects",
+    "kind_of",
 ]
