@@ -32,7 +32,7 @@ def _fitting(s: Session) -> list[Action]:
         w.settings.max_iterations.setValue(rng.choice([5, 40, 2000]))
         w.seeds.place.click()
         for layer in list(s.viewer.layers):
-            w.seeds.chooser.choose(layer, layer.name == "seeds")
+            w.seeds.cells.choose(layer, layer.name == "seeds")
             if layer.name == "seeds":
                 layer.selected_data = set()
                 layer.data = [CENTER]
@@ -161,7 +161,7 @@ def _seeds(s: Session) -> list[Action]:
         ("shape", lambda: of().shape.setCurrentIndex(rng.randrange(2))),
         ("radius of seeds", lambda: of().radius.setValue(rng.uniform(0.5, 2))),
         ("preview", lambda: of().preview.click()),
-        ("tick", lambda: [of().chooser.choose(x, rng.random() < 0.5) for x in s.viewer.layers]),
+        ("tick", lambda: [of().cells.choose(x, rng.random() < 0.5) for x in s.viewer.layers]),
         ("find cells", find),
         ("correct", correct),
         ("correct", correct),

@@ -20,7 +20,7 @@ def texts(panel):
 
 
 def taken(panel):
-    return panel.seeds(panel._image.frame())
+    return panel.cells.seeds(panel._image.frame())
 
 
 def grid_of(panel):

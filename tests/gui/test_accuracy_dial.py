@@ -155,7 +155,7 @@ def test_labels_and_surfaces_are_seeds_too(
     surface = sphere(CENTER, 1.0, edge_length=0.4)
     data = (surface.vertices_numpy(), surface.faces)
     with_image.add_surface(data, translate=(1, 2, 3), units=("um",) * 3)
-    widget.seeds.chooser.choose(labels, False)
+    widget.seeds.cells.choose(labels, False)
     spin(settled(widget))
     found = expected(widget, pixels, surface, costs)
     assert widget.settings.outlook.text() == in_words(found)

@@ -97,7 +97,7 @@ def test_found_cells_make_room_and_have_the_colours_of_the_result(
     layer.data_setitem(np.nonzero(moved & (ball_labels == 0)), 3 + 8)
     assert np.abs(layer.get_color(3) - layer.get_color(11)).max() > 0.1
     other = with_image.add_labels(ball_labels, **PLACE)
-    widget.seeds.chooser.choose(other, False)
+    widget.seeds.cells.choose(other, False)
     widget.start()
     assert layer.visible
     spin(lambda: widget.link is not None and widget.link.mesh is not None)

@@ -158,7 +158,7 @@ def test_the_channel_ends_in_the_command(
     path = from_file()
     choose(widget, "2 of 2, membrane")
     viewer.add_points([CENTER], name="seeds", ndim=3)
-    widget.seeds.chooser.choose(viewer.layers["seeds"])
+    widget.seeds.cells.choose(viewer.layers["seeds"])
     words = command_of(widget, spin)
     assert words[1] == str(path)
     assert words[words.index("--channel") + 1] == "2"
@@ -202,7 +202,7 @@ def test_tracking_says_the_channel(widget, viewer, from_file):
     widget.image.voxel_size.set_value(SIZE)
     widget.doc.image.rescale(SIZE)
     viewer.add_points([CENTER], name="seeds", ndim=3)
-    widget.seeds.chooser.choose(viewer.layers["seeds"])
+    widget.seeds.cells.choose(viewer.layers["seeds"])
     seeds = widget.doc.cells.seeds(widget.doc.image.frame())
     settings = widget.tracking._settings(seeds, 0, 1.0)
     assert (settings.image, settings.channel) == (str(path), "2")

@@ -77,7 +77,7 @@ def test_the_tools_are_there_for_labels_only(seeds, viewer, scene):
     assert bar.isHidden()
     layer = viewer.add_labels(scene[1], name="labels", **PLACE)
     assert not bar.isHidden()
-    seeds.chooser.choose(layer, False)
+    seeds.cells.choose(layer, False)
     assert bar.isHidden()
 
 
@@ -110,7 +110,7 @@ def test_two_clicks_merge_and_one_removes(seeds, apart, click):
 
 def test_seeds_are_the_corrected_labels(seeds, joined, click):
     click("split", LEFT)
-    seed = seeds.seeds(seeds._image.frame())
+    seed = seeds.cells.seeds(seeds._image.frame())
     np.testing.assert_array_equal(seed.labels, joined.data)
 
 

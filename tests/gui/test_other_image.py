@@ -74,13 +74,13 @@ def test_found_cells_are_of_their_image(make_widget, with_image, spin, other, mo
     widget.seeds.find_cells.click()
     spin(lambda: "Found 1 cell" in widget.seeds.note.text())
     found = with_image.layers["found cells"]
-    assert found in widget.seeds.chooser.ticked()
+    assert found in widget.seeds.cells.ticked
     widget.image.voxel_size._boxes[0].setValue(0.31)  # the same image
     assert "Found 1 cell" in widget.seeds.note.text()
     other()
     choose(widget, "other")
     assert "Found" not in widget.seeds.note.text()
-    assert found not in widget.seeds.chooser.ticked()
+    assert found not in widget.seeds.cells.ticked
 
 
 def test_recommendations_are_of_their_image(seeded, spin, other, monkeypatch):

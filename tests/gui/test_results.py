@@ -55,7 +55,7 @@ def widget(make_widget, with_image):
         _render=lambda: image * 0.5,
     )
     job = FitInput(settings, image, grid, mesh, optics, None)
-    widget.control.reopen(state, job, History([1.0, 0.7, 0.5], [1] * 3, [1.0] * 3), 1.0, ())
+    widget.doc.reopen(state, job, History([1.0, 0.7, 0.5], [1] * 3, [1.0] * 3), 1.0, ())
     return widget
 
 

@@ -244,7 +244,7 @@ def test_updates_do_not_queue_up(seeded, spin, endless):
 def test_the_command_repeats_the_run(seeded, with_image, tmp_path):
     """The widget and the command line make the same settings of the same run."""
     frame = seeded.doc.image.frame()
-    seeds = seeded.seeds.seeds(frame)
+    seeds = seeded.doc.cells.seeds(frame)
     seeded.settings.accuracy.setCurrentText("3e-3")
     seeded.settings.density.setCurrentText("smooth")
     seeded.settings.fit_psf.setChecked(True)

@@ -69,13 +69,13 @@ def test_new_layers_are_ticked_but_not_those_of_a_fit(panel, with_image):
     with_image.add_points(np.zeros((1, 2)), name="flat")
     rows = [panel.chooser.item(k).text() for k in range(panel.chooser.count())]
     assert rows == ["mine (surface)", "theirs (surface)"]
-    assert [layer.name for layer in panel.chooser.ticked()] == ["mine"]
-    panel.chooser.choose(made)
-    panel.chooser.choose(with_image.layers["mine"], False)
+    assert [layer.name for layer in panel.cells.ticked] == ["mine"]
+    panel.cells.choose(made)
+    panel.cells.choose(with_image.layers["mine"], False)
     with_image.add_points(ndim=3, name="new")  # the ticks of the others stay
-    assert [layer.name for layer in panel.chooser.ticked()] == ["theirs", "new"]
+    assert [layer.name for layer in panel.cells.ticked] == ["theirs", "new"]
     del with_image.layers["new"]
-    assert [layer.name for layer in panel.chooser.ticked()] == ["theirs"]
+    assert [layer.name for layer in panel.cells.ticked] == ["theirs"]
 
 
 def test_each_source_alone(panel, with_image, ball_labels):
@@ -83,11 +83,11 @@ def test_each_source_alone(panel, with_image, ball_labels):
     assert taken(panel).kind == "image"
     panel.shape.setCurrentIndex(SPHERE)
     assert taken(panel).kind == "rough"
-    panel.chooser.choose(points, False)
+    panel.cells.choose(points, False)
     labels = with_image.add_labels(ball_labels, **PLACE)
     mesh = taken(panel).make(panel._image.stack(), grid_of(panel))
     assert mesh.region_ids().tolist() == [3]
-    panel.chooser.choose(labels, False)
+    panel.cells.choose(labels, False)
     with pytest.raises(InputError, match="no cells yet"):
         taken(panel)
 
@@ -106,7 +106,7 @@ def test_all_sources_mixed_give_regions_of_their_own(
     middles = sorted(mesh.vertices_numpy()[np.unique(faces), 1].mean() for faces in of_region)
     assert middles == pytest.approx([1.2, 2.3, 3.4], abs=0.3)
     assert seeds.kind == "rough"
-    panel.chooser.choose(with_image.layers["start"], False)
+    panel.cells.choose(with_image.layers["start"], False)
     assert taken(panel).kind == "labels"
 
 
@@ -145,8 +145,8 @@ def test_the_command_repeats_a_mixed_run(
     panel.use_file(str(mesh_file))
     spin(lambda: "start" in with_image.layers)
     panel.shape.setCurrentIndex(spheres)
-    for layer in panel.chooser.ticked():
-        panel.chooser.choose(layer, layer.name in names)
+    for layer in panel.cells.ticked:
+        panel.cells.choose(layer, layer.name in names)
     seeds, pixels, grid = taken(panel), panel._image.stack(), grid_of(panel)
     settings = with_files(widget.run_settings(seeds), pixels, grid, seeds, tmp_path)
     words = shlex.split(command(settings, str(tmp_path / "result")))
@@ -168,11 +168,11 @@ def test_mesh_files_become_layers_in_the_frame_of_the_image(panel, with_image, m
     save_mesh(sphere(CENTER, 0.5), other)
     panel.use_file(str(mesh_file), str(other))
     spin(lambda: "other" in with_image.layers)
-    layers = panel.chooser.ticked()
+    layers = panel.cells.ticked
     assert [layer.name for layer in layers] == ["start", "other"]
     world = np.asarray(layers[0].data[0]) * layers[0].scale + layers[0].translate
     assert world.mean(axis=0) == pytest.approx(np.add((4.0, 3.4, 3.4), (1, 2, 3)), abs=0.05)
-    panel.chooser.choose(layers[1], False)
+    panel.cells.choose(layers[1], False)
     assert taken(panel).path == str(mesh_file)
     mesh = taken(panel).make(None, Grid(SHAPE, SIZE))
     np.testing.assert_array_equal(mesh.vertices_numpy(), load_mesh(mesh_file).vertices_numpy())
@@ -201,7 +201,7 @@ def test_cells_found_are_seeds_that_can_be_corrected(panel, with_image, finder, 
     spin(lambda: "found cells" in with_image.layers)
     layer = with_image.layers["found cells"]
     assert isinstance(layer, Labels)
-    assert panel.chooser.ticked() == [layer]
+    assert panel.cells.ticked == [layer]
     assert tuple(layer.translate) == (1, 2, 3)
     assert finder == [2.5]
     assert panel.find_cells.cell_size.value() == pytest.approx(2.5, abs=0.01)
@@ -209,12 +209,12 @@ def test_cells_found_are_seeds_that_can_be_corrected(panel, with_image, finder, 
     assert "9 of 1.5 µm" in panel.note.text()
     assert taken(panel).make(None, grid_of(panel)).region_ids().tolist() == [1]
     panel.find_cells.cell_size.setValue(1.25)
-    panel.chooser.choose(layer, False)
+    panel.cells.choose(layer, False)
     panel.find_cells.click()
     spin(lambda: layer.data.max() == 2)  # the same layer
     assert finder[1] == pytest.approx(1.25, abs=0.01)
     assert [one.name for one in with_image.layers].count("found cells") == 1
-    assert panel.chooser.ticked() == [layer]
+    assert panel.cells.ticked == [layer]
     panel.note.linkActivated.emit("1.5")
     spin(lambda: layer.data.max() == 3)
     assert finder[2] == pytest.approx(1.5)
@@ -282,8 +282,8 @@ def test_of_a_series_the_time_shown_counts(panel, viewer, pixels, spin):
     viewer.dims.set_current_step(0, 1)
     spin(lambda: texts(panel) == ["Point 2 lies outside the image: move or delete it"])
     spin(lambda: panel.preview.mesh is None, 3)
-    assert own in panel.chooser.ticked()
-    assert surface in panel.chooser.ticked()
+    assert own in panel.cells.ticked
+    assert surface in panel.cells.ticked
 
 
 def test_surfaces_are_listed_whoever_added_them(panel, with_image):

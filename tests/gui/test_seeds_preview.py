@@ -23,7 +23,7 @@ def test_a_click_is_followed_by_contours_and_a_surface(panel, with_image, spin):
     assert len(contours.data) > 10
     assert with_image.layers.selection.active is seeds, "so that clicks go on"
     assert str(seeds.mode) == "add"
-    assert [layer.name for layer in panel.chooser.ticked()] == ["seeds"]
+    assert [layer.name for layer in panel.cells.ticked] == ["seeds"]
     assert panel.chooser.count() == 1, "what the plugin shows is no source"
     assert not with_image.layers["cell: start"].visible, "only of use in 3D"
     with_image.dims.ndisplay = 3

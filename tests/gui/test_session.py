@@ -188,15 +188,16 @@ def test_seeds_of_all_kinds_come_back(make_widget, with_image, spin, tmp_path, r
         )
     )
     with_image.add_points([[0, 0, 0]], name="not ticked")
-    widget.seeds.chooser.choose(with_image.layers["not ticked"], False)
+    widget.seeds.cells.choose(with_image.layers["not ticked"], False)
     save(widget, tmp_path / "a.deltamic", spin)
     viewer, after = reopened(tmp_path / "a.deltamic")
-    assert [layer.name for layer in after.seeds.chooser.ticked()] == ["painted", "ball"]
+    assert [layer.name for layer in after.seeds.cells.ticked] == ["painted", "ball"]
     np.testing.assert_array_equal(viewer.layers["painted"].data, labels)
     assert viewer.layers["painted"].data.dtype == np.uint16
     frame = after.doc.image.frame()
     pixels, grid = after.doc.image.stack(), frame.grid(image.data.shape)
-    one, other = (w.seeds.seeds(w.doc.image.frame()).make(pixels, grid) for w in (widget, after))
+    docs = widget.doc, after.doc
+    one, other = (d.cells.seeds(d.image.frame()).make(pixels, grid) for d in docs)
     np.testing.assert_array_equal(one.vertices, other.vertices)
     np.testing.assert_array_equal(one.regions, other.regions)
     assert not after.results.isEnabled()

@@ -1,16 +1,18 @@
-"""What the window is about. Panels and tools read and write it; none of them knows another.
+"""What the window is about. Panels and tools observe it, and change it by its methods alone.
 
 The image, the cells, the settings, the work under way, what fits of each image have reached, and
-the cells chosen. It knows no widget: the panels that choose cells and settings are known to it by
-what they give.
+the cells chosen.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Literal, get_args
 
+import numpy as np
+from numpy.typing import NDArray
 from psygnal import Signal
 
 from ..accuracy.experience import Learned
@@ -21,13 +23,15 @@ from ..evidence.tilted_ground import with_ground
 from ..fitting import FitState
 from ..fitting.checks import check_image
 from ..fitting.job import FitInput, assemble, levelled
+from ..measure import measure_cells
 from ..results.judged import Judged
 from ..results.report import History
-from ..results.timeline import Timeline
+from ..results.timeline import Moment, Timeline
 from ..runs.seeds import Seeds
 from ..runs.settings import RunSettings
 from .attempt import attempt
 from .image_source import ImageSource
+from .seeding.cell_source import CellSource
 from .viewing.connections import Connections
 from .viewing.frame import Frame
 from .viewing.viewer_link import ViewerLink
@@ -44,6 +48,7 @@ class Record:
     words : how the last one ended: in a word, and in text.
     state, job : of the result; None before there is one.
     rows : measurements of its cells.
+    judged : how good it is, once that is known.
     """
 
     link: ViewerLink
@@ -61,6 +66,32 @@ class Record:
         if self.state is None or self.job is None:
             raise InputError("there is no result yet: run a fit first")
         return self.state, self.job
+
+    def end(self, verdict: str, text: str) -> None:
+        """A fit has ended."""
+        self.words = verdict, text
+
+    def show(self, state: FitState, note: str = "", *, passing: bool = False) -> None:
+        """The fit has come to a state, by what the user changed where there is a note."""
+        self.timeline.add(state, note)
+        self.link.show_mesh(state.mesh, passing=passing)
+
+    def take(
+        self, state: FitState, job: FitInput | None, history: History, seconds: float
+    ) -> None:
+        """Take a state for the result; of how good it is, nothing is known yet."""
+        self.state, self.job, self.history, self.seconds = state, job, history, seconds
+        self.rows, self.judged = measure_cells(state.mesh), None
+
+    def pin(self, pinned: NDArray[np.bool_]) -> None:
+        """Note which vertices of the result are pinned, (V,), for a fit that goes on."""
+        if self.state is not None:
+            self.state = replace(self.state, pinned=pinned)
+
+    def judge(self, judged: Judged) -> None:
+        """Take over how good the result is, and what that says of each cell."""
+        self.judged = judged
+        self.rows = [{**row, **judged.cells.get(int(row["region"]), {})} for row in self.rows]
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,13 +129,16 @@ class Document:
     warned = Signal(str)
     failed = Signal(str)  # a fit could not start, or be shown
     finish_tools = Signal(object)  # the mouse is wanted by one: the others lay down theirs
+    finish_placing = Signal(bool)  # cells are placed no more; whether their preview stays
+    meshes_came = Signal()  # those of a fit: what would cover them is to be hidden
+    clicks_wanted = Signal(object)  # at places, um in the image's frame
 
-    cells: Any  # the panel that chooses them
     settings: Any  # the panel that chooses what of a fit can be chosen
 
     def __init__(self, viewer: Any) -> None:
         self.viewer = viewer
         self.image = ImageSource(viewer)
+        self.cells = CellSource(viewer, self.image)
         self.work = Work()
         self.work.remarked.connect(self.warned.emit)
         self.run: Any = None  # the last FitRun
@@ -116,6 +150,7 @@ class Document:
         self.learned = Learned()  # how long fits take on this machine
         self.parts: list[Any] = []  # that end with the window
         self._of_run: Record | None = None
+        self._fresh = True  # whether the run has a mesh of its own
         self._closed = False
         self._connections = Connections()
         self._connections.connect(viewer.layers.events.removed, self._layer_removed)
@@ -203,24 +238,64 @@ class Document:
 
     # ---- what is done -------------------------------------------------------------------------
 
-    def record_for(self, frame: Frame, on_lost: Callable[[str], None]) -> Record:
+    def record_for(self, frame: Frame) -> Record:
         """The record of the image chosen, with a link whose layers are still of use."""
         layer = self.image.layer
         record = self.records.get(layer)
-        if record is not None:
-            link = record.link
-            if link.frame == frame and link.surface in (None, *self.viewer.layers):
-                link.take_time()
-                return record
-            link.close()
-            record.link = ViewerLink(self.viewer, layer, frame, on_lost)
-            return record
-        record = self.records[layer] = Record(ViewerLink(self.viewer, layer, frame, on_lost))
+        if record is None:
+            record = self.records[layer] = Record(self._link_for(layer, frame))
+        elif record.link.frame == frame and record.link.surface in (None, *self.viewer.layers):
+            record.link.take_time()
+        else:
+            self.renew_link(record, frame)
         return record
 
-    def take_run(self, run: Any, record: Record) -> None:
-        """A fit is to start, of the image of a record."""
-        self.run, self._of_run, self.begun = run, record, False
+    def renew_link(self, record: Record, frame: Frame) -> None:
+        """Show a record by new layers."""
+        record.link.close()
+        record.link = self._link_for(record.link.image_layer, frame)
+
+    def start(self, run: Any, record: Record, *, fresh: bool) -> None:
+        """Start a fit of the image of a record; InputError where something else runs."""
+        record.words, record.judged = ("", ""), None
+        self.run, self._of_run, self.begun, self._fresh = run, record, False, fresh
+        run.render = self.view != "image"
+        self.work.start(run)
+        self.said.emit("preparing the seeds ..." if fresh else "starting ...")
+
+    def begin(self, record: Record) -> None:
+        """The first state of a run is there: only now that before it is given up."""
+        if not self.begun:
+            self.begun = True
+            if self._fresh:
+                self.meshes_came.emit()
+                record.timeline = Timeline()
+            else:
+                record.timeline.go_on()
+            self.began.emit(self._fresh)
+
+    def reopen(
+        self,
+        state: FitState,
+        job: FitInput,
+        history: History,
+        seconds: float,
+        moments: Iterable[Moment],
+        words: tuple[str, str] = ("", ""),
+    ) -> None:
+        """Take over the result of an earlier fit of the image chosen, with its history."""
+        record = self.record_for(self.image.frame())
+        record.timeline, record.words = Timeline(moments), words
+        self.meshes_came.emit()
+        record.link.show_mesh(state.mesh)
+        record.take(state, job, history, seconds)
+        self.result_changed.emit()
+        self.began.emit(True)
+        self.ended.emit()
+
+    def look_back(self, earlier: bool) -> None:
+        """Whether an earlier moment of a fit is looked at."""
+        self.earlier = earlier
 
     def select(self, regions: Sequence[int] | frozenset[int]) -> None:
         """Choose cells."""
@@ -233,6 +308,8 @@ class Document:
         """Look at the image, or at what the fit says of it."""
         if view != self.view:
             self.view = view
+            if self.run is not None:
+                self.run.render = view != "image"
             self.view_changed.emit()
 
     def look_further(self) -> None:
@@ -261,16 +338,26 @@ class Document:
         for record in list(self.records.values()):
             record.link.close()
         self._connections.undo()
-        for part in (*self.parts, self.image):
+        for part in (*self.parts, self.cells, self.image):
             part.close_links()
         self.parts, self.run, self._of_run = [], None, None
         self.records.clear()
-        for name in ("cells", "settings"):
-            vars(self).pop(name, None)
-        for signals in (self, self.image, self.work):
+        vars(self).pop("settings", None)
+        for signals in (self, self.image, self.cells, self.work):
             for name in dir(type(signals)):
                 if isinstance(getattr(type(signals), name), Signal):
                     getattr(signals, name).disconnect()
+
+    def _link_for(self, layer: Any, frame: Frame) -> ViewerLink:
+        return ViewerLink(self.viewer, layer, frame, partial(self._lost, layer))
+
+    def _lost(self, layer: Any, reason: str) -> None:
+        """A layer that the fit needs is gone: end it, keep what it reached."""
+        record = self.record
+        lost = record is not None and record.link.image_layer is layer
+        if lost and self.running and not self.run.stopping:
+            self.work.stop()
+            self.warned.emit(f"the fit ends, as {reason}; its result can still be saved")
 
     def _layer_removed(self, event: Any) -> None:
         """What is known of an image goes with it; of the last one fitted it can still be saved."""
@@ -278,8 +365,3 @@ class Document:
         if record is not None and record is not self._of_run:
             record.link.close()
             del self.records[event.value]
-
-
-def missing_cells() -> InputError:
-    """No cells were chosen."""
-    return InputError("no cells yet: press 'Find cells', or 'Click cells' and click inside each")

@@ -90,7 +90,7 @@ class FitWidget(QWidget):
                 doc.viewer, lambda: None if clicks.tool else doc.link, self.results.choose
             )
         )
-        self.parts = parts = Parts(doc, self.control, self.seeds, self.tracking)
+        self.parts = parts = Parts(doc, self.seeds, self.tracking)
         self.sessions = SessionBar(partial(capture, parts), partial(restore, parts), doc, self)
         self.commands = CommandCopy(doc, self)
         # With its window the widget is deleted without a word to Python.
@@ -111,7 +111,7 @@ class FitWidget(QWidget):
         )
         self._lay_out()
         preferences, remark = read_preferences()
-        preferences.show(doc)
+        preferences.show(doc, self.seeds.preview)
         if remark:
             _warn(remark)
 

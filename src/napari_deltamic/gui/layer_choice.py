@@ -1,4 +1,4 @@
-"""Which layer of a viewer is used for something."""
+"""Which layers of a viewer are used for something."""
 
 from __future__ import annotations
 
@@ -11,31 +11,55 @@ from .viewing.connections import Connections
 from .viewing.frame import made_by_fit
 
 
-class LayerChoice:
-    """The layers of a viewer that can be used for something, and the one that is.
+class Layers:
+    """The layers of a viewer that can be used for something.
 
     Parameters
     ----------
     viewer : a napari viewer or its model.
     accepts : whether a layer can be used.
-    optional : whether there may be none; then none is chosen but by the user.
     """
 
     listed = Signal()  # other layers, or names
-    changed = Signal()  # another layer is chosen
 
-    def __init__(
-        self, viewer: Any, accepts: Callable[[Any], bool], *, optional: bool = False
-    ) -> None:
-        self._viewer, self._accepts, self.optional = viewer, accepts, optional
+    def __init__(self, viewer: Any, accepts: Callable[[Any], bool]) -> None:
+        self._viewer, self._accepts = viewer, accepts
         self.layers: list[Any] = []
-        self.layer: Any = None
         self._connections = Connections()
         events = viewer.layers.events
         for emitter in (events.inserted, events.removed, events.reordered, events.renamed):
             # After the viewer itself, which shows a layer that is new.
             self._connections.connect(emitter, self.refresh, position="last")
         self.refresh()
+
+    def refresh(self, event: Any = None) -> None:
+        """Look at the viewer's layers again; what was chosen stays where it can."""
+        raise NotImplementedError
+
+    def found(self) -> list[Any]:
+        """Those that can be used now, from the lowest to the highest."""
+        return [layer for layer in self._viewer.layers if self._accepts(layer)]
+
+    def close_links(self) -> None:
+        """Listen to the viewer no more, and let its layers go."""
+        self._connections.undo()
+        self.layers = []
+
+
+class LayerChoice(Layers):
+    """One of them, or none.
+
+    optional : whether there may be none; then none is chosen but by the user.
+    """
+
+    changed = Signal()  # another layer is chosen
+
+    def __init__(
+        self, viewer: Any, accepts: Callable[[Any], bool], *, optional: bool = False
+    ) -> None:
+        self.optional = optional
+        self.layer: Any = None
+        super().__init__(viewer, accepts)
 
     def choose(self, layer: Any) -> None:
         """Choose a layer that can be used, or None where there may be none."""
@@ -45,9 +69,7 @@ class LayerChoice:
             self.changed.emit()
 
     def refresh(self, event: Any = None) -> None:
-        """Look at the viewer's layers again; the choice stays where it can."""
-        self.layers = [layer for layer in self._viewer.layers if self._accepts(layer)]
-        before = self.layer
+        self.layers, before = self.found(), self.layer
         if before not in self.layers:
             # The layers that a fit adds are only used where someone chooses them.
             others = [x for x in self.layers if not made_by_fit(x)]
@@ -57,6 +79,35 @@ class LayerChoice:
             self.changed.emit()
 
     def close_links(self) -> None:
-        """Listen to the viewer no more, and let its layers go."""
-        self._connections.undo()
-        self.layers, self.layer = [], None
+        super().close_links()
+        self.layer = None
+
+
+class LayerTicks(Layers):
+    """Any number of them; new layers are ticked, except those that a fit made."""
+
+    chosen = Signal()  # other ones are ticked
+
+    def __init__(self, viewer: Any, accepts: Callable[[Any], bool]) -> None:
+        self.ticked: list[Any] = []  # from the lowest to the highest
+        super().__init__(viewer, accepts)
+
+    def choose(self, layer: Any, ticked: bool = True) -> None:
+        """Tick a layer that is listed, or untick it."""
+        self._tick([x for x in self.layers if (ticked if x is layer else x in self.ticked)])
+
+    def refresh(self, event: Any = None) -> None:
+        known, self.layers = self.layers, self.found()
+        before = self.ticked
+        ticked = [x for x in self.layers if (x in before if x in known else not made_by_fit(x))]
+        self.listed.emit()
+        self._tick(ticked)
+
+    def _tick(self, layers: list[Any]) -> None:
+        if layers != self.ticked:
+            self.ticked = layers
+            self.chosen.emit()
+
+    def close_links(self) -> None:
+        super().close_links()
+        self.ticked = []

@@ -42,7 +42,7 @@ def open_demo(
         axis_labels=axes,
         visible=False,
     )
-    widget.seeds.chooser.choose(seeds)
+    widget.doc.cells.choose(seeds)
     assert settings.scene.sigma is not None
     widget.settings.show_sigma(settings.scene.sigma)
     widget.settings.show_settings(settings.fit)

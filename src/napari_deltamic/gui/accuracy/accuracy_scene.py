@@ -142,9 +142,8 @@ def scene_now(doc: Document) -> SceneNow:
 
 def _known_surfaces(doc: Document, points: int) -> Mesh | None:
     """What the preview shows, else what the fit of this image has or found."""
-    preview = doc.cells.preview_mesh()
-    if isinstance(preview, Mesh):
-        return preview
+    if doc.cells.preview_mesh is not None:
+        return doc.cells.preview_mesh
     record = doc.record
     if record is None or record.link.image_layer is not doc.image.layer:
         return None

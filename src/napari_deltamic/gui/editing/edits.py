@@ -220,8 +220,8 @@ class Edits(QObject):
                 self._asked = _Asked(change.pinned, change.mesh or mesh, number)
         elif change.mesh is not None or change.optics is not None:
             self._control.replace_result(changed_by_hand(present.state, present.job, change), note)
-        elif change.pinned is not None:
-            self._control.pin_result(change.pinned)
+        elif change.pinned is not None and self._doc.result is not None:
+            self._doc.result.pin(change.pinned)
 
     def _remember(self, note: str, back: Change, of: Mesh) -> None:
         self._done = [*self._done, _Step(note, back, of)][-_DEEPEST:]

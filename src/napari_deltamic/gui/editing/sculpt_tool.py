@@ -118,7 +118,7 @@ class Sculptor(QObject):
         if tool is not None:
             # Points that are placed, or labels that are painted, would be in the way.
             self._doc.finish_tools.emit(self)
-            self._doc.cells.finish_placing()
+            self._doc.finish_placing.emit(False)
             active = self._viewer.layers.selection.active
             if active is not None and str(getattr(active, "mode", "pan_zoom")) != "pan_zoom":
                 active.mode = "pan_zoom"

@@ -66,7 +66,7 @@ class Preferences(BaseModel):
             sheet=2.0,
         )
 
-    def show(self, doc: Document) -> None:
+    def show(self, doc: Document, preview: Any) -> None:
         """Set a new window."""
         settings = doc.settings
         settings.show_settings(self.fit)
@@ -74,7 +74,7 @@ class Preferences(BaseModel):
         settings.effects.show_effects(Effects.from_text(self.effects))
         settings.optics.objective.show_settings(self.objective)
         settings.optics.prefer(self.psf)
-        doc.cells.preview.prefer(self.preview_seeds)
+        preview.prefer(self.preview_seeds)
         doc.look("rendered" if self.show_rendered else "image")
         doc.work.interval = 1 / self.updates_per_second
 

@@ -228,7 +228,7 @@ class CheckPanel(QGroupBox):
     def _add_strays(self) -> None:
         places = [stray.position for stray in self.strays]
         if places:
-            self._doc.guarded(lambda: self._doc.cells.add_clicks(places))
+            self._doc.guarded(lambda: self._doc.clicks_wanted.emit(places))
             self.tell("Look at the clicks, then press 'Fit': the next fit has these cells too.")
 
     def _hide_if_empty(self) -> None:

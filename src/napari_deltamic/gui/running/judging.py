@@ -27,7 +27,7 @@ class Judging(QObject):
         doc.began.connect(self._began)
         doc.result_changed.connect(self._judge)
         doc.image.changed.connect(self._place)
-        doc.view_changed.connect(self._view_changed)
+        doc.view_changed.connect(self._place)
 
     @property
     def busy(self) -> bool:
@@ -64,17 +64,9 @@ class Judging(QObject):
         record, doc = asked[0], self._doc
         record.link.take_images(images.rendered, images.residual)
         if images.judged is not None:
-            record.judged = images.judged
-            more = images.judged.cells
-            record.rows = [{**row, **more.get(int(row["region"]), {})} for row in record.rows]
+            record.judge(images.judged)
             if record is doc.record:
                 doc.judged.emit()
-        self._place()
-
-    def _view_changed(self) -> None:
-        doc = self._doc
-        if doc.run is not None:
-            doc.run.render = doc.view != "image"
         self._place()
 
     def _place(self) -> None:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import weakref
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -20,13 +19,9 @@ from ...fitting.by_hand import changed_by_hand
 from ...fitting.job import FitInput, scene_with
 from ...fitting.pending import usable
 from ...geometry import Mesh
-from ...measure import measure_cells
-from ...results.report import History
-from ...results.timeline import Moment, Timeline
 from ...runs.settings import NEAR_LEVELS
 from ..attempt import attempt
 from ..document import Document, Record
-from ..viewing.viewer_link import ViewerLink
 from .worker import FitRun, Forecaster, Outcome, Snapshot, expected
 
 
@@ -45,7 +40,6 @@ class RunControl(QObject):
         self._forecaster: Callable[[FitInput], Forecaster | None] = expected
         self._asked: list[tuple[int, str]] = []  # changes by number, until the fit has them
         self._lets_go = False
-        self._fresh = True  # whether the run has a new mesh
 
     def start(self) -> None:
         """Start a fit of what is chosen; says in plain words what is missing."""
@@ -81,35 +75,10 @@ class RunControl(QObject):
         record = self._doc.result
         if record is None:
             return
-        record.timeline.add(state, note)
-        record.link.show_mesh(state.mesh)
-        self._take_result(record, state, record.job, record.history, record.seconds)
+        record.show(state, note)
+        record.take(state, record.job, record.history, record.seconds)
+        self._doc.result_changed.emit()
         self._doc.noted.emit(f"{note}: the result was changed by hand")
-
-    def pin_result(self, pinned: NDArray[np.bool_]) -> None:
-        """Note which vertices of the result are pinned, (V,) bool, for a fit that goes on."""
-        record = self._doc.result
-        if record is not None and record.state is not None:
-            record.state = replace(record.state, pinned=pinned)
-
-    def reopen(
-        self,
-        state: FitState,
-        job: FitInput,
-        history: History,
-        seconds: float,
-        moments: Iterable[Moment],
-        words: tuple[str, str] = ("", ""),
-    ) -> None:
-        """Take over the result of an earlier fit of the image chosen, with its history."""
-        doc = self._doc
-        record = doc.record_for(doc.image.frame(), self._lost_of(doc.image.layer))
-        record.timeline, record.words = Timeline(moments), words
-        doc.cells.make_room()
-        record.link.show_mesh(state.mesh)
-        self._take_result(record, state, job, history, seconds)
-        doc.began.emit(True)
-        doc.ended.emit()
 
     def go_on_from(self, mesh: Mesh, optics: Any, pinned: NDArray[np.bool_] | None) -> None:
         """Start a fit from a state of the last one, with little blur. InputError if it cannot."""
@@ -131,9 +100,7 @@ class RunControl(QObject):
         if pinned is not None and pinned.any():
             first = Change(mesh=mesh, pinned=pinned)
         if link.surface not in doc.viewer.layers:
-            link.close()
-            lost = self._lost_of(link.image_layer)
-            record.link = ViewerLink(doc.viewer, link.image_layer, link.frame, lost)
+            doc.renew_link(record, link.frame)
         self._launch(record, lambda: job, fresh=False, first=first)
 
     def hold(self, mesh: Mesh) -> None:
@@ -153,8 +120,8 @@ class RunControl(QObject):
     def _start(self) -> None:
         doc = self._doc
         prepare, frame = doc.prepared()
-        record = doc.record_for(frame, self._lost_of(doc.image.layer))
-        doc.cells.finish_placing(keep_preview=True)
+        record = doc.record_for(frame)
+        doc.finish_placing.emit(True)
         self._launch(record, prepare, fresh=True)
 
     def _launch(
@@ -165,8 +132,7 @@ class RunControl(QObject):
         fresh: bool,
         first: Change | None = None,
     ) -> None:
-        doc = self._doc
-        self._fresh, self._asked = fresh, []
+        doc, self._asked = self._doc, []
         run = FitRun(
             prepare,
             partial(self._show, record),
@@ -175,31 +141,13 @@ class RunControl(QObject):
             partial(_after, doc.learned, self._forecaster),
             first,
         )
-        record.words, record.judged = ("", ""), None
-        doc.take_run(run, record)
-        run.render = doc.view != "image"
-        doc.work.start(run)
-        doc.said.emit("preparing the seeds ..." if fresh else "starting ...")
-
-    def _begin(self, record: Record) -> None:
-        """The first state of a run is there: only now that before it is given up."""
-        doc = self._doc
-        if doc.begun:
-            return
-        doc.begun = True
-        if self._fresh:
-            doc.cells.make_room()
-            record.timeline = Timeline()
-        else:
-            record.timeline.go_on()
-        doc.began.emit(self._fresh)
+        doc.start(run, record, fresh=fresh)
 
     def _show(self, record: Record, snapshot: Snapshot) -> None:
         doc, state = self._doc, snapshot.state
-        self._begin(record)
+        doc.begin(record)
         note = self._taken_over(snapshot)
-        record.timeline.add(state, note)
-        record.link.show_mesh(state.mesh, passing=True)
+        record.show(state, note, passing=True)
         if self._lets_go:
             self.let_go()
         if note:
@@ -228,46 +176,25 @@ class RunControl(QObject):
         if state is not None:
             done = "" if "iterations" in text else f"{state.iteration} iterations, "
             text += f" ({done}{outcome.seconds:.1f}\N{NO-BREAK SPACE}s)"
-        record.words = (outcome.verdict, "\n".join([text, *remarks]))
+        record.end(outcome.verdict, "\n".join([text, *remarks]))
         if outcome.verdict == "failed":
             doc.warned.emit(outcome.message)
         if state is None or outcome.job is None:
             doc.result_changed.emit()
             return
-        self._begin(record)
-        record.timeline.add(state)
-        record.link.show_mesh(state.mesh)
-        self._take_result(record, state, outcome.job, run.history, outcome.seconds)
+        doc.begin(record)
+        record.show(state)
+        record.take(state, outcome.job, run.history, outcome.seconds)
+        doc.result_changed.emit()
         late, notes = run.left, ", ".join(note for _, note in self._asked)
         self._asked = []
         if late is not None and (late.mesh is not None or late.optics is not None):
             usable(late, state.mesh, state.optics, outcome.job)
             self.replace_result(changed_by_hand(state, outcome.job, late), notes)
         elif late is not None and late.pinned is not None:
-            self.pin_result(late.pinned)
+            record.pin(late.pinned)
         if self._lets_go:
             self.let_go()
-
-    def _take_result(
-        self, record: Record, state: FitState, job: FitInput | None, history: History, s: float
-    ) -> None:
-        record.state, record.job, record.history, record.seconds = state, job, history, s
-        record.rows = measure_cells(state.mesh)
-        record.judged = None
-        self._doc.result_changed.emit()
-
-    def _lost_of(self, layer: Any) -> Callable[[str], None]:
-        return partial(self._lost, weakref.ref(layer))
-
-    def _lost(self, layer: Callable[[], Any], reason: str) -> None:
-        """A layer that the fit needs is gone: end it, keep what it reached."""
-        doc = self._doc
-        record, run = doc.record, doc.run
-        if record is None or record.link.image_layer is not layer():
-            return
-        if doc.running and not run.stopping:
-            doc.work.stop()
-            doc.warned.emit(f"the fit ends, as {reason}; its result can still be saved")
 
 
 def _after(

@@ -52,20 +52,14 @@ class Corrections(QObject):
     Parameters
     ----------
     doc : the document.
-    layers : gives the layers that are ticked as seeds.
     parent : Qt's, of the bar.
     """
 
     edited = Signal()  # labels were changed
 
-    def __init__(
-        self,
-        doc: Document,
-        layers: Callable[[], list[Any]],
-        parent: QWidget | None = None,
-    ) -> None:
+    def __init__(self, doc: Document, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._doc, self._viewer, self._image, self._layers = doc, doc.viewer, doc.image, layers
+        self._doc, self._viewer, self._image, self._cells = doc, doc.viewer, doc.image, doc.cells
         self.bar = bar = ToolBar({t: one[:2] for t, one in _TOOLS.items()}, _more, parent)
         self.undo_button, self.count = small_button("↶", bar), Note(bar)
         self.undo_button.setToolTip("Undo the last correction, or stroke of the brush (Ctrl+Z).")
@@ -90,7 +84,7 @@ class Corrections(QObject):
     @property
     def layer(self) -> Any:
         """The layer that clicks correct, or None."""
-        layers = [x for x in self._layers() if _can_be_corrected(x)]
+        layers = [x for x in self._cells.ticked if _can_be_corrected(x)]
         active = self._viewer.layers.selection.active
         return active if active in layers else layers[-1] if layers else None
 
@@ -239,7 +233,7 @@ class Corrections(QObject):
 
     def _start(self, wanted: _Wanted) -> None:
         layer, clicks = wanted
-        if layer not in self._layers() or self._image.layer is None:
+        if layer not in self._cells.ticked or self._image.layer is None:
             raise InputError("tick the Labels layer that is to be corrected")
         frame, read = self._image.under(layer)
         seeds = seeds_from_layer(layer, frame, (), spheres=False)

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from qtpy.QtWidgets import QCheckBox, QWidget
 
 from ...geometry import Mesh
 from ...runs.seed_preview import COARSEST, SMALL, Found, Problem, coarsening, find
 from ..attempt import attempt
 from ..qt import Signal
-from ..viewing.frame import FloatArray, Frame
+from ..viewing.frame import Frame
+from ..viewing.mesh_layers import MeshLayers
 from ..work import Background
-from .start_layers import StartLayers
+from .cell_source import Wanted
 
+_LOOK = {"opacity": 0.5, "blending": "translucent_no_depth"}
 WAIT = 400  # ms without a click before the preview is computed
 _TIP = (
     "<qt>Shows, shortly after each click, the membrane that was found around each point: contours "
@@ -26,24 +26,6 @@ _TIP = (
     f"image is made coarser by up to {COARSEST} voxels in each direction. Off at first for images "
     "of more than about {most:.1f} million voxels, which take longer.</qt>"
 )
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """What a preview is of: points, um in the frame of an image layer, and when.
-
-    image : gives the voxels; only asked when the preview is computed.
-    """
-
-    points: FloatArray
-    image: Callable[[], NDArray[Any]]
-    layer: Any
-    frame: Frame
-    time: tuple[int, ...] = ()
-
-    def key(self) -> tuple[Any, ...]:
-        """Equal where the preview is the same."""
-        return self.points.tobytes(), id(self.layer), self.frame, self.time
 
 
 class Preview(QCheckBox):
@@ -162,6 +144,56 @@ class Preview(QCheckBox):
 
     def _removed(self, by_user: bool) -> None:
         self._take_away()
+        self.changed.emit()
         if by_user:
             self._user_chose = True
             self.setChecked(False)
+
+
+class StartLayers(MeshLayers):
+    """Two layers of the plugin's own that show where a fit of an image would start.
+
+    Parameters
+    ----------
+    viewer : a napari viewer or its model.
+    image_layer, frame : the image, and its frame.
+    on_removed : called when one of the layers, or the image, is removed: whether by a user.
+    """
+
+    def __init__(
+        self, viewer: Any, image_layer: Any, frame: Frame, on_removed: Callable[[bool], None]
+    ) -> None:
+        name = image_layer.name
+        names = (f"{name}: start", f"{name}: start contours")
+        known = {"fit": True, "preview": True}
+        super().__init__(viewer, image_layer, frame, names, known, _LOOK)
+        self.mesh: Mesh | None = None
+        self._on_removed = on_removed
+        self.connections.connect(viewer.layers.events.removed, self._removed)
+
+    @property
+    def shown(self) -> Mesh | None:
+        """See ``MeshLayers``."""
+        return self.mesh
+
+    def show(self, mesh: Mesh) -> None:
+        """Show surfaces, um in the frame."""
+        self.take_time()
+        self.mesh = mesh
+        self.draw(mesh)
+
+    def add_layers(self, *layers: Any) -> None:
+        """Just above the image: under what else is shown of it."""
+        for layer in layers:
+            self.add(layer, above=True)
+
+    def remove(self) -> None:
+        """Take the layers away."""
+        self.close()
+        for layer in (self.contours.layer, self.surface):
+            if layer is not None and layer in self.viewer.layers:
+                self.viewer.layers.remove(layer)
+
+    def _removed(self, event: Any) -> None:
+        if event.value in (self.surface, self.contours.layer, self.image_layer):
+            self._on_removed(event.value is not self.image_layer)

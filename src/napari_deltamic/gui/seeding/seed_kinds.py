@@ -13,9 +13,24 @@ from ...geometry import Mesh
 from ...runs.seeds import LabelSeeds, MeshSeeds, PointSeeds, Seeds
 from ..viewing.frame import OWN, Frame, stack_of
 from ..viewing.mesh_layer import unchanged_file
+from ..viewing.pins import PINS
 from ..viewing.walls import joined
 
 SEED_LAYERS = (Points, Labels, Surface)
+PREVIEW = "preview"  # key under OWN: layers that only show what seeds would give
+
+
+def is_seeds(layer: Any) -> bool:
+    """Whether a layer can give seeds."""
+    kept = isinstance(layer, SEED_LAYERS) and layer.ndim >= 3
+    own = layer.metadata.get(OWN, {})
+    tracked = bool(own) and isinstance(layer, Surface) and layer.ndim > 3
+    return kept and not (own.get(PREVIEW) or own.get(PINS) or tracked)
+
+
+def seed_kind(layer: Any) -> type:
+    """Which of the kinds of layers that give seeds it is; subclasses count as theirs."""
+    return next(kind for kind in SEED_LAYERS if isinstance(layer, kind))
 
 
 def seeds_from_layer(

@@ -11,7 +11,6 @@ from napari.layers import Points
 from numpy.typing import NDArray
 from qtpy.QtCore import Qt, QTimer
 from qtpy.QtWidgets import (
-    QComboBox,
     QFileDialog,
     QFormLayout,
     QGroupBox,
@@ -23,21 +22,20 @@ from superqt import QLabeledDoubleSlider
 
 from ...errors import InputError
 from ...geometry.formats import MESH_FILES_LISTED, MESH_FILTER
-from ...runs.seeds import Seeds
 from ..document import Document
 from ..viewing.connections import Connections
 from ..viewing.frame import Frame, made_by_fit
 from ..viewing.mesh_layer import LoadedMesh, load_meshes, surface_layer
 from ..viewing.own_layers import Points as SeedPoints
 from ..viewing.own_layers import cut_by_slices
-from ..widgets import Note, sentence, show_row
+from ..widgets import Note, narrow_box, sentence, show_row
 from ..work import Background
+from .cell_source import Wanted
 from .corrections import Corrections
 from .find_cells_button import FindCells
-from .preview import Preview, Wanted
+from .preview import Preview
 from .remarks import LINK, Remarks
 from .seed_list import SeedList
-from .seed_sources import SeedSources
 
 _FOLLOW, _SPHERES = "membrane around the click", "a sphere"
 _WAIT = 100  # ms; changes that follow each other faster are looked at together
@@ -49,7 +47,7 @@ class SeedsPanel(QGroupBox):
     def __init__(self, doc: Document, parent: QWidget | None = None) -> None:
         super().__init__("2  Cells", parent)
         self._doc, self._viewer, self._image = doc, doc.viewer, doc.image
-        doc.cells = self
+        self.cells = doc.cells
         doc.parts.append(self)
         self._connections, self._of_layers = Connections(), Connections()
         self._time: tuple[int, ...] = ()
@@ -64,26 +62,9 @@ class SeedsPanel(QGroupBox):
         self._image_changed()
         self._layers_chosen()
 
-    @property
-    def spheres(self) -> bool:
-        """Whether points are to be spheres."""
-        return bool(self.shape.currentText() == _SPHERES)
-
     def use_spheres(self, on: bool) -> None:
         """Whether points are to be spheres."""
         self.shape.setCurrentText(_SPHERES if on else _FOLLOW)
-
-    def seeds(self, frame: Frame, *, copied: bool = True) -> Seeds:
-        """The seeds chosen. InputError where there are none, or they cannot be used."""
-        return self._sources.seeds(frame, self.spheres, copied=copied)
-
-    def ticked(self) -> list[Any]:
-        """The layers that are chosen."""
-        return self.chooser.ticked()
-
-    def preview_mesh(self) -> Any:
-        """The surfaces that are shown of the cells; None for none."""
-        return self.preview.mesh if self.preview.isChecked() else None
 
     def place_seeds(self) -> None:
         """A Points layer that takes clicks: one that is ticked, or a new one."""
@@ -119,7 +100,7 @@ class SeedsPanel(QGroupBox):
             added = np.hstack([np.tile(steps, (len(added), 1)), added])
         layer.data = np.vstack([before, added])
 
-    def finish_placing(self, *, keep_preview: bool = False) -> None:
+    def finish_placing(self, keep_preview: bool = False) -> None:
         """Clicks move the view again; the preview goes, or stays until there is room to be made."""
         self.corrections.lay_down()
         for layer in self._viewer.layers:
@@ -135,8 +116,8 @@ class SeedsPanel(QGroupBox):
         self._used = True
         self.preview.clear()
         self.find_cells.hide_found()
-        if self.spheres:  # as large as the cells
-            for layer in self._sources.points_layers():
+        if self.cells.spheres:  # as large as the cells
+            for layer in self.cells.points_layers():
                 layer.visible = False
 
     def use_file(self, *paths: str) -> None:
@@ -146,12 +127,7 @@ class SeedsPanel(QGroupBox):
     def close_links(self) -> None:
         """End what is under way, and listen to the viewer no more; it is not touched."""
         self._open = False
-        for part in (
-            self.chooser,
-            self.corrections,
-            self.preview,
-            self.find_cells,
-        ):
+        for part in (self.corrections, self.preview, self.find_cells):
             part.close_links()
         self._reading.close()
         self._connections.undo()
@@ -161,9 +137,8 @@ class SeedsPanel(QGroupBox):
     # ------------------------------------------------------------------------------------ fields
 
     def _make_fields(self) -> None:
-        self.chooser = SeedList(self._viewer, self)
-        self._sources = SeedSources(self._viewer, self._image, self.chooser)
-        self.corrections = Corrections(self._doc, self.chooser.ticked, self)
+        self.chooser = SeedList(self.cells, self)
+        self.corrections = Corrections(self._doc, self)
         self.place = QPushButton("Click cells", self)
         self.place.setToolTip(
             "<qt>Then click inside each cell, on any slice or in 3D (there, points lie at the "
@@ -176,12 +151,8 @@ class SeedsPanel(QGroupBox):
         )
         self._reading = Background(self._add_meshes, self._doc.warned.emit)
         self.find_cells = FindCells(self._doc, self)
-        self.shape = QComboBox(self)
+        self.shape = narrow_box(self, "start from", 8)
         self.shape.addItems([_FOLLOW, _SPHERES])
-        self.shape.setSizeAdjustPolicy(
-            QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon
-        )
-        self.shape.setMinimumContentsLength(8)
         self.shape.setToolTip(
             "<qt>'The membrane' finds the dark region around each click, up to its bright "
             "membrane: needs membranes that close, and takes seconds for a million voxels when the "
@@ -219,16 +190,19 @@ class SeedsPanel(QGroupBox):
         self.place.clicked.connect(self.place_seeds)
         self.open_file.clicked.connect(self._ask_file)
         self.find_cells.told.connect(self._show)
-        self.find_cells.found.connect(self.chooser.choose)
+        self.find_cells.found.connect(self.cells.choose)
         self.find_cells.gone.connect(self._untick)
-        self.chooser.chosen.connect(self._layers_chosen)
+        self.cells.chosen.connect(self._layers_chosen)
         self.corrections.edited.connect(self.find_cells.colour)
         self.corrections.edited.connect(self._show_soon)
         self.shape.currentTextChanged.connect(self._shape_chosen)
         self.radius.valueChanged.connect(self._resize)
-        self.preview.changed.connect(self._show_remarks)
-        self.preview.changed.connect(self._tell)
-        self._doc.finish_tools.connect(self._other_tool)
+        self.preview.changed.connect(self._previewed)
+        doc = self._doc
+        doc.finish_tools.connect(self._other_tool)
+        doc.finish_placing.connect(self.finish_placing)
+        doc.meshes_came.connect(self.make_room)
+        doc.clicks_wanted.connect(self.add_clicks)
         self._later.timeout.connect(self._look)
         self._image.changed.connect(self._image_changed)
         self._connections.connect(self._viewer.dims.events.current_step, self._step_changed)
@@ -252,7 +226,7 @@ class SeedsPanel(QGroupBox):
 
     def _image_changed(self) -> None:
         self.corrections.forget()
-        shape = self._sources.shape()
+        shape = self.cells.shape()
         if shape is None:
             self.find_cells.forget()
             self._show_soon()
@@ -266,11 +240,11 @@ class SeedsPanel(QGroupBox):
         self._show_soon()
 
     def _untick(self, layer: Any) -> None:
-        self.chooser.choose(layer, False)
+        self.cells.choose(layer, False)
 
     def _layers_chosen(self) -> None:
         self._of_layers.undo()
-        layers = self.chooser.ticked()
+        layers = self.cells.ticked
         for layer in layers:
             for name in ("data", "size", "paint", "scale", "translate"):
                 if hasattr(layer.events, name):
@@ -286,6 +260,7 @@ class SeedsPanel(QGroupBox):
                 self._later.start()
 
     def _shape_chosen(self, text: str) -> None:
+        self.cells.be_spheres(text == _SPHERES)
         self._resize(everything=True)  # not only the point that was added last
         self._show()
         self._show_soon()
@@ -304,6 +279,11 @@ class SeedsPanel(QGroupBox):
         self._show_remarks()
         self._tell()
 
+    def _previewed(self) -> None:
+        self.cells.take_preview(self.preview.mesh if self.preview.isChecked() else None)
+        self._show_remarks()
+        self._tell()
+
     def _tell(self) -> None:
         self._doc.cells_changed.emit()
 
@@ -315,7 +295,7 @@ class SeedsPanel(QGroupBox):
             self.corrections.lay_down()
 
     def _resize(self, value: float = 0, *, everything: bool = False) -> None:
-        for layer in self._sources.points_layers():
+        for layer in self.cells.points_layers():
             try:
                 um = self._um_per_data(layer)
             except InputError:
@@ -347,7 +327,7 @@ class SeedsPanel(QGroupBox):
 
     def _drawn_radius(self) -> float:
         """um; a point that is no sphere is drawn small, but over several slices."""
-        return float(self.radius.value()) * (1.0 if self.spheres else 0.25)
+        return float(self.radius.value()) * (1.0 if self.cells.spheres else 0.25)
 
     def _um_per_data(self, layer: Any) -> NDArray[np.float64]:
         um: NDArray[np.float64] = self._image.frame().data_to_um(layer)[0]
@@ -357,18 +337,18 @@ class SeedsPanel(QGroupBox):
 
     def _points_layer(self) -> Any:
         """Which takes clicks: the one that is selected, else the highest."""
-        layers = [layer for layer in self._sources.points_layers() if not made_by_fit(layer)]
+        layers = [layer for layer in self.cells.points_layers() if not made_by_fit(layer)]
         active = self._viewer.layers.selection.active
         return active if active in layers else layers[-1] if layers else None
 
     def _show(self) -> None:
-        layers, points = self.chooser.ticked(), self._sources.points_layers()
+        layers, points = self.cells.ticked, self.cells.points_layers()
         self.corrections.renew()
         shown = bool(points) or not layers
         show_row(self._form, self.find_cells.cell_size, self.find_cells.tried)
         show_row(self._form, self.shape, shown)
-        show_row(self._form, self.radius, shown and self.spheres)
-        show_row(self._form, self.preview, shown and not self.spheres)
+        show_row(self._form, self.radius, shown and self.cells.spheres)
+        show_row(self._form, self.preview, shown and not self.cells.spheres)
         texts = [self.find_cells.message]
         others = [
             f"<a style='color: {LINK}' href='{size!r}'>{n or ''} of {size:.3g} µm</a>"
@@ -384,9 +364,9 @@ class SeedsPanel(QGroupBox):
         self.note.say(" ".join(filter(None, texts)))
 
     def _show_remarks(self) -> None:
-        remarks = self._sources.remarks(self.spheres, self.preview.problems) if self._open else []
+        remarks = self.cells.remarks(self.preview.problems) if self._open else []
         busy = "Looking for the membranes ..." if self.preview.busy else ""
         self.remarks.show_remarks(remarks, busy)
 
     def _preview_wanted(self) -> Wanted | None:
-        return None if self.spheres else self._sources.preview()
+        return None if self.cells.spheres else self.cells.wanted()

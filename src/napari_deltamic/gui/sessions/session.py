@@ -13,7 +13,6 @@ from ...results.session_file import SavedImage, SavedResult, Session
 from ...runs.settings import RunSettings
 from ..accuracy.accuracy_dial import usable_choice
 from ..document import VIEWS, Document, Record
-from ..running.run_control import RunControl
 from ..tracking.control import TrackControl
 from ..viewing.frame import Frame
 from ..viewing.own_layers import lie_on
@@ -25,7 +24,6 @@ class Parts:
     """What of a widget a session is made of."""
 
     doc: Document
-    control: RunControl
     seeds: Any  # the panel of the cells
     tracking: TrackControl
 
@@ -56,7 +54,7 @@ def capture(parts: Parts) -> tuple[Session, str]:
     session = Session(
         settings=settings,
         image=save_image(doc.image.layer, pixels, frame),
-        seeds=tuple(save_layer(seed, step, point, frame) for seed in doc.cells.ticked()),
+        seeds=tuple(save_layer(seed, step, point, frame) for seed in doc.cells.ticked),
         result=result[0] if result else None,
         panels={
             "seeds": _seeds_shown(parts.seeds),
@@ -87,8 +85,8 @@ def restore(parts: Parts, session: Session) -> Generator[None]:
         raise InputError(doc.work.occupied)
     empty = not viewer.layers
     image, seeds, second = _layers(session)  # before anything is changed
-    for seed in doc.cells.ticked():
-        panel.chooser.choose(seed, False)
+    for seed in doc.cells.ticked:
+        doc.cells.choose(seed, False)
     viewer.add_layer(image)
     doc.image.choose(image)
     yield
@@ -103,9 +101,9 @@ def restore(parts: Parts, session: Session) -> Generator[None]:
     for seed in seeds:
         lie_on(seed, image)
         viewer.add_layer(seed)
-        panel.chooser.choose(seed)
+        doc.cells.choose(seed)
     if session.result is not None or session.tracks is not None:
-        doc.cells.finish_placing()  # no preview of the start over its result
+        doc.finish_placing.emit(False)  # no preview of the start over its result
     yield
     if _left(doc, image):
         return
@@ -221,7 +219,7 @@ def _show_result(parts: Parts, result: SavedResult, session: Session) -> None:
     )
     parts.doc.select(())
     words = (result.verdict, result.message)
-    parts.control.reopen(state, job, history, result.seconds, result.moments, words)
+    parts.doc.reopen(state, job, history, result.seconds, result.moments, words)
 
 
 # ---- panels --------------------------------------------------------------------------------------

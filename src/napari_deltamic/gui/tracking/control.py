@@ -153,8 +153,8 @@ class TrackControl(QObject):
         settings = self._settings(seeds, first, float(layer.scale[-4]))
         frames, grid = Frames(data, frame.box), frame.grid(image.shape())
         self._show_in(layer, frame)
-        self._doc.cells.finish_placing(keep_preview=True)
-        self._seeds = self._doc.cells.ticked()
+        self._doc.finish_placing.emit(True)
+        self._seeds = self._doc.cells.ticked
         prepare = partial(_prepared, settings, frames, grid, seeds)
         self._launch(prepare, range(first, stop), ())
 
@@ -199,7 +199,7 @@ class TrackControl(QObject):
 
     def _frame_done(self, results: Sequence[FrameResult]) -> None:
         if len(results) == 1:
-            self._doc.cells.make_room()
+            self._doc.meshes_came.emit()
             for layer in self._seeds:  # they are of one time, and would cover the cells
                 layer.visible = False
         if self.layers is not None:

@@ -1,50 +1,88 @@
-"""What the ticked layers hold, at the time shown: seeds, points, and what may be wrong."""
+"""Where the cells come from: ticked layers, what they hold at the time shown, what is wrong."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from napari.layers import Labels, Points
+from numpy.typing import NDArray
 
 from ...errors import InputError
+from ...geometry import Mesh
 from ...runs.seed_checks import PointSet, Remark, all_remarks
 from ...runs.seed_preview import Problem
 from ...runs.seeds import PointSeeds, Seeds, mixed
-from ..document import missing_cells
-from ..viewing.frame import Frame, stack_of
-from .preview import Wanted
-from .seed_kinds import at_time, is_empty, seeds_from_layer, without_place
+from ..image_source import ImageSource
+from ..layer_choice import LayerTicks
+from ..viewing.frame import FloatArray, Frame, stack_of
+from .seed_kinds import at_time, is_empty, is_seeds, seeds_from_layer, without_place
 
 
-class SeedSources:
-    """Reads the layers that are ticked in a list, for the image chosen in a panel."""
+@dataclass(frozen=True)
+class Wanted:
+    """What a preview is of: points, um in the frame of an image layer, and when.
 
-    def __init__(self, viewer: Any, image_panel: Any, chosen: Any) -> None:
-        self._viewer, self._image, self._chosen = viewer, image_panel, chosen
+    image : gives the voxels; only asked when the preview is computed.
+    """
 
-    def seeds(self, frame: Frame, spheres: bool, *, copied: bool = True) -> Seeds:
+    points: FloatArray
+    image: Callable[[], NDArray[Any]]
+    layer: Any
+    frame: Frame
+    time: tuple[int, ...] = ()
+
+    def key(self) -> tuple[Any, ...]:
+        """Equal where the preview is the same."""
+        return self.points.tobytes(), id(self.layer), self.frame, self.time
+
+
+class CellSource(LayerTicks):
+    """The layers that the cells of an image are taken from, and what they hold.
+
+    spheres : whether points are to be spheres.
+    preview_mesh : the surfaces that are shown of the cells, where they are.
+    """
+
+    def __init__(self, viewer: Any, image: ImageSource) -> None:
+        self._image = image
+        self.spheres = False
+        self.preview_mesh: Mesh | None = None
+        super().__init__(viewer, is_seeds)
+
+    def take_preview(self, mesh: Mesh | None) -> None:
+        """Other surfaces are shown of the cells."""
+        self.preview_mesh = mesh
+
+    def be_spheres(self, on: bool) -> None:
+        """Whether points are to be spheres."""
+        self.spheres = on
+
+    def seeds(self, frame: Frame, *, copied: bool = True) -> Seeds:
         """The seeds. InputError where there are none, or they cannot be used."""
-        layers = self._chosen.ticked()
-        if not layers:
-            raise missing_cells()
+        if not self.ticked:
+            raise InputError(
+                "no cells yet: press 'Find cells', or 'Click cells' and click inside each"
+            )
         point = self._point()
-        filled = [layer for layer in layers if not is_empty(layer, point)]
+        filled = [layer for layer in self.ticked if not is_empty(layer, point)]
         # Where all are empty, the first of them says so itself.
-        chosen = filled or layers[:1]
-        return mixed([self._of(layer, frame, spheres, copied=copied) for layer in chosen])
+        chosen = filled or self.ticked[:1]
+        return mixed([self._of(layer, frame, self.spheres, copied=copied) for layer in chosen])
 
     def points_layers(self) -> list[Any]:
         """Those of points."""
-        return [layer for layer in self._chosen.ticked() if isinstance(layer, Points)]
+        return [layer for layer in self.ticked if isinstance(layer, Points)]
 
     def shape(self) -> tuple[int, ...] | None:
         """Of the 3D image; None where there is none that can be used: its panel says why."""
         if self._frame() is None:
             return None
-        return tuple(self._image.shape())
+        return self._image.shape()
 
-    def preview(self) -> Wanted | None:
+    def wanted(self) -> Wanted | None:
         """What a preview of the points is made of; None where there is nothing to show."""
         frame = self._frame()
         sets = self._point_sets(frame, spheres=False) if frame is not None else []
@@ -54,19 +92,19 @@ class SeedSources:
         time = tuple(int(k) for k in self._viewer.dims.current_step[:-3])
         return Wanted(points, self._image.stack, self._image.layer, frame, time)
 
-    def remarks(self, spheres: bool, problems: tuple[Problem, ...]) -> list[Remark]:
+    def remarks(self, problems: tuple[Problem, ...]) -> list[Remark]:
         """What may be wrong with the seeds; ``problems`` are those of a preview."""
         frame, shape = self._frame(), self.shape()
         if frame is None or shape is None:
             return []
         step = tuple(self._viewer.dims.current_step)
         labels = []
-        for layer in self._chosen.ticked():
+        for layer in self.ticked:
             if isinstance(layer, Labels):
                 voxels = stack_of(layer, step)
                 region = frame.region(layer, voxels.shape) if voxels.ndim == 3 else None
                 labels.append((layer, voxels if region is None else voxels[region]))
-        sets = self._point_sets(frame, spheres)
+        sets = self._point_sets(frame, self.spheres)
         known = all_remarks(sets, labels, shape, frame.voxel_size, problems)
         return self._placeless() + known
 
@@ -104,7 +142,6 @@ class SeedSources:
 
     def _frame(self) -> Frame | None:
         try:
-            frame: Frame = self._image.frame()
+            return self._image.frame()
         except InputError:
             return None
-        return frame
