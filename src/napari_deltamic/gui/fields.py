@@ -6,22 +6,21 @@ from collections.abc import Collection, Sequence
 from functools import partial
 from typing import Any
 
-from qtpy.QtCore import QSignalBlocker
 from qtpy.QtWidgets import (
     QCheckBox,
     QComboBox,
     QDoubleSpinBox,
     QFormLayout,
-    QHBoxLayout,
     QLineEdit,
     QSpinBox,
     QWidget,
 )
+from superqt.utils import signals_blocked
 
 from ..common.description import Described, described
 from ..common.triple import Triple
 from .qt import Signal
-from .widgets import show_row
+from .widgets import be_narrow, row, show_row
 
 _MOST = 1_000_000  # of a whole number without a limit
 
@@ -38,9 +37,6 @@ class TripleField(QWidget):
 
     def __init__(self, tooltip: str, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        layout = QHBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(3)
         self._boxes: list[QDoubleSpinBox] = []
         for name in "ZYX":
             box = QDoubleSpinBox(self)
@@ -60,8 +56,8 @@ class TripleField(QWidget):
                 "QDoubleSpinBox::up-arrow, QDoubleSpinBox::down-arrow { image: none; width: 0; }"
             )
             box.valueChanged.connect(self._emit)
-            layout.addWidget(box)
             self._boxes.append(box)
+        row(*self._boxes, of=self, spacing=3)
 
     def value(self) -> Triple:
         """The numbers."""
@@ -71,9 +67,8 @@ class TripleField(QWidget):
     def set_value(self, values: Sequence[float]) -> None:
         """Show numbers, without a signal."""
         for box, value in zip(self._boxes, values, strict=True):
-            blocker = QSignalBlocker(box)
-            box.setValue(float(value))
-            blocker.unblock()
+            with signals_blocked(box):
+                box.setValue(float(value))
 
     def _emit(self, value: float) -> None:
         self.edited.emit()
@@ -192,9 +187,7 @@ def _field(found: Described, parent: QWidget) -> QWidget:
         for choice in found.choices:
             box.addItem(found.words.get(choice, choice), choice)
         _show(box, found.default)
-        # Long names must not widen a narrow dock.
-        box.setMinimumContentsLength(8)
-        box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+        be_narrow(box, 8)
         return box
     line = QLineEdit(parent)
     line.setPlaceholderText(found.automatic)

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from qtpy.QtCore import QSignalBlocker, Qt
+from qtpy.QtCore import Qt
 from qtpy.QtGui import QResizeEvent
 from qtpy.QtWidgets import (
     QComboBox,
     QFormLayout,
     QHBoxLayout,
     QLabel,
+    QLayout,
     QPushButton,
     QSizePolicy,
     QToolButton,
     QVBoxLayout,
     QWidget,
 )
+from superqt.utils import signals_blocked
 
 from .layer_choice import LayerChoice
 from .qt import Signal
@@ -42,13 +44,11 @@ class LayerChooser(QComboBox):
         return [None, *self.choice.layers] if self.choice.optional else self.choice.layers
 
     def _show(self) -> None:
-        blocker = QSignalBlocker(self)
-        layers = self._shown()
-        self.clear()
-        self.addItems(["none" if layer is None else layer.name for layer in layers])
-        chosen = self.choice.layer
-        self.setCurrentIndex(layers.index(chosen) if chosen in layers else -1)
-        blocker.unblock()
+        layers, chosen = self._shown(), self.choice.layer
+        with signals_blocked(self):
+            self.clear()
+            self.addItems(["none" if layer is None else layer.name for layer in layers])
+            self.setCurrentIndex(layers.index(chosen) if chosen in layers else -1)
 
     def _chosen(self, index: int) -> None:
         layers = self._shown()
@@ -71,12 +71,47 @@ def narrow_box(parent: QWidget, name: str, characters: int = 12) -> QComboBox:
     return box
 
 
-def small_button(sign: str, parent: QWidget) -> QPushButton:
-    """A button that is as wide as a sign."""
-    button = QPushButton(sign, parent)
-    button.setFixedWidth(30)
-    button.setStyleSheet("padding: 2px; font-size: 15px;")
-    return button
+def button(title: str, tip: str, slot: Any, parent: QWidget) -> QPushButton:
+    """A button that does something when it is pressed."""
+    made = QPushButton(title, parent)
+    made.setToolTip(f"<qt>{tip}</qt>" if tip else "")
+    made.clicked.connect(slot)
+    return made
+
+
+def small(made: QPushButton) -> QPushButton:
+    """A button as wide as the sign on it."""
+    made.setFixedWidth(30)
+    made.setStyleSheet("padding: 2px; font-size: 15px;")
+    return made
+
+
+def filled(layout: Any, *parts: Any) -> Any:
+    """A layout with widgets and layouts in it; with a number, one is stretched."""
+    for part in parts:
+        part, stretch = part if isinstance(part, tuple) else (part, 0)
+        add = layout.addLayout if isinstance(part, QLayout) else layout.addWidget
+        add(part, stretch)
+    return layout
+
+
+def row(*parts: Any, of: QWidget | None = None, spacing: int | None = None) -> QHBoxLayout:
+    """Side by side, without a margin; of a widget, all that it shows."""
+    return _bare(QHBoxLayout(), parts, of, spacing)
+
+
+def column(*parts: Any, of: QWidget | None = None, spacing: int | None = None) -> QVBoxLayout:
+    """The same, one under the other."""
+    return _bare(QVBoxLayout(), parts, of, spacing)
+
+
+def _bare(layout: Any, parts: Sequence[Any], of: QWidget | None, spacing: int | None) -> Any:
+    if of is not None:
+        of.setLayout(layout)
+    layout.setContentsMargins(0, 0, 0, 0)
+    if spacing is not None:
+        layout.setSpacing(spacing)
+    return filled(layout, *parts)
 
 
 def sentence(text: str) -> str:
@@ -136,28 +171,25 @@ class ToolBar(QWidget):
         self._tools, self._more, self._ndisplay = tools, more, 2
         self.buttons: dict[str, QPushButton] = {}
         self.hint = Note(self)
-        self.row, self.column = QHBoxLayout(), QVBoxLayout(self)
-        self.row.setSpacing(4)
-        self.column.setContentsMargins(0, 0, 0, 0)
-        self.column.addLayout(self.row)
-        self.column.addWidget(self.hint)
+        self.row = row(spacing=4)
+        self.column = column(self.row, self.hint, of=self)
         for tool, (title, tip) in tools.items():
-            button = self.buttons[tool] = QPushButton(title, self)
-            button.setCheckable(True)
-            button.setToolTip(f"<qt>{tip}</qt>")
-            button.clicked.connect(partial(self._clicked, tool))
-            self.row.addWidget(button, 1)
+            one = self.buttons[tool] = QPushButton(title, self)
+            one.setCheckable(True)
+            one.setToolTip(f"<qt>{tip}</qt>")
+            one.clicked.connect(partial(self._clicked, tool))
+            self.row.addWidget(one, 1)
 
     @property
     def tool(self) -> Any:
         """The tool in use, or None."""
-        return next((tool for tool, button in self.buttons.items() if button.isChecked()), None)
+        return next((tool for tool, one in self.buttons.items() if one.isChecked()), None)
 
     def use(self, tool: str | None) -> None:
         """Take up a tool, or lay it down."""
         if tool != self.tool:
-            for name, button in self.buttons.items():
-                button.setChecked(name == tool)
+            for name, one in self.buttons.items():
+                one.setChecked(name == tool)
             self.explain()
             self.tool_chosen.emit(tool)
 
@@ -196,11 +228,7 @@ class Fold(QWidget):
             "QToolButton { border: none; background: transparent; padding: 2px; }"
         )
         self.content = content
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(4)
-        layout.addWidget(self.button)
-        layout.addWidget(content)
+        column(self.button, content, of=self, spacing=4)
         self.button.toggled.connect(self.unfold)
         self.set_title(title)
         self.unfold(False)

@@ -6,13 +6,14 @@ from collections.abc import Callable
 from typing import Any
 
 from qtpy.QtCore import Qt
-from qtpy.QtWidgets import QComboBox, QSizePolicy, QWidget
+from qtpy.QtWidgets import QComboBox, QWidget
 
 from ...common.accuracy_bounds import is_accuracy
 from ...common.words import scientific
 from ...errors import InputError
 from ...fitting.default_accuracy import PRESETS, Preset, preset_accuracy
 from ...runs.fit_settings import SHAPE_CHOICES, asked_error
+from ..widgets import be_narrow
 
 NORMAL: Preset = "normal"
 # What the page of preferences offers; the dial also takes any other number.
@@ -53,10 +54,8 @@ class AccuracyDial(QComboBox):
             self.setItemData(k, f"<qt>{_TIPS[name]}</qt>", Qt.ItemDataRole.ToolTipRole)
         rows = "".join(f"<br><b>{name}</b>: {_TIPS[name]}" for name in PRESETS)
         self.setToolTip(f"<qt>{_TIP}{rows}</qt>")
-        self.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-        self.setMinimumContentsLength(8)
+        be_narrow(self, 8)
         self.setMinimumWidth(104)  # napari's style asks for more, and the dock could not be narrow
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         self.show_choice(NORMAL)
 
     @property

@@ -6,7 +6,7 @@ from collections.abc import Callable, Generator
 from typing import Any
 
 from qtpy.QtCore import Qt
-from qtpy.QtWidgets import QListWidget, QListWidgetItem, QPushButton, QVBoxLayout, QWidget
+from qtpy.QtWidgets import QListWidget, QListWidgetItem, QWidget
 
 from ...accuracy.accuracy_chart import short
 from ...accuracy.machine_costs import costs
@@ -17,16 +17,16 @@ from ...fitting.default_accuracy import image_noise
 from ..attempt import words_of
 from ..document import Document
 from ..qt import Signal
-from ..widgets import Note
+from ..widgets import Note, button, column
 from ..work import Task
 from .accuracy_dial import accuracy_of
 from .accuracy_scene import SceneNow, scene_key, scene_now
 
 _START, _STOP = "Measure on this scene", "Stop measuring"
 _TIP = (
-    "<qt>Renders this scene in every way there is and times each: what accuracy costs here. Takes "
+    "Renders this scene in every way there is and times each: what accuracy costs here. Takes "
     "about a minute in the background, and as much of the processor as a fit. Click on a line to "
-    "ask for that accuracy.</qt>"
+    "ask for that accuracy."
 )
 _STALE = "this is of another image or PSF: measure again"
 BUDGET = 2.0  # s: ways that take longer are left out; one under way cannot be interrupted
@@ -89,17 +89,12 @@ class TradeoffView(QWidget):
         self._of: tuple[Any, ...] = ()  # the scene that was measured
         self._accuracy: float | None = None
         self.ways: list[Way] = []
-        self.button = QPushButton(_START, self)
-        self.button.setToolTip(_TIP)
+        self.button = button(_START, _TIP, self._pressed, self)
         self.progress = Note(self)
         self.list = QListWidget(self)
         self.list.setAccessibleName("what accuracy costs")
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        for widget in (self.button, self.progress, self.list):
-            layout.addWidget(widget)
+        column(self.button, self.progress, self.list, of=self)
         self.list.hide()
-        self.button.clicked.connect(self._pressed)
         self.list.itemClicked.connect(self._clicked)
         for signal in (doc.image.changed, doc.settings_changed):
             signal.connect(self.look)

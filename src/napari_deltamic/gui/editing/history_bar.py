@@ -6,13 +6,14 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from qtpy.QtCore import QSignalBlocker, Qt
-from qtpy.QtWidgets import QHBoxLayout, QPushButton, QSlider, QVBoxLayout, QWidget
+from qtpy.QtCore import Qt
+from qtpy.QtWidgets import QSlider, QWidget
+from superqt.utils import signals_blocked
 
 from ...results.timeline import Moment, explained
 from ..document import Document
 from ..qt import Signal
-from ..widgets import Note, small_button
+from ..widgets import Note, button, column, row, small
 from .edits import Edits
 
 _EVERY = 0.2  # s between two updates of the slider
@@ -39,21 +40,18 @@ class HistoryBar(QWidget):
         self._moments: tuple[Moment, ...] = ()
         self._chosen: Moment | None = None
         self._running = False
-        self.undo_button = small_button("↶", self)
-        self.redo_button = small_button("↷", self)
+        self.undo_button = small(button("↶", "", self.undo, self))
+        self.redo_button = small(button("↷", "", self.redo, self))
         self.slider = QSlider(Qt.Orientation.Horizontal, self)
         self.slider.setToolTip("Look at earlier moments; a fit goes on meanwhile.")
         self.slider.setMinimumWidth(60)
-        self.live_button = QPushButton("Back to the end", self)
-        self.live_button.setToolTip("Show the newest state again.")
+        tip = "Show the newest state again."
+        self.live_button = button("Back to the end", tip, self.to_live, self)
         self.note = Note(self)
-        self.go_on_button = QPushButton("Continue from here", self)
-        self._lay_out()
-        self.undo_button.clicked.connect(self.undo)
-        self.redo_button.clicked.connect(self.redo)
+        self.go_on_button = button("Continue from here", "", self.go_on, self)
+        moments = row(self.undo_button, self.redo_button, self.slider, spacing=4)
+        column(moments, self.note, row(self.live_button, self.go_on_button), of=self)
         self.slider.valueChanged.connect(self._slid)
-        self.live_button.clicked.connect(self.to_live)
-        self.go_on_button.clicked.connect(self.go_on)
         doc.began.connect(self._began)
         doc.shown.connect(self._shown)
         for signal in (doc.ended, doc.result_changed):
@@ -71,12 +69,11 @@ class HistoryBar(QWidget):
     def show_moments(self, moments: Sequence[Moment], *, running: bool) -> None:
         """Which there are; the one that is looked at stays, or the nearest to it."""
         self._moments, self._running = tuple(moments), running
-        blocker = QSignalBlocker(self.slider)
         last = max(len(self._moments) - 1, 0)
-        self.slider.setRange(0, last)
-        self.slider.setEnabled(last > 0)
-        self.slider.setValue(last if self._chosen is None else self._index(self._chosen))
-        blocker.unblock()
+        with signals_blocked(self.slider):
+            self.slider.setRange(0, last)
+            self.slider.setEnabled(last > 0)
+            self.slider.setValue(last if self._chosen is None else self._index(self._chosen))
         self._show()
 
     def update_moments(self) -> None:
@@ -97,9 +94,8 @@ class HistoryBar(QWidget):
 
     def to_live(self) -> None:
         """Look at the newest state, as it comes."""
-        blocker = QSignalBlocker(self.slider)
-        self.slider.setValue(self.slider.maximum())
-        blocker.unblock()
+        with signals_blocked(self.slider):
+            self.slider.setValue(self.slider.maximum())
         self._choose(None)
 
     def _image_changed(self) -> None:
@@ -132,12 +128,12 @@ class HistoryBar(QWidget):
         self.update_moments()
 
     def _show_undo(self) -> None:
-        for button, word, what in (
+        for one, word, what in (
             (self.undo_button, "Undo", self._edits.undo_note),
             (self.redo_button, "Redo", self._edits.redo_note),
         ):
-            button.setEnabled(bool(what))
-            button.setToolTip(f"{word}: {what}" if what else f"Nothing to {word.lower()}.")
+            one.setEnabled(bool(what))
+            one.setToolTip(f"{word}: {what}" if what else f"Nothing to {word.lower()}.")
 
     def _slid(self, index: int) -> None:
         at_end = index >= len(self._moments) - 1
@@ -179,18 +175,3 @@ class HistoryBar(QWidget):
         if shown.loss == shown.loss:
             text += f", {explained(shown.loss):.1f}% explained"
         self.note.say((text + (f": {shown.note}" if shown.note else "")) * looking)
-
-    def _lay_out(self) -> None:
-        row = QHBoxLayout()
-        row.setContentsMargins(0, 0, 0, 0)
-        row.setSpacing(4)
-        for widget in (self.undo_button, self.redo_button, self.slider):
-            row.addWidget(widget)
-        below = QHBoxLayout()
-        below.addWidget(self.live_button)
-        below.addWidget(self.go_on_button)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.addLayout(row)
-        layout.addWidget(self.note)
-        layout.addLayout(below)

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from qtpy.QtCore import QObject, QSignalBlocker, Qt
+from qtpy.QtCore import QObject, Qt
 from qtpy.QtWidgets import QLabel, QPushButton, QWidget
 from superqt import QLabeledDoubleSlider
+from superqt.utils import signals_blocked
 
 from ...geometry import Mesh
 from ...geometry.brush import Touch, falloff, outward, touched_by_ray, touched_on_section
@@ -59,10 +60,9 @@ class EditBar(ToolBar):
 
     def set_scale(self, size: float) -> None:
         """Fit the brush to a mesh of a size, um."""
-        blocker = QSignalBlocker(self.radius)
-        self.radius.setRange(size / 100, size / 2)
-        self.radius.setValue(size / 8)
-        blocker.unblock()
+        with signals_blocked(self.radius):
+            self.radius.setRange(size / 100, size / 2)
+            self.radius.setValue(size / 8)
 
     def show_pins(self, n: int) -> None:
         """How many vertices are pinned."""

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from qtpy.QtWidgets import QFormLayout, QVBoxLayout, QWidget
+from qtpy.QtWidgets import QFormLayout, QWidget
 
 from ...errors import InputError
 from ...fitting.job import SIGMA_IN_VOXELS
@@ -18,7 +18,7 @@ from ..layer_choice import LayerChoice
 from ..qt import Signal
 from ..viewing.connections import Connections
 from ..viewing.frame import Frame, is_stack, shape_of, voxel_size
-from ..widgets import LayerChooser, Note, show_row
+from ..widgets import LayerChooser, Note, column, show_row
 
 _VIEW = kind_of(ViewEffect)
 
@@ -50,10 +50,7 @@ class SecondViewFields(QWidget):
         form.setContentsMargins(0, 0, 0, 0)
         form.addRow("second view", self.chooser)
         form.addRow("its PSF, um", self.sigma)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.addLayout(form)
-        layout.addWidget(self.note)  # a form would cut a text of several lines
+        column(form, self.note, of=self)  # a form would cut a text of several lines
         self._form = form
         self._sigma_given = False
         self._blocked = False

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from qtpy.QtWidgets import QFileDialog, QLabel, QPushButton, QSizePolicy, QVBoxLayout, QWidget
+from qtpy.QtWidgets import QFileDialog, QLabel, QSizePolicy, QWidget
 
 from ...common.choices import IMAGE_FILES, ZARR
 from ...errors import InputError
@@ -15,6 +15,7 @@ from ...runs.optics_settings import MeasuredOptics
 from ..attempt import attempt
 from ..fields import Form
 from ..qt import Signal
+from ..widgets import button, column
 
 _FILES = f"images ({' '.join(f'*{kind}' for kind in IMAGE_FILES if kind != ZARR)})"
 
@@ -33,18 +34,14 @@ class MeasuredFields(QWidget):
         super().__init__(parent)
         self._complain = complain
         self.file = ""
-        self.button = QPushButton("Image of a bead...", self)
-        self.button.setToolTip("<qt>A file with one bead, near its middle: .tif or .npy.</qt>")
+        tip = "A file with one bead, near its middle: .tif or .npy."
+        self.button = button("Image of a bead...", tip, self._ask_file, self)
         self.name = QLabel("none yet", self)
         self.name.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self.form = Form(MeasuredOptics, ("voxel_size", "bead_diameter", "bead"), self)
         self.diameter = self.form.fields["bead_diameter"]
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        for row in (self.button, self.name, self.form):
-            layout.addWidget(row)
+        column(self.button, self.name, self.form, of=self)
         self.form.hide()
-        self.button.clicked.connect(self._ask_file)
         self.form.edited.connect(self.edited)
 
     def settings(self) -> MeasuredOptics:

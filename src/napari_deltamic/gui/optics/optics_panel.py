@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
-from qtpy.QtWidgets import QComboBox, QFormLayout, QVBoxLayout, QWidget
+from qtpy.QtWidgets import QComboBox, QFormLayout, QWidget
 
 from ...errors import InputError
 from ...optics import GaussianPSF
@@ -14,7 +14,7 @@ from ...runs.optics_settings import MeasuredOptics, MicroscopeOptics
 from ..document import Document
 from ..fields import TripleField
 from ..qt import Signal
-from ..widgets import Note
+from ..widgets import Note, column
 from ..work import Background
 from .measured_fields import MeasuredFields
 from .objective_fields import ObjectiveFields
@@ -64,13 +64,8 @@ class OpticsPanel(QWidget):
         }
         top = QFormLayout()
         top.addRow("PSF", self.kind)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.addLayout(top)
-        for page in self._pages.values():
-            layout.addWidget(page)
-        for row in (self.width_note, self.trouble, self.picture):
-            layout.addWidget(row)
+        rows = self.width_note, self.trouble, self.picture
+        column(top, *self._pages.values(), *rows, of=self)
         self._background = Background(self._show_width, self._complain)
         self.kind.currentTextChanged.connect(self._edited)
         for fields in (self.objective, self.measured, self.sigma):

@@ -5,15 +5,7 @@ from __future__ import annotations
 import weakref
 from typing import Any
 
-from qtpy.QtWidgets import (
-    QFormLayout,
-    QGroupBox,
-    QHBoxLayout,
-    QLabel,
-    QToolButton,
-    QVBoxLayout,
-    QWidget,
-)
+from qtpy.QtWidgets import QFormLayout, QGroupBox, QLabel, QToolButton, QVBoxLayout, QWidget
 
 from ...accuracy.accuracy_chart import short
 from ...common.description import described
@@ -27,7 +19,7 @@ from ..document import Document
 from ..fields import Form
 from ..qt import Signal
 from ..viewing.frame import voxel_size
-from ..widgets import Fold, Note
+from ..widgets import Fold, Note, column, filled, row
 
 # Where else than among those for experts a setting is shown.
 _PSF, _BRIGHTNESS = ("fit_psf",), ("density",)
@@ -152,9 +144,6 @@ class SettingsPanel(QGroupBox):
     # ----------------------------------------------------------------------------------- inside
 
     def _lay_out(self) -> Fold:
-        dial = QHBoxLayout()
-        dial.addWidget(self.accuracy)
-        dial.addWidget(self.outlook, 1)
         # napari's style would draw it as one of its square icons.
         self.psf_button.setStyleSheet(
             "QToolButton { border: none; background: transparent; text-decoration: underline; }"
@@ -162,13 +151,8 @@ class SettingsPanel(QGroupBox):
         self.psf_button.setText("change")
         self.psf_button.setToolTip("Choose the PSF, and whether the fit estimates it.")
         self.psf_line = Note(self)
-        psf = QHBoxLayout()
-        psf.addWidget(self.psf_line, 1)
-        psf.addWidget(self.psf_button)
-        layout = QVBoxLayout(self)
-        layout.addLayout(dial)
-        layout.addLayout(psf)
-
+        dial = row(self.accuracy, (self.outlook, 1))
+        filled(QVBoxLayout(self), dial, row((self.psf_line, 1), self.psf_button))
         self.optics.layout().addWidget(self.forms[0])
         self.psf_fold = Fold("", self.optics, self)
         self.effects_fold = Fold("", self.effects, self)
@@ -181,10 +165,8 @@ class SettingsPanel(QGroupBox):
         self.speed_fold = Fold("Speed: what accuracy costs here", speed, self)
         self.more = Fold("For experts", self.forms[2], self)
         inner = QWidget(self)
-        column = QVBoxLayout(inner)
-        column.setContentsMargins(8, 0, 0, 0)
-        for part in (self.psf_fold, self.effects_fold, self.forms[1], self.speed_fold, self.more):
-            column.addWidget(part)
+        parts = self.psf_fold, self.effects_fold, self.forms[1], self.speed_fold, self.more
+        column(*parts, of=inner).setContentsMargins(8, 0, 0, 0)
         return Fold("Advanced: microscope, corrections, more", inner)
 
     def _show_psf(self) -> None:

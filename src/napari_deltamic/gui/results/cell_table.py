@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping
 from functools import partial
 from typing import Any
 
-from qtpy.QtCore import QEvent, QSignalBlocker, Qt
+from qtpy.QtCore import QEvent, Qt
 from qtpy.QtGui import QColor, QKeyEvent, QKeySequence
 from qtpy.QtWidgets import (
     QAbstractItemView,
@@ -17,6 +17,7 @@ from qtpy.QtWidgets import (
     QTableWidgetItem,
     QWidget,
 )
+from superqt.utils import signals_blocked
 
 from ...results.cell_columns import COLUMNS, FIRST, CellColumn, is_number, value_of
 from ...results.colouring import colour_of
@@ -107,17 +108,16 @@ class CellTable(QTableWidget):
         """
         self._colours = self._colours if colours is None else colours
         before = self.chosen_regions()
-        blocker = QSignalBlocker(self)
         self._rows = {int(row["region"]): dict(row) for row in rows}
-        self.setSortingEnabled(False)  # or rows would move while they are filled
-        self.setRowCount(len(rows))
-        for r, row in enumerate(rows):
-            for c, column in enumerate(COLUMNS):
-                self.setItem(r, c, _cell(row, column, self._colours))
-        self.setSortingEnabled(True)
-        self._hide_columns()
-        self._select(before)
-        blocker.unblock()
+        with signals_blocked(self):
+            self.setSortingEnabled(False)  # or rows would move while they are filled
+            self.setRowCount(len(rows))
+            for r, row in enumerate(rows):
+                for c, column in enumerate(COLUMNS):
+                    self.setItem(r, c, _cell(row, column, self._colours))
+            self.setSortingEnabled(True)
+            self._hide_columns()
+            self._select(before)
         self._tell(by_hand=False)
 
     def chosen_regions(self) -> tuple[int, ...]:
@@ -129,9 +129,8 @@ class CellTable(QTableWidget):
 
     def choose(self, regions: Collection[int]) -> None:
         """Select the rows of some regions, and no others."""
-        blocker = QSignalBlocker(self)
-        self._select(regions)
-        blocker.unblock()
+        with signals_blocked(self):
+            self._select(regions)
         self._tell(by_hand=False)
 
     def center(self, region: int) -> tuple[float, float, float]:

@@ -9,16 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from qtpy.QtCore import QSignalBlocker
-from qtpy.QtWidgets import (
-    QFileDialog,
-    QGroupBox,
-    QHBoxLayout,
-    QMenu,
-    QPushButton,
-    QVBoxLayout,
-    QWidget,
-)
+from qtpy.QtWidgets import QFileDialog, QGroupBox, QMenu, QPushButton, QVBoxLayout, QWidget
+from superqt.utils import signals_blocked
 
 from ...common.writing import write_atomically
 from ...errors import InputError
@@ -33,7 +25,7 @@ from ..attempt import attempt
 from ..document import Document, Record
 from ..qt import action
 from ..viewing.cell_features import labels_layer
-from ..widgets import Note, narrow_box
+from ..widgets import Note, filled, narrow_box, row
 from .cell_table import CellTable
 
 IMAGE_FILES = "OME-TIFF (*.ome.tif *.ome.tiff);;ImageJ TIFF (*.tif *.tiff)"
@@ -57,14 +49,9 @@ class ResultsPanel(QGroupBox):
         self.export = QPushButton("Export", self)
         self.export.setToolTip("<qt>Save what was found, or add the cells as labels.</qt>")
         self.export.setMenu(self._export_menu())
-        row = QHBoxLayout()
-        for widget in (self.colour, self.columns, self.export):
-            row.addWidget(widget)
         self.scale = Note(self)
-        layout = QVBoxLayout(self)
-        layout.addWidget(self.table)
-        layout.addLayout(row)
-        layout.addWidget(self.scale)
+        buttons = row(self.colour, self.columns, self.export)
+        filled(QVBoxLayout(self), self.table, buttons, self.scale)
         self.table.chosen.connect(self._chosen)
         self.colour.currentIndexChanged.connect(self._colour_cells)
         for signal in (doc.result_changed, doc.judged, doc.image.changed, doc.ended):
@@ -154,14 +141,13 @@ class ResultsPanel(QGroupBox):
     def _offer_colours(self) -> None:
         """The columns of numbers; the one in use stays, where it can."""
         before = self.coloured_by
-        blocker = QSignalBlocker(self.colour)
-        self.colour.clear()
-        self.colour.addItem("by cell", "")
-        for column in self.table.known_columns()[1:]:
-            if self.table.numbers(column.key):
-                self.colour.addItem(f"by {column.name}", column.key)
-        self.colour.setCurrentIndex(max(self.colour.findData(before), 0))
-        blocker.unblock()
+        with signals_blocked(self.colour):
+            self.colour.clear()
+            self.colour.addItem("by cell", "")
+            for column in self.table.known_columns()[1:]:
+                if self.table.numbers(column.key):
+                    self.colour.addItem(f"by {column.name}", column.key)
+            self.colour.setCurrentIndex(max(self.colour.findData(before), 0))
         self._colour_cells()
 
     def _colour_cells(self, index: int = 0) -> None:

@@ -5,14 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from qtpy.QtWidgets import (
-    QGroupBox,
-    QHBoxLayout,
-    QLabel,
-    QPushButton,
-    QVBoxLayout,
-    QWidget,
-)
+from qtpy.QtWidgets import QGroupBox, QLabel, QVBoxLayout, QWidget
 
 from ...results.judged import told
 from ...results.timeline import Moment
@@ -21,7 +14,7 @@ from ..editing.edits import Edits
 from ..editing.history_bar import HistoryBar
 from ..editing.sculpt_tool import EditBar
 from ..qt import Signal
-from ..widgets import AMBER, GREEN, RED, Fold, Note, narrow_box
+from ..widgets import AMBER, GREEN, RED, Fold, Note, button, filled, narrow_box, row
 from .live_numbers import LiveNumbers
 from .plots import ExplainedCurve
 from .worker import Snapshot
@@ -60,19 +53,20 @@ class CheckPanel(QGroupBox):
         self.verdict = QLabel(self)
         self.verdict.setWordWrap(True)
         self.grade = Note(self)
-        self.worst = QPushButton("Worst place", self)
-        self.worst.setToolTip("<qt>Go to where the image differs most from the rendered one.</qt>")
+        tip = "Go to where the image differs most from the rendered one."
+        self.worst = button("Worst place", tip, self.go_to_worst, self)
         self.stray = Note(self)
         self.stray_row = QWidget(self)
-        self.stray_go = QPushButton("Show", self)
-        self.stray_go.setToolTip("<qt>Go to the next of them.</qt>")
-        self.stray_add = QPushButton("Add", self)
-        self.stray_add.setToolTip("<qt>Add a click in each of them, for the next fit.</qt>")
-        self.again = QPushButton("Fit again: estimate PSF and brightness", self)
-        self.again.setToolTip(
-            "<qt>Fit once more from these cells, and let the fit find how wide the PSF is and how "
-            "bright each part of the membranes is.</qt>"
+        self._next_stray = 0
+        self.stray_go = button("Show", "Go to the next of them.", self._go_to_stray, self)
+        tip = "Add a click in each of them, for the next fit."
+        self.stray_add = button("Add", tip, self._add_strays, self)
+        tip = (
+            "Fit once more from these cells, and let the fit find how wide the PSF is and how "
+            "bright each part of the membranes is."
         )
+        title = "Fit again: estimate PSF and brightness"
+        self.again = button(title, tip, self.fit_again, self)
         self.remarks = RemarkList(self)
         self.note = Note(self)
         self.edit = EditBar(self)
@@ -121,11 +115,6 @@ class CheckPanel(QGroupBox):
 
     def _connect(self) -> None:
         doc = self._doc
-        self._next_stray = 0
-        self.worst.clicked.connect(self.go_to_worst)
-        self.stray_go.clicked.connect(self._go_to_stray)
-        self.stray_add.clicked.connect(self._add_strays)
-        self.again.clicked.connect(self.fit_again)
         self.view.currentTextChanged.connect(doc.look)
         self.slice.activated.connect(self._turn)
         self.history.moment_chosen.connect(self._look_at)
@@ -159,8 +148,8 @@ class CheckPanel(QGroupBox):
         self._show_verdict(*(("failed", self._failed) if self._failed else words))
         self._show_grade(None if record is None or doc.running else record)
         shown = record is not None and (record.state is not None or (doc.running and doc.begun))
-        for row in (self.curve, self._looks, self.edit, self.history):
-            row.setVisible(shown)
+        for part in (self.curve, self._looks, self.edit, self.history):
+            part.setVisible(shown)
         if record is not None and record.state is not None and not doc.running:
             history = record.history
             self.curve.show_losses(history.loss, history.level, history.first)
@@ -238,26 +227,12 @@ class CheckPanel(QGroupBox):
 
     def _lay_out(self) -> None:
         self._looks = QWidget(self)
-        shown = QHBoxLayout(self._looks)
-        shown.setContentsMargins(0, 0, 0, 0)
-        shown.addWidget(QLabel("show", self))
-        shown.addWidget(self.view, 2)
-        shown.addWidget(self.slice, 1)
-        ended = QHBoxLayout()
-        ended.addWidget(self.verdict, 1)
-        ended.addWidget(self.worst)
-        stray = QHBoxLayout(self.stray_row)
-        stray.setContentsMargins(0, 0, 0, 0)
-        stray.addWidget(self.stray, 1)
-        for button in (self.stray_go, self.stray_add):
-            stray.addWidget(button)
-        layout = QVBoxLayout(self)
-        layout.addWidget(self.grade)
-        layout.addWidget(self.again)
-        layout.addLayout(ended)
-        rows = (self.note, self.remarks, self.stray_row, self._looks, self.curve)
-        for widget in (*rows, self.history, self.edit, self.numbers):
-            layout.addWidget(widget)
+        row(QLabel("show", self), (self.view, 2), (self.slice, 1), of=self._looks)
+        row((self.stray, 1), self.stray_go, self.stray_add, of=self.stray_row)
+        ended = row((self.verdict, 1), self.worst)
+        said = self.grade, self.again, ended, self.note, self.remarks, self.stray_row
+        shown = self._looks, self.curve, self.history, self.edit, self.numbers
+        filled(QVBoxLayout(self), *said, *shown)
 
 
 class RemarkList(Fold):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from qtpy.QtWidgets import QHBoxLayout, QProgressBar, QPushButton, QVBoxLayout, QWidget
+from qtpy.QtWidgets import QProgressBar, QPushButton, QWidget
 
 from ...common.words import duration
 from ..document import Document
-from ..widgets import Note
+from ..widgets import Note, button, column, row
 from .worker import FitRun, Snapshot
 
 
@@ -18,31 +18,21 @@ class Footer(QWidget):
     def __init__(self, doc: Document, control: Any, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._doc = doc
-        self.run_button = QPushButton("Fit", self)
-        self.run_button.setToolTip("<qt>Fit the surfaces of the cells to the image.</qt>")
+        tip = "Fit the surfaces of the cells to the image."
+        self.run_button = button("Fit", tip, control.start, self)
         self.run_button.setStyleSheet("font-weight: bold;")
         self.pause_button = QPushButton("Pause", self)
         self.pause_button.setToolTip("<qt>Pause. You can edit the cells while paused.</qt>")
         self.pause_button.setCheckable(True)
-        self.stop_button = QPushButton("Stop", self)
-        self.stop_button.setToolTip("<qt>End what runs; what it reached is kept.</qt>")
+        tip = "End what runs; what it reached is kept."
+        self.stop_button = button("Stop", tip, self._stop, self)
         self.progress = QProgressBar(self)
         self.progress.setTextVisible(True)
         self.message = Note(self)
-        buttons = QHBoxLayout()
-        buttons.setSpacing(4)
-        buttons.addWidget(self.run_button, 2)
-        buttons.addWidget(self.pause_button, 1)
-        buttons.addWidget(self.stop_button, 1)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(4, 4, 4, 4)
-        layout.setSpacing(4)
-        layout.addLayout(buttons)
-        layout.addWidget(self.progress)
-        layout.addWidget(self.message)
-        self.run_button.clicked.connect(control.start)
+        buttons = (self.run_button, 2), (self.pause_button, 1), (self.stop_button, 1)
+        parts = row(*buttons, spacing=4), self.progress, self.message
+        column(*parts, of=self, spacing=4).setContentsMargins(4, 4, 4, 4)
         self.pause_button.toggled.connect(self._pause)
-        self.stop_button.clicked.connect(self._stop)
         doc.said.connect(self.message.say)
         doc.shown.connect(self._show_fit)
         doc.work.changed.connect(self._work_changed)

@@ -23,7 +23,7 @@ from ..document import Document
 from ..qt import Signal
 from ..viewing.connections import Connections
 from ..viewing.frame import FloatArray, Frame
-from ..widgets import Note, ToolBar, small_button
+from ..widgets import Note, ToolBar, button, small
 from ..work import Background
 from .seed_kinds import seeds_from_layer
 
@@ -61,8 +61,8 @@ class Corrections(QObject):
         super().__init__(parent)
         self._doc, self._viewer, self._image, self._cells = doc, doc.viewer, doc.image, doc.cells
         self.bar = bar = ToolBar({t: one[:2] for t, one in _TOOLS.items()}, _more, parent)
-        self.undo_button, self.count = small_button("↶", bar), Note(bar)
-        self.undo_button.setToolTip("Undo the last correction, or stroke of the brush (Ctrl+Z).")
+        tip = "Undo the last correction, or stroke of the brush (Ctrl+Z)."
+        self.undo_button, self.count = small(button("↶", tip, self.undo, bar)), Note(bar)
         bar.row.addWidget(self.undo_button)
         bar.column.addWidget(self.count)
         self._first: Click | None = None  # of the two that are to be merged
@@ -78,7 +78,6 @@ class Corrections(QObject):
         self._connections = Connections()
         self._connections.connect(doc.viewer.dims.events.ndisplay, self._view_changed)
         bar.tool_chosen.connect(self._tool_chosen)
-        self.undo_button.clicked.connect(self.undo)
         self._view_changed()
 
     @property

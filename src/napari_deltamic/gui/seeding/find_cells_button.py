@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from napari.layers import Labels
 from numpy.typing import NDArray
-from qtpy.QtCore import QSignalBlocker, Qt
+from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QPushButton, QWidget
 from superqt import QLabeledDoubleSlider
+from superqt.utils import signals_blocked
 
 from ...errors import InputError
 from ...runs.seeds import FoundSeeds
@@ -178,11 +179,10 @@ class FindCells(QPushButton):
         self._moved = True
 
     def _set_size(self, size: float, *limits: float) -> None:
-        blocker = QSignalBlocker(self.cell_size)
-        if limits:
-            self.cell_size.setRange(*limits)
-        self.cell_size.setValue(size)
-        blocker.unblock()
+        with signals_blocked(self.cell_size):
+            if limits:
+                self.cell_size.setRange(*limits)
+            self.cell_size.setValue(size)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from napari.layers import Labels, Points, Surface
-from qtpy.QtCore import QSignalBlocker, QSize, Qt
+from qtpy.QtCore import QSize, Qt
 from qtpy.QtWidgets import QAbstractItemView, QListWidget, QListWidgetItem, QSizePolicy, QWidget
+from superqt.utils import signals_blocked
 
 from ..layer_choice import LayerTicks
 from .seed_kinds import seed_kind
@@ -36,25 +37,23 @@ class SeedList(QListWidget):
         self._show()
 
     def _show(self) -> None:
-        blocker = QSignalBlocker(self)
-        self.clear()
-        for layer in self._cells.layers:
-            kind = seed_kind(layer)
-            item = QListWidgetItem(f"{layer.name} ({kind.__name__.lower()})", self)
-            item.setFlags(Qt.ItemFlag.ItemIsUserCheckable | Qt.ItemFlag.ItemIsEnabled)
-            item.setToolTip(_HELP[kind])
-            item.setSizeHint(QSize(0, self._row_height()))
-        blocker.unblock()
+        with signals_blocked(self):
+            self.clear()
+            for layer in self._cells.layers:
+                kind = seed_kind(layer)
+                item = QListWidgetItem(f"{layer.name} ({kind.__name__.lower()})", self)
+                item.setFlags(Qt.ItemFlag.ItemIsUserCheckable | Qt.ItemFlag.ItemIsEnabled)
+                item.setToolTip(_HELP[kind])
+                item.setSizeHint(QSize(0, self._row_height()))
         self._show_ticks()
         self._fit_height()
 
     def _show_ticks(self) -> None:
-        blocker = QSignalBlocker(self)
-        for row, layer in enumerate(self._cells.layers):
-            item: Any = self.item(row)
-            on = layer in self._cells.ticked
-            item.setCheckState(Qt.CheckState.Checked if on else Qt.CheckState.Unchecked)
-        blocker.unblock()
+        with signals_blocked(self):
+            for row, layer in enumerate(self._cells.layers):
+                item: Any = self.item(row)
+                on = layer in self._cells.ticked
+                item.setCheckState(Qt.CheckState.Checked if on else Qt.CheckState.Unchecked)
 
     def _ticked(self, item: QListWidgetItem) -> None:
         layer = self._cells.layers[self.row(item)]

@@ -14,8 +14,6 @@ from qtpy.QtWidgets import (
     QFileDialog,
     QFormLayout,
     QGroupBox,
-    QHBoxLayout,
-    QPushButton,
     QWidget,
 )
 from superqt import QLabeledDoubleSlider
@@ -28,7 +26,7 @@ from ..viewing.frame import Frame, made_by_fit
 from ..viewing.mesh_layer import LoadedMesh, load_meshes, surface_layer
 from ..viewing.own_layers import Points as SeedPoints
 from ..viewing.own_layers import cut_by_slices
-from ..widgets import Note, narrow_box, sentence, show_row
+from ..widgets import Note, button, narrow_box, row, sentence, show_row
 from ..work import Background
 from .cell_source import Wanted
 from .corrections import Corrections
@@ -139,16 +137,16 @@ class SeedsPanel(QGroupBox):
     def _make_fields(self) -> None:
         self.chooser = SeedList(self.cells, self)
         self.corrections = Corrections(self._doc, self)
-        self.place = QPushButton("Click cells", self)
-        self.place.setToolTip(
-            "<qt>Then click inside each cell, on any slice or in 3D (there, points lie at the "
-            "depth of the middle of the view).</qt>"
+        tip = (
+            "Then click inside each cell, on any slice or in 3D (there, points lie at the "
+            "depth of the middle of the view)."
         )
-        self.open_file = QPushButton("From file...", self)
-        self.open_file.setToolTip(
-            f"<qt>Adds surfaces from {MESH_FILES_LISTED} files as layers; their coordinates are um "
-            "from the centre of the first voxel.</qt>"
+        self.place = button("Click cells", tip, self.place_seeds, self)
+        tip = (
+            f"Adds surfaces from {MESH_FILES_LISTED} files as layers; their coordinates are um "
+            "from the centre of the first voxel."
         )
+        self.open_file = button("From file...", tip, self._ask_file, self)
         self._reading = Background(self._add_meshes, self._doc.warned.emit)
         self.find_cells = FindCells(self._doc, self)
         self.shape = narrow_box(self, "start from", 8)
@@ -170,12 +168,8 @@ class SeedsPanel(QGroupBox):
         self.remarks = Remarks(self._viewer, self)
 
     def _lay_out(self) -> None:
-        buttons = QHBoxLayout()
-        buttons.setSpacing(4)
-        for button in (self.find_cells, self.place, self.open_file):
-            buttons.addWidget(button)
         layout = QFormLayout(self)
-        layout.addRow(buttons)
+        layout.addRow(row(self.find_cells, self.place, self.open_file, spacing=4))
         layout.addRow("size, µm", self.find_cells.cell_size)
         layout.addRow(self.chooser)
         layout.addRow(self.corrections.bar)
@@ -187,8 +181,6 @@ class SeedsPanel(QGroupBox):
         self._form = layout
 
     def _connect(self) -> None:
-        self.place.clicked.connect(self.place_seeds)
-        self.open_file.clicked.connect(self._ask_file)
         self.find_cells.told.connect(self._show)
         self.find_cells.found.connect(self.cells.choose)
         self.find_cells.gone.connect(self._untick)

@@ -8,7 +8,6 @@ from qtpy.QtWidgets import (
     QCheckBox,
     QFileDialog,
     QGroupBox,
-    QHBoxLayout,
     QLabel,
     QPushButton,
     QVBoxLayout,
@@ -19,7 +18,7 @@ from ...measure import measure_cells
 from ...tracking import FrameResult, TrackSettings
 from ..qt import Signal
 from ..results.cell_table import CellTable
-from ..widgets import AMBER, GREEN, RED, Note
+from ..widgets import AMBER, GREEN, RED, Note, button, filled, row
 
 _COLOURS = {"done": GREEN, "stopped": AMBER, "failed": RED}
 
@@ -45,19 +44,11 @@ class TrackPanel(QGroupBox):
         self.verdict, self.frame = Note(self), QLabel(self)
         self.frame.setWordWrap(True)
         self.table = CellTable(self)
-        self.save_button = QPushButton("Save all frames...", self)
-        self.save_button.setToolTip(
-            "<qt>A mesh for each frame, tracks.csv, surface.npz, report.json and run.toml.</qt>"
-        )
-        buttons = QHBoxLayout()
-        for button in (self.track_button, self.go_on_button, self.divisions):
-            buttons.addWidget(button)
-        layout = QVBoxLayout(self)
-        layout.addLayout(buttons)
-        rows: tuple[QWidget, ...] = (self.verdict, self.frame, self.table, self.save_button)
-        for widget in rows:
-            layout.addWidget(widget)
-        self.save_button.clicked.connect(self._ask)
+        tip = "A mesh for each frame, tracks.csv, surface.npz, report.json and run.toml."
+        self.save_button = button("Save all frames...", tip, self._ask, self)
+        buttons = row(self.track_button, self.go_on_button, self.divisions)
+        shown = self.verdict, self.frame, self.table, self.save_button
+        filled(QVBoxLayout(self), buttons, *shown)
         self.allow(True, can_go_on=False)
         self.show_frame(None)
 
