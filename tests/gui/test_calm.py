@@ -6,6 +6,7 @@ from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QAbstractSpinBox, QCheckBox, QComboBox, QPushButton, QSlider, QWidget
 
 from napari_deltamic.gui import fit_widget
+from napari_deltamic.gui.dock import Column
 from napari_deltamic.gui.seeding.find_cells_button import FoundCells
 from napari_deltamic.gui.viewing.colours import region_colours
 
@@ -40,7 +41,7 @@ def test_the_dock_may_be_narrow_whatever_it_shows(window, docked, spin):
     spin(seconds=0.2, must=False)
     assert dock.minimumSizeHint().width() <= NARROW
     # Nothing in the column is cut off.
-    column = widget.findChild(fit_widget._Column)
+    column = widget.findChild(Column)
     assert column.widget().minimumSizeHint().width() <= column.viewport().width()
 
 

@@ -180,7 +180,7 @@ def clicked(viewer, link):
         event.handled = handled
         event.modifiers = list(modifiers)
         for callback in list(viewer.mouse_drag_callbacks):
-            if callback != selection._callback:
+            if callback != selection.presses.callback:
                 continue
             steps = callback(viewer, event)
             next(steps, None)
@@ -216,9 +216,9 @@ def test_clicks_that_place_points_choose_nothing(viewer, link, clicked):
 
 
 def test_after_closing_the_viewer_has_no_callback(viewer, clicked):
-    assert clicked.selection._callback in viewer.mouse_drag_callbacks
+    assert clicked.selection.presses.callback in viewer.mouse_drag_callbacks
     clicked.selection.close_links()
-    assert clicked.selection._callback not in viewer.mouse_drag_callbacks
+    assert clicked.selection.presses.callback not in viewer.mouse_drag_callbacks
     clicked.selection.close_links()
 
 

@@ -10,7 +10,8 @@ import pytest
 from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QPushButton
 
-from napari_deltamic.gui import closing, fit_widget
+from napari_deltamic.gui import fit_widget
+from napari_deltamic.gui.dock import agreed
 
 from .conftest import CENTER, SIZE
 from .interacting import went_on
@@ -61,7 +62,7 @@ def asked(monkeypatch):
         found.append(text)
         return answers.pop(0)
 
-    monkeypatch.setattr(closing, "agreed", answer)
+    monkeypatch.setattr("napari_deltamic.gui.dock.agreed", answer)
     return found, answers
 
 
@@ -106,7 +107,7 @@ def test_who_closes_the_dock_in_a_fit_can_keep_it(app, docked, spin):
 
     for wanted in (False, True):
         QTimer.singleShot(50, press)
-        assert closing.agreed(docked, "A fit is running.") is wanted
+        assert agreed(docked, "A fit is running.") is wanted
     assert pressed[0] == ["End it and close", "Keep it open"]
 
 

@@ -76,9 +76,7 @@ class Record:
         self.timeline.add(state, note)
         self.link.show_mesh(state.mesh, passing=passing)
 
-    def take(
-        self, state: FitState, job: FitInput | None, history: History, seconds: float
-    ) -> None:
+    def take(self, state: FitState, job: FitInput | None, history: History, seconds: float) -> None:
         """Take a state for the result; of how good it is, nothing is known yet."""
         self.state, self.job, self.history, self.seconds = state, job, history, seconds
         self.rows, self.judged = measure_cells(state.mesh), None

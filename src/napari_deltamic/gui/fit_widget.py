@@ -6,20 +6,18 @@ from functools import partial
 from typing import Any
 
 from napari.utils.notifications import show_info, show_warning
-from qtpy.QtCore import QEvent, QObject, QSize, Qt
-from qtpy.QtWidgets import QFrame, QScrollArea, QVBoxLayout, QWidget
+from qtpy.QtCore import QEvent, QSize
+from qtpy.QtWidgets import QWidget
 
 from ..common.description import described
 from ..runs.seeds import Seeds
 from ..runs.settings import RunSettings, SceneSettings
-from .closing import ask_before_closing
+from .dock import Column, Header, Keys, ask_before_closing
 from .document import Document
 from .editing.edits import Edits
 from .editing.sculpt_tool import Sculptor
 from .effects.effects_panel import EffectsPanel
 from .fields import tip_of
-from .header import Header
-from .keys import Keys
 from .optics.optics_panel import OpticsPanel
 from .panels.image_panel import ImagePanel
 from .panels.preferences import PLUGIN, read_preferences
@@ -40,24 +38,9 @@ from .tracking.control import TrackControl
 from .tracking.panel import TrackPanel
 from .viewing.frame import unwrapped
 from .viewing.viewer_link import ViewerLink
+from .widgets import column
 
 _WIDTH = 390  # px
-
-
-class _Column(QScrollArea):
-    """Scrolls up and down only, so it is never narrower than what it shows."""
-
-    def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
-        """Qt's, of what it shows; the theme, which decides how wide things are, may come late."""
-        kinds = (QEvent.Type.LayoutRequest, QEvent.Type.Resize)
-        if event is not None and event.type() in kinds:
-            self._fit_width()
-        return bool(super().eventFilter(watched, event))
-
-    def _fit_width(self) -> None:
-        shown, bar = self.widget(), self.verticalScrollBar()
-        if shown is not None and bar is not None:
-            self.setMinimumWidth(shown.minimumSizeHint().width() + bar.sizeHint().width() + 2)
 
 
 class FitWidget(QWidget):
@@ -182,25 +165,12 @@ class FitWidget(QWidget):
         own = (commands.copy_action, commands.folder_action, simulate)
         self.header = Header(((sessions.open_action, sessions.save_action), own), self)
         inner = QWidget(self)
-        column = QVBoxLayout(inner)
-        column.setContentsMargins(2, 2, 2, 2)
-        panels = (self.image, self.seeds, self.settings, self.track_panel)
-        for panel in (*panels, self.running, self.results, self.settings.advanced):
-            column.addWidget(panel)
-        column.addStretch()
-        scroll = _Column(self)
-        scroll.setWidget(inner)
-        inner.installEventFilter(scroll)
-        scroll.setWidgetResizable(True)
-        scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        scroll.setFrameShape(QFrame.Shape.NoFrame)
-        self._column = scroll
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(2)
-        layout.addWidget(self.header)
-        layout.addWidget(scroll, 1)
-        layout.addWidget(self.footer)
+        panels = (self.image, self.seeds, self.settings, self.track_panel, self.running)
+        shown = column(*panels, self.results, self.settings.advanced, of=inner)
+        shown.setContentsMargins(2, 2, 2, 2)
+        shown.addStretch()
+        self._column = Column(inner, self)
+        column(self.header, (self._column, 1), self.footer, of=self, spacing=2)
 
 
 def _tell(text: str) -> None:

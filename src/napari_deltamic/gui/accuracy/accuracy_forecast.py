@@ -29,12 +29,14 @@ class AccuracyForecast(QObject):
     predicts = Signal(str)
     last_run = Signal(str)  # how long it took
 
-    def __init__(self, doc: Document, dial: AccuracyDial, parent: QObject | None = None) -> None:
+    def __init__(
+        self, doc: Document, dial: AccuracyDial, noise: NoiseOf, parent: QObject | None = None
+    ) -> None:
         super().__init__(parent)
         self._doc, self._dial = doc, dial
         self._asked_of: tuple[Any, ...] = ()  # the image whose noise comes with the forecast
         self._told: Forecast | None = None  # that of the run, as it is shown
-        self.noise = dial.noise = NoiseOf(doc)
+        self.noise = noise
         self._background = Background(self._show, self._fail)
         for signal in (doc.image.changed, doc.cells_changed, doc.settings_changed):
             signal.connect(self.later)
@@ -118,7 +120,7 @@ class AccuracyForecast(QObject):
         """A fit starts."""
         if self._doc.running and not self.noise.held:
             self._background.drop()
-            self.noise.held = self.noise.known is not None
+            self.noise.hold()
             self._told = None
             self.predicts.emit("")
             self.last_run.emit("")
@@ -134,7 +136,7 @@ class AccuracyForecast(QObject):
             self.predicts.emit(predicted(whole))
 
     def _ended(self) -> None:
-        self.noise.held = False
+        self.noise.let_go()
         run = self._doc.run
         if run is not None and isinstance(run.forecast, Forecast):
             expected = duration(run.forecast.seconds)

@@ -112,6 +112,14 @@ class NoiseOf:
             return ()
         return weakref.ref(image.layer), id(image.layer.data), image.time, image.box
 
+    def hold(self) -> None:
+        """A fit begins."""
+        self.held = self.known is not None
+
+    def let_go(self) -> None:
+        """It has ended."""
+        self.held = False
+
     def learn(self, key: tuple[Any, ...], noise: float) -> None:
         """Take over what was measured elsewhere."""
         if key and not self.held:

@@ -17,6 +17,7 @@ from ...geometry.brush import Touch, falloff, outward, touched_by_ray, touched_o
 from ...geometry.carry import carried
 from ...measure import section
 from ..document import Document
+from ..viewing.clicks import Presses, lay_down
 from ..viewing.connections import Connections
 from ..viewing.contours import sliced_axis
 from ..viewing.frame import FloatArray
@@ -89,7 +90,7 @@ class Sculptor(QObject):
         super().__init__(parent)
         self._doc, self._viewer = doc, doc.viewer
         self._control, self._edits, self._bar = control, edits, bar
-        self._callback = self._pressed  # one object, so that it can be taken out again
+        self.presses = Presses(doc.viewer, self._pressed)
         self._connections = Connections()
         self._connections.connect(doc.viewer.dims.events.ndisplay, self._view_changed)
         bar.tool_chosen.connect(self._tool_chosen)
@@ -104,24 +105,15 @@ class Sculptor(QObject):
     def close_links(self) -> None:
         """Listen to the viewer no more."""
         self._connections.undo()
-        self._listen(False)
-
-    def _listen(self, on: bool) -> None:
-        callbacks = self._viewer.mouse_drag_callbacks
-        if self._callback in callbacks:
-            callbacks.remove(self._callback)
-        if on:
-            callbacks.insert(0, self._callback)  # before those that only look at a click
+        self.presses.listen(False)
 
     def _tool_chosen(self, tool: str | None) -> None:
-        self._listen(tool is not None)
+        self.presses.listen(tool is not None, first=True)  # others only look at a click
         if tool is not None:
             # Points that are placed, or labels that are painted, would be in the way.
             self._doc.finish_tools.emit(self)
             self._doc.finish_placing.emit(False)
-            active = self._viewer.layers.selection.active
-            if active is not None and str(getattr(active, "mode", "pan_zoom")) != "pan_zoom":
-                active.mode = "pan_zoom"
+            lay_down(self._viewer.layers.selection.active)
 
     def _other_tool(self, tool: object) -> None:
         if tool is not self:

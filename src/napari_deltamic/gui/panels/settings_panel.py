@@ -9,11 +9,12 @@ from qtpy.QtWidgets import QFormLayout, QGroupBox, QLabel, QToolButton, QVBoxLay
 
 from ...accuracy.accuracy_chart import short
 from ...common.description import described
-from ...fitting.default_accuracy import PRESETS, image_noise
+from ...fitting.default_accuracy import PRESETS
 from ...fitting.job import SIGMA_IN_VOXELS
 from ...runs.settings import FitSettings, SceneSettings, validated
 from ..accuracy.accuracy_dial import AccuracyDial
 from ..accuracy.accuracy_forecast import AccuracyForecast
+from ..accuracy.accuracy_scene import NoiseOf
 from ..accuracy.accuracy_view import TradeoffView
 from ..document import Document
 from ..fields import Form
@@ -56,7 +57,8 @@ class SettingsPanel(QGroupBox):
         self.fit_psf, self.density = fields["fit_psf"], fields["density"]
         self.likelihood, self.max_iterations = fields["likelihood"], fields["max_iterations"]
         self.switches = {n: fields[n] for n in ("fit_psf", "remesh", "collisions", "topology")}
-        self.accuracy = AccuracyDial(lambda: image_noise(doc.image.stack()), self)
+        noise = NoiseOf(doc)
+        self.accuracy = AccuracyDial(noise, self)
         self.accuracy_number = QLabel(self)  # what the dial stands for
         self.outlook, self.pace = Note(self), Note(self)  # predicted, and measured, times
         self.tradeoff = TradeoffView(doc, self)
@@ -81,7 +83,7 @@ class SettingsPanel(QGroupBox):
         self.fit_psf.toggled.connect(self._show_choices)
         self.psf_button.clicked.connect(self._show_psf)
         self.tradeoff.chosen.connect(self._take_accuracy)
-        self.forecast = AccuracyForecast(doc, self.accuracy, self)
+        self.forecast = AccuracyForecast(doc, self.accuracy, noise, self)
         self.forecast.predicts.connect(self.outlook.say)
         self.forecast.last_run.connect(self.pace.say)
         self.forecast.number_changed.connect(self._show_number)

@@ -9,12 +9,12 @@ import numpy as np
 
 from ...geometry.mesh import OUTSIDE
 from ...measure.picking import region_behind, region_in_slice
+from ..viewing.clicks import Presses, is_click, wants_clicks
 from ..viewing.contours import sliced_axis
 from ..viewing.frame import camera_of
 from ..viewing.viewer_link import ViewerLink
 
 _NEAR = 6.0  # px: how far from its contour a click may be
-_STILL = 3.0  # px: a mouse that moves further drags
 
 
 class ClickSelection:
@@ -34,31 +34,24 @@ class ClickSelection:
         link: Callable[[], ViewerLink | None],
         on_click: Callable[[int, bool], None],
     ) -> None:
-        self._viewer, self._link = viewer, link
+        self._link = link
         self._on_click: Callable[[int, bool], None] | None = on_click
-        self._callback = self._pressed  # one object, so that it can be taken out again
-        viewer.mouse_drag_callbacks.append(self._callback)
+        self.presses = Presses(viewer, self._pressed)
+        self.presses.listen()
 
     def close_links(self) -> None:
         """Listen to the viewer no more."""
-        if self._callback in self._viewer.mouse_drag_callbacks:
-            self._viewer.mouse_drag_callbacks.remove(self._callback)
+        self.presses.listen(False)
         self._on_click = None
 
     def _pressed(self, viewer: Any, event: Any) -> Iterator[None]:
         link = self._link()
-        if event.button != 1 or event.handled or not _for_us(viewer):
+        if event.button != 1 or event.handled or wants_clicks(viewer.layers.selection.active):
             return  # a tool of ours, or of the layer, is in use
         if link is None or link.shown is None:
             return
-        start = np.asarray(event.pos, float)
         adding = any(key in event.modifiers for key in ("Control", "Shift"))
-        yield
-        while event.type == "mouse_move":
-            if np.abs(np.asarray(event.pos, float) - start).max() > _STILL:
-                return  # the view is moved
-            yield
-        if self._on_click is not None:
+        if (yield from is_click(event)) and self._on_click is not None:
             self._on_click(region_at(link, event), adding)
 
 
@@ -89,10 +82,3 @@ def region_at(link: ViewerLink, event: Any) -> int:
     drawn = max(unit for k, unit in enumerate(link.frame.um) if k != axis)
     near = drawn * _NEAR / max(float(camera_of(link.viewer).zoom), 1e-9)
     return region_in_slice(mesh, axis, um, near)
-
-
-def _for_us(viewer: Any) -> bool:
-    """Whether a click means nothing to the layer that is active: it would place or move things."""
-    active = viewer.layers.selection.active
-    mode = str(getattr(active, "mode", "pan_zoom")) if active is not None else "pan_zoom"
-    return mode == "pan_zoom"

@@ -21,13 +21,13 @@ from ...runs.seeds import LabelSeeds
 from ..attempt import attempt
 from ..document import Document
 from ..qt import Signal
+from ..viewing.clicks import Presses, is_click, lay_down, wants_clicks
 from ..viewing.connections import Connections
 from ..viewing.frame import FloatArray, Frame
 from ..widgets import Note, ToolBar, button, small
 from ..work import Background
 from .seed_kinds import seeds_from_layer
 
-_STILL = 5.0  # px: a mouse that moves further drags
 # Title, what it does, and its name among the edits of labels.
 _TOOLS: dict[str, tuple[str, str, Action]] = {
     "split": (
@@ -74,7 +74,7 @@ class Corrections(QObject):
         self._corrector_data: Any = None
         self._clicked_in: Any = None  # the layer whose cells the tool corrects
         self._background = Background(self._show, self._fail)
-        self._callback = self._pressed  # one object, so that it can be taken out again
+        self._presses = Presses(doc.viewer, self._pressed)
         self._connections = Connections()
         self._connections.connect(doc.viewer.dims.events.ndisplay, self._view_changed)
         bar.tool_chosen.connect(self._tool_chosen)
@@ -163,8 +163,7 @@ class Corrections(QObject):
         if layer is not None:
             self._doc.finish_tools.emit(self)
             for other in self._viewer.layers:  # points that are placed, labels that are painted
-                if str(getattr(other, "mode", "pan_zoom")) != "pan_zoom":
-                    other.mode = "pan_zoom"
+                lay_down(other)
             layer.visible = True
             self._viewer.layers.selection = {layer}
         self.renew()
@@ -172,12 +171,8 @@ class Corrections(QObject):
     def _listen(self, layer: Any) -> None:
         """To clicks into a layer; to nothing for None."""
         self._first = None  # two clicks merge cells of one layer
-        callbacks = self._viewer.mouse_drag_callbacks
-        if self._callback in callbacks:
-            callbacks.remove(self._callback)
         self._clicked_in = layer
-        if layer is not None:
-            callbacks.append(self._callback)
+        self._presses.listen(layer is not None)
 
     def _view_changed(self, event: Any = None) -> None:
         self.bar.show_dimensions(self._viewer.dims.ndisplay)
@@ -185,17 +180,10 @@ class Corrections(QObject):
     def _pressed(self, viewer: Any, event: Any) -> Iterator[None]:
         if event.button != 1 or event.handled or event.modifiers or self.bar.tool is None:
             return
-        active = viewer.layers.selection.active
-        if str(getattr(active, "mode", "pan_zoom")) != "pan_zoom":
+        if wants_clicks(viewer.layers.selection.active):
             self.lay_down()  # the layer's own tool was taken up
-            return
-        start = np.asarray(event.pos, float)
-        yield
-        while event.type == "mouse_move":
-            if np.abs(np.asarray(event.pos, float) - start).max() > _STILL:
-                return  # the view is moved
-            yield
-        attempt(partial(self._clicked, event), self.bar.hint.say)
+        elif (yield from is_click(event)):
+            attempt(partial(self._clicked, event), self.bar.hint.say)
 
     def _clicked(self, event: Any) -> None:
         layer = self.layer
