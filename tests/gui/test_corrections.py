@@ -205,7 +205,7 @@ def test_closing_leaves_no_connection(seeds, viewer, joined):
     before = len(viewer.mouse_drag_callbacks)
     seeds.corrections.bar.use("split")
     assert len(viewer.mouse_drag_callbacks) == before + 1
-    seeds.close_links()
+    seeds._doc.close()
     assert len(viewer.mouse_drag_callbacks) == before
 
 

@@ -21,10 +21,11 @@ WATER = {"kind": "microscope", "na": 0.8, "wavelength": 0.6, "immersion": "water
 
 @pytest.fixture
 def panel(app, with_image):
-    panel = OpticsPanel(Document(with_image), "widths")
+    doc = Document(with_image)
+    panel = OpticsPanel(doc, "widths")
     panel.objective.show_settings(optics_from_values(WATER))
     yield panel
-    panel.close_links()
+    doc.close()
 
 
 @pytest.fixture

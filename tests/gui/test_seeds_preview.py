@@ -124,7 +124,7 @@ def test_a_closed_panel_shows_nothing_more(panel, with_image, spin, held):
     gate, calls = held
     layer = add_points(panel, with_image, CENTER)
     spin(lambda: calls)
-    panel.close_links()
+    panel._doc.close()
     gate.set()
     layer.add((1.5, 1.2, 1.2))
     spin(seconds=0.7, must=False)

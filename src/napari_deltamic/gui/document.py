@@ -35,7 +35,7 @@ from .seeding.cell_source import CellSource
 from .viewing.connections import Connections
 from .viewing.frame import Frame
 from .viewing.viewer_link import ViewerLink
-from .work import Work
+from .work import Background, Work
 
 View = Literal["image", "rendered", "residual", "side by side"]
 VIEWS: tuple[View, ...] = get_args(View)
@@ -146,7 +146,7 @@ class Document:
         self.view: View = "image"
         self.selection: frozenset[int] = frozenset()
         self.learned = Learned()  # how long fits take on this machine
-        self.parts: list[Any] = []  # that end with the window
+        self._last: list[Callable[[], None]] = []  # what is done when the window is closed
         self._of_run: Record | None = None
         self._fresh = True  # whether the run has a mesh of its own
         self._closed = False
@@ -323,6 +323,22 @@ class Document:
         self.noted.emit(reason)
         self.warned.emit(reason)
 
+    def background(
+        self, on_result: Callable[[Any], None], on_error: Callable[[str], None]
+    ) -> Background:
+        """Runs short functions, as long as there is a window."""
+        made = Background(on_result, on_error)
+        self.at_end(made.close)
+        return made
+
+    def listen(self, emitter: Any, slot: Callable[..., None]) -> None:
+        """Connect a slot to events of the viewer, as long as there is a window."""
+        self._connections.connect(emitter, slot)
+
+    def at_end(self, *calls: Callable[[], None]) -> None:
+        """What is to be done when the window is closed."""
+        self._last += calls
+
     def would_end(self) -> str:
         """What closing the window would end, and what is kept of it; '' for nothing."""
         return "" if self.work.task is None else self.work.task.kept
@@ -336,9 +352,9 @@ class Document:
         for record in list(self.records.values()):
             record.link.close()
         self._connections.undo()
-        for part in (*self.parts, self.cells, self.image):
-            part.close_links()
-        self.parts, self.run, self._of_run = [], None, None
+        for do in (*self._last, self.cells.close_links, self.image.close_links):
+            do()
+        self._last, self.run, self._of_run = [], None, None
         self.records.clear()
         vars(self).pop("settings", None)
         for signals in (self, self.image, self.cells, self.work):

@@ -104,7 +104,6 @@ class Form(QWidget):
     ----------
     model : a settings object.
     names : of the settings shown; None for all that are no parts.
-    parent : Qt's.
     """
 
     edited = Signal()

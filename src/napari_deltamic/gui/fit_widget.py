@@ -67,11 +67,9 @@ class FitWidget(QWidget):
         self.tracking = TrackControl(doc, self.track_panel, self)
         self.results = ResultsPanel(doc, self)
         clicks = self.seeds.corrections.bar
-        doc.parts.append(
-            # A click that corrects labels chooses no cell.
-            ClickSelection(
-                doc.viewer, lambda: None if clicks.tool else doc.link, self.results.choose
-            )
+        # A click that corrects labels chooses no cell.
+        chooses = ClickSelection(
+            doc.viewer, lambda: None if clicks.tool else doc.link, self.results.choose
         )
         self.parts = parts = Parts(doc, self.seeds, self.tracking)
         self.sessions = SessionBar(partial(capture, parts), partial(restore, parts), doc, self)
@@ -80,18 +78,17 @@ class FitWidget(QWidget):
         self.destroyed.connect(doc.close)
         self.running.fit_again.connect(self._fit_again)
         doc.began.connect(self._show_check)
-        doc.parts.append(
-            Keys(
-                doc.viewer,
-                {
-                    "Alt-C": self.seeds.find_cells.start,
-                    "Alt-F": self.start_or_stop,
-                    "Alt-P": self.footer.pause_button.click,
-                    "Alt-W": self.running.go_to_worst,
-                    "Alt-V": doc.look_further,
-                },
-            )
+        keys = Keys(
+            doc.viewer,
+            {
+                "Alt-C": self.seeds.find_cells.start,
+                "Alt-F": self.start_or_stop,
+                "Alt-P": self.footer.pause_button.click,
+                "Alt-W": self.running.go_to_worst,
+                "Alt-V": doc.look_further,
+            },
         )
+        doc.at_end(chooses.close_links, keys.close_links)
         self._lay_out()
         preferences, remark = read_preferences()
         preferences.show(doc, self.seeds.preview)

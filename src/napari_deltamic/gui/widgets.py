@@ -156,7 +156,6 @@ class ToolBar(QWidget):
     ----------
     tools : title of each, and what it does, by name.
     more : what else is to be known of a tool in a view of so many dimensions.
-    parent : Qt's.
     """
 
     tool_chosen = Signal(object)  # a tool, or None

@@ -41,7 +41,6 @@ class AccuracyDial(QComboBox):
     Parameters
     ----------
     noise : the noise of the image chosen, see ``image_noise``. InputError where there is none.
-    parent : Qt's.
     """
 
     def __init__(self, noise: Callable[[], float], parent: QWidget | None = None) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from functools import partial
 from typing import Any
 
@@ -15,7 +16,6 @@ from ...errors import InputError
 from ..document import Document
 from ..qt import Signal
 from ..running.worker import FitRun, Snapshot
-from ..work import Background
 from .accuracy_dial import AccuracyDial, accuracy_of, relative
 from .accuracy_scene import NoiseOf, Outlook, outlook, scene_now
 
@@ -37,16 +37,15 @@ class AccuracyForecast(QObject):
         self._asked_of: tuple[Any, ...] = ()  # the image whose noise comes with the forecast
         self._told: Forecast | None = None  # that of the run, as it is shown
         self.noise = noise
-        self._background = Background(self._show, self._fail)
+        self._background = doc.background(self._show, self._fail)
         for signal in (doc.image.changed, doc.cells_changed, doc.settings_changed):
             signal.connect(self.later)
         dial.currentTextChanged.connect(self.later)
-        self._image: Any = doc.image.layer
+        self._image: Any = None  # a weak reference to the one that was chosen
         doc.image.changed.connect(self._image_changed)
         doc.work.changed.connect(self._work_changed)
         doc.shown.connect(self._running)
         doc.ended.connect(self._ended)
-        doc.parts.append(self)
         self.later()
 
     @property
@@ -59,17 +58,12 @@ class AccuracyForecast(QObject):
         self._show_number()
         self._background.soon(self._ask, WAIT)
 
-    def close_links(self) -> None:
-        """End what is under way."""
-        self._image = None
-        self._background.close()
-
     def _image_changed(self) -> None:
         """How fast the last run was, is of its image."""
-        image = self._doc.image.layer
-        if image is not self._image and not self._doc.running:
+        image, before = self._doc.image.layer, self._image
+        if (before is None or before() is not image) and not self._doc.running:
             self.last_run.emit("")
-        self._image = image
+        self._image = None if image is None else weakref.ref(image)
 
     # --------------------------------------------------------------------------- before a run
 

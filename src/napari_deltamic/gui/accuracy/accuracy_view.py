@@ -48,7 +48,6 @@ class Measurement(Task):
         self.stage = "preparing"
 
     def steps(self) -> Generator[None, None, str]:
-        """See ``Task``."""
         scene = self._scene
         accuracy = accuracy_of(scene.choice, image_noise(scene.pixels()))
 
@@ -63,17 +62,14 @@ class Measurement(Task):
         return ""
 
     def failed(self, error: Exception) -> str:
-        """See ``Task``."""
         return words_of(error, self._scene.grid.shape)
 
     def look(self) -> None:
-        """See ``Task``."""
         if len(self.ways) > self._seen:
             self._seen = len(self.ways)
             self._on_way()
 
     def end(self, outcome: str | None) -> None:
-        """See ``Task``."""
         self._on_end(outcome)
 
 

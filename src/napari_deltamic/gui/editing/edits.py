@@ -42,7 +42,6 @@ class Edits(QObject):
 
     Parameters
     ----------
-    doc : the document.
     control : lets the fit, or its result, be another one.
     """
 

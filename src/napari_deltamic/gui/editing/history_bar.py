@@ -26,7 +26,6 @@ class HistoryBar(QWidget):
     ----------
     doc, edits : what there is, and how it is changed.
     control : shows other moments, and lets a fit go on from them.
-    parent : Qt's.
     """
 
     moment_chosen = Signal(object)  # a Moment, or None for the newest

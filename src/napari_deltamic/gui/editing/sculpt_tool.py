@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,6 @@ from ...geometry.carry import carried
 from ...measure import section
 from ..document import Document
 from ..viewing.clicks import Presses, lay_down
-from ..viewing.connections import Connections
 from ..viewing.contours import sliced_axis
 from ..viewing.frame import FloatArray
 from ..viewing.viewer_link import ViewerLink
@@ -91,21 +91,15 @@ class Sculptor(QObject):
         self._doc, self._viewer = doc, doc.viewer
         self._control, self._edits, self._bar = control, edits, bar
         self.presses = Presses(doc.viewer, self._pressed)
-        self._connections = Connections()
-        self._connections.connect(doc.viewer.dims.events.ndisplay, self._view_changed)
+        doc.listen(doc.viewer.dims.events.ndisplay, self._view_changed)
         bar.tool_chosen.connect(self._tool_chosen)
         bar.pins.clicked.connect(self._free_all)
         doc.finish_tools.connect(self._other_tool)
         doc.began.connect(self._began)
         doc.image.changed.connect(self._show_pins)
         edits.changed.connect(self._show_pins)
-        doc.parts.append(self)
+        doc.at_end(partial(self.presses.listen, False))
         self._view_changed()
-
-    def close_links(self) -> None:
-        """Listen to the viewer no more."""
-        self._connections.undo()
-        self.presses.listen(False)
 
     def _tool_chosen(self, tool: str | None) -> None:
         self.presses.listen(tool is not None, first=True)  # others only look at a click

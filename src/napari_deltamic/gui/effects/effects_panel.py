@@ -62,7 +62,6 @@ class Check(Task):
         self.stage = "preparing"
 
     def steps(self) -> Generator[None, None, Recommendation]:
-        """See ``Task``."""
         state = self.fitted
         job = self.prepare()
         yield
@@ -84,15 +83,12 @@ class Check(Task):
         )
 
     def failed(self, error: Exception) -> str:
-        """See ``Task``."""
         return words_of(error)
 
     def look(self) -> None:
-        """See ``Task``."""
         self._on_step(f"{self.stage} ...")
 
     def end(self, outcome: Recommendation | str | None) -> None:
-        """See ``Task``."""
         self._on_end(outcome)
 
 

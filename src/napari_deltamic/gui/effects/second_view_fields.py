@@ -56,7 +56,7 @@ class SecondViewFields(QWidget):
         self._blocked = False
         self._of_layers = Connections()  # where the two layers lie
         self.choice.changed.connect(self._chosen)
-        doc.parts.append(self)
+        doc.at_end(self._of_layers.undo, self.choice.close_links)
         self.sigma.edited.connect(self._sized)
         doc.image.changed.connect(self._image_changed)
         self._show()
@@ -98,11 +98,6 @@ class SecondViewFields(QWidget):
             self._sigma_given = True
         self._blocked = False
         self._show()
-
-    def close_links(self) -> None:
-        """Listen to the viewer no more."""
-        self._of_layers.undo()
-        self.choice.close_links()
 
     # ----------------------------------------------------------------------------------- inside
 

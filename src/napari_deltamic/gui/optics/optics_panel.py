@@ -15,7 +15,6 @@ from ..document import Document
 from ..fields import TripleField
 from ..qt import Signal
 from ..widgets import Note, column
-from ..work import Background
 from .measured_fields import MeasuredFields
 from .objective_fields import ObjectiveFields
 from .psf_picture import PsfPicture
@@ -34,7 +33,6 @@ class OpticsPanel(QWidget):
 
     Parameters
     ----------
-    doc : the document.
     tip : explains the widths.
     """
 
@@ -66,14 +64,14 @@ class OpticsPanel(QWidget):
         top.addRow("PSF", self.kind)
         rows = self.width_note, self.trouble, self.picture
         column(top, *self._pages.values(), *rows, of=self)
-        self._background = Background(self._show_width, self._complain)
+        self._background = doc.background(self._show_width, self._complain)
+        doc.at_end(self.picture.close_links)
         self.kind.currentTextChanged.connect(self._edited)
         for fields in (self.objective, self.measured, self.sigma):
             fields.edited.connect(self._edited)
         doc.shown.connect(self._show_of_fit)
         for signal in (doc.image.changed, doc.result_changed, doc.ended):
             signal.connect(self._show_own_or_found)
-        doc.parts.append(self)
         self._show_page()
         self._show_gaussian()
 
@@ -173,11 +171,6 @@ class OpticsPanel(QWidget):
             self._show_gaussian()
         else:
             self._background.soon(self._compute, _WAIT)
-
-    def close_links(self) -> None:
-        """End what is under way."""
-        self._background.close()
-        self.picture.close_links()
 
     # ----------------------------------------------------------------------------------- inside
 

@@ -34,9 +34,7 @@ class SettingsPanel(QGroupBox):
 
     Parameters
     ----------
-    doc : the document.
     optics, effects : the parts that hold the PSF and the corrections.
-    parent : Qt's.
     """
 
     changed = Signal()

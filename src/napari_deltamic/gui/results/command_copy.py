@@ -11,7 +11,6 @@ from ...runs.batch import write_batch
 from ...runs.run_files import Chosen, needs_folder
 from ..document import Document
 from ..qt import action
-from ..work import Background
 
 
 class CommandCopy:
@@ -19,33 +18,25 @@ class CommandCopy:
 
     Parameters
     ----------
-    doc : the document.
     parent : Qt's, over which the folder is asked for.
     """
 
     def __init__(self, doc: Document, parent: QWidget) -> None:
         self._doc = doc
-        self._parent: QWidget | None = parent
+        self._parent = parent
         # Image files are compared, and meshes of seeds are computed: it may take seconds.
-        self._checking = Background(self._checked, doc.refuse)
-        self._writing = Background(self._done, doc.refuse)
+        self._checking = doc.background(self._checked, doc.refuse)
+        self._writing = doc.background(self._done, doc.refuse)
         tip = "The command that repeats this run without a window."
         self.copy_action = action("Copy as command", tip, partial(doc.guarded, self.copy), parent)
         tip = "Writes batch.toml with these settings beside the stacks, and copies its command."
         slot = partial(doc.guarded, self._run_folder)
         self.folder_action = action("Run on a folder...", tip, slot, parent)
-        doc.parts.append(self)
 
     @property
     def busy(self) -> bool:
         """Whether a command is still to come."""
         return self._checking.busy or self._writing.busy
-
-    def close_links(self) -> None:
-        """Call nobody any more."""
-        self._checking.close()
-        self._writing.close()
-        self._parent = None
 
     def copy(self) -> None:
         """Put the command together of what is chosen. InputError where something is missing."""

@@ -36,7 +36,6 @@ class CheckPanel(QGroupBox):
     Parameters
     ----------
     doc, edits, control : what there is, and how it is changed.
-    parent : Qt's.
     """
 
     fit_again = Signal()  # with all that a fit can estimate

@@ -9,7 +9,6 @@ from qtpy.QtCore import QObject
 from ...fitting import FitState
 from ...results.judged import Compared, Spread, compared, judge
 from ..document import Document, Record
-from ..work import Background
 from .worker import Snapshot
 
 
@@ -20,9 +19,8 @@ class Judging(QObject):
         super().__init__(parent)
         self._doc = doc
         self._asked: tuple[Record, FitState | None] | None = None
-        self._background = Background(self._add, doc.warned.emit)
+        self._background = doc.background(self._add, doc.warned.emit)
         self._spread = Spread()
-        doc.parts.append(self)
         doc.shown.connect(self._show_snapshot)
         doc.began.connect(self._began)
         doc.result_changed.connect(self._judge)
@@ -33,11 +31,6 @@ class Judging(QObject):
     def busy(self) -> bool:
         """Whether something is being judged."""
         return self._background.busy
-
-    def close_links(self) -> None:
-        """Show nothing any more."""
-        self._background.close()
-        self._asked = None
 
     def _began(self, fresh: bool) -> None:
         if self._doc.running:

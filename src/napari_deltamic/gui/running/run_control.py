@@ -26,13 +26,7 @@ from .worker import FitRun, Forecaster, Outcome, Snapshot, expected
 
 
 class RunControl(QObject):
-    """Fits, one at a time, from the document to the viewer.
-
-    Parameters
-    ----------
-    doc : the document.
-    parent : Qt's.
-    """
+    """Fits, one at a time, from the document to the viewer."""
 
     def __init__(self, doc: Document, parent: QObject | None = None) -> None:
         super().__init__(parent)

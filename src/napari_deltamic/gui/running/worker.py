@@ -145,7 +145,6 @@ class FitRun(Task):
         return self._waiting.shift(shift, of)
 
     def look(self) -> None:
-        """See ``Task``."""
         while self._refusals:
             self._on_refusal(self._refusals.popleft())
         while self._marked:
@@ -155,20 +154,18 @@ class FitRun(Task):
             self._on_snapshot(newest)
 
     def end(self, outcome: Outcome | None) -> None:
-        """See ``Task``."""
         text = "stopped by you" if self.state else "stopped before the first iteration"
         stopped = Outcome("stopped", text, self.state, self.job, self.seconds)
         self._on_end(outcome or stopped)
 
     def failed(self, error: Exception) -> Outcome:
-        """See ``Task``."""
         shape = self.job.grid.shape if self.job else None
         return Outcome("failed", words_of(error, shape), self.state, self.job, self.seconds)
 
     # ------------------------------------------------------------------------------- the thread
 
     def steps(self) -> Generator[None, None, Outcome]:
-        """See ``Task``; yields after every iteration."""
+        """Yields after every iteration."""
         self.stage = "preparing the seeds"
         job = self.job = self._prepare()
         yield

@@ -22,10 +22,8 @@ from ..attempt import attempt
 from ..document import Document
 from ..qt import Signal
 from ..viewing.clicks import Presses, is_click, lay_down, wants_clicks
-from ..viewing.connections import Connections
 from ..viewing.frame import FloatArray, Frame
 from ..widgets import Note, ToolBar, button, small
-from ..work import Background
 from .seed_kinds import seeds_from_layer
 
 # Title, what it does, and its name among the edits of labels.
@@ -51,7 +49,6 @@ class Corrections(QObject):
 
     Parameters
     ----------
-    doc : the document.
     parent : Qt's, of the bar.
     """
 
@@ -73,10 +70,10 @@ class Corrections(QObject):
         self._corrector_of: tuple[Any, ...] = ()
         self._corrector_data: Any = None
         self._clicked_in: Any = None  # the layer whose cells the tool corrects
-        self._background = Background(self._show, self._fail)
+        self._background = doc.background(self._show, self._fail)
+        doc.at_end(self._let_go)
         self._presses = Presses(doc.viewer, self._pressed)
-        self._connections = Connections()
-        self._connections.connect(doc.viewer.dims.events.ndisplay, self._view_changed)
+        doc.listen(doc.viewer.dims.events.ndisplay, self._view_changed)
         bar.tool_chosen.connect(self._tool_chosen)
         self._view_changed()
 
@@ -148,11 +145,9 @@ class Corrections(QObject):
         self._background.drop()
         self.bar.explain()
 
-    def close_links(self) -> None:
-        """End what is under way, and let the viewer go."""
-        self._connections.undo()
+    def _let_go(self) -> None:
+        """The window is closed."""
         self._listen(None)
-        self._background.close()
         self._waiting, self._asked, self._corrector = [], None, None
 
     # ------------------------------------------------------------------------------------ mouse

@@ -22,7 +22,6 @@ from ..qt import Signal
 from ..viewing.colours import label_colormap
 from ..viewing.frame import Frame
 from ..widgets import sentence
-from ..work import Background
 
 NAME = "found cells"
 _OTHERS = 3  # sizes that are offered besides the one used, at most
@@ -61,7 +60,8 @@ class FindCells(QPushButton):
         self._layer: Any = None
         self._asked: tuple[Any, Frame] | None = None
         self._found_in: Any = None  # the image layer that the message and the labels are of
-        self._background = Background(self._show, self._fail)
+        self._background = doc.background(self._show, self._fail)
+        doc.at_end(self._let_go)
         self.clicked.connect(self.start)
         self.cell_size.valueChanged.connect(self._note_move)
 
@@ -117,9 +117,8 @@ class FindCells(QPushButton):
         if self._layer is not None and self._layer in self._viewer.layers:
             self._layer.visible = False
 
-    def close_links(self) -> None:
-        """End what is under way and let the viewer go."""
-        self._background.close()
+    def _let_go(self) -> None:
+        """The window is closed."""
         self._layer = self._asked = self._found_in = None
 
     def find_with(self, size: float) -> None:

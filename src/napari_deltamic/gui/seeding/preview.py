@@ -12,10 +12,10 @@ from qtpy.QtWidgets import QCheckBox, QWidget
 from ...geometry import Mesh
 from ...runs.seed_preview import COARSEST, SMALL, Found, Problem, coarsening, find
 from ..attempt import attempt
+from ..document import Document
 from ..qt import Signal
 from ..viewing.frame import Frame
 from ..viewing.mesh_layers import MeshLayers
-from ..work import Background
 from .cell_source import Wanted
 
 _LOOK = {"opacity": 0.5, "blending": "translucent_no_depth"}
@@ -34,7 +34,7 @@ class Preview(QCheckBox):
     changed = Signal()
 
     def __init__(
-        self, viewer: Any, wanted: Callable[[], Wanted | None], parent: QWidget | None = None
+        self, doc: Document, wanted: Callable[[], Wanted | None], parent: QWidget | None = None
     ) -> None:
         super().__init__("preview", parent)
         self.setToolTip(_TIP.format(most=SMALL * COARSEST**3 / 1e6))
@@ -44,9 +44,10 @@ class Preview(QCheckBox):
         self._preferred = True
         self._asked: Wanted | None = None
         self._key: tuple[Any, ...] | None = None
-        self._viewer = viewer
+        self._viewer = doc.viewer
         self._layers: StartLayers | None = None
-        self._background = Background(self._show, self._fail)
+        self._background = doc.background(self._show, self._fail)
+        doc.at_end(self._let_go)
         self.clicked.connect(self._note_choice)
         self.toggled.connect(self._toggled)
 
@@ -89,9 +90,8 @@ class Preview(QCheckBox):
         self._take_away()
         self._set_problems(())
 
-    def close_links(self) -> None:
-        """End what is under way and let the viewer go."""
-        self._background.close()
+    def _let_go(self) -> None:
+        """The window is closed."""
         if self._layers is not None:  # which stay, as the window may be gone
             self._layers.close()
         self._layers = self._asked = None
@@ -173,7 +173,6 @@ class StartLayers(MeshLayers):
 
     @property
     def shown(self) -> Mesh | None:
-        """See ``MeshLayers``."""
         return self.mesh
 
     def show(self, mesh: Mesh) -> None:

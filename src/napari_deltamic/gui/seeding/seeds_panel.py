@@ -27,7 +27,6 @@ from ..viewing.mesh_layer import LoadedMesh, load_meshes, surface_layer
 from ..viewing.own_layers import Points as SeedPoints
 from ..viewing.own_layers import cut_by_slices
 from ..widgets import Note, button, narrow_box, row, sentence, show_row
-from ..work import Background
 from .cell_source import Wanted
 from .corrections import Corrections
 from .find_cells_button import FindCells
@@ -46,8 +45,8 @@ class SeedsPanel(QGroupBox):
         super().__init__("2  Cells", parent)
         self._doc, self._viewer, self._image = doc, doc.viewer, doc.image
         self.cells = doc.cells
-        doc.parts.append(self)
-        self._connections, self._of_layers = Connections(), Connections()
+        doc.at_end(self._close)
+        self._of_layers = Connections()
         self._time: tuple[int, ...] = ()
         self._open = True
         self._used = False  # whether a result that started from them is shown
@@ -122,13 +121,8 @@ class SeedsPanel(QGroupBox):
         """Add mesh files as Surface layers, which are seeds like others, once they are read."""
         self._reading.ask(partial(load_meshes, list(paths)))
 
-    def close_links(self) -> None:
-        """End what is under way, and listen to the viewer no more; it is not touched."""
+    def _close(self) -> None:
         self._open = False
-        for part in (self.corrections, self.preview, self.find_cells):
-            part.close_links()
-        self._reading.close()
-        self._connections.undo()
         self._of_layers.undo()
         self.remarks.forget()
 
@@ -147,7 +141,7 @@ class SeedsPanel(QGroupBox):
             "from the centre of the first voxel."
         )
         self.open_file = button("From file...", tip, self._ask_file, self)
-        self._reading = Background(self._add_meshes, self._doc.warned.emit)
+        self._reading = self._doc.background(self._add_meshes, self._doc.warned.emit)
         self.find_cells = FindCells(self._doc, self)
         self.shape = narrow_box(self, "start from", 8)
         self.shape.addItems([_FOLLOW, _SPHERES])
@@ -162,7 +156,7 @@ class SeedsPanel(QGroupBox):
             "<qt>Radius of the spheres, um: of the selected points, or of all; and of the next "
             "click.</qt>"
         )
-        self.preview = Preview(self._viewer, self._preview_wanted, self)
+        self.preview = Preview(self._doc, self._preview_wanted, self)
         self.note = Note(self)
         self.note.linkActivated.connect(self._try_size)
         self.remarks = Remarks(self._viewer, self)
@@ -197,7 +191,7 @@ class SeedsPanel(QGroupBox):
         doc.clicks_wanted.connect(self.add_clicks)
         self._later.timeout.connect(self._look)
         self._image.changed.connect(self._image_changed)
-        self._connections.connect(self._viewer.dims.events.current_step, self._step_changed)
+        doc.listen(self._viewer.dims.events.current_step, self._step_changed)
 
     def _new_points(self, frame: Frame) -> Points:
         points = SeedPoints(

@@ -14,7 +14,6 @@ from ...results.session_file import EXTENSION, Session, load_session, save_sessi
 from ..attempt import attempt
 from ..document import Document
 from ..qt import action
-from ..work import Background
 
 _OPEN, _SAVE = ("Open session...", "Opening ..."), ("Save session...", "Saving ...")
 _KIND = f"deltaMic session (*{EXTENSION})"
@@ -27,7 +26,6 @@ class SessionBar(QObject):
     ----------
     capture : gives the session that is shown, and a remark about it ('' for none).
     restore : shows a session, step by step.
-    doc : the document.
     parent : Qt's, over which files are asked for.
     """
 
@@ -41,7 +39,7 @@ class SessionBar(QObject):
         super().__init__(parent)
         self._shown_in = parent
         self._doc, self._capture, self._restore = doc, capture, restore
-        doc.parts.append(self)
+        doc.at_end(self._forget)
         tip = (
             "Open a .deltamic file: image, cells, settings, meshes, table and history come back "
             "as they were."
@@ -52,8 +50,8 @@ class SessionBar(QObject):
             "that is fitted; all of it where cells were tracked."
         )
         self.save_action = action(_SAVE[0], tip, self._ask_save, self)
-        self._saving = Background(partial(self._ended, "saved"), partial(self._ended, ""))
-        self._opening = Background(self._opened, partial(self._ended, ""))
+        self._saving = doc.background(partial(self._ended, "saved"), partial(self._ended, ""))
+        self._opening = doc.background(self._opened, partial(self._ended, ""))
         self._steps: Generator[None] | None = None  # that are left of showing a session
 
     @property
@@ -74,10 +72,8 @@ class SessionBar(QObject):
         self._opening.ask(partial(load_session, path))
         self._show()
 
-    def close_links(self) -> None:
-        """Call nobody any more; a file that is being written is written to its end."""
-        self._saving.close()
-        self._opening.close()
+    def _forget(self) -> None:
+        """The window is closed; a file that is being written is written to its end."""
         self._steps = None
 
     def _ended(self, done: str, text: str) -> None:

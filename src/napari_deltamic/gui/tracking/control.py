@@ -33,9 +33,7 @@ class TrackControl(QObject):
 
     Parameters
     ----------
-    doc : the document.
     panel : shown where the image chosen has a time axis.
-    parent : Qt's.
     """
 
     def __init__(self, doc: Document, panel: TrackPanel, parent: QObject | None = None) -> None:
@@ -53,7 +51,7 @@ class TrackControl(QObject):
         panel.save.connect(self.save)
         doc.image.changed.connect(self._image_changed)
         doc.work.changed.connect(self._work_changed)
-        doc.parts.append(self)
+        doc.at_end(self._let_go)
         self._image_changed()
 
     @property
@@ -125,8 +123,8 @@ class TrackControl(QObject):
             self.layers.show(tracks.results)
         self._end("done", f"{len(tracks.results)} frames tracked")
 
-    def close_links(self) -> None:
-        """End what runs, and let the viewer go."""
+    def _let_go(self) -> None:
+        """The window is closed."""
         if self.layers is not None:
             self.layers.close()
 

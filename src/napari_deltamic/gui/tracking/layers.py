@@ -78,13 +78,11 @@ class TrackLayers(MeshLayers):
         self.slice_changed()
 
     def slice_changed(self, event: Any = None) -> None:
-        """See ``MeshLayers``."""
         super().slice_changed(event)
         if self._on_time is not None:
             self._on_time()
 
     def close(self) -> None:
-        """See ``MeshLayers``."""
         super().close()
         self._on_time = None
 

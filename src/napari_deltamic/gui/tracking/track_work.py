@@ -98,22 +98,19 @@ class TrackWork(Task):
         self.stage = "preparing the seeds"
 
     def look(self) -> None:
-        """See ``Task``."""
         while self._shown < len(self.results):
             self._shown += 1
             self._on_frame(self.results[: self._shown])
 
     def end(self, outcome: TrackOutcome | None) -> None:
-        """See ``Task``."""
         self.look()
         self._on_end(outcome or TrackOutcome("stopped", "stopped by you"))
 
     def failed(self, error: Exception) -> TrackOutcome:
-        """See ``Task``."""
         return TrackOutcome("failed", words_of(error))
 
     def steps(self) -> Generator[None, None, TrackOutcome]:
-        """See ``Task``; yields after every iteration."""
+        """Yields after every iteration."""
         began, done = time.monotonic(), list(self.results)
         job = self.job = self._prepare()
         yield

@@ -64,7 +64,6 @@ class ViewerLink(MeshLayers):
             self.draw(mesh, passing=passing)
 
     def draw(self, mesh: Mesh, *, passing: bool = False) -> None:
-        """See ``MeshLayers``."""
         super().draw(mesh, passing=passing)
         self._pins.show(mesh)
 
@@ -122,12 +121,10 @@ class ViewerLink(MeshLayers):
         camera_of(self.viewer).center = tuple(world)
 
     def close(self) -> None:
-        """See ``MeshLayers``."""
         super().close()
         self._on_lost = None
 
     def slice_changed(self, event: Any = None) -> None:
-        """See ``MeshLayers``."""
         super().slice_changed(event)
         self._place_images()
 
