@@ -81,7 +81,6 @@ class Keys:
 
     Parameters
     ----------
-    viewer : a napari viewer or its model.
     actions : by key, as napari writes them.
     """
 

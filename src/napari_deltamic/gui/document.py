@@ -105,12 +105,7 @@ class Present:
 
 
 class Document:
-    """One for each window of the plugin.
-
-    Parameters
-    ----------
-    viewer : a napari viewer or its model.
-    """
+    """One for each window of the plugin."""
 
     cells_changed = Signal()  # those chosen, or what they hold
     settings_changed = Signal()  # by the user

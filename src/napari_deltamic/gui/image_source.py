@@ -42,12 +42,7 @@ _SMALLEST = 4  # voxels along each side of a region
 
 
 class ImageSource:
-    """Choice of an image layer; ``changed`` says that it, its voxel size or region is another.
-
-    Parameters
-    ----------
-    viewer : a napari viewer or its model.
-    """
+    """Choice of an image layer; ``changed`` says that it, its voxel size or region is another."""
 
     changed = Signal()
     looked = Signal()  # the layers are others: channels may be, and what is missing

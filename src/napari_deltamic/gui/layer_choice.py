@@ -16,7 +16,6 @@ class Layers:
 
     Parameters
     ----------
-    viewer : a napari viewer or its model.
     accepts : whether a layer can be used.
     """
 

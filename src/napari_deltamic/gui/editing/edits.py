@@ -38,12 +38,7 @@ class _Asked:
 
 
 class Edits(QObject):
-    """Hands changes to whatever there is, and remembers how to take them back.
-
-    Parameters
-    ----------
-    control : lets the fit, or its result, be another one.
-    """
+    """Hands changes to whatever there is, and remembers how to take them back."""
 
     changed = Signal()  # what can be undone, or what is pinned
     settings_undone = Signal(object)  # the Change that took settings, optics or effects back

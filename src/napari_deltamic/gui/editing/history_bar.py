@@ -24,7 +24,6 @@ class HistoryBar(QWidget):
 
     Parameters
     ----------
-    doc, edits : what there is, and how it is changed.
     control : shows other moments, and lets a fit go on from them.
     """
 

@@ -15,8 +15,7 @@ from ..document import Document
 from ..fields import TripleField
 from ..qt import Signal
 from ..widgets import Note, column
-from .measured_fields import MeasuredFields
-from .objective_fields import ObjectiveFields
+from .psf_fields import MeasuredFields, ObjectiveFields
 from .psf_picture import PsfPicture
 
 GAUSSIAN, OBJECTIVE, MEASURED, GIVEN = "Gaussian", "from the objective", "measured", "as given"

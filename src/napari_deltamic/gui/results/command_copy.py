@@ -14,12 +14,7 @@ from ..qt import action
 
 
 class CommandCopy:
-    """Asks for a folder where image or seeds are in no files, writes them, copies the command.
-
-    Parameters
-    ----------
-    parent : Qt's, over which the folder is asked for.
-    """
+    """Asks for a folder where image or seeds are in no files, writes them, copies the command."""
 
     def __init__(self, doc: Document, parent: QWidget) -> None:
         self._doc = doc

@@ -22,7 +22,6 @@ class ClickSelection:
 
     Parameters
     ----------
-    viewer : a napari viewer or its model.
     link : gives what shows the meshes at present, or None.
     on_click : called with the region (0 beside all cells) and whether it is to be added to those
         chosen already (Ctrl or Shift).

@@ -7,7 +7,10 @@ from typing import Any
 
 from qtpy.QtWidgets import QGroupBox, QLabel, QVBoxLayout, QWidget
 
+from ...fitting import FitState
+from ...fitting.job import FitInput
 from ...results.judged import told
+from ...results.moved_numbers import MovedNumber, moved_numbers
 from ...results.timeline import Moment
 from ..document import VIEWS, Document, Record
 from ..editing.edits import Edits
@@ -15,7 +18,6 @@ from ..editing.history_bar import HistoryBar
 from ..editing.sculpt_tool import EditBar
 from ..qt import Signal
 from ..widgets import AMBER, GREEN, RED, Fold, Note, button, filled, narrow_box, row
-from .live_numbers import LiveNumbers
 from .plots import ExplainedCurve
 from .worker import Snapshot
 
@@ -31,12 +33,7 @@ _SLICES = {"XY": (0, 1, 2), "XZ": (1, 0, 2), "YZ": (2, 0, 1)}
 
 
 class CheckPanel(QGroupBox):
-    """What became of a fit, and what can be done with it.
-
-    Parameters
-    ----------
-    doc, edits, control : what there is, and how it is changed.
-    """
+    """What became of a fit, and what can be done with it."""
 
     fit_again = Signal()  # with all that a fit can estimate
 
@@ -248,3 +245,28 @@ class RemarkList(Fold):
         self.label.say("\n".join(remarks))
         self.unfold(False)
         self.setVisible(bool(remarks))
+
+
+class LiveNumbers(Fold):
+    """The numbers of PSF and effects that a fit moves: at its start, and now."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        self.table = QLabel()
+        super().__init__("Numbers that the fit moved", self.table, parent)
+        self.show_numbers([])
+
+    def show_fit(self, state: FitState, job: FitInput) -> None:
+        """Show the numbers of a state of a fit."""
+        self.show_numbers(moved_numbers(state, job))
+
+    def show_numbers(self, numbers: list[MovedNumber]) -> None:
+        """Show numbers."""
+        self._numbers = numbers
+        rows = [("", "start", "now"), *self.texts()]
+        cells = ("".join(f"<td align=right>&nbsp; {text}</td>" for text in row) for row in rows)
+        self.table.setText(f"<table>{''.join(f'<tr>{row}</tr>' for row in cells)}</table>")
+        self.setVisible(bool(numbers))
+
+    def texts(self) -> list[tuple[str, str, str]]:
+        """What the rows say."""
+        return [number.texts for number in self._numbers]

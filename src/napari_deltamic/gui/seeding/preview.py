@@ -155,7 +155,6 @@ class StartLayers(MeshLayers):
 
     Parameters
     ----------
-    viewer : a napari viewer or its model.
     image_layer, frame : the image, and its frame.
     on_removed : called when one of the layers, or the image, is removed: whether by a user.
     """

@@ -26,7 +26,6 @@ class SessionBar(QObject):
     ----------
     capture : gives the session that is shown, and a remark about it ('' for none).
     restore : shows a session, step by step.
-    parent : Qt's, over which files are asked for.
     """
 
     def __init__(

@@ -27,7 +27,6 @@ class TrackLayers(MeshLayers):
 
     Parameters
     ----------
-    viewer : a napari viewer or its model.
     image_layer : the series (T, Z, Y, X).
     frame : of the image layer.
     on_time : called when another time, or slice, is shown.

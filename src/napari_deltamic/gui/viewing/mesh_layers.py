@@ -26,7 +26,6 @@ class MeshLayers:
 
     Parameters
     ----------
-    viewer : a napari viewer or its model.
     image_layer : the image that the mesh is of.
     frame : of the image layer.
     names : of the surface, and of the contours.

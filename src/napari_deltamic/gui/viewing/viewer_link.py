@@ -26,7 +26,6 @@ class ViewerLink(MeshLayers):
 
     Parameters
     ----------
-    viewer : a napari viewer or its model.
     image_layer : the image that is fitted.
     frame : of what is fitted of it.
     on_lost : called with a sentence when a layer that the fit needs is removed.
