@@ -214,6 +214,6 @@ def test_a_second_view_names_no_file_of_several_channels(widget, viewer, pixels,
     image = widget.doc.image.layer
     viewer.add_image(pixels, scale=image.scale, name="other")
     widget.doc.image.choose(viewer.layers["other"])
-    second = widget.doc.settings.effects.second
-    second.choice.choose(image)
+    second = widget.doc.second
+    second.choose(image)
     assert second.view().image == ""

@@ -25,8 +25,8 @@ def second(with_image, pixels, seeded):
     """A layer, chosen as the second view of the widget."""
     layer = with_image.add_image(pixels[:, ::-1].copy(), name="side", **PLACE)
     fields = seeded.settings.effects.second
-    fields.choice.choose(layer)
-    fields.sigma.set_value(SIGMA)
+    fields.source.choose(layer)
+    fields.source.resize(SIGMA)
     return fields
 
 
@@ -37,7 +37,7 @@ def done(widget):
 def test_none_is_chosen_but_by_the_user(seeded, with_image, pixels):
     fields = seeded.settings.effects.second
     with_image.add_image(pixels, name="side", **PLACE)
-    assert fields.layer is None
+    assert fields.source.layer is None
     assert fields.sigma.isHidden()
     names = [fields.chooser.itemText(k) for k in range(fields.chooser.count())]
     assert names == ["none", "side"], "the image itself is no second view"
@@ -80,7 +80,7 @@ def test_its_image_reaches_the_fit(seeded, second, spin, monkeypatch, pixels):
 def test_a_layer_off_the_voxels_is_refused_in_words(seeded, with_image, told, shape, change, says):
     layer = with_image.add_image(np.random.default_rng(0).random(shape), **{**PLACE, **change})
     fields = seeded.settings.effects.second
-    fields.choice.choose(layer)
+    fields.source.choose(layer)
     assert says in fields.note.text()
     assert "resample it on the image's voxels first" in fields.note.text()
     seeded.start()
@@ -124,10 +124,10 @@ def test_a_session_keeps_it(seeded, second, spin, tmp_path, with_image, pixels):
     second.chooser.setCurrentIndex(0)
     with_image.layers.remove("side")
     list(session.restore(seeded.parts, load_session(tmp_path / "a.deltamic")))
-    assert second.layer is not None
-    assert second.layer.name == "side"
+    assert second.source.layer is not None
+    assert second.source.layer.name == "side"
     assert second.sigma.value() == SIGMA
-    np.testing.assert_array_equal(second.pixels(), pixels[:, ::-1])
+    np.testing.assert_array_equal(second.source.pixels(), pixels[:, ::-1])
     np.testing.assert_array_equal(seeded.doc.result.job.second, pixels[:, ::-1])
     seeded.control.go_on_from(seeded.doc.result.state.mesh, seeded.doc.result.state.optics, None)
     spin(done(seeded))
@@ -138,7 +138,7 @@ def test_series_are_tracked_without_it(seeded, second, with_image, pixels, told)
     movie = with_image.add_image(np.stack([pixels, pixels]), scale=(1, *SIZE), name="movie")
     seeded.doc.image.choose(movie)
     side = with_image.add_image(pixels, scale=SIZE, name="other")
-    second.choice.choose(side)
+    second.source.choose(side)
     seeded.tracking.start()
     assert "a second view cannot be tracked" in told[-1]
 
@@ -149,17 +149,17 @@ def test_a_session_without_one_has_none(seeded, second, with_image):
     scene = found.settings.scene.model_copy(update={"effects": effects})
     settings = found.settings.model_copy(update={"scene": scene})
     list(session.restore(seeded.parts, replace(found, settings=settings, second=None)))
-    assert second.layer is None
+    assert second.source.layer is None
     assert seeded.run_settings().scene.effects.second_view is None
 
 
 def test_what_is_wrong_is_no_more_said_once_it_is_right(seeded, second):
-    second.layer.translate = (1, 2, 4)
+    second.source.layer.translate = (1, 2, 4)
     assert "does not lie on the voxels" in second.note.text()
-    second.layer.translate = PLACE["translate"]
+    second.source.layer.translate = PLACE["translate"]
     assert second.note.text() == ""
 
 
 def test_its_voxels_are_not_read_to_know_how_many_there_are(seeded, second, monkeypatch):
     monkeypatch.setattr(seeded.doc.image, "stack", lambda layer=None: pytest.fail("read"))
-    assert second.view() is not None
+    assert second.source.view() is not None

@@ -30,6 +30,7 @@ from ..results.timeline import Moment, Timeline
 from ..runs.seeds import Seeds
 from ..runs.settings import RunSettings
 from .attempt import attempt
+from .effects.second_source import SecondSource
 from .image_source import ImageSource
 from .seeding.cell_source import CellSource
 from .viewing.connections import Connections
@@ -132,6 +133,7 @@ class Document:
         self.viewer = viewer
         self.image = ImageSource(viewer)
         self.cells = CellSource(viewer, self.image)
+        self.second = SecondSource(viewer, self.image)
         self.work = Work()
         self.work.remarked.connect(self.warned.emit)
         self.run: Any = None  # the last FitRun
@@ -212,7 +214,7 @@ class Document:
         image, frame = self.image, self.image.frame()
         seeds = self.cells.seeds(frame)
         settings = self.run_settings(seeds)
-        read, second = image.reader(), self.settings.effects.second.pixels()
+        read, second = image.reader(), self.second.pixels()
         grid = frame.grid(image.shape())
 
         def prepare() -> FitInput:
@@ -347,12 +349,14 @@ class Document:
         for record in list(self.records.values()):
             record.link.close()
         self._connections.undo()
-        for do in (*self._last, self.cells.close_links, self.image.close_links):
+        for do in self._last:
             do()
+        for source in (self.second, self.cells, self.image):
+            source.close_links()
         self._last, self.run, self._of_run = [], None, None
         self.records.clear()
         vars(self).pop("settings", None)
-        for signals in (self, self.image, self.cells, self.work):
+        for signals in (self, self.image, self.cells, self.second, self.work):
             for name in dir(type(signals)):
                 if isinstance(getattr(type(signals), name), Signal):
                     getattr(signals, name).disconnect()

@@ -13,7 +13,7 @@ import time
 import warnings
 from collections import deque
 from collections.abc import Callable, Generator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from functools import partial
 from typing import Any
@@ -121,7 +121,7 @@ class Work(QObject):
         self.task = task
         self._activity = progress(total=0, desc=f"deltaMic: {task.title}")
         self.changed.emit()
-        _in_thread(_run, task)
+        _THREADS.submit(_run, task)
         self._timer.start(0)
 
     def stop(self, *, at_once: bool = False) -> None:
@@ -220,29 +220,6 @@ def _run(task: Task) -> None:
     task.done = True
 
 
-def _in_thread(function: Callable[[Any], None], given: Any) -> None:
-    """Python waits for it at its end; no thread should be at work in what is being unloaded."""
-    _THREADS.submit(function, given)
-
-
-class _Call:
-    """A function that a thread runs."""
-
-    def __init__(self, work: Callable[[], Any]) -> None:
-        self._work = work
-        self.result: Any = None
-        self.error = ""  # in plain words
-        self.done = False  # by the thread, last
-
-    def run(self) -> None:
-        """What the thread does."""
-        try:
-            self.result = self._work()
-        except Exception as error:
-            self.error = words_of(error)
-        self.done = True
-
-
 class Background(QObject):
     """Runs one function at a time in a thread; of several asked for, the last one counts.
 
@@ -260,7 +237,7 @@ class Background(QObject):
         super().__init__()
         self._on_result: Callable[[Any], None] | None = on_result
         self._on_error: Callable[[str], None] | None = on_error
-        self._call: _Call | None = None
+        self._call: Future[Any] | None = None
         self._next: Callable[[], Any] | None = None
         self._awaited = False  # the result of what runs
         self._soon: Callable[[], None] | None = None
@@ -316,13 +293,12 @@ class Background(QObject):
     def _start(self) -> None:
         work, self._next = self._next, None
         if work is not None:
-            self._call, self._awaited = _Call(work), True
-            _in_thread(_Call.run, self._call)
+            self._call, self._awaited = _THREADS.submit(work), True
             self._timer.start()
 
     def _look(self) -> None:
         call = self._call
-        if call is None or not call.done:
+        if call is None or not call.done():
             return
         self._timer.stop()
         self._call = None
@@ -333,9 +309,9 @@ class Background(QObject):
             if self._call is None:
                 self._start()
 
-    def _tell(self, call: _Call) -> None:
-        self._awaited = False
-        if call.error and self._on_error is not None:
-            self._on_error(call.error)
-        elif not call.error and self._on_result is not None:
-            self._on_result(call.result)
+    def _tell(self, call: Future[Any]) -> None:
+        self._awaited, error = False, call.exception()
+        if isinstance(error, Exception) and self._on_error is not None:
+            self._on_error(words_of(error))
+        elif error is None and self._on_result is not None:
+            self._on_result(call.result())

@@ -125,7 +125,7 @@ class EffectsPanel(QWidget):
         self.take_button.clicked.connect(self.take_recommended)
         self.table.ticked.connect(self._ticked)
         self.table.looked_at.connect(self._explain)
-        self.second.edited.connect(self._second_edited)
+        doc.second.edited.connect(self._second_edited)
         doc.work.changed.connect(self._work_changed)
         for signal in (doc.image.changed, doc.settings_changed):
             signal.connect(self.look)
@@ -141,7 +141,7 @@ class EffectsPanel(QWidget):
         InputError
             If the layer of the second view cannot be used.
         """
-        return self._effects.in_role(ViewEffect, self.second.view())
+        return self._effects.in_role(ViewEffect, self._doc.second.view())
 
     @property
     def own(self) -> Effects:
@@ -161,7 +161,8 @@ class EffectsPanel(QWidget):
 
     def summary(self) -> str:
         """The present choice in a few words."""
-        chosen = [*self._effects.names, *([kind_of(ViewEffect).name] if self.second.layer else [])]
+        view = [kind_of(ViewEffect).name] if self._doc.second.layer else []
+        chosen = [*self._effects.names, *view]
         names = ", ".join(spoken(name) for name in chosen)
         more = self._open_recommendations()
         if more:
@@ -212,7 +213,7 @@ class EffectsPanel(QWidget):
             return Check(partial(_as_it_was, job), state, self.progress.say, self._ended)
         fit = job.settings.fit.model_copy(update={"levels": NEAR_LEVELS})
         changed = job.settings.model_copy(update={"scene": scene, "fit": fit})
-        job = replace(job, second=self.second.pixels())
+        job = replace(job, second=doc.second.pixels())
         prepare = partial(_from_there, job, state, changed)
         return Check(prepare, None, self.progress.say, self._ended)
 

@@ -38,7 +38,7 @@ class CommandCopy:
         doc = self._doc
         frame, pixels = doc.image.frame(), doc.image.stack()
         seeds = doc.cells.seeds(frame)
-        settings, second = doc.run_settings(seeds), doc.settings.effects.second.pixels()
+        settings, second = doc.run_settings(seeds), doc.second.pixels()
         doc.noted.emit("putting the command together ...")
         chosen = Chosen(settings, pixels, frame.grid(pixels.shape), seeds, second)
         self._checking.ask(chosen.compared)

@@ -186,8 +186,7 @@ def _of_another(record: Record) -> str:
 
 def _second(doc: Document, frame: Frame, job: FitInput | None) -> SavedImage | None:
     """The layer of the second view, with the pixels that the result was fitted to."""
-    fields = doc.settings.effects.second
-    layer, pixels = fields.layer, fields.pixels()
+    layer, pixels = doc.second.layer, doc.second.pixels()
     if layer is None or pixels is None:
         return None
     if job is not None and job.second is not None:
@@ -196,12 +195,12 @@ def _second(doc: Document, frame: Frame, job: FitInput | None) -> SavedImage | N
 
 
 def _show_second(doc: Document, session: Session, layer: Any) -> None:
-    view, fields = session.settings.scene.effects.view, doc.settings.effects.second
+    view = session.settings.scene.effects.view
     if layer is not None and view is not None:
         doc.viewer.add_layer(layer)
-        fields.show_view(layer, view.sigma)
+        doc.second.show(layer, view.sigma)
     else:  # not that of the image before
-        fields.show_view(None)
+        doc.second.show(None)
 
 
 def _show_result(parts: Parts, result: SavedResult, session: Session) -> None:
