@@ -303,13 +303,13 @@ def test_a_change_of_the_dial_is_forecast_anew(seeded, spin, endless):
     spin(went_on(seeded))
     dial = seeded.settings.accuracy
     dial.setCurrentText("careful")
-    seeded.settings.changed.emit()
+    seeded.doc.settings_changed.emit()
     spin(lambda: len(jobs) == 2)
     assert jobs[1].settings.fit.accuracy == dial.number()
     spin(lambda: isinstance(seeded.run.forecast, RenewedForecast))
     assert seeded.run.forecast.iterations >= 3
     dial.setCurrentText("normal")
-    seeded.settings.changed.emit()
+    seeded.doc.settings_changed.emit()
     spin(lambda: len(jobs) == 3)
     assert jobs[2].settings.fit.accuracy == dial.number(), "not what it had before"
 

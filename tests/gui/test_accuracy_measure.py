@@ -100,7 +100,7 @@ def test_a_click_sets_the_dial(measuring, spin):
     gate.release(6)
     spin(lambda: not view.busy)
     edited = []
-    widget.settings.changed.connect(lambda: edited.append(dial.choice))
+    widget.doc.settings_changed.connect(lambda: edited.append(dial.choice))
     view.list.itemClicked.emit(view.list.item(2))
     assert dial.choice == "1e-3"
     assert edited == ["1e-3"]

@@ -36,7 +36,7 @@ def test_the_psf_is_taken_over(begun, spin):
 def test_effects_are_taken_over_and_taken_back(begun, spin):
     panel = begun.settings
     panel.effects.show_effects(Effects.of("attenuation"))
-    panel.changed.emit()
+    begun.doc.settings_changed.emit()
     spin(lambda: begun.run.state.effects.names == ("attenuation",))
     spin(lambda: "effects attenuation" in " ".join(notes(begun)))
     panel.effects.table.tick("pixel_integration")
@@ -112,7 +112,7 @@ def test_a_fit_goes_on_though_the_panels_show_what_cannot_be_used(ended, with_im
     history.slider.setValue(0)
     history.go_on_button.click()
     spin(went_on(ended))
-    ended.settings.changed.emit()
+    ended.doc.settings_changed.emit()
     assert "mirrored" in ended.running.note.text()
     with_image.layers["cell"].scale = SIZE
     ended.settings.fit_psf.setChecked(True)

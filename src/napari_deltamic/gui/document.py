@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Literal, get_args
+from typing import Any, Literal, Protocol, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,7 @@ from ..results.judged import Judged
 from ..results.report import History
 from ..results.timeline import Moment, Timeline
 from ..runs.seeds import Seeds
-from ..runs.settings import RunSettings
+from ..runs.settings import FitSettings, RunSettings, SceneSettings
 from .attempt import attempt
 from .effects.second_source import SecondSource
 from .image_source import ImageSource
@@ -105,6 +105,33 @@ class Present:
     running: bool
 
 
+class FitChoice(Protocol):
+    """Gives what of a fit is chosen, and shows it; InputError names what cannot be used."""
+
+    optics: Any
+    effects: Any
+    accuracy: Any
+
+    @property
+    def psf_is_open(self) -> bool:
+        """Whether nobody has said what the PSF is: the image is to tell it when a fit starts."""
+
+    def fit_settings(self) -> FitSettings:
+        """Those of the fit."""
+
+    def other_settings(self) -> FitSettings:
+        """The same without the accuracy."""
+
+    def scene_settings(self) -> SceneSettings:
+        """Voxel size of the image chosen, PSF and effects."""
+
+    def show_settings(self, settings: FitSettings) -> None:
+        """Show those of a fit."""
+
+    def show_scene(self, scene: SceneSettings) -> None:
+        """Show a PSF and effects, which belong to the image chosen."""
+
+
 class Document:
     """One for each window of the plugin."""
 
@@ -127,7 +154,7 @@ class Document:
     meshes_came = Signal()  # those of a fit: what would cover them is to be hidden
     clicks_wanted = Signal(object)  # at places, um in the image's frame
 
-    settings: Any  # the panel that chooses what of a fit can be chosen
+    settings: FitChoice
 
     def __init__(self, viewer: Any) -> None:
         self.viewer = viewer
@@ -287,6 +314,10 @@ class Document:
         self.result_changed.emit()
         self.began.emit(True)
         self.ended.emit()
+
+    def take_settings(self, settings: FitChoice) -> None:
+        """Who knows what of a fit is chosen."""
+        self.settings = settings
 
     def look_back(self, earlier: bool) -> None:
         """Whether an earlier moment of a fit is looked at."""

@@ -8,7 +8,7 @@ from ..geometry import Mesh
 from ..runs.settings import RunSettings
 from ..scene.samples import Sample
 from .fit_widget import FitWidget
-from .viewing.colours import LIMITS, region_colormap, vertex_values
+from .viewing.colours import surface_look, vertex_values
 
 
 def show(sample: Sample, start: Mesh, settings: RunSettings) -> None:
@@ -36,8 +36,7 @@ def open_demo(
     seeds = viewer.add_surface(
         (start.vertices_numpy(), start.faces, vertex_values(start)),
         name="start",
-        colormap=region_colormap(),
-        contrast_limits=LIMITS,
+        **surface_look(),
         units=units,
         axis_labels=axes,
         visible=False,

@@ -12,7 +12,7 @@ from ..optics import GaussianPSF, Optics, microscope
 from ..scene import Grid, Scene, Simulation, random_cells, simulate
 from ..scene.effects import Effects
 from ..scene.structures import membranes_and_insides
-from .viewing.colours import LIMITS, region_colormap, vertex_values
+from .viewing.colours import surface_look, vertex_values
 from .viewing.frame import OWN, TRUTH
 
 Lengths = tuple[float, float, float]
@@ -135,9 +135,7 @@ def _true_surface(mesh: Mesh, name: str) -> Any:
         "name": name,
         "units": ("um",) * 3,
         "axis_labels": AXES,
-        "colormap": region_colormap(),
-        "contrast_limits": LIMITS,
-        "shading": "smooth",
+        **surface_look(),
         "visible": False,
         "metadata": {OWN: {"regions": mesh.regions, TRUTH: True}},
     }

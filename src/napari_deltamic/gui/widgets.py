@@ -9,13 +9,16 @@ from typing import Any
 from qtpy.QtCore import Qt
 from qtpy.QtGui import QResizeEvent
 from qtpy.QtWidgets import (
+    QAbstractItemView,
     QComboBox,
     QFormLayout,
     QHBoxLayout,
+    QHeaderView,
     QLabel,
     QLayout,
     QPushButton,
     QSizePolicy,
+    QTableWidget,
     QToolButton,
     QVBoxLayout,
     QWidget,
@@ -26,6 +29,9 @@ from .layer_choice import LayerChoice
 from .qt import Signal
 
 GREEN, AMBER, RED = "#3fae6b", "#d99a1c", "#e0564f"  # readable on dark and on light
+# How something ended, and how good it is.
+VERDICTS = {"ended": AMBER, "stopped": AMBER, "failed": RED, "done": GREEN}
+VERDICTS |= {"good": GREEN, "fair": AMBER, "poor": RED}
 _ARROW = 30  # px of the button of a fold that are not for its text
 
 
@@ -125,6 +131,19 @@ def show_row(form: QFormLayout, field: QWidget, shown: bool) -> None:
     for part in (field, title):
         if part is not None:
             part.setVisible(shown)
+
+
+def be_table_of_rows(table: QTableWidget, narrowest: int) -> Any:
+    """Rows are chosen, not edited, and columns as wide as what they hold; the header, for more."""
+    rows: Any = table.verticalHeader()
+    rows.setVisible(False)
+    columns: Any = table.horizontalHeader()
+    columns.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+    columns.setHighlightSections(False)
+    columns.setMinimumSectionSize(narrowest)  # px
+    table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+    table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+    return columns
 
 
 class Note(QLabel):

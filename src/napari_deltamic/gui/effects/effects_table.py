@@ -18,6 +18,7 @@ from qtpy.QtWidgets import (
 from ...evidence import Evidence
 from ...scene.effects import KINDS
 from ..qt import Signal
+from ..widgets import be_table_of_rows
 
 _COLUMNS = (
     ("correction", "Tick one to compute it: in a fit that runs at once, else in the next one."),
@@ -47,16 +48,10 @@ class EffectsTable(QTableWidget):
             item = QTableWidgetItem(title)
             item.setToolTip(f"<qt>{tip}</qt>")
             self.setHorizontalHeaderItem(column, item)
-        rows: Any = self.verticalHeader()
-        rows.setVisible(False)
-        rows.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
-        columns: Any = self.horizontalHeader()
-        columns.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        columns = be_table_of_rows(self, 30)
         columns.setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
-        columns.setHighlightSections(False)
-        columns.setMinimumSectionSize(30)
-        self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
-        self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+        rows: Any = self.verticalHeader()
+        rows.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         self.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
         self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)

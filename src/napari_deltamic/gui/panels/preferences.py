@@ -114,13 +114,8 @@ def usable(chosen: Mapping[str, Any]) -> tuple[Preferences, str]:
 
 def _checked(model: type[Any], values: dict[str, Any]) -> tuple[Any, list[str]]:
     """A model from the values that it accepts, and the names of the others."""
-    wrong = [name for name, value in values.items() if not _accepts(model, name, value)]
-    return model(**{k: v for k, v in values.items() if k not in wrong}), wrong
-
-
-def _accepts(model: type[Any], name: str, value: Any) -> bool:
     try:
-        model(**{name: value})
-    except ValidationError:
-        return False
-    return True
+        return model(**values), []
+    except ValidationError as error:
+        wrong = [str(name) for one in error.errors() for name in one["loc"][:1]]
+    return model(**{k: v for k, v in values.items() if k not in wrong}), wrong

@@ -18,7 +18,6 @@ from ..accuracy.accuracy_scene import NoiseOf
 from ..accuracy.accuracy_view import TradeoffView
 from ..document import Document
 from ..fields import Form
-from ..qt import Signal
 from ..viewing.frame import voxel_size
 from ..widgets import Fold, Note, column, filled, row
 
@@ -28,7 +27,7 @@ _OWN = ("accuracy", "shape_error", *_PSF, *_BRIGHTNESS)
 
 
 class SettingsPanel(QGroupBox):
-    """Everything of the settings that the widget shows; ``changed`` comes from the user.
+    """Everything of the settings that the widget shows.
 
     ``advanced`` is the part that is shown elsewhere, folded away.
 
@@ -37,14 +36,12 @@ class SettingsPanel(QGroupBox):
     optics, effects : the parts that hold the PSF and the corrections.
     """
 
-    changed = Signal()
-
     def __init__(
         self, doc: Document, optics: Any, effects: Any, parent: QWidget | None = None
     ) -> None:
         super().__init__("3  Fit", parent)
         self._doc, self._image = doc, doc.image
-        doc.settings = self
+        doc.take_settings(self)
         self._sigma_given = False
         self._shown_for: Any = None  # a weak reference to the image that came with its PSF
         self.optics, self.effects = optics, effects
@@ -71,7 +68,6 @@ class SettingsPanel(QGroupBox):
             typed.editingFinished,
         ):
             signal.connect(self._edited)
-        self.changed.connect(doc.settings_changed.emit)
         doc.image.changed.connect(self._guess_sigma)
         self.sigma.edited.connect(self._sigma_given_by_user)
         self.optics.changed.connect(self._edited)
@@ -193,7 +189,7 @@ class SettingsPanel(QGroupBox):
         self._show_choices()
 
     def _edited(self, value: Any = None) -> None:
-        self.changed.emit()
+        self._doc.settings_changed.emit()
 
     def _take_accuracy(self, accuracy: float) -> None:
         self.accuracy.show_fit(accuracy, "normal")

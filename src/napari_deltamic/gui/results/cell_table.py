@@ -11,7 +11,6 @@ from qtpy.QtGui import QColor, QKeyEvent, QKeySequence
 from qtpy.QtWidgets import (
     QAbstractItemView,
     QApplication,
-    QHeaderView,
     QMenu,
     QTableWidget,
     QTableWidgetItem,
@@ -22,6 +21,7 @@ from superqt.utils import signals_blocked
 from ...results.cell_columns import COLUMNS, FIRST, CellColumn, is_number, value_of
 from ...results.colouring import colour_of
 from ..qt import Signal
+from ..widgets import be_table_of_rows
 
 _REGION = Qt.ItemDataRole.UserRole
 _OPEN = "The surface of this cell is not closed, or inside out."
@@ -47,17 +47,10 @@ class CellTable(QTableWidget):
             item = QTableWidgetItem(column.title)
             item.setToolTip(f"<qt>{column.tip} Click to sort, right-click for columns.</qt>")
             self.setHorizontalHeaderItem(number, item)
-        rows: Any = self.verticalHeader()
-        rows.setVisible(False)
-        columns: Any = self.horizontalHeader()
-        columns.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
-        columns.setHighlightSections(False)
-        columns.setMinimumSectionSize(36)
+        columns = be_table_of_rows(self, 36)
         columns.setStretchLastSection(True)
         columns.setContextMenuPolicy(Qt.ContextMenuPolicy.CustomContextMenu)
         columns.customContextMenuRequested.connect(self._ask_columns)
-        self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
-        self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
         self.setMinimumHeight(120)
         self.setSortingEnabled(True)
         self.sortByColumn(0, Qt.SortOrder.AscendingOrder)

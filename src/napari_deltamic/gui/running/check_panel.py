@@ -17,18 +17,10 @@ from ..editing.edits import Edits
 from ..editing.history_bar import HistoryBar
 from ..editing.sculpt_tool import EditBar
 from ..qt import Signal
-from ..widgets import AMBER, GREEN, RED, Fold, Note, button, filled, narrow_box, row
+from ..widgets import VERDICTS, Fold, Note, button, filled, narrow_box, row
 from .plots import ExplainedCurve
 from .worker import Snapshot
 
-_COLOURS = {
-    "ended": AMBER,
-    "stopped": AMBER,
-    "failed": RED,
-    "good": GREEN,
-    "fair": AMBER,
-    "poor": RED,
-}
 _SLICES = {"XY": (0, 1, 2), "XZ": (1, 0, 2), "YZ": (2, 0, 1)}
 
 
@@ -169,7 +161,7 @@ class CheckPanel(QGroupBox):
         """How it ended, in the first line of a text; those after it are remarks, in a list."""
         self.last_verdict = (verdict, text)
         said, *remarks = text.split("\n")
-        self.verdict.setStyleSheet(f"color: {_COLOURS.get(verdict, '')};")
+        self.verdict.setStyleSheet(f"color: {VERDICTS.get(verdict, '')};")
         self.verdict.setText(said)
         self.verdict.setVisible(bool(said))
         self.remarks.show_remarks(remarks)
@@ -178,7 +170,7 @@ class CheckPanel(QGroupBox):
         """How well the shapes explain the image, and what can be done about it."""
         known = None if record is None else record.judged
         grade = "" if known is None else known.verdict.grade
-        self.grade.setStyleSheet(f"color: {_COLOURS.get(grade, '')}; font-weight: bold;")
+        self.grade.setStyleSheet(f"color: {VERDICTS.get(grade, '')}; font-weight: bold;")
         self.grade.say("" if known is None else told(known))
         self.worst.setVisible(known is not None and bool(known.found.spots))
         fit = None if record is None or record.job is None else record.job.settings.fit

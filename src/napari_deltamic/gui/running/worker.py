@@ -6,7 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,7 @@ SNAPSHOT_EVERY = 0.03  # s
 RATE_OVER = 2.0  # s
 FORECAST_EVERY = 0.5  # s; more often it could not be read
 
+Forecaster = Forecast | RenewedForecast  # says how long a fit will still take
 Verdict = Literal["converged", "ended", "stopped", "failed"]
 
 
@@ -51,15 +52,6 @@ class Snapshot:
     iterations_per_second: float
     changes: int = 0
     remaining: float | None = None
-
-
-class Forecaster(Protocol):
-    """Says how long a fit will still take."""
-
-    def remaining_seconds(
-        self, history: History, state: FitState, elapsed: float | None = None
-    ) -> float | None:
-        """s, after so many s (without pauses); None while nothing is known."""
 
 
 @dataclass(frozen=True, eq=False)

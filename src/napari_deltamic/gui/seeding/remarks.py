@@ -7,29 +7,26 @@ from typing import Any
 
 import numpy as np
 from qtpy.QtCore import Qt
-from qtpy.QtWidgets import QLabel, QSizePolicy, QWidget
+from qtpy.QtWidgets import QWidget
 
 from ...runs.seed_checks import Remark
+from ..widgets import Note
 
 _SHOWN = 4  # at most
 # Readable on dark and on light.
 _WARNING, LINK = "#d9822b", "#4a90e2"
 
 
-class Remarks(QLabel):
+class Remarks(Note):
     """Sentences in the colour of warnings; 'show' after one selects its points."""
 
     def __init__(self, viewer: Any, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._viewer = viewer
         self.remarks: list[Remark] = []
-        self.setWordWrap(True)
         self.setTextFormat(Qt.TextFormat.RichText)
-        self.setStyleSheet("font-size: 11px;")
-        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Minimum)
         self.setToolTip("'show' selects the points and goes to their slice.")
         self.linkActivated.connect(self.show_points)
-        self.hide()
 
     def show_remarks(self, remarks: list[Remark], busy: str = "") -> None:
         """Show these, the first of many; or else what is under way."""
@@ -42,8 +39,7 @@ class Remarks(QLabel):
             lines.append(f"... and {len(remarks) - _SHOWN} more")
         if busy:
             lines.append(escape(busy))
-        self.setText("<br>".join(lines))
-        self.setVisible(bool(lines))
+        self.say("<br>".join(lines))
 
     def show_points(self, link: str) -> None:
         """Select the points that a remark is about, and go to the first."""

@@ -17,7 +17,7 @@ from ...results.colouring import colour_indices
 from ...results.session_file import SavedImage, SavedLayer, SavedTracks
 from ..seeding.seed_kinds import at_time
 from ..viewing import own_layers
-from ..viewing.colours import LIMITS, region_colormap, side_values
+from ..viewing.colours import side_values, surface_look
 from ..viewing.frame import OWN, Frame, stack_of
 from ..viewing.walls import COPIES, Apart, joined
 
@@ -115,9 +115,7 @@ def mesh_layer(mesh: Mesh, name: str, frame: Frame) -> Surface:
     return Surface(
         (apart.vertices(mesh), apart.faces, side_values(apart.sides, (), colour_indices(mesh))),
         name=name,
-        colormap=region_colormap(),
-        contrast_limits=LIMITS,
-        shading="smooth",
+        **surface_look(),
         metadata={OWN: {"regions": mesh.regions, COPIES: apart.copies, "fit": True}},
         **frame.layer_options(),
     )

@@ -18,9 +18,7 @@ from ...measure import measure_cells
 from ...tracking import FrameResult, TrackSettings
 from ..qt import Signal
 from ..results.cell_table import CellTable
-from ..widgets import AMBER, GREEN, RED, Note, button, filled, row
-
-_COLOURS = {"done": GREEN, "stopped": AMBER, "failed": RED}
+from ..widgets import VERDICTS, Note, button, filled, row
 
 
 class TrackPanel(QGroupBox):
@@ -61,7 +59,7 @@ class TrackPanel(QGroupBox):
 
     def show_verdict(self, verdict: str, text: str) -> None:
         """How it ended."""
-        self.verdict.setStyleSheet(f"color: {_COLOURS.get(verdict, '')}; font-weight: bold;")
+        self.verdict.setStyleSheet(f"color: {VERDICTS.get(verdict, '')}; font-weight: bold;")
         self.verdict.say(text)
 
     def show_frame(

@@ -81,6 +81,11 @@ def region_colormap() -> Colormap:
     return Colormap(_GHOSTS, name="deltamic regions", controls=controls, interpolation="zero")
 
 
+def surface_look() -> dict[str, Any]:
+    """Options of a Surface layer whose values are ``vertex_values``."""
+    return {"colormap": region_colormap(), "contrast_limits": LIMITS, "shading": "smooth"}
+
+
 def label_colormap(labels: NDArray[np.integer]) -> DirectLabelColormap:
     """For a Labels layer: each label has the colour of the region that it becomes, where it can.
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...errors import InputError, RepairWarning
 from ...geometry import Mesh, load_mesh
-from .colours import LIMITS, region_colormap, vertex_values
+from .colours import surface_look, vertex_values
 from .frame import ORIGIN, OWN, Frame
 from .own_layers import Surface
 
@@ -45,10 +45,8 @@ def surface_layer(loaded: LoadedMesh, frame: Frame) -> Surface:
         # Not float32: a fit of the layer is then that of the file, to the last digit.
         (mesh.vertices_numpy(), mesh.faces, vertex_values(mesh)),
         name=Path(loaded.path).stem,
-        colormap=region_colormap(),
-        contrast_limits=LIMITS,
-        shading="smooth",
         opacity=0.6,
+        **surface_look(),
         metadata={
             OWN: {
                 "regions": mesh.regions,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...geometry import Mesh
 from ...results.colouring import colour_indices
-from .colours import BY_VALUE, LIMITS, ByValue, region_colormap, side_values
+from .colours import BY_VALUE, LIMITS, ByValue, region_colormap, side_values, surface_look
 from .connections import Connections
 from .contours import Contours
 from .frame import OWN, Frame, camera_of
@@ -198,11 +198,9 @@ class MeshLayers:
         self.surface = Surface(
             self._drawn(mesh),
             name=self._name,
-            colormap=region_colormap(),
-            contrast_limits=LIMITS,
-            shading="smooth",
             visible=self._placed,
             metadata={OWN: dict(self._known)},
+            **surface_look(),
             **self._look,
             **self.frame.layer_options(),
         ).lie_on(self.image_layer)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from ...geometry import Mesh
-from .frame import OWN, Frame
+from .frame import OWN
+from .mesh_layers import MeshLayers
 from .own_layers import Points, cut_by_slices
 
 PINS = "pins"  # key under OWN
@@ -18,9 +17,8 @@ _COLOUR = "white"
 class Pins:
     """A layer of points on pinned vertices, made when the first is pinned."""
 
-    def __init__(self, viewer: Any, frame: Frame, name: str, image_layer: Any) -> None:
-        self._viewer, self._frame, self._name = viewer, frame, name
-        self._image_layer = image_layer
+    def __init__(self, shown_in: MeshLayers, name: str) -> None:
+        self._in, self._name = shown_in, name
         self._pinned: NDArray[np.bool_] = np.zeros(0, bool)
         self._removed = False  # by the user, who does not want to see them
         self.layer: Points | None = None
@@ -32,7 +30,7 @@ class Pins:
 
     def show(self, mesh: Mesh | None) -> None:
         """Put the marks on the vertices of a mesh."""
-        if self.layer is not None and self.layer not in self._viewer.layers:
+        if self.layer is not None and self.layer not in self._in.viewer.layers:
             self.layer, self._removed = None, True
         if mesh is None or self._removed:
             return
@@ -52,15 +50,12 @@ class Pins:
             places,
             ndim=3,
             name=self._name,
-            size=max(size, max(self._frame.voxel_size)),
+            size=max(size, max(self._in.frame.voxel_size)),
             face_color=_COLOUR,
             border_width=0,
             shading="spherical",
             **cut_by_slices(),  # a slice shows what lies near it
             metadata={OWN: {"fit": True, PINS: True}},
-            **self._frame.layer_options(),
-        ).lie_on(self._image_layer)
-        selected = set(self._viewer.layers.selection)
-        self._viewer.add_layer(self.layer)
-        if selected:
-            self._viewer.layers.selection = selected
+            **self._in.frame.layer_options(),
+        ).lie_on(self._in.image_layer)
+        self._in.add(self.layer)

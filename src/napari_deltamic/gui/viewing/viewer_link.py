@@ -44,7 +44,7 @@ class ViewerLink(MeshLayers):
         self._images: tuple[NDArray[Any], NDArray[Any]] | None = None
         self._limits = (0.0, 0.0)  # of the residual, as long as the user chooses no others
         self._view = "image"
-        self._pins = Pins(viewer, frame, f"{name}: pinned", image_layer)
+        self._pins = Pins(self, f"{name}: pinned")
         self._on_lost: Callable[[str], None] | None = on_lost
         self.connections.connect(viewer.layers.events.removed, self._layer_removed)
 
