@@ -69,7 +69,6 @@ class Record:
         return self.state, self.job
 
     def end(self, verdict: str, text: str) -> None:
-        """A fit has ended."""
         self.words = verdict, text
 
     def show(self, state: FitState, note: str = "", *, passing: bool = False) -> None:
@@ -181,7 +180,6 @@ class Document:
 
     @property
     def running(self) -> bool:
-        """Whether a fit runs."""
         return self.run is not None and bool(self.run.running)
 
     @property
@@ -324,7 +322,6 @@ class Document:
         self.earlier = earlier
 
     def select(self, regions: Sequence[int] | frozenset[int]) -> None:
-        """Choose cells."""
         chosen = frozenset(regions)
         if chosen != self.selection:
             self.selection = chosen

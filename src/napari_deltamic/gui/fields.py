@@ -60,7 +60,6 @@ class TripleField(QWidget):
         row(*self._boxes, of=self, spacing=3)
 
     def value(self) -> Triple:
-        """The numbers."""
         z, y, x = (float(box.value()) for box in self._boxes)
         return z, y, x
 
@@ -88,7 +87,6 @@ class Number(QDoubleSpinBox):
         self.setStyleSheet("QDoubleSpinBox { min-width: 60px; }")
 
     def textFromValue(self, value: float) -> str:
-        """Qt's."""
         text = super().textFromValue(value)
         point = self.locale().decimalPoint()
         return text.rstrip("0").rstrip(point) if point in text else text
@@ -140,7 +138,6 @@ class Form(QWidget):
         return {name: self.value(name) for name in self.fields}
 
     def value(self, name: str) -> Any:
-        """One of them."""
         return self._exact[name] if name in self._exact else _value(self.fields[name])
 
     def show_values(self, settings: Any) -> None:

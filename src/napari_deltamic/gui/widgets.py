@@ -162,7 +162,6 @@ class Note(QLabel):
         self.hide()
 
     def say(self, text: str) -> None:
-        """Show a text, or nothing."""
         if text != self.text():
             self.setText(text)
             self.setVisible(bool(text))
@@ -204,7 +203,6 @@ class ToolBar(QWidget):
         return next((tool for tool, one in self.buttons.items() if one.isChecked()), None)
 
     def use(self, tool: str | None) -> None:
-        """Take up a tool, or lay it down."""
         if tool != self.tool:
             for name, one in self.buttons.items():
                 one.setChecked(name == tool)
@@ -252,19 +250,16 @@ class Fold(QWidget):
         self.unfold(False)
 
     def set_title(self, title: str) -> None:
-        """Show another title."""
         self.title = title
         self._cut()
 
     def unfold(self, shown: bool = True) -> None:
-        """Show the content, or hide it."""
         self.button.setChecked(shown)
         arrow = Qt.ArrowType.DownArrow if shown else Qt.ArrowType.RightArrow
         self.button.setArrowType(arrow)
         self.content.setVisible(shown)
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:
-        """Qt's."""
         super().resizeEvent(event)
         self._cut()
 

@@ -133,7 +133,6 @@ class Work(QObject):
                 self._end(task, None)
 
     def pause(self, paused: bool) -> None:
-        """Let the task wait, or go on."""
         if self.task is not None:
             self.task.paused = paused
 

@@ -50,7 +50,6 @@ class AccuracyForecast(QObject):
 
     @property
     def busy(self) -> bool:
-        """Whether a forecast is awaited."""
         return self._background.busy
 
     def later(self) -> None:

@@ -48,7 +48,6 @@ class SceneNow:
         return optics_of(self.scene)
 
     def pixels(self) -> NDArray[Any]:
-        """(Z, Y, X)."""
         return np.asarray(self.image)
 
     def mesh(self) -> Mesh:

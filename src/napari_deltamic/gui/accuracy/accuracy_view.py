@@ -98,7 +98,6 @@ class TradeoffView(QWidget):
 
     @property
     def busy(self) -> bool:
-        """Whether something is being measured."""
         return self._task is not None and self._task.running
 
     def start(self) -> None:

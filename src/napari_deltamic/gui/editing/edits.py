@@ -101,7 +101,6 @@ class Edits(QObject):
             self.change(Change(pinned=after), "pin" if pinned else "unpin")
 
     def free_all(self) -> None:
-        """Free all pinned vertices."""
         pinned = self.pinned
         if pinned is not None and pinned.any():
             self.pin(pinned, False)

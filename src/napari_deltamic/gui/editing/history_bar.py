@@ -75,15 +75,12 @@ class HistoryBar(QWidget):
         self._show()
 
     def update_moments(self) -> None:
-        """Show the moments that there are now."""
         self.show_moments(self._doc.timeline.moments, running=self._doc.running)
 
     def undo(self) -> None:
-        """Take back the last change."""
         self._take_back(self._edits.undo)
 
     def redo(self) -> None:
-        """Do again what was undone last."""
         self._take_back(self._edits.redo)
 
     def go_on(self) -> None:

@@ -72,7 +72,6 @@ class EffectsTable(QTableWidget):
         self._fill()
 
     def names(self) -> tuple[str, ...]:
-        """The effects shown, from above."""
         return tuple(self._name(row) for row in range(self.rowCount()))
 
     def tick(self, name: str, on: bool = True) -> None:

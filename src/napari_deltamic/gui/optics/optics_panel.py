@@ -76,7 +76,6 @@ class OpticsPanel(QWidget):
 
     @property
     def busy(self) -> bool:
-        """Whether a PSF is being computed to tell its widths."""
         return self._background.busy
 
     @property

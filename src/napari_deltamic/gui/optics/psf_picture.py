@@ -42,7 +42,6 @@ class PsfPicture(QLabel):
 
     @property
     def busy(self) -> bool:
-        """Whether a picture is still to come."""
         return self._timer.isActive() or self._background.busy
 
     def show_optics(self, optics: Optics) -> None:
@@ -58,7 +57,6 @@ class PsfPicture(QLabel):
         self._drop("")
 
     def close_links(self) -> None:
-        """End what is under way."""
         self._timer.stop()
         self._background.close()
 

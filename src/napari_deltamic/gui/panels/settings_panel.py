@@ -118,7 +118,6 @@ class SettingsPanel(QGroupBox):
         return not self._sigma_given and self.optics.is_gaussian
 
     def show_settings(self, settings: FitSettings) -> None:
-        """Show settings."""
         for form in self.forms:
             form.show_values(settings)
         self.accuracy.show_fit(settings.accuracy, settings.shape_error)

@@ -121,7 +121,6 @@ class CellTable(QTableWidget):
         return (*before, *(region for region in now if region not in before))
 
     def choose(self, regions: Collection[int]) -> None:
-        """Select the rows of some regions, and no others."""
         with signals_blocked(self):
             self._select(regions)
         self._tell(by_hand=False)

@@ -30,7 +30,6 @@ class CommandCopy:
 
     @property
     def busy(self) -> bool:
-        """Whether a command is still to come."""
         return self._checking.busy or self._writing.busy
 
     def copy(self) -> None:

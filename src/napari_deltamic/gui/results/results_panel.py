@@ -82,14 +82,12 @@ class ResultsPanel(QGroupBox):
             self._doc.warned.emit(str(warning.message))
 
     def save_table(self, path: str) -> None:
-        """Write the measurements."""
         names = [column.key for column in self.table.known_columns()]
         rows = [{name: value_of(row, name) for name in names} for row in self.table.rows]
         write_atomically(path, csv_text(names, rows).encode())
         self._saved(path)
 
     def save_image(self, path: str) -> None:
-        """Write the rendered image."""
         state, job = self._result().of_fit()
         write_image(path, state.rendered(), job.grid.voxel_size)
         self._saved(path)

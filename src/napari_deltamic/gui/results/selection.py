@@ -39,7 +39,6 @@ class ClickSelection:
         self.presses.listen()
 
     def close_links(self) -> None:
-        """Listen to the viewer no more."""
         self.presses.listen(False)
         self._on_click = None
 

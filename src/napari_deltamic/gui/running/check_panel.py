@@ -248,11 +248,9 @@ class LiveNumbers(Fold):
         self.show_numbers([])
 
     def show_fit(self, state: FitState, job: FitInput) -> None:
-        """Show the numbers of a state of a fit."""
         self.show_numbers(moved_numbers(state, job))
 
     def show_numbers(self, numbers: list[MovedNumber]) -> None:
-        """Show numbers."""
         self._numbers = numbers
         rows = [("", "start", "now"), *self.texts()]
         cells = ("".join(f"<td align=right>&nbsp; {text}</td>" for text in row) for row in rows)
@@ -260,5 +258,4 @@ class LiveNumbers(Fold):
         self.setVisible(bool(numbers))
 
     def texts(self) -> list[tuple[str, str, str]]:
-        """What the rows say."""
         return [number.texts for number in self._numbers]

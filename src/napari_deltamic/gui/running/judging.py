@@ -29,7 +29,6 @@ class Judging(QObject):
 
     @property
     def busy(self) -> bool:
-        """Whether something is being judged."""
         return self._background.busy
 
     def _began(self, fresh: bool) -> None:

@@ -73,7 +73,6 @@ class CellSource(LayerTicks):
         return mixed([self._of(layer, frame, self.spheres, copied=copied) for layer in chosen])
 
     def points_layers(self) -> list[Any]:
-        """Those of points."""
         return [layer for layer in self.ticked if isinstance(layer, Points)]
 
     def shape(self) -> tuple[int, ...] | None:

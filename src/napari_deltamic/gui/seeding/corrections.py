@@ -79,14 +79,12 @@ class Corrections(QObject):
 
     @property
     def layer(self) -> Any:
-        """The layer that clicks correct, or None."""
         layers = [x for x in self._cells.ticked if _can_be_corrected(x)]
         active = self._viewer.layers.selection.active
         return active if active in layers else layers[-1] if layers else None
 
     @property
     def busy(self) -> bool:
-        """Whether clicks are still to be made."""
         return bool(self._waiting) or self._background.busy
 
     def lay_down(self) -> None:

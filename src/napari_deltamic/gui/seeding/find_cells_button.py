@@ -72,7 +72,6 @@ class FindCells(QPushButton):
 
     @property
     def busy(self) -> bool:
-        """Whether cells are being looked for."""
         return self._background.busy
 
     def start(self) -> None:
@@ -122,7 +121,6 @@ class FindCells(QPushButton):
         self._layer = self._asked = self._found_in = None
 
     def find_with(self, size: float) -> None:
-        """Look for cells of another size, um."""
         self._set_size(size)
         self._moved = True
         self.start()

@@ -53,12 +53,10 @@ class Preview(QCheckBox):
 
     @property
     def busy(self) -> bool:
-        """Whether a preview is awaited."""
         return self._background.busy
 
     @property
     def mesh(self) -> Mesh | None:
-        """What is shown."""
         return None if self._layers is None else self._layers.mesh
 
     def suit(self, shape: tuple[int, ...], size: tuple[float, ...]) -> None:
@@ -186,7 +184,6 @@ class StartLayers(MeshLayers):
             self.add(layer, above=True)
 
     def remove(self) -> None:
-        """Take the layers away."""
         self.close()
         for layer in (self.contours.layer, self.surface):
             if layer is not None and layer in self.viewer.layers:

@@ -60,7 +60,6 @@ class SeedsPanel(QGroupBox):
         self._layers_chosen()
 
     def use_spheres(self, on: bool) -> None:
-        """Whether points are to be spheres."""
         self.shape.setCurrentText(_SPHERES if on else _FOLLOW)
 
     def place_seeds(self) -> None:

@@ -55,7 +55,6 @@ class SessionBar(QObject):
 
     @property
     def busy(self) -> bool:
-        """Whether a file is being written or read."""
         return self._saving.busy or self._opening.busy or self._steps is not None
 
     def save(self, path: str) -> None:

@@ -56,12 +56,10 @@ class TrackControl(QObject):
 
     @property
     def running(self) -> bool:
-        """Whether cells are being tracked."""
         return self.work is not None and self.work.running
 
     @property
     def results(self) -> list[FrameResult]:
-        """The frames that are done."""
         return list(self.tracked.results)
 
     @property

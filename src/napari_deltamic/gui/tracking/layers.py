@@ -53,12 +53,10 @@ class TrackLayers(MeshLayers):
 
     @property
     def result(self) -> FrameResult | None:
-        """That frame, if it was tracked."""
         return self.results.get(self.number)
 
     @property
     def shown(self) -> Mesh | None:
-        """Its mesh."""
         return None if self.result is None else self.result.mesh
 
     def show(self, results: Sequence[FrameResult]) -> None:

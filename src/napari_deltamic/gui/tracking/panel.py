@@ -58,7 +58,6 @@ class TrackPanel(QGroupBox):
         self.save_button.setEnabled(allowed)
 
     def show_verdict(self, verdict: str, text: str) -> None:
-        """How it ended."""
         self.verdict.setStyleSheet(f"color: {VERDICTS.get(verdict, '')}; font-weight: bold;")
         self.verdict.say(text)
 

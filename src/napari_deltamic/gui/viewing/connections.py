@@ -18,7 +18,6 @@ class Connections:
         self._made.append((emitter, slot))
 
     def undo(self) -> None:
-        """Undo every connection."""
         for emitter, slot in self._made:
             emitter.disconnect(slot)
         self._made.clear()

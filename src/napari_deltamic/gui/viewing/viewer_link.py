@@ -50,7 +50,6 @@ class ViewerLink(MeshLayers):
 
     @property
     def shown(self) -> Mesh | None:
-        """The mesh that is to be seen."""
         return self.mesh if self._held is None else self._held
 
     def show_mesh(self, mesh: Mesh, *, passing: bool = False) -> None:
@@ -72,7 +71,6 @@ class ViewerLink(MeshLayers):
         self.draw(mesh)
 
     def let_go(self) -> None:
-        """Show the newest mesh again."""
         if self._held is not None:
             self._held = None
             if self.mesh is not None:
