@@ -12,8 +12,8 @@ from napari.utils.notifications import show_info, show_warning
 from .geometry.formats import MESH_FILES
 from .gui.menu import fit_widget
 from .gui.sessions.session_layers import image_layer, mesh_layer, seed_layer
+from .gui.viewing.cell_layers import load_meshes, surface_layer
 from .gui.viewing.frame import ORIGIN, OWN, Frame
-from .gui.viewing.mesh_layer import load_meshes, surface_layer
 from .results.session_file import EXTENSION, load_session
 
 LayerData = tuple[Any, dict[str, Any], str]

@@ -12,8 +12,8 @@ from napari_deltamic import Grid, save_mesh
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import read_points_csv, sphere
 from napari_deltamic.gui.seeding.seed_kinds import seeds_from_layer
+from napari_deltamic.gui.viewing.cell_layers import load_meshes, surface_layer, unchanged_file
 from napari_deltamic.gui.viewing.frame import Frame
-from napari_deltamic.gui.viewing.mesh_layer import load_meshes, surface_layer, unchanged_file
 from napari_deltamic.gui.work import Background
 from napari_deltamic.runs.seed_checks import PointSet, in_one_sphere, of_engine, outside
 from napari_deltamic.runs.seed_preview import SMALL, coarsening, coarser, find

@@ -33,8 +33,8 @@ from .attempt import attempt
 from .effects.second_source import SecondSource
 from .image_source import ImageSource
 from .seeding.cell_source import CellSource
-from .viewing.connections import Connections
 from .viewing.frame import Frame
+from .viewing.listening import Connections
 from .viewing.viewer_link import ViewerLink
 from .work import Background, Work
 

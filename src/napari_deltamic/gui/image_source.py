@@ -26,7 +26,6 @@ from .layer_channels import (
     why_unusable,
 )
 from .layer_choice import LayerChoice
-from .viewing.connections import Connections
 from .viewing.frame import (
     ORIGIN,
     OWN,
@@ -37,6 +36,7 @@ from .viewing.frame import (
     um_per_unit,
     unread_stack_of,
 )
+from .viewing.listening import Connections
 
 _SMALLEST = 4  # voxels along each side of a region
 

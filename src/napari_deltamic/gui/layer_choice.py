@@ -7,8 +7,8 @@ from typing import Any
 
 from psygnal import Signal
 
-from .viewing.connections import Connections
 from .viewing.frame import made_by_fit
+from .viewing.listening import Connections
 
 
 class Layers:

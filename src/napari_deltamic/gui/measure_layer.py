@@ -15,7 +15,7 @@ from ..measure import Known, measure
 from ..results.measured_files import write_measurements
 from ..results.mesh_exchange import labels_of
 from .seeding.seed_kinds import mesh_of_surface
-from .viewing.cell_features import labels_options
+from .viewing.cell_layers import labels_options
 from .viewing.frame import Frame, shape_of
 
 _WORLD = Frame((1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0), ("um",) * 3)

@@ -18,9 +18,9 @@ from ...geometry.brush import Touch, falloff, outward, touched_by_ray, touched_o
 from ...geometry.carry import carried
 from ...measure import section
 from ..document import Document
-from ..viewing.clicks import Presses, lay_down
 from ..viewing.contours import sliced_axis
 from ..viewing.frame import FloatArray
+from ..viewing.listening import Presses, lay_down
 from ..viewing.viewer_link import ViewerLink
 from ..widgets import ToolBar
 from .edits import Edits

@@ -10,7 +10,7 @@ from ...errors import InputError
 from ...scene.effects import ViewEffect, kind_of
 from ..document import Document
 from ..fields import TripleField
-from ..viewing.connections import Connections
+from ..viewing.listening import Connections
 from ..widgets import LayerChooser, Note, column, show_row
 
 

@@ -24,7 +24,7 @@ from ...results.report import write_results
 from ..attempt import attempt
 from ..document import Document, Record
 from ..qt import action
-from ..viewing.cell_features import labels_layer
+from ..viewing.cell_layers import labels_layer
 from ..widgets import Note, filled, narrow_box, row
 from .cell_table import CellTable
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from ...geometry.mesh import OUTSIDE
 from ...measure.picking import region_behind, region_in_slice
-from ..viewing.clicks import Presses, is_click, wants_clicks
 from ..viewing.contours import sliced_axis
 from ..viewing.frame import camera_of
+from ..viewing.listening import Presses, is_click, wants_clicks
 from ..viewing.viewer_link import ViewerLink
 
 _NEAR = 6.0  # px: how far from its contour a click may be

@@ -21,8 +21,8 @@ from ...runs.seeds import LabelSeeds
 from ..attempt import attempt
 from ..document import Document
 from ..qt import Signal
-from ..viewing.clicks import Presses, is_click, lay_down, wants_clicks
 from ..viewing.frame import FloatArray, Frame
+from ..viewing.listening import Presses, is_click, lay_down, wants_clicks
 from ..widgets import Note, ToolBar, button, small
 from .seed_kinds import seeds_from_layer
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from ...errors import InputError
 from ...geometry import Mesh
 from ...runs.seeds import LabelSeeds, MeshSeeds, PointSeeds, Seeds
+from ..viewing.cell_layers import unchanged_file
 from ..viewing.frame import OWN, Frame, stack_of
-from ..viewing.mesh_layer import unchanged_file
 from ..viewing.pins import PINS
 from ..viewing.walls import joined
 

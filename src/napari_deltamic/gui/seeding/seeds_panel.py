@@ -10,20 +10,15 @@ import numpy as np
 from napari.layers import Points
 from numpy.typing import NDArray
 from qtpy.QtCore import Qt, QTimer
-from qtpy.QtWidgets import (
-    QFileDialog,
-    QFormLayout,
-    QGroupBox,
-    QWidget,
-)
+from qtpy.QtWidgets import QFileDialog, QFormLayout, QGroupBox, QWidget
 from superqt import QLabeledDoubleSlider
 
 from ...errors import InputError
 from ...geometry.formats import MESH_FILES_LISTED, MESH_FILTER
 from ..document import Document
-from ..viewing.connections import Connections
+from ..viewing.cell_layers import LoadedMesh, load_meshes, surface_layer
 from ..viewing.frame import Frame, made_by_fit
-from ..viewing.mesh_layer import LoadedMesh, load_meshes, surface_layer
+from ..viewing.listening import Connections
 from ..viewing.own_layers import Points as SeedPoints
 from ..viewing.own_layers import cut_by_slices
 from ..widgets import Note, button, narrow_box, row, sentence, show_row

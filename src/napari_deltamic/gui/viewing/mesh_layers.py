@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from ...geometry import Mesh
 from ...results.colouring import colour_indices
 from .colours import BY_VALUE, LIMITS, ByValue, region_colormap, side_values, surface_look
-from .connections import Connections
 from .contours import Contours
 from .frame import OWN, Frame, camera_of
+from .listening import Connections
 from .own_layers import Surface
 from .walls import COPIES, Apart
 

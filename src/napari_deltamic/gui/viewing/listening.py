@@ -1,4 +1,4 @@
-"""The mouse in a viewer: who listens to it, what is a click, and whether a layer wants it."""
+"""Listening to a viewer and its mouse until that is undone; what is a click, and who wants it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,23 @@ import numpy as np
 
 _STILL = 5.0  # px: a mouse that moves further drags
 _MOVES_THE_VIEW = "pan_zoom"
+
+
+class Connections:
+    """Remembers what was connected to events of a viewer, so that nothing stays connected."""
+
+    def __init__(self) -> None:
+        self._made: list[tuple[Any, Callable[..., None]]] = []
+
+    def connect(self, emitter: Any, slot: Callable[..., None], **how: Any) -> None:
+        """Connect a slot to an emitter of events; ``how`` is for the emitter."""
+        emitter.connect(slot, **how)
+        self._made.append((emitter, slot))
+
+    def undo(self) -> None:
+        for emitter, slot in self._made:
+            emitter.disconnect(slot)
+        self._made.clear()
 
 
 class Presses:

@@ -1,21 +1,26 @@
-"""Mesh files as Surface layers, and whether such a layer still is what its file holds."""
+"""Cells as layers: surfaces of mesh files, and labels with their measurements."""
 
 from __future__ import annotations
 
 import hashlib
 import warnings
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from napari.layers import Labels
+from numpy.typing import NDArray
 
 from ...errors import InputError, RepairWarning
 from ...geometry import Mesh, load_mesh
-from .colours import surface_look, vertex_values
+from ...results.features import features_of
+from .colours import label_colormap, surface_look, vertex_values
 from .frame import ORIGIN, OWN, Frame
 from .own_layers import Surface
 
+_AXES = ("z", "y", "x")
 _FILE = "file"  # key under OWN
 
 
@@ -72,6 +77,27 @@ def unchanged_file(layer: Any, frame: Frame) -> str:
         return ""
     mark = _mark(str(file.get("path")), layer.data[0], layer.data[1], known.get("regions"))
     return str(file["path"]) if mark and mark == file.get("mark") else ""
+
+
+def labels_layer(
+    labels: NDArray[Any], rows: Iterable[Mapping[str, Any]], frame: Frame, name: str
+) -> Labels:
+    """Cells as a Labels layer with their measurements."""
+    layer = Labels(labels, **labels_options(rows, frame, name))
+    layer.colormap = label_colormap(labels)
+    return layer
+
+
+def labels_options(rows: Iterable[Mapping[str, Any]], frame: Frame, name: str) -> dict[str, Any]:
+    """How such a layer is made."""
+    return {
+        **frame.image_options(),
+        "axis_labels": _AXES,
+        "name": name,
+        "opacity": 0.4,
+        "features": features_of(rows),
+        "metadata": {OWN: {"fit": True}},
+    }
 
 
 def _load(path: str) -> LoadedMesh:
