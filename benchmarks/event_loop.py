@@ -253,7 +253,7 @@ def _opened(scene: str) -> tuple[Any, Any]:
         start = sphere(sample.centers[0], 2.6, edge_length=0.088)
         mesh = (start.vertices_numpy(), start.faces)
         widget.seeds.cells.choose(viewer.add_surface(mesh, units=units, name="start"))
-        widget.settings.switches["remesh"].setChecked(False)  # to so many
+        widget.settings.fields["remesh"].setChecked(False)  # to so many
     # A fit that does not end while it is watched.
     widget.settings.max_iterations.setValue(100_000)
     viewer.dims.set_point(0, float(sample.centers[0][0]))

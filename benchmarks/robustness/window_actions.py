@@ -287,6 +287,11 @@ def _others(s: Session) -> list[Action]:
     def track() -> None:
         s.widget.tracking.start()
 
+    def stop_tracking() -> None:
+        work = s.widget.tracking.work
+        if work is not None and work.running:
+            s.widget.stop()
+
     return [
         ("save a session", save),
         *[("reopen a session", reopen)] * 4,
@@ -294,7 +299,7 @@ def _others(s: Session) -> list[Action]:
         ("save meshes", save_meshes),
         ("copy command", lambda: s.widget.commands.copy_action.trigger()),
         ("track", track),
-        ("stop tracking", lambda: s.widget.tracking.stop()),
+        ("stop tracking", stop_tracking),
     ]
 
 

@@ -362,7 +362,7 @@ def test_a_length_is_taken_for_the_shape(seeded):
 def test_the_command_names_a_number(seeded, pixels):
     for name in PRESETS:
         seeded.settings.accuracy.setCurrentText(name)
-        words = command(seeded.run_settings(), "result").split()
+        words = command(seeded.doc.run_settings(), "result").split()
         if name == "normal":
             assert "--accuracy" not in words
         else:

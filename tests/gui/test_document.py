@@ -145,3 +145,28 @@ def test_no_panel_knows_another():
                 if target in panels and path.stem in panels:
                     wrong.append(f"{path.stem} imports {target}")
     assert wrong == []
+
+
+def outermost(target):
+    """The names that an assignment to an attribute goes through: ``self._doc.run`` -> three."""
+    names = []
+    while isinstance(target, (ast.Attribute, ast.Subscript)):
+        names.append(target.attr if isinstance(target, ast.Attribute) else "[]")
+        target = target.value
+    return [*names, target.id] if isinstance(target, ast.Name) else names
+
+
+def test_only_the_document_writes_what_it_holds():
+    assert outermost(ast.parse("self._doc.run = 1").body[0].targets[0]) == ["run", "_doc", "self"]
+    held = {"doc", "_doc", "record", "result", "present", "link", "cells"}
+    wrong = [
+        f"{path.stem}, line {node.lineno}"
+        for path in GUI.rglob("*.py")
+        if path.stem != "document"
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, (ast.Assign, ast.AugAssign))
+        for target in (node.targets if isinstance(node, ast.Assign) else [node.target])
+        for one in (target.elts if isinstance(target, ast.Tuple) else [target])
+        if held & set(outermost(one)[1:])
+    ]
+    assert wrong == []

@@ -66,7 +66,7 @@ def test_a_fit(seeded, spin, told, monkeypatch, caplog, where):
 def test_tracking(series_widget, spin, told, monkeypatch, caplog):
     monkeypatch.setattr(track_work, "track", broken)
     series_widget.tracking.start()
-    spin(lambda: not series_widget.tracking.running)
+    spin(lambda: not series_widget.tracking.work.running)
     assert tracebacks(caplog) == [KeyError]
 
 

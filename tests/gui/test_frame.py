@@ -154,8 +154,8 @@ def test_effects_and_switches_reach_the_settings(make_widget):
     panel = make_widget().settings
     assert panel.scene_settings().effects.names == ()
     panel.effects.table.tick("pixel_integration")
-    panel.switches["collisions"].setChecked(True)
-    panel.switches["remesh"].setChecked(False)
+    panel.fields["collisions"].setChecked(True)
+    panel.fields["remesh"].setChecked(False)
     assert panel.scene_settings().effects.names == ("pixel_integration",)
     assert (panel.fit_settings().collisions, panel.fit_settings().remesh) == (True, False)
     panel.effects.show_effects(Effects())

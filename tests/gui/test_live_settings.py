@@ -18,7 +18,7 @@ def test_settings_are_taken_over(begun, spin):
     spin(lambda: "accuracy" in begun.running.note.text())
     assert begun.running.note.text().startswith("accuracy 1e-4 from iteration")
     begun.settings.fit_psf.setChecked(True)
-    begun.settings.likelihood.setCurrentText("the same everywhere")
+    begun.settings.fields["likelihood"].setCurrentText("the same everywhere")
     spin(lambda: "noise gaussian" in " ".join(notes(begun)))
     fit_settings = begun.run.job.settings.fit
     assert (fit_settings.fit_psf, fit_settings.likelihood) == (True, "gaussian")

@@ -44,12 +44,12 @@ def test_none_is_chosen_but_by_the_user(seeded, with_image, pixels):
 
 
 def test_it_is_an_effect_of_the_run(seeded, second):
-    view = seeded.run_settings().scene.effects.second_view
+    view = seeded.doc.run_settings().scene.effects.second_view
     assert view is not None
     assert view.sigma == SIGMA
     assert "second view" in seeded.settings.effects_fold.title
     second.chooser.setCurrentIndex(0)
-    assert seeded.run_settings().scene.effects.second_view is None
+    assert seeded.doc.run_settings().scene.effects.second_view is None
 
 
 def test_its_image_reaches_the_fit(seeded, second, spin, monkeypatch, pixels):
@@ -150,7 +150,7 @@ def test_a_session_without_one_has_none(seeded, second, with_image):
     settings = found.settings.model_copy(update={"scene": scene})
     list(session.restore(seeded.parts, replace(found, settings=settings, second=None)))
     assert second.source.layer is None
-    assert seeded.run_settings().scene.effects.second_view is None
+    assert seeded.doc.run_settings().scene.effects.second_view is None
 
 
 def test_what_is_wrong_is_no_more_said_once_it_is_right(seeded, second):

@@ -98,8 +98,8 @@ def test_no_fit_starts_while_cells_are_tracked(series_widget, spin, slow_trackin
     assert widget.run is None
     widget.tracking.start()
     assert "being tracked" in told[-1]
-    widget.tracking.stop()
-    spin(lambda: not widget.tracking.running)
+    widget.stop()
+    spin(lambda: not widget.tracking.work.running)
     widget.settings.max_iterations.setValue(2)
     widget.start()
     assert widget.run is not None

@@ -106,7 +106,7 @@ def test_no_session_is_opened_while_cells_are_tracked(widget, spin, slow):
     widget.tracking.start()
     with pytest.raises(InputError, match="being tracked"):
         list(session.restore(widget.parts, found))
-    widget.tracking.stop()
+    widget.stop()
 
 
 def test_the_rendered_image_is_there_at_its_time_only(widget, viewer, spin):

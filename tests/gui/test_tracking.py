@@ -27,7 +27,7 @@ def slow(slow_tracking):
 
 
 def ended(widget):
-    return lambda: widget.tracking.work is not None and not widget.tracking.running
+    return lambda: widget.tracking.work is not None and not widget.tracking.work.running
 
 
 def test_the_panel_is_there_for_images_over_time_only(make_widget, with_image, series):

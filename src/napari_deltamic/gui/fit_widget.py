@@ -10,8 +10,7 @@ from qtpy.QtCore import QEvent, QSize
 from qtpy.QtWidgets import QWidget
 
 from ..common.description import described
-from ..runs.seeds import Seeds
-from ..runs.settings import RunSettings, SceneSettings
+from ..runs.settings import SceneSettings
 from .dock import Column, Header, Keys, ask_before_closing
 from .document import Document
 from .editing.edits import Edits
@@ -104,10 +103,6 @@ class FitWidget(QWidget):
     def link(self) -> ViewerLink | None:
         """What shows it in the viewer."""
         return self.doc.link
-
-    def run_settings(self, seeds: Seeds | None = None) -> RunSettings:
-        """The whole run as it is shown, the same object that the command line makes."""
-        return self.doc.run_settings(seeds)
 
     def start(self) -> None:
         """Start a fit of what is chosen; says in plain words what is missing."""

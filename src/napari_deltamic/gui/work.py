@@ -136,6 +136,10 @@ class Work(QObject):
         if self.task is not None:
             self.task.paused = paused
 
+    def look_at_most(self, often: float) -> None:
+        """So many times a second."""
+        self.interval = 1 / often
+
     def close(self) -> None:
         """End the task, and tell nobody."""
         with suppress(RuntimeError):  # the application may have ended before

@@ -48,10 +48,9 @@ class SettingsPanel(QGroupBox):
         self.sigma = self.optics.sigma
         experts = [name for name in described(FitSettings) if name not in _OWN]
         self.forms = [Form(FitSettings, names, self) for names in (_PSF, _BRIGHTNESS, experts)]
-        fields = {name: field for form in self.forms for name, field in form.fields.items()}
-        self.fit_psf, self.density = fields["fit_psf"], fields["density"]
-        self.likelihood, self.max_iterations = fields["likelihood"], fields["max_iterations"]
-        self.switches = {n: fields[n] for n in ("fit_psf", "remesh", "collisions", "topology")}
+        self.fields = {name: field for form in self.forms for name, field in form.fields.items()}
+        self.fit_psf, self.density = self.fields["fit_psf"], self.fields["density"]
+        self.max_iterations = self.fields["max_iterations"]
         noise = NoiseOf(doc)
         self.accuracy = AccuracyDial(noise, self)
         self.accuracy_number = QLabel(self)  # what the dial stands for

@@ -55,10 +55,6 @@ class TrackControl(QObject):
         self._image_changed()
 
     @property
-    def running(self) -> bool:
-        return self.work is not None and self.work.running
-
-    @property
     def results(self) -> list[FrameResult]:
         return list(self.tracked.results)
 
@@ -80,11 +76,6 @@ class TrackControl(QObject):
             return
         prepare, frames = self._again
         self._launch(prepare, frames, self.results)
-
-    def stop(self) -> None:
-        """End tracking; the frames that are done are kept."""
-        if self.running:
-            self._doc.work.stop()
 
     def save(self, folder: str) -> None:
         """Write what the command line would."""
