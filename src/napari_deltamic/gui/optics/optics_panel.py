@@ -72,7 +72,7 @@ class OpticsPanel(QWidget):
         for signal in (doc.image.changed, doc.result_changed, doc.ended):
             signal.connect(self._show_own_or_found)
         self._show_page()
-        self._show_gaussian()
+        self._show_own()
 
     @property
     def busy(self) -> bool:
@@ -153,7 +153,8 @@ class OpticsPanel(QWidget):
     def show_sigma(self, sigma: Sequence[float]) -> None:
         """Show the widths of a Gaussian (um), without a signal."""
         self.sigma.set_value(sigma)
-        self._show_gaussian()
+        if self.is_gaussian:
+            self._show_own()
         self.described.emit()
 
     def _show_of_fit(self, snapshot: Any) -> None:
@@ -164,11 +165,8 @@ class OpticsPanel(QWidget):
         present = self._doc.present()
         if present is not None:
             self.picture.show_optics(present.state.optics)
-            return
-        if self.kind.currentText() == GAUSSIAN:
-            self._show_gaussian()
         else:
-            self._background.soon(self._compute, _WAIT)
+            self._show_own()
 
     # ----------------------------------------------------------------------------------- inside
 
@@ -182,15 +180,14 @@ class OpticsPanel(QWidget):
         self._complain("")
         self.width_note.say("")
         self._background.drop()  # of what was shown before
-        if self.kind.currentText() == GAUSSIAN:
-            self._show_gaussian()
-        else:
-            self._background.soon(self._compute, _WAIT)
+        self._show_own()
         self.described.emit()
 
-    def _show_gaussian(self) -> None:
-        if self.kind.currentText() == GAUSSIAN:
+    def _show_own(self) -> None:
+        if self.is_gaussian:
             self.picture.show_optics(GaussianPSF(self.sigma.value()))
+        else:
+            self._background.soon(self._compute, _WAIT)
 
     def _show_page(self) -> None:
         for kind, page in self._pages.items():
