@@ -101,7 +101,7 @@ def _settings(s: Session) -> list[Action]:
     return [
         ("fit psf", lambda: of().fit_psf.setChecked(rng.random() < 0.5)),
         ("density", lambda: of().density.setCurrentIndex(rng.randrange(3))),
-        ("likelihood", lambda: of().likelihood.setCurrentIndex(rng.randrange(3))),
+        ("likelihood", lambda: of().fields["likelihood"].setCurrentIndex(rng.randrange(3))),
         (
             "accuracy",
             lambda: of().accuracy.setCurrentText(rng.choice(["1e-2", "3e-3", "x", "", "0"])),
