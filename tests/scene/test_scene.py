@@ -18,6 +18,7 @@ from napari_deltamic.scene import (
     render_scene,
 )
 from napari_deltamic.scene.effects import Effects
+from napari_deltamic.scene.light import INSIDES
 
 GRID = nd.Grid((24, 26, 25), (0.1, 0.1, 0.1), origin=(0.3, -0.2, 0.1))
 OPTICS = nd.GaussianPSF((0.22, 0.2, 0.21))
@@ -252,3 +253,18 @@ def test_bad_input(name):
     make, says = BAD[name]
     with pytest.raises(nd.InputError, match=says):
         make()
+
+
+@pytest.mark.filterwarnings("ignore::napari_deltamic.errors.RepairWarning")
+def test_an_inside_moves_with_its_surface_though_it_is_inside_out():
+    """As a cell of a thousand was at a blurred level: its inside had stayed where it was."""
+    turned = Mesh(BALL.vertices, BALL.faces[:, ::-1], BALL.regions)
+    renderer = Renderer(Scene.of(turned, OPTICS, insides=True), GRID, 1e-4, margin=0.5)
+    assert len(renderer.scene.on_one_mesh()) == 2
+    moved = BALL.translated((0.0, 0.1, 0.0))
+    vertices = torch.tensor(moved.vertices_numpy(), requires_grad=True)
+    image = renderer.image(renderer.transform(vertices, None, INSIDES), renderer.otf(OPTICS))
+    expected = render_scene(Scene((Solid(moved),), OPTICS), GRID, 1e-4)
+    assert_allclose(image.detach(), expected, rtol=0, atol=1e-3 * float(expected.max()))
+    image.square().sum().backward()
+    assert vertices.grad.abs().max() > 0

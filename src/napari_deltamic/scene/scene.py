@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 
 from ..errors import InputError
-from ..geometry.mesh import Mesh
+from ..geometry.mesh import IntArray, Mesh
 from ..optics import Optics
 from .effects import Effects, as_effects
 from .structures import Solid, Structure, Surface, Values
@@ -80,10 +80,19 @@ class Scene:
         return replace(self, structures=tuple(map(changed, self.structures)))
 
     def on_one_mesh(self) -> tuple[Structure, ...]:
-        """The structures that move with the scene's mesh: those of the first one's triangles."""
+        """The structures that move with the scene's mesh: those of the first one's triangles.
+
+        However they are wound: a solid turns a region that is inside out.
+        """
         meshed = [s for s in self.structures if isinstance(s, (Surface, Solid))]
-        return tuple(s for s in meshed if np.array_equal(s.mesh.faces, meshed[0].mesh.faces))
+        return tuple(s for s in meshed if _same_triangles(s.mesh.faces, meshed[0].mesh.faces))
 
     def with_effects(self, effects: Effects | Sequence[str]) -> Self:
         """The same scene with other effects."""
         return replace(self, effects=as_effects(effects))
+
+
+def _same_triangles(one: IntArray, other: IntArray) -> bool:
+    if one.shape != other.shape:
+        return False
+    return np.array_equal(one, other) or np.array_equal(np.sort(one, 1), np.sort(other, 1))
