@@ -189,7 +189,7 @@ def _joined(parts: Sequence[PointSeeds]) -> PointSeeds:
 
 @dataclass(frozen=True)
 class FoundSeeds:
-    """The cells of a membrane image, found without a click."""
+    """The cells of an image of membranes, or of nuclei, found without a click."""
 
     size: float | None = None  # um, the diameter of a typical cell; None: estimated
     path: str = AUTO
@@ -206,11 +206,9 @@ class FoundSeeds:
     def labels(self, image: NDArray[Any], grid: Grid) -> NDArray[np.int32]:
         """(Z, Y, X) the cells. InputError where there are none."""
         # Imported where it is needed, as that takes a while.
-        from ..geometry.labels.find_cells import find_cells, suggest_size
+        from ..geometry.labels.bright_cells import cells_of
 
-        whole = filled(image)
-        size = suggest_size(whole, grid.voxel_size) if self.size is None else self.size
-        return np.asarray(find_cells(whole, grid.voxel_size, size), np.int32)
+        return cells_of(filled(image), grid.voxel_size, self.size).labels
 
 
 def seeds_of(path: str) -> Seeds:

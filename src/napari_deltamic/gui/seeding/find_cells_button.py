@@ -15,7 +15,9 @@ from superqt import QLabeledDoubleSlider
 from superqt.utils import signals_blocked
 
 from ...errors import InputError
-from ...runs.seeds import FoundSeeds
+from ...evidence.tilted_ground import with_ground
+from ...fitting.job import levelled
+from ...runs.settings import SceneSettings
 from ...scene import Grid
 from ..document import Document
 from ..qt import Signal
@@ -202,13 +204,14 @@ def look(
 ) -> FoundCells:
     """The cells of an image, of a size (um; None: estimated)."""
     # Imported when it is first needed, and in the thread, as that takes a while.
-    from ...geometry.labels.find_cells import suggest_size, suggest_sizes
+    from ...geometry.labels.bright_cells import cells_of
+    from ...geometry.labels.find_cells import suggest_sizes
 
     shape: Any = np.shape(image)
-    grid = Grid(shape, voxel_size)
-    if size is not None:
-        return FoundCells(size, FoundSeeds(size).labels(image, grid))
-    tried = suggest_sizes(image, voxel_size)
-    used = tried[0].size if tried else suggest_size(image, voxel_size)
-    others = tuple((one.size, one.cells) for one in tried[1 : 1 + _OTHERS])
-    return FoundCells(used, FoundSeeds(used).labels(image, grid), others)
+    scene, _ = with_ground(SceneSettings(voxel_size=voxel_size), image)
+    image = levelled(image, Grid(shape, voxel_size), scene)
+    found = cells_of(image, voxel_size, size)
+    if size is not None or found.bright:
+        return FoundCells(found.size, found.labels)
+    tried = suggest_sizes(image, voxel_size)[1 : 1 + _OTHERS]
+    return FoundCells(found.size, found.labels, tuple((one.size, one.cells) for one in tried))

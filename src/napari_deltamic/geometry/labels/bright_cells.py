@@ -1,0 +1,191 @@
+"""Cells that are brighter than what is around them, such as nuclei; and which kind an image shows.
+
+What is brighter than a threshold is cut where it is narrow, and each part ends at half of its own
+brightness. In an image of membranes the same finds whole cells, too, or pieces of walls: so what
+walls enclose comes first where most of the light lies there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+from skimage.filters import threshold_li
+from skimage.morphology import h_maxima
+from skimage.segmentation import watershed
+
+from napari_deltamic.errors import InputError
+from napari_deltamic.geometry.labels.find_cells import checked_image, find_cells, suggest_size
+from napari_deltamic.geometry.labels.region_merging import Image, Labels
+from napari_deltamic.geometry.mesh import FloatArray
+
+
+@dataclass(frozen=True)
+class BrightRules:
+    """When a bright thing is a cell, and when cells are bright.
+
+    Attributes
+    ----------
+    smoothing
+        Smallest sides of a voxel: of the image, and of distances to the border.
+    large
+        Quantile of the depths of voxels that counts as the radius of large cells. Chosen.
+    narrow
+        Two cells meet where both are this much of the radius of large ones deeper. Chosen, not
+        measured.
+    half
+        Of its own brightness: where a cell ends, by definition of a blurred edge.
+    sizes
+        Diameters of the typical cell between which others lie: those of *Find cells*, and more.
+        Chosen, not measured.
+    core, rim
+        Of the greatest depth: deeper is the core of a cell, less deep its rim. Chosen.
+    enclosed
+        Share of the light at and in cells with walls, up to which there may be none. Measured
+        (benchmarks.defaults): 0.06 to 0.51 in images of nuclei; where there are membranes 0.62 and
+        more, or 0.48 to 0.54 with hollow things (thick layers, flat voxels, an embryo, vesicles).
+    reach
+        Sides of a voxel around them that count.
+    """
+
+    smoothing: float = 1.0
+    large: float = 0.99
+    narrow: float = 0.12
+    half: float = 0.5
+    sizes: tuple[float, float] = (0.4, 2.5)
+    core: float = 0.6
+    rim: float = 0.3
+    enclosed: float = 0.6
+    reach: float = 2.0
+
+
+RULES = BrightRules()
+
+
+@dataclass(frozen=True, eq=False)
+class CellsFound:
+    """The cells of an image.
+
+    Attributes
+    ----------
+    labels
+        (Z, Y, X) int32: 1 to n; 0 is background.
+    size
+        um: diameter of the typical cell.
+    bright
+        Whether they shine from inside.
+    """
+
+    labels: NDArray[np.int32]
+    size: float
+    bright: bool
+
+
+def cells_of(
+    image: ArrayLike, voxel_size: Sequence[float], size: float | None = None
+) -> CellsFound:
+    """The cells of an image, whether their membranes shine or their insides.
+
+    Parameters
+    ----------
+    image : (Z, Y, X) array; NaN where missing.
+    voxel_size : um, Z, Y, X.
+    size : um; the diameter of a usual cell. None: estimated.
+
+    Raises
+    ------
+    InputError
+        As :func:`~.find_cells.find_cells`.
+    """
+    data, _, voxel = checked_image(image, voxel_size)
+    asked = suggest_size(image, voxel_size) if size is None else size
+    walled: NDArray[np.int32] | None
+    try:
+        walled, refused = find_cells(image, voxel_size, asked), None
+    except InputError as error:
+        walled, refused = None, error
+    seen = ndimage.gaussian_filter(data, RULES.smoothing * voxel.min() / voxel, mode="nearest")
+    if walled is None or _light_at(seen, walled, voxel) < RULES.enclosed:
+        bright = _bright_cells(seen, voxel, size)
+        if bright is not None:
+            return CellsFound(bright, _typical(bright, voxel), True)
+    if refused is not None:
+        raise refused
+    assert walled is not None, "what was not refused was found"
+    return CellsFound(walled, asked, False)
+
+
+def _bright_cells(seen: Image, voxel: FloatArray, size: float | None) -> NDArray[np.int32] | None:
+    """Labels of what is brighter than around it; None where there is nothing, or it is hollow."""
+    threshold = threshold_li(seen)
+    things = ndimage.binary_fill_holes(ndimage.binary_opening(seen > threshold))
+    if not things.any():
+        return None
+    depth = ndimage.distance_transform_edt(np.pad(things, 1), voxel)[1:-1, 1:-1, 1:-1]
+    depth = ndimage.gaussian_filter(depth, RULES.smoothing * voxel.min() / voxel)
+    large = float(np.quantile(depth[things], RULES.large)) if size is None else size / 2
+    peaks, _ = ndimage.label(h_maxima(depth, RULES.narrow * large))
+    parts = watershed(-depth, peaks, mask=things)
+    dark = float(np.median(seen[~things])) if not things.all() else float(seen.min())
+    if any(_hollow(seen, parts, depth)):
+        return None
+    parts = _ended(seen, parts, depth, dark)
+    diameters = _diameters(parts, voxel)
+    typical = size or _typical(parts, voxel)
+    low, high = (times * typical for times in RULES.sizes)
+    kept = np.flatnonzero((diameters > low) & (diameters < high))
+    if not len(kept):
+        return None
+    numbers = np.zeros(len(diameters), np.int32)
+    numbers[kept] = np.arange(1, len(kept) + 1)
+    return numbers[parts]
+
+
+def _ended(seen: Image, parts: Labels, depth: FloatArray, dark: float) -> Labels:
+    """Each part up to half of its own brightness."""
+    ends = np.full(int(parts.max()) + 1, np.inf)
+    for k, box in enumerate(ndimage.find_objects(parts), 1):
+        if box is not None:
+            own = parts[box] == k
+            core = own & (depth[box] >= RULES.core * depth[box][own].max())
+            ends[k] = dark + RULES.half * (float(np.median(seen[box][core])) - dark)
+    return np.where((parts > 0) & (seen > ends[parts]), parts, 0)
+
+
+def _hollow(seen: Image, parts: Labels, depth: FloatArray) -> list[bool]:
+    """Of each part: whether its rim is brighter than its core."""
+    found = []
+    for k, box in enumerate(ndimage.find_objects(parts), 1):
+        own = parts[box] == k
+        deepest = depth[box][own].max()
+        core, rim = (
+            own & (depth[box] > RULES.core * deepest),
+            own & (depth[box] < RULES.rim * deepest),
+        )
+        if core.any() and rim.any():
+            found.append(bool(seen[box][rim].mean() > seen[box][core].mean()))
+    return found
+
+
+def _light_at(seen: Image, labels: Labels, voxel: FloatArray) -> float:
+    """Share of the light that lies in cells or near them."""
+    light = np.maximum(seen - threshold_li(seen), 0)
+    near = ndimage.distance_transform_edt(labels == 0, voxel) <= RULES.reach * voxel.min()
+    return float((light * near).sum()) / max(float(light.sum()), 1e-30)
+
+
+def _diameters(labels: Labels, voxel: FloatArray) -> FloatArray:
+    """um, of the balls as large as each label; 0 of the background."""
+    volumes = np.bincount(labels.ravel()) * float(np.prod(voxel))
+    volumes[0] = 0
+    found: FloatArray = np.cbrt(6 / np.pi * volumes)
+    return found
+
+
+def _typical(labels: Labels, voxel: FloatArray) -> float:
+    """um: mean diameter, of voxels rather than of labels, so that crumbs do not count."""
+    each = _diameters(labels, voxel)
+    return float((each**4).sum() / max((each**3).sum(), 1e-30))
