@@ -25,6 +25,7 @@ from .conftest import CENTER, SHAPE, SIZE
 from .seeding import FRAME, MEMBRANE, PLACE, SPHERE, add_points, grid_of, taken, texts
 
 NAME = "napari_deltamic.geometry.labels.find_cells"
+BRIGHT = "napari_deltamic.geometry.labels.bright_cells"
 
 
 @pytest.fixture
@@ -39,21 +40,18 @@ def finder(monkeypatch):
     """In the place of the search for cells, which has tests of its own."""
     asked = []
 
-    def find(image, voxel_size, size):
-        asked.append(size)
-        if size > 3:
+    def find(image, voxel_size, size=None):
+        asked.append(size or 2.5)
+        if asked[-1] > 3:
             raise InputError("no cell is as large as that")
         labels = np.zeros(image.shape, np.int32)
         labels[5:12, 5:12, 5:12] = len(asked)
-        return labels
+        return types.SimpleNamespace(labels=labels, size=asked[-1], bright=False)
 
     found = [types.SimpleNamespace(size=size, cells=n) for size, n in ((2.5, 1), (1.5, 9))]
-    fake = types.SimpleNamespace(
-        find_cells=find,
-        suggest_size=lambda image, voxel_size: 2.5,
-        suggest_sizes=lambda image, voxel_size: found,
-    )
-    monkeypatch.setitem(sys.modules, NAME, fake)
+    sizes = types.SimpleNamespace(suggest_sizes=lambda image, voxel_size: found)
+    monkeypatch.setitem(sys.modules, NAME, sizes)
+    monkeypatch.setitem(sys.modules, BRIGHT, types.SimpleNamespace(cells_of=find))
     return asked
 
 
