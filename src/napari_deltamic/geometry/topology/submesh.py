@@ -152,6 +152,8 @@ def narrowed(part: Submesh, change: Change) -> tuple[Submesh, Change]:
     was = np.isin(index[: len(before)], index[len(before) :])
     stays = np.zeros(len(change.mesh.faces), bool)
     stays[settled] = np.isin(index[len(before) :], index[: len(before)])
+    if stays.all() or was.all():  # a piece vanished and nothing is new, or the same the other way
+        return part, change
     small, corners = _some(part.mesh, ~was)
     rest = np.zeros(len(part.corners), bool)
     rest[part.mesh.faces[was]] = True
