@@ -1,11 +1,13 @@
 """Meshes of label images whose labels touch."""
 
+import warnings
+
 import numpy as np
 import pytest
 from mesh_edges import edge_valences
 from numpy.testing import assert_allclose
 
-from napari_deltamic.errors import RepairWarning
+from napari_deltamic.errors import InputError, RepairWarning
 from napari_deltamic.geometry import mesh_from_labels
 from napari_deltamic.geometry.labels import meshes as label_meshes
 from napari_deltamic.geometry.remeshing import can_remesh, smallest_angles
@@ -96,3 +98,20 @@ def test_the_default_edge_is_three_voxels_unless_that_makes_too_many_faces(monke
     assert edge > 0.8
     faces = len(mesh_from_labels(halves(), SIZE).faces)
     assert 250 < faces < 600
+
+
+def test_labels_of_hardly_an_edge_stay_where_they_are():
+    """One of them had become inside out, and grown to twenty images."""
+    labels = np.zeros((20, 20, 20), np.int32)
+    rng = np.random.default_rng(0)
+    for k, (z, y, x) in enumerate(np.argwhere(np.ones((3, 3, 3))) * 6 + 3, 1):
+        labels[z - 1 : z + rng.integers(1, 3), y - 1 : y + 2, x - 1 : x + rng.integers(1, 4)] = k
+    for edge in (2.0, 2.5, 3.0, 3.5):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            try:
+                mesh = mesh_from_labels(labels, (1.0, 1.0, 1.0), edge_length=edge)
+            except InputError:
+                continue  # all are too small
+        assert np.abs(mesh.vertices_numpy() - 9.5).max() < 14
+        assert min(mesh.volumes().values()) > 0

@@ -25,6 +25,9 @@ EDGE_IN_VOXELS = 3.0
 # Where planes are far apart, or cells many, edges of three voxels would make more faces than a fit
 # takes in minutes: the default is then longer.
 MOST_FACES = 60_000
+# Of its voxels: a label whose mesh holds less is too small for the edges. Chosen; usual ones hold
+# all but 1e-5 of them.
+_RIGHT = 0.5
 _LEAST_CONTACT = 9  # voxel faces between two labels that make a wall
 
 
@@ -153,7 +156,9 @@ def _single(numbers: IntArray, cluster: IntArray, at: _Place) -> Mesh | None:
         return None
     vertices, faces = surface
     mesh = Mesh(vertices, faces, np.tile(np.array([[name, 0]], np.int64), (len(faces), 1)))
-    return with_volumes(mesh, {name: float((cut == number).sum() * np.prod(at.size))})
+    wanted = float((cut == number).sum() * np.prod(at.size))
+    found = with_volumes(mesh, {name: wanted})
+    return found if found.volumes()[name] > _RIGHT * wanted else None
 
 
 def _cluster(numbers: IntArray, cluster: IntArray, at: _Place) -> Mesh | None:

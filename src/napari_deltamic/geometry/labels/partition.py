@@ -17,11 +17,15 @@ from napari_deltamic.geometry.labels.dual_net import (
     field_smoothing,
 )
 from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, IntArray, Mesh
+from napari_deltamic.geometry.vectors import lengths
 
 # Of repairs: crowded labels hardly larger than an edge took up to 38 rounds, usual ones one.
 _ROUNDS = 100
 # Of blowing up; measured on nine cells: after four, volumes change by less than 1e-5 of themselves.
 _SWELLINGS = 8
+# Edges that a vertex may go at a time, as far as triangles keep their sides: a label of hardly more
+# than an edge, inside out, had sent its vertices off by twenty images. Usual steps are a tenth.
+_FARTHEST = 0.5
 # um: a crossing keeps so far from a node where two labels are level, or vertices would coincide.
 _LEAST_LEAD = 1e-9
 # Edges: largest lead. By definition: boxes of labels reach three edges beyond them, so that a label
@@ -72,6 +76,7 @@ def with_volumes(mesh: Mesh, volumes: dict[int, float]) -> Mesh:
     sides = np.searchsorted(names, mesh.regions) + 1
     sides[mesh.regions == OUTSIDE] = 0
     wanted = np.array([volumes[int(k)] for k in names])
+    farthest = _FARTHEST * mesh.median_edge()
     for _ in range(_SWELLINGS):
         present = mesh.volumes()
         lacking = wanted - [present[int(k)] for k in names]
@@ -86,6 +91,7 @@ def with_volumes(mesh: Mesh, volumes: dict[int, float]) -> Mesh:
         moved = np.zeros((len(mesh.vertices), 3))
         np.add.at(moved, mesh.faces.ravel(), np.repeat(speed[:, None] * normals, 3, axis=0))
         moved /= np.maximum(weight, 1e-300)[:, None]
+        moved *= np.minimum(1.0, farthest / np.maximum(lengths(moved), 1e-300))[:, None]
         mesh = mesh.with_vertices(mesh.vertices_numpy() + moved)
     return mesh
 
