@@ -12,7 +12,7 @@ from napari_deltamic.evidence.verdict import RULES
 from napari_deltamic.fitting.job import FitInput
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import RunSettings, SceneSettings
-from napari_deltamic.scene.light import INSIDES, MEMBRANES, Light
+from napari_deltamic.scene.light import INSIDES, MEMBRANES
 from napari_deltamic.scene.render import expected_image
 
 GRID, OPTICS = Grid((30, 30, 30), (0.2,) * 3), GaussianPSF((0.26,) * 3)
@@ -58,10 +58,3 @@ def test_missing_voxels_are_passed_over():
 
 def test_membranes_have_no_inside_to_judge():
     assert uneven_insides(*case(0.4, MEMBRANES)) == {}
-
-
-def test_an_inside_much_darker_than_its_membrane_is_not_judged():
-    peak = 1 / (np.sqrt(2 * np.pi) * OPTICS.sigma_um[0])  # of a flat membrane's image
-    bright, dark = (Light(1.0, share * peak) for share in (1.0, 0.1))
-    assert 1 in uneven_insides(*case(0.4, bright))
-    assert uneven_insides(*case(0.4, dark)) == {}

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from ..fitting.amplitudes import inside_over_membrane
 from ..fitting.evening import RULES, unevenness
 from ..fitting.job import FitInput
 from ..fitting.level import differences
@@ -27,8 +26,7 @@ def uneven_insides(job: FitInput, state: FitState, rendered: np.ndarray) -> dict
     rendered
         (Z, Y, X) image of the state.
     """
-    seen = inside_over_membrane(state.light, state.optics.sigma_um)
-    if state.light.interior <= 0 or seen < RULES.inside or not state.amplitude > 0:
+    if state.light.interior <= 0 or not state.amplitude > 0:
         return {}
     grid, mesh = job.grid, state.mesh
     given = mesh, grid, state.optics, _ACCURACY
