@@ -39,7 +39,7 @@ def test_an_uneven_one_is_read_between_the_cells(ground, numbers):
     scene, told = with_ground(SceneSettings(voxel_size=SIZE), image)
     assert scene.effects.names == ("background",)
     assert "the background varies by" in told
-    level = levelled(image, Grid(SHAPE, SIZE), scene)
+    level = levelled(image, Grid(SHAPE, SIZE), scene.effects)
     assert tilted_ground(level) is None
 
 

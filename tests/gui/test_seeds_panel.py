@@ -24,7 +24,6 @@ from napari_deltamic.runs.settings import NEAR_LEVELS
 from .conftest import CENTER, SHAPE, SIZE
 from .seeding import FRAME, MEMBRANE, PLACE, SPHERE, add_points, grid_of, taken, texts
 
-NAME = "napari_deltamic.geometry.labels.find_cells"
 BRIGHT = "napari_deltamic.geometry.labels.bright_cells"
 
 
@@ -46,11 +45,9 @@ def finder(monkeypatch):
             raise InputError("no cell is as large as that")
         labels = np.zeros(image.shape, np.int32)
         labels[5:12, 5:12, 5:12] = len(asked)
-        return types.SimpleNamespace(labels=labels, size=asked[-1], bright=False)
+        others = (types.SimpleNamespace(size=1.5, cells=9),)
+        return types.SimpleNamespace(labels=labels, size=asked[-1], others=others)
 
-    found = [types.SimpleNamespace(size=size, cells=n) for size, n in ((2.5, 1), (1.5, 9))]
-    sizes = types.SimpleNamespace(suggest_sizes=lambda image, voxel_size: found)
-    monkeypatch.setitem(sys.modules, NAME, sizes)
     monkeypatch.setitem(sys.modules, BRIGHT, types.SimpleNamespace(cells_of=find))
     return asked
 
@@ -229,10 +226,10 @@ def test_no_cells_found_is_told_in_words(panel, with_image, finder, spin):
 def test_a_second_press_starts_anew(panel, with_image, spin, monkeypatch):
     gate, sizes = threading.Event(), []
 
-    def look(image, voxel_size, size):
+    def look(read, voxel_size, size):
         sizes.append(size)
         assert gate.wait(20)
-        return find_cells_button.FoundCells(1.0, np.full(image.shape, len(sizes), np.int32))
+        return find_cells_button.FoundCells(1.0, np.full(read().shape, len(sizes), np.int32))
 
     monkeypatch.setattr(find_cells_button, "look", look)
     for _ in range(3):
@@ -247,9 +244,9 @@ def test_a_second_press_starts_anew(panel, with_image, spin, monkeypatch):
 def test_a_search_for_cells_is_given_up_with_its_image(panel, with_image, spin, monkeypatch):
     gate = threading.Event()
 
-    def look(image, voxel_size, size):
+    def look(read, voxel_size, size):
         assert gate.wait(20)
-        return find_cells_button.FoundCells(1.0, np.ones(image.shape, np.int32))
+        return find_cells_button.FoundCells(1.0, np.ones(read().shape, np.int32))
 
     monkeypatch.setattr(find_cells_button, "look", look)
     panel.find_cells.click()

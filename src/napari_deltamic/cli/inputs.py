@@ -45,12 +45,12 @@ def gather(arguments: argparse.Namespace, notes: Notes) -> FitInput:
         notes.add(f"{Path(settings.image).name}: {padded}")
     grid = Grid(image.shape, settings.scene.voxel_size, settings.scene.origin)
     check_image(image, grid)
-    if arguments.effects is None and not arguments.settings:
+    if arguments.effects in (None, AUTO) and not arguments.settings:
         scene, uneven = with_ground(settings.scene, image)
         if uneven:
-            notes.add(uneven)
+            notes.add(f"{uneven}; --effects none would not")
             settings = settings.model_copy(update={"scene": scene})
-    level = levelled(image, grid, settings.scene)
+    level = levelled(image, grid, settings.scene.effects)
     if settings.scene.sigma is None and settings.scene.optics is None:
         settings = with_first_psf(settings, level, notes)
     mesh, kind = load_seeds(settings.seeds, level, grid)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from ..fitting.amplitudes import hardly_wider
-from ..fitting.job import FitInput
+from ..fitting.job import FitInput, levelled
 from ..fitting.state import FitState
 from ..fitting.voxel_ownership import surface_voxels
 from ..geometry.labels.voxels import voxel_labels
@@ -49,13 +49,14 @@ def facts_of(
     rendered
         (Z, Y, X) image of the state, where it is known already.
     """
-    image = state.rendered() if rendered is None else rendered
-    total = float(np.abs(np.asarray(image) - state.background).sum())
+    image = np.asarray(state.rendered() if rendered is None else rendered)
+    seen, shown = (levelled(i, job.grid, state.effects) for i in (np.asarray(job.image), image))
+    total = float(np.abs(shown - state.background).sum())
     areas = _areas(state.mesh)
     whole = sum(areas.values()) or 1.0
     growth = _growth(job.mesh, state.mesh)
     cut = _cut(state.mesh, job.grid)
-    inside, compact = _inside(job, state), _compactness(job.mesh, state.mesh)
+    inside, compact = _inside(job, state, seen), _compactness(job.mesh, state.mesh)
     modelled = state.light.interior != 0
     unsure = job.settings.fit.structure == "auto" and not modelled
     volumes = state.mesh.volumes()
@@ -64,7 +65,7 @@ def facts_of(
     light: dict[int, float] = {}
     for spot in left.spots:
         light[spot.region] = max(light.get(spot.region, 0.0), abs(spot.light))
-    uneven = uneven_insides(job, state, np.asarray(image))
+    uneven = uneven_insides(job, state, image)
     cells = tuple(
         CellFacts(
             region,
@@ -84,8 +85,8 @@ def facts_of(
     fitted = job.settings.fit.fit_psf
     narrow = fitted and bool((sigma < RULES.psf_voxels * size).any())
     # The spectrum of insides falls faster than that of membranes: it looks blurred.
-    width = None if modelled else _width(np.asarray(job.image), job.grid, sigma)
-    if width is not None and width < 1 and not _white(np.asarray(job.image) - np.asarray(image)):
+    width = None if modelled else _width(seen, job.grid, sigma)
+    if width is not None and width < 1 and not _white(seen - shown):
         width = None  # noise that was smoothed looks like light that is sharper
     voxel = float(size.prod() ** (1 / 3))
     error = predicted_error(job, state)
@@ -143,10 +144,9 @@ def _roundness(mesh: Mesh) -> dict[int, float]:
     }
 
 
-def _inside(job: FitInput, state: FitState) -> dict[int, float]:
+def _inside(job: FitInput, state: FitState, image: np.ndarray) -> dict[int, float]:
     """Brightness deep inside of each region less that outside, over that of the surface."""
     grid, mesh = job.grid, state.mesh
-    image = np.asarray(job.image)
     known = np.isfinite(image)
     if job.counted is not None:
         known = known & job.counted

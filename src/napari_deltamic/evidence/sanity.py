@@ -149,7 +149,7 @@ def doubts(
 def tell_doubts(job: FitInput) -> tuple[Doubt, ...]:
     """The doubts about what a fit is to work on, each also as a DoubtWarning."""
     given = (
-        levelled(np.asarray(job.image), job.grid, job.settings.scene),
+        levelled(np.asarray(job.image), job.grid, job.settings.scene.effects),
         job.grid.voxel_size,
         job.mesh,
         job.grid.origin,

@@ -70,8 +70,8 @@ def with_ground(scene: SceneSettings, image: NDArray[Any]) -> tuple[SceneSetting
     if found is None:
         return scene, ""
     told = (
-        f"the background varies by {_range(found):.3g} over the image: it is fitted with the rest "
-        "(--effects none would not)"
+        f"the background varies by {_range(found):.3g} over the image: the fit allows for it and "
+        "adjusts it"
     )
     return scene.model_copy(update={"effects": scene.effects.adding(found)}), told
 

@@ -16,6 +16,7 @@ from ..runs.optics_settings import optics_from_values
 from ..runs.seeds import SeedKind as SeedKind
 from ..runs.settings import NEAR_LEVELS, FitSettings, RunSettings, SceneSettings
 from ..scene import Grid
+from ..scene.effects import Effects
 from ..scene.render import offset
 from . import FitState, counted_voxels, fit
 from .default_accuracy import image_noise
@@ -55,9 +56,9 @@ class FitInput:
         return bool(np.isnan(self.image).any())
 
 
-def levelled(image: NDArray[Any], grid: Grid, scene: SceneSettings) -> NDArray[Any]:
-    """An image without what the effects of a scene add to it; itself where they add nothing."""
-    added = offset(scene.effects, grid)
+def levelled(image: NDArray[Any], grid: Grid, effects: Effects) -> NDArray[Any]:
+    """(Z, Y, X) an image without what effects add to it; itself where they add nothing."""
+    added = offset(effects, grid)
     return image if added is None else np.asarray(image - added.numpy(), np.float32)
 
 
@@ -103,7 +104,7 @@ def assemble(
     if kind != "rough" and settings.fit.levels is None:
         found["levels"] = NEAR_LEVELS
     optics = optics_of(settings.scene)
-    level = levelled(image, grid, settings.scene)
+    level = levelled(image, grid, settings.scene.effects)
     now = Situation.of(mesh, grid, optics.sigma_um, image_noise(level))
     wanted = dialled(settings.fit.shape_error, now)
     mesh = with_edges(mesh, wanted.edge)

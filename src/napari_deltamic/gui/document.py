@@ -6,6 +6,7 @@ the cells chosen.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from psygnal import Signal
 
 from ..accuracy.experience import Learned
-from ..errors import InputError
+from ..errors import DoubtWarning, InputError
 from ..evidence.first_sigma import with_first_psf
 from ..evidence.sanity import tell_doubts
 from ..evidence.tilted_ground import with_ground
@@ -245,8 +246,10 @@ class Document:
         def prepare() -> FitInput:
             pixels = read()
             check_image(pixels, grid)  # which takes a while where the image is large
-            scene, _ = with_ground(settings.scene, pixels)
-            level = levelled(pixels, grid, scene)
+            scene, uneven = with_ground(settings.scene, pixels)
+            if uneven:
+                warnings.warn(uneven, DoubtWarning, stacklevel=2)
+            level = levelled(pixels, grid, scene.effects)
             scene, _ = with_first_psf(scene, level)
             whole = settings.model_copy(update={"scene": scene})
             start = seeds.make(level, grid)

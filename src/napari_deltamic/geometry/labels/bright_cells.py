@@ -18,7 +18,13 @@ from skimage.morphology import h_maxima
 from skimage.segmentation import watershed
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.labels.find_cells import checked_image, find_cells, suggest_size
+from napari_deltamic.geometry.labels.find_cells import (
+    SizeFound,
+    checked_image,
+    find_cells,
+    likeliest,
+    suggest_sizes,
+)
 from napari_deltamic.geometry.labels.region_merging import Image, Labels
 from napari_deltamic.geometry.mesh import FloatArray
 
@@ -77,11 +83,14 @@ class CellsFound:
         um: diameter of the typical cell.
     bright
         Whether they shine from inside.
+    others
+        Of those with walls: other sizes that they may have, the likeliest first.
     """
 
     labels: NDArray[np.int32]
     size: float
     bright: bool
+    others: tuple[SizeFound, ...] = ()
 
 
 def cells_of(
@@ -101,7 +110,8 @@ def cells_of(
         As :func:`~.find_cells.find_cells`.
     """
     data, _, voxel = checked_image(image, voxel_size)
-    asked = suggest_size(image, voxel_size) if size is None else size
+    tried = suggest_sizes(image, voxel_size) if size is None else []
+    asked = size or likeliest(tried, data.shape, voxel)
     walled: NDArray[np.int32] | None
     try:
         walled, refused = find_cells(image, voxel_size, asked), None
@@ -115,7 +125,7 @@ def cells_of(
     if refused is not None:
         raise refused
     assert walled is not None, "what was not refused was found"
-    return CellsFound(walled, asked, False)
+    return CellsFound(walled, asked, False, tuple(tried[1:]))
 
 
 def _bright_cells(seen: Image, voxel: FloatArray, size: float | None) -> NDArray[np.int32] | None:
@@ -161,10 +171,8 @@ def _hollow(seen: Image, parts: Labels, depth: FloatArray) -> list[bool]:
     for k, box in enumerate(ndimage.find_objects(parts), 1):
         own = parts[box] == k
         deepest = depth[box][own].max()
-        core, rim = (
-            own & (depth[box] > RULES.core * deepest),
-            own & (depth[box] < RULES.rim * deepest),
-        )
+        core = own & (depth[box] > RULES.core * deepest)
+        rim = own & (depth[box] < RULES.rim * deepest)
         if core.any() and rim.any():
             found.append(bool(seen[box][rim].mean() > seen[box][core].mean()))
     return found

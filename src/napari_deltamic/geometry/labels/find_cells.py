@@ -114,10 +114,14 @@ def suggest_size(image: ArrayLike, voxel_size: Sequence[float]) -> float:
     InputError
         As `find_cells`.
     """
-    found = suggest_sizes(image, voxel_size)
-    if found:
-        return found[0].size
-    return float(np.max(np.multiply(np.shape(image), voxel_size))) / 4
+    return likeliest(suggest_sizes(image, voxel_size), np.shape(image), voxel_size)
+
+
+def likeliest(
+    tried: Sequence[SizeFound], shape: Sequence[int], voxel_size: Sequence[float] | FloatArray
+) -> float:
+    """um: the first of the sizes tried; where there is none, a quarter of the image."""
+    return tried[0].size if tried else float(np.max(np.multiply(shape, voxel_size))) / 4
 
 
 def suggest_sizes(image: ArrayLike, voxel_size: Sequence[float]) -> list[SizeFound]:

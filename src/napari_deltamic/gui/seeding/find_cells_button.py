@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -79,13 +80,13 @@ class FindCells(QPushButton):
     def start(self) -> None:
         """Look for cells in the image chosen; what is under way is given up."""
         try:
-            frame, image = self._image.frame(), self._image.stack()
+            frame, read = self._image.frame(), self._image.reader()
         except InputError as error:
             self._tell(sentence(str(error)))
             return
         self._asked = (self._image.layer, frame)
         size = float(self.cell_size.value()) if self._moved else None
-        self._background.ask(partial(look, image, frame.voxel_size, size))
+        self._background.ask(partial(look, read, frame.voxel_size, size))
         self._tell("Looking for cells ...")
 
     def suit(self, shape: tuple[int, ...], voxel_size: tuple[float, ...]) -> None:
@@ -200,18 +201,18 @@ class FoundCells:
 
 
 def look(
-    image: NDArray[Any], voxel_size: tuple[float, float, float], size: float | None
+    read: Callable[[], NDArray[Any]], voxel_size: tuple[float, float, float], size: float | None
 ) -> FoundCells:
-    """The cells of an image, of a size (um; None: estimated)."""
+    """The cells of the image that is read, of a size (um; None: estimated)."""
     # Imported when it is first needed, and in the thread, as that takes a while.
     from ...geometry.labels.bright_cells import cells_of
-    from ...geometry.labels.find_cells import suggest_sizes
 
-    shape: Any = np.shape(image)
+    image = read()
     scene, _ = with_ground(SceneSettings(voxel_size=voxel_size), image)
-    image = levelled(image, Grid(shape, voxel_size), scene)
-    found = cells_of(image, voxel_size, size)
-    if size is not None or found.bright:
+    shape: Any = image.shape
+    level = levelled(image, Grid(shape, voxel_size), scene.effects)
+    found = cells_of(level, voxel_size, size)
+    if size is not None:
         return FoundCells(found.size, found.labels)
-    tried = suggest_sizes(image, voxel_size)[1 : 1 + _OTHERS]
-    return FoundCells(found.size, found.labels, tuple((one.size, one.cells) for one in tried))
+    others = tuple((one.size, one.cells) for one in found.others[:_OTHERS])
+    return FoundCells(found.size, found.labels, others)
