@@ -6,6 +6,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from napari_deltamic import InputError
 from napari_deltamic.geometry.labels.bright_cells import cells_of
+from napari_deltamic.images.stacks import read_image
 
 VOXEL = (0.4, 0.2, 0.2)
 SHAPE = (24, 48, 60)
@@ -73,3 +74,12 @@ def test_noise_alone_is_no_cell():
     noise = np.random.default_rng(1).poisson(5.0, SHAPE).astype(np.float32)
     with pytest.raises(InputError, match="no cells"):
         cells_of(noise, VOXEL)
+
+
+def test_a_bead_in_the_cones_of_its_light_is_found(shared_data):
+    """They hold more light than the bead, which must not be lost in them."""
+    image = read_image(shared_data / "images" / "bead2.5um_EPFL_25pct.tif")[0]
+    found = cells_of(image, (0.64, 0.258, 0.258))
+    assert found.bright
+    assert found.labels.max() == 1
+    assert 2.5 < found.size < 4  # it is blurred

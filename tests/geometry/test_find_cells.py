@@ -191,3 +191,14 @@ def test_in_noise_alone_there_are_no_cells(sigma):
     with pytest.raises(InputError, match="no cells of about 5 um were found"):
         find_cells(noise, VOXEL, 5.0)
     assert suggest_size(noise, VOXEL) > 0
+
+
+def test_gaps_between_cells_are_no_cells():
+    """They are as dark inside, and the walls of the cells around close most of them."""
+    places = np.array(list(np.ndindex(3, 3, 3)))[::2] * 16.0 + 10
+    grid = np.indices((52, 52, 52))
+    away = np.min([np.hypot.reduce(grid - p[:, None, None, None]) - 7.5 for p in places], axis=0)
+    light = ndimage.gaussian_filter((np.abs(away) < 0.8).astype(float), 1.2)
+    image = np.random.default_rng(0).poisson(3 + 60 * light / light.max())
+    found = find_cells(image, (1.0, 1.0, 1.0), 14.0)
+    assert found.max() == len(places)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
-from skimage.filters import threshold_li
+from skimage.filters import threshold_li, threshold_otsu
 from skimage.morphology import h_maxima
 from skimage.segmentation import watershed
 
@@ -119,18 +119,22 @@ def cells_of(
         walled, refused = None, error
     seen = ndimage.gaussian_filter(data, RULES.smoothing * voxel.min() / voxel, mode="nearest")
     if walled is None or _light_at(seen, walled, voxel) < RULES.enclosed:
-        bright = _bright_cells(seen, voxel, size)
+        bright = _bright_cells(seen, voxel, size, threshold_li(seen))
+        if bright is None and walled is None:
+            # In the halo of a bead, or of a few bright nuclei, that threshold holds the halo.
+            bright = _bright_cells(seen, voxel, size, threshold_otsu(seen))
         if bright is not None:
             return CellsFound(bright, _typical(bright, voxel), True)
-    if refused is not None:
+    if walled is None:
+        assert refused is not None, "what was not found was refused"
         raise refused
-    assert walled is not None, "what was not refused was found"
     return CellsFound(walled, asked, False, tuple(tried[1:]))
 
 
-def _bright_cells(seen: Image, voxel: FloatArray, size: float | None) -> NDArray[np.int32] | None:
-    """Labels of what is brighter than around it; None where there is nothing, or it is hollow."""
-    threshold = threshold_li(seen)
+def _bright_cells(
+    seen: Image, voxel: FloatArray, size: float | None, threshold: float
+) -> NDArray[np.int32] | None:
+    """Labels of what is brighter than a threshold; None where there is nothing, or it is hollow."""
     things = ndimage.binary_fill_holes(ndimage.binary_opening(seen > threshold))
     if not things.any():
         return None

@@ -77,6 +77,12 @@ class FindingRules:
         than this is mostly outside, or is the background. Of a halved ball it is 0.4.
     known
         Least share of a region that is not missing from the image.
+    gap, closed
+        How enclosed a region is times how solid (its volume over that of its convex hull), both in
+        parts of what the best quarter of the volume found has: less is a gap between cells, whose
+        walls are theirs, bulge into it and end where they do not touch. Measured on 60 crowds and
+        tissues of simulated cells and two glands: 348 of 396 gaps have less, and 3 of 650 cells.
+        What is as enclosed as the second is a cell of whatever shape; chosen: no gap less is found.
     leak, corners
         Parts of a region thinner than twice the first have leaked out of it; what lies within so
         many times that of the rest comes back, since corners are thin too.
@@ -118,6 +124,8 @@ class FindingRules:
     sizes: tuple[float, float] = (0.4, 2.0)
     border: float = 0.7
     known: float = 0.5
+    gap: float = 0.7
+    closed: float = 0.97
     leak: float = 0.12
     corners: float = 1.7
     tried_voxels: int = 60_000

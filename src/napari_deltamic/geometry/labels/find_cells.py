@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
+from scipy.spatial import ConvexHull
 from skimage.morphology import local_minima
 from skimage.segmentation import watershed
 
@@ -56,7 +57,8 @@ def find_cells(
     data, missing, voxel = checked_image(image, voxel_size)
     diameter = _checked_size(size, data.shape, voxel)
     seen = _Seen(data, missing, noise_magnitudes(data), voxel)
-    labels, _, _ = _find(seen, diameter, FINDING.finest)
+    labels, diameters, enclosed = _find(seen, diameter, FINDING.finest)
+    labels = _without_gaps(labels, enclosed, diameters**3)
     if not labels.any():
         raise InputError(f"no cells of about {diameter:g} um were found: try another size")
     return labels
@@ -264,6 +266,39 @@ def _trimmed(
         inner = kept[1:-1, 1:-1, 1:-1]
         result[box][inner & (result[box] == 0)] = len(whose)
     return result, whose
+
+
+def _without_gaps(labels: Labels, enclosed: FloatArray, volume: FloatArray) -> Labels:
+    """Only the cells, from 1: gaps between them are less enclosed, and hollow.
+
+    They are as dark inside as cells are, and what encloses them are the walls of cells.
+    """
+    if not len(enclosed):
+        return labels
+    boxes = enumerate(ndimage.find_objects(labels), 1)
+    solid = np.array([0.0 if box is None else _solidity(labels[box] == k) for k, box in boxes])
+    shares = [x / _upper_quartile(x, volume) for x in (enclosed, solid)]
+    cells = np.flatnonzero((shares[0] * shares[1] >= FINDING.gap) | (shares[0] >= FINDING.closed))
+    numbers = np.zeros(len(enclosed) + 1, labels.dtype)
+    numbers[cells + 1] = np.arange(1, len(cells) + 1)
+    found: Labels = numbers[labels]
+    return found
+
+
+def _solidity(region: Mask) -> float:
+    """Volume over that of the convex hull, from the middles of the faces of voxels."""
+    sides = np.vstack([-np.eye(3), np.eye(3)]) / 2
+    outer = region & ~ndimage.binary_erosion(region)
+    hull = ConvexHull((np.argwhere(outer)[:, None] + sides).reshape(-1, 3))
+    return float(region.sum() / hull.volume)
+
+
+def _upper_quartile(values: FloatArray, volume: FloatArray) -> float:
+    """By volume: gaps may be many, but they are small."""
+    order = np.argsort(values)
+    below = np.cumsum(volume[order])
+    place = 0.75 * below[-1]  # by definition
+    return float(values[order][np.searchsorted(below, place)])
 
 
 def _refined(
