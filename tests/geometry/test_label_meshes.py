@@ -94,10 +94,20 @@ def test_the_default_edge_is_three_voxels_unless_that_makes_too_many_faces(monke
     size = np.array(SIZE)
     assert label_meshes.default_edge(halves(), size) == pytest.approx(0.6)
     monkeypatch.setattr(label_meshes, "MOST_FACES", 400)
+    monkeypatch.setattr(label_meshes, "MOST_FACES_EACH", 200)
     edge = label_meshes.default_edge(halves(), size)
     assert edge > 0.8
     faces = len(mesh_from_labels(halves(), SIZE).faces)
     assert 250 < faces < 600
+
+
+def test_many_cells_have_edges_as_long_as_few(monkeypatch):
+    """A budget for all together had given each of a thousand cells 60 faces."""
+    monkeypatch.setattr(label_meshes, "MOST_FACES", 2000)
+    few = np.kron(np.arange(1, 9).reshape(2, 2, 2), np.ones((12, 12, 12), int))
+    many = np.kron(np.arange(1, 65).reshape(4, 4, 4), np.ones((12, 12, 12), int))
+    each = [label_meshes.default_edge(labels, np.ones(3)) for labels in (few, many)]
+    assert each == pytest.approx([3.0, 3.0])
 
 
 def test_labels_of_hardly_an_edge_stay_where_they_are():

@@ -22,9 +22,10 @@ from napari_deltamic.geometry.remeshing import can_remesh, remesh
 from napari_deltamic.geometry.three_numbers import three_numbers
 
 EDGE_IN_VOXELS = 3.0
-# Where planes are far apart, or cells many, edges of three voxels would make more faces than a fit
-# takes in minutes: the default is then longer.
-MOST_FACES = 60_000
+# Where planes are far apart, or cells large, edges of three voxels would make more faces than a fit
+# takes in minutes: the default is then longer. Of many cells each has the second number, as a
+# sphere with edges of a tenth of its radius has: chosen, it is twice what cells of 24 voxels take.
+MOST_FACES, MOST_FACES_EACH = 60_000, 1000
 # Of its voxels: a label whose mesh holds less is too small for the edges. Chosen; usual ones hold
 # all but 1e-5 of them.
 _RIGHT = 0.5
@@ -52,7 +53,8 @@ def mesh_from_labels(
     labels : (Z, Y, X) whole numbers, 0 = outside; or a list of such arrays or masks that overlap.
     voxel_size, origin : um, Z, Y, X; origin is the centre of the first voxel.
     edge_length : um, mean length of the edges. Default: 3 times the smallest voxel side, or what
-        makes about 60,000 faces of all labels, if that is longer.
+        makes about 60,000 faces of all labels, 1000 of each where they are more than 60, if that is
+        longer.
     gap : um; ground between labels that is narrower is divided among them. Default: as wide as the
         lines of one voxel that some segmentations leave between cells.
     shared_walls : False gives each label a surface of its own; touching ones lie on each other.
@@ -130,7 +132,8 @@ def default_edge(labels: IntArray, size: FloatArray) -> float:
         borders = np.count_nonzero(moved[1:] != moved[:-1])
         area += borders * float(np.prod(size) / size[axis])
     area /= 1.5  # faces of voxels have so much more area than the smooth surface within them
-    fewest = np.sqrt(area / (np.sqrt(3) / 4 * MOST_FACES))
+    most = max(MOST_FACES, MOST_FACES_EACH * len(np.unique(labels[labels > 0])))
+    fewest = np.sqrt(area / (np.sqrt(3) / 4 * most))
     return max(EDGE_IN_VOXELS * float(size.min()), float(fewest))
 
 
