@@ -11,6 +11,7 @@ from napari_deltamic.errors import InputError, RepairWarning
 from napari_deltamic.geometry import mesh_from_labels
 from napari_deltamic.geometry.labels import meshes as label_meshes
 from napari_deltamic.geometry.remeshing import can_remesh, smallest_angles
+from napari_deltamic.geometry.topology.crossings import crosses
 
 pytestmark = pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
 SIZE = (0.4, 0.2, 0.2)
@@ -125,3 +126,19 @@ def test_labels_of_hardly_an_edge_stay_where_they_are():
                 continue  # all are too small
         assert np.abs(mesh.vertices_numpy() - 9.5).max() < 14
         assert min(mesh.volumes().values()) > 0
+
+
+@pytest.mark.parametrize("seed", [2, 3, 9])
+def test_crowds_of_small_cells_keep_their_volumes_and_do_not_cross(seed):
+    """Four nodes across a cell were too few: cells grew to 30 times their volume."""
+    rng = np.random.default_rng(seed)
+    centers = rng.uniform(3, 29, (40, 3))
+    away = np.linalg.norm(np.indices((32, 32, 32))[None] - centers[:, :, None, None, None], axis=1)
+    labels = np.where(away.min(0) < 8.4, away.argmin(0) + 1, 0)
+    mesh = mesh_from_labels(labels, (1.0, 1.0, 1.0))
+    voxels = np.bincount(labels.ravel())
+    volumes = {k: v / voxels[k] for k, v in mesh.volumes().items()}
+    assert sorted(volumes) == list(range(1, 41))
+    assert min(volumes.values()) > 0.9
+    assert max(volumes.values()) < 1.1
+    assert not crosses(mesh)

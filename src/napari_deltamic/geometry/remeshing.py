@@ -173,18 +173,22 @@ def _remeshed(
 ) -> Remeshed:
     library = native()
     assert library is not None
-    vertices, faces, regions, held_now, loads_now, origin, (splits, collapses, _) = library.remesh(
-        np.ascontiguousarray(mesh.vertices_numpy(), np.float64),
-        np.ascontiguousarray(mesh.faces, np.int64),
-        np.ascontiguousarray(mesh.regions, np.int64),
-        np.ascontiguousarray(length),
-        held,
-        np.ascontiguousarray(loads.reshape(len(length), -1)),
-        guard,
-        int(passes),
-        bool(smooth),
-        float(apart),
-    )
+    try:
+        done = library.remesh(
+            np.ascontiguousarray(mesh.vertices_numpy(), np.float64),
+            np.ascontiguousarray(mesh.faces, np.int64),
+            np.ascontiguousarray(mesh.regions, np.int64),
+            np.ascontiguousarray(length),
+            held,
+            np.ascontiguousarray(loads.reshape(len(length), -1)),
+            guard,
+            int(passes),
+            bool(smooth),
+            float(apart),
+        )
+    except ValueError as error:  # more faces than fit the memory
+        raise InputError(str(error)) from error
+    vertices, faces, regions, held_now, loads_now, origin, (splits, collapses, _) = done
     shape = (len(vertices), *loads.shape[1:])
     return Remeshed(
         Mesh(vertices, faces, regions),

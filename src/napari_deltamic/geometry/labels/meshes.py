@@ -20,6 +20,7 @@ from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
 from napari_deltamic.geometry.refused import told
 from napari_deltamic.geometry.remeshing import can_remesh, remesh
 from napari_deltamic.geometry.three_numbers import three_numbers
+from napari_deltamic.geometry.topology.smoothing_out import smoothed_out
 
 EDGE_IN_VOXELS = 3.0
 # Where planes are far apart, or cells large, edges of three voxels would make more faces than a fit
@@ -180,6 +181,7 @@ def _cluster(numbers: IntArray, cluster: IntArray, at: _Place) -> Mesh | None:
     volumes = {int(k): float(counts[k] * np.prod(at.size)) for k in mesh.region_ids()}
     mesh = with_volumes(remesh(mesh, at.edge).mesh, volumes)
     mesh = with_volumes(remesh(mesh, at.edge, passes=2).mesh, volumes)
+    mesh = smoothed_out(mesh, at.edge)
     own_names = np.concatenate([[0], at.names])
     return Mesh(mesh.vertices, mesh.faces, own_names[mesh.regions])
 

@@ -21,6 +21,13 @@ from napari_deltamic.geometry.vectors import lengths
 
 # Of repairs: crowded labels hardly larger than an edge took up to 38 rounds, usual ones one.
 _ROUNDS = 100
+# Of the nodes of cells: where more are given up, three or four nodes across a cell are too few.
+# Measured on 160 crowds of cells 9 to 11 voxels wide: with edges of three voxels, a tenth and more
+# were given up, some cells grew to thirty times their volume, and walls crossed in thousands of
+# places; with 1.5 to 2 voxels up to a twentieth, and volumes stay within a fifth.
+_MENDED = 0.06
+_CLOSER = 1.5  # chosen: the closer grid; and, in sides of a voxel, how close is close enough
+_CLOSEST = 1.0
 # Of blowing up; measured on nine cells: after four, volumes change by less than 1e-5 of themselves.
 _SWELLINGS = 8
 # Edges that a vertex may go at a time, as far as triangles keep their sides: a label of hardly more
@@ -56,12 +63,11 @@ def partition_mesh(labels: IntArray, size: FloatArray, origin: FloatArray, edge:
     InputError
         If no label is large enough for the edge length, or the grid would not fit into memory.
     """
-    nodes = _compete(labels, size, edge)
-    _mend(nodes)
-    vertices, quads, regions = dual_net(nodes.best, nodes.lead(edge))
+    spacing, nodes = _mended(labels, size, edge)
+    vertices, quads, regions = dual_net(nodes.best, nodes.lead(spacing))
     if not len(quads):
         raise TooCoarse("no label is large enough for the edge length")
-    vertices, quads = _unpinched(vertices * edge + nodes.corner + origin, quads)
+    vertices, quads = _unpinched(vertices * spacing + nodes.corner + origin, quads)
     faces = quads[:, TRIANGLES].reshape(-1, 3)
     return Mesh(vertices, faces, np.repeat(regions, 2, axis=0))
 
@@ -175,18 +181,32 @@ def _nodes_within(
     return where, np.meshgrid(*axes, indexing="ij")
 
 
-def _mend(nodes: _Nodes) -> None:
-    """Give up nodes until no more than three walls meet in an edge.
+def _mended(labels: IntArray, size: FloatArray, edge: float) -> tuple[float, _Nodes]:
+    """Nodes of which no more than three walls meet in an edge, and how far apart they are, um."""
+    spacing = edge
+    while True:
+        nodes = _compete(labels, size, spacing)
+        own = np.count_nonzero(nodes.best)
+        changed = _mend(nodes)
+        if changed <= _MENDED * own or spacing <= _CLOSEST * float(size.min()):
+            return spacing, nodes
+        spacing /= _CLOSER
+
+
+def _mend(nodes: _Nodes) -> int:
+    """Give up nodes until no more than three walls meet in an edge; how many.
 
     In a square of nodes of which every two neighbours differ, four regions meet in an edge, or one
     touches itself there.
     """
+    before = nodes.best.copy()
     given = np.zeros(nodes.best.shape, np.int64)
     arrays: tuple[NDArray[Any], ...] = (nodes.best, nodes.second, nodes.first, nodes.next, given)
     for _ in range(_ROUNDS):
         axes = range(3)
         if not sum(_mend_squares(*(np.moveaxis(a, axis, 0) for a in arrays)) for axis in axes):
-            return
+            break
+    return int(np.count_nonzero(nodes.best != before))
 
 
 def _mend_squares(
