@@ -81,9 +81,8 @@ def _central(mesh: Mesh, regions: np.ndarray, grid: Grid) -> np.ndarray:
     if len(regions) <= JUDGING.most_cells:
         return regions
     v = mesh.vertices_numpy()
-    middles = np.array(
-        [v[np.unique(mesh.faces[(mesh.regions == r).any(1)])].mean(0) for r in regions]
-    )
+    own = mesh.faces_by_region()
+    middles = np.array([v[np.unique(mesh.faces[own[int(r)]])].mean(0) for r in regions])
     first, last = grid.extent
     start = middles[np.argmin(((middles - (first + last) / 2) ** 2).sum(1))]
     nearest = np.argsort(((middles - start) ** 2).sum(1), kind="stable")[: JUDGING.most_cells]
@@ -118,7 +117,7 @@ def _near_piece(
     v, kept = mesh.vertices_numpy(), [0]
     regions = mesh.region_ids()
     for r in regions[regions != 0]:
-        own = v[np.unique(mesh.faces[(mesh.regions == r).any(1)])]
+        own = v[np.unique(mesh.faces[mesh.faces_by_region()[int(r)]])]
         if (own.max(0) > first - margin).all() and (own.min(0) < last + margin).all():
             kept.append(int(r))
     if len(kept) > len(regions[regions != 0]):

@@ -117,7 +117,7 @@ def _white(left: np.ndarray) -> bool:
 
 def _areas(mesh: Mesh) -> dict[int, float]:
     areas = mesh.areas()
-    return {int(r): float(areas[(mesh.regions == r).any(1)].sum()) for r in mesh.region_ids()}
+    return {r: float(areas[own].sum()) for r, own in mesh.faces_by_region().items()}
 
 
 def _growth(start: Mesh, end: Mesh) -> dict[int, float]:

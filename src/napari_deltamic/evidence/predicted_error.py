@@ -167,7 +167,4 @@ class _Patches:
 
 def _vertices(mesh: Mesh) -> dict[int, np.ndarray]:
     """Vertices of each cell."""
-    return {
-        int(region): np.unique(mesh.faces[(mesh.regions == region).any(1)])
-        for region in mesh.region_ids()
-    }
+    return {region: np.unique(mesh.faces[own]) for region, own in mesh.faces_by_region().items()}

@@ -50,9 +50,9 @@ class GrowthAlarm:
     def _growth(self, mesh: Mesh) -> dict[int, tuple[float, float]]:
         """Of each region: growth of its area, and of its typical face."""
         areas, found = mesh.areas(), {}
-        for region in (int(r) for r in np.unique(mesh.regions) if r):
-            own = (mesh.regions == region).any(1) & (self._start > 0)
-            if not own.any():
+        for region, rows in mesh.faces_by_region().items():
+            own = rows[self._start[rows] > 0]
+            if not len(own):
                 continue
             total, typical = self._before.get(region, (1.0, 1.0))
             total *= float(areas[own].sum() / self._start[own].sum())
@@ -64,10 +64,8 @@ def shrunken(mesh: Mesh, width: float) -> list[int]:
     """Regions with less surface than a sphere three widths of the PSF across, um: no more than
     points, which say nothing about a shape (at 2.4 widths opposite membranes have one peak)."""
     areas = mesh.areas()
-    regions = (int(r) for r in np.unique(mesh.regions) if r)
-    return [
-        r for r in regions if areas[(mesh.regions == r).any(1)].sum() < pi * (_POINT * width) ** 2
-    ]
+    least = pi * (_POINT * width) ** 2
+    return [r for r, own in mesh.faces_by_region().items() if areas[own].sum() < least]
 
 
 def why_stuck(explained: float, bounded: bool, points: list[int], cells: int) -> str:

@@ -54,6 +54,15 @@ class Connectivity:
         return ids[ids != OUTSIDE]
 
     @cached_property
+    def faces_by_region(self) -> dict[int, IntArray]:
+        """Rows of the faces of each region, increasing: one pass, however many regions."""
+        sides = self.regions.ravel()
+        order = np.argsort(sides, kind="stable")
+        ids, first = np.unique(sides[order], return_index=True)
+        rows = np.split(order // 2, first[1:])
+        return {int(k): own for k, own in zip(ids, rows, strict=True) if k != OUTSIDE}
+
+    @cached_property
     def interfaces(self) -> tuple[IntArray, IntArray]:
         """Pairs of regions that share faces, and the row of each face among them."""
         # Larger number first, so that both ways of writing a wall are one interface.

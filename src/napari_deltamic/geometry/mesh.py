@@ -139,6 +139,10 @@ class Mesh:
         """Sorted region numbers, without 0 (the outside)."""
         return self._connectivity.region_ids
 
+    def faces_by_region(self) -> dict[int, IntArray]:
+        """Rows of the faces of each region, increasing."""
+        return self._connectivity.faces_by_region
+
     def interfaces(self) -> tuple[IntArray, IntArray]:
         """Region pairs that share faces, (I, 2) sorted, and each face's row in them, (F,).
 

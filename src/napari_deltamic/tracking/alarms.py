@@ -87,8 +87,8 @@ def gone(mesh: Mesh, largest: dict[int, float], grid: Grid, width: float) -> dic
     first, last = (np.asarray(corner) for corner in grid.extent)
     inside = np.all((mesh.vertices_numpy() >= first) & (mesh.vertices_numpy() <= last), axis=1)
     volumes = mesh.volumes()
-    for cell in mesh.region_ids().tolist():
-        own = np.unique(mesh.faces[(mesh.regions == cell).any(axis=1)])
+    for cell, rows in mesh.faces_by_region().items():
+        own = np.unique(mesh.faces[rows])
         if cell in found:
             continue
         if inside[own].mean() < RULES.alarms.in_view:

@@ -109,5 +109,5 @@ class _PlannedSolid:
 
 
 def _middle(mesh: Mesh, region: int) -> Tensor:
-    used = np.unique(mesh.faces[(mesh.regions == region).any(1)])
+    used = np.unique(mesh.faces[mesh.faces_by_region()[region]])
     return as_tensor(mesh.vertices)[torch.from_numpy(used)].detach().to(torch.float64).mean(0)
