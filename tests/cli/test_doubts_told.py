@@ -42,5 +42,6 @@ def test_an_uneven_background_is_told_and_fitted(data, tmp_path, run):
     assert "the background varies by" in err
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert [effect["name"] for effect in report["effects"]] == ["background"]
-    _, _, err = run(*given, "--effects", "none", "-o", tmp_path / "none")
-    assert "the background varies by" not in err
+    for effects, told in (("auto", True), ("none", False)):
+        _, _, err = run(*given, "--effects", effects, "-o", tmp_path / effects)
+        assert ("the background varies by" in err) == told

@@ -12,7 +12,7 @@ from napari_deltamic import load_mesh
 from napari_deltamic.cli import build_parser
 from napari_deltamic.cli.inputs import gather
 from napari_deltamic.cli.messages import Notes
-from napari_deltamic.errors import InputError
+from napari_deltamic.errors import DoubtWarning, InputError
 from napari_deltamic.fitting import fit
 from napari_deltamic.gui.running import worker
 from napari_deltamic.measure import measure_cells
@@ -48,6 +48,16 @@ def test_three_clicks_give_a_mesh(make_widget, with_image, spin):
     assert widget.results.table.rowCount() == 1
     assert widget.results.isEnabled()
     assert str(seeds.mode) == "pan_zoom"
+
+
+def test_an_uneven_background_is_told_and_fitted(seeded, with_image):
+    layer = with_image.layers["cell"]
+    rise = np.linspace(0, 3, layer.data.shape[2]) * np.ptp(layer.data)
+    layer.data = (layer.data + rise).astype(np.float32)
+    prepare, _ = seeded.doc.prepared()
+    with pytest.warns(DoubtWarning, match="the background varies by"):
+        job = prepare()
+    assert job.settings.scene.effects.names == ("background",)
 
 
 def test_the_result_is_saved(seeded, spin, tmp_path):

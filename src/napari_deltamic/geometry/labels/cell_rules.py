@@ -80,7 +80,7 @@ class FindingRules:
     gap, closed
         How enclosed a region is times how solid (its volume over that of its convex hull), both in
         parts of what the best quarter of the volume found has: less is a gap between cells, whose
-        walls are theirs, bulge into it and end where they do not touch. Measured on 60 crowds and
+        walls are theirs, bulge into it and end where they do not touch. Measured on 53 crowds and
         tissues of simulated cells and two glands: 348 of 396 gaps have less, and 3 of 650 cells.
         What is as enclosed as the second is a cell of whatever shape; chosen: no gap less is found.
     leak, corners

@@ -269,7 +269,7 @@ def _trimmed(
 
 
 def _without_gaps(labels: Labels, enclosed: FloatArray, volume: FloatArray) -> Labels:
-    """Only the cells, from 1: gaps between them are less enclosed, and hollow.
+    """Only the cells, from 1: gaps between them are less enclosed, and concave.
 
     They are as dark inside as cells are, and what encloses them are the walls of cells.
     """

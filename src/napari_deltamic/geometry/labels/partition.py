@@ -22,12 +22,12 @@ from napari_deltamic.geometry.vectors import lengths
 # Of repairs: crowded labels hardly larger than an edge took up to 38 rounds, usual ones one.
 _ROUNDS = 100
 # Of the nodes of cells: where more are given up, three or four nodes across a cell are too few.
-# Measured on 160 crowds of cells 9 to 11 voxels wide: with edges of three voxels, a tenth and more
-# were given up, some cells grew to thirty times their volume, and walls crossed in thousands of
-# places; with 1.5 to 2 voxels up to a twentieth, and volumes stay within a fifth.
+# Measured on four crowds of cells 9 to 11 voxels wide: with nodes three voxels apart, an eighth to
+# nearly all were given up, and some cells grew to thirty times their volume; with 1.5 to 2 voxels
+# at most 4.4 %, and no label has more than 1.2 times or less than 0.7 times its nodes.
 _MENDED = 0.06
-_CLOSER = 1.5  # chosen: the closer grid; and, in sides of a voxel, how close is close enough
-_CLOSEST = 1.0
+_CLOSER = 1.5  # chosen: how much closer the next grid is
+_CLOSEST = 1.0  # sides of a voxel; chosen: labels show nothing finer
 # Of blowing up; measured on nine cells: after four, volumes change by less than 1e-5 of themselves.
 _SWELLINGS = 8
 # Edges that a vertex may go at a time, as far as triangles keep their sides: a label of hardly more

@@ -39,7 +39,7 @@ def smoothed_out(mesh: Mesh, edge: float) -> Mesh:
     Mesh
         Itself where nothing crosses. Where surfaces overlap widely they still do.
     """
-    for k in range(len(_STEPS)):
+    for steps in _STEPS:
         places = _places(mesh, edge)
         if not places:
             break
@@ -51,7 +51,7 @@ def smoothed_out(mesh: Mesh, edge: float) -> Mesh:
             if not taken[rows].any():  # else its turn comes in the next round
                 taken[rows] = True
                 part = cutter.part(rows)
-                change = _smoothed(part, points, edge, _STEPS[k])
+                change = _smoothed(part, points, edge, steps)
                 if len(crossings(change.mesh)) < len(crossings(part.mesh)):
                     done.append((part, change))
         mesh = put_back(mesh, done).mesh
