@@ -1,4 +1,4 @@
-"""Smoothing of a gradient over the surface: (I + lambda L)^-1, factored once per connectivity."""
+"""Smoothing of a gradient over the surface: (I + lambda L)^-1, made once per connectivity."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from ..geometry.mesh import Mesh
-from .factors import Solve, on_host
+from .factors import MOST_HELD, Solve, on_host
+from .polynomial_inverse import ROWS_A_PRODUCT, PolynomialInverse
 
 
 def adjacency(mesh: Mesh) -> sp.csr_matrix:
@@ -39,8 +40,8 @@ class Preconditioner:
     kink in an outer surface where a wall meets it would be rounded off for many iterations.
 
     Applying it twice to a gradient is the preconditioner of B. Nicolet, A. Jacobson, W. Jakob,
-    "Large steps in inverse rendering of geometry", ACM Trans. Graph. 40, 2021. The solver is that
-    of :mod:`.factors`.
+    "Large steps in inverse rendering of geometry", ACM Trans. Graph. 40, 2021. Small matrices and
+    strong smoothing are solved by :mod:`.factors`, others by :mod:`.polynomial_inverse`.
 
     Parameters
     ----------
@@ -75,7 +76,7 @@ class Preconditioner:
             matrix = sp.coo_matrix(
                 (matrix.data[free], (matrix.row[free], matrix.col[free])), shape=(n, n)
             )
-        self._solve: Solve = on_host(matrix)
+        self._solve = _solver(matrix)
 
     def solve(self, b: Tensor) -> Tensor:
         """(V, C) -> (V, C), float64."""
@@ -85,7 +86,7 @@ class Preconditioner:
 
 
 class Preconditioners:
-    """Those of the present triangles, each factored once."""
+    """Those of the present triangles, each made once."""
 
     def __init__(self) -> None:
         self._faces = np.zeros((0, 3), np.int64)
@@ -103,6 +104,14 @@ class Preconditioners:
                 del self._made[next(iter(self._made))]
             self._made[key] = Preconditioner(mesh, smoothing, held, at_junctions)
         return self._made[key]
+
+
+def _solver(matrix: sp.coo_matrix) -> Solve:
+    if matrix.shape[0] > MOST_HELD:
+        inverse = PolynomialInverse(matrix, least=1.0)  # I and what has no negative eigenvalue
+        if inverse.products <= matrix.shape[0] / ROWS_A_PRODUCT:
+            return inverse
+    return on_host(matrix)
 
 
 _KEPT = 3  # factorisations: that of displacements, of densities, and one of before; more are no use

@@ -129,34 +129,41 @@ def told(
     results = []
     for which, known in enumerate((replace(at, density=np.zeros_like(at.density)), at)):
         membranes = posterior.shown(known, MEMBRANES)
-        columns = membranes, insides, np.ones(len(root)), *further, measured
-        results.append(_told(np.stack(columns, 1) * root[:, None], patch, block, which))
+        columns = membranes, insides, 1.0, *further, measured
+        table = np.empty((len(columns), len(root)))  # written into: with many cells it is gigabytes
+        for row, column in zip(table, columns, strict=True):
+            np.multiply(column, root, out=row)
+        results.append(_told(table, patch, block, which))
     return results[0], results[1]
 
 
 def _told(table: FloatArray, patch: FloatArray, block: np.ndarray, which: int) -> Told:
     """Of one of the amplitudes.
 
-    table : (N, K + 1) weighted columns, the last one what was measured. patch, block : (N,).
+    table : (K + 1, N) weighted columns, the last one what was measured; it is overwritten.
+    patch, block : (N,).
     """
     stiff = np.bincount(block, patch * patch)
     seen = stiff > _UNSEEN * stiff.max(initial=0.0)
     safe = np.where(seen, stiff, np.inf)
     # How far each patch would have to move to show a column, um.
-    moves = np.stack([np.bincount(block, patch * column) / safe for column in table.T], 1)
-    free = table - patch[:, None] * moves[block]
-    scale = np.sqrt((table[:, :-1] ** 2).sum(0)) + 1e-300
-    x, y = free[:, :-1] / scale, free[:, -1]
+    moves = np.stack([np.bincount(block, patch * column) / safe for column in table])
+    scale = np.sqrt([(column**2).sum() for column in table[:-1]]) + 1e-300
+    gram, per_one = _products(table[:-1]) / np.outer(scale, scale), moves[:-1] / scale[:, None]
+    for column, move in zip(table, moves, strict=True):
+        column -= patch * move[block]
+    x, y = table[:-1], table[-1]
+    x /= scale[:, None]
     inverse = np.linalg.pinv(_products(x), rcond=1e-12, hermitian=True)
-    found = inverse @ np.array([dot(a, y) for a in x.T])
-    left = y - x @ found
-    scores = np.stack([np.bincount(block, left * column) for column in x.T], 1)
-    errors = np.sqrt(np.diag(inverse @ (scores.T @ scores) @ inverse)) + 1e-300
-    gram, per_one = _products(table[:, :-1] / scale), moves[:, :-1] / scale
+    found = inverse @ np.array([dot(a, y) for a in x])
+    for a, times in zip(x, found, strict=True):
+        y -= times * a
+    scores = np.stack([np.bincount(block, y * column) for column in x])
+    errors = np.sqrt(np.diag(inverse @ (scores @ scores.T) @ inverse)) + 1e-300
     # What the other columns cannot show in its place, the surface has to.
     others = np.arange(len(found)) != which
     share = np.linalg.lstsq(gram[others][:, others], gram[others][:, which], rcond=_RANK)[0]
-    move = found[which] * (per_one[:, which] - per_one[:, others] @ share)[seen]
+    move = found[which] * (per_one[which] - share @ per_one[others])[seen]
     rms = np.sqrt(np.average(move**2, weights=stiff[seen])) if seen.any() else 0.0
     return Told(float(found[which] / errors[which]), float(rms))
 
@@ -173,7 +180,7 @@ def _patches(
 
 
 def _products(columns: FloatArray) -> FloatArray:
-    return np.array([[dot(a, b) for b in columns.T] for a in columns.T])
+    return np.array([[dot(a, b) for b in columns] for a in columns])
 
 
 def _displaced(at: Variables, mesh: Mesh, by: float) -> Variables:
@@ -193,6 +200,8 @@ def _blocks(posterior: Posterior, side: float) -> np.ndarray:
     um = side * level.factor * np.asarray(posterior.prior.imaging.optics.sigma_um)
     each = np.maximum(1, np.rint(um / np.asarray(level.grid.voxel_size))).astype(np.int64)
     index = posterior.views[0].voxels.index.cpu().numpy()
-    at = np.stack(np.unravel_index(index, shape)) // each[:, None]
-    flat = np.ravel_multi_index(tuple(at), tuple(-(-np.asarray(shape) // each)))
-    return np.unique(flat, return_inverse=True)[1].reshape(-1)
+    at = [k // n for k, n in zip(np.unravel_index(index, shape), each, strict=True)]
+    flat = np.ravel_multi_index(at, -(-np.asarray(shape) // each))
+    taken = np.bincount(flat) > 0
+    numbers: np.ndarray = np.cumsum(taken)[flat] - 1
+    return numbers
