@@ -83,3 +83,53 @@ def test_a_bead_in_the_cones_of_its_light_is_found(shared_data):
     assert found.bright
     assert found.labels.max() == 1
     assert 2.5 < found.size < 4  # it is blurred
+
+
+def all_found(image, voxel):
+    """What is found, in a list; empty where it is said that there are no cells."""
+    try:
+        return [cells_of(image, voxel)]
+    except InputError as error:
+        assert "no cells" in str(error)  # noqa: PT017
+        return []
+
+
+def packed(gap, photons=60.0):
+    """Labels and image of balls on a lattice, some not quite half as bright as others, fading."""
+    rng = np.random.default_rng(2)
+    places = np.stack(np.meshgrid(*[np.arange(4)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    centres = 8 + (12 + gap) * places + rng.uniform(-0.5, 0.5, places.shape)
+    at = np.stack(np.indices((int(16 + 3 * (12 + gap)),) * 3), -1)
+    away = np.stack([np.linalg.norm(at - c, axis=-1) for c in centres], -1)
+    labels = np.where(away.min(-1) < 6, away.argmin(-1) + 1, 0)
+    light = np.append(0.0, rng.uniform(0.6, 1.4, len(centres)))[labels]
+    light = light * np.linspace(1, 0.5, len(light))[:, None, None]
+    seen = gaussian_filter(light, (2.0, 1.4, 1.4))
+    return labels, rng.poisson(2 + photons * seen).astype(np.float32)
+
+
+@pytest.mark.parametrize("gap", [-0.5, 1.0])
+def test_crowded_cells_are_told_apart(gap):
+    labels, image = packed(gap)
+    found = cells_of(image, (1.0, 1.0, 1.0))
+    assert found.bright
+    shares = []
+    for k in range(1, labels.max() + 1):
+        other = found.labels == np.bincount(found.labels[labels == k]).argmax()
+        shares.append((other & (labels == k)).sum() / (other | (labels == k)).sum())
+    assert np.mean(np.array(shares) > 0.5) > 0.9
+    assert found.labels.max() <= 1.1 * labels.max()
+
+
+def test_a_net_of_walls_that_encloses_nothing_is_not_cut_into_cells():
+    """Junctions of an epithelium: a honeycomb of one slice or two, open above and below."""
+    rng = np.random.default_rng(0)
+    y, x = np.indices((120, 120))
+    grid = np.stack(np.meshgrid(np.arange(8), np.arange(8), indexing="ij"), -1).reshape(-1, 2)
+    centres = 8 + 15 * grid + rng.uniform(-3, 3, grid.shape)
+    away = np.sort(np.hypot(*(np.stack([y, x], -1)[..., None, :] - centres).transpose(3, 0, 1, 2)))
+    light = np.zeros((16, 120, 120))
+    light[7:9] = (away[..., 1] - away[..., 0]) < 2
+    seen = gaussian_filter(light, (1.5, 1.2, 1.2))
+    image = rng.poisson(3 + 80 * seen / seen.max()).astype(np.float32)
+    assert not any(found.bright for found in all_found(image, (1.0, 0.2, 0.2)))

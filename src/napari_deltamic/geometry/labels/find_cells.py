@@ -80,9 +80,9 @@ class _Seen:
         """Means of blocks of voxels."""
         blocks = np.float32(np.prod(step) ** 0.5)
         return _Seen(
-            _coarsened(self.data, step),
-            None if self.missing is None else _coarsened(self.missing, step),
-            None if self.noise is None else _coarsened(self.noise, step) / blocks,
+            coarsened_image(self.data, step),
+            None if self.missing is None else coarsened_image(self.missing, step),
+            None if self.noise is None else coarsened_image(self.noise, step) / blocks,
             self.voxel * step,
         )
 
@@ -276,7 +276,7 @@ def _without_gaps(labels: Labels, enclosed: FloatArray, volume: FloatArray) -> L
     if not len(enclosed):
         return labels
     boxes = enumerate(ndimage.find_objects(labels), 1)
-    solid = np.array([0.0 if box is None else _solidity(labels[box] == k) for k, box in boxes])
+    solid = np.array([0.0 if box is None else solidity(labels[box] == k) for k, box in boxes])
     shares = [x / _upper_quartile(x, volume) for x in (enclosed, solid)]
     cells = np.flatnonzero((shares[0] * shares[1] >= FINDING.gap) | (shares[0] >= FINDING.closed))
     numbers = np.zeros(len(enclosed) + 1, labels.dtype)
@@ -285,11 +285,16 @@ def _without_gaps(labels: Labels, enclosed: FloatArray, volume: FloatArray) -> L
     return found
 
 
-def _solidity(region: Mask) -> float:
+def solidity(region: Mask) -> float:
     """Volume over that of the convex hull, from the middles of the faces of voxels."""
     sides = np.vstack([-np.eye(3), np.eye(3)]) / 2
-    outer = region & ~ndimage.binary_erosion(region)
-    hull = ConvexHull((np.argwhere(outer)[:, None] + sides).reshape(-1, 3))
+    # Corners of the hull are the first or the last voxels of lines along any axis.
+    along = np.moveaxis(region, int(np.argmax(region.shape)), 0)
+    lines = np.argwhere(along.any(0))
+    inside = along[:, lines[:, 0], lines[:, 1]]
+    ends = inside.argmax(0), len(inside) - 1 - inside[::-1].argmax(0)
+    outer = np.vstack([np.column_stack([end, lines]) for end in ends])
+    hull = ConvexHull((outer[:, None] + sides).reshape(-1, 3))
     return float(region.sum() / hull.volume)
 
 
@@ -324,7 +329,7 @@ def _refined(
     return fine
 
 
-def _coarsened(data: Image, step: NDArray[np.int_]) -> Image:
+def coarsened_image(data: Image, step: NDArray[np.int_]) -> Image:
     """Means of blocks of voxels; the last block of an axis takes in what is left over."""
     for axis, times in enumerate(step):
         if times > 1:

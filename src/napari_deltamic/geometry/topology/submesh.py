@@ -243,15 +243,21 @@ class Census:
         """After a part has changed."""
         middle = before.vertices_numpy().mean(0)
         walls, volumes = dict(self.walls), dict(self.volumes)
+        own_pairs = set[tuple[int, int]]()
         for mesh, sign in ((before, -1), (after, 1)):
             own = Census.of(mesh, middle)
+            own_pairs.update(own.walls)
             for pair, count in own.walls.items():
                 walls[pair] = walls.get(pair, 0) + sign * count
             for region, volume in own.volumes.items():
                 volumes[region] = volumes.get(region, 0.0) + sign * volume
-        walls = {pair: count for pair, count in walls.items() if count}
-        there = {region for pair in walls for region in pair}
-        return Census(walls, {r: v for r, v in volumes.items() if r in there})
+        gone = [pair for pair in own_pairs if not walls[pair]]
+        for pair in gone:
+            del walls[pair]
+        if gone:  # asked thousands of times with many cells, and seldom so
+            there = {region for pair in walls for region in pair}
+            volumes = {r: v for r, v in volumes.items() if r in there}
+        return Census(walls, volumes)
 
     @property
     def regions(self) -> set[int]:

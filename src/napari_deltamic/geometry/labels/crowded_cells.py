@@ -1,0 +1,101 @@
+"""Bright cells so close that hardly a gap is left between them: bacteria, crowded nuclei.
+
+No threshold parts them, and the brightness of cells and gaps changes through a thick stack. Seen
+at the scale of a cell, each is a blob all the same: the image with its contrast compressed goes
+through the Laplacian of a Gaussian, what is brighter than its surroundings is foreground, and a
+watershed of the response cuts it (T. Lindeberg, International Journal of Computer Vision 30, 1998).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from skimage.morphology import h_maxima
+from skimage.segmentation import watershed
+
+from napari_deltamic.geometry.labels.find_cells import coarsened_image, compressed_walls
+from napari_deltamic.geometry.labels.region_merging import Image
+from napari_deltamic.geometry.mesh import FloatArray
+
+
+@dataclass(frozen=True)
+class CrowdRules:
+    """How blobs are told.
+
+    Attributes
+    ----------
+    smallest
+        Diameter of the smallest cells looked for, sides of a voxel. Chosen: those of labels that
+        can be fitted.
+    largest
+        Of the largest, share of the longest side of the image. Chosen.
+    step
+        From one diameter to the next that is tried. Chosen.
+    fine
+        Width of the Gaussian over that which answers a ball of this diameter most. Measured on
+        crowds of 57 cells: 0.6 parts 0.62 and 0.77 of them, 0.8 parts 0.57 and 0.80.
+    least
+        Height of a blob over the saddle to the next, of the response to a bright one. Measured
+        there: 0.1 parts more than 0.25 (0.50 and 0.61).
+    """
+
+    smallest: float = 4.0
+    largest: float = 0.5
+    step: float = 1.25
+    fine: float = 0.6
+    least: float = 0.1
+
+
+CROWD = CrowdRules()
+
+
+def crowded_cells(data: Image, voxel: FloatArray, size: float | None) -> NDArray[np.int32]:
+    """Labels of blobs, from 1; 0 is background.
+
+    Parameters
+    ----------
+    data : (Z, Y, X), from 0 to 1 and without gaps.
+    voxel : um, Z, Y, X.
+    size : um; the diameter of a usual cell. None: that at which gaps are clearest.
+    """
+    light = compressed_walls(data, voxel, CROWD.smallest * float(voxel.min()))
+    if size is None:
+        size = _spacing(light, voxel)
+    response = _blobs(light, voxel, size, CROWD.fine)
+    floor = np.log(2)  # by definition: as far above the dark as contrast is compressed
+    things = ndimage.binary_opening((response > 0) & (light > floor))
+    if not things.any():
+        return np.zeros(data.shape, np.int32)
+    least = CROWD.least * float(np.quantile(response[things], 0.9))  # chosen: of bright ones
+    peaks, _ = ndimage.label(h_maxima(response, least) & things)
+    parts: NDArray[np.int32] = watershed(-response, peaks, mask=things).astype(np.int32)
+    return parts
+
+
+def _spacing(light: Image, voxel: FloatArray) -> float:
+    """um: the diameter of blobs at which the gaps between them answer most.
+
+    Not the blobs: of a crowd, the whole answers more the larger the scale.
+    """
+    size, best = CROWD.smallest * float(voxel.min()), (-1.0, 0.0)
+    while size < CROWD.largest * float((np.array(light.shape) * voxel).max()):
+        step = np.maximum(np.floor(size / (CROWD.smallest * voxel)), 1).astype(int)
+        step = np.minimum(step, light.shape)
+        gaps = np.maximum(-_blobs(coarsened_image(light, step), voxel * step, size, 1.0), 0)
+        best = max(best, (float((gaps**3).mean()), size))
+        size *= CROWD.step
+    return best[1] or size
+
+
+def _blobs(light: Image, voxel: FloatArray, size: float, times: float) -> Image:
+    """Laplacian of a Gaussian, > 0 in blobs; its width is right for balls of a diameter, um."""
+    radius = size / 2 / np.sqrt(3)
+    sigma = times * radius / voxel
+    response = np.zeros(light.shape, np.float32)
+    for axis, order in enumerate(2 * np.eye(3, dtype=int)):
+        second = ndimage.gaussian_filter(light, sigma, order=order.tolist(), mode="nearest")
+        response -= second * np.float32((radius / voxel[axis]) ** 2)
+    return response
