@@ -12,10 +12,10 @@ import scipy.sparse as sp
 import torch
 from torch import Tensor
 
-ERROR = 0.01  # relative, of the inverse in the metric; chosen: it changes no step noticeably
-# A solution may take one product with the matrix for so many rows, else a factorisation takes less.
-# Chosen from single runs, with about 50 solutions for each factorisation: that took 0.1 s at 9,600
-# rows, 5 s at 70,000 and minutes at 310,000, and a solution as long as 12, 27 and more products.
+ERROR = 0.01  # relative, of the inverse; chosen: the metric only shapes the steps
+# A solution may take one product with the matrix for so many rows, else it is factored. Chosen:
+# factoring took 5 s at 70,000 rows and minutes at 310,000, a product 4 and 25 ms, and there are
+# about 50 solutions for each factorisation.
 ROWS_A_PRODUCT = 1500
 _APART = 1.01  # greatest over least eigenvalue, at least; chosen: those of the identity are alike
 

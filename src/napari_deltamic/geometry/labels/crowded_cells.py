@@ -36,7 +36,7 @@ class CrowdRules:
         From one diameter to the next that is tried. Chosen.
     fine
         Width of the Gaussian over that which answers a ball of this diameter most. Measured on
-        crowds of 57 cells: 0.6 parts 0.62 and 0.77 of them, 0.8 parts 0.57 and 0.80.
+        two crowds of 56 cells: 0.6 parts 0.62 and 0.77 of them, 0.8 parts 0.57 and 0.80.
     least
         Height of a blob over the saddle to the next, of the response to a bright one. Measured
         there: 0.1 parts more than 0.25 (0.50 and 0.61).
