@@ -59,11 +59,13 @@ def crowded_cells(data: Image, voxel: FloatArray, size: float | None) -> NDArray
     ----------
     data : (Z, Y, X), from 0 to 1 and without gaps.
     voxel : um, Z, Y, X.
-    size : um; the diameter of a usual cell. None: that at which gaps are clearest.
+    size : um; the diameter of a usual cell. None: that at which gaps are clearest, and no label
+        where that is the smallest.
     """
     light = compressed_walls(data, voxel, CROWD.smallest * float(voxel.min()))
+    size = size or _spacing(light, voxel)
     if size is None:
-        size = _spacing(light, voxel)
+        return np.zeros(data.shape, np.int32)
     response = _blobs(light, voxel, size, CROWD.fine)
     floor = np.log(2)  # by definition: as far above the dark as contrast is compressed
     things = ndimage.binary_opening((response > 0) & (light > floor))
@@ -75,19 +77,21 @@ def crowded_cells(data: Image, voxel: FloatArray, size: float | None) -> NDArray
     return parts
 
 
-def _spacing(light: Image, voxel: FloatArray) -> float:
-    """um: the diameter of blobs at which the gaps between them answer most.
+def _spacing(light: Image, voxel: FloatArray) -> float | None:
+    """um: the diameter of blobs at which the gaps between them answer most; None: the smallest.
 
-    Not the blobs: of a crowd, the whole answers more the larger the scale.
+    Then they are the sides of walls, or noise. Not the blobs are asked: of a crowd, the whole
+    answers more the larger the scale.
     """
-    size, best = CROWD.smallest * float(voxel.min()), (-1.0, 0.0)
+    smallest = CROWD.smallest * float(voxel.min())
+    size, best = smallest, (-1.0, 0.0)
     while size < CROWD.largest * float((np.array(light.shape) * voxel).max()):
         step = np.maximum(np.floor(size / (CROWD.smallest * voxel)), 1).astype(int)
         step = np.minimum(step, light.shape)
         gaps = np.maximum(-_blobs(coarsened_image(light, step), voxel * step, size, 1.0), 0)
         best = max(best, (float((gaps**3).mean()), size))
         size *= CROWD.step
-    return best[1] or size
+    return best[1] if best[1] > smallest else None
 
 
 def _blobs(light: Image, voxel: FloatArray, size: float, times: float) -> Image:
