@@ -149,7 +149,8 @@ def _told(table: FloatArray, patch: FloatArray, block: np.ndarray, which: int) -
     # How far each patch would have to move to show a column, um.
     moves = np.stack([np.bincount(block, patch * column) / safe for column in table])
     scale = np.sqrt([(column**2).sum() for column in table[:-1]]) + 1e-300
-    gram, per_one = _products(table[:-1]) / np.outer(scale, scale), moves[:-1] / scale[:, None]
+    gram = _products(table[:-1]) / scale / scale[:, None]  # of a column of zeros: zero
+    per_one = moves[:-1] / scale[:, None]
     for column, move in zip(table, moves, strict=True):
         column -= patch * move[block]
     x, y = table[:-1], table[-1]
