@@ -1,5 +1,6 @@
 """What starts at once: the version, mistakes on the command line, the import of the package."""
 
+import functools
 import os
 import subprocess
 import sys
@@ -10,13 +11,19 @@ import napari_deltamic as nd
 from napari_deltamic.common.choices import EFFECTS
 from napari_deltamic.scene.effects import KINDS
 
-# Seconds of CPU. What is asked for; measured are 0.15 to 0.2 on two cores of 2.1 GHz, and 2 to 4
-# where torch is loaded.
-COMMAND, IMPORT = 0.5, 1.5
+# CPU time over that of ``import numpy`` in the same run, as machines differ. Measured is 2.3, which
+# is 0.15 to 0.2 s on two cores of 2.1 GHz; where torch is loaded it is 2 to 4 s.
+COMMAND, IMPORT = 5, 15
 
 
-def ran(*command, folder=None):
+@functools.cache
+def numpy_seconds():
+    return ran("-c", "import numpy", enough=0.0)[0]
+
+
+def ran(*command, folder=None, enough=None):
     """A child: its CPU time (the least of three, as others compute here too), how it ended."""
+    enough = COMMAND * numpy_seconds() if enough is None else enough
     spent = []
     for _ in range(3):
         with subprocess.Popen(
@@ -27,7 +34,7 @@ def ran(*command, folder=None):
             _, status, usage = os.wait4(child.pid, 0)
             child.returncode = os.waitstatus_to_exitcode(status)
         spent.append(usage.ru_utime + usage.ru_stime)
-        if spent[-1] < COMMAND:
+        if spent[-1] < enough:
             break
     return min(spent), child.returncode, out, err
 
@@ -74,7 +81,7 @@ def test_mistakes_are_told_at_once(tmp_path, name):
     assert (code, out) == (2, "")
     assert says in err
     assert err.count("\n") == 1
-    assert seconds <= COMMAND
+    assert seconds <= COMMAND * numpy_seconds()
 
 
 @needs_rusage
@@ -83,14 +90,14 @@ def test_version_and_help_come_at_once(arguments):
     seconds, code, out, _ = ran("-m", "napari_deltamic", *arguments)
     assert code == 0
     assert out
-    assert seconds <= COMMAND
+    assert seconds <= COMMAND * numpy_seconds()
 
 
 @needs_rusage
 def test_the_package_is_imported_at_once():
     seconds, code, _, err = ran("-c", "import napari_deltamic")
     assert code == 0, err
-    assert seconds <= IMPORT
+    assert seconds <= IMPORT * numpy_seconds()
 
 
 def test_mistakes_load_no_engine():

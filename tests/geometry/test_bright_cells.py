@@ -1,11 +1,15 @@
 """Cells that shine from inside are found, and told from those whose membranes shine."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from napari_deltamic import InputError
+from napari_deltamic.geometry.labels import bright_cells
 from napari_deltamic.geometry.labels.bright_cells import cells_of
+from napari_deltamic.geometry.labels.crowded_cells import crowded_cells
 from napari_deltamic.images.stacks import read_image
 
 VOXEL = (0.4, 0.2, 0.2)
@@ -85,15 +89,6 @@ def test_a_bead_in_the_cones_of_its_light_is_found(shared_data):
     assert 2.5 < found.size < 4  # it is blurred
 
 
-def all_found(image, voxel):
-    """What is found, in a list; empty where it is said that there are no cells."""
-    try:
-        return [cells_of(image, voxel)]
-    except InputError as error:
-        assert "no cells" in str(error)  # noqa: PT017
-        return []
-
-
 def packed(gap, photons=60.0):
     """Labels and image of balls on a lattice, some not quite half as bright as others, fading."""
     rng = np.random.default_rng(2)
@@ -108,28 +103,55 @@ def packed(gap, photons=60.0):
     return labels, rng.poisson(2 + photons * seen).astype(np.float32)
 
 
+def matched(found, labels):
+    """Share of the cells that a found one is more than half the same as."""
+    shares = []
+    for k in range(1, labels.max() + 1):
+        other = found == np.bincount(found[labels == k]).argmax()
+        shares.append((other & (labels == k)).sum() / (other | (labels == k)).sum())
+    return np.mean(np.array(shares) > 0.5)
+
+
 @pytest.mark.parametrize("gap", [-0.5, 1.0])
-def test_crowded_cells_are_told_apart(gap):
+def test_cells_with_dark_gaps_between_them_are_no_walls(gap):
     labels, image = packed(gap)
     found = cells_of(image, (1.0, 1.0, 1.0))
     assert found.bright
-    shares = []
-    for k in range(1, labels.max() + 1):
-        other = found.labels == np.bincount(found.labels[labels == k]).argmax()
-        shares.append((other & (labels == k)).sum() / (other | (labels == k)).sum())
-    assert np.mean(np.array(shares) > 0.5) > 0.9
+    assert matched(found.labels, labels) > 0.9
     assert found.labels.max() <= 1.1 * labels.max()
 
 
-def test_a_net_of_walls_that_encloses_nothing_is_not_cut_into_cells():
-    """Junctions of an epithelium: a honeycomb of one slice or two, open above and below."""
+@pytest.mark.parametrize("size", [None, 12.0])
+def test_crowded_cells_are_told_apart_without_a_threshold(size):
+    labels, image = packed(1.0)
+    data = ((image - image.min()) / np.ptp(image)).astype(np.float32)
+    found = crowded_cells(data, np.ones(3), size)
+    assert matched(found, labels) > 0.9
+    assert found.max() <= 1.2 * labels.max()
+
+
+def test_noise_alone_is_no_crowd():
+    noise = np.random.default_rng(1).random((32, 32, 32)).astype(np.float32)
+    assert not crowded_cells(noise, np.ones(3), None).any()
+
+
+def net():
+    """Junctions of an epithelium: a honeycomb in one slice, open above and below."""
     rng = np.random.default_rng(0)
     y, x = np.indices((120, 120))
     grid = np.stack(np.meshgrid(np.arange(8), np.arange(8), indexing="ij"), -1).reshape(-1, 2)
     centres = 8 + 15 * grid + rng.uniform(-3, 3, grid.shape)
     away = np.sort(np.hypot(*(np.stack([y, x], -1)[..., None, :] - centres).transpose(3, 0, 1, 2)))
+    uneven = np.exp(20 * gaussian_filter(rng.normal(size=(120, 120)), 12))
     light = np.zeros((16, 120, 120))
-    light[7:9] = (away[..., 1] - away[..., 0]) < 2
+    light[7] = ((away[..., 1] - away[..., 0]) < 3) * uneven
     seen = gaussian_filter(light, (1.5, 1.2, 1.2))
-    image = rng.poisson(3 + 80 * seen / seen.max()).astype(np.float32)
-    assert not any(found.bright for found in all_found(image, (1.0, 0.2, 0.2)))
+    return rng.poisson(3 + 30 * seen / seen.max()).astype(np.float32)
+
+
+def test_a_net_of_walls_that_encloses_nothing_is_not_cut_into_cells(monkeypatch):
+    with pytest.raises(InputError, match="no cells"):
+        cells_of(net(), (1.0, 0.2, 0.2))
+    any_holes = replace(bright_cells.RULES, holes=np.inf)
+    monkeypatch.setattr(bright_cells, "RULES", any_holes)
+    assert cells_of(net(), (1.0, 0.2, 0.2)).bright  # but for the dark places that it surrounds

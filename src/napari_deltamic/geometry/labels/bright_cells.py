@@ -213,7 +213,7 @@ def _without_clumps(
 def _mean_solidity(labels: Labels) -> float:
     """By volume."""
     boxes = enumerate(ndimage.find_objects(labels), 1)
-    each = [solidity(labels[box] == k) for k, box in boxes]
+    each = [0.0 if box is None else solidity(labels[box] == k) for k, box in boxes]
     return float(np.average(each, weights=np.bincount(labels.ravel())[1:]))
 
 
