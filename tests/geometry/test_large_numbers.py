@@ -8,9 +8,12 @@ import pytest
 import napari_deltamic as nd
 from napari_deltamic.errors import InputError, RepairWarning
 from napari_deltamic.geometry import mesh_from_labels, sphere
+from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.labels.label_repair import label_boxes, repair_labels
 from napari_deltamic.geometry.labels.voxels import voxel_labels
+from napari_deltamic.geometry.mesh import OUTSIDE
 from napari_deltamic.geometry.remeshing import can_remesh
+from napari_deltamic.geometry.topology.thin_places import short_junctions, small_walls
 from napari_deltamic.geometry.windings import fix_windings
 from napari_deltamic.scene.structures import Points, Solid
 
@@ -74,6 +77,16 @@ def test_remeshing_keeps_large_regions():
 
     found = remesh(two_balls(), 0.5).mesh
     assert found.region_ids().tolist() == [1, LARGE]
+
+
+def test_places_where_regions_meet_cost_what_there_is_of_them():
+    """A table with a column for each cell took gigabytes with 1000 cells."""
+    mesh = foam(np.array([[0, 0, 0], [0, 0, 1.5]]), np.full(2, 1.0), 0.3)
+    large = nd.Mesh(mesh.vertices, mesh.faces, np.where(mesh.regions == 2, LARGE, mesh.regions))
+    assert peak(lambda: small_walls(large, 100.0)) < 2**22
+    assert peak(lambda: short_junctions(large, 100.0)) < 2**22
+    (wall,) = small_walls(large, 100.0)
+    assert (wall.regions, wall.sides) == ((1, LARGE), (OUTSIDE,))
 
 
 @pytest.mark.parametrize("kind", ["ply", "vtk", "rec", "obj"])

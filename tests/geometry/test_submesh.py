@@ -32,3 +32,20 @@ def test_what_is_the_same_before_and_after_is_left_out():
     assert len(small.mesh.faces) == len(change.mesh.faces) == around
     found = put_back(LARGE, [(small, change)]).mesh
     assert found.volumes()[1] > LARGE.volumes()[1]
+
+
+def test_faces_in_a_box_are_those_that_reach_into_it():
+    rng = np.random.default_rng(1)
+    corners, cutter = LARGE.vertices_numpy()[LARGE.faces], Cutter(LARGE)
+    for low in rng.uniform(-3, 2, (50, 3)):
+        high = low + rng.uniform(0, 2, 3)
+        wanted = ((corners.min(1) <= high) & (corners.max(1) >= low)).all(1)
+        np.testing.assert_array_equal(cutter.faces_in(low, high), np.flatnonzero(wanted))
+
+
+def test_the_rim_of_a_part_is_what_other_faces_share():
+    rows = np.flatnonzero(LARGE.vertices_numpy()[LARGE.faces][..., 0].mean(1) > 0)
+    rest = np.setdiff1d(np.arange(len(LARGE.faces)), rows)
+    part = Cutter(LARGE).part(rows)
+    shared = np.intersect1d(LARGE.faces[rows], LARGE.faces[rest])
+    np.testing.assert_array_equal(part.corners[part.rim], shared)

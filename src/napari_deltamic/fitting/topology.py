@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -198,14 +199,15 @@ class TopologyPolicy:
         self, candidates: Sequence[ThinPlace], shape: Shape, width: float
     ) -> list[ThinPlace]:
         """Those of the candidates that are tried now: none near another."""
-        edge, chosen = shape.mesh.median_edge(), list[ThinPlace]()
-        for place in self._free(shape, candidates, self.futile):
+        edge, chosen = shape.mesh.median_edge(), list[int]()
+        free = self._free(shape, candidates, self.futile)
+        near = _near(free, free, RULES.alone * width)
+        for k, place in enumerate(free):
             if any(_reverts(place, q, edge) for q in self.past):
                 continue
-            near = (cKDTree(p.points).query(place.points)[0].min() for p in chosen)
-            if min(near, default=np.inf) > RULES.alone * width:
-                chosen.append(place)
-        return sorted(chosen, key=lambda p: p.width)[: self.most]
+            if near[k].isdisjoint(chosen):
+                chosen.append(k)
+        return sorted((free[k] for k in chosen), key=lambda p: p.width)[: self.most]
 
     def changed(self, places: Sequence[ThinPlace], tried: bool) -> TopologyPolicy:
         """Go on after a change."""
@@ -250,14 +252,15 @@ class TopologyPolicy:
         self, shape: Shape, places: Sequence[ThinPlace], given_up: Sequence[ThinPlace]
     ) -> list[ThinPlace]:
         """Those that are neither pinned nor known to stay."""
-        edge = shape.mesh.median_edge()
-        pins = shape.mesh.vertices_numpy()[shape.pinned]
+        reach = RULES.same * shape.mesh.median_edge()
+        pins = cKDTree(shape.mesh.vertices_numpy()[shape.pinned])
+        stay = (*self.left_alone, *given_up)
+        beside, before = _near(places, stay, reach), _near(places, self.past, reach)
         found = []
-        for place in places:
-            pinned = len(pins) and cKDTree(pins).query(place.points)[0].min() < RULES.same * edge
-            alone = any(_same(place, q, edge) for q in (*self.left_alone, *given_up))
-            again = sum(_meet(place, q, edge) for q in self.past) >= RULES.often
-            if not (pinned or alone or again):
+        for k, place in enumerate(places):
+            pinned = pins.n and pins.query(place.points)[0].min() < reach
+            alone = any(_alike(place, stay[q]) for q in beside[k])
+            if not (pinned or alone or len(before[k]) >= RULES.often):
                 found.append(place)
         return found
 
@@ -320,15 +323,31 @@ def _lasts(now: ThinPlace, before: ThinPlace, edge: float) -> bool:
     return _same(now, before, edge) and now.width < RULES.widens * before.width
 
 
+def _alike(one: ThinPlace, other: ThinPlace) -> bool:
+    return one.regions == other.regions and one.sides == other.sides
+
+
 def _same(one: ThinPlace, other: ThinPlace, edge: float) -> bool:
-    alike = one.regions == other.regions and one.sides == other.sides
-    return alike and _meet(one, other, edge)
+    return _alike(one, other) and _meet(one, other, edge)
 
 
 def _reverts(now: ThinPlace, before: ThinPlace, edge: float) -> bool:
     """Whether a flip would take back another."""
     turned = set(now.regions) == set(before.sides) or set(now.sides) == set(before.regions)
     return turned and len(now.regions) > 1 and _meet(now, before, edge)
+
+
+def _near(places: Sequence[ThinPlace], others: Sequence[ThinPlace], reach: float) -> list[set[int]]:
+    """For each place, which of the others have a point within ``reach`` um of one of its."""
+    if not others:
+        return [set() for _ in places]
+    owner = np.repeat(np.arange(len(others)), [len(place.points) for place in others])
+    tree = cKDTree(np.concatenate([place.points for place in others]))
+    found = []
+    for place in places:
+        rows = set(chain.from_iterable(tree.query_ball_point(place.points, reach)))
+        found.append(set(owner[list(rows)].tolist()))
+    return found
 
 
 def _meet(one: ThinPlace, other: ThinPlace, edge: float) -> bool:

@@ -228,8 +228,8 @@ def _inside_out(mesh: Mesh, sign: IntArray, piece: IntArray) -> BoolArray:
     container = np.where(present[:, OUTSIDE], OUTSIDE, -1)
     if (container < 0).any():
         # A wall between cells only: it lies in the region that reaches furthest.
-        extent = np.array([_extent(mesh, region) for region in range(n_regions)])
-        container = np.where(container < 0, np.where(present, extent, -1).argmax(axis=1), container)
+        extent = np.where(present, _extents(mesh, n_regions), -1)
+        container = np.where(container < 0, extent.argmax(axis=1), container)
     # What surrounds a piece has a negative volume in it. Rounding of a flat one is no volume.
     noise = 1e-12 * np.bincount(piece, np.abs(per_face), n_pieces)
     wrong = volume[np.arange(n_pieces), container] > noise
@@ -247,11 +247,15 @@ def _volumes_about_pieces(mesh: Mesh, piece: IntArray) -> FloatArray:
     return -np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
 
 
-def _extent(mesh: Mesh, region: int) -> float:
-    used = mesh.faces[(mesh.regions == region).any(axis=1)]
-    if len(used) == 0:
-        return -1.0
-    return float(np.linalg.norm(np.ptp(mesh.vertices_numpy()[used.reshape(-1)], axis=0)))
+def _extents(mesh: Mesh, n_regions: int) -> FloatArray:
+    """um: the diagonal of the box around each region; -1 where it has no face."""
+    corners = mesh.vertices_numpy()[mesh.faces]
+    low, high = np.full((n_regions, 3), np.inf), np.full((n_regions, 3), -np.inf)
+    for side in (0, 1):
+        np.minimum.at(low, mesh.regions[:, side], corners.min(1))
+        np.maximum.at(high, mesh.regions[:, side], corners.max(1))
+    there = low[:, 0] <= high[:, 0]
+    return np.where(there, np.linalg.norm(np.where(there[:, None], high - low, 0), axis=1), -1)
 
 
 def _closed(mesh: Mesh, piece: IntArray) -> BoolArray:

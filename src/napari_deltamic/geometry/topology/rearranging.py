@@ -12,6 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
+from napari_deltamic.geometry.contacts import between_cells
 from napari_deltamic.geometry.mesh import IntArray, Mesh
 from napari_deltamic.geometry.topology.change_sizes import SIZES
 from napari_deltamic.geometry.topology.events import Shapes, change_events, surface_shape
@@ -156,8 +157,10 @@ def _ways(part: Submesh, place: ThinPlace, edge: float) -> Iterator[Change]:
 
 def _wanted(state: _State, place: ThinPlace, after: Census) -> bool:
     """Whether a change leaves every region, and brings no contact but those that may come."""
-    gained = after.contacts - state.census.contacts
-    return after.regions == state.census.regions and not (place.is_thin and gained - state.meant)
+    if after.regions != state.census.regions:
+        return False
+    gained = between_cells(after.walls.keys() - state.census.walls.keys())
+    return not (place.is_thin and gained - state.meant)
 
 
 def _shapes(mesh: Mesh, small: tuple[Submesh, Change], place: ThinPlace) -> Shapes | None:

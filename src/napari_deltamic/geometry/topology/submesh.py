@@ -77,28 +77,27 @@ class Cutter:
     def __init__(self, mesh: Mesh) -> None:
         self.mesh = mesh
         self.vertices = mesh.vertices_numpy()
-        ends = self.vertices[mesh.edges()]
-        self._longest = float(np.abs(ends[:, 1] - ends[:, 0]).max())
+        corners = self.vertices[mesh.faces]
+        self._low, self._high = corners.min(1), corners.max(1)
+        self._extent = float((self._high - self._low).max() / 2)
+        self._middles = cKDTree((self._low + self._high) / 2)
+        self._faces_at = np.bincount(mesh.faces.reshape(-1), minlength=len(self.vertices))
 
     def faces_in(self, low: FloatArray, high: FloatArray) -> IntArray:
-        """Rows of the faces that may reach into a box; coordinates may be infinite."""
-        first, last = low - self._longest, high + self._longest
-        near = np.all((self.vertices >= first) & (self.vertices <= last), axis=1)
-        rows = np.flatnonzero(near[self.mesh.faces].all(1))
-        corners = self.vertices[self.mesh.faces[rows]]
-        reach = (corners.min(1) <= high) & (corners.max(1) >= low)
-        return rows[reach.all(1)]
+        """Rows of the faces that may reach into a box, increasing."""
+        reach = float((high - low).max()) / 2 + self._extent
+        near = self._middles.query_ball_point((low + high) / 2, reach, p=np.inf)
+        rows = np.sort(np.array(near, np.int64))
+        inside = (self._low[rows] <= high) & (self._high[rows] >= low)
+        return rows[inside.all(1)]
 
     def part(self, rows: IntArray) -> Submesh:
         """Some faces as a part."""
-        faces = self.mesh.faces
-        corners, index = np.unique(faces[rows], return_inverse=True)
-        mesh = Mesh(self.vertices[corners], index.reshape(-1, 3), self.mesh.regions[rows])
-        rest = np.ones(len(faces), bool)
-        rest[rows] = False
-        elsewhere = np.zeros(len(self.vertices), bool)
-        elsewhere[faces[rest]] = True
-        return Submesh(mesh, rows, corners, elsewhere[corners])
+        corners, index = np.unique(self.mesh.faces[rows], return_inverse=True)
+        index = index.reshape(-1, 3)
+        mesh = Mesh(self.vertices[corners], index, self.mesh.regions[rows])
+        elsewhere = self._faces_at[corners] > np.bincount(index.reshape(-1))
+        return Submesh(mesh, rows, corners, elsewhere)
 
 
 def put_back(mesh: Mesh, changes: Sequence[tuple[Submesh, Change]]) -> Change:

@@ -108,7 +108,7 @@ def small_walls(mesh: Mesh, area: float, apart: float = 0.0) -> list[ThinPlace]:
     um from each other, are one place.
     """
     pairs, wall = mesh.interfaces()
-    vertices, areas, meet = mesh.vertices_numpy(), mesh.areas(), _regions_at(mesh)
+    vertices, areas, meet = mesh.vertices_numpy(), mesh.areas(), _Meeting(mesh)
     places = []
     for row in _with_small_pieces(mesh, pairs, wall, area):
         own = np.flatnonzero(wall == row)
@@ -117,9 +117,8 @@ def small_walls(mesh: Mesh, area: float, apart: float = 0.0) -> list[ThinPlace]:
         size = np.bincount(piece, areas[own])
         for k in np.flatnonzero((size < area) & (size > 0)):
             faces = mesh.faces[own[piece == k]]
-            around = np.flatnonzero(meet[np.unique(faces)].any(0)).tolist()
             one, other = (int(r) for r in pairs[row])
-            sides = tuple(sorted(set(around) - {one, other}))
+            sides = tuple(sorted(meet.at(np.unique(faces)) - {one, other}))
             if sides:
                 points = np.concatenate([vertices[np.unique(faces)], vertices[faces].mean(1)])
                 places.append(ThinPlace((other, one), sides, points, float(np.sqrt(size[k]))))
@@ -143,13 +142,10 @@ def short_junctions(mesh: Mesh, length: float) -> list[ThinPlace]:
 
     The three are the regions of such a place, the two at the ends of the junction its sides.
     """
-    edges, face_edges = mesh.edges(), mesh.face_edges().reshape(-1)
-    rows = np.flatnonzero(np.bincount(face_edges, minlength=len(edges)) == 3)
-    around = np.zeros((len(edges), int(mesh.regions.max()) + 1), bool)
-    for side in (0, 1):
-        around[face_edges, np.repeat(mesh.regions[:, side], 3)] = True
-    triples, triple = np.unique(around[rows], axis=0, return_inverse=True)
-    vertices, meet = mesh.vertices_numpy(), _regions_at(mesh)
+    edges = mesh.edges()
+    rows, around = _junction_edges(mesh)
+    triples, triple = np.unique(around, axis=0, return_inverse=True)
+    vertices, meet = mesh.vertices_numpy(), _Meeting(mesh)
     touching = walls(mesh)
     # Lines: edges of the same three regions that share a vertex.
     keys = triple.reshape(-1, 1) * len(vertices) + edges[rows]
@@ -162,12 +158,23 @@ def short_junctions(mesh: Mesh, length: float) -> list[ThinPlace]:
     for p in np.flatnonzero(extent < length):
         own = corners[line_of == p]
         line, three = own % len(vertices), triples[own[0] // len(vertices)]
-        ends = tuple(np.flatnonzero(meet[line].any(0) & ~three).tolist())
+        ends = tuple(sorted(meet.at(line) - set(three.tolist())))
         if len(ends) == 2 and ends not in touching:
             points = np.concatenate([vertices[line], [vertices[line].mean(0)]])
-            regions = tuple(np.flatnonzero(three).tolist())
-            places.append(ThinPlace(regions, ends, points, float(extent[p])))
+            places.append(ThinPlace(tuple(three.tolist()), ends, points, float(extent[p])))
     return places
+
+
+def _junction_edges(mesh: Mesh) -> tuple[IntArray, IntArray]:
+    """Edges of three faces, and (n, 3) the three regions around each, increasing."""
+    face_edges = mesh.face_edges().reshape(-1)
+    three = np.bincount(face_edges, minlength=len(mesh.edges())) == 3
+    slots = np.flatnonzero(three[face_edges])
+    faces = slots[np.argsort(face_edges[slots], kind="stable")] // 3
+    around = np.sort(mesh.regions[faces].reshape(-1, 6), axis=1)
+    # Each region is on one side of two of the faces; elsewhere the mesh is open.
+    closed = (around[:, ::2] == around[:, 1::2]).all(1)
+    return np.flatnonzero(three)[closed], around[closed, ::2]
 
 
 def _pieces_of(faces: IntArray, points: FloatArray, apart: float) -> IntArray:
@@ -249,11 +256,11 @@ def _incident(mesh: Mesh, vertices: IntArray) -> tuple[IntArray, IntArray]:
 def _corner(mesh: Mesh, vertex: IntArray, face: IntArray, three: IntArray) -> np.ndarray:
     """Whether a vertex and a face lie at a junction in which their walls meet."""
     differ = three[:, 1] != three[:, 2]
-    bits = _regions_at(mesh)
+    meeting = _Meeting(mesh)
     rows = np.arange(len(vertex))
     ends = np.column_stack([vertex, mesh.faces[face]])
     # The junction runs through the vertex, or through a corner of the face.
-    meet = np.stack([bits[ends[:, k, None], three].all(1) for k in range(4)], axis=1)
+    meet = np.stack([meeting.has(ends[:, k, None], three).all(1) for k in range(4)], axis=1)
     beside = np.zeros(len(rows), bool)
     edges, n = mesh.edges(), len(mesh.vertices)
     keys = edges[:, 0] * n + edges[:, 1]  # sorted
@@ -264,12 +271,28 @@ def _corner(mesh: Mesh, vertex: IntArray, face: IntArray, three: IntArray) -> np
     return differ & beside
 
 
-def _regions_at(mesh: Mesh) -> np.ndarray:
-    """(V, R) bool: the regions that meet in each vertex."""
-    bits = np.zeros((len(mesh.vertices), int(mesh.regions.max()) + 1), bool)
-    for side in (0, 1):
-        bits[mesh.faces, mesh.regions[:, side][:, None]] = True
-    return bits
+class _Meeting:
+    """Which regions meet in a vertex: a list, as a table would have a column for each cell."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        self._size = int(mesh.regions.max()) + 1
+        keys = mesh.faces[:, :, None] * self._size + mesh.regions[:, None, :]
+        self._keys = np.unique(keys)
+        self._start = np.searchsorted(
+            self._keys, np.arange(len(mesh.vertices) + 1) * self._size
+        ).tolist()
+
+    def at(self, vertices: IntArray) -> set[int]:
+        """The regions that meet in any of some vertices."""
+        spans = (self._keys[self._start[v] : self._start[v + 1]] for v in vertices.tolist())
+        return {int(key % self._size) for span in spans for key in span}
+
+    def has(self, vertices: IntArray, regions: IntArray) -> np.ndarray:
+        """(...) bool: whether a region is one of those that meet in a vertex."""
+        wanted = vertices * self._size + regions
+        row = np.searchsorted(self._keys, wanted).clip(0, len(self._keys) - 1)
+        found: np.ndarray = self._keys[row] == wanted
+        return found
 
 
 def _near_each_other(points: FloatArray, reach: float) -> list[IntArray]:
