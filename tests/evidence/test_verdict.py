@@ -57,6 +57,8 @@ def test_what_concerns_all(change, grade, word):
         ({"inside": -0.4}, "fair", "light around"),
         ({"compact": 0.4}, "fair", "crumpled"),
         ({"uneven": 0.2}, "fair", "its inside is uneven, by 20% in the mean"),
+        ({"lit": 0.35}, "fair", "only 35% of its surface shines"),
+        ({"lit": 0.2}, "poor", "only 20% of its surface shines"),
     ],
 )
 def test_what_concerns_one_cell(change, grade, word):
@@ -88,8 +90,17 @@ def test_one_bad_cell_spoils_no_other_and_is_named():
     cells = (*(CellFacts(k, 0.9, 0.0, 1.0) for k in range(1, 6)), CellFacts(6, 0.2))
     found = judged(replace(FINE, cells=cells))
     assert found.grade == "good"
-    assert "poor: cell 6" in found.reasons
+    assert "poor: cell 6 (20% of the signal around it is explained)" in found.reasons
     assert [cell.grade for cell in found.cells] == ["good"] * 5 + ["poor"]
+
+
+def test_cells_that_are_no_better_have_the_usual_reason_with_them():
+    cut = CellFacts(1, 0.9, cut=True)
+    cells = (cut, *(CellFacts(k, 0.9, cut=True, lit=0.1 + 0.05 * k) for k in (2, 3)))
+    (reason,) = judged(replace(FINE, cells=cells)).reasons[1:]
+    assert reason == "poor: cells 2, 3 (only 20% of its surface shines: the rest is a guess)"
+    some = judged(replace(FINE, cells=(cut, CellFacts(2, 0.6), CellFacts(3, 0.7)))).reasons
+    assert some == ("fair: cells 1, 2, 3 (most often: 60% of the signal around it is explained)",)
 
 
 def test_growth_is_compared_with_the_other_cells():
@@ -119,6 +130,11 @@ def test_facts_of_a_fit():
     assert not cell.cut
     assert cell.inside == pytest.approx(0, abs=0.05)
     assert cell.compact == pytest.approx(1, abs=0.05)
+    assert cell.lit > 0.95
+    high = state.mesh.vertices_numpy()[state.mesh.faces].mean(1)[:, 0] > 3.2  # a fifth of it
+    capped = facts_of(job, replace(state, density=5.0 * high), analyse_residual(image, grid, state))
+    assert capped.cells[0].lit == pytest.approx(high.mean(), abs=0.05)
+    assert judged(capped).grade == "poor"
     assert judged(facts).grade == "good"
     assert facts.error.unknown == ""
     # Of 200 photons and a surface of 0.2 um voxels: a few nm, and nothing that it lacks.

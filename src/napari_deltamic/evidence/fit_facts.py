@@ -65,7 +65,7 @@ def facts_of(
     light: dict[int, float] = {}
     for spot in left.spots:
         light[spot.region] = max(light.get(spot.region, 0.0), abs(spot.light))
-    uneven = uneven_insides(job, state, image)
+    uneven, lit = uneven_insides(job, state, image), _lit(state)
     cells = tuple(
         CellFacts(
             region,
@@ -78,6 +78,7 @@ def facts_of(
             unsure and hardly_wider(volumes[region], job.optics),
             None if region not in grown_out else tuple(grown_out[region].tolist()),
             uneven.get(region, 0.0),
+            lit.get(region, 1.0),
         )
         for region, area in areas.items()
     )
@@ -118,6 +119,22 @@ def _white(left: np.ndarray) -> bool:
 def _areas(mesh: Mesh) -> dict[int, float]:
     areas = mesh.areas()
     return {r: float(areas[own].sum()) for r, own in mesh.faces_by_region().items()}
+
+
+def _lit(state: FitState) -> dict[int, float]:
+    """Share of the surface of each region that shines, as if all of it did alike.
+
+    The mean density squared over the mean squared density: all light on a tenth of the surface
+    gives 0.1. None where only insides shine.
+    """
+    if not state.light.membrane:
+        return {}
+    areas, light = state.mesh.areas(), state.mesh.areas() * np.asarray(state.density)
+    squared = light * np.asarray(state.density)
+    return {
+        r: float(light[own].sum() ** 2 / max(areas[own].sum() * squared[own].sum(), 1e-300))
+        for r, own in state.mesh.faces_by_region().items()
+    }
 
 
 def _growth(start: Mesh, end: Mesh) -> dict[int, float]:
