@@ -13,6 +13,7 @@ from napari_deltamic.fitting.directions import Directions
 from napari_deltamic.fitting.errors_of_measures import posed_at
 from napari_deltamic.fitting.normal_jacobian import Colouring, normal_jacobian
 from napari_deltamic.fitting.replicating import replicas_of
+from napari_deltamic.fitting.responses import Exact
 from napari_deltamic.fitting.state import FitState
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import FitSettings
@@ -164,7 +165,7 @@ def test_replicas_scatter_as_fits_do():
         there = posed(noise=seed, likelihood="gaussian")
         if seed % 15 == 0:
             found, variance = Curvature(there.posterior, there.at, MESH), there.variance
-            made = replicas_of(there, found, MESH)
+            made = replicas_of(there, Exact(there, found), MESH)
             told.append(np.std([a.volumes()[1] - b.volumes()[1] for a, b in made.pairs()]) / 2)
         gradient = there.posterior(there.at).gradient.flat() * (there.variance / variance)
         step = found.newton_step(there.at.with_flat(gradient))
@@ -175,7 +176,7 @@ def test_replicas_scatter_as_fits_do():
 
 def test_a_smooth_surface_has_the_image_of_the_mesh(there, curvature):
     """It is rounder than the mesh, and as large as the sphere that the mesh stands for."""
-    made = replicas_of(there, curvature, MESH)
+    made = replicas_of(there, Exact(there, curvature), MESH)
     off = np.linalg.norm(made.refitted - MESH.vertices_numpy(), axis=1)
     assert off.max() < 0.01 * RADIUS
     radius = np.linalg.norm(made.smooth.vertices_numpy() - CENTER, axis=1)

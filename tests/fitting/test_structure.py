@@ -1,12 +1,16 @@
 """What shines is found with the shape."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 import napari_deltamic as nd
 from napari_deltamic.errors import InputError
+from napari_deltamic.fitting import structure_choice
 from napari_deltamic.fitting.amplitudes import mixture
+from napari_deltamic.fitting.errors_of_measures import posed_at
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene.light import INSIDES, MEMBRANES, Light, structure_of
@@ -53,6 +57,30 @@ def test_what_shines_is_found_with_the_shape(light: Light, name: str) -> None:
         assert last.light.interior == pytest.approx(light.interior, rel=0.2)
     error = last.rendered() - image_of(light)
     assert error.std() < 1.1 * np.sqrt(image_of(light).mean())
+
+
+@pytest.mark.parametrize(("light", "asked"), [(MEMBRANES, "membrane"), (Light(1.0, 1.5), "both")])
+def test_of_many_voxels_some_are_asked(light: Light, asked: str, monkeypatch) -> None:
+    image = image_of(light)
+    last = replace(fitted(image), light=Light(1.0, 1.0))
+    posed = posed_at(image, GRID, last, FitSettings())
+    given = posed.posterior, posed.at, posed.posterior(posed.at), last.mesh
+    voxels = posed.posterior.views[0].voxels.index.numpy()
+    rows, block = structure_choice._blocks(posed.posterior, 4.0)
+    np.testing.assert_array_equal(rows, np.arange(len(voxels)))
+    every = structure_choice.told(*given)[1]
+    monkeypatch.setattr(
+        structure_choice, "RULES", replace(structure_choice.RULES, most=-(-len(voxels) // 3))
+    )
+    some, blocks = structure_choice._blocks(posed.posterior, 4.0)
+    assert 0.2 < len(some) / len(voxels) < 0.5
+    # Whole blocks: no block has voxels that are asked and others that are not.
+    assert not np.isin(block[np.setdiff1d(rows, some)], block[some]).any()
+    assert len(np.unique(blocks)) == len(np.unique(block[some])) == blocks.max() + 1
+    assert structure_choice.chosen(*given).structure == asked
+    found = structure_choice.told(*given)[1]
+    if asked == "both":
+        assert 0.3 * every.errors < found.errors < every.errors
 
 
 def test_a_membrane_alone_does_not_explain_an_inside() -> None:

@@ -10,16 +10,15 @@ import torch
 
 from ..errors import InputError
 from ..fitting.convergence import Patches, vertex_normals
-from ..fitting.curvature import Curvature
 from ..fitting.errors_of_measures import posed_at
 from ..fitting.job import FitInput
 from ..fitting.pose import Posed
+from ..fitting.responses import Responses, noise_of, responses_of
 from ..fitting.state import FitState
 from ..geometry.mesh import FloatArray, Mesh
 from ..scene.light import INSIDES
 from .candidates import allowed, chosen_candidates, points_inwards, variants
 
-_DRAWS = 16  # of the noise: over hundreds of patches, enough for their mean square
 _SURE = 4.5  # nats: by definition three standard deviations; what gains less is no alternative
 _AS_GOOD = 0.5  # of what the best alternative gains: then it is as likely
 _OTHER_PSF = "another PSF"
@@ -78,7 +77,7 @@ class PredictedError:
 
 
 def predicted_error(job: FitInput, state: FitState) -> PredictedError:
-    """The errors of the end of a fit, from the second derivatives of its objective there.
+    """The errors of the end of a fit, from what it gives way to there.
 
     The standard deviation of a displacement is that of H^-1 J' W r with the residuals r, each with
     a sign by lot; an alternative is a further column of the image (another width of the PSF, light
@@ -88,24 +87,18 @@ def predicted_error(job: FitInput, state: FitState) -> PredictedError:
     try:
         settings = job.settings.fit
         posed = posed_at(job.image, job.grid, state, settings, job.counted)
-        curvature = Curvature(posed.posterior, posed.at, state.mesh, state.pinned)
+        responses = responses_of(posed, state, settings)
     except InputError as error:
         return PredictedError(unknown=str(error))
     except np.linalg.LinAlgError:
         return PredictedError(unknown="the image does not determine the shape")
     patches = _Patches(state)
-    now = posed.posterior(posed.at)
-    prior = posed.posterior.prior
-    v = state.mesh.vertices_numpy()
-    pull = prior.stiffness * (prior.bending(v)[1] + prior.junctions(v)[1])
-    signs = np.random.default_rng(0).choice([-1.0, 1.0], (curvature.residual.size, _DRAWS))
-    noise = curvature.follows(signs * curvature.residual[:, None])
-    squares = [patches.means(curvature.directions.displaced(one)) ** 2 for one in noise.T]
-    lacks, other = _alternative(posed, curvature, state)
+    squares = [patches.means(one) ** 2 for one in noise_of(responses)]
+    lacks, other = _alternative(posed, responses, state)
     parts = (
         np.mean(squares, axis=0),
-        patches.means(curvature.newton_step(now.gradient).vertices) ** 2,
-        patches.means(curvature.response(pull)) ** 2,
+        patches.means(responses.settled()) ** 2,
+        patches.means(responses.pulled()) ** 2,
         patches.means(other) ** 2,
     )
 
@@ -117,7 +110,7 @@ def predicted_error(job: FitInput, state: FitState) -> PredictedError:
     return PredictedError(over(every), cells, lacks)
 
 
-def _alternative(posed: Posed, curvature: Curvature, state: FitState) -> tuple[str, FloatArray]:
+def _alternative(posed: Posed, responses: Responses, state: FitState) -> tuple[str, FloatArray]:
     """What the model lacks, and (V, 3) what the surface would move by with it."""
     columns: dict[str, list[FloatArray]] = {}
     if not len(posed.at.optics):
@@ -131,15 +124,15 @@ def _alternative(posed: Posed, curvature: Curvature, state: FitState) -> tuple[s
         columns[name] = [
             one
             for effect, one in found
-            if one.any() and points_inwards(effect, curvature.amplitudes(one))
+            if one.any() and points_inwards(effect, responses.amplitudes(one))
         ]
-    tried = [(name, *curvature.alternative(one)) for name, each in columns.items() for one in each]
+    tried = [(name, *responses.alternative(one)) for name, each in columns.items() for one in each]
     best = max((gain for _, gain, _ in tried), default=0.0)
     likely = [t for t in tried if t[1] >= max(_SURE, _AS_GOOD * best)]
     if not likely:
         return "", np.zeros((len(state.mesh.vertices), 3))
-    name, _, along = max(likely, key=lambda t: float(np.square(t[2]).sum()))
-    return name, curvature.directions.displaced(along)
+    name, _, moved = max(likely, key=lambda t: float(np.square(t[2]).sum()))
+    return name, moved
 
 
 def _inside(posed: Posed, state: FitState) -> FloatArray:

@@ -59,6 +59,9 @@ class Curvature:
     def __init__(
         self, posterior: Posterior, at: Variables, mesh: Mesh, held: np.ndarray | None = None
     ) -> None:
+        if len(at.vertices) > _MOST_VERTICES:
+            text = f"{len(at.vertices)} vertices are too many for exact errors"
+            raise InputError(f"{text} (at most {_MOST_VERTICES})")
         self.directions = Directions.of(mesh, at.vertices)
         colouring = _colouring(posterior, at, mesh, self.directions)
         why = _too_much(colouring, posterior)
@@ -197,9 +200,7 @@ def _insides(light: Light) -> list[Light]:
 
 
 def _too_much(colouring: Colouring, posterior: Posterior) -> str:
-    vertices, voxels = len(colouring.colour), float(np.prod(posterior.level.grid.shape))
-    if vertices > _MOST_VERTICES:
-        return f"{vertices} vertices are too many for exact errors (at most {_MOST_VERTICES})"
+    voxels = float(np.prod(posterior.level.grid.shape))
     if colouring.count * voxels > _MOST_WORK:
         return f"exact errors would take {colouring.count} renderings of {voxels:.0f} voxels"
     return ""

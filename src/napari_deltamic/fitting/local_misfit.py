@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
@@ -34,7 +35,8 @@ class Misfit:
     Attributes
     ----------
     residual
-        (Z, Y, X) measured minus rendered, times the root of the weight; 0 where nothing counts.
+        (Z, Y, X) float32: measured minus rendered, times the root of the weight; 0 where nothing
+        counts.
     variance
         Of one near the surface, times the voxels that one independent voxel stands for; see
         :func:`~.tempering.tempered_variance`.
@@ -44,7 +46,7 @@ class Misfit:
         (Z, Y, X).
     """
 
-    residual: FloatArray
+    residual: NDArray[np.float32]
     variance: float
     independent: float
     weights: torch.Tensor
@@ -90,10 +92,10 @@ def misfit_of(
     scene = Scene.of(mesh, optics, effects, density, light.interior != 0)
     with torch.no_grad():
         renderer = Renderer(scene, problem.grid, accuracy)
-        rendered = renderer.image(renderer.transform(light=light), renderer.otf(optics)).double()
-    measured = torch.from_numpy(problem.image).double()
+        rendered = renderer.image(renderer.transform(light=light), renderer.otf(optics)).float()
+    measured = torch.from_numpy(problem.image)
     added = offset(effects, problem.grid)
-    measured = measured if added is None else measured - added
+    measured = measured if added is None else measured - added.to(measured)
     counted = problem.counted_with(effects)
     weights = (
         _weights(problem, measured.numpy(), counted, optics, effects)
@@ -101,14 +103,15 @@ def misfit_of(
         else like.weights
     )
     known = torch.from_numpy(counted)
-    near = (known & (rendered.abs() > _NEAR * rendered.abs().max())).reshape(-1).nonzero()[:, 0]
+    bright = rendered.abs() > _NEAR * float(rendered.abs().max())
+    near = (known & bright).reshape(-1).nonzero()[:, 0]
     some = (t.reshape(-1)[near] for t in (rendered, measured, weights))
     amplitude, background, _ = solve_scale(*some)
     left = torch.sqrt(weights) * (measured - amplitude * rendered - background)
     residual = torch.where(known, left, 0.0).numpy()
     widths = tuple(np.asarray(optics.sigma_um) / np.asarray(problem.grid.voxel_size))
     index = near.numpy()
-    some_left = residual.reshape(-1)[index]
+    some_left = residual.reshape(-1)[index].astype(np.float64)
     variance = tempered_variance(some_left, index, problem.grid.shape, widths, 1e-300)
     alone = float(np.mean(some_left**2))
     return Misfit(residual, variance, alone / variance, weights)
@@ -133,14 +136,14 @@ def gaps(
     The variance is that of the shape before; noise, and what the fit leaves.
     """
     variance = before.variance
-    change = before.residual - after.residual
-    mean = (before.residual + after.residual) / 2
     size = np.asarray(problem.grid.voxel_size)
     side = np.maximum(1, np.rint(_BLOCK * np.asarray(optics.sigma_um) / size)).astype(np.int64)
     found = []
     for points in places:
         index = _voxels_near(problem, points, reach)
-        d, m = (a[tuple(index.T)] for a in (change, mean))
+        at = tuple(index.T)
+        old, new = (one.residual[at].astype(np.float64) for one in (before, after))
+        d, m = old - new, (old + new) / 2
         power, gap = dot(d, d), dot(m, d)
         if power == 0:
             found.append(Gap(0.0, 0.0))
@@ -153,11 +156,15 @@ def gaps(
 
 
 def _weights(
-    problem: Problem, measured: FloatArray, counted: np.ndarray, optics: Optics, effects: Effects
+    problem: Problem,
+    measured: NDArray[np.float32],
+    counted: np.ndarray,
+    optics: Optics,
+    effects: Effects,
 ) -> torch.Tensor:
     widths = np.asarray(optics.sigma_um) / np.asarray(problem.grid.voxel_size)
-    share = gaussian_filter(counted.astype(float), widths)
-    smooth = gaussian_filter(np.where(counted, measured, 0.0), widths)
+    share = gaussian_filter(counted.astype(np.float32), widths)
+    smooth = gaussian_filter(np.where(counted, measured, np.float32(0)), widths)
     smooth = torch.from_numpy(smooth / np.maximum(share, 1e-6))  # only no division by 0
     seen = torch.from_numpy(measured[counted])
     return ImageNoise(seen, "poisson", camera=effects.detector).weights(smooth)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -20,12 +20,13 @@ from ..scene.effects import Effects
 from ..scene.light import INSIDES, Light
 from .density import Density
 from .imaging import Imaging
-from .lbfgs import dot
 from .level import Level
 from .likelihood import Match, explained, total
 from .prediction import Prediction, Unknowns, View, as_floats
 from .unequal_insides import Insides
 from .variables import Variables
+
+_PIECE = 2**18  # voxels of which products are made at a time; chosen, a few megabytes
 
 
 @dataclass(frozen=True)
@@ -106,6 +107,13 @@ class Posterior(Prediction):
         given = prior.density, prior.insides, prior.imaging, density_fitted, structure
         super().__init__(level, renderer, views, *given)
         self._prior = prior
+
+    def with_measured(self, measured: Tensor) -> Posterior:
+        """The same with another first image, (N,) where voxels count; weights stay."""
+        first, *others = self._views
+        views = [replace(first, voxels=replace(first.voxels, measured=measured)), *others]
+        given = self._prior, self._density_fitted, self._structure
+        return Posterior(self._level, self._renderer, views, *given)
 
     def __call__(self, at: Variables) -> Evaluation:
         """Value and gradient."""
@@ -231,16 +239,29 @@ class Posterior(Prediction):
         if len(at.optics) + len(at.effects) == 0:
             return np.zeros((0, 0))
         view = self._views[0]
-        root = np.sqrt(as_floats(view.voxels.weights))
-        columns, image = self.imaging_columns(at)
+        with torch.no_grad():
+            now = self._now(at)
+            columns = self._imaging_columns(now, at)
+            rows = [now.image, torch.ones_like(now.image[:1]).expand(len(now.image)), *columns]
+            products = _products(view.voxels.weights, rows)
         # Of norm 1: the brightness of a rendering depends on the unit of length.
-        own = np.stack([c / np.sqrt(max(dot(c, c), 1e-300)) for c in (image * root, root)], 1)
-        jacobian = columns * root[:, None]
-        mixed = _products(own, jacobian)
-        free = _products(jacobian, jacobian) - mixed.T @ np.linalg.pinv(_products(own, own)) @ mixed
+        scale = np.sqrt(np.maximum(np.diag(products), 1e-300))
+        scale[2:] = 1.0
+        products = products / scale / scale[:, None]
+        own, mixed, free = products[:2, :2], products[:2, 2:], products[2:, 2:]
+        free = free - mixed.T @ np.linalg.pinv(own) @ mixed
         return free / view.variance + self._imaging.prior_curvature()
 
 
-def _products(one: FloatArray, other: FloatArray) -> FloatArray:
-    """(i, j) of columns (N, i) and (N, j), to the same bits on every number of threads."""
-    return np.array([[dot(a, b) for b in other.T] for a in one.T])
+def _products(weights: Tensor, rows: Sequence[Tensor]) -> FloatArray:
+    """(i, i) weighted products of rows (N,), to the same bits on every number of threads.
+
+    Piece by piece: in large images, copies of all rows in double precision are gigabytes.
+    """
+    found = np.zeros((len(rows), len(rows)))
+    for first in range(0, len(weights), _PIECE):
+        piece = slice(first, first + _PIECE)
+        some = np.stack([as_floats(row[piece]) for row in rows])
+        weighted = some * as_floats(weights[piece])
+        found += [[np.add.reduce(one * other) for other in weighted] for one in some]
+    return found

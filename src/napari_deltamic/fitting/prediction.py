@@ -233,17 +233,27 @@ class Prediction:
             return measured
         return measured - added.reshape(-1)[view.voxels.index].to(measured.dtype)
 
-    def imaging_columns(self, at: Variables) -> tuple[FloatArray, FloatArray]:
+    def imaging_columns(
+        self, at: Variables, rows: np.ndarray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """(N, P + E) derivatives of the first measured image by PSF and effects, and its rendering.
 
-        The rendering (N,) is of amplitude 1.
+        The rendering (N,) is of amplitude 1. rows : of the voxels wanted, all where not given.
         """
         with torch.no_grad():
             now = self._now(at)
-            columns = optics_columns(now) if len(at.optics) else []
-            for effect in self._imaging.fitted:
-                columns += effect_columns(now, getattr(now.effects, effect.name))
-            return _stacked(columns, len(now.image)), as_floats(now.image)
+            columns, image = self._imaging_columns(now, at), now.image
+            if rows is not None:
+                wanted = torch.from_numpy(rows).to(image.device)
+                columns, image = [c[wanted] for c in columns], image[wanted]
+            return _stacked(columns, len(image)), as_floats(image)
+
+    def _imaging_columns(self, now: Now, at: Variables) -> list[Tensor]:
+        """(N,) each: derivatives of the first image by PSF and effects."""
+        columns = optics_columns(now) if len(at.optics) else []
+        for effect in self._imaging.fitted:
+            columns += effect_columns(now, getattr(now.effects, effect.name))
+        return columns
 
     def psf_columns(self, at: Variables) -> FloatArray:
         """(N, P) derivatives of the first measured image by its PSF, fitted or not."""

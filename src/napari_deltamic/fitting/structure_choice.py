@@ -18,6 +18,7 @@ from ..geometry.mesh import FloatArray, Mesh
 from ..scene.light import INSIDES, MEMBRANES
 from .lbfgs import dot
 from .posterior import Evaluation, Posterior
+from .prediction import as_floats
 from .variables import Variables
 
 
@@ -47,6 +48,9 @@ class StructureRules:
     step
         Displacement by which derivatives are taken, in widths of the PSF: so that their error, of
         second order, is below a thousandth.
+    most
+        Voxels that are asked, about. Chosen: a row of them takes 32 MB; images have more with some
+        hundred cells.
     """
 
     errors: float = 3.0
@@ -56,6 +60,7 @@ class StructureRules:
     sure: float = 3.0
     block: float = 4.0
     step: float = 0.05
+    most: int = 4_000_000
 
 
 RULES = StructureRules()
@@ -121,14 +126,14 @@ def told(
     Of membranes that are equally bright: those that the fit has made bright where that explains
     noise would differ from 0 by fifteen errors in an image of nuclei alone.
     """
-    root = np.sqrt(posterior.views[0].voxels.weights.cpu().numpy().astype(np.float64))
-    further = posterior.imaging_columns(at)[0].T
-    insides, measured = posterior.shown(at, INSIDES), posterior.measured(at)[0]
-    patch = _patches(posterior, at, now, mesh, RULES.step)
-    block = _blocks(posterior, RULES.block)
+    rows, block = _blocks(posterior, RULES.block)
+    root = np.sqrt(as_floats(posterior.views[0].voxels.weights)[rows])
+    further = posterior.imaging_columns(at, rows)[0].T
+    insides, measured = posterior.shown(at, INSIDES)[rows], posterior.measured(at)[0][rows]
+    patch = _patches(posterior, at, now, mesh, RULES.step)[rows] * root
     results = []
     for which, known in enumerate((replace(at, density=np.zeros_like(at.density)), at)):
-        membranes = posterior.shown(known, MEMBRANES)
+        membranes = posterior.shown(known, MEMBRANES)[rows]
         columns = membranes, insides, 1.0, *further, measured
         table = np.empty((len(columns), len(root)))  # written into: with many cells it is gigabytes
         for row, column in zip(table, columns, strict=True):
@@ -172,12 +177,11 @@ def _told(table: FloatArray, patch: FloatArray, block: np.ndarray, which: int) -
 def _patches(
     posterior: Posterior, at: Variables, now: Evaluation, mesh: Mesh, step: float
 ) -> FloatArray:
-    """(N,) what the image changes by where the surface moves along its normal, per um; weighted."""
-    view, level = posterior.views[0], posterior.level
+    """(N,) what the image changes by where the surface moves along its normal, per um."""
+    level = posterior.level
     um = step * level.width / level.factor
     out, back = (posterior.shown(_displaced(at, mesh, by), now.light) for by in (um, -um))
-    root = np.sqrt(view.voxels.weights.cpu().numpy().astype(np.float64))
-    return np.asarray(now.match.amplitude * (out - back) / (2 * um) * root)
+    return np.asarray(now.match.amplitude * (out - back) / (2 * um))
 
 
 def _products(columns: FloatArray) -> FloatArray:
@@ -194,15 +198,24 @@ def _displaced(at: Variables, mesh: Mesh, by: float) -> Variables:
     return replace(at, vertices=at.vertices + by * each)
 
 
-def _blocks(posterior: Posterior, side: float) -> np.ndarray:
-    """(N,) the block that each voxel is in."""
+def _blocks(posterior: Posterior, side: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of the voxels that are asked, and the block that each is in: all of every some blocks.
+
+    What a few million voxels do not tell is nothing; copies of all of them are gigabytes.
+    """
     level = posterior.level
-    shape = level.grid.shape
     um = side * level.factor * np.asarray(posterior.prior.imaging.optics.sigma_um)
     each = np.maximum(1, np.rint(um / np.asarray(level.grid.voxel_size))).astype(np.int64)
     index = posterior.views[0].voxels.index.cpu().numpy()
-    at = [k // n for k, n in zip(np.unravel_index(index, shape), each, strict=True)]
-    flat = np.ravel_multi_index(at, -(-np.asarray(shape) // each))
-    taken = np.bincount(flat) > 0
-    numbers: np.ndarray = np.cumsum(taken)[flat] - 1
-    return numbers
+    every = -(-len(index) // RULES.most)
+    rows, blocks = [], []
+    for first in range(0, len(index), RULES.most):
+        at = np.unravel_index(index[first : first + RULES.most], level.grid.shape)
+        places = [k // n for k, n in zip(at, each, strict=True)]
+        block = np.ravel_multi_index(places, tuple(-(-np.asarray(level.grid.shape) // each)))
+        asked = np.flatnonzero(block % every == 0)
+        rows.append(first + asked)
+        blocks.append(block[asked])
+    numbers = np.concatenate(blocks)
+    taken = np.bincount(numbers) > 0
+    return np.concatenate(rows), np.cumsum(taken)[numbers] - 1

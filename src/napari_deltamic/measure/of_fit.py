@@ -8,9 +8,9 @@ import numpy as np
 
 from ..errors import InputError
 from ..fitting import FitState
-from ..fitting.curvature import Curvature
 from ..fitting.errors_of_measures import posed_at
 from ..fitting.replicating import replicas_of
+from ..fitting.responses import responses_of
 from ..geometry.judgement import Judgement
 from ..geometry.replicas import Replicas
 from ..optics import Optics
@@ -63,12 +63,11 @@ def replicas_at(
     Raises
     ------
     InputError
-        For a fit whose errors cannot be told: densities that vary, a second view, or too many
-        vertices or voxels.
+        For a fit whose errors cannot be told: one with a second view.
     """
     try:
         posed = posed_at(image, grid, state, settings)
-        curvature = Curvature(posed.posterior, posed.at, state.mesh, state.pinned)
-        return replicas_of(posed, curvature, state.mesh)
+        responses = responses_of(posed, state, settings or FitSettings())
+        return replicas_of(posed, responses, state.mesh)
     except np.linalg.LinAlgError:
         raise InputError("there are no errors: the image does not determine the shape") from None
