@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -88,12 +88,13 @@ def predicted_error(job: FitInput, state: FitState) -> PredictedError:
         settings = job.settings.fit
         posed = posed_at(job.image, job.grid, state, settings, job.counted)
         responses = responses_of(posed, state, settings)
+        noise = noise_of(responses)
     except InputError as error:
         return PredictedError(unknown=str(error))
     except np.linalg.LinAlgError:
         return PredictedError(unknown="the image does not determine the shape")
     patches = _Patches(state)
-    squares = [patches.means(one) ** 2 for one in noise_of(responses)]
+    squares = [patches.means(one) ** 2 for one in noise]
     lacks, other = _alternative(posed, responses, state)
     parts = (
         np.mean(squares, axis=0),
@@ -112,27 +113,29 @@ def predicted_error(job: FitInput, state: FitState) -> PredictedError:
 
 def _alternative(posed: Posed, responses: Responses, state: FitState) -> tuple[str, FloatArray]:
     """What the model lacks, and (V, 3) what the surface would move by with it."""
-    columns: dict[str, list[FloatArray]] = {}
-    if not len(posed.at.optics):
-        columns[_OTHER_PSF] = [posed.posterior.psf_columns(posed.at)]
-    if not state.light.interior and state.mesh.is_closed():
-        columns[_INSIDE] = [_inside(posed, state)]
-    for name in chosen_candidates(None, state.effects):
-        ways = [e for e in variants(name, state.optics) if allowed(e, state.effects)]
-        ways = [e for e in ways if e.bounds]
-        found = [(e, posed.posterior.columns_of(posed.at, e)) for e in ways]
-        columns[name] = [
-            one
-            for effect, one in found
-            if one.any() and points_inwards(effect, responses.amplitudes(one))
-        ]
-    tried = [(name, *responses.alternative(one)) for name, each in columns.items() for one in each]
+    tried = [(name, *responses.alternative(one)) for name, one in _lacking(posed, responses, state)]
     best = max((gain for _, gain, _ in tried), default=0.0)
     likely = [t for t in tried if t[1] >= max(_SURE, _AS_GOOD * best)]
     if not likely:
         return "", np.zeros((len(state.mesh.vertices), 3))
     name, _, moved = max(likely, key=lambda t: float(np.square(t[2]).sum()))
     return name, moved
+
+
+def _lacking(
+    posed: Posed, responses: Responses, state: FitState
+) -> Iterator[tuple[str, FloatArray]]:
+    """What the model may lack, and its columns (N, m); of large images only one fits in memory."""
+    if not len(posed.at.optics):
+        yield _OTHER_PSF, posed.posterior.psf_columns(posed.at)
+    if not state.light.interior and state.mesh.is_closed():
+        yield _INSIDE, _inside(posed, state)
+    for name in chosen_candidates(None, state.effects):
+        for effect in variants(name, state.optics):
+            if allowed(effect, state.effects) and effect.bounds:
+                columns = posed.posterior.columns_of(posed.at, effect)
+                if columns.any() and points_inwards(effect, responses.amplitudes(columns)):
+                    yield name, columns
 
 
 def _inside(posed: Posed, state: FitState) -> FloatArray:

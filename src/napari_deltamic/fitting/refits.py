@@ -8,7 +8,7 @@ the fit looks for follows but the densities, which are held.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -21,6 +21,7 @@ from .lbfgs import Learnt
 from .metric import Metric
 from .pose import Posed
 from .preconditioner import NEAR_JUNCTIONS, Preconditioners
+from .prediction import as_floats
 from .shape import Shape
 from .unequal_insides import Insides
 from .variables import Variables
@@ -29,7 +30,23 @@ from .variables import Variables
 # derivatives by 0.95 or more, and are 0.9 to 1.3 times as large (foams of 4 and 8 cells, 10 and 40
 # photons); 16 and 24 steps come no nearer.
 _STEPS = 10
+# Times what a column explains while the surface stays. By definition: the surface then shows two
+# thirds of it, and ten steps tell too roughly what is left.
+_LARGEST = 3.0
+# Standard deviations, over all voxels, of a change whose consequences are looked at: chosen, well
+# above the rounding of images in single precision, and a small change of shape still.
+_SEEN = 10.0
+# nats: by definition three standard deviations; what can gain less is no alternative.
+_SURE = 4.5
 _RANK = 1e-9  # of columns of an image: less is rounding, that is the same column again
+
+
+@dataclass(frozen=True, eq=False)
+class _Ended:
+    """What a refit changed: the surface (V, 3), um, and the rendered image (N,)."""
+
+    moved: FloatArray
+    seen: FloatArray
 
 
 class Refits:
@@ -54,54 +71,75 @@ class Refits:
         given = shape, level.smoothing, settings.bending, posed.firmness, level.width
         self._metric = Metric(Preconditioners(), *given, NEAR_JUNCTIONS, False)
         self._learnt: Learnt | None = None
-        self._image = self._posterior.images(self._at)[0]
-        self._amplitude = self._posterior(self._at).match.amplitude
+        now = self._posterior(self._at)
+        self._image = as_floats(view.voxels.of(now.rendered))
+        self._seen = now.match.amplitude * self._image + now.match.background
         self._weights = view.voxels.weights.cpu().numpy().astype(np.float64) / view.variance
-        measured = self._posterior.measured(self._at)[0]
-        self.residual = self._unexplained(measured, [])
-        self._pulled: FloatArray | None = None
+        self.residual = self._posterior.measured(self._at)[0] - self._seen
+        self._unchanged: _Ended | None = None
+        self._further: list[np.ndarray] | None = None  # columns of PSF and effects
 
     def after(self, change: FloatArray) -> FloatArray:
         """(V, 3) um: what the surface follows a change (N,) of the image by."""
-        return self._moved(change - self.residual) - self.pulled()
+        return self._followed(change).moved
 
     def settled(self) -> FloatArray:
         """(V, 3) um: what more iterations would move the surface by."""
-        return self._moved(np.zeros(len(self.residual)))
+        return self._refitted(np.zeros(len(self.residual))).moved
 
     def pulled(self) -> FloatArray:
         """(V, 3) um: what the prior moves the surface by."""
-        if self._pulled is None:
-            self._pulled = self._moved(-self.residual)
-        return self._pulled
+        if self._unchanged is None:
+            self._unchanged = self._refitted(-self.residual)
+        return self._unchanged.moved
 
     def amplitudes(self, columns: FloatArray) -> FloatArray:
         """(m,) how much of further columns (N, m) explains most of the residual; the surface stays.
 
         Brightness, background, PSF and effects follow.
         """
-        further = self._posterior.imaging_columns(self._at)[0]
-        rest = np.stack([self._unexplained(column, list(further.T)) for column in columns.T], 1)
-        weighted = self._weights[:, None] * rest
-        found = np.linalg.pinv(weighted.T @ rest, rcond=_RANK, hermitian=True)
-        return np.asarray(found @ (weighted.T @ self.residual))
+        return self._held(columns)[0]
 
     def alternative(self, columns: FloatArray) -> tuple[float, FloatArray]:
         """What further columns (N, m) gain, nats, and (V, 3) um what the surface then moves by.
 
-        Of several columns, as much of each as explains most while the surface stays.
+        Of several columns, as much of each as explains most while the surface stays; 0 where that
+        says that they explain next to nothing.
         """
-        column = columns @ self.amplitudes(columns)
-        followed = self.after(column)
-        there = replace(self._at, vertices=self._at.vertices + followed)
-        seen = self._amplitude * (self._posterior.images(there)[0] - self._image)
-        rest = self._unexplained(column - seen, [])
-        inner = float(rest @ (self._weights * column))
-        right = float(rest @ (self._weights * self.residual))
-        share = right / inner if inner > 0 else 0.0
-        return share * right / 2, -share * followed
+        amplitudes, rest = self._held(columns)
+        column = rest @ amplitudes
+        if _LARGEST * float(column @ (self._weights * self.residual)) / 2 < _SURE:
+            return 0.0, np.zeros_like(self._at.vertices)
+        # What explains next to nothing would drown in the rounding of images.
+        enlarged = max(1.0, _SEEN / np.sqrt(max(float(column @ (self._weights * column)), 1e-300)))
+        column = enlarged * column
+        followed = self._followed(column)
+        left = self._weights * (column - followed.seen)
+        inner, right = float(left @ column), float(left @ self.residual)
+        # As much as explains most with the surface following, too.
+        share = min(right / inner, _LARGEST / enlarged) if inner > 0 else 0.0
+        return share * (right - share * inner / 2), -share * followed.moved
 
-    def _unexplained(self, column: FloatArray, further: Sequence[FloatArray]) -> FloatArray:
+    def _held(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Amplitudes (m,) of columns, the surface held, and what of them is new (N, m)."""
+        if self._further is None:
+            columns_now = self._posterior.imaging_columns(self._at)[0]
+            self._further = [column.astype(np.float32) for column in columns_now.T]
+        further = self._further
+        rest = np.stack([self._unexplained(column, further) for column in columns.T], 1)
+        size = np.sqrt(np.maximum((self._weights[:, None] * rest**2).sum(0), 1e-300))
+        one = rest / size
+        weighted = self._weights[:, None] * one
+        found = np.linalg.pinv(weighted.T @ one, rcond=_RANK, hermitian=True)
+        return found @ (weighted.T @ self.residual) / size, rest
+
+    def _followed(self, change: FloatArray) -> _Ended:
+        """What surface and image follow a change by, without what the prior pulls."""
+        pulled, end = self.pulled(), self._refitted(change - self.residual)
+        assert self._unchanged is not None
+        return _Ended(end.moved - pulled, end.seen - self._unchanged.seen)
+
+    def _unexplained(self, column: FloatArray, further: Sequence[np.ndarray]) -> FloatArray:
         """(N,) what is left of a column beside brightness, background and further columns."""
         own = [self._image, np.ones(len(column)), *further]
         size = [1.0 / np.sqrt(max(float(c @ (self._weights * c)), 1e-300)) for c in own]
@@ -113,7 +151,7 @@ class Refits:
             left = left - share * s * c
         return left
 
-    def _moved(self, added: FloatArray) -> FloatArray:
+    def _refitted(self, added: FloatArray) -> _Ended:
         view = self._posterior.views[0]
         measured = view.voxels.measured + torch.from_numpy(added).to(view.voxels.measured)
         descent = Descent(self._metric, self._width, self._limited, self._learnt)
@@ -122,7 +160,9 @@ class Refits:
             if not descent.step():
                 break
         self._learnt = descent.learnt()
-        return descent.at.vertices - self._at.vertices
+        found = descent.now.match
+        seen = found.amplitude * as_floats(view.voxels.of(descent.now.rendered)) + found.background
+        return _Ended(descent.at.vertices - self._at.vertices, seen - self._seen)
 
     def _limited(self, start: Variables, end: Variables) -> Variables:
         away = end.vertices - self._at.vertices
