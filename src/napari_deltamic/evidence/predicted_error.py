@@ -113,13 +113,13 @@ def predicted_error(job: FitInput, state: FitState) -> PredictedError:
 
 def _alternative(posed: Posed, responses: Responses, state: FitState) -> tuple[str, FloatArray]:
     """What the model lacks, and (V, 3) what the surface would move by with it."""
-    tried = [(name, *responses.alternative(one)) for name, one in _lacking(posed, responses, state)]
-    best = max((gain for _, gain, _ in tried), default=0.0)
-    likely = [t for t in tried if t[1] >= max(_SURE, _AS_GOOD * best)]
+    tried = responses.alternatives(_lacking(posed, responses, state))
+    best = max((one.gain for one in tried), default=0.0)
+    likely = [one for one in tried if one.gain >= max(_SURE, _AS_GOOD * best)]
     if not likely:
         return "", np.zeros((len(state.mesh.vertices), 3))
-    name, _, moved = max(likely, key=lambda t: float(np.square(t[2]).sum()))
-    return name, moved
+    found = max(likely, key=lambda one: float(np.square(one.moved).sum()))
+    return found.name, found.moved
 
 
 def _lacking(

@@ -7,7 +7,7 @@ the fit looks for follows but the densities, which are held.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,7 +38,27 @@ _LARGEST = 3.0
 _SEEN = 10.0
 # nats: by definition three standard deviations; what can gain less is no alternative.
 _SURE = 4.5
+_TRIED = 3  # alternatives at most: each takes a refit; chosen, not measured
 _RANK = 1e-9  # of columns of an image: less is rounding, that is the same column again
+
+
+@dataclass(frozen=True, eq=False)
+class Alternative:
+    """Something that a model may lack.
+
+    Attributes
+    ----------
+    name
+        What it is.
+    gain
+        Nats.
+    moved
+        (V, 3) um: what the surface moves by with it.
+    """
+
+    name: str
+    gain: float
+    moved: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,16 +120,22 @@ class Refits:
         """
         return self._held(columns)[0]
 
-    def alternative(self, columns: FloatArray) -> tuple[float, FloatArray]:
-        """What further columns (N, m) gain, nats, and (V, 3) um what the surface then moves by.
+    def alternatives(self, columns: Iterable[tuple[str, FloatArray]]) -> list[Alternative]:
+        """What the model may lack, by further columns (N, m) of the image.
 
-        Of several columns, as much of each as explains most while the surface stays; 0 where that
-        says that they explain next to nothing.
+        Those that explain most while the surface stays; of several columns, as much of each as
+        does. Others and those that explain next to nothing are not tried.
         """
-        amplitudes, rest = self._held(columns)
-        column = rest @ amplitudes
-        if _LARGEST * float(column @ (self._weights * self.residual)) / 2 < _SURE:
-            return 0.0, np.zeros_like(self._at.vertices)
+        likely: list[tuple[float, str, FloatArray]] = []
+        for name, each in columns:
+            amplitudes, rest = self._held(each)
+            column = rest @ amplitudes
+            gain = float(column @ (self._weights * self.residual)) / 2
+            if _LARGEST * gain >= _SURE:
+                likely = sorted([*likely, (gain, name, column)], key=lambda one: -one[0])[:_TRIED]
+        return [self._alternative(name, column) for _, name, column in likely]
+
+    def _alternative(self, name: str, column: FloatArray) -> Alternative:
         # What explains next to nothing would drown in the rounding of images.
         enlarged = max(1.0, _SEEN / np.sqrt(max(float(column @ (self._weights * column)), 1e-300)))
         column = enlarged * column
@@ -118,7 +144,7 @@ class Refits:
         inner, right = float(left @ column), float(left @ self.residual)
         # As much as explains most with the surface following, too.
         share = min(right / inner, _LARGEST / enlarged) if inner > 0 else 0.0
-        return share * (right - share * inner / 2), -share * followed.moved
+        return Alternative(name, share * (right - share * inner / 2), -share * followed.moved)
 
     def _held(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Amplitudes (m,) of columns, the surface held, and what of them is new (N, m)."""

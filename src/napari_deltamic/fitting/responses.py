@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Protocol
 
 import numpy as np
@@ -11,7 +12,7 @@ from ..geometry.mesh import FloatArray
 from ..runs.settings import FitSettings
 from .curvature import Curvature
 from .pose import Posed
-from .refits import Refits
+from .refits import Alternative, Refits
 from .shape import Shape
 from .state import FitState
 
@@ -44,8 +45,8 @@ class Responses(Protocol):
     def amplitudes(self, columns: FloatArray) -> FloatArray:
         """(m,) how much of further columns (N, m) of the image explains most of the residual."""
 
-    def alternative(self, columns: FloatArray) -> tuple[float, FloatArray]:
-        """What further columns (N, m) gain, nats, and what the surface would then move by."""
+    def alternatives(self, columns: Iterable[tuple[str, FloatArray]]) -> list[Alternative]:
+        """What the model may lack, by further columns (N, m) of the image; the likeliest."""
 
 
 class Exact:
@@ -76,10 +77,11 @@ class Exact:
         """(m,) how much of further columns (N, m) of the image explains most of the residual."""
         return self._curvature.amplitudes(columns)
 
-    def alternative(self, columns: FloatArray) -> tuple[float, FloatArray]:
-        """What further columns (N, m) gain, nats, and what the surface would then move by."""
-        gain, along = self._curvature.alternative(columns)
-        return gain, self._curvature.directions.displaced(along)
+    def alternatives(self, columns: Iterable[tuple[str, FloatArray]]) -> list[Alternative]:
+        """What the model may lack, by further columns (N, m) of the image: all of them."""
+        found = [(name, *self._curvature.alternative(each)) for name, each in columns]
+        displaced = self._curvature.directions.displaced
+        return [Alternative(name, gain, displaced(along)) for name, gain, along in found]
 
 
 def responses_of(posed: Posed, state: FitState, settings: FitSettings) -> Responses:
