@@ -146,7 +146,7 @@ def _compete(labels: IntArray, size: FloatArray, edge: float) -> _Nodes:
     boxes = [whole, *ndimage.find_objects(numbers)]
     for number, box in enumerate(boxes):
         start = np.array([s.start for s in box]) - around
-        mask = _cut(numbers == number, start, [s.stop for s in box] + around, filled=number == 0)
+        mask = _cut(numbers, start, [s.stop for s in box] + around) == number
         field = ndimage.distance_transform_edt(mask, size)
         field -= ndimage.distance_transform_edt(~mask, size)
         field = ndimage.gaussian_filter(field, sigma / size, mode="nearest")
@@ -156,14 +156,11 @@ def _compete(labels: IntArray, size: FloatArray, edge: float) -> _Nodes:
     return nodes
 
 
-def _cut(
-    mask: NDArray[np.bool_], start: IntArray, stop: IntArray, *, filled: bool
-) -> NDArray[np.bool_]:
-    """A box of a mask; what lies beyond the mask is filled or empty."""
-    low, high = np.clip(start, 0, None), np.minimum(stop, mask.shape)
-    box = mask[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
-    pads = np.stack([low - start, stop - high], axis=1)
-    return np.pad(box, pads, constant_values=filled)
+def _cut(numbers: IntArray, start: IntArray, stop: IntArray) -> IntArray:
+    """A box of numbers of labels; beyond the image there is none."""
+    low, high = np.clip(start, 0, None), np.minimum(stop, numbers.shape)
+    box = numbers[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
+    return np.pad(box, np.stack([low - start, stop - high], axis=1))
 
 
 def _nodes_within(
