@@ -110,5 +110,6 @@ def test_large_surfaces_have_errors_too(ended, monkeypatch):
         responses_of(posed_at(IMAGE, GRID, ended, SETTINGS), ended, SETTINGS),
         ended.mesh,
     )
+    assert len(made.pairs()) == 6
     volumes = [a.volumes()[1] - b.volumes()[1] for a, b in made.pairs()]
     assert 0 < np.std(volumes) < 0.05 * ended.mesh.volumes()[1]

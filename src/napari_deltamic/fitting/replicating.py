@@ -38,7 +38,7 @@ def replicas_of(posed: Posed, responses: Responses, mesh: Mesh) -> Replicas:
     fine = _finer(mesh)
     amplitude = posed.posterior(posed.at).match.amplitude
     smooth, refitted = _smooth(posed, responses, mesh, fine, amplitude)
-    count = int(np.clip(_WORK // len(v), responses.draws, responses.most_draws))
+    count = int(np.clip(_WORK // len(v), *responses.draws_of_one))
     scatter = noise_of(responses, count)
     finer = len(fine.mesh.faces) // max(len(mesh.faces), 1)
     return Replicas(mesh, settled, smooth, refitted, refitted + pull, scatter, finer)

@@ -24,14 +24,14 @@ class Responses(Protocol):
     ----------
     residual
         (N,) measured minus rendered, of all voxels that count.
-    draws, most_draws
-        Of the noise: for means over many patches, and for errors of one place, which are then
-        right to 1 / sqrt(2 draws), by definition.
+    draws, draws_of_one
+        Of the noise: for means over many patches, and for errors of one place, at least and at
+        most, which are then right to 1 / sqrt(2 draws), by definition.
     """
 
     residual: FloatArray
     draws: int
-    most_draws: int
+    draws_of_one: tuple[int, int]
 
     def after(self, change: FloatArray) -> FloatArray:
         """What it follows a change (N,) of the image by."""
@@ -52,7 +52,7 @@ class Responses(Protocol):
 class Exact:
     """From the second derivatives of the objective; see :class:`Responses`."""
 
-    draws, most_draws = 16, 32  # chosen: errors of one place are then right to 18 and 12 %
+    draws, draws_of_one = 16, (16, 32)  # chosen: errors are then right to 18 and 12 %
 
     def __init__(self, posed: Posed, curvature: Curvature) -> None:
         self._posed, self._curvature = posed, curvature

@@ -201,7 +201,7 @@ def _displaced(at: Variables, mesh: Mesh, by: float) -> Variables:
 def _blocks(posterior: Posterior, side: float) -> tuple[np.ndarray, np.ndarray]:
     """Rows of the voxels that are asked, and the block that each is in: all of every some blocks.
 
-    What a few million voxels do not tell is nothing; copies of all of them are gigabytes.
+    A few million voxels tell enough, and copies of all of them are gigabytes.
     """
     level = posterior.level
     um = side * level.factor * np.asarray(posterior.prior.imaging.optics.sigma_um)
