@@ -98,9 +98,11 @@ def test_cells_that_are_no_better_have_the_usual_reason_with_them():
     cut = CellFacts(1, 0.9, cut=True)
     cells = (cut, *(CellFacts(k, 0.9, cut=True, lit=0.1 + 0.05 * k) for k in (2, 3)))
     (reason,) = judged(replace(FINE, cells=cells)).reasons[1:]
-    assert reason == "poor: cells 2, 3 (only 20% of its surface shines: the rest is a guess)"
+    told = "as cell 2: only 20% of its surface shines: the rest is a guess"
+    assert reason == f"poor: cells 2, 3 ({told})"
     some = judged(replace(FINE, cells=(cut, CellFacts(2, 0.6), CellFacts(3, 0.7)))).reasons
-    assert some == ("fair: cells 1, 2, 3 (most often: 60% of the signal around it is explained)",)
+    told = "most often as cell 2: 60% of the signal around it is explained"
+    assert some == (f"fair: cells 1, 2, 3 ({told})",)
 
 
 def test_growth_is_compared_with_the_other_cells():

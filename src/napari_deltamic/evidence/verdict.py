@@ -216,8 +216,8 @@ def judged(facts: Facts) -> Verdict:
         if len(cells) == 1:
             reasons += [text for text in cells[0].reasons if text not in reasons]
         else:
-            usual_reason = _most_often(cell.reasons[0] for cell in cells if cell.grade == word)
-            reasons.append(f"{word}: {_cells(bad)} ({usual_reason})")
+            why = _usual_reason([cell for cell in cells if cell.grade == word])
+            reasons.append(f"{word}: {_cells(bad)} ({why})")
     return Verdict(grade, tuple(reasons), cells, facts.error)
 
 
@@ -326,13 +326,16 @@ def _worst(grades: Iterable[Grade]) -> Grade:
     return max(grades, key=_ORDER.index, default="good")
 
 
-def _most_often(reasons: Iterable[str]) -> str:
-    """The reason that most of some cells have, numbers aside: as the first of them has it."""
-    alike: dict[str, list[str]] = {}
-    for text in reasons:
-        alike.setdefault(re.sub(r"[\d.]+", "", text), []).append(text)
-    most = max(alike.values(), key=len)
-    return most[0] if len(alike) == 1 else f"most often: {most[0]}"
+def _usual_reason(cells: list[CellVerdict]) -> str:
+    """The reason that most of some cells have, numbers aside, as the first of them has it."""
+    alike: dict[str, list[CellVerdict]] = {}
+    for cell in cells:
+        alike.setdefault(re.sub(r"[\d.]+", "", cell.reasons[0]), []).append(cell)
+    first = max(alike.values(), key=len)[0]
+    if len(cells) == 1:
+        return first.reasons[0]
+    often = "" if len(alike) == 1 else "most often "
+    return f"{often}as cell {first.region}: {first.reasons[0]}"
 
 
 def _cells(regions: list[int]) -> str:
