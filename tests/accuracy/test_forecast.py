@@ -255,18 +255,21 @@ def clock(monkeypatch, tmp_path):
     monkeypatch.setattr(calibration.time, "perf_counter", time.process_time)
 
 
-def check(found, seconds, promise, factor):
+def ratios(found, seconds, promise):
+    """Promised over spent: of the iterations that were done, and to the end."""
     each = [level for level in promise.levels if level.number in found]
     spent = sum(found[level.number] * level.iterations for level in each)
     promised = sum(level.seconds_per_iteration * level.iterations for level in each)
-    assert 1 / factor < promised / spent < factor
-    assert 1 / (2 * factor) < promise.seconds / seconds < 2 * factor
+    return promised / spent, promise.seconds / seconds
 
 
 def test_a_small_fit_takes_about_what_was_forecast(clock):
-    """Generous, for busy machines."""
+    """Generous, and in the median of three: threads that wait for a busy core count as work."""
     settings = FitSettings(accuracy=1e-2, levels=NEAR_LEVELS)
-    check(*timed_fit(measured(noise=1), GRID, start(), OPTICS, settings), factor=4)
+    given = measured(noise=1), GRID, start(), OPTICS, settings
+    each, whole = np.median([ratios(*timed_fit(*given)) for _ in range(3)], axis=0)
+    assert 1 / 4 < each < 4
+    assert 1 / 8 < whole < 8
 
 
 @pytest.mark.slow
