@@ -105,11 +105,17 @@ def test_large_surfaces_have_errors_too(ended, monkeypatch):
     assert found.unknown == ""
     assert found.whole.total == pytest.approx(exact.whole.total, rel=0.35)
     assert set(found.cells) == set(exact.cells) == {1}
-    made = replicas_of(
-        posed_at(IMAGE, GRID, ended, SETTINGS),
-        responses_of(posed_at(IMAGE, GRID, ended, SETTINGS), ended, SETTINGS),
-        ended.mesh,
-    )
-    assert len(made.pairs()) == 6
-    volumes = [a.volumes()[1] - b.volumes()[1] for a, b in made.pairs()]
-    assert 0 < np.std(volumes) < 0.05 * ended.mesh.volumes()[1]
+
+
+def test_standard_errors_of_large_surfaces(both, ended):
+    posed, exact, refits = both
+
+    def spread(responses):
+        pairs = replicas_of(posed, responses, ended.mesh).pairs()
+        changes = [(one.volumes()[1] - other.volumes()[1]) / 2 for one, other in pairs]
+        return len(pairs), np.sqrt(np.mean(np.square(changes)))
+
+    draws, found = spread(refits)
+    assert draws == 6
+    # Of six draws the spread is itself right to 29 %.
+    assert found == pytest.approx(spread(exact)[1], rel=0.7)

@@ -7,8 +7,9 @@ the fit looks for follows but the densities, which are held.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -36,8 +37,7 @@ _LARGEST = 3.0
 # Standard deviations, over all voxels, of a change whose consequences are looked at: chosen, well
 # above the rounding of images in single precision, and a small change of shape still.
 _SEEN = 10.0
-# nats: by definition three standard deviations; what can gain less is no alternative.
-_SURE = 4.5
+SURE = 4.5  # nats: by definition three standard deviations; what gains less is no alternative
 _TRIED = 3  # alternatives at most: each takes a refit; chosen, not measured
 _RANK = 1e-9  # of columns of an image: less is rounding, that is the same column again
 
@@ -96,8 +96,6 @@ class Refits:
         self._seen = now.match.amplitude * self._image + now.match.background
         self._weights = view.voxels.weights.cpu().numpy().astype(np.float64) / view.variance
         self.residual = self._posterior.measured(self._at)[0] - self._seen
-        self._unchanged: _Ended | None = None
-        self._further: list[np.ndarray] | None = None  # columns of PSF and effects
 
     def after(self, change: FloatArray) -> FloatArray:
         """(V, 3) um: what the surface follows a change (N,) of the image by."""
@@ -109,8 +107,6 @@ class Refits:
 
     def pulled(self) -> FloatArray:
         """(V, 3) um: what the prior moves the surface by."""
-        if self._unchanged is None:
-            self._unchanged = self._refitted(-self.residual)
         return self._unchanged.moved
 
     def amplitudes(self, columns: FloatArray) -> FloatArray:
@@ -131,7 +127,7 @@ class Refits:
             amplitudes, rest = self._held(each)
             column = rest @ amplitudes
             gain = float(column @ (self._weights * self.residual)) / 2
-            if _LARGEST * gain >= _SURE:
+            if _LARGEST * gain >= SURE:
                 likely = sorted([*likely, (gain, name, column)], key=lambda one: -one[0])[:_TRIED]
         return [self._alternative(name, column) for _, name, column in likely]
 
@@ -148,11 +144,7 @@ class Refits:
 
     def _held(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Amplitudes (m,) of columns, the surface held, and what of them is new (N, m)."""
-        if self._further is None:
-            columns_now = self._posterior.imaging_columns(self._at)[0]
-            self._further = [column.astype(np.float32) for column in columns_now.T]
-        further = self._further
-        rest = np.stack([self._unexplained(column, further) for column in columns.T], 1)
+        rest = np.stack([self._unexplained(column) for column in columns.T], 1)
         size = np.sqrt(np.maximum((self._weights[:, None] * rest**2).sum(0), 1e-300))
         one = rest / size
         weighted = self._weights[:, None] * one
@@ -161,13 +153,23 @@ class Refits:
 
     def _followed(self, change: FloatArray) -> _Ended:
         """What surface and image follow a change by, without what the prior pulls."""
-        pulled, end = self.pulled(), self._refitted(change - self.residual)
-        assert self._unchanged is not None
-        return _Ended(end.moved - pulled, end.seen - self._unchanged.seen)
+        unchanged, end = self._unchanged, self._refitted(change - self.residual)
+        return _Ended(end.moved - unchanged.moved, end.seen - unchanged.seen)
 
-    def _unexplained(self, column: FloatArray, further: Sequence[np.ndarray]) -> FloatArray:
-        """(N,) what is left of a column beside brightness, background and further columns."""
-        own = [self._image, np.ones(len(column)), *further]
+    @cached_property
+    def _unchanged(self) -> _Ended:
+        """After a fit of the rendered image itself: what the prior does."""
+        return self._refitted(-self.residual)
+
+    @cached_property
+    def _imaging(self) -> list[np.ndarray]:
+        """(N,) each: columns of PSF and effects."""
+        columns = self._posterior.imaging_columns(self._at)[0]
+        return [column.astype(np.float32) for column in columns.T]
+
+    def _unexplained(self, column: FloatArray) -> FloatArray:
+        """(N,) what is left of a column beside brightness, background, PSF and effects."""
+        own = [self._image, np.ones(len(column)), *self._imaging]
         size = [1.0 / np.sqrt(max(float(c @ (self._weights * c)), 1e-300)) for c in own]
         gram = [[float(a @ (self._weights * b)) for b in own] for a in own] * np.outer(size, size)
         right = [s * float(c @ (self._weights * column)) for s, c in zip(size, own, strict=True)]
