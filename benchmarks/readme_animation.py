@@ -19,7 +19,7 @@ from napari_deltamic import FitState, GaussianPSF, Grid, Mesh, fit
 from napari_deltamic.geometry import find_cells, mesh_from_labels
 from napari_deltamic.images.stacks import read_image
 from napari_deltamic.measure import section
-from napari_deltamic.results.picture import COLOURS
+from napari_deltamic.results.colouring import COLOURS
 from napari_deltamic.runs.settings import FitSettings
 
 from .figure import MissingData, default_data_folder

@@ -55,7 +55,7 @@ def embryo(options: Options) -> list[Row]:
     seconds = time.perf_counter() - begun
     if options.pictures is not None:
         drawn = picture(image, last.rendered(), last.mesh, grid)
-        drawn.save(options.pictures / "clusters_embryo.png")
+        drawn.savefig(options.pictures / "clusters_embryo.png")
     rows += [
         _distance("embryo, fit", last.mesh, image, bar=BAR_DISTANCE),
         at_most("embryo, fit", BAR_SECONDS, seconds, "s", last.message),

@@ -72,7 +72,7 @@ def foam_rows(cells: int, options: Options) -> list[Row]:
     found = last.mesh
     if options.pictures is not None and cells == SHOWN:
         drawn = picture(known.image, last.rendered(), found, known.grid)
-        drawn.save(options.pictures / "clusters_foam.png")
+        drawn.savefig(options.pictures / "clusters_foam.png")
     here, there = (
         voxel_labels(mesh, known.grid.shape, known.grid.voxel_size) for mesh in (known.truth, found)
     )

@@ -26,10 +26,16 @@ def chart(*series, notes=(), **more):
     return Chart("A title", "across", "up", list(series), notes, **more)
 
 
+def drawn(chart):
+    """(H, W, 3) pixels."""
+    return np.asarray(Image.open(io.BytesIO(chart.png())).convert("RGB"))
+
+
 def centre(picture, colour):
     """(x, y) of the middle of a colour's pixels in the axes, and how many there are."""
     array = np.asarray(picture).astype(int)
-    found = np.argwhere(np.abs(array - colour).sum(-1) < 12)
+    red_green_blue = [int(colour[k : k + 2], 16) for k in (1, 3, 5)]
+    found = np.argwhere(np.abs(array - red_green_blue).sum(-1) < 12)
     return found[:, ::-1].mean(0) if len(found) else None, len(found)
 
 
@@ -37,7 +43,7 @@ def test_points_are_where_they_belong():
     low = Series("", [1e-2], [1e-4], 0)
     high = Series("", [1.0], [1e-1], 1)
     middle = Series("", [1e-1], [10**-2.5], 2)
-    picture = chart(low, high, middle).image()
+    picture = drawn(chart(low, high, middle))
     places = [centre(picture, PALETTE[i])[0] for i in range(3)]
     # Logarithmic along both: the third lies half way between the others, and up is less.
     assert np.allclose(places[2], (places[0] + places[1]) / 2, atol=1.5)
@@ -46,38 +52,33 @@ def test_points_are_where_they_belong():
 
 
 def test_hollow_points_are_outlines():
-    full = centre(chart(Series("", [1, 10], [1, 10])).image(), PALETTE[0])[1]
-    half = centre(chart(Series("", [1, 10], [1, 10], hollow=[True, False])).image(), PALETTE[0])[1]
-    none = centre(chart(Series("", [1, 10], [1, 10], hollow=True)).image(), PALETTE[0])[1]
+    full = centre(drawn(chart(Series("", [1, 10], [1, 10]))), PALETTE[0])[1]
+    half = centre(drawn(chart(Series("", [1, 10], [1, 10], hollow=[True, False]))), PALETTE[0])[1]
+    none = centre(drawn(chart(Series("", [1, 10], [1, 10], hollow=True))), PALETTE[0])[1]
     assert none < 0.75 * full
     assert none < half < full
 
 
 def test_lines_and_spreads_add_ink():
-    bare = centre(chart(Series("", [1, 10], [1, 10])).image(), PALETTE[0])[1]
-    line = centre(chart(Series("", [1, 10], [1, 10], line=True)).image(), PALETTE[0])[1]
-    bars = chart(Series("", [1, 10], [1, 10], spread=[(0.5, 2), (5, 20)])).image()
+    bare = centre(drawn(chart(Series("", [1, 10], [1, 10]))), PALETTE[0])[1]
+    line = centre(drawn(chart(Series("", [1, 10], [1, 10], line=True))), PALETTE[0])[1]
+    bars = drawn(chart(Series("", [1, 10], [1, 10], spread=[(0.5, 2), (5, 20)])))
     assert line > 2 * bare
     assert centre(bars, PALETTE[0])[1] > 1.2 * bare
 
 
 @pytest.mark.parametrize("marker", ["circle", "square", "triangle", "diamond", "cross"])
 def test_markers(marker):
-    assert centre(chart(Series("", [1], [1], marker=marker)).image(), PALETTE[0])[1] > 15
+    assert centre(drawn(chart(Series("", [1], [1], marker=marker))), PALETTE[0])[1] > 15
 
 
 def test_a_note_is_drawn():
     series = Series("", [1, 10], [1, 10])
     plain, ringed = chart(series), chart(series, notes=[Note(10, 10, "here")])
-    a, b = (np.asarray(c.image()).astype(int) for c in (plain, ringed))
+    a, b = (drawn(c).astype(int) for c in (plain, ringed))
     rows, _ = np.nonzero(np.abs(a - b).sum(-1) > 50)
     assert len(rows) > 100
     assert np.ptp(rows) < 60  # the ring and the words, in one place
-
-
-def test_long_legends_make_room():
-    series = [Series(f"a rather long name {i}", [1, 10], [1, 10], i) for i in range(40)]
-    assert chart(*series).image().height > 620
 
 
 def test_png():
@@ -88,12 +89,12 @@ def test_png():
 @pytest.mark.parametrize("bad", [0.0, -1.0, float("nan"), float("inf")])
 def test_values_without_logarithm(bad):
     with pytest.raises(InputError, match="positive"):
-        chart(Series("", [1, bad], [1, 1])).image()
+        chart(Series("", [1, bad], [1, 1])).figure()
 
 
 def test_no_points():
     with pytest.raises(InputError, match="positive"):
-        chart().image()
+        chart().figure()
 
 
 @pytest.mark.parametrize(
@@ -139,7 +140,7 @@ def test_chart_of_ways():
     names = [s.name for s in drawn.series]
     assert names == ["none faster and better", "closed form, float32", "as planned for an accuracy"]
     assert drawn.notes == [Note(0.02, 2e-3, "in use: 1e-2")]
-    drawn.image()
+    drawn.figure()
 
 
 def errors(*means):
@@ -172,7 +173,7 @@ def test_table_and_chart_of_shapes():
     assert [note.text for note in drawn.notes] == list(SHAPE_CHOICES)
     assert drawn.series[0].y == pytest.approx([30, 20.2, 20])
     assert drawn.series[1].y == pytest.approx([25, 25, 25])
-    drawn.image()
+    drawn.figure()
 
 
 def test_short_numbers():

@@ -20,7 +20,7 @@ from ..fourier.band import Band
 from ..fourier.closed_form import band_ft
 from ..fourier.cost import BUILT_IN, Costs, Rates, Work, count_work
 from ..fourier.particle_mesh import elements_ft
-from ..fourier.plan import _edge_phases, make_plan
+from ..fourier.plan import edge_phases, make_plan
 from ..fourier.points import Points
 from ..fourier.quadrature import rule
 from ..fourier.spreading import choose_spreading, gaussian
@@ -144,7 +144,7 @@ def _closed(subdivisions: int, radius: float, side: int, single: bool) -> _Trial
     v = torch.tensor(mesh.vertices_numpy(), requires_grad=True)
     f, ones = torch.as_tensor(mesh.faces), torch.ones(len(mesh.faces), dtype=torch.float64)
     assert band.radius is not None
-    phases = _edge_phases(mesh.vertices_numpy(), mesh.faces, band.radius, True)
+    phases = edge_phases(mesh.vertices_numpy(), mesh.faces, band.radius, True)
     work = count_work("closed form", band, len(f), phases, [], None)
 
     def forward() -> Tensor:

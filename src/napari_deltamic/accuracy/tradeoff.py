@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from math import log, pi, sqrt
+from functools import partial
 from statistics import median
 from typing import Literal
 
@@ -17,13 +17,13 @@ from ..common.accuracy_bounds import check_accuracy
 from ..common.choices import RENDERED_ACCURACY
 from ..common.words import duration
 from ..errors import InputError
-from ..fourier import Band, Plan, make_plan
-from ..fourier.cost import Costs, count_work
-from ..fourier.plan import Method, _edge_phases
-from ..fourier.quadrature import DEGREES, rule
-from ..fourier.spreading import choose_spreading
+from ..fourier.cost import Costs
+from ..fourier.fixed_plan import fixed_plan
+from ..fourier.plan import Method
+from ..fourier.quadrature import DEGREES
 from ..geometry.mesh import Mesh
 from ..optics import Optics
+from ..scene import Renderer, Scene
 from ..scene.formation import padded_shape
 from ..scene.grid import Grid
 from ..scene.memory import Peak
@@ -34,7 +34,6 @@ from .machine_costs import costs as known_costs
 THRESHOLDS = (1e-1, 1e-2, 1e-3, 1e-4)
 PLANNED = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 1e-4, 1e-5, 1e-6)
 _RULE_THRESHOLD = 1e-4  # of the band that rules are compared on: its own error is hardly seen
-_TOLERANCE = {True: 3e-5, False: 1e-12}  # of its transform, by precision
 _FINEST = 1e-9  # accuracy of the reference where the exact one takes too long
 _VISIBLE = 1e-4  # of a mesh's area: an image that shows less shows only the rim of its PSF
 _REPEATS, _ENOUGH = 3, 1.0  # of a timing; s after which one is enough
@@ -106,7 +105,7 @@ class Way:
 @dataclass(frozen=True)
 class _Candidate:
     way: Way
-    plan: Plan
+    renderer: Renderer
 
 
 def measure_ways(
@@ -145,14 +144,17 @@ def measure_ways(
     """
     check_accuracy(accuracy_in_use)
     costs = costs or known_costs()
-    scene = _Scene(mesh, grid, optics)
-    candidates = _candidates(scene, accuracy_in_use, costs)
+    scene = Scene.of(mesh, optics)
+    candidates = _candidates(scene, mesh, grid, accuracy_in_use, costs)
     exact = candidates[0]
     if exact.way.expected > budget:
-        reference = scene.planned(_FINEST, costs, "particle-mesh")
+        reference = _planned(scene, grid, _FINEST, costs, "particle-mesh")
         candidates = [reference, *candidates]
     else:
         reference = exact
+    # What the gradient is taken of: the same noise for all.
+    generator = torch.Generator().manual_seed(0)
+    incoming = torch.randn(grid.shape, generator=generator, dtype=torch.float64)
     known: tuple[Tensor, Tensor] | None = None
     for done, candidate in enumerate(candidates):
         if should_stop is not None and should_stop():
@@ -163,7 +165,7 @@ def measure_ways(
             way = replace(way, note=f"not measured: about {duration(way.expected)}")
         else:
             try:
-                way, result = _measured(scene, candidate)
+                way, result = _measured(candidate, mesh, incoming)
             except (MemoryError, RuntimeError) as error:
                 if is_reference:
                     raise
@@ -205,109 +207,90 @@ def with_front(ways: Iterable[Way]) -> list[Way]:
 # ------------------------------------------------------------------------------------ the ways
 
 
-class _Scene:
-    """A scene and how to render it by any plan."""
-
-    def __init__(self, mesh: Mesh, grid: Grid, optics: Optics) -> None:
-        self.mesh, self.grid, self.optics = mesh, grid, optics
-        self.points = mesh.vertices_numpy() - np.asarray(grid.origin)
-        self.faces = torch.as_tensor(mesh.faces)
-        self.density = torch.as_tensor(mesh.membranes(), dtype=torch.float64)
-        self.width = tuple(float(w) for w in optics.width())
-        generator = torch.Generator().manual_seed(0)
-        self.incoming = torch.randn(grid.shape, generator=generator, dtype=torch.float64)
-
-    def padded(self, accuracy: float) -> tuple[int, int, int]:
-        """Shape of the periodic grid."""
-        reach = np.asarray(self.optics.reach(accuracy))
-        return padded_shape(self.mesh.vertices_numpy(), self.grid, reach)
-
-    def planned(self, accuracy: float, costs: Costs, method: Method | None = None) -> _Candidate:
-        """What the planner makes of an accuracy."""
-        plan = make_plan(
-            self.points,
-            self.mesh.faces,
-            self.padded(accuracy),
-            self.grid.voxel_size,
-            self.width,  # type: ignore[arg-type]
-            accuracy,
-            method,
-            aligned=self.optics.diagonal,
-            cutoff=self.optics.cutoff(),
-            transfer=self.optics.otf,
-        )
-        degrees = sorted({r.degree for r, _ in plan.rules})
-        named = f"degree {'/'.join(map(str, degrees))}" if degrees else ""
-        return self.candidate(plan, named, costs, accuracy)
-
-    def by_hand(
-        self, threshold: float, degree: int | None, single: bool, costs: Costs
-    ) -> _Candidate:
-        """The closed form (no degree), or one rule on every face, on a band (0: the full grid)."""
-        fft, size = self.padded(min(threshold, _RULE_THRESHOLD)), self.grid.voxel_size
-        aligned = self.optics.diagonal
-        if threshold == 0:
-            band = Band.full(fft, size)
-            radius, aligned = tuple(pi / d for d in size), False
-        else:
-            radius = tuple(sqrt(2 * log(1 / threshold)) / w for w in self.width)
-            band = Band.within(fft, size, radius, aligned)  # type: ignore[arg-type]
-        faces = len(self.mesh.faces)
-        rules = [] if degree is None else [(rule(degree), np.arange(faces))]
-        method: Method = "closed form" if degree is None else "particle-mesh"
-        phases = _edge_phases(self.points, self.mesh.faces, radius, aligned)
-        spreading = None
-        if degree is not None:
-            points = faces * len(rules[0][0].weights)
-            given = band.half, band.spacing, self.optics.otf, _TOLERANCE[single], points, single
-            spreading = choose_spreading(*given, width=self.width)
-        work = count_work(method, band, faces, phases, rules, spreading, self.grid.shape)
-        plan = Plan(method, band, 0.0, threshold, single, spreading, rules, 0.0, work)
-        return self.candidate(plan, f"degree {degree}" if degree else "", costs, None)
-
-    def candidate(
-        self, plan: Plan, rule_name: str, costs: Costs, accuracy: float | None
-    ) -> _Candidate:
-        way = Way(
-            method=plan.method,
-            band=plan.threshold,
-            rule=rule_name,
-            precision="float32" if plan.single else "float64",
-            accuracy=accuracy,
-            expected=costs.seconds(plan.work, plan.single),
-        )
-        return _Candidate(way, plan)
+def _planned(
+    scene: Scene, grid: Grid, accuracy: float, costs: Costs, method: Method | None = None
+) -> _Candidate:
+    """What the planner makes of an accuracy."""
+    renderer = Renderer(scene, grid, accuracy, method=method)
+    degrees = sorted({r.degree for r, _ in renderer.plan.rules})
+    named = f"degree {'/'.join(map(str, degrees))}" if degrees else ""
+    return _candidate(renderer, named, costs, accuracy)
 
 
-def _candidates(scene: _Scene, accuracy_in_use: float, costs: Costs) -> list[_Candidate]:
+def _by_hand(
+    scene: Scene,
+    mesh: Mesh,
+    grid: Grid,
+    threshold: float,
+    degree: int | None,
+    single: bool,
+    costs: Costs,
+) -> _Candidate:
+    """The closed form (no degree), or one rule on every face, on a band (0: the full grid)."""
+    accuracy, optics = min(threshold, _RULE_THRESHOLD), scene.optics
+    places = mesh.vertices_numpy()
+    z, y, x = (float(w) for w in optics.width())
+    plan = fixed_plan(
+        places - np.asarray(grid.origin),
+        mesh.faces,
+        padded_shape(places, grid, np.asarray(optics.reach(accuracy))),
+        grid.voxel_size,
+        (z, y, x),
+        threshold,
+        degree,
+        single,
+        optics.diagonal,
+        optics.otf,
+    )
+    renderer = Renderer(scene, grid, accuracy, plan=plan)
+    return _candidate(renderer, f"degree {degree}" if degree else "", costs, None)
+
+
+def _candidate(
+    renderer: Renderer, rule_name: str, costs: Costs, accuracy: float | None
+) -> _Candidate:
+    plan = renderer.plan
+    way = Way(
+        method=plan.method,
+        band=plan.threshold,
+        rule=rule_name,
+        precision="float32" if plan.single else "float64",
+        accuracy=accuracy,
+        expected=costs.seconds(plan.work, plan.single),
+    )
+    return _Candidate(way, renderer)
+
+
+def _candidates(
+    scene: Scene, mesh: Mesh, grid: Grid, accuracy_in_use: float, costs: Costs
+) -> list[_Candidate]:
     """All ways: the exact one first."""
+    by_hand = partial(_by_hand, scene, mesh, grid, costs=costs)
     found = [
-        scene.by_hand(threshold, None, single, costs)
+        by_hand(threshold, None, single)
         for threshold in (0.0, *reversed(THRESHOLDS))
         for single in (False, True)
     ]
     found += [
-        scene.by_hand(_RULE_THRESHOLD, degree, single, costs)
-        for degree in DEGREES
-        for single in (True, False)
+        by_hand(_RULE_THRESHOLD, degree, single) for degree in DEGREES for single in (True, False)
     ]
     asked = sorted({*PLANNED, *([accuracy_in_use] if accuracy_in_use > 0 else [])}, reverse=True)
-    found += [scene.planned(accuracy, costs) for accuracy in asked]
+    found += [_planned(scene, grid, accuracy, costs) for accuracy in asked]
     used = 0 if accuracy_in_use == 0 else len(found) - len(asked) + asked.index(accuracy_in_use)
     found[used] = replace(found[used], way=replace(found[used].way, in_use=True))
     return found
 
 
-def _measured(scene: _Scene, candidate: _Candidate) -> tuple[Way, tuple[Tensor, Tensor]]:
+def _measured(
+    candidate: _Candidate, mesh: Mesh, incoming: Tensor
+) -> tuple[Way, tuple[Tensor, Tensor]]:
     """The way with times and memory, and its image and gradient in double precision."""
-    plan = candidate.plan
-    v = torch.tensor(scene.points, requires_grad=True)
-    axes = plan.band.axes(torch.float32 if plan.single else torch.float64)
-    incoming = scene.incoming.to(torch.float32 if plan.single else torch.float64)
+    renderer = candidate.renderer
+    v = torch.tensor(mesh.vertices_numpy(), requires_grad=True)
+    incoming = incoming.to(torch.float32 if renderer.plan.single else torch.float64)
 
     def forward() -> Tensor:
-        u = plan.transform(v, scene.faces, scene.density) * scene.optics.otf(axes)
-        return plan.band.to_image(u, scene.grid.shape)
+        return renderer.image(renderer.transform(v), renderer.otf(renderer.scene.optics))
 
     forwards, boths = [], []
     with Peak() as peak:  # of the first run, which makes what others find made

@@ -112,7 +112,6 @@ def count_work(
     phases: np.ndarray,
     rules: list[tuple[Rule, np.ndarray]],
     spreading: Spreading | None,
-    shape: tuple[int, int, int] | None = None,
 ) -> Work:
     """The work of one rendering.
 
@@ -123,10 +122,8 @@ def count_work(
     phases
         (F,) largest phase along an edge of each face in the band (any number of faces' will do: it
         is a mean that counts).
-    shape
-        Of the image; by default that of the periodic grid.
     """
-    pixels = _image_pixels(band, shape or band.fft_shape)
+    pixels = _image_pixels(band, band.fft_shape)
     if method == "closed form":
         pairs = float(band.count) * faces
         # The phase along an edge, over a ball of wavevectors, is that at its rim times the radius

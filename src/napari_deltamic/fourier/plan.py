@@ -173,12 +173,12 @@ def make_plan(
     method = checked_method(method)
     if accuracy < EXACT_BELOW:
         band = Band.full(fft_shape, voxel_size)
-        phases = _edge_phases(vertices, faces, tuple(pi / d for d in voxel_size), aligned=False)
+        phases = edge_phases(vertices, faces, tuple(pi / d for d in voxel_size), aligned=False)
         work = count_work("closed form", band, len(faces), phases, [], None)
         return Plan("closed form", band, accuracy, 0.0, False, None, [], 0.0, work, device)
     area, thin = _size(vertices / np.asarray(width), faces)
     c = choose_band(area, thin, fft_shape, voxel_size, width, accuracy, aligned, cutoff)
-    phases = _edge_phases(vertices, faces, c.held, c.round)
+    phases = edge_phases(vertices, faces, c.held, c.round)
     rules = choose_rules(margin * phases, c.at_edge, c.quadrature)
     spreading = spreading_for(c, rules, width, transfer or gaussian(width), inf if thin else area)
     works: dict[Method, Work] = {
@@ -304,7 +304,7 @@ def _held(
     return held, threshold ** (share**2)
 
 
-def _edge_phases(
+def edge_phases(
     vertices: np.ndarray, faces: np.ndarray, radius: tuple[float, ...], aligned: bool
 ) -> np.ndarray:
     """(F,) largest phase along the longest edge of each face, anywhere in the band."""

@@ -5,11 +5,10 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from PIL import Image, ImageDraw, ImageFont
 
 from ..errors import InputError
 from ..geometry import Mesh
@@ -17,13 +16,16 @@ from ..measure import section
 from ..scene import Grid
 from .colouring import colour_indices, colour_of
 
+if TYPE_CHECKING:  # matplotlib takes half a second to load: only where something is drawn
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 WIDTH = 1280  # px, about; more where an image is finer
 MIN_WIDTH, MAX_WIDTH, MAX_HEIGHT = 920, 2600, 2000
-_GAP, _TITLE = 6, 22
-_FINE = 2  # panels are drawn this many times larger and reduced: smooth lines
-_LINE = 4  # px before that
-_MISSING = (50, 0, 60)
-_TEXT = (235, 235, 235)
+_DPI = 100
+_GAP, _TITLE, _TITLE_WIDTH = 6, 22, 210  # px; a title needs room, however narrow its panel
+_LINE = 1.4  # points
+_BACKGROUND, _MISSING, _TEXT = "#181818", "#32003c", "#ebebeb"
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,7 @@ class _Slice:
         return f"{plane}, {name} = {self.position:.2f} um"
 
 
-def picture(image: ArrayLike, rendered: ArrayLike, mesh: Mesh, grid: Grid) -> Image.Image:
+def picture(image: ArrayLike, rendered: ArrayLike, mesh: Mesh, grid: Grid) -> Figure:
     """Draw slices of both images, the measured ones with the contours of the mesh.
 
     Three slices across Z and one across Y, spread over the mesh, with the proportions of the
@@ -58,24 +60,37 @@ def picture(image: ArrayLike, rendered: ArrayLike, mesh: Mesh, grid: Grid) -> Im
     InputError
         If the images do not fit the grid.
     """
+    from matplotlib.figure import Figure
+
     measured, model = np.asarray(image, np.float32), np.asarray(rendered, np.float32)
     for array in (measured, model):
         if array.shape != grid.shape:
             raise InputError(f"the image has shape {array.shape}, the grid {grid.shape}")
     slices = _slices(mesh, grid)
     scale = _scale(slices, grid)
+    sides = [_size(s, grid) * scale for s in slices]  # px: height and width of a panel
     window = _window([np.take(measured, s.index, s.axis) for s in slices])
-    rows = []
-    for name, array, contours in (("measured", measured, mesh), ("rendered", model, None)):
-        panels = [_panel(array, s, grid, scale, window, contours) for s in slices]
-        rows.append((name, panels))
-    return _compose(rows, slices)
+    lefts = np.cumsum([_GAP, *(max(width, _TITLE_WIDTH) + _GAP for _, width in sides)])
+    row = max(height for height, _ in sides) + _TITLE + _GAP
+    width, height = max(float(lefts[-1]), MIN_WIDTH), 2 * row + _GAP
+    figure = Figure((width / _DPI, height / _DPI), dpi=_DPI, facecolor=_BACKGROUND)
+    for r, (name, array) in enumerate((("measured", measured), ("rendered", model))):
+        for cut, (high, wide), left in zip(slices, sides, lefts.tolist(), strict=False):
+            top = height - _GAP - _TITLE - r * row
+            axes = figure.add_axes(
+                (left / width, (top - high) / height, wide / width, high / height)
+            )
+            axes.set_title(f"{name}  {cut.label}", loc="left", color=_TEXT, fontsize=10, pad=4)
+            _draw_slice(axes, array, cut, grid, window)
+            if r == 0:
+                _draw_contours(axes, cut, mesh)
+    return figure
 
 
 def picture_png(image: ArrayLike, rendered: ArrayLike, mesh: Mesh, grid: Grid) -> bytes:
     """``picture`` as the content of a PNG file."""
     buffer = io.BytesIO()
-    picture(image, rendered, mesh, grid).save(buffer, "PNG", optimize=True)
+    picture(image, rendered, mesh, grid).savefig(buffer, format="png")
     return buffer.getvalue()
 
 
@@ -98,12 +113,17 @@ def _others(axis: int) -> list[int]:
 
 def _scale(slices: Sequence[_Slice], grid: Grid) -> float:
     """px per um, the same for all panels."""
-    size = np.array(grid.shape) * grid.voxel_size
-    width = len(slices) * float(size[2])
+    width = sum(_size(s, grid)[1] for s in slices)
     finest = len(slices) * grid.shape[2]
     wanted = float(np.clip(max(WIDTH, finest), MIN_WIDTH, MAX_WIDTH)) / width
-    height = 2 * float(max(size[_others(s.axis)[0]] for s in slices))
+    height = 2 * float(max(_size(s, grid)[0] for s in slices))
     return min(wanted, MAX_HEIGHT / height)
+
+
+def _size(cut: _Slice, grid: Grid) -> NDArray[np.float64]:
+    """um: height and width."""
+    size: NDArray[np.float64] = np.array(grid.shape) * np.asarray(grid.voxel_size)
+    return size[_others(cut.axis)]
 
 
 def _window(layers: Sequence[NDArray[np.float32]]) -> tuple[float, float]:
@@ -114,72 +134,33 @@ def _window(layers: Sequence[NDArray[np.float32]]) -> tuple[float, float]:
     return low, high if high > low else low + 1.0
 
 
-def _panel(
+def _draw_slice(
+    axes: Axes,
     array: NDArray[np.float32],
     cut: _Slice,
     grid: Grid,
-    scale: float,
     window: tuple[float, float],
-    mesh: Mesh | None,
-) -> Image.Image:
-    layer = np.take(array, cut.index, cut.axis)
-    known = np.isfinite(layer)
-    grey = np.clip((np.where(known, layer, 0) - window[0]) / (window[1] - window[0]), 0, 1)
-    colours = np.repeat((255 * grey[..., None]).astype(np.uint8), 3, axis=2)
-    colours[~known] = _MISSING
-    down, across = _others(cut.axis)
-    sides = [layer.shape[i] * grid.voxel_size[k] * scale for i, k in ((0, down), (1, across))]
-    height, width = (max(1, round(side)) for side in sides)
-    fine = (width * _FINE, height * _FINE)
-    larger = fine[0] >= layer.shape[1] and fine[1] >= layer.shape[0]
-    how = Image.Resampling.NEAREST if larger else Image.Resampling.BOX
-    panel: Image.Image = Image.fromarray(colours).resize(fine, how)
-    if mesh is not None:
-        _draw_contours(panel, cut, grid, mesh)
-    return panel.resize((width, height), Image.Resampling.BOX)
+) -> None:
+    from matplotlib import colormaps
 
-
-def _draw_contours(panel: Image.Image, cut: _Slice, grid: Grid, mesh: Mesh) -> None:
-    segments, faces = section(mesh, cut.axis, cut.position)
+    layer = np.ma.masked_invalid(np.take(array, cut.index, cut.axis))
+    shown: dict[str, Any] = {"cmap": colormaps["gray"].with_extremes(bad=_MISSING)}
     others = _others(cut.axis)
-    size = np.asarray(grid.voxel_size)[others]
-    shape = np.asarray(grid.shape)[others]
-    # The first voxel's centre is half a voxel from the edge of the picture.
-    voxels = (segments - np.asarray(grid.origin)[others]) / size + 0.5
-    places = voxels / shape * (panel.height, panel.width)
-    regions = mesh.regions[faces].max(axis=1)
-    draw, indices = ImageDraw.Draw(panel), colour_indices(mesh)
-    for ends, region in zip(places.tolist(), regions.tolist(), strict=True):
-        colour = colour_of(region, indices)
-        draw.line([(x, y) for y, x in ends], fill=colour, width=_LINE)
+    low = (np.asarray(grid.origin) - 0.5 * np.asarray(grid.voxel_size))[others]
+    high = low + _size(cut, grid)
+    extent = (low[1], high[1], high[0], low[0])
+    axes.imshow(layer, **shown, vmin=window[0], vmax=window[1], extent=extent, aspect="auto")
+    axes.set_axis_off()
 
 
-def _compose(
-    rows: Sequence[tuple[str, Sequence[Image.Image]]], slices: Sequence[_Slice]
-) -> Image.Image:
-    """Panels in a table, each with its title above."""
-    font: Any = _font()
-    panels = rows[0][1]
-    # A title needs room, however narrow its panel.
-    columns = [
-        max(panel.width, int(font.getlength(f"measured  {cut.label}")) + _GAP)
-        for panel, cut in zip(panels, slices, strict=True)
-    ]
-    row_height = max(panel.height for panel in panels) + _TITLE + _GAP
-    width = max(sum(columns) + _GAP * (len(columns) + 1), MIN_WIDTH)
-    canvas = Image.new("RGB", (width, row_height * len(rows) + _GAP), (24, 24, 24))
-    draw = ImageDraw.Draw(canvas)
-    for r, (name, row) in enumerate(rows):
-        left, top = _GAP, _GAP + r * row_height
-        for panel, cut, column in zip(row, slices, columns, strict=True):
-            draw.text((left, top), f"{name}  {cut.label}", fill=_TEXT, font=font)
-            canvas.paste(panel, (left, top + _TITLE))
-            left += column + _GAP
-    return canvas
+def _draw_contours(axes: Axes, cut: _Slice, mesh: Mesh) -> None:
+    from matplotlib.collections import LineCollection
 
-
-def _font() -> Any:
-    try:
-        return ImageFont.load_default(14)
-    except (ImportError, TypeError, OSError):  # a Pillow without FreeType
-        return ImageFont.load_default()
+    segments, faces = section(mesh, cut.axis, cut.position)
+    indices = colour_indices(mesh)
+    regions = mesh.regions[faces].max(axis=1).tolist()
+    colours = [np.array(colour_of(region, indices)) / 255 for region in regions]
+    lines = list(segments[..., ::-1])  # x, y
+    axes.add_collection(
+        LineCollection(lines, colors=colours, linewidths=_LINE, capstyle="round"), autolim=False
+    )

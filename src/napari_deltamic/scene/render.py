@@ -49,6 +49,8 @@ class Renderer:
         Forces ``"closed form"`` or ``"particle-mesh"``.
     device
         Where images are; see :func:`napari_deltamic.fourier.devices.choose_device`.
+    plan
+        For the scene's only surface; by default the cheapest for the accuracy.
 
     Raises
     ------
@@ -73,6 +75,7 @@ class Renderer:
         margin: float = 0.0,
         method: Method | None = None,
         device: torch.device | str = "cpu",
+        plan: Plan | None = None,
     ) -> None:
         check_accuracy(accuracy)
         self.scene, self.grid, self.frame, self.accuracy = scene, grid, frame or grid, accuracy
@@ -95,6 +98,7 @@ class Renderer:
             lambda axes: self._formation.otf(optics, axes),
             _STRETCH if margin > 0 else 1.0,
             for_objects(self.device),
+            plan,
         )
         self._moving = scene.on_one_mesh()
         self._planned: list[Planned] = [s.planned(site) for s in scene.structures]

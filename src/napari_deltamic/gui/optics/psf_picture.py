@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 from qtpy.QtCore import QTimer
 from qtpy.QtGui import QImage, QPixmap, QShowEvent
 from qtpy.QtWidgets import QLabel, QWidget
+from skimage.transform import resize
 
 from ...optics import Optics
 from ...optics.sections import Sections, psf_sections
@@ -99,5 +99,6 @@ class PsfPicture(QLabel):
 
 def _scaled(section: NDArray[np.float64]) -> NDArray[np.uint8]:
     """A square of the side of a picture; samples are not as long along both axes."""
-    grey = Image.fromarray((255 * section).astype(np.uint8))
-    return np.array(grey.resize((_SIDE, _SIDE), Image.Resampling.BILINEAR))
+    square = resize(section, (_SIDE, _SIDE), order=1, anti_aliasing=True)
+    grey: NDArray[np.uint8] = (255 * np.clip(square, 0, 1)).astype(np.uint8)
+    return grey

@@ -42,6 +42,8 @@ class Site:
         By how much edges of a mesh may grow before its plan no longer holds.
     device
         Where structures are transformed.
+    plan
+        For the triangles of meshes; by default the cheapest for the accuracy.
     """
 
     grid: Grid
@@ -55,6 +57,7 @@ class Site:
     transfer: Transfer | None = None
     stretch: float = 1.0
     device: torch.device = CPU
+    plan: Plan | None = None
 
     def local(self, positions: Tensor) -> Tensor:
         """Positions relative to the centre of the first voxel."""
@@ -91,7 +94,7 @@ class Structure(Protocol):
 
 def mesh_plan(mesh: Mesh, site: Site) -> Plan:
     """The plan for the triangles of a mesh."""
-    return make_plan(
+    return site.plan or make_plan(
         mesh.vertices_numpy() - np.asarray(site.grid.origin),
         mesh.faces,
         site.fft_shape,
