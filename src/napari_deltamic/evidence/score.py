@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import ndtri_exp
-from scipy.stats import chi2
 
 from .evidence_rules import JUDGING
 from .refit import Linearised
@@ -97,6 +96,8 @@ def equivalent_z(surprise: float, numbers: int) -> float:
         return 0.0
     if numbers == 1:
         return min(float(np.sqrt(surprise)), JUDGING.largest_z)
+    from scipy.stats import chi2  # loads for a fifth of a second, and few fits ask for it
+
     log_tail = float(chi2.logsf(surprise, numbers))
     if not np.isfinite(log_tail) or log_tail < -4000:
         return min(float(np.sqrt(surprise)), JUDGING.largest_z)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
-from scipy.signal import find_peaks
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.labels.basins import pixel_noise
@@ -169,6 +168,8 @@ def _spots(mesh: Mesh, voxel: float) -> NDArray[np.float64]:
 
 def _nearest_peak(profile: NDArray[np.float64], least: float) -> float:
     """Position, in samples, of the clear peak nearest to the middle; nan if there is none."""
+    from scipy.signal import find_peaks  # loads for a third of a second, and few fits ask for it
+
     peaks, _ = find_peaks(profile, prominence=max(least, CONTRAST * float(np.ptp(profile))))
     if not len(peaks):
         return float("nan")
