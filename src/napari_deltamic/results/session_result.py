@@ -25,24 +25,16 @@ from ..scene.effects import Effects
 from ..scene.light import Light
 from .report import History
 from .session_bead import keep_bead, with_bead
+from .session_facts import MomentFacts, ResultFacts, StateFacts
 from .session_parts import SavedResult
 from .timeline import Moment
 
-_STATE = (  # what of a state is a plain value
-    "iteration",
-    "level",
-    "levels",
-    "loss",
-    "amplitude",
-    "background",
-    "blur",
-    "converged",
-    "message",
-)
+# What of a state is a plain value.
+_STATE = ("iteration", "level", "levels", "amplitude", "background", "blur", "converged", "message")
 
 
-def result_facts(archive: ArchiveWriter, meshes: MeshWriter, result: SavedResult) -> dict[str, Any]:
-    """Write the result of a fit; plain values by which :func:`saved_result` finds it again."""
+def result_facts(archive: ArchiveWriter, meshes: MeshWriter, result: SavedResult) -> ResultFacts:
+    """Write the result of a fit; by what is returned :func:`saved_result` finds it again."""
     state, history = result.state, result.history
     archive.add_text("result.toml", keep_bead(archive, "result/bead", result.settings).to_toml())
     archive.add_array("state/density", state.density)
@@ -56,33 +48,31 @@ def result_facts(archive: ArchiveWriter, meshes: MeshWriter, result: SavedResult
     # A table: the loss of a moment may be NaN, which JSON does not know.
     course = [(moment.iteration, moment.loss) for moment in result.moments]
     archive.add_array("moments/iteration_loss", np.array(course, np.float64).reshape(-1, 2))
-    scalars = {name: getattr(state, name) for name in _STATE}
-    # Unknown after a change by hand.
-    scalars["loss"] = state.loss if isfinite(state.loss) else None
-    return {
-        "state": {
-            **scalars,
-            "mesh": meshes.add("state/vertices", state.mesh),
-            "optics": _optics_facts(state.optics),
-            "effects": state.effects.to_dict(),
-            "light": asdict(state.light),
-            "pinned": state.pinned is not None,
-        },
-        "first": history.first,
-        "seconds": result.seconds,
-        "verdict": result.verdict,
-        "message": result.message,
-        "start": meshes.add("start/vertices", result.start) if result.start else None,
-        "counted": result.counted is not None,
-        "moments": [
-            {
-                "note": moment.note,
-                "mesh": meshes.add(f"moments/{k}/vertices", moment.mesh),
-                "optics": _optics_facts(moment.optics),
-            }
+    return ResultFacts(
+        state=StateFacts(
+            **{name: getattr(state, name) for name in _STATE},
+            loss=state.loss if isfinite(state.loss) else None,
+            mesh=meshes.add("state/vertices", state.mesh),
+            optics=_optics_facts(state.optics),
+            effects=state.effects.to_dict(),
+            light=asdict(state.light),
+            pinned=state.pinned is not None,
+        ),
+        first=history.first,
+        seconds=result.seconds,
+        verdict=result.verdict,
+        message=result.message,
+        start=meshes.add("start/vertices", result.start) if result.start else None,
+        counted=result.counted is not None,
+        moments=[
+            MomentFacts(
+                note=moment.note,
+                mesh=meshes.add(f"moments/{k}/vertices", moment.mesh),
+                optics=_optics_facts(moment.optics),
+            )
             for k, moment in enumerate(result.moments)
         ],
-    }
+    )
 
 
 def _optics_facts(optics: Optics) -> dict[str, Any]:
@@ -94,24 +84,24 @@ def _optics_facts(optics: Optics) -> dict[str, Any]:
     return {"model": "gaussian", "covariance": optics.covariance.detach().tolist()}
 
 
-def saved_result(archive: ArchiveReader, facts: Mapping[str, Any], grid: Grid) -> SavedResult:
+def saved_result(archive: ArchiveReader, facts: ResultFacts, grid: Grid) -> SavedResult:
     """The result that :func:`result_facts` wrote. InputError if it is missing or damaged."""
     settings, meshes = settings_of(archive, "result.toml"), MeshReader(archive)
     first = optics_of(settings.scene)  # a PSF of which states hold only what was fitted
     course = {name: archive.array(f"history/{name}").tolist() for name in ("loss", "level", "blur")}
-    shown = facts["state"]
-    scalars: dict[str, Any] = {name: nan if shown[name] is None else shown[name] for name in _STATE}
+    shown = facts.state
     # Earlier versions saved neither effects, nor pins, nor what shines.
-    effects, inside = without_inside(shown.get("effects", settings.scene.effects.to_dict()))
-    light = Light.from_dict(shown.get("light", {}))
+    effects, inside = without_inside(shown.effects or settings.scene.effects.to_dict())
+    light = Light.from_dict(shown.light)
     state = FitState(
-        mesh=meshes.mesh(shown["mesh"]),
-        optics=_optics(shown["optics"], first),
+        **{name: getattr(shown, name) for name in _STATE},
+        loss=nan if shown.loss is None else shown.loss,
+        mesh=meshes.mesh(shown.mesh),
+        optics=_optics(shown.optics, first),
         density=archive.array("state/density"),
         effects=Effects(**effects),
         light=light if inside is None else inside.added_to(light),
-        pinned=archive.array("state/pinned") if shown.get("pinned") else None,
-        **scalars,
+        pinned=archive.array("state/pinned") if shown.pinned else None,
     )
     if len(state.density) != len(state.mesh.faces):
         raise InputError("its densities belong to another mesh")
@@ -120,30 +110,28 @@ def saved_result(archive: ArchiveReader, facts: Mapping[str, Any], grid: Grid) -
     return SavedResult(
         settings=settings,
         state=_with_images(state, grid, settings),
-        history=History(**course, first=int(facts["first"])),
-        seconds=float(facts["seconds"]),
-        verdict=str(facts["verdict"]),
-        message=str(facts["message"]),
-        start=meshes.mesh(facts["start"]) if facts["start"] else None,
-        counted=archive.array("counted") if facts["counted"] else None,
+        history=History(**course, first=facts.first),
+        seconds=facts.seconds,
+        verdict=facts.verdict,
+        message=facts.message,
+        start=meshes.mesh(facts.start) if facts.start else None,
+        counted=archive.array("counted") if facts.counted else None,
         moments=tuple(
             _moment(meshes, moment, row, first)
             for moment, row in zip(
-                facts["moments"], archive.array("moments/iteration_loss"), strict=True
+                facts.moments, archive.array("moments/iteration_loss"), strict=True
             )
         ),
     )
 
 
-def _moment(
-    meshes: MeshReader, facts: Mapping[str, Any], row: NDArray[Any], first: Optics
-) -> Moment:
+def _moment(meshes: MeshReader, facts: MomentFacts, row: NDArray[Any], first: Optics) -> Moment:
     return Moment(
         iteration=int(row[0]),
         loss=float(row[1]),
-        mesh=meshes.mesh(facts["mesh"]),
-        optics=_optics(facts["optics"], first),
-        note=str(facts["note"]),
+        mesh=meshes.mesh(facts.mesh),
+        optics=_optics(facts.optics, first),
+        note=facts.note,
     )
 
 

@@ -8,12 +8,13 @@ import json
 import os
 import warnings
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from math import nan
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from ..common.reading import json_values, read_text
 from ..common.writing import make_folder, write_atomically
@@ -22,8 +23,9 @@ from ..geometry import load_mesh, save_mesh
 from ..measure.tracks import TRACK_COLUMNS, measure_tracks
 from ..runs.track_run import TrackRun
 from ..scene import Grid
-from ..tracking import Event, FrameResult, lineage, surface_4d
+from ..tracking import FrameResult, lineage, surface_4d
 from ..tracking.track_rules import RULES
+from .event_facts import EventFacts
 from .report import PACKAGES, plain_values, version_of
 from .rules_of_a_fit import RULES_OF_A_FIT
 
@@ -119,36 +121,70 @@ def read_results(folder: str | os.PathLike[str]) -> list[FrameResult]:
     except InputError as error:
         raise InputError(f"cannot read {path}: {error}") from None
     try:
-        return [_result(folder, frame) for frame in values["frames"]]
-    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
+        frames = _FRAMES.validate_python(values["frames"])
+    except (LookupError, TypeError, ValueError):
         raise InputError(f"{path} is no report of tracking") from None
+    return [_result(folder, facts) for facts in frames]
 
 
-def _result(folder: Path, facts: dict[str, Any]) -> FrameResult:
-    frame, mesh = int(facts["frame"]), None
-    if facts["used"]:
+@dataclass(frozen=True, kw_only=True)
+class _FrameFacts:
+    """Of a frame, as the report holds it; None where a number is not known.
+
+    time_s, seconds : s. used : whether it was not left out. psf : older reports have none.
+    """
+
+    frame: int
+    time_s: float
+    used: bool
+    cells: tuple[int, ...] = ()
+    message: str
+    events: tuple[EventFacts, ...]
+    loss: float | None
+    iterations: int
+    seconds: float
+    sigma_um: tuple[float | None, float | None, float | None]
+    psf: tuple[float, ...] = ()
+
+    @classmethod
+    def of(cls, result: FrameResult) -> _FrameFacts:
+        return cls(
+            frame=result.frame,
+            time_s=result.time,
+            used=result.mesh is not None,
+            cells=tuple(result.cells),
+            message=result.message,
+            events=EventFacts.of(result.events),
+            loss=result.loss,
+            iterations=result.iterations,
+            seconds=round(result.seconds, 3),
+            sigma_um=result.sigma_um,
+            psf=result.psf,
+        )
+
+
+_FRAMES: TypeAdapter[list[_FrameFacts]] = TypeAdapter(list[_FrameFacts])
+
+
+def _result(folder: Path, facts: _FrameFacts) -> FrameResult:
+    mesh = None
+    if facts.used:
         with warnings.catch_warnings():
             # What a fit left may have flaws, which are not new.
             warnings.simplefilter("ignore", RepairWarning)
-            mesh = load_mesh(folder / mesh_name(frame))
-    events = tuple(
-        Event(e["kind"], frame, int(e["cell"]), str(e["text"]), tuple(map(int, e["daughters"])))
-        for e in facts["events"]
-    )
-    z, y, x = (nan if s is None else float(s) for s in facts["sigma_um"])
+            mesh = load_mesh(folder / mesh_name(facts.frame))
+    z, y, x = (nan if s is None else s for s in facts.sigma_um)
     return FrameResult(
-        frame,
-        float(facts["time_s"]),
-        mesh,
-        str(facts["message"]),
-        events,
-        nan if facts["loss"] is None else float(facts["loss"]),
-        int(facts["iterations"]),
-        float(facts["seconds"]),
-        (z, y, x),
-        tuple(float(p) for p in facts.get("psf", ())),  # older reports have none
+        frame=facts.frame,
+        time=facts.time_s,
+        mesh=mesh,
+        message=facts.message,
+        events=tuple(e.event(facts.frame) for e in facts.events),
+        loss=nan if facts.loss is None else facts.loss,
+        iterations=facts.iterations,
+        seconds=facts.seconds,
+        sigma_um=(z, y, x),
+        psf=facts.psf,
     )
 
 
@@ -164,25 +200,7 @@ def _facts(
         "seconds": round(seconds, 3),
         "rules": {**RULES_OF_A_FIT, "tracking": asdict(RULES)},
         "warnings": list(remarks),
-        "frames": [
-            {
-                "frame": r.frame,
-                "time_s": r.time,
-                "used": r.mesh is not None,
-                "cells": list(r.cells),
-                "message": r.message,
-                "events": [
-                    {"kind": e.kind, "cell": e.cell, "daughters": list(e.daughters), "text": e.text}
-                    for e in r.events
-                ],
-                "loss": r.loss,
-                "iterations": r.iterations,
-                "seconds": round(r.seconds, 3),
-                "sigma_um": list(r.sigma_um),
-                "psf": list(r.psf),
-            }
-            for r in results
-        ],
+        "frames": [asdict(_FrameFacts.of(r)) for r in results],
         "lineage": [
             {"cell": c.cell, "parent": c.parent, "first": c.first, "last": c.last, "end": c.end}
             for c in lineage(results)

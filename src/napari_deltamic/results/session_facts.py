@@ -1,0 +1,126 @@
+"""What ``session.json`` holds: the plain part of a session, checked by pydantic when it is read.
+
+Arrays and meshes lie beside it in the archive; here are their names. What has a default was not yet
+there in earlier versions of the format.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from ..common.triple import Triple
+from .event_facts import EventFacts
+
+Plain = dict[str, Any]
+MeshName = dict[str, str | int]  # by which a MeshReader finds it
+
+
+@dataclass(frozen=True, kw_only=True)
+class Placed:
+    """A layer in the viewer's world; scale and translate along Z, Y, X in its units."""
+
+    name: str
+    scale: Triple
+    translate: Triple
+    units: tuple[str, str, str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageFacts(Placed):
+    """Of an image; voxel_size : um. display : how it is shown."""
+
+    voxel_size: Triple
+    display: Plain
+
+
+@dataclass(frozen=True, kw_only=True)
+class LayerFacts(Placed):
+    """Of a layer of seeds; arrays : their names under ``seeds/``. options : how it is shown."""
+
+    kind: str
+    arrays: list[str]
+    options: Plain
+
+
+@dataclass(frozen=True, kw_only=True)
+class StateFacts:
+    """Of a state of a fit; loss : None where it is not known, as after a change by hand."""
+
+    mesh: MeshName
+    optics: Plain
+    iteration: int
+    level: int
+    levels: int
+    loss: float | None
+    amplitude: float
+    background: float
+    blur: float
+    converged: bool
+    message: str
+    effects: Any = None
+    light: Plain = field(default_factory=dict)
+    pinned: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class MomentFacts:
+    """Of a state on the way."""
+
+    note: str
+    mesh: MeshName
+    optics: Plain
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResultFacts:
+    """Of the result of a fit; counted : whether not all voxels did."""
+
+    state: StateFacts
+    first: int
+    seconds: float
+    verdict: str
+    message: str
+    start: MeshName | None
+    counted: bool
+    moments: list[MomentFacts]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameFacts:
+    """Of a frame of a series; mesh : None where it was left out. psf : what was fitted of it."""
+
+    mesh: MeshName | None
+    message: str
+    events: tuple[EventFacts, ...]
+    psf: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class TracksFacts:
+    """Of a series; time : scale, translation and unit."""
+
+    time: tuple[float, float, str]
+    seconds: float
+    shared_ground: bool
+    frames: list[FrameFacts]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SessionFacts:
+    """Of a session; second : its second view."""
+
+    format: str
+    version: int
+    written_by: str
+    image: ImageFacts
+    seeds: list[LayerFacts]
+    panels: Plain
+    result: ResultFacts | None
+    second: ImageFacts | None = None
+    tracks: TracksFacts | None = None
+
+
+SESSION: TypeAdapter[SessionFacts] = TypeAdapter(SessionFacts)
