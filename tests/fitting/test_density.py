@@ -4,7 +4,7 @@ import torch
 from numpy.testing import assert_allclose
 
 from napari_deltamic import Grid, Mesh, fit
-from napari_deltamic.fitting.density import LIMIT, Density
+from napari_deltamic.fitting.density import RULES, Density
 from napari_deltamic.fitting.level import Level
 from napari_deltamic.fitting.likelihood import Match
 from napari_deltamic.fitting.preconditioner import Preconditioner
@@ -169,8 +169,8 @@ def test_bounded_densities_have_the_mean_one_and_a_limit(model):
     density = Density(mesh, model, 0.13)
     log = np.random.default_rng(0).normal(size=len(density)) + 0.7
     mean = np.average(density.faces_numpy(density.bounded(log)), weights=mesh.areas())
-    assert_allclose(mean, 1, rtol=1e-6 if np.abs(density.bounded(log)).max() < LIMIT else 0.1)
-    assert np.abs(density.bounded(30 * log)).max() <= LIMIT
+    assert_allclose(mean, 1, rtol=1e-6 if np.abs(density.bounded(log)).max() < RULES.limit else 0.1)
+    assert np.abs(density.bounded(30 * log)).max() <= RULES.limit
 
 
 @pytest.mark.parametrize("model", ["smooth", "interface"])

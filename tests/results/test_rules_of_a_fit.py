@@ -35,6 +35,6 @@ def test_rules_say_what_each_number_is_and_nobody_changes_them(kind):
 def test_those_of_every_step_of_a_fit_are_kept():
     names = {frozenset(kept) for kept in RULES_OF_A_FIT.values()}
     steps = [p.values[0] for p in rules() if "fitting" in p.values[0].__module__]
-    assert len(steps) >= 4
+    assert len(steps) >= 15
     assert all(frozenset(f.name for f in fields(kind)) in names for kind in steps)
     assert json.loads(json.dumps(RULES_OF_A_FIT)).keys() == RULES_OF_A_FIT.keys()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
@@ -19,15 +20,37 @@ from .outgrowths import outgrowths
 from .predicted_error import predicted_error
 from .residual import Residual
 from .uneven_insides import uneven_insides
-from .verdict import RULES, CellFacts, Facts, Verdict, judged
+from .verdict import RULES as VERDICT
+from .verdict import CellFacts, Facts, Verdict, judged
 
-_DEEP, _FAR = 2.5, 6.0  # widths of the PSF from a surface: what its own light hardly reaches
-# Voxels: in a shorter axis few have others three apart on both sides. Chosen, not measured.
-_LONG_ENOUGH = 12
-# Times. Chosen between white noise, which gives 1, and one smoothed by a Gaussian of half a voxel,
-# which gives 1.4 (from the correlations that it leaves, exp(-n^2 / 4 s^2) over n voxels).
-_COLOURED = 1.25
-_FEWEST = 30  # voxels whose mean is told to a fifth of their spread: enough for what is judged
+
+@dataclass(frozen=True)
+class FactRules:
+    """Where light inside is read, and when what is left counts as white noise.
+
+    Attributes
+    ----------
+    deep, far
+        Widths of the PSF from a surface: what its own light hardly reaches, and up to where the
+        outside is read.
+    long_enough
+        Voxels: in a shorter axis few have others three apart on both sides. Chosen, not measured.
+    coloured
+        Times what neighbours differ by, of what is left: voxels three apart may differ by so much.
+        Chosen between white noise, which gives 1, and one smoothed by a Gaussian of half a voxel,
+        which gives 1.4 (from the correlations that it leaves, exp(-n^2 / 4 s^2) over n voxels).
+    fewest
+        Voxels whose mean is told to a fifth of their spread: enough for what is judged.
+    """
+
+    deep: float = 2.5
+    far: float = 6.0
+    long_enough: int = 12
+    coloured: float = 1.25
+    fewest: int = 30
+
+
+RULES = FactRules()
 
 
 def verdict_of(
@@ -84,7 +107,7 @@ def facts_of(
     )
     sigma, size = np.asarray(state.optics.sigma_um), np.asarray(job.grid.voxel_size)
     fitted = job.settings.fit.fit_psf
-    narrow = fitted and bool((sigma < RULES.psf_voxels * size).any())
+    narrow = fitted and bool((sigma < VERDICT.psf_voxels * size).any())
     # The spectrum of insides falls faster than that of membranes: it looks blurred.
     width = None if modelled else _width(seen, job.grid, sigma)
     if width is not None and width < 1 and not _white(seen - shown):
@@ -103,7 +126,7 @@ def _width(image: np.ndarray, grid: Grid, sigma: np.ndarray) -> float | None:
 def _white(left: np.ndarray) -> bool:
     """Whether what a fit leaves is as different between neighbours as between voxels three apart:
     by second differences along each axis."""
-    for axis in np.flatnonzero(np.array(left.shape) >= _LONG_ENOUGH):
+    for axis in np.flatnonzero(np.array(left.shape) >= RULES.long_enough):
         rows = np.moveaxis(left, axis, -1)
         near, far = (
             float(
@@ -111,7 +134,7 @@ def _white(left: np.ndarray) -> bool:
             )
             for n in (1, 3)
         )
-        if far > _COLOURED * near:
+        if far > RULES.coloured * near:
             return False
     return True
 
@@ -173,15 +196,15 @@ def _inside(job: FitInput, state: FitState, image: np.ndarray) -> dict[int, floa
         return {}
     widths = np.asarray(grid.voxel_size) / np.asarray(state.optics.sigma_um)
     away = distance_transform_edt(~surface, sampling=widths)
-    deep = known & (away > _DEEP)
-    outer = deep & (labels == 0) & (away < _FAR)
-    if outer.sum() < _FEWEST:
+    deep = known & (away > RULES.deep)
+    outer = deep & (labels == 0) & (away < RULES.far)
+    if outer.sum() < RULES.fewest:
         return {}
     dark, bright = float(image[outer].mean()), float(np.median(image[surface & known]))
     found = {}
     for region in mesh.region_ids():
         own = deep & (labels == region)
-        if own.sum() >= _FEWEST:
+        if own.sum() >= RULES.fewest:
             level = float(image[own].mean())
             found[int(region)] = (level - dark) / max(bright - min(level, dark), 1e-30)
     return found

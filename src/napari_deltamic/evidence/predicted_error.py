@@ -13,14 +13,28 @@ from ..fitting.convergence import Patches, vertex_normals
 from ..fitting.errors_of_measures import posed_at
 from ..fitting.job import FitInput
 from ..fitting.pose import Posed
-from ..fitting.refits import SURE
+from ..fitting.refits import RULES as REFITS
 from ..fitting.responses import Responses, noise_of, responses_of
 from ..fitting.state import FitState
 from ..geometry.mesh import FloatArray, Mesh
 from ..scene.light import INSIDES
 from .candidates import allowed, chosen_candidates, points_inwards, variants
 
-_AS_GOOD = 0.5  # of what the best alternative gains: then it is as likely
+
+@dataclass(frozen=True)
+class PredictedErrorRules:
+    """Which alternatives count.
+
+    Attributes
+    ----------
+    as_good
+        Of what the best alternative gains: then it is as likely.
+    """
+
+    as_good: float = 0.5
+
+
+RULES = PredictedErrorRules()
 _OTHER_PSF = "another PSF"
 _INSIDE = "light inside"
 
@@ -115,7 +129,7 @@ def _alternative(posed: Posed, responses: Responses, state: FitState) -> tuple[s
     """What the model lacks, and (V, 3) what the surface would move by with it."""
     tried = responses.alternatives(_lacking(posed, responses, state))
     best = max((one.gain for one in tried), default=0.0)
-    likely = [one for one in tried if one.gain >= max(SURE, _AS_GOOD * best)]
+    likely = [one for one in tried if one.gain >= max(REFITS.sure, RULES.as_good * best)]
     if not likely:
         return "", np.zeros((len(state.mesh.vertices), 3))
     found = max(likely, key=lambda one: float(np.square(one.moved).sum()))

@@ -8,6 +8,7 @@ c is where the medium around is brighter than the inside.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -21,10 +22,26 @@ from ..optics import Optics
 from ..scene.light import INSIDES, MEMBRANES, Light
 from .likelihood import total
 
-# Widths of the PSF: radius of cells whose inside reaches further than the blur of their membrane (a
-# cell of 1.5 widths was explained as well by an inside of 2.8 times its volume).
-_TELLING = 2.5
-_UNSEEN = 1e-3  # of the insides' image
+
+@dataclass(frozen=True)
+class AmplitudeRules:
+    """When insides can be told from membranes, and when membranes are too dim.
+
+    Attributes
+    ----------
+    telling
+        Widths of the PSF: radius of cells whose inside reaches further than the blur of their
+        membrane (a cell of 1.5 widths was explained as well by an inside of 2.8 times its volume).
+    unseen
+        Of the insides' image: where membranes are dimmer than this beside it, they cannot be seen,
+        and their amplitude is no scale.
+    """
+
+    telling: float = 2.5
+    unseen: float = 1e-3
+
+
+RULES = AmplitudeRules()
 _ALIKE = 1e-9  # of 1 less the squared correlation: images closer than this are the same image
 
 
@@ -69,7 +86,7 @@ def mixture(membranes: Tensor, insides: Tensor, measured: Tensor, weights: Tenso
     a = (vv * sy - sv * vy) / free
     c = (ss * vy - sv * sy) / free
     # Where membranes are too dim to be seen beside the inside, their amplitude is no scale.
-    seen = a > 0 and a * a * ss > _UNSEEN**2 * c * c * vv
+    seen = a > 0 and a * a * ss > RULES.unseen**2 * c * c * vv
     return Light(1.0, c / a) if seen else _inside_alone(vy)
 
 
@@ -108,4 +125,4 @@ def may_shine(asked: StructureChoice, mesh: Mesh, optics: Optics) -> Structure:
 def hardly_wider(volume: float, optics: Optics) -> bool:
     """Whether insides of a cell of so many um^3 look like membranes through the PSF."""
     radius = np.cbrt(3 / (4 * np.pi) * abs(volume))
-    return bool(radius <= _TELLING * float(np.prod(optics.sigma_um)) ** (1 / 3))
+    return bool(radius <= RULES.telling * float(np.prod(optics.sigma_um)) ** (1 / 3))

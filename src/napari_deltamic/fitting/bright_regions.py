@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, find_objects, gaussian_filter, maximum
@@ -17,26 +19,53 @@ Mask = NDArray[np.bool_]
 
 STRANGER = -1  # instead of a region: bright things without a start that touch one with a start
 
-# A region of the image is that of a start placed by hand if its volume is that of the start, up to
-# this factor: of starts of 0.5 to 2 radii, whose volumes are an eighth to eight times that.
-_SAME = 10.0
-# In radii of the start; chosen on simulated nuclei, single and touching, among specks, from 5
-# photons on. Noise and texture are smoothed away over this, of the smallest start;
-_CALM = 0.15
-# the core of a start lies this deep: where it is not as bright as this share of its brightest
-# places, these are membranes; chosen on the same images.
-_DEEP, _FULL = 0.5, 0.75
-_HALF = 0.5  # share of the brightness in the core at which a bright region ends
-# Two things meet where the way between their depths is shallower than this share of both: of 104
-# simulated nuclei, some with lobes or bent, 0.75 joined four with a neighbour, 0.8 and 0.9 none,
-# and none lost a lobe.
-_NECK = 0.8
-_MOST = 0.5  # share of a thing inside starts from which it is theirs, whatever parts it
-_FAR = 4.0  # radii of the largest start, around all: no thing of theirs reaches further; saves time
-_THIN = 0.35  # what is thinner than twice this, in radii of the smallest start, is another thing
-# What sticks out of the rounded rest further than the corner of a cube, whose tip lies at 3**0.5 of
-# the rounding, is a speck and no corner.
-_CORNER = 1.75
+
+@dataclass(frozen=True)
+class BrightRegionRules:
+    """What counts as the bright thing that a start lies in, and where it ends.
+
+    Attributes
+    ----------
+    same
+        A region of the image is that of a start placed by hand if its volume is that of the start,
+        up to this factor: of starts of 0.5 to 2 radii, whose volumes are an eighth to eight times
+        that.
+    calm
+        Radii of the smallest start: noise and texture are smoothed away over this. Chosen on
+        simulated nuclei, single and touching, among specks, from 5 photons on.
+    deep, full
+        Radii of the start: its core lies this deep. Where it is not as bright as this share of its
+        brightest places, these are membranes. Chosen on the same images.
+    half
+        Share of the brightness in the core at which a bright region ends.
+    neck
+        Two things meet where the way between their depths is shallower than this share of both: of
+        104 simulated nuclei, some with lobes or bent, 0.75 joined four with a neighbour, 0.8 and
+        0.9 none, and none lost a lobe.
+    most
+        Share of a thing inside starts from which it is theirs, whatever parts it.
+    far
+        Radii of the largest start, around all: no thing of theirs reaches further; saves time.
+    thin
+        Radii of the smallest start: what is thinner than twice this is another thing.
+    corner
+        Times the rounding: what sticks out of the rounded rest further than the corner of a cube,
+        whose tip lies at 3**0.5 of the rounding, is a speck and no corner.
+    """
+
+    same: float = 10.0
+    calm: float = 0.15
+    deep: float = 0.5
+    full: float = 0.75
+    half: float = 0.5
+    neck: float = 0.8
+    most: float = 0.5
+    far: float = 4.0
+    thin: float = 0.35
+    corner: float = 1.75
+
+
+RULES = BrightRegionRules()
 
 
 def bright_regions(image: np.ndarray, grid: Grid, starts: Labels) -> Labels | None:
@@ -50,13 +79,13 @@ def bright_regions(image: np.ndarray, grid: Grid, starts: Labels) -> Labels | No
     starts = np.searchsorted(names, starts).astype(np.int32)  # names may be large numbers
     volumes = np.bincount(starts.ravel())[1:] * size.prod()
     radii = np.cbrt(3 / (4 * np.pi) * volumes)
-    smooth = gaussian_filter(filled(image).astype(np.float32), _CALM * radii.min() / size)
+    smooth = gaussian_filter(filled(image).astype(np.float32), RULES.calm * radii.min() / size)
     smooth -= np.percentile(smooth, 20)  # what is dark
     ends = _ends(smooth, starts, radii, size)
     if ends is None:
         return None
-    things, theirs = _things_of(starts, smooth > ends[1:].min(), _FAR * radii.max(), size)
-    own, shed = _without_thin(theirs[things], _THIN * radii.min(), size)
+    things, theirs = _things_of(starts, smooth > ends[1:].min(), RULES.far * radii.max(), size)
+    own, shed = _without_thin(theirs[things], RULES.thin * radii.min(), size)
     if not own.any():
         return None
     _, at = distance_transform_edt(starts == 0, sampling=size, return_indices=True)
@@ -77,12 +106,12 @@ def _ends(
     ends = [0.0]
     for r, (box, radius) in enumerate(zip(find_objects(starts), radii, strict=True), 1):
         own = starts[box] == r
-        core = smooth[box][own & (within[box] > _DEEP * radius)]
+        core = smooth[box][own & (within[box] > RULES.deep * radius)]
         # The core alone: a start that is too large holds more dark than bright voxels.
         level = float(np.median(core)) if core.size else 0.0
-        if level <= 0 or level < _FULL * np.percentile(smooth[box][own], 95):
+        if level <= 0 or level < RULES.full * np.percentile(smooth[box][own], 95):
             return None
-        ends.append(_HALF * level)
+        ends.append(RULES.half * level)
     return np.array(ends)
 
 
@@ -101,7 +130,7 @@ def _things_of(starts: Labels, bright: Mask, far: float, size: np.ndarray) -> tu
     things[box] = _parted(depth)
     volume = np.bincount(things.ravel())
     covered = np.bincount(things.ravel(), starts.ravel() > 0)
-    theirs = covered > _MOST * volume
+    theirs = covered > RULES.most * volume
     for r, part in enumerate(find_objects(starts), 1):
         held = np.bincount(things[part][(starts[part] == r) & bright[part]])
         theirs[held.argmax()] = True
@@ -116,15 +145,15 @@ def _without_thin(things: Mask, thin: float, size: np.ndarray) -> tuple[Mask, Ma
         return thick, thick
     near = distance_transform_edt(~thick, sampling=size)
     rest, count = label_components(things & (near > thin))
-    out = np.append(False, maximum(near, rest, np.arange(1, count + 1)) > _CORNER * thin)
+    out = np.append(False, maximum(near, rest, np.arange(1, count + 1)) > RULES.corner * thin)
     return things & (near <= thin), out[rest]
 
 
 def _parted(depth: NDArray[np.floating]) -> Labels:
     """Number what is deep (0 elsewhere), in parts that meet where both are deeper."""
     inside = depth > 0
-    log = np.log(np.where(inside, depth, _NECK**2 * depth[inside].min()))
-    flooded = reconstruction(log + np.log(_NECK), log)
+    log = np.log(np.where(inside, depth, RULES.neck**2 * depth[inside].min()))
+    flooded = reconstruction(log + np.log(RULES.neck), log)
     peaks, _ = label_components(local_maxima(flooded, connectivity=3) & inside, np.ones((3, 3, 3)))
     parts: Labels = watershed(-depth, peaks, mask=inside)
     return parts
@@ -133,4 +162,4 @@ def _parted(depth: NDArray[np.floating]) -> Labels:
 def alike(found: Labels, starts: Labels, regions: np.ndarray) -> bool:
     """Whether each region of the image is about as large as its start."""
     volumes = ((int((found == r).sum()), int((starts == r).sum())) for r in regions)
-    return all(start / _SAME < volume < start * _SAME for volume, start in volumes)
+    return all(start / RULES.same < volume < start * RULES.same for volume, start in volumes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -17,17 +18,38 @@ from .lbfgs import dot
 from .preconditioner import Preconditioner, adjacency
 
 _SOLVED = 1e-9  # of the right-hand side: as exact as densities in a file
-# |log density| that the image at the start may say: a factor of 4.5, less than the limit of a fit,
-# so that it is free to go both ways. Measured: half and twice change nothing in small fits.
-_LARGEST_ESTIMATE = 1.5
-LIMIT = 2.0  # |log density|: a wall dimmer than e^-2 of the mean is no evidence of a wall
-# The squared size of a field is the sum of each, times the squared logarithm of a piece of surface
-# as large as the PSF's width squared, and times its squared differences along edges (which, in two
-# dimensions, do not depend on the mesh).
-_AWAY, _ROUGH = 1.0, 1.0
-# Log density, in the mean over pieces: a smooth field smaller than this counts as even. Cow and
-# fish, even and uneven by 0.15 and 0.6, at 10 and 200 photons: 0.03 and 0.1 were about as good.
-_EVEN = 0.05
+
+
+@dataclass(frozen=True)
+class DensityRules:
+    """How far densities may go, and what is thought of them beforehand.
+
+    Attributes
+    ----------
+    largest_estimate
+        |log density| that the image at the start may say: a factor of 4.5, less than the limit of a
+        fit, so that it is free to go both ways. Measured: half and twice change nothing in small
+        fits.
+    limit
+        |log density|: a wall dimmer than e^-2 of the mean is no evidence of a wall.
+    away, rough
+        The squared size of a field is the sum of each, times the squared logarithm of a piece of
+        surface as large as the PSF's width squared, and times its squared differences along edges
+        (which, in two dimensions, do not depend on the mesh).
+    even
+        Log density, in the mean over pieces: a smooth field smaller than this counts as even. Cow
+        and fish, even and uneven by 0.15 and 0.6, at 10 and 200 photons: 0.03 and 0.1 were about as
+        good.
+    """
+
+    largest_estimate: float = 1.5
+    limit: float = 2.0
+    away: float = 1.0
+    rough: float = 1.0
+    even: float = 0.05
+
+
+RULES = DensityRules()
 
 
 class Density:
@@ -85,7 +107,7 @@ class Density:
 
     def of_faces(self, density: FloatArray) -> FloatArray:
         """(D,) logarithms from which densities (F,) follow, in the sense of least squares."""
-        each = np.log(np.clip(density, np.exp(-LIMIT), np.exp(LIMIT)))
+        each = np.log(np.clip(density, np.exp(-RULES.limit), np.exp(RULES.limit)))
         if self.model == "interface":
             return np.bincount(self._interface, each) / np.bincount(self._interface)
         if self.model == "uniform":
@@ -108,18 +130,18 @@ class Density:
         if self.model != "smooth":
             return 0.5 * dot(log, pull), pull
         pieces = float(self._pieces.sum())
-        relative = dot(log, pull) / (pieces * _EVEN**2)
+        relative = dot(log, pull) / (pieces * RULES.even**2)
         value = 0.5 * np.sqrt(independent) * pieces * float(np.log1p(relative))
         return value, pull * self._strength(log, independent)
 
     def _strength(self, log: FloatArray, independent: float) -> float:
         """How firmly the prior holds a smooth field, from how uneven it is."""
         pieces = float(self._pieces.sum())
-        return np.sqrt(independent) * pieces / (pieces * _EVEN**2 + dot(log, self._pull(log)))
+        return np.sqrt(independent) * pieces / (pieces * RULES.even**2 + dot(log, self._pull(log)))
 
     def _pull(self, log: FloatArray) -> FloatArray:
-        pull: FloatArray = _AWAY * self._pieces * log
-        return pull + _ROUGH * (self._rough @ log) if self.model == "smooth" else pull
+        pull: FloatArray = RULES.away * self._pieces * log
+        return pull + RULES.rough * (self._rough @ log) if self.model == "smooth" else pull
 
     def centred(self, log: FloatArray) -> FloatArray:
         """The same of mean density 1; the amplitude takes the factor.
@@ -132,7 +154,7 @@ class Density:
         """The same within the limits, of mean density 1."""
         if not len(log):
             return log
-        return np.clip(self.centred(log), -LIMIT, LIMIT)
+        return np.clip(self.centred(log), -RULES.limit, RULES.limit)
 
     def estimate(self, ratio: FloatArray, smoother: Preconditioner) -> FloatArray:
         """(V,) log density from the brightness of the image where the surface lies.
@@ -147,7 +169,8 @@ class Density:
         smoother
             Of functions on the surface.
         """
-        log = np.log(np.clip(ratio, np.exp(-_LARGEST_ESTIMATE), np.exp(_LARGEST_ESTIMATE)))
+        most = RULES.largest_estimate
+        log = np.log(np.clip(ratio, np.exp(-most), np.exp(most)))
         return self.bounded(smoother.solve(torch.from_numpy(log[:, None]))[:, 0].numpy())
 
     def _mean(self, log: FloatArray) -> float:

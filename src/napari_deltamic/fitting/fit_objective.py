@@ -12,7 +12,8 @@ from ..geometry.vectors import lengths
 from ..runs.settings import FitSettings
 from .collisions import CollisionGuard
 from .convergence import Patches, Remaining, vertex_normals
-from .density import LIMIT, Density
+from .density import RULES as DENSITY
+from .density import Density
 from .descent import Descent
 from .fitted import Fitted
 from .imaging import Imaging
@@ -132,7 +133,7 @@ class Objective:
         vertices = from_here + away / np.maximum(far, 1.0)
         return Variables(
             self._guard.limited(start.vertices, vertices),
-            np.clip(end.density, -LIMIT, LIMIT),
+            np.clip(end.density, -DENSITY.limit, DENSITY.limit),
             Insides.bounded(end.insides),
             *self._imaging.bounded(end.optics, end.effects),
         )

@@ -2,16 +2,36 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import pi
 
 import numpy as np
 
 from ..geometry.mesh import Mesh
 
-_GROWTH = 2.5  # times the area that the region's typical face grew: more than a sphere needs to
-# become a cow (1.1), less than a cell that swallows a neighbour through a neck
-_POINT = 3.0  # widths of the PSF across
-_EXPLAINS_NOTHING = 0.03  # of the image: no more, and nothing was found
+
+@dataclass(frozen=True)
+class GrowthRules:
+    """When a surface leaks, has shrunk to a point, or found nothing.
+
+    Attributes
+    ----------
+    growth
+        Times the area that the region's typical face grew: more than a sphere needs to become a cow
+        (1.1), less than a cell that swallows a neighbour through a neck.
+    point
+        Widths of the PSF across: regions with less surface than such a sphere are no more than
+        points, which say nothing about a shape (at 2.4 widths opposite membranes have one peak).
+    explains_nothing
+        Of the image: no more, and nothing was found.
+    """
+
+    growth: float = 2.5
+    point: float = 3.0
+    explains_nothing: float = 0.03
+
+
+RULES = GrowthRules()
 
 
 class GrowthAlarm:
@@ -36,7 +56,7 @@ class GrowthAlarm:
         grown = {
             region: total
             for region, (total, typical) in self._growth(mesh).items()
-            if region not in self._told and total > _GROWTH * max(typical, 1.0)
+            if region not in self._told and total > RULES.growth * max(typical, 1.0)
         }
         self._told |= set(grown)
         if not grown:
@@ -64,7 +84,7 @@ def shrunken(mesh: Mesh, width: float) -> list[int]:
     """Regions with less surface than a sphere three widths of the PSF across, um: no more than
     points, which say nothing about a shape (at 2.4 widths opposite membranes have one peak)."""
     areas = mesh.areas()
-    least = pi * (_POINT * width) ** 2
+    least = pi * (RULES.point * width) ** 2
     return [r for r, own in mesh.faces_by_region().items() if areas[own].sum() < least]
 
 
@@ -76,7 +96,7 @@ def why_stuck(explained: float, bounded: bool, points: list[int], cells: int) ->
     """
     if points and len(points) == cells:
         return f"stuck: {told_shrunken(points)}"
-    if bounded or explained < _EXPLAINS_NOTHING:
+    if bounded or explained < RULES.explains_nothing:
         return (
             f"stuck: {explained:.0%} of the measured image is explained; "
             "do the seeds lie near bright membranes?"

@@ -34,10 +34,30 @@ class Match:
     bounded: bool
 
 
-# Of the range of an image, the least variance: so that dark voxels, where the model is least right,
-# do not decide. Measured: half and twice move surfaces by 0.01 voxel, a cluster's by 0.06.
-_FLOOR = 0.05
-_RANGE = (0.01, 0.999)  # quantiles that are the range: single dark or hot voxels would be otherwise
+@dataclass(frozen=True)
+class LikelihoodRules:
+    """What weighs voxels, and how dim a rendering may be made.
+
+    Attributes
+    ----------
+    floor
+        Of the range of an image, the least variance: so that dark voxels, where the model is least
+        right, do not decide. Measured: half and twice move surfaces by 0.01 voxel, a cluster's by
+        0.06.
+    low, high
+        Quantiles that are the range: single dark or hot voxels would be otherwise.
+    least
+        Amplitude, of the ratio of the standard deviations of measured and rendered image: a free
+        one turns negative near a bad start, and the mesh then runs away from the membrane.
+    """
+
+    floor: float = 0.05
+    low: float = 0.01
+    high: float = 0.999
+    least: float = 0.05
+
+
+RULES = LikelihoodRules()
 
 
 class ImageNoise:
@@ -58,9 +78,10 @@ class ImageNoise:
     ) -> None:
         self.kind = kind
         sample = measured.reshape(-1)[:: max(1, measured.numel() // 200_000)]
-        low, high = (float(torch.quantile(sample.to(widest(sample.device)), q)) for q in _RANGE)
+        ends = RULES.low, RULES.high
+        low, high = (float(torch.quantile(sample.to(widest(sample.device)), q)) for q in ends)
         self.dark = low
-        self.floor = max(_FLOOR * (high - low), 1e-12 * max(abs(high), 1.0))
+        self.floor = max(RULES.floor * (high - low), 1e-12 * max(abs(high), 1.0))
         if camera is not None:
             # Its variance, gain (model - offset) + read noise^2, over the gain; a floor below a
             # hundredth of the range would let a few dark voxels outweigh all others.
@@ -124,7 +145,7 @@ def noise_ratio(image: np.ndarray, known: np.ndarray) -> float:
     """Noise of single voxels relative to the range of the image; 0 where nothing is known."""
     if not known.any():
         return 0.0
-    ends = tuple(100 * q for q in _RANGE)
+    ends = 100 * RULES.low, 100 * RULES.high
     low, high = np.percentile(image[known][:: max(1, image.size // 500_000)], ends)
     return voxel_noise(image, known) / float(high - low) if high > low else 0.0
 
@@ -139,9 +160,6 @@ def total(values: Tensor) -> Tensor:
     if not whole:
         return values.sum()
     return total(values[:whole].view(-1, _BLOCK).sum(1)) + values[whole:].sum()
-
-
-_LEAST = 0.05  # amplitude, of the ratio of the standard deviations of measured and rendered image
 
 
 def solve_scale(rendered: Tensor, measured: Tensor, weights: Tensor) -> tuple[float, float, bool]:
@@ -167,7 +185,7 @@ def scale_on_device(
     wm = w * m
     squares = total(wm * m)
     varies, var_m = squares > 0, squares.clamp(min=tiny)
-    least = _LEAST * torch.sqrt(total(w * y * y) / var_m)
+    least = RULES.least * torch.sqrt(total(w * y * y) / var_m)
     amplitude = total(wm * y) / var_m
     bounded = (amplitude < least) | ~varies
     amplitude = torch.where(varies, torch.maximum(amplitude, least), 0.0)
@@ -209,7 +227,7 @@ def explained(
     """
     singles = measured.dtype == weights.dtype == torch.float32
     if singles and len(index) and compiled(image.device):
-        squares, told = explain(image, index, measured, weights, _LEAST)
+        squares, told = explain(image, index, measured, weights, RULES.least)
         return squares, Match(*told)
     # Unlike indexing, whose gradient sorts, since an index might come twice.
     values = image.to(index.device).reshape(-1).index_select(0, index)

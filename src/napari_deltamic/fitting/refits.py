@@ -27,18 +27,38 @@ from .shape import Shape
 from .unequal_insides import Insides
 from .variables import Variables
 
-# Of each refit. Measured in foams of 4 and 8 cells with 40 and 10 photons: means over patches as
-# wide as the PSF then correlate by 0.95 to 0.98 with what the exact second derivatives give for the
-# same noise, and are 1.0 to 1.3 times as large in each cell; 16 and 24 steps come no nearer.
-_STEPS = 10
-# Times what a column explains while the surface stays. By definition: the surface then shows two
-# thirds of it, and ten steps tell too roughly what is left.
-_LARGEST = 3.0
-# Standard deviations, over all voxels, of a change whose consequences are looked at: chosen, well
-# above the rounding of images in single precision, and a small change of shape still.
-_SEEN = 10.0
-SURE = 4.5  # nats: by definition three standard deviations; what gains less is no alternative
-_TRIED = 3  # alternatives at most: each takes a refit; chosen, not measured
+
+@dataclass(frozen=True)
+class ChangedImageRules:
+    """How long refits go on, and which alternatives are tried and believed.
+
+    Attributes
+    ----------
+    steps
+        Of each. Measured in foams of 4 and 8 cells with 40 and 10 photons: means over patches
+        as wide as the PSF then correlate by 0.95 to 0.98 with what the exact second derivatives
+        give for the same noise, and are 1.0 to 1.3 times as large in each cell; 16 and 24 steps
+        come no nearer.
+    largest
+        Times what a column explains while the surface stays. By definition: the surface then shows
+        two thirds of it, and ten steps tell too roughly what is left.
+    seen
+        Standard deviations, over all voxels, of a change whose consequences are looked at: chosen,
+        well above the rounding of images in single precision, and a small change of shape still.
+    sure
+        Nats: by definition three standard deviations; what gains less is no alternative.
+    tried
+        Alternatives at most: each takes a refit; chosen, not measured.
+    """
+
+    steps: int = 10
+    largest: float = 3.0
+    seen: float = 10.0
+    sure: float = 4.5
+    tried: int = 3
+
+
+RULES = ChangedImageRules()
 _RANK = 1e-9  # of columns of an image: less is rounding, that is the same column again
 
 
@@ -127,19 +147,21 @@ class Refits:
             amplitudes, rest = self._held(each)
             column = rest @ amplitudes
             gain = float(column @ (self._weights * self.residual)) / 2
-            if _LARGEST * gain >= SURE:
-                likely = sorted([*likely, (gain, name, column)], key=lambda one: -one[0])[:_TRIED]
+            if RULES.largest * gain >= RULES.sure:
+                likely = sorted([*likely, (gain, name, column)], key=lambda one: -one[0])
+                likely = likely[: RULES.tried]
         return [self._alternative(name, column) for _, name, column in likely]
 
     def _alternative(self, name: str, column: FloatArray) -> Alternative:
         # What explains next to nothing would drown in the rounding of images.
-        enlarged = max(1.0, _SEEN / np.sqrt(max(float(column @ (self._weights * column)), 1e-300)))
+        size = np.sqrt(max(float(column @ (self._weights * column)), 1e-300))
+        enlarged = max(1.0, RULES.seen / size)
         column = enlarged * column
         followed = self._followed(column)
         left = self._weights * (column - followed.seen)
         inner, right = float(left @ column), float(left @ self.residual)
         # As much as explains most with the surface following, too.
-        share = min(right / inner, _LARGEST / enlarged) if inner > 0 else 0.0
+        share = min(right / inner, RULES.largest / enlarged) if inner > 0 else 0.0
         return Alternative(name, share * (right - share * inner / 2), -share * followed.moved)
 
     def _held(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -184,7 +206,7 @@ class Refits:
         measured = view.voxels.measured + torch.from_numpy(added).to(view.voxels.measured)
         descent = Descent(self._metric, self._width, self._limited, self._learnt)
         descent.begin(self._posterior.with_measured(measured), self._at)
-        for _ in range(_STEPS):
+        for _ in range(RULES.steps):
             if not descent.step():
                 break
         self._learnt = descent.learnt()

@@ -3,16 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..common.normal import MEDIAN_SQUARE
 from ..geometry.mesh import FloatArray
 
-# Sides of the blocks, in widths of the blurred PSF: more than the two over which what is left
-# is correlated. Measured: half and twice change no fit of one cell.
-_BLOCK = 4.0
-_FEWEST = 4  # voxels that a block must hold: a sum of fewer would be one voxel's
+
+@dataclass(frozen=True)
+class TemperingRules:
+    """The blocks over which residuals are added up.
+
+    Attributes
+    ----------
+    block
+        Sides, in widths of the blurred PSF: more than the two over which what is left is
+        correlated. Measured: half and twice change no fit of one cell.
+    fewest
+        Voxels that a block must hold: a sum of fewer would be one voxel's.
+    """
+
+    block: float = 4.0
+    fewest: int = 4
+
+
+RULES = TemperingRules()
 
 
 def tempered_variance(
@@ -42,12 +58,12 @@ def tempered_variance(
     least
         What it is at least.
     """
-    side = np.maximum(1, np.ceil(_BLOCK * np.asarray(widths))).astype(np.int64)
+    side = np.maximum(1, np.ceil(RULES.block * np.asarray(widths))).astype(np.int64)
     at = np.stack(np.unravel_index(index, shape)) // side[:, None]
     counts = -(-np.asarray(shape) // side)
     block = np.ravel_multi_index(tuple(at), tuple(counts))
     held = np.bincount(block)
-    full = held >= _FEWEST
+    full = held >= RULES.fewest
     squares = np.bincount(block, residual)[full] ** 2 / held[full]
     alone = float(np.mean(residual**2))
     together = float(np.median(squares)) / MEDIAN_SQUARE if full.any() else alone

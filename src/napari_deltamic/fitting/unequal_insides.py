@@ -12,13 +12,30 @@ from ..geometry.mesh import FloatArray, IntArray, Mesh
 from ..scene.light import Light
 from .lbfgs import dot
 
-# In the mean over cells, of what they share: insides that differ by less count as alike, as smooth
-# densities of membranes do.
-_ALIKE = 0.05
-# How much darker or brighter than what they share an inside may be, of that: beyond, a cell is none
-# of those that the others are; chosen, not measured.
-_LEAST, _MOST = -2.0, 9.0
-_SHARED = 0.1  # of what they share: with a smaller mean, cells of either sign, that is no scale
+
+@dataclass(frozen=True)
+class UnequalInsidesRules:
+    """How unequal insides are thought to be, and may be.
+
+    Attributes
+    ----------
+    alike
+        In the mean over cells, of what they share: insides that differ by less count as alike, as
+        smooth densities of membranes do.
+    least, most
+        How much darker or brighter than what they share an inside may be, of that: beyond, a cell
+        is none of those that the others are; chosen, not measured.
+    shared
+        Of what they share: with a smaller mean, cells of either sign, that is no scale.
+    """
+
+    alike: float = 0.05
+    least: float = -2.0
+    most: float = 9.0
+    shared: float = 0.1
+
+
+RULES = UnequalInsidesRules()
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +73,7 @@ class Insides:
             return np.zeros(0)
         cells = light.of_cells(self.regions)
         mean = float(np.average(cells, weights=np.abs(volumes) + 1e-300))
-        return self.bounded(cells / mean - 1 if mean > _SHARED else cells - 1)
+        return self.bounded(cells / mean - 1 if mean > RULES.shared else cells - 1)
 
     def factors(self, numbers: Tensor) -> Tensor | None:
         """(R,) on what they share, differentiable in the numbers (R,); None: alike."""
@@ -70,19 +87,19 @@ class Insides:
     @staticmethod
     def bounded(numbers: FloatArray) -> FloatArray:
         """The same within their bounds."""
-        return np.clip(numbers, _LEAST, _MOST)
+        return np.clip(numbers, RULES.least, RULES.most)
 
     @staticmethod
     def prior(numbers: FloatArray) -> tuple[float, FloatArray]:
         """Nats, and their gradient (R,)."""
-        even = len(numbers) * _ALIKE**2
+        even = len(numbers) * RULES.alike**2
         value = 0.5 * len(numbers) * float(np.log1p(dot(numbers, numbers) / max(even, 1e-300)))
         return value, Insides.prior_curvature(numbers) * numbers
 
     @staticmethod
     def prior_curvature(numbers: FloatArray) -> FloatArray:
         """(R,) how firmly it holds each."""
-        firm = len(numbers) / max(len(numbers) * _ALIKE**2 + dot(numbers, numbers), 1e-300)
+        firm = len(numbers) / max(len(numbers) * RULES.alike**2 + dot(numbers, numbers), 1e-300)
         return np.full(len(numbers), firm)
 
 

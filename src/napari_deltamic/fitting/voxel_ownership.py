@@ -8,6 +8,7 @@ is nearer to a starting surface than to bright signal that no starting surface e
 from __future__ import annotations
 
 import warnings
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,22 +29,52 @@ from ..optics import Optics
 from ..scene import Grid
 from .bright_regions import STRANGER, Labels, Mask, alike, bright_regions
 
-# Widths of the PSF around a starting surface: beyond, hardly any light is its own. Less where it
-# lies on the membranes than where it was made from regions of the image: measured on neighbours of
-# all kinds (benchmarks.defaults), which then end 0.07 to 0.09 voxel off, not 0.11 to 0.23; with 2
-# everywhere, cells with wrong starts were lost.
-_NEAR, _EXPLAINED = 2.0, 3.0
-_FARTHEST, _FURTHER = 8.0, 0.5  # and what a wider PSF may add to it, in these steps; chosen
-_MARGIN = 1.0  # widths, of what is found so: its edge is not sharp
-_MOST = 0.5  # share of what lies so far away that is bright where it is still its own; as is 0.7
-_BRIGHT = 0.3  # of the typical membrane above the dark level: less is haze; chosen, not measured
-# Standard deviations of noise above it, smoothed over this many widths: else single voxels of noise
-# were taken for neighbours where most of a membrane is dim.
-_ABOVE, _SMOOTH = 4.0, 0.7
-_LOW, _DEVIATION = 10, 1.2816  # a percentile of the standard normal distribution, and where it lies
-# Widths: what is as bright this far around on all sides is haze, and nobody's, since a membrane
-# would have faded.
-_HAZE = 4.0
+
+@dataclass(frozen=True)
+class OwnershipRules:
+    """How far the light of a starting surface reaches, and what bright signal is another's.
+
+    Attributes
+    ----------
+    near, explained
+        Widths of the PSF around a starting surface: beyond, hardly any light is its own. Less where
+        it lies on the membranes than where it was made from regions of the image: measured on
+        neighbours of all kinds (benchmarks.defaults), which then end 0.07 to 0.09 voxel off, not
+        0.11 to 0.23; with 2 everywhere, cells with wrong starts were lost.
+    farthest, further
+        Widths: how far that reaches with what a wider PSF may add to it, and the steps in which it
+        is added; chosen.
+    margin
+        Widths, of what is found so: its edge is not sharp.
+    most
+        Share of what lies so far away that is bright where it is still its own; as is 0.7.
+    bright
+        Of the typical membrane above the dark level: less is haze; chosen, not measured.
+    above, smooth
+        Standard deviations of noise above it, smoothed over this many widths: else single voxels of
+        noise were taken for neighbours where most of a membrane is dim.
+    low, deviation
+        A percentile of the standard normal distribution, and where it lies: noise is told by it.
+    haze
+        Widths: what is as bright this far around on all sides is haze, and nobody's, since a
+        membrane would have faded.
+    """
+
+    near: float = 2.0
+    explained: float = 3.0
+    farthest: float = 8.0
+    further: float = 0.5
+    margin: float = 1.0
+    most: float = 0.5
+    bright: float = 0.3
+    above: float = 4.0
+    smooth: float = 0.7
+    low: int = 10
+    deviation: float = 1.2816
+    haze: float = 4.0
+
+
+RULES = OwnershipRules()
 
 
 def counted_voxels(image: np.ndarray, grid: Grid, mesh: Mesh, optics: Optics) -> np.ndarray:
@@ -65,7 +96,7 @@ def counted_voxels(image: np.ndarray, grid: Grid, mesh: Mesh, optics: Optics) ->
     (Z, Y, X) bool.
     """
     labels = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
-    return _shared_out(image, grid, surface_voxels(mesh, grid), labels, optics, _NEAR)
+    return _shared_out(image, grid, surface_voxels(mesh, grid), labels, optics, RULES.near)
 
 
 def counted_around(image: np.ndarray, grid: Grid, mesh: Mesh, optics: Optics) -> np.ndarray | None:
@@ -83,12 +114,12 @@ def counted_around(image: np.ndarray, grid: Grid, mesh: Mesh, optics: Optics) ->
     if labels is None:
         # The image shows no such region: what lies as near as the membrane may is theirs.
         given = surface_voxels(mesh, grid), starts, optics
-        return _shared_out(image, grid, *given, max(_EXPLAINED, _radius(mesh, optics)))
+        return _shared_out(image, grid, *given, max(RULES.explained, _radius(mesh, optics)))
     surface = np.zeros(labels.shape, bool)
     for region in np.unique(labels[labels > 0]):
         own = labels == region
         surface |= own & ~binary_erosion(own, border_value=1)
-    return _shared_out(image, grid, surface, labels, optics, _EXPLAINED)
+    return _shared_out(image, grid, surface, labels, optics, RULES.explained)
 
 
 def _shared_out(
@@ -99,15 +130,15 @@ def _shared_out(
         return known
     pixels = np.where(known, image, np.nanmedian(image)).astype(np.float32)
     spacing = np.asarray(grid.voxel_size) / np.asarray(optics.sigma_um)
-    pixels = gaussian_filter(pixels, _SMOOTH / spacing)
+    pixels = gaussian_filter(pixels, RULES.smooth / spacing)
     own, at = distance_transform_edt(~surface, sampling=spacing, return_indices=True)
     dark = np.percentile(pixels[known], 20)
     # The brightest voxel near each piece of surface is what a membrane looks like here.
     membrane = np.percentile(pixels[(own < 1) & known], 60)
-    haze = minimum_filter(pixels, tuple(_across(_HAZE / spacing)), mode="nearest") - dark
+    haze = minimum_filter(pixels, tuple(_across(RULES.haze / spacing)), mode="nearest") - dark
     # Beside a bright side of a cell its own image reaches further.
     crest = np.maximum(maximum_filter(pixels, tuple(_across(1 / spacing)))[tuple(at)], membrane)
-    least = np.maximum(_BRIGHT * (crest - dark), _ABOVE * _noise(pixels[known]))
+    least = np.maximum(RULES.bright * (crest - dark), RULES.above * _noise(pixels[known]))
     bright = pixels - np.maximum(haze, 0) > dark + least
     # What lies in a cell is light of this cell, whatever it is; that of strangers is theirs however
     # near: half way to them, a fit still grew into what it could not see of them.
@@ -137,21 +168,21 @@ def _reach(bright: Mask, own: np.ndarray, around: Mask, least: float) -> float:
     Where most of what lies so far from them is bright, it is theirs: of a PSF that is wider than it
     was taken for, or of membranes further out than the starts. Neighbours lie to some sides only.
     """
-    shells = max(int((_FARTHEST - least) / _FURTHER), 0)
-    near = around & (own >= least) & (own < least + shells * _FURTHER)
-    shell = ((own[near] - least) / _FURTHER).astype(int)
+    shells = max(int((RULES.farthest - least) / RULES.further), 0)
+    near = around & (own >= least) & (own < least + shells * RULES.further)
+    shell = ((own[near] - least) / RULES.further).astype(int)
     all_of_it = np.bincount(shell, minlength=shells)
     share = np.bincount(shell, bright[near], shells) / np.maximum(all_of_it, 1)
-    dark = np.flatnonzero(share < _MOST)
+    dark = np.flatnonzero(share < RULES.most)
     if not (dark.size and dark[0]):
         return least
-    return least + _FURTHER * float(dark[0]) + _MARGIN
+    return least + RULES.further * float(dark[0]) + RULES.margin
 
 
 def _noise(values: np.ndarray) -> float:
     """Standard deviation of the darker half of voxels, whose median is the level of the dark."""
-    low, middle = np.percentile(values, (_LOW, 50))
-    return float(middle - low) / _DEVIATION
+    low, middle = np.percentile(values, (RULES.low, 50))
+    return float(middle - low) / RULES.deviation
 
 
 def _dark_regions(image: np.ndarray, grid: Grid, mesh: Mesh, starts: Labels) -> Labels | None:

@@ -10,9 +10,32 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
-from ..evidence import outgrowths, sanity, unseeded_objects, verdict
+from ..evidence import (
+    fit_facts,
+    outgrowths,
+    predicted_error,
+    sanity,
+    unseeded_objects,
+    verdict,
+)
 from ..evidence.evidence_rules import CAMERA, RESIDUAL, SPECTRUM
-from ..fitting import evening, rival_structures, shape_dial, structure_choice, topology
+from ..fitting import (
+    amplitudes,
+    bright_regions,
+    density,
+    evening,
+    growth_alarm,
+    likelihood,
+    refits,
+    rival_structures,
+    shape_dial,
+    structure_choice,
+    tempering,
+    topology,
+    triangle_quality,
+    unequal_insides,
+    voxel_ownership,
+)
 from ..fitting.schedule import Schedule
 from ..geometry.labels.cell_rules import FINDING
 
@@ -21,8 +44,17 @@ RULES_OF_A_FIT: dict[str, dict[str, Any]] = {
     "sanity": asdict(sanity.RULES),
     "first PSF": asdict(SPECTRUM),
     "shape": asdict(shape_dial.RULES),
+    "voxels that count": asdict(voxel_ownership.RULES),
+    "bright regions": asdict(bright_regions.RULES),
+    "weights": asdict(likelihood.RULES),
+    "tempering": asdict(tempering.RULES),
     "schedule": asdict(Schedule()),
+    "triangles": asdict(triangle_quality.RULES),
+    "growth": asdict(growth_alarm.RULES),
+    "amplitudes": asdict(amplitudes.RULES),
+    "density": asdict(density.RULES),
     "structure": asdict(structure_choice.RULES),
+    "unequal insides": asdict(unequal_insides.RULES),
     "uneven insides": asdict(evening.RULES),
     "rivals": asdict(rival_structures.RULES),
     "topology": asdict(topology.RULES),
@@ -30,5 +62,8 @@ RULES_OF_A_FIT: dict[str, dict[str, Any]] = {
     "residual": asdict(RESIDUAL),
     "outgrowths": asdict(outgrowths.RULES),
     "strays": asdict(unseeded_objects.RULES),
+    "changed images": asdict(refits.RULES),
+    "predicted error": asdict(predicted_error.RULES),
+    "facts": asdict(fit_facts.RULES),
     "verdict": asdict(verdict.RULES),
 }
