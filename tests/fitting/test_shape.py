@@ -79,7 +79,12 @@ def test_densities_of_faces_follow():
     assert len(pairs) == 2
 
 
-def test_another_kind_of_density_is_not_known():
+def test_another_kind_of_density_is_as_bright():
     shape = Shape.begun(COARSE, "smooth").moved(COARSE.vertices_numpy(), np.ones(162))
     assert shape.with_model("smooth") is shape
-    assert shape.with_model("interface").log_density is None
+    assert shape.with_model("interface").log_density == pytest.approx([1.0])
+    mesh = two(2)
+    walls = Shape.begun(mesh, "interface").moved(mesh.vertices_numpy(), np.array([0.5, -0.3]))
+    smooth = walls.with_model("smooth")
+    np.testing.assert_allclose(smooth.face_densities(), walls.face_densities(), rtol=1e-6)
+    assert walls.with_model("uniform").log_density is None

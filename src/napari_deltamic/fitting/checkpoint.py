@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..common.choices import Structure
+from ..common.choices import DensityModel, Structure
 from ..common.reading import json_values, one_reason
 from ..errors import InputError
 from ..scene.earlier_files import without_inside
@@ -27,6 +27,8 @@ class Checkpoint:
     ----------
     start
         What tells its starting mesh from others.
+    density
+        What densities are to belong to in the end.
     fitted, stage, policy
         As they are.
     levels
@@ -36,6 +38,7 @@ class Checkpoint:
     """
 
     start: np.ndarray
+    density: DensityModel
     fitted: Fitted
     stage: Stage
     levels: tuple[float, ...]
@@ -51,7 +54,8 @@ class Checkpoint:
             "effects": self.fitted.effects.to_dict(),
             "first_effects": self.fitted.first_effects.to_dict(),
             "policy": self.policy.to_dict(),
-            "density": shape.model,
+            "density": self.density,
+            "density_now": shape.model,
             "structure": self.fitted.structure,
             "density_known": shape.log_density is not None,
         }
@@ -89,8 +93,10 @@ class Checkpoint:
         if "run" not in found:  # of an earlier version: its optimiser starts anew
             return replace(self, fitted=self.fitted.surface_loaded(found))
         plain: dict[str, Any] = json_values(str(found["run"]))
-        if plain["density"] != self.fitted.shape.model:
+        if plain["density"] != self.density:
             raise other_settings()
+        # Earlier versions had densities of one kind from the start.
+        begun = self.fitted.with_density(plain.get("density_now", self.density))
         if not 0 <= int(plain["level_number"]) <= len(self.levels):
             raise InputError("the checkpoint is damaged: it is of a level that there is not")
         values, inside = without_inside(plain["effects"])
@@ -100,7 +106,7 @@ class Checkpoint:
             first = Effects(**plain["first_effects"])
         structure: Structure = plain.get("structure", self.fitted.structure)
         structure = "both" if inside else structure
-        fitted = self.fitted.with_structure(structure).loaded(found, effects, first, known)
+        fitted = begun.with_structure(structure).loaded(found, effects, first, known)
         blurred_for = fitted.optics.with_parameters(torch.from_numpy(found["level_optics"]))
         return replace(
             self,

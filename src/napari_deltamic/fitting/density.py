@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from ..common.choices import DensityModel
-from ..geometry.mesh import FloatArray, Mesh
+from ..geometry.mesh import FloatArray, IntArray, Mesh
 from .lbfgs import dot
 from .preconditioner import Preconditioner, adjacency
 
@@ -55,11 +55,13 @@ RULES = DensityRules()
 class Density:
     """The log densities of a mesh: how faces follow from them, and what is known beforehand.
 
-    A smooth field is one number per vertex. Its prior holds it near the mean and smooth, so that
-    it follows slow changes of brightness and cannot stand in for shape. How uneven it is, nobody
-    knows beforehand: a Gaussian prior of unknown variance, integrated over it, is one of Student's
-    t, which pulls a field that the image does not ask for to nothing, and lets go of another. An
-    even surface is then found as well as by a model that knows that it is even.
+    A smooth field is one number per vertex. Its prior holds it smooth and near the mean of its
+    wall, so that it follows slow changes of brightness and cannot stand in for shape. How uneven
+    it is, nobody knows beforehand: a Gaussian prior of unknown variance, integrated over it, is one
+    of Student's t, which pulls a field that the image does not ask for to nothing, and lets go of
+    another. An even surface is then found as well as by a model that knows that it is even. Means
+    of walls have a prior of their own, the one of densities that belong to walls: pulled together
+    with all others, those of unequal cells were made up for by shapes that were off.
 
     Parameters
     ----------
@@ -83,6 +85,7 @@ class Density:
             pieces = np.bincount(mesh.faces.ravel(), third, n) / (3 * width) ** 2
             a = adjacency(mesh)
             self._rough = sp.diags(np.asarray(a.sum(1)).ravel()) - a
+            self._walls = _Walls(mesh, self._interface, width)
         elif model == "interface":
             pieces = np.bincount(self._interface, mesh.areas()) / (3 * width) ** 2
         self._pieces = pieces
@@ -126,22 +129,28 @@ class Density:
         independent
             Share of the voxels, and so of the pieces of a smooth field, that are independent.
         """
-        pull = self._pull(log)
         if self.model != "smooth":
+            pull = RULES.away * self._pieces * log
             return 0.5 * dot(log, pull), pull
-        pieces = float(self._pieces.sum())
-        relative = dot(log, pull) / (pieces * RULES.even**2)
+        apart = self._walls.apart(log)
+        pull = self._walls.apart_backwards(RULES.away * self._pieces * apart)
+        pull += RULES.rough * (self._rough @ log)
+        pieces, size = float(self._pieces.sum()), dot(log, pull)
+        relative = size / (pieces * RULES.even**2)
         value = 0.5 * np.sqrt(independent) * pieces * float(np.log1p(relative))
-        return value, pull * self._strength(log, independent)
+        walls, by_walls = self._walls.prior(log)
+        return value + walls, pull * self._strength(size, independent) + by_walls
 
-    def _strength(self, log: FloatArray, independent: float) -> float:
-        """How firmly the prior holds a smooth field, from how uneven it is."""
+    def _strength(self, size: float, independent: float) -> float:
+        """How firmly the prior holds a smooth field, from its squared size."""
         pieces = float(self._pieces.sum())
-        return np.sqrt(independent) * pieces / (pieces * RULES.even**2 + dot(log, self._pull(log)))
+        return float(np.sqrt(independent)) * pieces / (pieces * RULES.even**2 + size)
 
-    def _pull(self, log: FloatArray) -> FloatArray:
-        pull: FloatArray = RULES.away * self._pieces * log
-        return pull + RULES.rough * (self._rough @ log) if self.model == "smooth" else pull
+    def unevenness(self, log: FloatArray, independent: float) -> tuple[FloatArray, float]:
+        """(V,) squared size of a smooth field at each vertex, walls that differ included, and how
+        firmly it would be held if they were not told apart from it."""
+        size = log * (RULES.away * self._pieces * log + RULES.rough * (self._rough @ log))
+        return size, self._strength(float(size.sum()), independent)
 
     def centred(self, log: FloatArray) -> FloatArray:
         """The same of mean density 1; the amplitude takes the factor.
@@ -175,6 +184,34 @@ class Density:
 
     def _mean(self, log: FloatArray) -> float:
         return float(np.average(self.faces_numpy(log), weights=self._area))
+
+
+class _Walls:
+    """Means over walls of a field on vertices; a vertex of a junction belongs to all it bounds."""
+
+    def __init__(self, mesh: Mesh, interface: IntArray, width: float) -> None:
+        third = np.repeat(mesh.areas() / 3, 3)
+        corner = np.repeat(interface, 3), mesh.faces.ravel()
+        share = sp.coo_matrix((third, corner)).tocsr()
+        own, at = (np.asarray(share.sum(axis)).ravel() + 1e-300 for axis in (1, 0))
+        self._means, self._back = sp.diags(1 / own) @ share, sp.diags(1 / at) @ share.T
+        self._pieces = np.bincount(interface, mesh.areas()) / (3 * width) ** 2
+
+    def apart(self, log: FloatArray) -> FloatArray:
+        """(V,) from the means of its walls."""
+        found: FloatArray = log - self._back @ (self._means @ log)
+        return found
+
+    def apart_backwards(self, gradient: FloatArray) -> FloatArray:
+        """(V,) gradient by the field, of one by what is apart."""
+        found: FloatArray = gradient - self._means.T @ (self._back.T @ gradient)
+        return found
+
+    def prior(self, log: FloatArray) -> tuple[float, FloatArray]:
+        """Nats of the means, and their gradient (V,)."""
+        means = self._means @ log
+        pull = RULES.away * self._pieces * means
+        return 0.5 * dot(means, pull), self._means.T @ pull
 
 
 Shown = tuple[
@@ -213,8 +250,9 @@ def evener(
     for mesh, known in (after, before):
         density = Density(mesh, model, width)
         log = np.zeros(len(density)) if known is None else known
-        firm = 0.5 * density._strength(log, independent)  # as firm as before
-        fields.append((mesh.vertices_numpy(), log * density._pull(log)))
+        size, strength = density.unevenness(log, independent)
+        firm = 0.5 * strength  # as firm as before
+        fields.append((mesh.vertices_numpy(), size))
     found = []
     for each in points:
         here, there = (

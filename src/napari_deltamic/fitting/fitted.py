@@ -93,6 +93,10 @@ class Fitted:
         """With another triangulation: the one door for it. What was learnt is of other unknowns."""
         return replace(self, shape=shape, learnt=None)
 
+    def with_density(self, model: DensityModel) -> Fitted:
+        """With the same densities of another kind."""
+        return replace(self, shape=self.shape.with_model(model), learnt=None)
+
     def shining(self, light: Light) -> Fitted:
         """With the light that is found there."""
         return replace(self, light=light)

@@ -150,10 +150,14 @@ def pose(
     stiffness = level.settings.bending
     width = float(np.prod(imaging.optics.sigma_um)) ** (1 / 3)
     bending = BendingEnergy(shape.mesh), JunctionBending(shape.mesh, width)
-    prior = Prior(*bending, stiffness, density, insides, imaging)
-    posterior = Posterior(level, renderer, views, prior, density_fitted, structure)
-    if len(insides) and not shone.cells:
-        at = _with_insides(posterior, at)
+
+    def posterior_of(insides: Insides) -> Posterior:
+        prior = Prior(*bending, stiffness, density, insides, imaging)
+        return Posterior(level, renderer, views, prior, density_fitted, structure)
+
+    if len(insides) and not shone.cells and structure != "membrane":
+        at = _with_insides(posterior_of(replace(insides, held=False)), at)
+    posterior = posterior_of(insides)
     firmness = look.firmness(voxels, rendered, found, light) / variance
     left = found.squares / max(float(total(voxels.weights)), 1e-300)
     return Posed(posterior, at, renderer, variance, left, bool(held), firmness)

@@ -202,10 +202,13 @@ class Posterior(Prediction):
         unequal, by_insides = self._prior.insides.prior(at.insides)
         if not self._density_fitted:
             by_density = np.zeros_like(by_density)
+        by_insides = by_image.insides + by_insides
+        if self._prior.insides.held:
+            by_insides = np.zeros_like(by_insides)
         gradient = Variables(
             by_image.vertices + kappa * (by_vertices + by_lines),
             by_image.density + by_density,
-            by_image.insides + by_insides,
+            by_insides,
             by_image.optics + by_optics,
             by_image.effects + by_effects,
         )

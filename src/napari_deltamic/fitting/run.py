@@ -53,8 +53,11 @@ class Run:
         self._problem, self._settings, self._schedule = problem, settings, Schedule()
         self._levels = settings.levels or WIDE_LEVELS
         self._start = fingerprint(mesh)
-        given = mesh, optics, effects, settings.density
-        self._fitted = Fitted.begun(*given, settings.structure)
+        several = len(self._levels) == 1 and len(mesh.region_ids()) > 1
+        # Where many cells begin near their walls, those differ more than places within a wall do,
+        # and a smooth density would stand in for insides and shapes that are still off.
+        model = "interface" if several and settings.density == "smooth" else settings.density
+        self._fitted = Fitted.begun(mesh, optics, effects, model, settings.structure)
         self._stage = Stage(0, self._fitted.optics)
         self._topology = TopologyTrials(problem)
         self._remeshing = Remeshing(mesh, min(optics.sigma_um))
@@ -131,6 +134,8 @@ class Run:
         if not begun:
             self._stage = replace(self._stage, blurred_for=self._fitted.optics, progress=Progress())
             self._fitted = self._fitted.taught(None)
+            if not self._last:  # how bright each inside is, is found anew where the surface is now
+                self._fitted = self._fitted.shining(replace(self._fitted.light, cells=()))
         self._make_level()
         if not begun:
             blurred = 0.0 if self._level.factor == 1 else self._level.width
@@ -152,8 +157,11 @@ class Run:
         stage, settings = self._stage, self._settings
         if self._topology.trial is None:
             self._kept = self._checkpoint().saved()  # before the look: a resumed fit looks again
+        if self._density_waits and stage.progress.iterations:
+            self._fitted = self._fitted.with_density(settings.density)
         given = self._fitted, settings, self._level.factor, stage.iteration
-        self._surface(self._topology.look(*given))
+        if not self._density_waits:
+            self._surface(self._topology.look(*given))
         if settings.remesh and self._remeshing.wanted(self._fitted.mesh):
             self._remesh()
         held = self._stage.progress.held and self._last
@@ -200,7 +208,12 @@ class Run:
         """Numbers of walls are too few to stand in for a shape; held back, it would for them."""
         if self._fitted.structure == "interior":
             return False
-        return self._settings.density == "interface" or not self._first
+        return self._fitted.shape.model == "interface" or not self._first
+
+    @property
+    def _density_waits(self) -> bool:
+        """Whether densities of walls are still fitted in place of what was asked for."""
+        return self._fitted.shape.model != self._settings.density
 
     @property
     def _first(self) -> bool:
@@ -234,6 +247,9 @@ class Run:
         progress = progress.looked(remaining, self._tolerance, schedule)
         self._stage = replace(self._stage, remaining=remaining, progress=progress)
         if not progress.at_rest(schedule):
+            return False
+        if self._density_waits:
+            self._due = True
             return False
         if self._other_structure():
             self._due = True
@@ -387,6 +403,7 @@ class Run:
     def _checkpoint(self) -> Checkpoint:
         return Checkpoint(
             self._start,
+            self._settings.density,
             self._fitted,
             self._stage,
             self._levels,

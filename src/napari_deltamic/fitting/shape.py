@@ -56,10 +56,13 @@ class Shape:
         return replace(self, pinned=np.array(pinned, bool))
 
     def with_model(self, model: DensityModel) -> Shape:
-        """Densities of another kind, of which nothing is known."""
+        """The same densities, of another kind."""
         if model == self.model:
             return self
-        return replace(self, model=model, log_density=None)
+        log = None
+        if self.log_density is not None and model != "uniform":
+            log = Density(self.mesh, model, 1.0).of_faces(self.face_densities())
+        return replace(self, model=model, log_density=log)
 
     def retriangulated(
         self, mesh: Mesh, origin: IntArray | None = None, carried: FloatArray | None = None

@@ -100,7 +100,7 @@ class TopologyTrials:
         if trial.tried:  # what pressed is judged before its densities have settled
             one, other = ((s.mesh, s.log_density) for s in (trial.before, fitted.shape))
             given = min(optics.sigma_um), points, reach, trial.misfit.independent
-            even = evener(settings.density, one, other, *given)
+            even = evener(fitted.shape.model, one, other, *given)
             found = [replace(gap, nats=gap.nats + n) for gap, n in zip(found, even, strict=True)]
         self.policy, judged = self.policy.judged(trial, found)
         self._events += tuple(_undecided(place) for place in judged.undecided)

@@ -48,21 +48,21 @@ class Insides:
     Attributes
     ----------
     regions
-        (R,) numbers of the regions whose insides are unknowns; empty where all are alike.
+        (R,) numbers of the regions whose insides differ; empty where all are alike.
+    held
+        Whether they stay as they were found where the surface was then. At blurred levels they
+        would stand in for shapes that are far off; alike, dim cells would shrink to nothing.
     """
 
     regions: IntArray
+    held: bool = False
 
     @classmethod
     def of(cls, mesh: Mesh, model: DensityModel, structure: Structure, blurred: bool) -> Insides:
-        """Of a mesh of which that shines.
-
-        Alike where densities are to be the same everywhere, and at blurred levels, where they
-        would stand in for shapes that are still far off.
-        """
+        """Of a mesh of which that shines; alike where densities are to be the same everywhere."""
         regions = mesh.region_ids()
-        free = structure != "membrane" and model != "uniform" and not blurred
-        return cls(regions if free and len(regions) > 1 else regions[:0])
+        differ = structure != "membrane" and model != "uniform" and len(regions) > 1
+        return cls(regions if differ else regions[:0], blurred)
 
     def __len__(self) -> int:
         return len(self.regions)
