@@ -153,6 +153,33 @@ def test_the_gradient_of_the_prior(model):
     assert_allclose(gradient @ way, slope, rtol=1e-6)
 
 
+def test_walls_that_differ_are_not_uneven():
+    """A field that has one value on each of two balls is held as densities of walls are."""
+    balls = [sphere(c, 0.6, subdivisions=3) for c in ((0.95, 1.15, 1.1), (0.95, 1.15, 3.2))]
+    mesh = Mesh.merge(balls)
+    smooth, walls = (Density(mesh, model, 0.2) for model in ("smooth", "interface"))
+    second = mesh.vertices_numpy()[:, 2] > 2
+    step = np.where(second, 0.6, -0.4)
+    assert smooth.prior(step)[0] == pytest.approx(walls.prior(np.array([-0.4, 0.6]))[0], rel=1e-6)
+    within = np.where(mesh.vertices_numpy()[:, 1] > 1.15, 0.6, -0.4)
+    assert smooth.prior(within)[0] > 3 * smooth.prior(step)[0]
+
+
+@pytest.mark.parametrize(("cells", "levels"), [(1, 1), (2, 1), (2, 2)])
+def test_walls_come_before_places_within_them_where_several_cells_begin_near(cells, levels):
+    grid = Grid((20, 24, 44), GRID.voxel_size)
+    centers = [(0.95, 1.15, 1.1), (0.95, 1.15, 3.2)][:cells]
+    truth = Mesh.merge([sphere(c, 0.6, subdivisions=4) for c in centers])
+    image = measured(grid, truth, noise=1)
+    mesh = Mesh.merge([sphere(c, 0.55, subdivisions=2) for c in centers])
+    settings = FitSettings(density="smooth", levels=(1.5, 1.0)[-levels:])
+    states = list(fit(image, grid, mesh, OPTICS, settings=settings))
+    one = (mesh.regions == 1).any(1)
+    by_walls = [np.ptp(state.density[one]) == 0 for state in states if state.level == levels]
+    assert by_walls[1] == (cells == 2 and levels == 1)
+    assert not by_walls[-1]
+
+
 def test_the_prior_hardly_depends_on_how_fine_the_mesh_is():
     values = []
     for subdivisions in (3, 4):

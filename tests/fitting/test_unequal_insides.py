@@ -9,7 +9,7 @@ from scipy.ndimage import map_coordinates
 
 from napari_deltamic import GaussianPSF, Grid, Mesh, fit
 from napari_deltamic.fitting.errors_of_measures import posed_at
-from napari_deltamic.fitting.structure_choice import told
+from napari_deltamic.fitting.structure_choice import chosen
 from napari_deltamic.fitting.unequal_insides import Insides, each_alone
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure import surface_distance
@@ -170,14 +170,13 @@ def test_images_of_unequal_insides_add_up():
 
 @pytest.mark.parametrize("photons", [20.0, 60.0])
 def test_membranes_made_bright_where_they_stand_in_for_a_shape_are_no_evidence(photons):
-    """With their fitted brightness they differ from 0 by five errors, in an image of nuclei."""
+    """With the brightness of the image there they differ from 0 by 15 errors and more."""
     image = image_of(DIM, photons)
-    early = fitted(image, structure="both", max_iterations=5)
+    early = fitted(image, structure="both", max_iterations=15)
     centres = early.mesh.vertices_numpy()[early.mesh.faces].mean(axis=1)
     bright = (map_coordinates(image, centres.T, order=1) - 4).clip(0.5)  # voxels of 1 um
     early = replace(early, density=bright / bright.mean())
+    assert np.log(early.density).std() > 0.4
     found = posed_at(image, GRID, early, SETTINGS)
-    membranes, insides = told(found.posterior, found.at, found.posterior(found.at), early.mesh)
-    assert np.log(early.density).std() > 0.5
-    assert membranes.errors < 3
-    assert insides.errors > 3
+    given = found.posterior, found.at, found.posterior(found.at), early.mesh
+    assert chosen(*given).structure == "interior"
