@@ -52,10 +52,10 @@ def flip_of(mesh):
 
 
 def test_a_wrong_neighbour_is_exchanged():
-    truth = five(0.45)
+    truth = five(0.5)
     states, told = fitted(truth, flip_of(truth))
     assert contacts(states[-1].mesh) == contacts(truth)
-    assert "cell 1 touches cell 2" in told
+    assert told == "cell 1 touches cell 2"
     assert all(len(state.density) == len(state.mesh.faces) for state in states)
 
 
@@ -64,7 +64,7 @@ def test_a_wrong_neighbour_is_exchanged():
 COLLAPSES = pytest.param(0.6, 2000, marks=pytest.mark.xfail(strict=True, reason="judged too soon"))
 
 
-@pytest.mark.parametrize(("half", "photons"), [(0.5, 40), COLLAPSES, (0.9, 200), (0.9, 2000)])
+@pytest.mark.parametrize(("half", "photons"), [COLLAPSES, (0.9, 200), (0.9, 2000)])
 def test_a_wrong_neighbour_is_exchanged_or_told(half, photons):
     """A wrong wall shrinks until the image can hardly tell it from none: 0 to 5 of 8 are found."""
     truth = five(half)

@@ -40,6 +40,11 @@ class DensityRules:
         Log density, in the mean over pieces: a smooth field smaller than this counts as even. Cow
         and fish, even and uneven by 0.15 and 0.6, at 10 and 200 photons: 0.03 and 0.1 were about as
         good.
+    walls_first
+        How bright insides have to be, of the peak of a membrane's image, for densities of walls to
+        be fitted before a smooth one where many cells begin near their walls. Measured there
+        (benchmarks.defaults), membranes alone seem to have insides of 0.08 to 0.27 at the start,
+        cells with insides 0.48 and more.
     """
 
     largest_estimate: float = 1.5
@@ -47,6 +52,7 @@ class DensityRules:
     away: float = 1.0
     rough: float = 1.0
     even: float = 0.05
+    walls_first: float = 0.4
 
 
 RULES = DensityRules()

@@ -12,11 +12,12 @@ from ..optics import Optics
 from ..runs.settings import WIDE_LEVELS, FitSettings
 from ..scene import expected_image
 from ..scene.effects import Effects
-from .amplitudes import may_shine
+from .amplitudes import inside_over_membrane, may_shine
 from .change import Change
 from .checkpoint import Checkpoint
 from .collisions import CollisionGuard
 from .convergence import Remaining
+from .density import RULES as DENSITY
 from .fit_objective import Objective, Terms
 from .fitted import Arrays, Fitted, fingerprint
 from .level import Level
@@ -53,9 +54,8 @@ class Run:
         self._problem, self._settings, self._schedule = problem, settings, Schedule()
         self._levels = settings.levels or WIDE_LEVELS
         self._start = fingerprint(mesh)
+        # Where many cells begin near their walls, those differ more than places within a wall do.
         several = len(self._levels) == 1 and len(mesh.region_ids()) > 1
-        # Where many cells begin near their walls, those differ more than places within a wall do,
-        # and a smooth density would stand in for insides and shapes that are still off.
         model = "interface" if several and settings.density == "smooth" else settings.density
         self._fitted = Fitted.begun(mesh, optics, effects, model, settings.structure)
         self._stage = Stage(0, self._fitted.optics)
@@ -157,16 +157,18 @@ class Run:
         stage, settings = self._stage, self._settings
         if self._topology.trial is None:
             self._kept = self._checkpoint().saved()  # before the look: a resumed fit looks again
-        if self._density_waits and stage.progress.iterations:
+        if self._density_waits and stage.progress.iterations:  # after one objective at most
             self._fitted = self._fitted.with_density(settings.density)
         given = self._fitted, settings, self._level.factor, stage.iteration
-        if not self._density_waits:
-            self._surface(self._topology.look(*given))
+        self._surface(self._topology.look(*given))
         if settings.remesh and self._remeshing.wanted(self._fitted.mesh):
             self._remesh()
         held = self._stage.progress.held and self._last
         views = self._objective.posed.posterior.views if held else ()
         self._objective = self._posed(views)
+        if self._density_waits and not self._walls_first:
+            self._fitted = self._fitted.with_density(settings.density)
+            self._objective = self._posed(())
         if self._structure_is_open:
             found = self._objective.structure()
             progress = replace(self._stage.progress, sure=found.sure)
@@ -220,6 +222,12 @@ class Run:
         """Whether a level still follows the first one, whose shape is found without PSF, effects
         and smooth brightness: far from it, they would stand in for it."""
         return self._stage.level_number == 0 and len(self._levels) > 1
+
+    @property
+    def _walls_first(self) -> bool:
+        """Whether insides shine: a smooth density would stand in for them."""
+        light, widths = self._objective.now.light, self._fitted.optics.sigma_um
+        return inside_over_membrane(light, widths) > DENSITY.walls_first
 
     def _advance(self) -> None:
         """One step down."""
