@@ -303,19 +303,11 @@ class Run:
 
     def _remesh(self) -> None:
         """Good triangles again."""
-        shape = self._fitted.shape
-        log = shape.log_density if shape.model == "smooth" else None
-        carried = np.zeros((len(shape.mesh.vertices), 0)) if log is None else log[:, None]
-        apart = self._settings.collisions
-        done = self._remeshing.renewed(shape.mesh, carried, shape.pinned, apart)
-        self._guard.watch(shape.mesh)
-        if not self._guard.allows(done.mesh):
-            self._remeshing.refused(shape.mesh)
-            return
-        values = None if log is None else np.ascontiguousarray(done.carried[:, 0])
-        self._reporter.remeshed(shape.mesh, done.mesh)
-        renewed = shape.retriangulated(done.mesh, None, values).with_pins(done.fixed)
-        self._fitted = self._fitted.retriangulated(renewed)
+        before = self._fitted.shape
+        after = self._remeshing.of_shape(before, self._guard, self._settings.collisions)
+        if after is not None:
+            self._reporter.remeshed(before.mesh, after.mesh)
+            self._fitted = self._fitted.retriangulated(after)
 
     # ------------------------------------------------------------------------------- changes
 

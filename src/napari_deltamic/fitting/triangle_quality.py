@@ -8,6 +8,8 @@ import numpy as np
 
 from ..geometry.mesh import Mesh
 from ..geometry.remeshing import Remeshed, can_remesh, remesh, smallest_angles
+from .collisions import CollisionGuard
+from .shape import Shape
 
 
 @dataclass(frozen=True)
@@ -124,6 +126,18 @@ class Remeshing:
         done = remesh(mesh, length, passes=3, carried=carried, fixed=fixed, apart=apart)
         self.left, self._begun = _slivers(done.mesh), True
         return done
+
+    def of_shape(self, shape: Shape, guard: CollisionGuard, apart: bool) -> Shape | None:
+        """The same surface with better triangles; None where they would cross."""
+        log = shape.log_density if shape.model == "smooth" else None
+        carried = np.zeros((len(shape.mesh.vertices), 0)) if log is None else log[:, None]
+        done = self.renewed(shape.mesh, carried, shape.pinned, apart)
+        guard.watch(shape.mesh)
+        if not guard.allows(done.mesh):
+            self.refused(shape.mesh)
+            return None
+        values = None if log is None else np.ascontiguousarray(done.carried[:, 0])
+        return shape.retriangulated(done.mesh, None, values).with_pins(done.fixed)
 
     def given(self) -> None:
         """The mesh was replaced from outside: its edges stay as they are until the next level."""
