@@ -369,6 +369,7 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
     "crowd-nuclei": lambda rng: _crowd(rng, membrane=0.0, interior=1.0),
     "crowd-nuclei-spheres": lambda rng: _crowd(rng, membrane=0.0, interior=1.0, seeds="spheres"),
     "crowd-both": lambda rng: _crowd(rng, interior=rng.uniform(0.2, 0.8)),
+    "crowd-bright": lambda rng: _crowd(rng, interior=rng.uniform(1.0, 2.5)),
     "tissue-both": lambda rng: replace(
         _labelled_tissue(rng), interior=rng.uniform(0.2, 0.8), unequal=0.4
     ),
