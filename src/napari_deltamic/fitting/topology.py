@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from ..geometry.mesh import OUTSIDE, Mesh
 from ..geometry.topology.small_pieces import small_pieces
 from ..geometry.topology.thin_places import ThinPlace, short_junctions, small_walls, thin_places
+from .fitted import Fitted
 from .local_misfit import Gap, Misfit
 from .shape import Shape
 
@@ -97,7 +98,7 @@ class Trial:
     Attributes
     ----------
     before
-        The shape that it began from.
+        The fit that it began from.
     misfit
         How that explains the image.
     places
@@ -110,7 +111,7 @@ class Trial:
         Whether nothing pressed there: the image alone decides.
     """
 
-    before: Shape
+    before: Fitted
     misfit: Misfit
     places: tuple[ThinPlace, ...]
     events: tuple[str, ...]

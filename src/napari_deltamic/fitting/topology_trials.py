@@ -98,7 +98,7 @@ class TopologyTrials:
         reach = RULES.beyond * max(optics.sigma_um)
         found = gaps(self._problem, trial.misfit, after, points, reach, optics)
         if trial.tried:  # what pressed is judged before its densities have settled
-            one, other = ((s.mesh, s.log_density) for s in (trial.before, fitted.shape))
+            one, other = ((s.mesh, s.log_density) for s in (trial.before.shape, fitted.shape))
             given = min(optics.sigma_um), points, reach, trial.misfit.independent
             even = evener(fitted.shape.model, one, other, *given)
             found = [replace(gap, nats=gap.nats + n) for gap, n in zip(found, even, strict=True)]
@@ -107,7 +107,9 @@ class TopologyTrials:
         if not judged.undone:
             self._events += trial.events if trial.tried else ()
             return fitted
-        restored, before = fitted.retriangulated(trial.before), trial.before
+        # As a whole: what shone, and the PSF, have gone along with what was wrong.
+        before = trial.before.shape
+        restored = trial.before.retriangulated(before)
         if judged.kept:
             made = give_way(before.mesh, judged.kept, before.mesh.median_edge())
             if made.mesh is not before.mesh:
@@ -128,7 +130,7 @@ class TopologyTrials:
         places = [p for p in places if p not in made.hopeless]
         misfit = self._misfit(fitted, settings)
         self.policy = self.policy.changed(places, tried)
-        self.trial = Trial(before, misfit, tuple(places), made.events, iteration, tried)
+        self.trial = Trial(fitted, misfit, tuple(places), made.events, iteration, tried)
         self._events += () if tried else made.events
         return fitted.retriangulated(before.retriangulated(made.mesh, made.origin))
 
