@@ -139,11 +139,13 @@ def test_numbers_of_zero_are_the_mean(model):
     assert_allclose(gradient, 0)
 
 
-@pytest.mark.parametrize("model", ["smooth", "interface"])
-def test_the_gradient_of_the_prior(model):
+@pytest.mark.parametrize(
+    ("model", "differ"), [("smooth", False), ("smooth", True), ("interface", False)]
+)
+def test_the_gradient_of_the_prior(model, differ):
     centers = [(0.95, 1.15, 1.1), (0.95, 1.15, 3.2)]
     mesh = Mesh.merge([sphere(c, 0.6, subdivisions=1) for c in centers])
-    density = Density(mesh, model, 0.13)
+    density = Density(mesh, model, 0.13, differ)
     rng = np.random.default_rng(0)
     log, way = rng.normal(size=(2, len(density)))
     value, gradient = density.prior(log)
@@ -157,12 +159,13 @@ def test_walls_that_differ_are_not_uneven():
     """A field that has one value on each of two balls is held as densities of walls are."""
     balls = [sphere(c, 0.6, subdivisions=3) for c in ((0.95, 1.15, 1.1), (0.95, 1.15, 3.2))]
     mesh = Mesh.merge(balls)
-    smooth, walls = (Density(mesh, model, 0.2) for model in ("smooth", "interface"))
+    smooth, walls = Density(mesh, "smooth", 0.2, walls_differ=True), Density(mesh, "interface", 0.2)
     second = mesh.vertices_numpy()[:, 2] > 2
     step = np.where(second, 0.6, -0.4)
     assert smooth.prior(step)[0] == pytest.approx(walls.prior(np.array([-0.4, 0.6]))[0], rel=1e-6)
     within = np.where(mesh.vertices_numpy()[:, 1] > 1.15, 0.6, -0.4)
     assert smooth.prior(within)[0] > 3 * smooth.prior(step)[0]
+    assert Density(mesh, "smooth", 0.2).prior(step)[0] > 3 * smooth.prior(step)[0]
 
 
 @pytest.mark.parametrize(

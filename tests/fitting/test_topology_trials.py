@@ -1,14 +1,18 @@
 """At the end of a fit other arrangements are tried, and kept where the image speaks for them."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from noisy_cells import events_of, photographed
 
 from napari_deltamic import GaussianPSF, Mesh, fit
+from napari_deltamic.fitting import topology_trials
+from napari_deltamic.fitting.fitted import Fitted
 from napari_deltamic.fitting.local_misfit import Gap
-from napari_deltamic.fitting.topology import TopologyPolicy, Trial
+from napari_deltamic.fitting.topology import Judgement, TopologyPolicy, Trial
+from napari_deltamic.fitting.topology_trials import TopologyTrials
 from napari_deltamic.geometry import remesh
 from napari_deltamic.geometry.contacts import contacts
 from napari_deltamic.geometry.foam import foam
@@ -17,6 +21,8 @@ from napari_deltamic.geometry.topology.rearranging import give_way
 from napari_deltamic.geometry.topology.small_pieces import small_pieces
 from napari_deltamic.geometry.topology.thin_places import ThinPlace, short_junctions, small_walls
 from napari_deltamic.runs.settings import FitSettings
+from napari_deltamic.scene.effects import Effects
+from napari_deltamic.scene.light import Light
 
 pytestmark = pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
 VOXEL, EDGE = 0.15, 0.25
@@ -172,3 +178,21 @@ def test_a_policy_goes_through_plain_values():
     assert other.to_dict() == one.to_dict()
     assert other.past[0].volume == 0.2
     assert (other.late, other.most, other.left_alone) == (2, 7, ())
+
+
+def test_what_is_undone_takes_psf_and_light_back(monkeypatch):
+    """They have gone along with the wrong shape: a nucleus that was taken away made a wide PSF."""
+    begun = Fitted.begun(flip_of(five(0.5)), OPTICS, Effects(), "smooth", "both")
+    begun = begun.shining(Light(0.0, 1.0, ((1, 0.4), (2, 1.6))))
+    wide = replace(begun, optics=GaussianPSF(0.5), light=Light(0.0, 1.0, ((1, 9.0), (2, 0.2))))
+    trials = TopologyTrials(None)
+    place = ThinPlace((1,), (2,), np.zeros((1, 3)), 1.0)
+    trials.trial = Trial(begun, None, (place,), (), 0, False)
+    judgement = Judgement((), (place,), ())
+    monkeypatch.setattr(TopologyTrials, "_misfit", lambda *given: None)
+    monkeypatch.setattr(topology_trials, "gaps", lambda *given: [])
+    monkeypatch.setattr(TopologyPolicy, "judged", lambda self, *given: (self, judgement))
+    after = trials.judged(wide, SETTINGS)
+    assert after.optics.sigma_um == begun.optics.sigma_um
+    assert after.light == begun.light
+    assert trials.trial is None

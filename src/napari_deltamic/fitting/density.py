@@ -61,13 +61,11 @@ RULES = DensityRules()
 class Density:
     """The log densities of a mesh: how faces follow from them, and what is known beforehand.
 
-    A smooth field is one number per vertex. Its prior holds it smooth and near the mean of its
-    wall, so that it follows slow changes of brightness and cannot stand in for shape. How uneven
-    it is, nobody knows beforehand: a Gaussian prior of unknown variance, integrated over it, is one
-    of Student's t, which pulls a field that the image does not ask for to nothing, and lets go of
-    another. An even surface is then found as well as by a model that knows that it is even. Means
-    of walls have a prior of their own, the one of densities that belong to walls: pulled together
-    with all others, those of unequal cells were made up for by shapes that were off.
+    A smooth field is one number per vertex. Its prior holds it near the mean and smooth, so that
+    it follows slow changes of brightness and cannot stand in for shape. How uneven it is, nobody
+    knows beforehand: a Gaussian prior of unknown variance, integrated over it, is one of Student's
+    t, which pulls a field that the image does not ask for to nothing, and lets go of another. An
+    even surface is then found as well as by a model that knows that it is even.
 
     Parameters
     ----------
@@ -77,9 +75,15 @@ class Density:
         ``"uniform"``, ``"interface"`` or ``"smooth"``.
     width
         um: of the PSF.
+    walls_differ
+        Whether a smooth field is held near the mean of its wall, and means of walls as densities
+        that belong to walls are. Where insides shine as well, and cells differ, walls that are held
+        alike are made up for by shapes that are off.
     """
 
-    def __init__(self, mesh: Mesh, model: DensityModel, width: float) -> None:
+    def __init__(
+        self, mesh: Mesh, model: DensityModel, width: float, walls_differ: bool = False
+    ) -> None:
         self.model = model
         self._faces = torch.from_numpy(np.asarray(mesh.faces))
         self._area = mesh.areas() * mesh.membranes() + 1e-300
@@ -91,7 +95,7 @@ class Density:
             pieces = np.bincount(mesh.faces.ravel(), third, n) / (3 * width) ** 2
             a = adjacency(mesh)
             self._rough = sp.diags(np.asarray(a.sum(1)).ravel()) - a
-            self._walls = _Walls(mesh, self._interface, width)
+            self._walls = _Walls(mesh, self._interface, width) if walls_differ else None
         elif model == "interface":
             pieces = np.bincount(self._interface, mesh.areas()) / (3 * width) ** 2
         self._pieces = pieces
@@ -138,14 +142,20 @@ class Density:
         if self.model != "smooth":
             pull = RULES.away * self._pieces * log
             return 0.5 * dot(log, pull), pull
-        apart = self._walls.apart(log)
-        pull = self._walls.apart_backwards(RULES.away * self._pieces * apart)
+        if self._walls is None:
+            pull = RULES.away * self._pieces * log
+        else:
+            apart = self._walls.apart(log)
+            pull = self._walls.apart_backwards(RULES.away * self._pieces * apart)
         pull += RULES.rough * (self._rough @ log)
         pieces, size = float(self._pieces.sum()), dot(log, pull)
         relative = size / (pieces * RULES.even**2)
         value = 0.5 * np.sqrt(independent) * pieces * float(np.log1p(relative))
+        gradient = pull * self._strength(size, independent)
+        if self._walls is None:
+            return value, gradient
         walls, by_walls = self._walls.prior(log)
-        return value + walls, pull * self._strength(size, independent) + by_walls
+        return value + walls, gradient + by_walls
 
     def _strength(self, size: float, independent: float) -> float:
         """How firmly the prior holds a smooth field, from its squared size."""

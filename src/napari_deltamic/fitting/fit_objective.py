@@ -87,7 +87,8 @@ class Objective:
         self.terms, self._guard = terms, guard
         level, settings, width = terms.level, terms.settings, min(fitted.optics.sigma_um)
         free = terms.imaging_fitted and level.factor <= terms.schedule.imaging_below
-        self._density = Density(fitted.mesh, fitted.shape.model, width)
+        both = fitted.structure == "both"
+        self._density = Density(fitted.mesh, fitted.shape.model, width, walls_differ=both)
         self._imaging = Imaging(
             fitted.optics, fitted.effects, fitted.first_optics, settings.fit_psf and free, free
         )

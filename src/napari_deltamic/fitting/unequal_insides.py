@@ -27,17 +27,12 @@ class UnequalInsidesRules:
         is none of those that the others are; chosen, not measured.
     shared
         Of what they share: with a smaller mean, cells of either sign, that is no scale.
-    at_blurred
-        How bright insides have to be, of the peak of a membrane's blurred image, to differ at
-        blurred levels. Chosen: nuclei are many times brighter, and in a cluster of membranes that
-        meet otherwise than they should (0.2 to 0.4) they stood in for the wall that was missing.
     """
 
     alike: float = 0.05
     least: float = -2.0
     most: float = 9.0
     shared: float = 0.1
-    at_blurred: float = 1.0
 
 
 RULES = UnequalInsidesRules()
@@ -64,17 +59,18 @@ class Insides:
 
     @classmethod
     def of(cls, mesh: Mesh, model: DensityModel, structure: Structure, blurred: bool) -> Insides:
-        """Of a mesh of which that shines; alike where densities are to be the same everywhere."""
+        """Of a mesh of which that shines.
+
+        Alike where densities are to be the same everywhere, and at blurred levels where cells share
+        walls: nuclei do not, and in clusters of membranes insides would stand in for missing walls.
+        """
         regions = mesh.region_ids()
         differ = structure != "membrane" and model != "uniform" and len(regions) > 1
+        differ = differ and not (blurred and bool((mesh.regions > 0).all(axis=1).any()))
         return cls(regions if differ else regions[:0], blurred)
 
     def __len__(self) -> int:
         return len(self.regions)
-
-    def alike(self) -> Insides:
-        """All of them alike."""
-        return Insides(self.regions[:0], self.held)
 
     def numbers(self, light: Light, volumes: FloatArray) -> FloatArray:
         """(R,) those of a light, so that insides of volumes (R,) um^3 share their mean."""
