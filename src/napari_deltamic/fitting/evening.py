@@ -34,10 +34,6 @@ class EveningRules:
         from wherever brightness is read.
     noise
         Times the variance that noise gives it: what exceeds that is believed.
-    uneven, too_uneven
-        Standard deviations between which it is believed: in a crowd of even nuclei 0.04 and 0.5
-        came from surfaces that were still off, and kept them there (0.08 and 0.76 voxel off without
-        and with it). Measured, chromatin of 0.2 gives 0.06 to 0.08, of 0.5 0.2 to 0.3.
     inside
         Of the peak of a membrane's image: an inside that is darker is left as it is, since what is
         uneven there may be the membrane's own light. At 0.3 of it and more, evening it brought
@@ -51,8 +47,6 @@ class EveningRules:
     width: float = 1.0
     cut_off: float = 6.0
     noise: float = 2.0
-    uneven: float = 0.06
-    too_uneven: float = 0.4
     inside: float = 0.2
     least: float = 0.3
     most: float = 3.0
@@ -102,6 +96,6 @@ def unevenness(
     by_noise = float(np.mean((noise[deep] / np.maximum(shown[deep], faint)) ** 2)) / independent
     variance = float(np.var(found[deep]))
     believed = 1 - RULES.noise * by_noise / max(variance, 1e-300)
-    if not RULES.uneven**2 < believed * variance < RULES.too_uneven**2:
+    if believed <= 0:
         return None
     return np.clip(1 + believed * (found - 1), RULES.least, RULES.most)
