@@ -41,8 +41,9 @@ class DensityRules:
         and fish, even and uneven by 0.15 and 0.6, at 10 and 200 photons: 0.03 and 0.1 were about as
         good.
     walls_first
-        How bright insides have to be, of the peak of a membrane's image, for densities of walls to
-        be fitted before a smooth one where many cells begin near their walls. Measured there
+        How bright insides have to be, of the peak of a membrane's image, for walls to differ in a
+        smooth density, and for densities of walls to be fitted before it where many cells begin
+        near their walls. Measured there
         (benchmarks.defaults), membranes alone seem to have insides of 0.08 to 0.27 at the start,
         cells with insides 0.48 and more.
     """

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..geometry.vectors import lengths
 from ..runs.settings import FitSettings
+from .amplitudes import inside_over_membrane
 from .collisions import CollisionGuard
 from .convergence import Patches, Remaining, vertex_normals
 from .density import RULES as DENSITY
@@ -87,8 +88,9 @@ class Objective:
         self.terms, self._guard = terms, guard
         level, settings, width = terms.level, terms.settings, min(fitted.optics.sigma_um)
         free = terms.imaging_fitted and level.factor <= terms.schedule.imaging_below
-        both = fitted.structure == "both"
-        self._density = Density(fitted.mesh, fitted.shape.model, width, walls_differ=both)
+        shining = inside_over_membrane(fitted.light, fitted.optics.sigma_um)
+        differ = fitted.structure == "both" and shining > DENSITY.walls_first
+        self._density = Density(fitted.mesh, fitted.shape.model, width, differ)
         self._imaging = Imaging(
             fitted.optics, fitted.effects, fitted.first_optics, settings.fit_psf and free, free
         )

@@ -29,6 +29,7 @@ from .preconditioner import Preconditioner
 from .prediction import View
 from .shape import Shape
 from .tempering import tempered_variance
+from .unequal_insides import RULES as UNEQUAL
 from .unequal_insides import Insides
 from .variables import Variables
 
@@ -122,8 +123,12 @@ def pose(
     look = _Look(level, renderer, density, insides, imaging, structure)
     voxels, light = look.voxels(at)
     widths = level.factor * np.asarray(imaging.optics.sigma_um)
-    if level.factor > 1 and inside_over_membrane(light, widths) < _HARDLY:
+    shining = inside_over_membrane(light, widths)
+    if level.factor > 1 and shining < _HARDLY:
         structure, light = "membrane", MEMBRANES
+    if insides.held and not shone.cells and shining < UNEQUAL.at_blurred:
+        insides, at = insides.alike(), replace(at, insides=np.zeros(0))
+        look = replace(look, insides=insides)
     if held and _left_out(voxels, held[0].voxels, level.grid.shape) > _LEFT:
         held = ()
     voxels = held[0].voxels if held else voxels
@@ -155,7 +160,7 @@ def pose(
         prior = Prior(*bending, stiffness, density, insides, imaging)
         return Posterior(level, renderer, views, prior, density_fitted, structure)
 
-    if len(insides) and not shone.cells and structure != "membrane":
+    if len(insides) and not shone.cells:
         at = _with_insides(posterior_of(replace(insides, held=False)), at)
     posterior = posterior_of(insides)
     firmness = look.firmness(voxels, rendered, found, light) / variance

@@ -27,12 +27,16 @@ class UnequalInsidesRules:
         is none of those that the others are; chosen, not measured.
     shared
         Of what they share: with a smaller mean, cells of either sign, that is no scale.
+    at_blurred
+        How bright insides have to be, of the peak of a membrane's blurred image, to differ at
+        blurred levels; chosen, nuclei are brighter at all of them but perhaps the first.
     """
 
     alike: float = 0.05
     least: float = -2.0
     most: float = 9.0
     shared: float = 0.1
+    at_blurred: float = 1.0
 
 
 RULES = UnequalInsidesRules()
@@ -71,6 +75,10 @@ class Insides:
 
     def __len__(self) -> int:
         return len(self.regions)
+
+    def alike(self) -> Insides:
+        """All of them alike."""
+        return Insides(self.regions[:0], self.held)
 
     def numbers(self, light: Light, volumes: FloatArray) -> FloatArray:
         """(R,) those of a light, so that insides of volumes (R,) um^3 share their mean."""
