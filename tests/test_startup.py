@@ -112,6 +112,25 @@ def test_mistakes_load_no_engine():
     assert done.stdout.strip() == "[]", done.stderr
 
 
+def test_a_batch_whose_workers_fit_does_not_load_torch_itself():
+    code = "import sys, napari_deltamic.cli.batch_command; print('torch' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.strip() == "False", done.stderr
+
+
+def test_commands_look_for_cycles_seldom():
+    code = (
+        "import gc, runpy, sys\n"
+        "sys.argv = ['napari-deltamic', '--version']\n"
+        "try:\n"
+        "    runpy.run_module('napari_deltamic', run_name='__main__')\n"
+        "finally:\n"
+        "    print(gc.get_threshold()[0])\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.splitlines()[-1] == "50000", done.stderr
+
+
 @pytest.mark.parametrize("module", ["cli", "cli.arguments", "cli.fit_command"])
 def test_ctrl_c_while_modules_load_is_one_line(tmp_path, module):
     """Those of the command line, of its parser, and of the engine; also in what is executed."""

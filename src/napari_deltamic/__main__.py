@@ -9,6 +9,9 @@ import sys
 def main() -> int:
     """Run the command line of this process; returns the exit code."""
     try:
+        from .common.seldom_collected import collect_seldom
+
+        collect_seldom()
         from .cli import main as command
 
         code = command()

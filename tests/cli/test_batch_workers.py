@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from napari_deltamic.cli import main
+from napari_deltamic.cli import cluster, main
 from napari_deltamic.errors import Failure
 from napari_deltamic.images.stacks import read_image, write_image
 
@@ -96,6 +96,23 @@ def workers_of(process):
     return found
 
 
+def state():
+    """Of the process that it runs in: what decides how fast a fit is."""
+    import gc
+
+    import dask
+
+    profiled = dask.config.get("distributed.worker.profile.enabled")
+    freed_at_once = "MALLOC_TRIM_THRESHOLD_" in os.environ
+    return gc.get_threshold()[0], profiled, freed_at_once, os.environ.get("OPENBLAS_NUM_THREADS")
+
+
+def test_workers_fit_as_fast_as_the_command_alone(monkeypatch):
+    monkeypatch.delenv("MALLOC_TRIM_THRESHOLD_", raising=False)
+    with cluster._client(1, None) as client:
+        assert client.submit(state).result(timeout=60) == (50_000, False, False, "1")
+
+
 def test_a_worker_that_is_killed_is_replaced(blocked, alone, tmp_path):
     out = tmp_path / "out"
     with child("-m", "napari_deltamic", *words(blocked, out, "--workers", "1")) as process:
@@ -112,11 +129,11 @@ def test_a_worker_that_is_killed_is_replaced(blocked, alone, tmp_path):
 def test_a_scheduler_that_is_gone(blocked, alone, tmp_path, capsys):
     """What is finished is kept, the end is one sentence, and the next run needs no scheduler."""
     out = tmp_path / "out"
-    with child(Path(__file__).with_name("small_cluster.py"), stdin=subprocess.PIPE) as cluster:
-        more = ("--scheduler", cluster.stdout.readline().strip())
+    with child(Path(__file__).with_name("small_cluster.py"), stdin=subprocess.PIPE) as scheduler:
+        more = ("--scheduler", scheduler.stdout.readline().strip())
         with child("-m", "napari_deltamic", *words(blocked, out, *more)) as process:
             end = wait_until_read(blocked / "d_seeds.ply", process)
-            cluster.kill()
+            scheduler.kill()
             said = process.communicate()[1].splitlines()
         os.close(end)
     assert process.returncode == 1, said
@@ -147,7 +164,6 @@ class Future:
 
 
 def test_an_image_that_kills_its_workers_fails_alone(monkeypatch, tmp_path):
-    from napari_deltamic.cli import cluster
     from napari_deltamic.runs.batch import BatchJob
 
     monkeypatch.setattr(cluster, "_client", lambda *a: FakeClient())
@@ -180,7 +196,6 @@ class Interrupting:
 
 def test_ctrl_c_is_not_lost_at_any_line(monkeypatch, tmp_path):
     """Not in a destructor, and not when the processes do not close in good order either."""
-    from napari_deltamic.cli import cluster
     from napari_deltamic.runs.batch import BatchJob
 
     class Unclosable(FakeClient):

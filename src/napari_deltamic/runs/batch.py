@@ -7,17 +7,21 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..common.choices import AUTO, IMAGE_FILES, ZARR
 from ..common.reading import read_text, toml_values
+from ..common.toml import toml_value
 from ..common.writing import write_atomically
 from ..errors import PROGRAM, InputError
 from ..images.stacks import read_voxel_size
 from .command import options_of
 from .fit_settings import validated
-from .settings import RunSettings, toml_value
+
+if TYPE_CHECKING:
+    from .settings import RunSettings
 
 SEED_ENDS = ("{stem}_labels.tif", "{stem}_seeds.ply", "{stem}.csv")
 STEM = "{stem}"  # in a pattern of seeds: the image's name without its extension

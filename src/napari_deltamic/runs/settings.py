@@ -6,14 +6,13 @@ the reference page are made of that (see ``description``).
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any, Self, cast
 
 from pydantic import field_serializer, model_validator
 
 from ..common.reading import read_text, reading, toml_values
-from ..errors import InputError
+from ..common.toml import toml_value
 from ..scene.earlier_files import without_inside
 from ..scene.effects import Effects
 from .fit_settings import NEAR_LEVELS as NEAR_LEVELS
@@ -72,23 +71,3 @@ class RunSettings(RunFields):
         """Read a document written by :meth:`to_toml`; InputError names what is wrong."""
         with reading("settings", path):
             return cast(Self, validated(cls, toml_values(read_text(path))))
-
-
-def toml_value(value: Any) -> str:
-    """A value as TOML writes it. Raises InputError for a text that no file can hold."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, (int, float)):
-        return repr(value)
-    if isinstance(value, str):
-        if not value.isprintable() and any("\ud800" <= c <= "\udfff" for c in value):
-            raise InputError(f"{value!r} is not a name that a text file can hold: rename it")
-        # TOML's basic strings escape as JSON's do, and also the delete character.
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, dict):
-        return (
-            "{"
-            + ", ".join(f"{toml_value(str(k))} = {toml_value(v)}" for k, v in value.items())
-            + "}"
-        )
-    return "[" + ", ".join(toml_value(v) for v in value) + "]"
