@@ -112,10 +112,13 @@ def test_mistakes_load_no_engine():
     assert done.stdout.strip() == "[]", done.stderr
 
 
-def test_a_batch_whose_workers_fit_does_not_load_torch_itself():
-    code = "import sys, napari_deltamic.cli.batch_command; print('torch' in sys.modules)"
+def test_a_batch_whose_workers_fit_does_not_load_the_engine_itself():
+    code = (
+        "import sys, napari_deltamic.cli.batch_command\n"
+        "print(sorted({'torch', 'scipy', 'skimage', 'trimesh'} & set(sys.modules)))\n"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.stdout.strip() == "False", done.stderr
+    assert done.stdout.strip() == "[]", done.stderr
 
 
 def test_commands_look_for_cycles_seldom():

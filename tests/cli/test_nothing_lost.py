@@ -99,7 +99,7 @@ def test_an_interrupted_overwrite_leaves_the_old_results(command, tmp_path, run,
     def fails(*arguments):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("napari_deltamic.measure.table.Table.to_csv", fails)
+    monkeypatch.setattr("napari_deltamic.common.table.Table.to_csv", fails)
     code, _, err = run(*command, "--likelihood", "gaussian", "--overwrite", "-o", folder)
     assert code == 2
     assert "No space left on device" in err

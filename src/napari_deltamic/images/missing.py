@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 
 def unmasked(image: Any, instead: float = np.nan) -> Any:
@@ -38,6 +37,8 @@ def filled(image: NDArray[Any], voxel_size: Sequence[float] | None = None) -> ND
     missing = ~np.isfinite(image)
     if not missing.any():
         return image
+    from scipy import ndimage  # where it is needed: it takes as long to load as all else here
+
     nearest = ndimage.distance_transform_edt(
         missing, voxel_size, return_distances=False, return_indices=True
     )

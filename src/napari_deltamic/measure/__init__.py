@@ -1,5 +1,6 @@
 """Measurements on meshes: cells, junctions, sections, distances to a surface or the image."""
 
+from napari_deltamic.common.table import Column, Table
 from napari_deltamic.measure.cells import measure_cells
 from napari_deltamic.measure.image_similarity import ImageSimilarity, image_similarity
 from napari_deltamic.measure.junctions import Junction, junction_angles
@@ -12,7 +13,6 @@ from napari_deltamic.measure.surface_distance import (
     distance_to_surface,
     surface_distance,
 )
-from napari_deltamic.measure.table import Column, Table
 from napari_deltamic.measure.tensions import (
     Estimate,
     TensionSettings,

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from napari_deltamic.common.table import Table, Value, columns, notes, table_of
 from napari_deltamic.geometry.contacts import contact_areas, neighbours, wall_areas
 from napari_deltamic.geometry.mesh import OUTSIDE
 from napari_deltamic.measure.cells import measure_cells, moments, principal_axes
@@ -13,7 +14,6 @@ from napari_deltamic.measure.discrete_curvature import cell_curvature
 from napari_deltamic.measure.known import Known
 from napari_deltamic.measure.sides import Sides
 from napari_deltamic.measure.standard_errors import error_columns
-from napari_deltamic.measure.table import Table, Value, columns, notes, table_of
 from napari_deltamic.measure.tensions import Estimate
 
 CELL_COLUMNS = (

@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from napari_deltamic.common.table import Table, Value, columns, notes, table_of
 from napari_deltamic.geometry.mesh import OUTSIDE, Mesh
 from napari_deltamic.measure.discrete_curvature import WallCurvature
 from napari_deltamic.measure.junctions import Junction, junction_lengths
 from napari_deltamic.measure.known import Known
 from napari_deltamic.measure.standard_errors import error_columns
-from napari_deltamic.measure.table import Table, Value, columns, notes, table_of
 from napari_deltamic.measure.tensions import Estimate, Pair, walls_around
 
 WALL_COLUMNS = (

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..common.table import Table, Value, columns, table_of
 from ..geometry.mesh import OUTSIDE, Mesh
 from .cells import moments
 from .channel import ChannelAmounts
 from .sides import Sides
-from .table import Table, Value, columns, table_of
 
 CHANNEL_WALL_COLUMNS = columns(
     """

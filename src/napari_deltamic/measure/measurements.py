@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from napari_deltamic.common.table import Table
 from napari_deltamic.geometry.mesh import Mesh
 from napari_deltamic.measure.all_cells import cells_table
 from napari_deltamic.measure.all_walls import junctions_table, walls_table
@@ -12,7 +13,6 @@ from napari_deltamic.measure.junctions import angle_reach, junction_angles
 from napari_deltamic.measure.known import Known
 from napari_deltamic.measure.sides import Sides
 from napari_deltamic.measure.standard_errors import with_errors
-from napari_deltamic.measure.table import Table
 from napari_deltamic.measure.tensions import (
     TensionSettings,
     relative_pressures,

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from ..common.table import Value, csv_text
 from ..common.writing import write_atomically
-from ..measure.table import Value, csv_text
 
 SUMMARY, CELLS, FAILED = "summary.csv", "cells.csv", "failed.txt"
 DONE = "report.json"  # comes last among the results of a fit

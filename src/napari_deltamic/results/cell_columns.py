@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
+from ..common.table import Column
 from ..measure.all_cells import CELL_COLUMNS
-from ..measure.table import Column
 
 _SUFFIX = {"um^3": "_um3", "um^2": "_um2", "um": "_um", "1/um": "_per_um"}
 _TITLES = {"region": "cell", "residual_z": "misfit", "cut_by_border": "cut"}

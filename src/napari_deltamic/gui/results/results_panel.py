@@ -12,12 +12,12 @@ from typing import Any
 from qtpy.QtWidgets import QFileDialog, QGroupBox, QMenu, QPushButton, QVBoxLayout, QWidget
 from superqt.utils import signals_blocked
 
+from ...common.table import csv_text
 from ...common.writing import write_atomically
 from ...errors import InputError
 from ...geometry import save_mesh
 from ...geometry.formats import MESH_FILES, MESH_FILES_LISTED, MESH_FILTERS
 from ...images.stacks import write_image
-from ...measure.table import csv_text
 from ...results.cell_columns import COLUMNS, value_of
 from ...results.mesh_exchange import labels_of
 from ...results.report import write_results
