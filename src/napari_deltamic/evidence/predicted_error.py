@@ -19,6 +19,7 @@ from ..fitting.state import FitState
 from ..geometry.mesh import FloatArray, Mesh
 from ..scene.light import INSIDES
 from .candidates import allowed, chosen_candidates, points_inwards, variants
+from .fainter_membranes import fainter_membranes
 
 
 @dataclass(frozen=True)
@@ -130,6 +131,9 @@ def _alternative(posed: Posed, responses: Responses, state: FitState) -> tuple[s
     tried = responses.alternatives(_lacking(posed, responses, state))
     best = max((one.gain for one in tried), default=0.0)
     likely = [one for one in tried if one.gain >= max(REFITS.sure, RULES.as_good * best)]
+    membranes = fainter_membranes(posed, responses, state)
+    if membranes is not None:
+        likely.append(membranes)
     if not likely:
         return "", np.zeros((len(state.mesh.vertices), 3))
     found = max(likely, key=lambda one: float(np.square(one.moved).sum()))

@@ -156,11 +156,24 @@ class Curvature:
         amplitudes, gain, followed = self._alternative(columns)
         return gain, -followed @ amplitudes
 
-    def _alternative(self, columns: FloatArray) -> tuple[FloatArray, float, FloatArray]:
+    def instead(self, change: FloatArray) -> tuple[float, FloatArray]:
+        """What another rendering, by a change (N,), gains, nats; and (D,) what it is followed by.
+
+        The whole of the change, not as much of it as explains most.
+        """
+        followed, rest = self._followed(change[:, None])
+        weighted = self._weights * rest[:, 0]
+        return float(weighted @ self._residual - weighted @ change / 2), -followed[:, 0]
+
+    def _followed(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(D, m) what the surface follows columns by, and (N, m) what of them is left then."""
         followed = self.follows(columns)
         rest = columns - self._jacobian @ followed
         weighted = self._weights[:, None] * rest
-        rest = rest - self._own @ np.linalg.solve(self._followers, self._own.T @ weighted)
+        return followed, rest - self._own @ np.linalg.solve(self._followers, self._own.T @ weighted)
+
+    def _alternative(self, columns: FloatArray) -> tuple[FloatArray, float, FloatArray]:
+        followed, rest = self._followed(columns)
         right = rest.T @ (self._weights * self._residual)
         inner = rest.T @ (self._weights[:, None] * columns)
         found = np.linalg.pinv((inner + inner.T) / 2, rcond=_RANK, hermitian=True) @ right

@@ -152,6 +152,12 @@ class Refits:
                 likely = likely[: RULES.tried]
         return [self._alternative(name, column) for _, name, column in likely]
 
+    def instead(self, change: FloatArray) -> tuple[float, FloatArray]:
+        """What another rendering, by a change (N,), gains, nats, and what it is followed by."""
+        followed = self._followed(change)
+        left = self._weights * (change - followed.seen)
+        return float(left @ self.residual - left @ change / 2), -followed.moved
+
     def _alternative(self, name: str, column: FloatArray) -> Alternative:
         # What explains next to nothing would drown in the rounding of images.
         size = np.sqrt(max(float(column @ (self._weights * column)), 1e-300))

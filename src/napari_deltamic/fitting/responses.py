@@ -48,6 +48,9 @@ class Responses(Protocol):
     def alternatives(self, columns: Iterable[tuple[str, FloatArray]]) -> list[Alternative]:
         """What the model may lack, by further columns (N, m) of the image; the likeliest."""
 
+    def instead(self, change: FloatArray) -> tuple[float, FloatArray]:
+        """What another rendering, by a change (N,), gains, nats, and what it is followed by."""
+
 
 class Exact:
     """From the second derivatives of the objective; see :class:`Responses`."""
@@ -82,6 +85,11 @@ class Exact:
         found = [(name, *self._curvature.alternative(each)) for name, each in columns]
         displaced = self._curvature.directions.displaced
         return [Alternative(name, gain, displaced(along)) for name, gain, along in found]
+
+    def instead(self, change: FloatArray) -> tuple[float, FloatArray]:
+        """What another rendering, by a change (N,), gains, nats, and what it is followed by."""
+        gain, along = self._curvature.instead(change)
+        return gain, self._curvature.directions.displaced(along)
 
 
 def responses_of(posed: Posed, state: FitState, settings: FitSettings) -> Responses:

@@ -11,6 +11,7 @@ from dataclasses import asdict
 from typing import Any
 
 from ..evidence import (
+    fainter_membranes,
     fit_facts,
     outgrowths,
     predicted_error,
@@ -63,6 +64,7 @@ RULES_OF_A_FIT: dict[str, dict[str, Any]] = {
     "outgrowths": asdict(outgrowths.RULES),
     "strays": asdict(unseeded_objects.RULES),
     "changed images": asdict(refits.RULES),
+    "fainter membranes": asdict(fainter_membranes.RULES),
     "predicted error": asdict(predicted_error.RULES),
     "facts": asdict(fit_facts.RULES),
     "verdict": asdict(verdict.RULES),

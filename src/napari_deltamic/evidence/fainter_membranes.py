@@ -1,0 +1,106 @@
+"""Whether membranes may shine that a fit of insides has taken for insides that reach further out.
+
+Light of density m on the surface of an inside of density i looks like an inside that ends by m / i
+further out, through a PSF whose variance is less by (m / i)^2: the edge of the one and of the other
+agree in their first three moments (integrals of light, light * x and light * x^2 across the
+surface). What then differs is of third order. No derivative at the end of a fit tells of it, so the
+other image is rendered.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from ..fitting.pose import Posed
+from ..fitting.refits import Alternative
+from ..fitting.responses import Responses
+from ..fitting.state import FitState
+from ..geometry.mesh import OUTSIDE, FloatArray, Mesh
+
+NAME = "light of membranes"
+
+
+@dataclass(frozen=True)
+class FainterMembranesRules:
+    """Which membranes are tried.
+
+    Attributes
+    ----------
+    depths
+        How much further in surfaces are tried, in widths of the PSF, least first. Chosen: what
+        differs grows as their cube, and what that costs in nats as their sixth power.
+    never
+        Nats: what explains less by that many is no longer tried, nor what lies further in; by
+        definition e^-10 as likely.
+    """
+
+    depths: tuple[float, ...] = (0.25, 0.35, 0.5, 0.7, 1.0)
+    never: float = 10.0
+
+
+RULES = FainterMembranesRules()
+
+
+def fainter_membranes(posed: Posed, responses: Responses, state: FitState) -> Alternative | None:
+    """Of surfaces further in, with membranes, those that the fit may be wrong by; None without any.
+
+    Its ``moved`` is the largest of all depths, each times the root of its likelihood over that of
+    the fit (1 at most): what it adds to the variance, were either as likely beforehand.
+    """
+    if state.light.interior <= 0 or not state.mesh.is_closed():
+        return None
+    tried = []
+    now = _shown(posed, state)
+    for widths in RULES.depths:
+        other, moved = _with_membranes(posed, state, widths)
+        gain, followed = responses.instead(state.amplitude * (_shown(posed, other) - now))
+        if gain < -RULES.never:
+            break
+        likely = np.exp(min(gain, 0.0) / 2)
+        tried.append(Alternative(NAME, gain, likely * (moved + followed)))
+    return max(tried, key=lambda one: float(np.square(one.moved).sum()), default=None)
+
+
+def _with_membranes(posed: Posed, state: FitState, widths: float) -> tuple[FitState, FloatArray]:
+    """A state with surfaces further in, and what they moved by, (V, 3) um."""
+    width = float(np.prod(state.optics.sigma_um) ** (1 / 3))
+    mesh, light, depth = state.mesh, state.light, widths * width
+    moved = -depth * _outwards(mesh)
+    inner, outer = (light.of_cells(side) * (side != OUTSIDE) for side in mesh.regions.T)
+    insides = (inner + outer) / np.maximum(1, (mesh.regions != OUTSIDE).sum(1))
+    density = light.membrane * state.density + light.interior * depth * insides
+    optics = state.optics
+    if len(posed.at.optics):  # else it is known, and tells them apart
+        optics = optics.sharpened(1 / np.hypot(1.0, widths))
+    other = replace(
+        state,
+        mesh=mesh.with_vertices(mesh.vertices_numpy() + moved),
+        optics=optics,
+        density=density,
+        light=replace(light, membrane=1.0),
+    )
+    return other, moved
+
+
+def _outwards(mesh: Mesh) -> FloatArray:
+    """(V, 3) unit normals of the surface towards the outside; 0 where cells have none."""
+    sign = (mesh.regions[:, 1] == OUTSIDE).astype(float) - (mesh.regions[:, 0] == OUTSIDE)
+    each = mesh.normals() * (sign * mesh.areas())[:, None]
+    rows, n = mesh.faces.T.ravel(), len(mesh.vertices)
+    summed = np.stack([np.bincount(rows, np.tile(one, 3), n) for one in each.T], 1)
+    length = np.linalg.norm(summed, axis=1, keepdims=True)
+    return np.divide(summed, length, out=np.zeros_like(summed), where=length > 0)
+
+
+def _shown(posed: Posed, state: FitState) -> FloatArray:
+    """(N,) the image of a state where voxels count, of amplitude 1."""
+    level, view = posed.posterior.level, posed.posterior.views[0]
+    renderer = level.renderer(state.mesh, state.optics, state.effects, insides=True)
+    with torch.no_grad():
+        density = torch.from_numpy(state.density)
+        spectrum = renderer.transform(density=density, light=state.light)
+        shown = level.rendered(renderer, spectrum, renderer.otf(state.optics))
+        return view.voxels.of(shown).cpu().numpy().astype(np.float64)
