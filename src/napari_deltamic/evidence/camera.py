@@ -17,6 +17,7 @@ import numpy as np
 from scipy.ndimage import correlate1d, minimum_filter, uniform_filter
 
 from ..common.normal import SIGMA_PER_MEDIAN_DEVIATION
+from ..fitting.saturation import saturation
 from .estimate import Finding, unknown
 from .evidence_rules import CAMERA
 
@@ -142,10 +143,10 @@ def _middle(shape: tuple[int, ...]) -> tuple[slice, ...]:
 def _ends(values: np.ndarray) -> tuple[Finding, float | None]:
     """Where bright and dark voxels were cut: more of them than the values next to it lead on to."""
     levels, counts = np.unique(values, return_counts=True)
-    top, below = int(counts[-1]), float(counts[-11:-1].mean())
+    full, top = saturation(values), int(counts[-1])
     high = unknown("no values pile up at the maximum")
-    if top >= 10 and top > 5 * below:
-        high = Finding(float(levels[-1]), 0.0, f"{top} voxels have exactly the largest value")
+    if full is not None:
+        high = Finding(full, 0.0, f"{top} voxels have exactly the largest value")
     # Few photons a voxel also pile up at zero, but then every next value is rarer in proportion.
     first, second, third = (float(c) for c in counts[:3])
     many = first > CAMERA.cut_share * values.size and first > CAMERA.over_next * second

@@ -10,6 +10,7 @@ from scipy.ndimage import distance_transform_edt
 
 from ..fitting.amplitudes import hardly_wider
 from ..fitting.job import FitInput, levelled
+from ..fitting.saturation import filled_in, share_cut
 from ..fitting.state import FitState
 from ..fitting.voxel_ownership import surface_voxels
 from ..geometry.labels.voxels import voxel_labels
@@ -73,7 +74,8 @@ def facts_of(
         (Z, Y, X) image of the state, where it is known already.
     """
     image = np.asarray(state.rendered() if rendered is None else rendered)
-    seen, shown = (levelled(i, job.grid, state.effects) for i in (np.asarray(job.image), image))
+    measured = filled_in(np.asarray(job.image), image)
+    seen, shown = (levelled(i, job.grid, state.effects) for i in (measured, image))
     total = float(np.abs(shown - state.background).sum())
     areas = _areas(state.mesh)
     whole = sum(areas.values()) or 1.0
@@ -114,7 +116,8 @@ def facts_of(
         width = None  # noise that was smoothed looks like light that is sharper
     voxel = float(size.prod() ** (1 / 3))
     error = predicted_error(job, state)
-    return Facts(state.converged, left.explained, width, narrow, cells, error, voxel)
+    cut_off = share_cut(np.asarray(job.image))
+    return Facts(state.converged, left.explained, width, narrow, cells, error, voxel, cut_off)
 
 
 def _width(image: np.ndarray, grid: Grid, sigma: np.ndarray) -> float | None:

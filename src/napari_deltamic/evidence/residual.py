@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from ..errors import InputError
 from ..fitting.checks import check_image
+from ..fitting.saturation import filled_in
 from ..fitting.state import FitState
 from ..geometry.mesh import Mesh
 from ..optics import Optics
@@ -126,6 +127,7 @@ def analyse_residual(
     if expected.shape != pixels.shape:
         raise InputError(f"the fit is of an image of shape {expected.shape}, not {pixels.shape}")
     spread = np.sqrt((variance or voxel_variance(image, pixels, known))(expected))
+    pixels = filled_in(pixels, expected)
     deviation, sigma = _deviation(pixels, known, expected, spread), _voxels(fitted.optics, grid)
     smooth = smoothed(deviation, known, sigma)
     threshold = highest_by_chance(int(known.sum()), sigma)
@@ -165,7 +167,7 @@ def residual_map(image: np.ndarray, grid: Grid, expected: np.ndarray, optics: Op
     """
     pixels, known = check_image(image, grid)
     spread = np.sqrt(voxel_variance(image, pixels, known)(expected))
-    deviation = _deviation(pixels, known, expected, spread)
+    deviation = _deviation(filled_in(pixels, expected), known, expected, spread)
     return _with_gaps(smoothed(deviation, known, _voxels(optics, grid)), known)
 
 

@@ -17,12 +17,12 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter, gaussian_filt
 from ..errors import DoubtWarning
 from ..fitting.job import FitInput, levelled
 from ..fitting.likelihood import voxel_noise
+from ..fitting.saturation import cut_at
 from ..fitting.voxel_ownership import surface_voxels
 from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import Mesh
 from ..images.missing import filled
 from ..scene import Grid
-from .camera import camera_from_image
 from .first_sigma import first_sigma
 from .slices import drift
 
@@ -50,8 +50,6 @@ class SanityRules:
     lean
         um in the plane per um along Z: of a stage that moves at 30 to 60 degrees to the plane, 0.6
         to 1.7.
-    cut
-        Share of voxels at the largest value. Chosen, not measured: fewer hardly move a surface.
     structure
         Standard deviation of the smoothed image over that of noise alone. Measured: 7 or more in
         order, 1.0 where there is only noise.
@@ -70,7 +68,6 @@ class SanityRules:
     doubtful_ratios: tuple[float, float] = (1.1, 3.4)
     doubtful_elongations: tuple[float, float] = (0.6, 1.6)
     lean: float = 0.45
-    cut: float = 0.0005
     structure: float = 1.5
     lasting: float = 0.5
     followed: float = 0.08
@@ -292,16 +289,14 @@ def _sides(voxel_size: tuple[float, float, float]) -> Doubt | None:
 
 
 def _cut(pixels: np.ndarray) -> Doubt | None:
-    saturation = camera_from_image(pixels).saturation
-    if saturation.value is None:
+    cut = cut_at(pixels[np.isfinite(pixels)])
+    if cut is None:
         return None
-    share = float((pixels >= saturation.value).mean())
-    if share < RULES.cut:
-        return None
+    share = float((pixels >= cut).mean())
     return Doubt(
         "saturation",
-        f"{share:.1%} of the voxels are cut at {saturation.value:g}: where it is brightest the "
-        "image says nothing; --effects camera leaves them out, a shorter exposure would be better",
+        f"{share:.1%} of the voxels are cut at {cut:g}: they count as at least that "
+        "bright; a shorter exposure would tell more",
     )
 
 

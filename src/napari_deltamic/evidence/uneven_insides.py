@@ -10,6 +10,7 @@ import torch
 from ..fitting.evening import RULES, unevenness
 from ..fitting.job import FitInput
 from ..fitting.level import differences
+from ..fitting.saturation import filled_in
 from ..fitting.state import FitState
 from ..geometry.labels.voxels import voxel_labels
 from ..scene.light import INSIDES
@@ -33,7 +34,7 @@ def uneven_insides(job: FitInput, state: FitState, rendered: np.ndarray) -> dict
     alone = replace(state.light, membrane=0.0)
     shown = expected_image(*given, state.amplitude, 0.0, effects=state.effects, light=alone)
     share = expected_image(*given, 1.0, 0.0, light=INSIDES) / float(np.prod(grid.voxel_size))
-    image = np.asarray(job.image, np.float64)
+    image = filled_in(np.asarray(job.image, np.float64), rendered)
     known = np.isfinite(image)
     left = np.where(known, image - rendered, 0.0)
     share = np.where(known if job.counted is None else known & job.counted, share, 0.0)

@@ -23,6 +23,7 @@ from ..scene.effects import Effects
 from ..scene.render import offset
 from .checks import FEWEST_VOXELS
 from .likelihood import ImageNoise, Match, solve_scale
+from .saturation import cut_at
 
 SHARPER = 0.9  # of the width of a PSF that is fitted: what is narrower would need a new plan
 _SEEN = 0.3  # of the median brightness of a surface: only what is brighter tells of its density
@@ -139,6 +140,8 @@ class Level:
         self.device = choose_device(settings.device)
         blurred = self._blurred(image, counted, grid)
         self.target, self.counted, self._known = (t.to(self.device) for t in blurred)
+        # Blurred, cut voxels are no longer to be told.
+        self.cut = cut_at(image[counted]) if factor == 1 else None
         # Where the blur is wider than the field of view, hardly a voxel is left to go by.
         self.usable = int(self.counted.sum()) >= FEWEST_VOXELS
         if self.usable:

@@ -27,6 +27,7 @@ from .likelihood import Match, explained, total
 from .posterior import Posterior, Prior
 from .preconditioner import Preconditioner
 from .prediction import View
+from .saturation import censored
 from .shape import Shape
 from .tempering import tempered_variance
 from .unequal_insides import RULES as UNEQUAL
@@ -142,6 +143,9 @@ def pose(
         at = replace(at, density=density.estimate(ratio, smoother))
         rendered = look.rendered(at, light)
     found = look.found(voxels, rendered)
+    if not held:
+        voxels = look.completed(voxels, rendered, found)
+        found = look.found(voxels, rendered)
     views = list(held)
     read = level.factor == 1 and density.model != "uniform" and shone.interior > 0
     if read and not held:
@@ -298,6 +302,30 @@ class _Look:
         own = torch.from_numpy(insides.reshape(-1)[index]).to(gain)
         evened = voxels.measured + own * (1 / gain - 1)
         return replace(voxels, measured=evened, weights=voxels.weights * gain**2)
+
+    def completed(self, voxels: Voxels, rendered: Tensor, found: Match) -> Voxels:
+        """With what is known of voxels that were cut (:mod:`.saturation`)."""
+        cut = self.level.cut
+        if cut is None or not bool((voxels.measured >= cut).any()):
+            return voxels
+        added = self.level.offset(self.imaging.effects)
+        light = found.amplitude * _double(voxels.of(rendered)) + found.background
+        if added is not None:
+            light += _double(added.reshape(-1)[voxels.index])
+        measured, weights = _double(voxels.measured), _double(voxels.weights)
+        others = measured < cut
+        if not others.any():
+            return voxels
+        squares = weights[others] * (measured - light)[others] ** 2
+        full = ~others
+        spread = np.sqrt(squares.mean() / np.maximum(weights[full], 1e-300))
+        measured[full], factor = censored(light[full], spread, cut)
+        weights[full] *= factor
+        return Voxels(
+            voxels.index,
+            torch.from_numpy(measured).to(voxels.measured),
+            torch.from_numpy(weights).to(voxels.weights),
+        )
 
     def second_view(self, level: Level, at: Variables, light: Light, tempered: bool) -> View:
         """The second image, with a background and an amplitude of its own."""

@@ -16,8 +16,8 @@ class Camera(DetectorEffect):
     name: ClassVar[str] = "camera"
     title: ClassVar[str] = "camera"
     help: ClassVar[str] = (
-        "gain, offset and read noise weigh the voxels, saturated ones are left out; without it the "
-        "histogram of the image tells the weights"
+        "gain, offset and read noise weigh the voxels; without it the histogram of the image tells "
+        "the weights"
     )
 
     gain: Annotated[float, Field(gt=0)] = Field(default=1.0, description="intensity of a photon")
@@ -33,17 +33,6 @@ class Camera(DetectorEffect):
         """Of the intensities, where the image without noise is this one."""
         light: np.ndarray = np.maximum(image - self.offset, 0)
         return self.gain * light + self.read_noise**2
-
-    def missing(self, image: np.ndarray) -> np.ndarray:
-        """(Z, Y, X) bool: saturated voxels."""
-        if self.saturation is None:
-            return super().missing(image)
-        full: np.ndarray = image >= self.saturation
-        return full
-
-    def about_missing(self) -> str:
-        """See ``VoxelEffect``."""
-        return f"voxels are full, at {self.saturation:g}"
 
     @classmethod
     def seen(cls, detection: Detection) -> Camera | None:
