@@ -18,7 +18,17 @@ requirements = pytest.importorskip("packaging.requirements")
 markers = pytest.importorskip("packaging.markers")
 
 # Imported where they are there, by extras or by what they come with; all else must be declared.
-OPTIONAL = {"napari", "cholespy", "cuda", "nvidia", "cufinufft", "distributed", "geff", "zarr"}
+OPTIONAL = {
+    "napari",
+    "cholespy",
+    "cuda",
+    "nvidia",
+    "cufinufft",
+    "dask",
+    "distributed",
+    "geff",
+    "zarr",
+}
 LINUX = {"sys_platform": "linux", "platform_system": "Linux", "platform_machine": "x86_64"}
 PLATFORMS = {
     "linux": LINUX,

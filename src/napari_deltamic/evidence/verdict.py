@@ -58,8 +58,8 @@ class VerdictRules:
         voxel off (benchmarks.defaults).
     cut
         Largest share of the bright voxels that may be cut off at the largest value. Measured in
-        five scenes cut at three heights each: with less, 0.05 to 0.22 voxel off; with more, 0.04 to
-        2.5.
+        five scenes cut at three heights each: with about 0.4, 0.04 to 0.18 voxel off; with 0.45 to
+        0.6, 0.05 to 0.32; with 0.5 to 0.8, 0.13 to 2.4.
     error_good, error_fair
         Largest predicted error of the shape, in voxels (the geometric mean of their sides).
         Chosen: what a reader takes for right, and for a voxel off; not measured.
