@@ -37,6 +37,8 @@ def test_a_fit_without_fault_is_good():
         ({"width": 2.4}, "fair", "2.4 times as wide"),
         ({"width": 0.5}, "fair", "2 times as sharp"),
         ({"narrow": True}, "fair", "narrower than voxels"),
+        ({"cut": 0.6}, "fair", "60% of the bright voxels are cut off"),
+        ({"cut": 0.3}, "good", "good"),
     ],
 )
 def test_what_concerns_all(change, grade, word):

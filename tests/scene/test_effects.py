@@ -168,7 +168,7 @@ def test_gradient_in_the_vertices(names):
 # -------------------------------------------------------------------------------- the likelihood
 
 
-def test_camera_tells_variance_and_full_voxels():
+def test_camera_tells_variance():
     camera = Camera(gain=2.0, offset=100.0, read_noise=3.0, saturation=4095.0)
     assert_allclose(camera.variance(np.array([90.0, 100.0, 150.0])), [9, 9, 109])
 

@@ -194,8 +194,8 @@ def _local_cluster(workers: int) -> Any:
     """Processes of this machine, as each fit computes; nothing listens to other machines.
 
     Two habits of Dask's processes are off: a profiler stops them a hundred times a second, and
-    freed memory goes back at once (see ``freed_memory``). Without either a fit took 1.2 to 1.5 s
-    instead of 1.5 to 2.
+    freed memory goes back at once (see ``freed_memory``). Without either, small fits by one process
+    took 1.3 to 2.0 s instead of 1.5 to 2.6.
 
     They take no notice of Ctrl-C, which a terminal sends to all of them: they would end with a
     traceback each, and this process ends them. They have that from the thread that starts them.
