@@ -22,12 +22,13 @@ from typing import Any
 import numpy as np
 
 from .command import Outcome, fitted, renumbered
+from .processing import BASES, PROCESSINGS
 from .scenes import KINDS, made
 from .scoring import Score, score
 
 OFF, NEAR = 0.5, 0.2  # voxels: more must not be called good, less not poor
 HEAD = (
-    f"{'scene':<22}{'error':>7}{'lat':>6}{'ax':>6}{'told':>7}{'volume':>8}{'swal':>5}{'lost':>5}"
+    f"{'scene':<26}{'error':>7}{'lat':>6}{'ax':>6}{'told':>7}{'volume':>8}{'swal':>5}{'lost':>5}"
     f"{'s':>6}{'told s':>7}  verdict"
 )
 
@@ -67,7 +68,7 @@ def line(row: dict[str, Any]) -> str:
     told, seconds = row.get("told", np.nan), row.get("told_seconds", np.nan)
     words = "; ".join(row["reasons"]) or row["words"]
     return (
-        f"{row['scene']:<22}{row['surface']:7.3f}{row['lateral']:6.2f}{row['axial']:6.2f}{told:7.3f}"
+        f"{row['scene']:<26}{row['surface']:7.3f}{row['lateral']:6.2f}{row['axial']:6.2f}{told:7.3f}"
         f"{100 * row['volume']:+7.1f}%{row['swallowed']:5d}{row['lost']:5d}{row['seconds']:6.0f}"
         f"{seconds:7.0f}  {row['grade']}: {words[:90]}"
     )
@@ -111,11 +112,22 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--patience", type=float, default=600, help="seconds for one fit")
     parser.add_argument("--folder", type=Path, help="where images and results stay")
     parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument(
+        "--processed",
+        nargs="*",
+        metavar="HOW",
+        help=f"after each of {', '.join(PROCESSINGS)}, or of those named; of {', '.join(BASES)}",
+    )
     chosen = parser.parse_args(argv)
-    names = chosen.only or list(KINDS)
+    names = chosen.only or list(KINDS if chosen.processed is None else BASES)
     unknown = [name for name in names if name not in KINDS]
     if unknown:
         parser.error(f"no kind named {', '.join(unknown)}; there are {', '.join(KINDS)}")
+    if chosen.processed is not None:
+        unknown = [how for how in chosen.processed if how not in PROCESSINGS]
+        if unknown:
+            parser.error(f"no {', '.join(unknown)}; there are {', '.join(PROCESSINGS)}")
+        names = [f"{name}~{how}" for how in chosen.processed or PROCESSINGS for name in names]
     measured_commit, rows = commit(), []
     print(f"commit {measured_commit}, {time.strftime('%Y-%m-%d %H:%M')}, {os.cpu_count()} cores")
     print(HEAD, flush=True)

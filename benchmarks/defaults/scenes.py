@@ -25,6 +25,7 @@ from .imaging import (
     inside,
     surface_light,
 )
+from .processing import Stack, processed
 
 SeedKind = Literal["labels", "spheres", "points", "mesh", "auto"]
 _EDGE = 1.2  # voxels; of the true meshes
@@ -88,9 +89,14 @@ def rng_of(name: str, draw: int, commit: str) -> np.random.Generator:
 
 
 def made(name: str, draw: int, commit: str) -> Scene:
-    """The scene of a kind."""
-    rng = rng_of(name, draw, commit)
-    return scene_of(f"{name}-{draw}", KINDS[name](rng), rng)
+    """The scene of a kind, or of ``KIND~PROCESSING``."""
+    kind, _, processing = name.partition("~")
+    rng = rng_of(kind, draw, commit)
+    scene = scene_of(f"{name}-{draw}", KINDS[kind](rng), rng)
+    if not processing:
+        return scene
+    sigma = np.asarray(scene.sigma) / np.asarray(scene.voxel_size)
+    return replace(scene, image=processed(Stack(scene.image, sigma, rng), processing))
 
 
 def scene_of(name: str, recipe: Recipe, rng: np.random.Generator) -> Scene:
