@@ -12,6 +12,7 @@ from torch import Tensor
 from ..common.choices import Structure
 from ..fourier.devices import for_objects
 from ..geometry.bending import BendingEnergy
+from ..geometry.cell_bending import CellBending
 from ..geometry.junction_bending import JunctionBending
 from ..geometry.mesh import FloatArray
 from ..scene import Renderer
@@ -161,7 +162,8 @@ def pose(
     variance = views[0].variance
     stiffness = level.settings.bending
     width = float(np.prod(imaging.optics.sigma_um)) ** (1 / 3)
-    bending = BendingEnergy(shape.mesh), JunctionBending(shape.mesh, width)
+    body = CellBending if structure == "interior" else BendingEnergy
+    bending = body(shape.mesh), JunctionBending(shape.mesh, width)
 
     def posterior_of(insides: Insides) -> Posterior:
         prior = Prior(*bending, stiffness, density, insides, imaging)

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from ..common.choices import Structure
 from ..geometry.bending import BendingEnergy
+from ..geometry.cell_bending import CellBending
 from ..geometry.junction_bending import JunctionBending
 from ..geometry.mesh import FloatArray
 from ..optics import Optics
@@ -36,7 +37,8 @@ class Prior:
     Attributes
     ----------
     bending, junctions
-        The bending energies of the surface and of the lines where walls meet.
+        The bending energies of the surface (of cells as closed bodies where insides alone shine)
+        and of the lines where walls meet.
     stiffness
         Their weight, a pure number.
     density, insides
@@ -45,7 +47,7 @@ class Prior:
         PSF and effects, and theirs.
     """
 
-    bending: BendingEnergy
+    bending: BendingEnergy | CellBending
     junctions: JunctionBending
     stiffness: float
     density: Density
