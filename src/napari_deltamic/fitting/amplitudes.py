@@ -110,7 +110,9 @@ def inside_over_membrane(light: Light, widths: Sequence[float] | FloatArray) -> 
 def may_shine(asked: StructureChoice, mesh: Mesh, optics: Optics) -> Structure:
     """What may shine when a fit begins; only what is closed has an inside.
 
-    In cells that are hardly wider than the PSF it looks like their membranes: those are taken then.
+    In cells that are hardly wider than the PSF an inside looks like a membrane further out: both at
+    once would be one too many, and which of them it is is asked of the image
+    (:func:`~.rival_structures.nearer_of`).
     """
     if not mesh.is_closed():
         if asked in ("interior", "both"):
@@ -118,8 +120,13 @@ def may_shine(asked: StructureChoice, mesh: Mesh, optics: Optics) -> Structure:
         return "membrane"
     if asked != "auto":
         return asked
+    return "membrane" if all_small(mesh, optics) else "both"
+
+
+def all_small(mesh: Mesh, optics: Optics) -> bool:
+    """Whether insides of most of its cells look like membranes through the PSF."""
     volumes = np.asarray(list(mesh.volumes().values()))
-    return "membrane" if hardly_wider(float(np.median(volumes)), optics) else "both"
+    return hardly_wider(float(np.median(volumes)), optics)
 
 
 def hardly_wider(volume: float, optics: Optics) -> bool:

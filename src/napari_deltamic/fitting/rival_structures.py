@@ -11,6 +11,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from ..common.choices import Structure
 from .collisions import CollisionGuard
 from .fit_objective import Objective, Terms
@@ -60,6 +62,23 @@ def best_of(terms: Terms, fitted: Fitted) -> tuple[Fitted, int]:
     taken = sum(end[2] for end in ends)
     stuck = left < (1 - RULES.less) * both
     return (rival.with_structure("both") if stuck else fitted), taken
+
+
+def nearer_of(terms: Terms, fitted: Fitted) -> Structure:
+    """Membranes or insides of equal brightness: whose image comes nearer, with the shape as it is.
+
+    For cells so small that either, with a shape of its own, explains the image as well; where they
+    start is what is known of their size. terms, fitted : as they begin.
+    """
+    terms = replace(terms, imaging_fitted=False, density_fitted=False)
+    plain, factored = fitted.with_density("uniform"), Preconditioners()
+    alone: tuple[Structure, ...] = ("membrane", "interior")
+    left = []
+    for structure in alone:
+        guard = CollisionGuard(terms.settings.collisions)
+        posed = Objective(terms, plain.with_structure(structure), guard, factored).posed
+        left.append(posed.left)
+    return alone[int(np.argmin(left))]
 
 
 def _gone_on(terms: Terms, fitted: Fitted, factored: Preconditioners) -> tuple[Fitted, float, int]:

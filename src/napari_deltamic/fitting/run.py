@@ -12,7 +12,7 @@ from ..optics import Optics
 from ..runs.settings import WIDE_LEVELS, FitSettings
 from ..scene import expected_image
 from ..scene.effects import Effects
-from .amplitudes import inside_over_membrane, may_shine
+from .amplitudes import all_small, inside_over_membrane, may_shine
 from .change import Change
 from .checkpoint import Checkpoint
 from .collisions import CollisionGuard
@@ -25,7 +25,7 @@ from .preconditioner import Preconditioners
 from .prediction import View
 from .problem import Problem
 from .reporting import Reporter, verdict
-from .rival_structures import best_of
+from .rival_structures import best_of, nearer_of
 from .schedule import Progress, Schedule
 from .stage import Stage
 from .state import FitState
@@ -137,9 +137,17 @@ class Run:
             if not self._last:  # how bright each inside is, is found anew where the surface is now
                 self._fitted = self._fitted.shining(replace(self._fitted.light, cells=()))
         self._make_level()
+        if not begun and self._stage.level_number == 0:
+            self._ask_of_small()
         if not begun:
             blurred = 0.0 if self._level.factor == 1 else self._level.width
             self._remeshing.begin_level(self._fitted.mesh, blurred)
+
+    def _ask_of_small(self) -> None:
+        """Whether membranes or insides shine where cells are too small to fit both."""
+        fitted, asked = self._fitted, self._settings.structure == "auto"
+        if asked and fitted.mesh.is_closed() and all_small(fitted.mesh, fitted.optics):
+            self._fitted = fitted.with_structure(nearer_of(self._terms, fitted))
 
     def _make_level(self) -> None:
         problem, fitted = self._problem, self._fitted
@@ -319,8 +327,10 @@ class Run:
         self._fitted = self._fitted.changed(change, self._settings.density)
         if (change.settings, change.effects) != (None, None):
             f = self._fitted
-            structure = may_shine(self._settings.structure, f.mesh, f.optics)
-            self._fitted = f.with_structure(structure)
+            auto = self._settings.structure == "auto"
+            if not (auto and f.structure != "both" and all_small(f.mesh, f.optics)):
+                structure = may_shine(self._settings.structure, f.mesh, f.optics)
+                self._fitted = f.with_structure(structure)
         self._stage = replace(self._stage, changed_at=self._stage.iteration, progress=Progress())
         self._due = True
         if change.mesh is not None:

@@ -1,0 +1,209 @@
+"""What images show: the kinds of scenes, drawn at random."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+SeedKind = Literal["labels", "spheres", "points", "mesh", "auto"]
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What one image shows; lengths in voxels of the smallest side, light relative to membranes."""
+
+    cells: tuple[tuple[float, float, float, float], ...] = ((0, 0, 0, 11),)  # offset Z Y X, radius
+    seeded: tuple[int, ...] = (1,)  # cells that have a seed, from 1
+    together: bool = False  # cells share walls
+    roughness: float = 0.12
+    shape: tuple[int, int, int] = (40, 40, 40)
+    aspect: float = 1.0  # Z over lateral voxel side
+    psf: tuple[float, float] = (1.2, 1.2)  # standard deviation along Z (of its voxels) and in plane
+    photons: float = 60.0
+    dark: float = 6.0
+    membrane: float = 1.0
+    interior: float = 0.0  # of the brightness of the membrane in the image
+    uneven: float = 0.0  # standard deviation of the log density, smooth over the cell
+    textured: float = 0.0  # the same, over a few voxels
+    haze: float = 0.0  # light outside, of the membrane's brightness
+    specks: int = 0
+    thickness: float = 0.0
+    unequal: float = 0.0  # standard deviation of the log brightness from cell to cell
+    grain: float = 0.0  # the same inside cells, over a few voxels: chromatin
+    fading: float = 1.0  # brightness of the last slice, of that of the first
+    tilted: tuple[float, float] = (
+        0.0,
+        0.0,
+    )  # how the background rises along X, and squared; photons
+    padded: float = 0.0  # share of the sum of Z and X below which nothing was measured
+    seeds: SeedKind = "spheres"
+    start: tuple[float, float] = (0.9, 0.1)  # radius of spheres and meshes, offset, in radii
+    told: tuple[str, ...] = ()  # what the command that knows all is told besides the PSF
+
+
+def _neighbours(rng: np.random.Generator, seeds: SeedKind) -> Recipe:
+    """One cell with a seed among five without, a voxel or three apart."""
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    cells = [(0.0, 0.0, 0.0, 8.0)]
+    for sign in (-1, 1):
+        for axis in range(3):
+            radius = rng.uniform(6, 8)
+            place = sign * (8.0 + radius + rng.uniform(2.5, 4.5)) * turn[axis]
+            cells.append((*place.tolist(), radius))
+    return Recipe(tuple(cells[:6]), roughness=0.08, shape=(44, 44, 44), seeds=seeds)
+
+
+def _tissue(rng: np.random.Generator, radius: float = 8.0) -> tuple[tuple[float, ...], ...]:
+    """Centres of 4 cells that press on each other, radii."""
+    corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / 3**0.5
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    places = corners @ turn * radius * 0.95
+    sizes = radius * rng.uniform(0.9, 1.1, 4)
+    return tuple((*p.tolist(), s) for p, s in zip(places, sizes, strict=True))
+
+
+def _labelled_tissue(rng: np.random.Generator) -> Recipe:
+    """Four cells that share walls, all with labels."""
+    cells, names, size = _tissue(rng), (1, 2, 3, 4), (44, 44, 44)
+    return Recipe(cells, names, True, roughness=0.08, shape=size, seeds="labels")
+
+
+def _crowd(rng: np.random.Generator, **others: Any) -> Recipe:
+    """Eight cells of unequal brightness, side by side, all with labels."""
+    corners = np.array([[a, b, c] for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)])
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    radii, cells = rng.uniform(5.5, 8, 8), []
+    for corner, radius in zip(corners @ turn, radii, strict=True):
+        cells.append((*(corner * (8.2 + rng.uniform(0.5, 1.5))).tolist(), float(radius)))
+    names = tuple(range(1, 9))
+    given = {"roughness": 0.08, "shape": (54, 54, 54), "seeds": "labels", "unequal": 0.4}
+    return Recipe(tuple(cells), names, photons=rng.uniform(20, 200), **(given | others))
+
+
+def _packed(rng: np.random.Generator, **others: Any) -> Recipe:
+    """Small nuclei, close together, dim and bright, in a stack that they fill to a third."""
+    shape, cells = (32, 48, 48), list[tuple[float, ...]]()
+    for trial in range(20_000):  # the large ones first
+        radius = rng.uniform(4.5, 8.0) if trial < 4000 else rng.uniform(4.0, 5.5)
+        place = rng.uniform(-0.5, 0.5, 3) * (np.array(shape) - radius)
+        if all(np.linalg.norm(place - np.array(c[:3])) > radius + c[3] + 0.5 for c in cells):
+            cells.append((*place.tolist(), radius))
+    names = tuple(range(1, len(cells) + 1))
+    given = {"roughness": 0.06, "seeds": "labels", "unequal": 0.3, "membrane": 0.0, "interior": 1.0}
+    light = {"psf": (rng.uniform(1.5, 2.5), 1.2), "photons": rng.uniform(120, 200), "dark": 120.0}
+    return Recipe(tuple(cells), names, shape=shape, **(given | light | others))  # type: ignore[arg-type]
+
+
+def _mixed(rng: np.random.Generator) -> Recipe:
+    """One cell in which everything differs at once, and perhaps neighbours without a seed."""
+
+    def sometimes(share: float, low: float, high: float) -> float:
+        value = rng.uniform(low, high)
+        return value if rng.random() < share else 0.0
+
+    radius, aspect = float(np.exp(rng.uniform(np.log(5), np.log(26)))), rng.choice([1, 1, 2, 3, 5])
+    side = int(2.9 * radius) + 12
+    membrane = 0.0 if rng.random() < 0.25 else 1.0
+    cells = [(0.0, 0.0, 0.0, radius)]
+    for _ in range(rng.integers(0, 3) if radius < 15 else 0):
+        away = rng.normal(size=3)
+        other = radius * rng.uniform(0.6, 1.0)
+        place = (radius + other + rng.uniform(2.5, 5)) * away / np.linalg.norm(away)
+        if all(np.linalg.norm(place - np.array(c[:3])) > other + c[3] + 2 for c in cells):
+            cells.append((*place.tolist(), other))
+    widest = max(0.8, min(2.5, radius / 5))
+    return Recipe(
+        cells=tuple(cells),
+        roughness=rng.uniform(0.0, 0.2),
+        shape=(max(10, round(side / aspect)), side, side),
+        aspect=float(aspect),
+        psf=(max(0.6, rng.uniform(0.8, 2) * widest / aspect), rng.uniform(0.6, widest)),
+        photons=float(np.exp(rng.uniform(np.log(5), np.log(500)))),
+        dark=float(np.exp(rng.uniform(np.log(0.5), np.log(30)))),
+        membrane=membrane,
+        interior=sometimes(0.4, 0.1, 1.0) if membrane else 1.0,
+        uneven=sometimes(0.5, 0.1, 0.7),
+        textured=sometimes(0.3, 0.1, 0.4),
+        haze=sometimes(0.2, 0.1, 0.6),
+        specks=int(sometimes(0.2, 3, 12)),
+        thickness=sometimes(0.15, 1.5, 5.0) if radius > 10 else 0.0,
+        seeds=str(rng.choice(["labels", "spheres", "mesh"])),  # type: ignore[arg-type]
+        start=(rng.uniform(0.7, 1.15), rng.uniform(0.0, 0.3)),
+    )
+
+
+PLAIN = Recipe()
+KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
+    "plain": lambda rng: replace(
+        PLAIN, photons=rng.uniform(30, 100), psf=(rng.uniform(1, 2.5), rng.uniform(0.9, 1.4))
+    ),
+    "dim": lambda rng: replace(PLAIN, photons=rng.uniform(3, 8), dark=1.0),
+    "bright": lambda rng: replace(PLAIN, photons=1000.0, dark=50.0, roughness=0.2),
+    "uneven": lambda rng: replace(PLAIN, uneven=0.6, told=("--density", "smooth")),
+    "textured": lambda rng: replace(PLAIN, textured=0.5, told=("--density", "smooth")),
+    "narrow": lambda rng: replace(PLAIN, psf=(0.6, 0.6), photons=100.0),
+    "wide": lambda rng: replace(PLAIN, psf=(rng.uniform(2.4, 3), rng.uniform(2.4, 3))),
+    "haze": lambda rng: replace(PLAIN, haze=0.8, told=("--structure", "both")),
+    "nucleus": lambda rng: replace(
+        PLAIN, membrane=0.0, interior=1.0, roughness=0.18, told=("--structure", "interior")
+    ),
+    "both": lambda rng: replace(
+        PLAIN, interior=rng.uniform(0.3, 0.8), told=("--structure", "both")
+    ),
+    "thick": lambda rng: replace(
+        PLAIN, thickness=rng.uniform(3, 8), cells=((0, 0, 0, 13.0),), shape=(48, 48, 48)
+    ),
+    "neighbours-labels": lambda rng: _neighbours(rng, "labels"),
+    "neighbours-spheres": lambda rng: _neighbours(rng, "spheres"),
+    "neighbours-mesh": lambda rng: _neighbours(rng, "mesh"),
+    "neighbours-points": lambda rng: _neighbours(rng, "points"),
+    "specks": lambda rng: replace(PLAIN, specks=12, seeds="labels"),
+    "cut": lambda rng: replace(
+        PLAIN, cells=((0, rng.uniform(9, 15), 3.0, 11.0),), seeds="labels", shape=(36, 36, 36)
+    ),
+    "cut-deep": lambda rng: replace(
+        PLAIN, cells=((rng.uniform(10, 16), 13.0, 3.0, 11.0),), shape=(36, 36, 36)
+    ),
+    "tissue": _labelled_tissue,
+    "tissue-spheres": lambda rng: replace(
+        _labelled_tissue(rng), seeds="spheres", start=(0.95, 0.05)
+    ),
+    "crowd": _crowd,
+    "crowd-nuclei": lambda rng: _crowd(rng, membrane=0.0, interior=1.0),
+    "crowd-nuclei-spheres": lambda rng: _crowd(rng, membrane=0.0, interior=1.0, seeds="spheres"),
+    "crowd-both": lambda rng: _crowd(rng, interior=rng.uniform(0.2, 0.8)),
+    "crowd-bright": lambda rng: _crowd(rng, interior=rng.uniform(1.0, 2.5)),
+    "tissue-both": lambda rng: replace(
+        _labelled_tissue(rng), interior=rng.uniform(0.2, 0.8), unequal=0.4
+    ),
+    "tissue-partial": lambda rng: replace(_labelled_tissue(rng), seeded=(1, 2)),
+    "packed-nuclei": _packed,
+    "packed-hazy": lambda rng: _packed(rng, haze=0.3),
+    "tissue-insides": lambda rng: replace(
+        _labelled_tissue(rng), membrane=0.0, interior=1.0, unequal=rng.choice([0.0, 0.4])
+    ),
+    "grainy-nuclei": lambda rng: _crowd(
+        rng, membrane=0.0, interior=1.0, grain=rng.uniform(0.2, 0.5)
+    ),
+    "fading": lambda rng: replace(PLAIN, fading=rng.uniform(0.2, 0.5)),
+    "fading-tissue": lambda rng: replace(
+        _labelled_tissue(rng), interior=rng.uniform(0.0, 0.5), fading=rng.uniform(0.2, 0.5)
+    ),
+    "tilted": lambda rng: replace(PLAIN, tilted=(rng.uniform(-40, 40), rng.uniform(-10, 10))),
+    "tilted-nuclei": lambda rng: replace(
+        _crowd(rng, membrane=0.0, interior=1.0), tilted=(rng.uniform(-60, 60), 0.0)
+    ),
+    "padded": lambda rng: replace(PLAIN, padded=rng.uniform(0.4, 0.7)),
+    "padded-tissue": lambda rng: replace(_labelled_tissue(rng), padded=rng.uniform(0.4, 0.6)),
+    "neighbours-nuclei": lambda rng: replace(
+        _neighbours(rng, "labels"), membrane=0.0, interior=1.0, unequal=0.4
+    ),
+    "flat": lambda rng: replace(
+        PLAIN, aspect=rng.uniform(3.5, 5), shape=(16, 44, 44), cells=((0, 0, 0, 13.0),)
+    ),
+    "mixed": _mixed,
+    "wrong-start": lambda rng: replace(PLAIN, start=(0.6, 0.4)),
+}
