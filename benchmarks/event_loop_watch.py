@@ -103,12 +103,12 @@ def watched() -> Watch:
     from napari.components import LayerList
     from napari.utils import progress
 
-    from napari_deltamic.gui.editing.edits import Edits
-    from napari_deltamic.gui.editing.history_bar import HistoryBar
-    from napari_deltamic.gui.panels.settings_panel import SettingsPanel
+    from napari_deltamic.gui.results.session_bar import SessionBar
+    from napari_deltamic.gui.running.edits import Edits
+    from napari_deltamic.gui.running.history_bar import HistoryBar
     from napari_deltamic.gui.running.run_control import RunControl
     from napari_deltamic.gui.seeding.seeds_panel import SeedsPanel
-    from napari_deltamic.gui.sessions.session_bar import SessionBar
+    from napari_deltamic.gui.settings.settings_panel import SettingsPanel
     from napari_deltamic.gui.viewing.viewer_link import ViewerLink
     from napari_deltamic.gui.work import Background, Work
 

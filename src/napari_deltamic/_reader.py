@@ -11,7 +11,7 @@ from napari.utils.notifications import show_info, show_warning
 
 from .geometry.formats import MESH_FILES
 from .gui.menu import fit_widget
-from .gui.sessions.session_layers import image_layer, mesh_layer, seed_layer
+from .gui.results.session_layers import image_layer, mesh_layer, seed_layer
 from .gui.viewing.cell_layers import load_meshes, surface_layer
 from .gui.viewing.frame import ORIGIN, OWN, Frame
 from .results.session_file import EXTENSION, load_session

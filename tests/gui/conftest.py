@@ -29,10 +29,10 @@ with warnings.catch_warnings():
     from qtpy.QtWidgets import QApplication
 
     from napari_deltamic.gui import fit_widget
-    from napari_deltamic.gui.accuracy import accuracy_forecast
     from napari_deltamic.gui.document import Document
     from napari_deltamic.gui.running import worker
     from napari_deltamic.gui.seeding import preview, seeds_panel
+    from napari_deltamic.gui.settings import accuracy_forecast
     from napari_deltamic.gui.tracking import track_work as tracking_work
 
 import napari_deltamic as nd

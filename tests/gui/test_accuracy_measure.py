@@ -10,7 +10,7 @@ from napari_deltamic.accuracy.tradeoff import Way
 from napari_deltamic.errors import InputError
 from napari_deltamic.fitting.default_accuracy import image_noise, preset_accuracy
 from napari_deltamic.gui import fit_widget
-from napari_deltamic.gui.accuracy import accuracy_view
+from napari_deltamic.gui.settings import accuracy_view
 
 from .conftest import CENTER, SHAPE
 from .dialing import running, settled

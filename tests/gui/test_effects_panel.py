@@ -10,8 +10,8 @@ from napari_deltamic.evidence import Evidence
 from napari_deltamic.evidence.camera import Camera
 from napari_deltamic.evidence.estimate import Finding, unknown
 from napari_deltamic.gui.document import Document
-from napari_deltamic.gui.effects import effects_panel
-from napari_deltamic.gui.effects.effects_panel import EffectsPanel
+from napari_deltamic.gui.settings import effects_panel
+from napari_deltamic.gui.settings.effects_panel import EffectsPanel
 from napari_deltamic.results.cell_columns import COLUMNS
 from napari_deltamic.scene.effects import Attenuation, Effects
 

@@ -6,8 +6,8 @@ import pytest
 import napari_deltamic as nd
 from napari_deltamic.fitting.job import optics_of, scene_with
 from napari_deltamic.gui.document import Document
-from napari_deltamic.gui.optics.optics_panel import GAUSSIAN, MEASURED, OBJECTIVE, OpticsPanel
 from napari_deltamic.gui.running.check_panel import LiveNumbers
+from napari_deltamic.gui.settings.optics_panel import GAUSSIAN, MEASURED, OBJECTIVE, OpticsPanel
 from napari_deltamic.images.stacks import write_image
 from napari_deltamic.results.moved_numbers import MovedNumber
 from napari_deltamic.runs.command import optics_flags

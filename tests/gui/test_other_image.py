@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from napari_deltamic.gui.effects import effects_panel
 from napari_deltamic.gui.seeding import find_cells_button
+from napari_deltamic.gui.settings import effects_panel
 from napari_deltamic.runs.settings import FitSettings
 
 from .conftest import SIZE

@@ -7,9 +7,9 @@ import npe2
 import pytest
 
 import napari_deltamic
-from napari_deltamic.gui.accuracy.accuracy_dial import CHOICES
-from napari_deltamic.gui.panels import preferences
-from napari_deltamic.gui.panels.preferences import PLUGIN, Preferences, read_preferences, usable
+from napari_deltamic.gui.settings import preferences
+from napari_deltamic.gui.settings.accuracy_dial import CHOICES
+from napari_deltamic.gui.settings.preferences import PLUGIN, Preferences, read_preferences, usable
 from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene.effects import Attenuation, Effects
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from napari_deltamic.gui.optics import psf_picture
-from napari_deltamic.gui.optics.optics_panel import OBJECTIVE
+from napari_deltamic.gui.settings import psf_picture
+from napari_deltamic.gui.settings.optics_panel import OBJECTIVE
 from napari_deltamic.optics import GaussianPSF
 
 

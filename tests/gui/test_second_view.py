@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from napari_deltamic.cli import main
+from napari_deltamic.gui.results import session
 from napari_deltamic.gui.running import worker
-from napari_deltamic.gui.sessions import session
 from napari_deltamic.results.session_file import load_session, save_session
 from napari_deltamic.runs.settings import RunSettings
 

@@ -5,7 +5,7 @@ import pytest
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.gui import fit_widget
-from napari_deltamic.gui.sessions import session
+from napari_deltamic.gui.results import session
 from napari_deltamic.results.session_file import load_session, save_session
 from napari_deltamic.results.track_report import read_results
 

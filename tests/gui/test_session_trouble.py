@@ -13,7 +13,7 @@ import pytest
 from napari_deltamic import _reader
 from napari_deltamic.geometry import files
 from napari_deltamic.gui import fit_widget
-from napari_deltamic.gui.sessions.session import capture, restore
+from napari_deltamic.gui.results.session import capture, restore
 from napari_deltamic.results.session_file import load_session
 
 from .sessions import fitted, save, shown

@@ -31,8 +31,8 @@ from ..results.timeline import Moment, Timeline
 from ..runs.seeds import Seeds
 from ..runs.settings import FitSettings, RunSettings, SceneSettings
 from .attempt import attempt
-from .effects.second_source import SecondSource
 from .image_source import ImageSource
+from .second_source import SecondSource
 from .seeding.cell_source import CellSource
 from .viewing.frame import Frame
 from .viewing.listening import Connections

@@ -13,26 +13,26 @@ from ..common.description import described
 from ..runs.settings import SceneSettings
 from .dock import Column, Header, Keys, ask_before_closing
 from .document import Document
-from .editing.edits import Edits
-from .editing.sculpt_tool import Sculptor
-from .effects.effects_panel import EffectsPanel
 from .fields import tip_of
-from .optics.optics_panel import OpticsPanel
-from .panels.image_panel import ImagePanel
-from .panels.preferences import PLUGIN, read_preferences
-from .panels.settings_panel import SettingsPanel
+from .image_panel import ImagePanel
 from .qt import action
 from .results.command_copy import CommandCopy
 from .results.results_panel import ResultsPanel
 from .results.selection import ClickSelection
+from .results.session import Parts, capture, restore
+from .results.session_bar import SessionBar
 from .running.check_panel import CheckPanel
+from .running.edits import Edits
 from .running.footer import Footer
 from .running.judging import Judging
 from .running.live_settings import LiveSettings
 from .running.run_control import RunControl
+from .running.sculpt_tool import Sculptor
 from .seeding.seeds_panel import SeedsPanel
-from .sessions.session import Parts, capture, restore
-from .sessions.session_bar import SessionBar
+from .settings.effects_panel import EffectsPanel
+from .settings.optics_panel import OpticsPanel
+from .settings.preferences import PLUGIN, read_preferences
+from .settings.settings_panel import SettingsPanel
 from .tracking.control import TrackControl
 from .tracking.panel import TrackPanel
 from .viewing.frame import unwrapped

@@ -6,7 +6,7 @@ from typing import Any
 
 from napari.viewer import Viewer
 
-from .panels.preferences import PLUGIN
+from .settings.preferences import PLUGIN
 
 
 def open_session(viewer: Viewer) -> None:

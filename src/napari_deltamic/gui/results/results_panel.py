@@ -22,11 +22,11 @@ from ...results.cell_columns import COLUMNS, value_of
 from ...results.mesh_exchange import labels_of
 from ...results.report import write_results
 from ..attempt import attempt
+from ..cell_table import CellTable
 from ..document import Document, Record
 from ..qt import action
 from ..viewing.cell_layers import labels_layer
 from ..widgets import Note, filled, narrow_box, row
-from .cell_table import CellTable
 
 IMAGE_FILES = "OME-TIFF (*.ome.tif *.ome.tiff);;ImageJ TIFF (*.tif *.tiff)"
 

@@ -13,12 +13,12 @@ from ...results.judged import told
 from ...results.moved_numbers import MovedNumber, moved_numbers
 from ...results.timeline import Moment
 from ..document import VIEWS, Document, Record
-from ..editing.edits import Edits
-from ..editing.history_bar import HistoryBar
-from ..editing.sculpt_tool import EditBar
 from ..qt import Signal
 from ..widgets import VERDICTS, Fold, Note, button, filled, narrow_box, row
+from .edits import Edits
+from .history_bar import HistoryBar
 from .plots import ExplainedCurve
+from .sculpt_tool import EditBar
 from .worker import Snapshot
 
 _SLICES = {"XY": (0, 1, 2), "XZ": (1, 0, 2), "YZ": (2, 0, 1)}

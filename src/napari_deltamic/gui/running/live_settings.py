@@ -15,7 +15,7 @@ from ...optics import Optics
 from ...runs.settings import FitSettings, SceneSettings
 from ...scene.effects import Effects, ViewEffect, kind_of
 from ..document import Document
-from ..editing.edits import Edits
+from .edits import Edits
 
 _SCENE = {"voxel_size": "voxel size", "origin": "origin", "view": kind_of(ViewEffect).title}
 _FIT = described(FitSettings)

@@ -16,8 +16,8 @@ from qtpy.QtWidgets import (
 
 from ...measure import measure_cells
 from ...tracking import FrameResult, TrackSettings
+from ..cell_table import CellTable
 from ..qt import Signal
-from ..results.cell_table import CellTable
 from ..widgets import VERDICTS, Note, button, filled, row
 
 

@@ -12,14 +12,14 @@ from ...common.description import described
 from ...fitting.default_accuracy import PRESETS
 from ...fitting.job import SIGMA_IN_VOXELS
 from ...runs.settings import FitSettings, SceneSettings, validated
-from ..accuracy.accuracy_dial import AccuracyDial
-from ..accuracy.accuracy_forecast import AccuracyForecast
-from ..accuracy.accuracy_scene import NoiseOf
-from ..accuracy.accuracy_view import TradeoffView
 from ..document import Document
 from ..fields import Form
 from ..viewing.frame import voxel_size
 from ..widgets import Fold, Note, column, filled, row
+from .accuracy_dial import AccuracyDial
+from .accuracy_forecast import AccuracyForecast
+from .accuracy_scene import NoiseOf
+from .accuracy_view import TradeoffView
 
 # Where else than among those for experts a setting is shown.
 _PSF, _BRIGHTNESS = ("fit_psf",), ("density",)

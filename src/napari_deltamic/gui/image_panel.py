@@ -6,12 +6,12 @@ from typing import Any
 
 from qtpy.QtWidgets import QFormLayout, QGroupBox, QHBoxLayout, QLabel, QPushButton, QWidget
 
-from ...errors import InputError
-from ..document import Document
-from ..fields import TripleField
-from ..layer_channels import Choice, channel_axes, channels
-from ..viewing.frame import um_per_unit
-from ..widgets import AMBER, LayerChooser, Note, narrow_box, sentence, show_row
+from ..errors import InputError
+from .document import Document
+from .fields import TripleField
+from .layer_channels import Choice, channel_axes, channels
+from .viewing.frame import um_per_unit
+from .widgets import AMBER, LayerChooser, Note, narrow_box, sentence, show_row
 
 WHOLE, BOX = "whole image", "the rectangle drawn"
 

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 from psygnal import Signal
 
-from ...common.triple import Triple, triple
-from ...errors import InputError
-from ...fitting.job import SIGMA_IN_VOXELS
-from ...scene.effects import ViewEffect, kind_of
-from ..image_source import ImageSource
-from ..layer_channels import file_of
-from ..layer_choice import LayerChoice
-from ..viewing.frame import Frame, is_stack, shape_of, voxel_size
+from ..common.triple import Triple, triple
+from ..errors import InputError
+from ..fitting.job import SIGMA_IN_VOXELS
+from ..scene.effects import ViewEffect, kind_of
+from .image_source import ImageSource
+from .layer_channels import file_of
+from .layer_choice import LayerChoice
+from .viewing.frame import Frame, is_stack, shape_of, voxel_size
 
 
 class SecondSource(LayerChoice):

@@ -11,8 +11,8 @@ from ...fitting.job import FitInput, optics_of
 from ...results.report import History
 from ...results.session_file import SavedImage, SavedResult, Session
 from ...runs.settings import RunSettings
-from ..accuracy.accuracy_dial import usable_choice
 from ..document import VIEWS, Document, Record
+from ..settings.accuracy_dial import usable_choice
 from ..tracking.control import TrackControl
 from ..viewing.frame import Frame
 from ..viewing.own_layers import lie_on

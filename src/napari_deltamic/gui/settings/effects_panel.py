@@ -17,12 +17,12 @@ from ...fitting import FitState
 from ...fitting.job import FitInput, optics_of, start
 from ...runs.settings import NEAR_LEVELS, RunSettings
 from ...scene.effects import KINDS, Effects, ViewEffect, kind_of
-from ..accuracy.accuracy_scene import scene_key
 from ..attempt import words_of
 from ..document import Document
 from ..qt import Signal
 from ..widgets import Note
 from ..work import Task
+from .accuracy_scene import scene_key
 from .effects_table import EffectsTable, spoken
 from .second_view_fields import SecondViewFields
 

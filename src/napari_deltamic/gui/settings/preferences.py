@@ -16,8 +16,8 @@ from ...common.choices import Modality
 from ...runs.optics_settings import MicroscopeOptics
 from ...runs.settings import FitSettings
 from ...scene.effects import Effects
-from ..accuracy.accuracy_dial import NORMAL, usable_choice
 from ..document import Document
+from .accuracy_dial import NORMAL, usable_choice
 
 PLUGIN = "napari-deltamic"
 _FIT = ("fit_psf", "density")

@@ -1,1 +1,0 @@
-"""What accuracy costs: the dial, forecasts, and measurements on the scene."""

@@ -1,1 +1,0 @@
-"""The choice of effects, and the evidence for them."""

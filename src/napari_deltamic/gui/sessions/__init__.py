@@ -1,1 +1,0 @@
-"""The window as a file, and a file in the window."""
