@@ -103,7 +103,7 @@ def watched() -> Watch:
     from napari.components import LayerList
     from napari.utils import progress
 
-    from napari_deltamic.gui.results.session_bar import SessionBar
+    from napari_deltamic.gui.results.more_actions import SessionBar
     from napari_deltamic.gui.running.edits import Edits
     from napari_deltamic.gui.running.history_bar import HistoryBar
     from napari_deltamic.gui.running.run_control import RunControl

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from .gui.fit_widget import FitWidget
-from .gui.measure_layer import measure_widget
-from .gui.simulate_widget import simulate_widget
+from .gui.small_widgets import measure_widget, simulate_widget
 
 __all__ = ["FitWidget", "measure_widget", "simulate_widget"]

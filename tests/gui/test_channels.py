@@ -13,7 +13,7 @@ from napari_deltamic.cli.inputs import gather
 from napari_deltamic.cli.messages import Notes
 from napari_deltamic.errors import InputError
 from napari_deltamic.gui import fit_widget
-from napari_deltamic.gui.results import command_copy
+from napari_deltamic.gui.results import more_actions
 from napari_deltamic.runs.settings import RunSettings
 
 from .conftest import CENTER, SHAPE, SIZE
@@ -148,13 +148,13 @@ def test_the_file_says_which_channels_there_are(widget, viewer, pixels, from_fil
 def command_of(widget, spin):
     widget.commands.copy_action.trigger()
     spin(lambda: not widget.commands.busy)
-    return shlex.split(command_copy.QApplication.clipboard().text())[1:]
+    return shlex.split(more_actions.QApplication.clipboard().text())[1:]
 
 
 def test_the_channel_ends_in_the_command(
     widget, viewer, pixels, from_file, spin, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(command_copy.QFileDialog, "getExistingDirectory", lambda *a: str(tmp_path))
+    monkeypatch.setattr(more_actions.QFileDialog, "getExistingDirectory", lambda *a: str(tmp_path))
     path = from_file()
     choose(widget, "2 of 2, membrane")
     viewer.add_points([CENTER], name="seeds", ndim=3)

@@ -6,12 +6,11 @@ import threading
 import pytest
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.gui.attempt import attempt
 from napari_deltamic.gui.running import worker
 from napari_deltamic.gui.tracking import track_work
-from napari_deltamic.gui.work import Background
+from napari_deltamic.gui.work import Background, attempt
 
-LOGGER = "napari_deltamic.gui.attempt"
+LOGGER = "napari_deltamic.gui.work"
 
 
 def broken(*arguments, **options):

@@ -11,7 +11,7 @@ from napari.layers import Image, Layer, Surface
 
 import napari_deltamic as nd
 from napari_deltamic.geometry import sphere
-from napari_deltamic.gui.measure_layer import measure_surface, measure_widget
+from napari_deltamic.gui.small_widgets import measure_surface, measure_widget
 from napari_deltamic.gui.viewing.frame import OWN
 
 UM = {"units": ("um",) * 3}

@@ -15,7 +15,7 @@ from napari_deltamic.cli.inputs import gather
 from napari_deltamic.cli.messages import Notes
 from napari_deltamic.fitting.job import FitInput
 from napari_deltamic.geometry import files, sphere
-from napari_deltamic.gui.results import command_copy
+from napari_deltamic.gui.results import more_actions
 from napari_deltamic.images.stacks import read_image, write_image
 from napari_deltamic.results.cell_columns import COLUMNS
 from napari_deltamic.results.report import History
@@ -210,12 +210,12 @@ def from_file(make_widget, with_image, pixels, tmp_path, monkeypatch, spin):
         layer = with_image.add_image(pixels, scale=SIZE)
     widget = make_widget()
     with_image.add_points([CENTER], name="seeds", ndim=3)
-    monkeypatch.setattr(command_copy.QFileDialog, "getExistingDirectory", lambda *a: str(tmp_path))
+    monkeypatch.setattr(more_actions.QFileDialog, "getExistingDirectory", lambda *a: str(tmp_path))
 
     def copied():
         widget.commands.copy_action.trigger()
         spin(lambda: not widget.commands.busy)
-        words = shlex.split(command_copy.QApplication.clipboard().text())
+        words = shlex.split(more_actions.QApplication.clipboard().text())
         job = gather(build_parser().parse_args(words[1:]), Notes())
         return words[2], job.image
 

@@ -102,7 +102,7 @@ def test_a_fit_under_way_keeps_the_second_view_that_it_has(seeded, second, spin,
 
 def test_the_command_repeats_it(seeded, second, spin, tmp_path, monkeypatch):
     texts = []
-    dialog = "napari_deltamic.gui.results.command_copy.QFileDialog.getExistingDirectory"
+    dialog = "napari_deltamic.gui.results.more_actions.QFileDialog.getExistingDirectory"
     monkeypatch.setattr(dialog, staticmethod(lambda *a: str(tmp_path)))
     monkeypatch.setattr("napari_deltamic.gui.fit_widget.show_info", texts.append)
     seeded.settings.max_iterations.setValue(2)

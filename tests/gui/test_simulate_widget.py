@@ -7,7 +7,7 @@ import pytest
 from napari.layers import Layer
 
 import napari_deltamic as nd
-from napari_deltamic.gui.simulate_widget import simulate_cells, simulate_widget
+from napari_deltamic.gui.small_widgets import simulate_cells, simulate_widget
 from napari_deltamic.gui.viewing.frame import OWN
 
 SMALL = {"cells": 2, "shape": (20, 24, 24), "kind": "vesicles"}

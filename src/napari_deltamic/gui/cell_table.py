@@ -20,8 +20,7 @@ from superqt.utils import signals_blocked
 
 from ..results.cell_columns import COLUMNS, FIRST, CellColumn, is_number, value_of
 from ..results.colouring import colour_of
-from .qt import Signal
-from .widgets import be_table_of_rows
+from .widgets import Signal, be_table_of_rows
 
 _REGION = Qt.ItemDataRole.UserRole
 _OPEN = "The surface of this cell is not closed, or inside out."

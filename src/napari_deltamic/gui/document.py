@@ -30,14 +30,12 @@ from ..results.report import History
 from ..results.timeline import Moment, Timeline
 from ..runs.seeds import Seeds
 from ..runs.settings import FitSettings, RunSettings, SceneSettings
-from .attempt import attempt
-from .image_source import ImageSource
-from .second_source import SecondSource
+from .image_source import ImageSource, SecondSource
 from .seeding.cell_source import CellSource
 from .viewing.frame import Frame
 from .viewing.listening import Connections
 from .viewing.viewer_link import ViewerLink
-from .work import Background, Work
+from .work import Background, Work, attempt
 
 View = Literal["image", "rendered", "residual", "side by side"]
 VIEWS: tuple[View, ...] = get_args(View)

@@ -19,8 +19,7 @@ from superqt.utils import signals_blocked
 
 from ..common.description import Described, described
 from ..common.triple import Triple
-from .qt import Signal
-from .widgets import be_narrow, row, show_row
+from .widgets import Signal, be_narrow, row, show_row
 
 _MOST = 1_000_000  # of a whole number without a limit
 

@@ -15,18 +15,15 @@ from .dock import Column, Header, Keys, ask_before_closing
 from .document import Document
 from .fields import tip_of
 from .image_panel import ImagePanel
-from .qt import action
-from .results.command_copy import CommandCopy
+from .results.more_actions import CommandCopy, SessionBar
 from .results.results_panel import ResultsPanel
 from .results.selection import ClickSelection
 from .results.session import Parts, capture, restore
-from .results.session_bar import SessionBar
 from .running.check_panel import CheckPanel
 from .running.edits import Edits
 from .running.footer import Footer
-from .running.judging import Judging
 from .running.live_settings import LiveSettings
-from .running.run_control import RunControl
+from .running.run_control import Judging, RunControl
 from .running.sculpt_tool import Sculptor
 from .seeding.seeds_panel import SeedsPanel
 from .settings.effects_panel import EffectsPanel
@@ -37,7 +34,7 @@ from .tracking.control import TrackControl
 from .tracking.panel import TrackPanel
 from .viewing.frame import unwrapped
 from .viewing.viewer_link import ViewerLink
-from .widgets import column
+from .widgets import action, column
 
 _WIDTH = 390  # px
 

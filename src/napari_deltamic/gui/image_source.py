@@ -1,4 +1,4 @@
-"""The image that is fitted: its layer, channel and region, and how large its voxels are."""
+"""The image that is fitted: its layer, channel and region, its voxel size; and its second view."""
 
 from __future__ import annotations
 
@@ -13,8 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 from psygnal import Signal
 
 from ..common.choices import TIFF
+from ..common.triple import Triple, triple
 from ..errors import InputError
+from ..fitting.job import SIGMA_IN_VOXELS
 from ..images.stacks import read_voxel_size
+from ..scene.effects import ViewEffect, kind_of
 from .layer_channels import (
     READ_AGAIN,
     Choice,
@@ -31,10 +34,13 @@ from .viewing.frame import (
     OWN,
     Box,
     Frame,
-    camera_of,
     finite,
+    is_stack,
+    rescale,
+    shape_of,
     um_per_unit,
     unread_stack_of,
+    voxel_size,
 )
 from .viewing.listening import Connections
 
@@ -192,7 +198,7 @@ class ImageSource:
         if layer is not None:
             scale = np.array(layer.scale, float)
             scale[-3:] = np.asarray(size) / np.asarray(um_per_unit(layer) or (1.0, 1.0, 1.0))
-            _rescale(self.viewer, layer, scale)
+            rescale(self.viewer, layer, scale)
             self.changed.emit()
 
     def close_links(self) -> None:
@@ -248,7 +254,7 @@ class ImageSource:
         except InputError:
             return  # napari could read it, so it is an image all the same; its size stays unknown
         if size is not None and layer.ndim == 3:
-            _rescale(self.viewer, layer, size)
+            rescale(self.viewer, layer, size)
 
     def _listen_to(self, layer: Any) -> None:
         if self._scaled is not None:
@@ -258,23 +264,95 @@ class ImageSource:
             layer.events.scale.connect(self._look)
 
 
-def _rescale(viewer: Any, layer: Any, scale: ArrayLike) -> None:
-    """Give a layer another scale; its slice, and what of it fills the canvas, stay as they are."""
-    old, new = np.array(layer.scale, float), np.array(scale, float)
-    dims, camera = viewer.dims, camera_of(viewer)
-    if dims.ndim < layer.ndim or layer not in viewer.layers:
-        layer.scale = new
-        return
-    first = dims.ndim - layer.ndim  # axis of the viewer that is the layer's first
-    ratio, fixed = np.ones(dims.ndim), np.zeros(dims.ndim)
-    ratio[first:], fixed[first:] = new / old, layer.translate
-    point = fixed + (np.array(dims.point, float) - fixed) * ratio
-    shown = list(dims.displayed)
-    center, zoom = np.array(camera.center, float), float(camera.zoom)
-    at = slice(len(center) - len(shown), None)
-    center[at] = fixed[shown] + (center[at] - fixed[shown]) * ratio[shown]
-    layer.scale = new
-    dims.set_point(range(dims.ndim), point.tolist())
-    camera.center = tuple(center.tolist())
-    # Lengths may change differently along the axes: the middle of what each asks for.
-    camera.zoom = zoom / float(np.exp(np.log(np.abs(ratio[shown])).mean()))
+class SecondSource(LayerChoice):
+    """Choice of a second view of an image; none but by the user.
+
+    sigma : widths of its PSF, um: as wide as those of most images, until someone says more.
+    """
+
+    edited = Signal()  # by the user
+    shown = Signal()  # it, or the image, is another one
+
+    def __init__(self, viewer: Any, image: ImageSource) -> None:
+        self._image = image
+        self.sigma: Triple = (1.0, 1.0, 1.0)
+        self._given = self._quiet = False
+        super().__init__(viewer, self._can_be_second, optional=True)
+        self.changed.connect(self._chosen)
+        image.changed.connect(self._image_changed)
+
+    def view(self) -> ViewEffect | None:
+        """The effect, or None for no second view.
+
+        Raises
+        ------
+        InputError
+            If the layer does not lie on the voxels of the image.
+        """
+        layer, image = self.layer, self._image.layer
+        if layer is None or image is None:
+            return None
+        _check_on_voxels(layer, image)
+        path, channel = file_of(layer)
+        # The file of a second view holds nothing else.
+        return kind_of(ViewEffect)(sigma=self.sigma, image="" if channel else path)
+
+    def pixels(self) -> NDArray[Any] | None:
+        """(Z, Y, X) of the layer, at the time shown; None for no second view."""
+        return None if self.layer is None else self._image.stack(self.layer)
+
+    def show(self, layer: Any, sigma: Triple | None = None) -> None:
+        """Take over a choice, which is no edit; None for no second view."""
+        self._quiet = True
+        if sigma is not None:
+            self.sigma, self._given = sigma, True
+        self.choose(layer)
+        self._quiet = False
+        self.shown.emit()
+
+    def resize(self, sigma: Triple) -> None:
+        """The user knows how wide its PSF is."""
+        self.sigma, self._given = sigma, True
+        self.edited.emit()
+
+    def both(self) -> list[Any]:
+        """The image and its second view, where there is one."""
+        layers = [self.layer, self._image.layer]
+        return layers if None not in layers else []
+
+    def _can_be_second(self, layer: Any) -> bool:
+        return is_stack(layer) and layer is not self._image.layer
+
+    def _image_changed(self) -> None:
+        self.refresh()
+        layer = self._image.layer
+        if not self._given and layer is not None:
+            self.sigma = triple(SIGMA_IN_VOXELS * d for d in voxel_size(layer))
+        self.shown.emit()
+
+    def _chosen(self) -> None:
+        self.shown.emit()
+        if not self._quiet:
+            self.edited.emit()
+
+
+def _check_on_voxels(layer: Any, image: Any) -> None:
+    """InputError, with what to do, unless both layers have the same voxels."""
+    advice = "register it to the image and resample it on the image's voxels first"
+    shape, of_image = shape_of(layer), shape_of(image)
+    if shape != of_image:
+        mine, theirs = (" x ".join(map(str, s)) for s in (shape, of_image))
+        raise InputError(
+            f"second view: '{layer.name}' has {mine} voxels, the image {theirs}: {advice}"
+        )
+    try:
+        own, first = Frame.of(layer), Frame.of(image)
+    except InputError as error:
+        raise InputError(f"second view: {error}: {advice}") from None
+    shift = np.abs(first.to_um(own.translate))
+    same = np.allclose(own.voxel_size, first.voxel_size, rtol=1e-3)
+    if not same or (shift > 0.01 * np.array(first.voxel_size)).any():
+        raise InputError(
+            f"second view: '{layer.name}' does not lie on the voxels of the image: {advice}, "
+            "then give both layers the same scale and translation"
+        )

@@ -1,4 +1,4 @@
-"""Small widgets that several panels use: choosers of layers, notes, folds."""
+"""Small widgets that several panels use: buttons, choosers of layers, notes, folds, tool bars."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
+from qtpy import QtCore, QtGui
 from qtpy.QtCore import Qt
 from qtpy.QtGui import QResizeEvent
 from qtpy.QtWidgets import (
@@ -26,7 +27,19 @@ from qtpy.QtWidgets import (
 from superqt.utils import signals_blocked
 
 from .layer_choice import LayerChoice
-from .qt import Signal
+
+# The bindings' type stubs do not agree on these two.
+Signal: Any = QtCore.Signal  # type: ignore[attr-defined]
+QAction: Any = QtGui.QAction  # type: ignore[attr-defined]
+
+
+def action(title: str, tip: str, slot: Callable[[], object], parent: Any) -> Any:
+    """An entry of a menu."""
+    made = QAction(title, parent)
+    made.setToolTip(tip)
+    made.triggered.connect(lambda checked=False: slot())
+    return made
+
 
 GREEN, AMBER, RED = "#3fae6b", "#d99a1c", "#e0564f"  # readable on dark and on light
 # How something ended, and how good it is.

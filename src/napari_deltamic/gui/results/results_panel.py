@@ -21,12 +21,11 @@ from ...images.stacks import write_image
 from ...results.cell_columns import COLUMNS, value_of
 from ...results.mesh_exchange import labels_of
 from ...results.report import write_results
-from ..attempt import attempt
 from ..cell_table import CellTable
 from ..document import Document, Record
-from ..qt import action
 from ..viewing.cell_layers import labels_layer
-from ..widgets import Note, filled, narrow_box, row
+from ..widgets import Note, action, filled, narrow_box, row
+from ..work import attempt
 
 IMAGE_FILES = "OME-TIFF (*.ome.tif *.ome.tiff);;ImageJ TIFF (*.tif *.tiff)"
 

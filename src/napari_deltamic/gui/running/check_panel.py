@@ -13,8 +13,7 @@ from ...results.judged import told
 from ...results.moved_numbers import MovedNumber, moved_numbers
 from ...results.timeline import Moment
 from ..document import VIEWS, Document, Record
-from ..qt import Signal
-from ..widgets import VERDICTS, Fold, Note, button, filled, narrow_box, row
+from ..widgets import VERDICTS, Fold, Note, Signal, button, filled, narrow_box, row
 from .edits import Edits
 from .history_bar import HistoryBar
 from .plots import ExplainedCurve

@@ -16,7 +16,7 @@ from ...fitting.pending import usable
 from ...geometry import Mesh
 from ...geometry.carry import carried
 from ..document import Document, Present
-from ..qt import Signal
+from ..widgets import Signal
 
 _DEEPEST = 30  # steps that can be undone
 

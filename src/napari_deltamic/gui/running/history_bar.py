@@ -12,8 +12,7 @@ from superqt.utils import signals_blocked
 
 from ...results.timeline import Moment, explained
 from ..document import Document
-from ..qt import Signal
-from ..widgets import Note, button, column, row, small
+from ..widgets import Note, Signal, button, column, row, small
 from .edits import Edits
 
 _EVERY = 0.2  # s between two updates of the slider

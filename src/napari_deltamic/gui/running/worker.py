@@ -21,8 +21,7 @@ from ...geometry import Mesh
 from ...results.report import History
 from ...runs.settings import FitSettings, SceneSettings
 from ...scene.effects import Effects
-from ..attempt import words_of
-from ..work import Task
+from ..work import Task, words_of
 
 RENDER_EVERY = 0.3  # s, at least, between two rendered images
 RENDER_SHARE = 0.1  # of the time of a fit may go into rendered images

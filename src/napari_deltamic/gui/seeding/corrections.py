@@ -18,12 +18,11 @@ from ...errors import InputError
 from ...geometry import Click
 from ...geometry.labels.label_edits import Action, Corrector
 from ...runs.seeds import LabelSeeds
-from ..attempt import attempt
 from ..document import Document
-from ..qt import Signal
 from ..viewing.frame import FloatArray, Frame
 from ..viewing.listening import Presses, is_click, lay_down, wants_clicks
-from ..widgets import Note, ToolBar, button, small
+from ..widgets import Note, Signal, ToolBar, button, small
+from ..work import attempt
 from .seed_kinds import seeds_from_layer
 
 # Title, what it does, and its name among the edits of labels.

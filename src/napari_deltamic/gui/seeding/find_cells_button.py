@@ -21,10 +21,9 @@ from ...fitting.job import levelled
 from ...runs.settings import SceneSettings
 from ...scene import Grid
 from ..document import Document
-from ..qt import Signal
 from ..viewing.colours import label_colormap
 from ..viewing.frame import Frame
-from ..widgets import sentence
+from ..widgets import Signal, sentence
 
 NAME = "found cells"
 _OTHERS = 3  # sizes that are offered besides the one used, at most

@@ -11,11 +11,11 @@ from qtpy.QtWidgets import QCheckBox, QWidget
 
 from ...geometry import Mesh
 from ...runs.seed_preview import COARSEST, SMALL, Found, Problem, coarsening, find
-from ..attempt import attempt
 from ..document import Document
-from ..qt import Signal
 from ..viewing.frame import Frame
 from ..viewing.mesh_layers import MeshLayers
+from ..widgets import Signal
+from ..work import attempt
 from .cell_source import Wanted
 
 _LOOK = {"opacity": 0.5, "blending": "translucent_no_depth"}

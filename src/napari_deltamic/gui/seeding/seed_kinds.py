@@ -13,7 +13,7 @@ from ...geometry import Mesh
 from ...runs.seeds import LabelSeeds, MeshSeeds, PointSeeds, Seeds
 from ..viewing.cell_layers import unchanged_file
 from ..viewing.frame import OWN, Frame, stack_of
-from ..viewing.pins import PINS
+from ..viewing.viewer_link import PINS
 from ..viewing.walls import joined
 
 SEED_LAYERS = (Points, Labels, Surface)

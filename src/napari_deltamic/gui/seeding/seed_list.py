@@ -1,18 +1,25 @@
-"""The layers that seeds may come from, each with a tick."""
+"""The layers that seeds may come from, each with a tick; and what may be wrong with seeds."""
 
 from __future__ import annotations
 
+from html import escape
 from typing import Any
 
+import numpy as np
 from napari.layers import Labels, Points, Surface
 from qtpy.QtCore import QSize, Qt
 from qtpy.QtWidgets import QAbstractItemView, QListWidget, QListWidgetItem, QSizePolicy, QWidget
 from superqt.utils import signals_blocked
 
+from ...runs.seed_checks import Remark
 from ..layer_choice import LayerTicks
+from ..widgets import Note
 from .seed_kinds import seed_kind
 
 _ROWS = 5  # shown at once, at most
+_REMARKS = 4  # the same
+# Readable on dark and on light.
+_WARNING, LINK = "#d9822b", "#4a90e2"
 _HELP = {
     Points: "A point inside each cell.",
     Labels: "Each label becomes a surface.",
@@ -66,3 +73,52 @@ class SeedList(QListWidget):
         rows = min(max(self.count(), 1), _ROWS)
         self.setFixedHeight(rows * self._row_height() + 2 * self.frameWidth() + 4)
         self.setVisible(self.count() > 0)
+
+
+class Remarks(Note):
+    """Sentences in the colour of warnings; 'show' after one selects its points."""
+
+    def __init__(self, viewer: Any, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._viewer = viewer
+        self.remarks: list[Remark] = []
+        self.setTextFormat(Qt.TextFormat.RichText)
+        self.setToolTip("'show' selects the points and goes to their slice.")
+        self.linkActivated.connect(self.show_points)
+
+    def show_remarks(self, remarks: list[Remark], busy: str = "") -> None:
+        """Show these, the first of many; or else what is under way."""
+        self.remarks = list(remarks)
+        lines = []
+        for index, remark in enumerate(remarks[:_REMARKS]):
+            link = f" <a style='color: {LINK}' href='{index}'>show</a>" if remark.points else ""
+            lines.append(f"<span style='color: {_WARNING}'>{escape(remark.text)}.</span>{link}")
+        if len(remarks) > _REMARKS:
+            lines.append(f"... and {len(remarks) - _REMARKS} more")
+        if busy:
+            lines.append(escape(busy))
+        self.say("<br>".join(lines))
+
+    def show_points(self, link: str) -> None:
+        """Select the points that a remark is about, and go to the first."""
+        if int(link) >= len(self.remarks):
+            return
+        rows: dict[int, tuple[Any, set[int]]] = {}
+        for layer, row in self.remarks[int(link)].points:
+            if layer in self._viewer.layers and row < len(layer.data):
+                rows.setdefault(id(layer), (layer, set()))[1].add(row)
+        if not rows:
+            return
+        viewer = self._viewer
+        viewer.layers.selection = {layer for layer, _ in rows.values()}
+        for layer, chosen in rows.values():
+            layer.mode = "select"
+            layer.selected_data = chosen
+        layer, chosen = next(iter(rows.values()))
+        world = np.asarray(layer.data_to_world(layer.data[min(chosen)]))
+        n = viewer.dims.ndim
+        viewer.dims.set_point(range(n - 3, n), [float(w) for w in world[-3:]])
+
+    def forget(self) -> None:
+        """Let the layers go."""
+        self.remarks = []

@@ -26,8 +26,7 @@ from .cell_source import Wanted
 from .corrections import Corrections
 from .find_cells_button import FindCells
 from .preview import Preview
-from .remarks import LINK, Remarks
-from .seed_list import SeedList
+from .seed_list import LINK, Remarks, SeedList
 
 _FOLLOW, _SPHERES = "membrane around the click", "a sphere"
 _WAIT = 100  # ms; changes that follow each other faster are looked at together

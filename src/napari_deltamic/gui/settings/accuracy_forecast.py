@@ -14,8 +14,8 @@ from ...accuracy.renewed_forecast import RenewedForecast
 from ...common.words import duration
 from ...errors import InputError
 from ..document import Document
-from ..qt import Signal
 from ..running.worker import FitRun, Snapshot
+from ..widgets import Signal
 from .accuracy_dial import AccuracyDial, accuracy_of, relative
 from .accuracy_scene import NoiseOf, Outlook, outlook, scene_now
 

@@ -14,11 +14,9 @@ from ...accuracy.tradeoff import Way, measure_ways
 from ...common.words import duration
 from ...errors import InputError
 from ...fitting.default_accuracy import image_noise
-from ..attempt import words_of
 from ..document import Document
-from ..qt import Signal
-from ..widgets import Note, button, column
-from ..work import Task
+from ..widgets import Note, Signal, button, column
+from ..work import Task, words_of
 from .accuracy_dial import accuracy_of
 from .accuracy_scene import SceneNow, scene_key, scene_now
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from qtpy.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, QWidget
+from qtpy.QtWidgets import QFormLayout, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
 from ...errors import InputError
 from ...evidence import Recommendation, recommend
@@ -17,14 +17,13 @@ from ...fitting import FitState
 from ...fitting.job import FitInput, optics_of, start
 from ...runs.settings import NEAR_LEVELS, RunSettings
 from ...scene.effects import KINDS, Effects, ViewEffect, kind_of
-from ..attempt import words_of
 from ..document import Document
-from ..qt import Signal
-from ..widgets import Note
-from ..work import Task
+from ..fields import TripleField
+from ..viewing.listening import Connections
+from ..widgets import LayerChooser, Note, Signal, column, show_row
+from ..work import Task, words_of
 from .accuracy_scene import scene_key
 from .effects_table import EffectsTable, spoken
-from .second_view_fields import SecondViewFields
 
 _START, _STOP = "Check this image", "Stop checking"
 _TIP = (
@@ -312,3 +311,51 @@ def _camera(camera: Camera) -> list[str]:
     numbers = (("gain", camera.gain), ("read noise", camera.read_noise), ("offset", camera.offset))
     told = [f"{name} {finding.value:.3g}" for name, finding in numbers if finding.value is not None]
     return [f"camera, from the image: {', '.join(told)}"] if told else []
+
+
+class SecondViewFields(QWidget):
+    """Shows the second view of the document, and lets the user choose it."""
+
+    def __init__(self, doc: Document, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.source = doc.second
+        self.chooser = LayerChooser(doc.second, self)
+        helped = kind_of(ViewEffect).help
+        self.chooser.setToolTip(f"<qt>{helped[0].upper()}{helped[1:]}.</qt>")
+        self.sigma = TripleField(
+            "Standard deviations of the second view's PSF, um: known, or measured on a bead. "
+            "They are held during a fit.",
+            self,
+        )
+        self.note = Note(self, wrong=True)
+        self._form = QFormLayout()
+        self._form.setContentsMargins(0, 0, 0, 0)
+        self._form.addRow("second view", self.chooser)
+        self._form.addRow("its PSF, um", self.sigma)
+        column(self._form, self.note, of=self)  # a form would cut a text of several lines
+        self._of_layers = Connections()  # where the two layers lie
+        doc.second.shown.connect(self._show)
+        doc.at_end(self._of_layers.undo)
+        self.sigma.edited.connect(self._sized)
+        self._show()
+
+    def _sized(self) -> None:
+        self.source.resize(self.sigma.value())
+
+    def _show(self) -> None:
+        self._of_layers.undo()
+        for layer in self.source.both():
+            for moved in (layer.events.scale, layer.events.translate):
+                self._of_layers.connect(moved, self._check)
+        self.sigma.set_value(self.source.sigma)
+        show_row(self._form, self.sigma, self.source.layer is not None)
+        self._check()
+
+    def _check(self, event: Any = None) -> None:
+        """Say what is wrong with the layer, if anything."""
+        try:
+            self.source.view()
+        except InputError as error:
+            self.note.say(str(error))
+        else:
+            self.note.say("")

@@ -17,8 +17,7 @@ from qtpy.QtWidgets import (
 
 from ...evidence import Evidence
 from ...scene.effects import KINDS
-from ..qt import Signal
-from ..widgets import be_table_of_rows
+from ..widgets import Signal, be_table_of_rows
 
 _COLUMNS = (
     ("correction", "Tick one to compute it: in a fit that runs at once, else in the next one."),

@@ -13,8 +13,7 @@ from ...optics import GaussianPSF
 from ...runs.optics_settings import MeasuredOptics, MicroscopeOptics
 from ..document import Document
 from ..fields import TripleField
-from ..qt import Signal
-from ..widgets import Note, column
+from ..widgets import Note, Signal, column
 from .psf_fields import MeasuredFields, ObjectiveFields
 from .psf_picture import PsfPicture
 

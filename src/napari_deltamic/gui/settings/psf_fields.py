@@ -13,10 +13,9 @@ from ...common.choices import IMAGE_FILES, ZARR
 from ...errors import InputError
 from ...images.stacks import read_voxel_size
 from ...runs.optics_settings import MeasuredOptics, MicroscopeOptics, optics_from_values
-from ..attempt import attempt
 from ..fields import Form
-from ..qt import Signal
-from ..widgets import button, column
+from ..widgets import Signal, button, column
+from ..work import attempt
 
 _FILES = f"images ({' '.join(f'*{kind}' for kind in IMAGE_FILES if kind != ZARR)})"
 _LIT = ("confocal", "spinning disk")

@@ -19,10 +19,10 @@ from ...runs.settings import validated
 from ...runs.track_run import TrackRun
 from ...scene import Grid
 from ...tracking import FrameResult, TrackSettings
-from ..attempt import attempt
 from ..document import Document
 from ..layer_channels import origin_of
 from ..viewing.frame import Frame
+from ..work import attempt
 from .layers import TrackLayers
 from .panel import TrackPanel
 from .track_work import Frames, Tracked, TrackJob, TrackOutcome, TrackWork

@@ -17,8 +17,7 @@ from qtpy.QtWidgets import (
 from ...measure import measure_cells
 from ...tracking import FrameResult, TrackSettings
 from ..cell_table import CellTable
-from ..qt import Signal
-from ..widgets import VERDICTS, Note, button, filled, row
+from ..widgets import VERDICTS, Note, Signal, button, filled, row
 
 
 class TrackPanel(QGroupBox):

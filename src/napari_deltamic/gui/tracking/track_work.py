@@ -13,9 +13,8 @@ from ...fitting.job import FitInput
 from ...results.timeline import explained
 from ...runs.track_run import TrackRun
 from ...tracking import FrameResult, track
-from ..attempt import words_of
 from ..viewing.frame import Box, finite
-from ..work import Task
+from ..work import Task, words_of
 
 
 class Frames:

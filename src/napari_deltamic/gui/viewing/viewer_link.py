@@ -13,11 +13,13 @@ from ...geometry import Mesh
 from ...results.features import features_at
 from .frame import OWN, Frame, camera_of
 from .mesh_layers import MeshLayers
-from .pins import Pins
+from .own_layers import Points, cut_by_slices
 
 _LEAST = 5.0  # standard deviations of the noise that have the strongest colours, at least
 _SHARE = 95  # per cent of the voxels whose residuals have colours of their own
 _LOOKED_AT = 1_000_000  # voxels
+PINS = "pins"  # key under OWN
+_OF_PINS = "white"
 _GAP = 1.05  # of the width of the image: where the one beside it begins
 
 
@@ -185,3 +187,50 @@ def limits_of(residual: NDArray[Any]) -> tuple[float, float]:
     most = max(_LEAST, float(np.percentile(some, _SHARE)) if len(some) else 0.0)
     most = float(f"{most:.2g}")
     return -most, most
+
+
+class Pins:
+    """A layer of points on pinned vertices, made when the first is pinned."""
+
+    def __init__(self, shown_in: MeshLayers, name: str) -> None:
+        self._in, self._name = shown_in, name
+        self._pinned: NDArray[np.bool_] = np.zeros(0, bool)
+        self._removed = False  # by the user, who does not want to see them
+        self.layer: Points | None = None
+
+    def choose(self, pinned: NDArray[np.bool_] | None) -> None:
+        """Which vertices are pinned, (V,); None for none."""
+        self._pinned = self._pinned[:0] if pinned is None else np.asarray(pinned, bool)
+        self._removed = False
+
+    def show(self, mesh: Mesh | None) -> None:
+        """Put the marks on the vertices of a mesh."""
+        if self.layer is not None and self.layer not in self._in.viewer.layers:
+            self.layer, self._removed = None, True
+        if mesh is None or self._removed:
+            return
+        # Of another triangulation, an earlier moment for example, it is not known which are pinned.
+        known = len(self._pinned) == len(mesh.vertices)
+        places = mesh.vertices_numpy()[self._pinned] if known else np.zeros((0, 3))
+        if self.layer is not None:
+            if not np.array_equal(self.layer.data, places):
+                self.layer.data = places
+        elif len(places):
+            self._add(places, mesh)
+
+    def _add(self, places: NDArray[np.float64], mesh: Mesh) -> None:
+        a, b = mesh.vertices_numpy()[mesh.edges()[:200]].transpose(1, 0, 2)
+        size = 0.6 * float(np.median(np.linalg.norm(a - b, axis=1)))
+        self.layer = Points(
+            places,
+            ndim=3,
+            name=self._name,
+            size=max(size, max(self._in.frame.voxel_size)),
+            face_color=_OF_PINS,
+            border_width=0,
+            shading="spherical",
+            **cut_by_slices(),  # a slice shows what lies near it
+            metadata={OWN: {"fit": True, PINS: True}},
+            **self._in.frame.layer_options(),
+        ).lie_on(self._in.image_layer)
+        self._in.add(self.layer)

@@ -5,7 +5,7 @@ import threading
 import numpy as np
 import pytest
 
-from napari_deltamic.gui.results import command_copy
+from napari_deltamic.gui.results import more_actions
 from napari_deltamic.images.stacks import write_image
 from napari_deltamic.runs import seeds
 
@@ -21,7 +21,7 @@ def mixture(make_widget, with_image, ball_labels, monkeypatch, tmp_path):
     widget.seeds.place.click()
     with_image.layers["seeds"].add(CENTER)
     monkeypatch.setattr(
-        command_copy.QFileDialog, "getExistingDirectory", staticmethod(lambda *a: str(tmp_path))
+        more_actions.QFileDialog, "getExistingDirectory", staticmethod(lambda *a: str(tmp_path))
     )
     return widget
 
@@ -40,7 +40,7 @@ def test_membranes_are_found_in_the_background(mixture, told, spin, monkeypatch,
     spin(lambda: not mixture.commands.busy)
     assert threads
     assert threading.main_thread() not in threads
-    text = command_copy.QApplication.clipboard().text()
+    text = more_actions.QApplication.clipboard().text()
     assert text.startswith("napari-deltamic fit ")
     assert str(tmp_path) in text
     assert told[-1] == f"copied: {text}"
@@ -58,7 +58,7 @@ def test_what_fails_is_told(mixture, with_image, told, spin):
 def test_closing_asks_nobody_any_more(mixture, told, spin, monkeypatch):
     asked = []
     monkeypatch.setattr(
-        command_copy.QFileDialog,
+        more_actions.QFileDialog,
         "getExistingDirectory",
         staticmethod(lambda *a: asked.append(a) or ""),
     )
@@ -73,7 +73,7 @@ def test_a_folder_gets_a_batch_file(mixture, told, tmp_path):
     write_image(tmp_path / "a.tif", np.ones((4, 5, 6), np.float32), (0.3, 0.2, 0.2))
     mixture.commands.folder_action.trigger()
     assert told[-1].startswith("copied: napari-deltamic batch ")
-    assert command_copy.QApplication.clipboard().text() in told[-1]
+    assert more_actions.QApplication.clipboard().text() in told[-1]
     assert 'images = ["a.tif"]' in (tmp_path / "batch.toml").read_text()
     mixture.commands.folder_action.trigger()
     assert "is there already" in told[-1]
