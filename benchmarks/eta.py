@@ -75,8 +75,9 @@ def measure(name: str, of: Any, chosen: dict[str, str]) -> dict[str, Any]:
     """What is said before a fit, and what it takes."""
     from napari.components import ViewerModel
 
+    from napari_deltamic.accuracy.outlook import outlook
     from napari_deltamic.gui.fit_widget import FitWidget
-    from napari_deltamic.gui.settings.accuracy_scene import outlook, scene_now
+    from napari_deltamic.gui.settings.accuracy_forecast import scene_now
 
     viewer = ViewerModel()
     widget = FitWidget(viewer)

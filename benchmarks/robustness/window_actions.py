@@ -95,8 +95,8 @@ def _settings(s: Session) -> list[Action]:
         table.tick(rng.choice(["halo", "attenuation", "pixel_integration"]))
 
     def check() -> None:
-        s.widget.settings.effects.start()
-        s.did["checks"] += s.widget.settings.effects.busy
+        s.widget.settings.effects.button.start()
+        s.did["checks"] += s.widget.settings.effects.button.busy
 
     return [
         ("fit psf", lambda: of().fit_psf.setChecked(rng.random() < 0.5)),

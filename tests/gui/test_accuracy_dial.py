@@ -11,17 +11,23 @@ import pytest
 import napari_deltamic as nd
 from napari_deltamic.accuracy import machine_costs
 from napari_deltamic.accuracy.forecast import Forecast, LevelForecast, forecast
+from napari_deltamic.accuracy.outlook import Outlook
 from napari_deltamic.accuracy.renewed_forecast import RenewedForecast
 from napari_deltamic.common.cache_folder import CACHE_VARIABLE
 from napari_deltamic.common.words import duration
 from napari_deltamic.errors import InputError
-from napari_deltamic.fitting.default_accuracy import PRESETS, image_noise, preset_accuracy
+from napari_deltamic.fitting.default_accuracy import (
+    PRESETS,
+    accuracy_of,
+    image_noise,
+    preset_accuracy,
+    usable_choice,
+    written,
+)
 from napari_deltamic.geometry import sphere
 from napari_deltamic.gui.results.session import capture, restore
 from napari_deltamic.gui.running import worker
-from napari_deltamic.gui.settings.accuracy_dial import accuracy_of, usable_choice, written
 from napari_deltamic.gui.settings.accuracy_forecast import predicted
-from napari_deltamic.gui.settings.accuracy_scene import Outlook
 from napari_deltamic.runs.command import command
 from napari_deltamic.runs.settings import NEAR_LEVELS, FitSettings
 

@@ -77,7 +77,7 @@ def test_each_way_is_a_line(measuring, ways, spin, pixels):
     spin(lambda: len(view.ways) == 3)
     assert not view.list.isHidden()
     gate.release(3)
-    spin(lambda: not view.busy)
+    spin(lambda: not view.button.busy)
     assert view.button.text() == "Measure on this scene"
     mesh, grid, optics, accuracy = asked[0]
     assert (grid.shape, accuracy) == (SHAPE, preset_accuracy("normal", image_noise(pixels)))
@@ -98,7 +98,7 @@ def test_a_click_sets_the_dial(measuring, spin):
     view, dial = widget.settings.tradeoff, widget.settings.accuracy
     view.button.click()
     gate.release(6)
-    spin(lambda: not view.busy)
+    spin(lambda: not view.button.busy)
     edited = []
     widget.doc.settings_changed.connect(lambda: edited.append(dial.choice))
     view.list.itemClicked.emit(view.list.item(2))
@@ -114,7 +114,7 @@ def test_stopping_keeps_what_was_measured(measuring, spin):
     gate.release(2)
     spin(lambda: len(view.ways) == 2)
     view.button.click()
-    assert not view.busy
+    assert not view.button.busy
     assert "2 ways" in view.progress.text()
     gate.release(9)
     spin(seconds=0.1, must=False)
@@ -128,12 +128,12 @@ def test_a_fit_ends_it(measuring, spin, endless):
     gate.release(1)
     spin(lambda: len(view.ways) == 1)
     widget.start()
-    assert not view.busy
+    assert not view.button.busy
     assert running(widget)
     assert "stopped" in view.progress.text()
     assert not view.button.isEnabled()
-    view.start()
-    assert not view.busy
+    view.button.start()
+    assert not view.button.busy
     assert "stop it first" in view.progress.text()
     widget.stop()
     spin(lambda: not running(widget))
@@ -148,7 +148,7 @@ def test_what_goes_wrong_is_told_in_words(seeded, make_widget, monkeypatch, spin
     monkeypatch.setattr(accuracy_view, "measure_ways", fail)
     view = seeded.settings.tradeoff
     view.button.click()
-    spin(lambda: not seeded.settings.tradeoff.busy)
+    spin(lambda: not seeded.settings.tradeoff.button.busy)
     assert view.progress.text() == "not measured: the image of the mesh is empty"
     assert view.button.text() == "Measure on this scene"
 
@@ -164,7 +164,7 @@ def test_a_chart_of_another_psf_says_so(measuring, spin):
     view, box = widget.settings.tradeoff, widget.settings.sigma._boxes[0]
     view.button.click()
     gate.release(6)
-    spin(lambda: not widget.settings.tradeoff.busy)
+    spin(lambda: not widget.settings.tradeoff.button.busy)
     old = box.value()
     box.setValue(2 * old)
     assert "measure again" in view.progress.text()
@@ -179,7 +179,7 @@ def test_closing_while_it_measures_releases_everything(measuring, with_image, sp
         widget = fit_widget.FitWidget(with_image)
         spin(settled(widget))
         view = widget.settings.tradeoff
-        view.start()
+        view.button.start()
         spin(lambda: asked)
         gate.release(1)
         spin(lambda: len(view.ways) == 1)
@@ -199,6 +199,6 @@ def test_a_small_scene_is_really_measured(seeded, spin, monkeypatch):
     spin(settled(seeded))
     view = seeded.settings.tradeoff
     view.button.click()
-    spin(lambda: not view.busy, 60)
+    spin(lambda: not view.button.busy, 60)
     assert any(one.measured for one in view.ways)
     assert lines(view)

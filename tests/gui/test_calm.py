@@ -5,9 +5,9 @@ import pytest
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QAbstractSpinBox, QCheckBox, QComboBox, QPushButton, QSlider, QWidget
 
+from napari_deltamic.geometry.labels.bright_cells import CellsFound
 from napari_deltamic.gui import fit_widget
 from napari_deltamic.gui.dock import Column
-from napari_deltamic.gui.seeding.find_cells_button import FoundCells
 from napari_deltamic.gui.viewing.colours import region_colours
 
 from .conftest import CENTER, SIZE
@@ -88,8 +88,8 @@ def test_found_cells_make_room_and_have_the_colours_of_the_result(
     widget = make_widget()
     finder = widget.seeds.find_cells
     assert finder.cell_size.isHidden()
-    finder._asked = (with_image.layers["cell"], widget.doc.image.frame())
-    finder._show(FoundCells(1.0, ball_labels.astype(np.int32)))
+    finder._asked = (with_image.layers["cell"], widget.doc.image.frame(), 1.0)
+    finder._show(CellsFound(ball_labels.astype(np.int32), 1.0, False))
     assert not finder.cell_size.isHidden()
     layer = with_image.layers["found cells"]
     np.testing.assert_allclose(layer.get_color(3), region_colours(3), atol=1e-6)

@@ -114,11 +114,11 @@ def test_the_image_and_its_seeds_are_asked_in_the_background(seeded, spin, asked
     view = seeded.settings.effects
     seeded.settings.max_iterations.setValue(5)
     view.button.click()
-    assert seeded.settings.effects.busy
+    assert seeded.settings.effects.button.busy
     assert view.button.text() == "Stop checking"
     spin(lambda: view.progress.text() == "looking at attenuation ...")
     gate.release()
-    spin(lambda: not seeded.settings.effects.busy)
+    spin(lambda: not seeded.settings.effects.button.busy)
     assert view.found.recommended == ("attenuation",)
     assert seeded.settings.effects_fold.title == "Corrections: none; dimmer with depth recommended"
     assert calls[0]["fitted"].iteration == 5
@@ -135,13 +135,13 @@ def test_a_fit_that_converged_is_not_done_again(seeded, spin, asked):
     state = seeded.doc.result.state
     assert state.converged
     seeded.settings.effects.button.click()
-    spin(lambda: not seeded.settings.effects.busy)
+    spin(lambda: not seeded.settings.effects.button.busy)
     assert calls[0]["fitted"] is state
     seeded.settings.effects.table.tick("attenuation")
     seeded.settings.max_iterations.setValue(3)
     gate.release()
     seeded.settings.effects.button.click()
-    spin(lambda: not seeded.settings.effects.busy, seconds=60)
+    spin(lambda: not seeded.settings.effects.button.busy, seconds=60)
     assert calls[1]["fitted"] is not state
     assert calls[1]["effects"].names == ("attenuation",)
 
@@ -153,7 +153,7 @@ def test_a_check_can_be_stopped(seeded, spin, asked):
     view.button.click()
     spin(lambda: view.progress.text() == "looking at attenuation ...")
     view.button.click()
-    assert not seeded.settings.effects.busy
+    assert not seeded.settings.effects.button.busy
     assert view.progress.text() == "stopped"
     gate.release()
     spin(seconds=0.3, must=False)
@@ -163,7 +163,7 @@ def test_a_check_can_be_stopped(seeded, spin, asked):
 def test_without_seeds_it_says_what_is_missing(make_widget):
     widget = make_widget()
     widget.settings.effects.button.click()
-    assert not widget.settings.effects.busy
+    assert not widget.settings.effects.button.busy
     assert "Click cells" in widget.settings.effects.progress.text()
 
 
@@ -242,12 +242,12 @@ def test_the_time_shown_is_checked(series_widget, viewer, series, spin):
     series_widget.settings.max_iterations.setValue(2)
     series_widget.start()
     spin(lambda: not series_widget.run.running)
-    assert series_widget.settings.effects.asked().prepare().image.shape == series[0].shape
-    np.testing.assert_array_equal(series_widget.settings.effects.asked().prepare().image, series[0])
+    assert series_widget.settings.effects.asked()[0]().image.shape == series[0].shape
+    np.testing.assert_array_equal(series_widget.settings.effects.asked()[0]().image, series[0])
     viewer.dims.set_current_step(0, 2)
     if viewer.layers["seeds"].ndim == 4:
         viewer.layers["seeds"].add((2, *viewer.layers["seeds"].data[0][-3:]))
-    np.testing.assert_array_equal(series_widget.settings.effects.asked().prepare().image, series[2])
+    np.testing.assert_array_equal(series_widget.settings.effects.asked()[0]().image, series[2])
 
 
 def test_an_image_is_read_in_the_thread(seeded, with_image, spin, asked):
@@ -271,9 +271,9 @@ def test_an_image_is_read_in_the_thread(seeded, with_image, spin, asked):
     layer._data = lazy
     spin(lambda: not seeded.settings.forecast.busy)
     lazy.readers.clear()
-    seeded.settings.effects.start()
+    seeded.settings.effects.button.start()
     assert main not in lazy.readers
     asked[0].release(9)
-    spin(lambda: not seeded.settings.effects.busy)
+    spin(lambda: not seeded.settings.effects.button.busy)
     assert lazy.readers
     assert main not in lazy.readers

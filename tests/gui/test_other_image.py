@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from napari_deltamic.geometry.labels.bright_cells import CellsFound
 from napari_deltamic.gui.seeding import find_cells_button
 from napari_deltamic.gui.settings import effects_panel
 from napari_deltamic.runs.settings import FitSettings
@@ -68,7 +69,7 @@ def test_found_cells_are_of_their_image(make_widget, with_image, spin, other, mo
     labels = np.zeros(with_image.layers["cell"].data.shape, np.int32)
     labels[5:12, 5:15, 5:15] = 1
     monkeypatch.setattr(
-        find_cells_button, "look", lambda *arguments: find_cells_button.FoundCells(2.0, labels)
+        find_cells_button, "look", lambda *arguments: CellsFound(labels, 2.0, False)
     )
     widget = make_widget()
     widget.seeds.find_cells.click()
@@ -86,8 +87,8 @@ def test_found_cells_are_of_their_image(make_widget, with_image, spin, other, mo
 def test_recommendations_are_of_their_image(seeded, spin, other, monkeypatch):
     monkeypatch.setattr(effects_panel, "recommend", lambda *a, **k: recommendation(FADING, HALO))
     seeded.settings.show_settings(FitSettings(max_iterations=2))
-    seeded.settings.effects.start()
-    spin(lambda: not seeded.settings.effects.busy)
+    seeded.settings.effects.button.start()
+    spin(lambda: not seeded.settings.effects.button.busy)
     view = seeded.settings.effects
     assert view.summary() == "none; dimmer with depth recommended"
     other()

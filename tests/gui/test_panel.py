@@ -14,8 +14,8 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
+from napari_deltamic.geometry.labels.bright_cells import CellsFound
 from napari_deltamic.gui.fit_widget import FitWidget
-from napari_deltamic.gui.seeding.find_cells_button import FoundCells
 from napari_deltamic.gui.widgets import Fold
 
 from .seeding import PLACE
@@ -70,8 +70,8 @@ def test_few_controls_are_in_sight_before_a_fit(shown, with_image, ball_labels, 
     assert 10 < len(in_sight(shown)) <= MOST
     # The most: cells were found, and may be corrected.
     finder = shown.seeds.find_cells
-    finder._asked = (with_image.layers["cell"], shown.doc.image.frame())
-    finder._show(FoundCells(1.0, ball_labels.astype(np.int32)))
+    finder._asked = (with_image.layers["cell"], shown.doc.image.frame(), 1.0)
+    finder._show(CellsFound(ball_labels.astype(np.int32), 1.0, False))
     spin(seconds=0.3, must=False)
     assert shown.seeds.corrections.bar.isVisible()
     names = [type(control).__name__ for control in in_sight(shown)]

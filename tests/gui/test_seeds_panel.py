@@ -16,6 +16,7 @@ from napari_deltamic.cli.messages import Notes
 from napari_deltamic.errors import InputError, RepairWarning
 from napari_deltamic.fitting.job import assemble
 from napari_deltamic.geometry import sphere
+from napari_deltamic.geometry.labels.bright_cells import CellsFound
 from napari_deltamic.gui.seeding import find_cells_button
 from napari_deltamic.runs.command import command
 from napari_deltamic.runs.run_files import with_files
@@ -229,7 +230,7 @@ def test_a_second_press_starts_anew(panel, with_image, spin, monkeypatch):
     def look(read, voxel_size, size):
         sizes.append(size)
         assert gate.wait(20)
-        return find_cells_button.FoundCells(1.0, np.full(read().shape, len(sizes), np.int32))
+        return CellsFound(np.full(read().shape, len(sizes), np.int32), 1.0, False)
 
     monkeypatch.setattr(find_cells_button, "look", look)
     for _ in range(3):
@@ -246,7 +247,7 @@ def test_a_search_for_cells_is_given_up_with_its_image(panel, with_image, spin, 
 
     def look(read, voxel_size, size):
         assert gate.wait(20)
-        return find_cells_button.FoundCells(1.0, np.ones(read().shape, np.int32))
+        return CellsFound(np.ones(read().shape, np.int32), 1.0, False)
 
     monkeypatch.setattr(find_cells_button, "look", look)
     panel.find_cells.click()

@@ -12,11 +12,14 @@ the surface is at most a twentieth above the best that the image allows.
 from __future__ import annotations
 
 from math import ceil, isfinite
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
+from ..common.accuracy_bounds import is_accuracy
+from ..common.words import scientific
 from ..errors import InputError
+from ..runs.fit_settings import asked_error
 from .likelihood import noise_ratio
 
 # Finer than the first nothing improved even without noise. Coarser than the last little time is
@@ -80,3 +83,62 @@ def image_noise(image: np.ndarray, known: np.ndarray | None = None) -> float:
 def accuracy_for_image(image: np.ndarray, known: np.ndarray | None = None) -> float:
     """:func:`accuracy_for` the noise of an image; see :func:`image_noise`."""
     return accuracy_for(image_noise(image, known))
+
+
+# ---- what is chosen on the dial: a name, a length, or a number -----------------------------------
+
+
+def chosen(text: str) -> str:
+    """A choice as the dial shows it."""
+    plain = text.strip().lower()
+    return "exact" if plain == "0" else plain
+
+
+def relative(choice: str) -> bool:
+    """Whether a choice depends on the noise."""
+    return (choice in PRESETS and choice != "exact") or is_length(choice)
+
+
+def is_length(choice: str) -> bool:
+    """Whether a choice is how far the shape may be off, such as 20nm."""
+    try:
+        return asked_error(choice.replace(" ", "")) is not None
+    except InputError:
+        return False
+
+
+def accuracy_of(choice: str, noise: float) -> float:
+    """The accuracy that a choice stands for on an image with this noise. InputError if none."""
+    choice = chosen(choice)
+    if choice in PRESETS:
+        return preset_accuracy(choice, noise)
+    if is_length(choice):
+        return preset_accuracy("normal", noise)  # until start and image are known
+    try:
+        accuracy = float(choice.replace(",", "."))
+    except ValueError:
+        accuracy = -1.0
+    if not is_accuracy(accuracy):
+        raise InputError(
+            f"accuracy must be {', '.join(PRESETS)}, a length such as 20nm, or a number from 0 to "
+            f"below 1, not '{choice}'"
+        )
+    return accuracy
+
+
+def written(accuracy: float) -> str:
+    """A number as a user would type it: 3e-3, and 'exact' for 0."""
+    if accuracy == 0:
+        return "exact"
+    short = scientific(accuracy, 7)
+    # All digits where they matter: a saved analysis goes on with the very number.
+    return short if float(short) == accuracy else repr(float(accuracy))
+
+
+def usable_choice(choice: Any) -> str:
+    """A choice of the preferences; ValueError if it is none."""
+    try:
+        accuracy_of(str(choice), 0.0)
+    except InputError as error:
+        raise ValueError(str(error)) from None
+    return chosen(str(choice))

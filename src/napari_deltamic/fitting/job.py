@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +54,10 @@ class FitInput:
     def has_missing(self) -> bool:
         """Whether some voxels are missing."""
         return bool(np.isnan(self.image).any())
+
+    def with_settings(self, **parts: Any) -> FitInput:
+        """The same with other parts of the settings: ``fit``, ``scene``, ``seeds``."""
+        return replace(self, settings=self.settings.model_copy(update=parts))
 
 
 def levelled(image: NDArray[Any], grid: Grid, effects: Effects) -> NDArray[Any]:

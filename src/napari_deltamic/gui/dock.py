@@ -15,15 +15,13 @@ from qtpy.QtGui import QDesktopServices
 from qtpy.QtWidgets import (
     QDockWidget,
     QFrame,
-    QHBoxLayout,
     QMenu,
     QMessageBox,
-    QPushButton,
     QScrollArea,
     QWidget,
 )
 
-from .widgets import button
+from .widgets import button, row
 
 DOCS = "https://github.com/napari-deltamic/napari-deltamic/blob/main/docs/napari.md"
 
@@ -33,8 +31,7 @@ class Header(QWidget):
 
     def __init__(self, groups: Sequence[Sequence[Any]], parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        more = QPushButton("More", self)
-        more.setToolTip("<qt>Sessions, the command of a run, simulated cells.</qt>")
+        more = button("More", "Sessions, the command of a run, simulated cells.", None, self)
         self.menu = QMenu(more)
         self.menu.setToolTipsVisible(True)
         for group in groups:
@@ -45,11 +42,7 @@ class Header(QWidget):
         helps = button("?", tip, partial(QDesktopServices.openUrl, QUrl(DOCS)), self)
         helps.setAccessibleName("help")
         helps.setFixedWidth(30)
-        layout = QHBoxLayout(self)
-        layout.setContentsMargins(0, 2, 4, 0)
-        layout.addStretch()
-        layout.addWidget(more)
-        layout.addWidget(helps)
+        row((QWidget(self), 1), more, helps, of=self).setContentsMargins(0, 2, 4, 0)
 
 
 class Column(QScrollArea):

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from qtpy.QtWidgets import QFormLayout, QGroupBox, QHBoxLayout, QLabel, QPushButton, QWidget
+from qtpy.QtWidgets import QFormLayout, QGroupBox, QLabel, QWidget
 
 from ..errors import InputError
 from .document import Document
 from .fields import TripleField
 from .layer_channels import Choice, channel_axes, channels
 from .viewing.frame import um_per_unit
-from .widgets import AMBER, LayerChooser, Note, narrow_box, sentence, show_row
+from .widgets import AMBER, LayerChooser, Note, button, narrow_box, row, sentence, show_row
 
 WHOLE, BOX = "whole image", "the rectangle drawn"
 
@@ -24,32 +24,26 @@ class ImagePanel(QGroupBox):
         self._doc, self._image = doc, doc.image
         self.chooser = LayerChooser(doc.image.choice, self)
         self.chooser.setToolTip("The 3D image of membranes to fit. Of a 4D one, the time shown.")
-        self.channels = narrow_box(self, "channel")
-        self.channels.setToolTip(
-            "<qt>The channel that shows the membranes. It becomes a layer of its own, which is "
-            "fitted.</qt>"
+        tip = (
+            "The channel that shows the membranes. It becomes a layer of its own, which is fitted."
         )
-        self.region = narrow_box(self, "region")
-        self.region.addItems([WHOLE, BOX])
-        self.region.setToolTip(
-            "<qt>What of the image is fitted. Bright things that are no cells of yours are best "
-            "left out: draw a rectangle around the cells in a Shapes layer, and choose it here. "
-            "All slices across it count.</qt>"
+        self.channels = narrow_box(self, "channel", tip)
+        tip = (
+            "What of the image is fitted. Bright things that are no cells of yours are best left "
+            "out: draw a rectangle around the cells in a Shapes layer, and choose it here. All "
+            "slices across it count."
         )
+        self.region = narrow_box(self, "region", tip, (WHOLE, BOX))
         self.voxel_size = TripleField("Voxel size, um. It is the scale of the image layer.", self)
         self.size_line = QLabel(self)
-        self.edit_size = QPushButton("Edit", self)
-        self.edit_size.setToolTip("<qt>Type another voxel size.</qt>")
+        self.edit_size = button("Edit", "Type another voxel size.", None, self)
         self.edit_size.setCheckable(True)
         self.note = Note(self)
-        size = QHBoxLayout()
-        size.addWidget(self.size_line, 1)
-        size.addWidget(self.edit_size)
         self._form = layout = QFormLayout(self)
         layout.addRow("layer", self.chooser)
         layout.addRow("channel", self.channels)
         layout.addRow("region", self.region)
-        layout.addRow("voxel", size)
+        layout.addRow("voxel", row((self.size_line, 1), self.edit_size))
         layout.addRow(self.voxel_size)
         layout.addRow(self.note)
         self._choices: list[Choice] = []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -24,9 +24,12 @@ from qtpy.QtWidgets import (
     QVBoxLayout,
     QWidget,
 )
+from superqt import QLabeledDoubleSlider
 from superqt.utils import signals_blocked
 
+from ..errors import InputError
 from .layer_choice import LayerChoice
+from .work import Question, Work
 
 # The bindings' type stubs do not agree on these two.
 Signal: Any = QtCore.Signal  # type: ignore[attr-defined]
@@ -82,20 +85,86 @@ def be_narrow(box: QComboBox, characters: int = 12) -> None:
     box.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
 
 
-def narrow_box(parent: QWidget, name: str, characters: int = 12) -> QComboBox:
+def narrow_box(
+    parent: QWidget, name: str, tip: str, items: Iterable[str] = (), characters: int = 12
+) -> QComboBox:
     """A box that long names do not widen."""
     box = QComboBox(parent)
     box.setAccessibleName(name)
+    box.setToolTip(f"<qt>{tip}</qt>")
+    box.addItems(list(items))
     be_narrow(box, characters)
     return box
 
 
 def button(title: str, tip: str, slot: Any, parent: QWidget) -> QPushButton:
-    """A button that does something when it is pressed."""
+    """A button that does something when it is pressed; without a slot, others connect it."""
     made = QPushButton(title, parent)
     made.setToolTip(f"<qt>{tip}</qt>" if tip else "")
-    made.clicked.connect(slot)
+    if slot is not None:
+        made.clicked.connect(slot)
     return made
+
+
+def slider(tip: str, parent: QWidget | None) -> QLabeledDoubleSlider:
+    """A slider for a length, beside its number."""
+    made = QLabeledDoubleSlider(Qt.Orientation.Horizontal, parent)
+    made.setToolTip(f"<qt>{tip}</qt>")
+    return made
+
+
+class TaskButton(QPushButton):
+    """Starts a task of one kind, and ends it while it runs.
+
+    Parameters
+    ----------
+    titles : while it can be started, and while it runs.
+    make : makes it. InputError where something is missing.
+    """
+
+    began = Signal()
+    refused = Signal(str)  # why it did not
+
+    def __init__(
+        self,
+        work: Work,
+        titles: tuple[str, str],
+        tip: str,
+        make: Callable[[], Question],
+        parent: QWidget,
+    ) -> None:
+        super().__init__(titles[0], parent)
+        self.setToolTip(f"<qt>{tip}</qt>")
+        self._work, self._titles, self._make = work, titles, make
+        self.task: Question | None = None  # the last one
+        self.clicked.connect(self._pressed)
+        work.changed.connect(self._show)
+
+    @property
+    def busy(self) -> bool:
+        return self.task is not None and self.task.running
+
+    def start(self) -> None:
+        """Start a task, if nothing runs that does not give way."""
+        try:
+            task = self._make()
+            self._work.start(task)
+        except InputError as error:
+            self.refused.emit(str(error))
+            return
+        self.task = task
+        self._show()
+        self.began.emit()
+
+    def _pressed(self) -> None:
+        if self.busy:
+            self._work.stop(at_once=True)
+        else:
+            self.start()
+
+    def _show(self) -> None:
+        self.setText(self._titles[self.busy])
+        self.setEnabled(self.busy or not self._work.occupied)
 
 
 def small(made: QPushButton) -> QPushButton:

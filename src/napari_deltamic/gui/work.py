@@ -113,6 +113,53 @@ class Task:
             setattr(self, name, _nobody)
 
 
+class Question(Task):
+    """A task of one generator function, which ends where another task is to start.
+
+    Parameters
+    ----------
+    steps : called with the question, for its steps; see :meth:`Task.steps`.
+    on_look : called a few times a second.
+    on_end : called with the answer, or with why there is none; with None where it was stopped.
+    of : what it is about; equal for two questions about the same.
+    shape : of the image, which tells how much memory is needed.
+
+    Attributes
+    ----------
+    found : what its thread has found so far.
+    """
+
+    gives_way = True
+
+    def __init__(
+        self,
+        title: str,
+        steps: Callable[[Question], Generator[None, None, Any]],
+        on_look: Callable[[], None],
+        on_end: Callable[[Any], None],
+        of: Any = None,
+        shape: Sequence[int] | None = None,
+    ) -> None:
+        super().__init__()
+        self.title, self.stage = title, "preparing"
+        self._steps, self.of, self._shape = steps, of, shape
+        self.found: list[Any] = []
+        self._on_look, self._on_end = on_look, on_end
+
+    def steps(self) -> Generator[None, None, Any]:
+        """What the thread runs."""
+        return self._steps(self)
+
+    def failed(self, error: Exception) -> str:
+        return words_of(error, self._shape)
+
+    def look(self) -> None:
+        self._on_look()
+
+    def end(self, outcome: Any) -> None:
+        self._on_end(outcome)
+
+
 class Work(QObject):
     """The one task under way: fits, tracking, evidence and measurements take turns."""
 

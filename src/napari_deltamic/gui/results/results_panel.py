@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from qtpy.QtWidgets import QFileDialog, QGroupBox, QMenu, QPushButton, QVBoxLayout, QWidget
+from qtpy.QtWidgets import QFileDialog, QGroupBox, QMenu, QVBoxLayout, QWidget
 from superqt.utils import signals_blocked
 
 from ...common.table import csv_text
@@ -24,7 +24,7 @@ from ...results.report import write_results
 from ..cell_table import CellTable
 from ..document import Document, Record
 from ..viewing.cell_layers import labels_layer
-from ..widgets import Note, action, filled, narrow_box, row
+from ..widgets import Note, action, button, filled, narrow_box, row
 from ..work import attempt
 
 IMAGE_FILES = "OME-TIFF (*.ome.tif *.ome.tiff);;ImageJ TIFF (*.tif *.tiff)"
@@ -38,15 +38,14 @@ class ResultsPanel(QGroupBox):
         self._doc = doc
         self._shown_of: Any = None  # the state whose cells are shown
         self.table = CellTable(self)
-        self.colour = narrow_box(self, "colour cells by", 8)
-        self.colour.setToolTip("<qt>Colour the cells in the viewer by a column of the table.</qt>")
-        self.columns = QPushButton("Columns", self)
-        self.columns.setToolTip("<qt>Choose what the table shows.</qt>")
+        tip = "Colour the cells in the viewer by a column of the table."
+        self.colour = narrow_box(self, "colour cells by", tip, characters=8)
+        self.columns = button("Columns", "Choose what the table shows.", None, self)
         shown = QMenu(self.columns)
         shown.aboutToShow.connect(self._offer_columns)
         self.columns.setMenu(shown)
-        self.export = QPushButton("Export", self)
-        self.export.setToolTip("<qt>Save what was found, or add the cells as labels.</qt>")
+        tip = "Save what was found, or add the cells as labels."
+        self.export = button("Export", tip, None, self)
         self.export.setMenu(self._export_menu())
         self.scale = Note(self)
         buttons = row(self.colour, self.columns, self.export)

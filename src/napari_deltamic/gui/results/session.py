@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from ...errors import InputError
+from ...fitting.default_accuracy import usable_choice
 from ...fitting.job import FitInput, optics_of
 from ...results.report import History
 from ...results.session_file import SavedImage, SavedResult, Session
 from ...runs.settings import RunSettings
 from ..document import VIEWS, Document, Record
-from ..settings.accuracy_dial import usable_choice
 from ..tracking.control import TrackControl
 from ..viewing.frame import Frame
 from ..viewing.own_layers import lie_on

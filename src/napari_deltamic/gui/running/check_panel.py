@@ -60,16 +60,14 @@ class CheckPanel(QGroupBox):
         self.history = HistoryBar(doc, edits, control, self)
         self.curve = ExplainedCurve(self)
         self.numbers = LiveNumbers(self)
-        self.view = narrow_box(self, "what is shown", 9)
-        self.view.addItems(VIEWS)
-        self.view.setToolTip(
-            "<qt><b>rendered</b>: what the microscope would see of the present surfaces. "
+        tip = (
+            "<b>rendered</b>: what the microscope would see of the present surfaces. "
             "<b>residual</b>: measured minus rendered, in standard deviations of the noise; green "
-            "is brighter than rendered, magenta darker.</qt>"
+            "is brighter than rendered, magenta darker."
         )
-        self.slice = narrow_box(self, "slices", 3)
-        self.slice.addItems(list(_SLICES))
-        self.slice.setToolTip("<qt>Look at slices across another axis.</qt>")
+        self.view = narrow_box(self, "what is shown", tip, VIEWS, 9)
+        tip = "Look at slices across another axis."
+        self.slice = narrow_box(self, "slices", tip, _SLICES, 3)
         self._lay_out()
         self._connect()
         self._show()

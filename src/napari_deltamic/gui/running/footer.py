@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from qtpy.QtWidgets import QProgressBar, QPushButton, QWidget
+from qtpy.QtWidgets import QProgressBar, QWidget
 
 from ...common.words import duration
 from ..document import Document
@@ -21,8 +21,8 @@ class Footer(QWidget):
         tip = "Fit the surfaces of the cells to the image."
         self.run_button = button("Fit", tip, control.start, self)
         self.run_button.setStyleSheet("font-weight: bold;")
-        self.pause_button = QPushButton("Pause", self)
-        self.pause_button.setToolTip("<qt>Pause. You can edit the cells while paused.</qt>")
+        tip = "Pause. You can edit the cells while paused."
+        self.pause_button = button("Pause", tip, None, self)
         self.pause_button.setCheckable(True)
         tip = "End what runs; what it reached is kept."
         self.stop_button = button("Stop", tip, self._stop, self)

@@ -13,6 +13,7 @@ from qtpy.QtCore import QObject
 
 from ...accuracy.experience import Learned
 from ...accuracy.forecast import Forecast
+from ...accuracy.outlook import Forecaster, expected
 from ...errors import InputError
 from ...fitting import Change, FitState
 from ...fitting.by_hand import changed_by_hand
@@ -23,7 +24,7 @@ from ...results.judged import Compared, Spread, compared, judge
 from ...runs.settings import NEAR_LEVELS
 from ..document import Document, Record
 from ..work import attempt
-from .worker import FitRun, Forecaster, Outcome, Snapshot, expected
+from .worker import FitRun, Outcome, Snapshot
 
 
 class RunControl(QObject):
@@ -86,11 +87,10 @@ class RunControl(QObject):
         if link.image_layer not in doc.viewer.layers:
             raise InputError("the image of that fit is no longer open")
         fit = doc.settings.fit_settings().model_copy(update={"levels": NEAR_LEVELS})
-        old = record.job.settings
+        scene = scene_with(record.job.settings.scene, optics)
         # The seeds of that fit would not repeat this one.
-        scene = scene_with(old.scene, optics)
-        settings = old.model_copy(update={"fit": fit, "scene": scene, "seeds": ""})
-        job = replace(record.job, settings=settings, mesh=mesh, optics=optics)
+        job = record.job.with_settings(fit=fit, scene=scene, seeds="")
+        job = replace(job, mesh=mesh, optics=optics)
         first = None
         if pinned is not None and pinned.any():
             first = Change(mesh=mesh, pinned=pinned)

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from qtpy.QtCore import QObject, Qt
-from qtpy.QtWidgets import QLabel, QPushButton, QWidget
-from superqt import QLabeledDoubleSlider
+from qtpy.QtCore import QObject
+from qtpy.QtWidgets import QLabel, QWidget
 from superqt.utils import signals_blocked
 
 from ...geometry import Mesh
@@ -22,7 +21,7 @@ from ..viewing.contours import sliced_axis
 from ..viewing.frame import FloatArray
 from ..viewing.listening import Presses, lay_down
 from ..viewing.viewer_link import ViewerLink
-from ..widgets import ToolBar
+from ..widgets import ToolBar, button, slider
 from .edits import Edits
 
 _TIPS = {
@@ -44,10 +43,8 @@ class EditBar(ToolBar):
     def __init__(self, parent: QWidget | None = None) -> None:
         tools = {tool: (tool.capitalize(), tip) for tool, tip in _TIPS.items()}
         super().__init__(tools, _start, parent)
-        self.pins = QPushButton(self)
-        self.pins.setToolTip("Free all pinned vertices.")
-        self.radius = QLabeledDoubleSlider(Qt.Orientation.Horizontal, self)
-        self.radius.setToolTip("Radius of the brush, µm; the effect fades towards its rim.")
+        self.pins = button("", "Free all pinned vertices.", None, self)
+        self.radius = slider("Radius of the brush, µm; the effect fades towards its rim.", self)
         self.row.insertWidget(0, QLabel("edit", self))
         self.column.insertWidget(1, self.radius)
         self.column.addWidget(self.pins)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Generator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...accuracy.forecast import Forecast, forecast
+from ...accuracy.forecast import Forecast
+from ...accuracy.outlook import Forecaster
 from ...accuracy.renewed_forecast import RenewedForecast
 from ...errors import InputError
 from ...fitting import Change, FitState
@@ -19,8 +20,6 @@ from ...fitting.job import FitInput, scene_with, start
 from ...fitting.pending import Waiting, usable
 from ...geometry import Mesh
 from ...results.report import History
-from ...runs.settings import FitSettings, SceneSettings
-from ...scene.effects import Effects
 from ..work import Task, words_of
 
 RENDER_EVERY = 0.3  # s, at least, between two rendered images
@@ -29,7 +28,6 @@ SNAPSHOT_EVERY = 0.03  # s
 RATE_OVER = 2.0  # s
 FORECAST_EVERY = 0.5  # s; more often it could not be read
 
-Forecaster = Forecast | RenewedForecast  # says how long a fit will still take
 Verdict = Literal["converged", "ended", "stopped", "failed"]
 
 
@@ -247,14 +245,17 @@ class FitRun(Task):
         except InputError as error:
             self._refusals.append(f"not changed: {error}")
             return None
+        # For whoever saves or repeats the fit: as it is done now.
         if change.settings is not None:
-            job = self.job = _with_settings(job, change.settings)
+            planned = {"levels": job.settings.fit.levels}
+            job = job.with_settings(fit=change.settings.model_copy(update=planned))
             self._forecast_anew(job)
         if change.effects is not None:
-            job = self.job = _with_scene(job, job.settings.scene, change.effects)
+            update = {"effects": change.effects}
+            job = job.with_settings(scene=job.settings.scene.model_copy(update=update))
         if change.optics is not None:
-            scene = scene_with(job.settings.scene, change.optics)
-            self.job = _with_scene(job, scene, scene.effects)
+            job = job.with_settings(scene=scene_with(job.settings.scene, change.optics))
+        self.job = job
         return change
 
     def _forecast_anew(self, job: FitInput) -> None:
@@ -262,32 +263,3 @@ class FitRun(Task):
         found = None if self._forecaster is None else self._forecaster(job)
         if isinstance(found, Forecast):
             self.forecast = RenewedForecast(found, len(self.history.level), self.seconds)
-
-
-def expected(job: FitInput) -> Forecaster | None:
-    """What forecasts how long a fit will take; None where the fit will say what is wrong."""
-    settings = job.settings
-    try:
-        return forecast(
-            job.image,
-            job.grid,
-            job.mesh,
-            job.optics,
-            settings.fit,
-            job.counted,
-            settings.scene.effects,
-        )
-    except InputError:
-        return None
-
-
-def _with_settings(job: FitInput, settings: FitSettings) -> FitInput:
-    """The job as the fit now does it, for whoever saves or repeats it."""
-    run = job.settings
-    settings = settings.model_copy(update={"levels": run.fit.levels})
-    return replace(job, settings=run.model_copy(update={"fit": settings}))
-
-
-def _with_scene(job: FitInput, scene: SceneSettings, effects: Effects) -> FitInput:
-    scene = scene.model_copy(update={"effects": effects})
-    return replace(job, settings=job.settings.model_copy(update={"scene": scene}))

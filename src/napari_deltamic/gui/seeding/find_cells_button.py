@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 from napari.layers import Labels
 from numpy.typing import NDArray
-from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QPushButton, QWidget
-from superqt import QLabeledDoubleSlider
 from superqt.utils import signals_blocked
 
 from ...errors import InputError
@@ -23,7 +20,7 @@ from ...scene import Grid
 from ..document import Document
 from ..viewing.colours import label_colormap
 from ..viewing.frame import Frame
-from ..widgets import Signal, sentence
+from ..widgets import Signal, sentence, slider
 
 NAME = "found cells"
 _OTHERS = 3  # sizes that are offered besides the one used, at most
@@ -49,18 +46,18 @@ class FindCells(QPushButton):
             "seconds to minutes in the background, by the size of the image. Pressing again starts "
             "anew and replaces what was found, corrections too.</qt>"
         )
-        self.cell_size = QLabeledDoubleSlider(Qt.Orientation.Horizontal, parent)
-        self.cell_size.setToolTip(
-            "<qt>Diameter of a typical cell, um. Until you move it, it is estimated from the "
-            "image. Larger: fewer cells, smaller: more. Press 'Find cells' again after that.</qt>"
+        tip = (
+            "Diameter of a typical cell, um. Until you move it, it is estimated from the image. "
+            "Larger: fewer cells, smaller: more. Press 'Find cells' again after that."
         )
+        self.cell_size = slider(tip, parent)
         self.message = ""
         # Sizes that the cells may have instead, with how many would be found, about; 0: not known.
         self.others: list[tuple[float, int]] = []
         self._sizes: list[tuple[float, int]] = []
         self._moved = False
         self._layer: Any = None
-        self._asked: tuple[Any, Frame] | None = None
+        self._asked: tuple[Any, Frame, float | None] | None = None  # the last: size, um
         self._found_in: Any = None  # the image layer that the message and the labels are of
         self._background = doc.background(self._show, self._fail)
         doc.at_end(self._let_go)
@@ -83,8 +80,8 @@ class FindCells(QPushButton):
         except InputError as error:
             self._tell(sentence(str(error)))
             return
-        self._asked = (self._image.layer, frame)
         size = float(self.cell_size.value()) if self._moved else None
+        self._asked = (self._image.layer, frame, size)
         self._background.ask(partial(look, read, frame.voxel_size, size))
         self._tell("Looking for cells ...")
 
@@ -127,18 +124,19 @@ class FindCells(QPushButton):
         self._moved = True
         self.start()
 
-    def _show(self, result: FoundCells) -> None:
+    def _show(self, result: Any) -> None:
         if self._asked is None:
             return
         size, labels = result.size, result.labels
-        (image_layer, frame), self._asked = self._asked, None
+        (image_layer, frame, wanted), self._asked = self._asked, None
         if image_layer not in self._viewer.layers:
             self._tell("")
             return
         if not self._moved:
             self._set_size(size)
-        if result.others is not None:
-            self._sizes = [(size, 0), *result.others]
+        if wanted is None:
+            others = [(one.size, one.cells) for one in result.others[:_OTHERS]]
+            self._sizes = [(size, 0), *others]
         layer, self._found_in = self._layer_for(frame, labels), image_layer
         n = len(np.unique(labels[labels > 0]))
         self._tell(f"Found {n} {'cell' if n == 1 else 'cells'} of about {size:.3g} µm.")
@@ -184,25 +182,10 @@ class FindCells(QPushButton):
             self.cell_size.setValue(size)
 
 
-@dataclass(frozen=True, eq=False)
-class FoundCells:
-    """What was found.
-
-    size : um, that was used.
-    labels : (Z, Y, X).
-    others : sizes that the cells may have instead (um), with how many would be found, about; None
-        where nobody looked.
-    """
-
-    size: float
-    labels: NDArray[np.int32]
-    others: tuple[tuple[float, int], ...] | None = None
-
-
 def look(
     read: Callable[[], NDArray[Any]], voxel_size: tuple[float, float, float], size: float | None
-) -> FoundCells:
-    """The cells of the image that is read, of a size (um; None: estimated)."""
+) -> Any:
+    """``CellsFound`` in the image that is read, of a size (um; None: estimated)."""
     # Imported when it is first needed, and in the thread, as that takes a while.
     from ...geometry.labels.bright_cells import cells_of
 
@@ -210,8 +193,4 @@ def look(
     scene, _ = with_ground(SceneSettings(voxel_size=voxel_size), image)
     shape: Any = image.shape
     level = levelled(image, Grid(shape, voxel_size), scene.effects)
-    found = cells_of(level, voxel_size, size)
-    if size is not None:
-        return FoundCells(found.size, found.labels)
-    others = tuple((one.size, one.cells) for one in found.others[:_OTHERS])
-    return FoundCells(found.size, found.labels, others)
+    return cells_of(level, voxel_size, size)

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from napari.layers import Points
 from numpy.typing import NDArray
-from qtpy.QtCore import Qt, QTimer
+from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QFileDialog, QFormLayout, QGroupBox, QWidget
-from superqt import QLabeledDoubleSlider
 
 from ...errors import InputError
 from ...geometry.formats import MESH_FILES_LISTED, MESH_FILTER
@@ -21,7 +20,7 @@ from ..viewing.frame import Frame, made_by_fit
 from ..viewing.listening import Connections
 from ..viewing.own_layers import Points as SeedPoints
 from ..viewing.own_layers import cut_by_slices
-from ..widgets import Note, button, narrow_box, row, sentence, show_row
+from ..widgets import Note, button, narrow_box, row, sentence, show_row, slider
 from .cell_source import Wanted
 from .corrections import Corrections
 from .find_cells_button import FindCells
@@ -136,19 +135,15 @@ class SeedsPanel(QGroupBox):
         self.open_file = button("From file...", tip, self._ask_file, self)
         self._reading = self._doc.background(self._add_meshes, self._doc.warned.emit)
         self.find_cells = FindCells(self._doc, self)
-        self.shape = narrow_box(self, "start from", 8)
-        self.shape.addItems([_FOLLOW, _SPHERES])
-        self.shape.setToolTip(
-            "<qt>'The membrane' finds the dark region around each click, up to its bright "
-            "membrane: needs membranes that close, and takes seconds for a million voxels when the "
-            "fit starts. 'A sphere' starts as large as drawn: at once, but farther from the "
-            "membrane, so the fit takes longer.</qt>"
+        tip = (
+            "'The membrane' finds the dark region around each click, up to its bright membrane: "
+            "needs membranes that close, and takes seconds for a million voxels when the fit "
+            "starts. 'A sphere' starts as large as drawn: at once, but farther from the membrane, "
+            "so the fit takes longer."
         )
-        self.radius = QLabeledDoubleSlider(Qt.Orientation.Horizontal, self)
-        self.radius.setToolTip(
-            "<qt>Radius of the spheres, um: of the selected points, or of all; and of the next "
-            "click.</qt>"
-        )
+        self.shape = narrow_box(self, "start from", tip, (_FOLLOW, _SPHERES), 8)
+        tip = "Radius of the spheres, um: of the selected points, or of all; and of the next click."
+        self.radius = slider(tip, self)
         self.preview = Preview(self._doc, self._preview_wanted, self)
         self.note = Note(self)
         self.note.linkActivated.connect(self._try_size)

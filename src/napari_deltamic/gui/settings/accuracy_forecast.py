@@ -6,18 +6,22 @@ import weakref
 from functools import partial
 from typing import Any
 
+import numpy as np
 from qtpy.QtCore import QObject
 
 from ...accuracy.forecast import Forecast
 from ...accuracy.machine_costs import costs
+from ...accuracy.outlook import Outlook, SceneNow, outlook
 from ...accuracy.renewed_forecast import RenewedForecast
+from ...accuracy.rough_surfaces import points_of
 from ...common.words import duration
 from ...errors import InputError
+from ...fitting.default_accuracy import accuracy_of, image_noise, relative
+from ...geometry import Mesh
 from ..document import Document
 from ..running.worker import FitRun, Snapshot
 from ..widgets import Signal
-from .accuracy_dial import AccuracyDial, accuracy_of, relative
-from .accuracy_scene import NoiseOf, Outlook, outlook, scene_now
+from .accuracy_dial import AccuracyDial
 
 WAIT = 300  # ms without a change before the forecast is computed
 
@@ -149,3 +153,82 @@ class AccuracyForecast(QObject):
 def predicted(forecast: Forecast, guessed: bool = False) -> str:
     """A forecast in words; less certain where the size of the surfaces is a guess."""
     return f"takes {'about ' * guessed}{duration(forecast.seconds)}"
+
+
+class NoiseOf:
+    """The noise of the image chosen, measured once for each image and time."""
+
+    def __init__(self, doc: Document) -> None:
+        self._doc = doc
+        self._of: tuple[Any, ...] = ()
+        self._noise: float | None = None
+        self.held = False  # while a fit runs, that of its image counts
+
+    def __call__(self) -> float:
+        """The noise. InputError if there is no image."""
+        known = self.known
+        if known is None:
+            known = image_noise(self._doc.image.stack())
+            self.learn(self.key(), known)
+        return known
+
+    @property
+    def known(self) -> float | None:
+        """The noise where it was measured, else None."""
+        return self._noise if self.held or self._of == self.key() else None
+
+    def key(self) -> tuple[Any, ...]:
+        """What it is the noise of."""
+        image = self._doc.image
+        if image.layer is None:
+            return ()
+        return weakref.ref(image.layer), id(image.layer.data), image.time, image.box
+
+    def hold(self) -> None:
+        """A fit begins."""
+        self.held = self.known is not None
+
+    def let_go(self) -> None:
+        """It has ended."""
+        self.held = False
+
+    def learn(self, key: tuple[Any, ...], noise: float) -> None:
+        """Take over what was measured elsewhere."""
+        if key and not self.held:
+            self._of, self._noise = key, noise
+
+
+def scene_key(doc: Document) -> tuple[Any, ...]:
+    """The same as long as image, voxel size and PSF are."""
+    image = doc.image
+    size = None if image.layer is None else tuple(image.layer.scale)
+    return id(image.layer), image.time, image.box, size, doc.settings.optics.key()
+
+
+def scene_now(doc: Document) -> SceneNow:
+    """The scene as it is chosen; touches no voxel. InputError if something is missing."""
+    image, frame = doc.image, doc.image.frame()
+    seeds = doc.cells.seeds(frame, copied=False)
+    return SceneNow(
+        choice=doc.settings.accuracy.choice,
+        image=image.unread(image.layer),
+        grid=frame.grid(image.shape()),
+        scene=doc.settings.scene_settings(),
+        settings=doc.settings.other_settings(),
+        seeds=seeds,
+        known=_known_surfaces(doc, points_of(seeds)),
+    )
+
+
+def _known_surfaces(doc: Document, points: int) -> Mesh | None:
+    """What the preview shows, else what the fit of this image has or found."""
+    if doc.cells.preview_mesh is not None:
+        return doc.cells.preview_mesh
+    record = doc.record
+    if record is None or record.link.image_layer is not doc.image.layer:
+        return None
+    state = doc.run.state if doc.running else record.state
+    if state is None:
+        return None
+    mesh: Mesh = state.mesh
+    return mesh if len(np.unique(mesh.regions[mesh.regions > 0])) == points else None

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from qtpy.QtWidgets import QFormLayout, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
+from qtpy.QtWidgets import QFormLayout, QWidget
 
 from ...errors import InputError
 from ...evidence import Recommendation, recommend
@@ -15,80 +15,23 @@ from ...evidence.camera import Camera
 from ...evidence.candidates import CONSIDERED
 from ...fitting import FitState
 from ...fitting.job import FitInput, optics_of, start
-from ...runs.settings import NEAR_LEVELS, RunSettings
+from ...runs.settings import NEAR_LEVELS
 from ...scene.effects import KINDS, Effects, ViewEffect, kind_of
 from ..document import Document
 from ..fields import TripleField
 from ..viewing.listening import Connections
-from ..widgets import LayerChooser, Note, Signal, column, show_row
-from ..work import Task, words_of
-from .accuracy_scene import scene_key
+from ..widgets import LayerChooser, Note, Signal, TaskButton, button, column, row, show_row
+from ..work import Question
+from .accuracy_forecast import scene_key
 from .effects_table import EffectsTable, spoken
 
-_START, _STOP = "Check this image", "Stop checking"
+_TITLES = "Check this image", "Stop checking"
 _TIP = (
-    "<qt>Asks the image: fits it (or takes the present fit), and tells for each effect how clearly "
+    "Asks the image: fits it (or takes the present fit), and tells for each effect how clearly "
     "it is seen, by how much the surface is off without it, and what it costs. Takes as long as a "
-    "fit, often longer, in the background. Nothing is added before you tick it.</qt>"
+    "fit, often longer, in the background. Nothing is added before you tick it."
 )
 _STALE = "this was of another image or PSF: check again"
-
-
-class Check(Task):
-    """Asks which effects an image calls for; ends where a fit is to start.
-
-    Parameters
-    ----------
-    prepare : puts the fit together, in the thread.
-    fitted : its last state, where there is one of these very settings.
-    on_step : called with what is being done.
-    on_end : called with what was found, or why nothing was; None where it was stopped.
-    """
-
-    title = "corrections are being checked"
-    gives_way = True
-
-    def __init__(
-        self,
-        prepare: Callable[[], FitInput],
-        fitted: FitState | None,
-        on_step: Callable[[str], None],
-        on_end: Callable[[Recommendation | str | None], None],
-    ) -> None:
-        super().__init__()
-        self.prepare, self.fitted = prepare, fitted
-        self._on_step, self._on_end = on_step, on_end
-        self.stage = "preparing"
-
-    def steps(self) -> Generator[None, None, Recommendation]:
-        state = self.fitted
-        job = self.prepare()
-        yield
-        if state is None:
-            for state in start(job):
-                self.step(f"fitting: iteration {state.iteration}")
-                yield
-        assert state is not None, "a fit yields at least one state"
-        return recommend(
-            job.image,
-            job.grid,
-            job.mesh,
-            job.optics,
-            job.settings.fit,
-            counted=job.counted,
-            effects=state.effects,
-            fitted=state,
-            progress=self.step,
-        )
-
-    def failed(self, error: Exception) -> str:
-        return words_of(error)
-
-    def look(self) -> None:
-        self._on_step(f"{self.stage} ...")
-
-    def end(self, outcome: Recommendation | str | None) -> None:
-        self._on_end(outcome)
 
 
 class EffectsPanel(QWidget):
@@ -101,31 +44,21 @@ class EffectsPanel(QWidget):
         super().__init__(parent)
         self._doc = doc
         self._effects = Effects()  # without the second view, which is chosen by its layer
-        self._task: Check | None = None
         self._kept: Recommendation | None = None  # what was found, also of another image
-        self._of: tuple[Any, ...] = ()
         self.found: Recommendation | None = None
-        self.button = QPushButton(_START, self)
-        self.button.setToolTip(_TIP)
-        self.take_button = QPushButton("Use recommended", self)
-        self.take_button.setToolTip("Tick the effects that are recommended.")
+        self.button = TaskButton(doc.work, _TITLES, _TIP, self._question, self)
+        tip = "Tick the effects that are recommended."
+        self.take_button = button("Use recommended", tip, self.take_recommended, self)
         self.progress, self.reason, self.remarks = Note(self), Note(self), Note(self)
         self.table = EffectsTable(CONSIDERED, self)
         self.second = SecondViewFields(doc, self)
-        buttons = QHBoxLayout()
-        for button in (self.button, self.take_button):
-            buttons.addWidget(button)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.addLayout(buttons)
-        for widget in (self.progress, self.table, self.reason, self.remarks, self.second):
-            layout.addWidget(widget)
-        self.button.clicked.connect(self._pressed)
-        self.take_button.clicked.connect(self.take_recommended)
+        said = self.progress, self.table, self.reason, self.remarks, self.second
+        column(row(self.button, self.take_button), *said, of=self)
+        self.button.began.connect(self._began)
+        self.button.refused.connect(self.progress.say)
         self.table.ticked.connect(self._ticked)
         self.table.looked_at.connect(self._explain)
         doc.second.edited.connect(self._second_edited)
-        doc.work.changed.connect(self._work_changed)
         for signal in (doc.image.changed, doc.settings_changed):
             signal.connect(self.look)
         self._show_outcome()
@@ -173,31 +106,16 @@ class EffectsPanel(QWidget):
 
     # ------------------------------------------------------------------------------- evidence
 
-    @property
-    def busy(self) -> bool:
-        """Whether something is being checked."""
-        return self._task is not None and self._task.running
+    def asked(self) -> tuple[Callable[[], FitInput], FitState | None]:
+        """What puts a fit together, and its last state where there is one of these very settings.
 
-    def start(self) -> None:
-        """Check the image that is chosen."""
-        try:
-            task = self.asked()
-            self._doc.work.start(task)
-        except InputError as error:
-            self.progress.say(str(error))
-            return
-        self._task, self._kept, self._of = task, None, scene_key(self._doc)
-        self._work_changed()
-        self.show_found(None)
-        self.progress.say(f"{task.stage} ...")
-
-    def asked(self) -> Check:
-        """Of the fit of this image where there is one, else of the cells. InputError if neither."""
+        That is the fit of this image, else one of the cells. InputError where there is neither.
+        """
         doc, record = self._doc, self._doc.result
         frame, scene = doc.image.frame(), doc.settings.scene_settings()
         link = None if record is None else record.link
         if record is None or link is None or link.frame != frame or not link.at_time:
-            return Check(doc.prepared()[0], None, self.progress.say, self._ended)
+            return doc.prepared()[0], None
         state, job = record.of_fit()
         # Only the end of a fit with this PSF and these effects needs no other one.
         before = job.settings.scene
@@ -209,12 +127,10 @@ class EffectsPanel(QWidget):
             and state.effects.names == scene.effects.names
         )
         if same:
-            return Check(partial(_as_it_was, job), state, self.progress.say, self._ended)
+            return (lambda: job), state
         fit = job.settings.fit.model_copy(update={"levels": NEAR_LEVELS})
-        changed = job.settings.model_copy(update={"scene": scene, "fit": fit})
-        job = replace(job, second=doc.second.pixels())
-        prepare = partial(_from_there, job, state, changed)
-        return Check(prepare, None, self.progress.say, self._ended)
+        job = replace(job.with_settings(scene=scene, fit=fit), second=doc.second.pixels())
+        return partial(_from_there, job, state), None
 
     def show_found(self, found: Recommendation | None) -> None:
         """Show what the image calls for; None: nothing is known."""
@@ -227,15 +143,23 @@ class EffectsPanel(QWidget):
 
     # ----------------------------------------------------------------------------------- inside
 
-    def _pressed(self) -> None:
-        if self.busy:
-            self._doc.work.stop(at_once=True)
-        else:
-            self.start()
+    def _question(self) -> Question:
+        return Question(
+            "corrections are being checked",
+            partial(_check, *self.asked()),
+            self._show_stage,
+            self._ended,
+            scene_key(self._doc),
+        )
 
-    def _work_changed(self) -> None:
-        self.button.setText(_STOP if self.busy else _START)
-        self.button.setEnabled(self.busy or not self._doc.work.occupied)
+    def _began(self) -> None:
+        self._kept = None
+        self.show_found(None)
+        self._show_stage()
+
+    def _show_stage(self) -> None:
+        if self.button.task is not None:
+            self.progress.say(f"{self.button.task.stage} ...")
 
     def _ended(self, outcome: Recommendation | str | None) -> None:
         if outcome is None or isinstance(outcome, str):
@@ -247,9 +171,10 @@ class EffectsPanel(QWidget):
 
     def look(self) -> None:
         """Something was edited: evidence of something else is put away, until that is back."""
-        if self._kept is None or self.busy:
+        task = self.button.task
+        if self._kept is None or task is None or task.running:
             return
-        if self._of != scene_key(self._doc):
+        if task.of != scene_key(self._doc):
             self.show_found(None)
             self.progress.say(_STALE)
         elif self.found is None:
@@ -297,13 +222,37 @@ class EffectsPanel(QWidget):
         self.reason.say(f"{spoken(name)}: {known.get(name) or KINDS[name].help}")
 
 
-def _as_it_was(job: FitInput) -> FitInput:
-    return job
+def _from_there(job: FitInput, state: FitState) -> FitInput:
+    """A fit that starts where an earlier one ended."""
+    return replace(job, mesh=state.mesh, optics=optics_of(job.settings.scene))
 
 
-def _from_there(job: FitInput, state: FitState, settings: RunSettings) -> FitInput:
-    """The fit of other settings that starts where an earlier one ended."""
-    return replace(job, settings=settings, mesh=state.mesh, optics=optics_of(settings.scene))
+def _check(
+    prepare: Callable[[], FitInput], fitted: FitState | None, question: Question
+) -> Generator[None, None, Recommendation]:
+    """Which effects an image calls for.
+
+    prepare : puts the fit together.
+    fitted : its last state, where there is one of these very settings.
+    """
+    state, job = fitted, prepare()
+    yield
+    if state is None:
+        for state in start(job):
+            question.step(f"fitting: iteration {state.iteration}")
+            yield
+    assert state is not None, "a fit yields at least one state"
+    return recommend(
+        job.image,
+        job.grid,
+        job.mesh,
+        job.optics,
+        job.settings.fit,
+        counted=job.counted,
+        effects=state.effects,
+        fitted=state,
+        progress=question.step,
+    )
 
 
 def _camera(camera: Camera) -> list[str]:

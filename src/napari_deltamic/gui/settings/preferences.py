@@ -13,11 +13,12 @@ from npe2 import PluginManager
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from ...common.choices import Modality
+from ...fitting.default_accuracy import usable_choice
 from ...runs.optics_settings import MicroscopeOptics
 from ...runs.settings import FitSettings
 from ...scene.effects import Effects
 from ..document import Document
-from .accuracy_dial import NORMAL, usable_choice
+from .accuracy_dial import NORMAL
 
 PLUGIN = "napari-deltamic"
 _FIT = ("fit_psf", "density")

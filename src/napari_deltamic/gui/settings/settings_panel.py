@@ -17,8 +17,7 @@ from ..fields import Form
 from ..viewing.frame import voxel_size
 from ..widgets import Fold, Note, column, filled, row
 from .accuracy_dial import AccuracyDial
-from .accuracy_forecast import AccuracyForecast
-from .accuracy_scene import NoiseOf
+from .accuracy_forecast import AccuracyForecast, NoiseOf
 from .accuracy_view import TradeoffView
 
 # Where else than among those for experts a setting is shown.

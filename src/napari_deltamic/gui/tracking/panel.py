@@ -9,7 +9,6 @@ from qtpy.QtWidgets import (
     QFileDialog,
     QGroupBox,
     QLabel,
-    QPushButton,
     QVBoxLayout,
     QWidget,
 )
@@ -27,13 +26,13 @@ class TrackPanel(QGroupBox):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__("Track", parent)
-        self.track_button = QPushButton("Track", self)
-        self.track_button.setToolTip(
-            "<qt>Fit the frame shown from the seeds, and every later frame from the one before. "
-            "Cells keep their numbers.</qt>"
+        tip = (
+            "Fit the frame shown from the seeds, and every later frame from the one before. Cells "
+            "keep their numbers."
         )
-        self.go_on_button = QPushButton("Go on", self)
-        self.go_on_button.setToolTip("Go on after the last frame that was tracked.")
+        self.track_button = button("Track", tip, None, self)
+        tip = "Go on after the last frame that was tracked."
+        self.go_on_button = button("Go on", tip, None, self)
         self.divisions = QCheckBox("cells may divide", self)
         self.divisions.setChecked(TrackSettings().divisions)
         described = TrackSettings.model_fields["divisions"].description
