@@ -18,7 +18,7 @@ from .image_panel import ImagePanel
 from .results.more_actions import CommandCopy, SessionBar
 from .results.results_panel import ResultsPanel
 from .results.selection import ClickSelection
-from .results.session import Parts, capture, restore
+from .results.session import Parts
 from .running.check_panel import CheckPanel
 from .running.edits import Edits
 from .running.footer import Footer
@@ -46,8 +46,8 @@ class FitWidget(QWidget):
         super().__init__(parent)  # napari knows the parameter by this name
         self._docked = False
         self.doc = doc = Document(unwrapped(napari_viewer))
-        doc.told.connect(_tell)
-        doc.warned.connect(_warn)
+        doc.told.connect(lambda text: show_info(text))
+        doc.warned.connect(lambda text: show_warning(text))
         self.image = ImagePanel(doc, self)
         self.seeds = SeedsPanel(doc, self)
         optics = OpticsPanel(doc, tip_of(described(SceneSettings)["sigma"]), self)
@@ -67,8 +67,8 @@ class FitWidget(QWidget):
         chooses = ClickSelection(
             doc.viewer, lambda: None if clicks.tool else doc.link, self.results.choose
         )
-        self.parts = parts = Parts(doc, self.seeds, self.tracking)
-        self.sessions = SessionBar(partial(capture, parts), partial(restore, parts), doc, self)
+        self.parts = Parts(doc, self.seeds, self.tracking)
+        self.sessions = SessionBar(self.parts, self)
         self.commands = CommandCopy(doc, self)
         # With its window the widget is deleted without a word to Python.
         self.destroyed.connect(doc.close)

@@ -10,7 +10,7 @@ from ..errors import InputError
 from .document import Document
 from .fields import TripleField
 from .layer_channels import Choice, channel_axes, channels
-from .viewing.frame import um_per_unit
+from .viewing.frame import data_of, um_per_unit
 from .widgets import AMBER, LayerChooser, Note, button, narrow_box, row, sentence, show_row
 
 WHOLE, BOX = "whole image", "the rectangle drawn"
@@ -94,7 +94,7 @@ class ImagePanel(QGroupBox):
         if self._image.box is not None:
             text += " of the image"
         if channel_axes(layer):
-            times, planes = (layer.data[0] if layer.multiscale else layer.data).shape[:2]
+            times, planes = data_of(layer).shape[:2]
             text += f", taken for {times} times of {planes} planes; if it has channels, choose one"
         if unknown:
             text += "; the voxel size is not known: enter it, or all lengths are in voxels"

@@ -22,7 +22,6 @@ from .layer_channels import (
     READ_AGAIN,
     Choice,
     channel_layer,
-    data_of,
     file_of,
     is_one_channel,
     origin_of,
@@ -34,6 +33,7 @@ from .viewing.frame import (
     OWN,
     Box,
     Frame,
+    data_of,
     finite,
     is_stack,
     rescale,
@@ -106,7 +106,7 @@ class ImageSource:
 
     def shape(self) -> tuple[int, ...]:
         """Of ``stack``, without reading it."""
-        shape = tuple(data_of(self.layer).shape[-3:])
+        shape = shape_of(self.layer)
         return shape if self.box is None else tuple(b - a for a, b in self.box)
 
     def stack(self, layer: Any = None) -> NDArray[Any]:

@@ -16,7 +16,7 @@ from ..errors import InputError
 from ..images.channels import channel_axis, listed_channels
 from ..images.stacks import stored_shape
 from ..images.stored import Stored, naming, open_stored
-from .viewing.frame import OWN, is_stack, made_by_fit
+from .viewing.frame import OWN, data_of, is_stack, made_by_fit
 
 _FILE = "file"  # under OWN: path and channel of a layer that was made of another
 READ_AGAIN = 200e6  # bytes; larger TIFF files are not opened a second time for what they tell
@@ -167,11 +167,6 @@ def _opened(file: Path, largest: float = READ_AGAIN) -> Stored | None:
 def _stored(path: str, changed: int, size: int) -> Stored:
     with naming(path):
         return open_stored(path)
-
-
-def data_of(layer: Any) -> Any:
-    """The voxels of a layer, at its finest resolution; unread where they are lazy."""
-    return layer.data[0] if layer.multiscale else layer.data
 
 
 def _is_time(layer: Any, axis: int) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from ...runs.run_files import Chosen, needs_folder
 from ..document import Document
 from ..widgets import action
 from ..work import attempt
+from .session import Parts, capture, restore
 
 
 class CommandCopy:
@@ -75,24 +76,12 @@ _KIND = f"deltaMic session (*{EXTENSION})"
 
 
 class SessionBar(QObject):
-    """*Open session...* and *Save session...*.
+    """*Open session...* and *Save session...*."""
 
-    Parameters
-    ----------
-    capture : gives the session that is shown, and a remark about it ('' for none).
-    restore : shows a session, step by step.
-    """
-
-    def __init__(
-        self,
-        capture: Callable[[], tuple[Session, str]],
-        restore: Callable[[Session], Generator[None]],
-        doc: Document,
-        parent: QWidget,
-    ) -> None:
+    def __init__(self, parts: Parts, parent: QWidget) -> None:
         super().__init__(parent)
-        self._shown_in = parent
-        self._doc, self._capture, self._restore = doc, capture, restore
+        self._parts, self._shown_in = parts, parent
+        self._doc = doc = parts.doc
         doc.at_end(self._forget)
         tip = (
             "Open a .deltamic file: image, cells, settings, meshes, table and history come back "
@@ -114,7 +103,7 @@ class SessionBar(QObject):
 
     def save(self, path: str) -> None:
         """Save what is shown now. InputError if there is nothing that could be saved."""
-        session, remark = self._capture()
+        session, remark = capture(self._parts)
         if remark:
             self._doc.warned.emit(remark)
         self._saving.ask(partial(_save, path, session))
@@ -138,7 +127,7 @@ class SessionBar(QObject):
             self._doc.warned.emit(text)
 
     def _opened(self, session: Session) -> None:
-        self._steps = self._restore(session)
+        self._steps = restore(self._parts, session)
         self._go_on()
 
     def _go_on(self) -> None:

@@ -183,12 +183,6 @@ class StartLayers(MeshLayers):
         for layer in layers:
             self.add(layer, above=True)
 
-    def remove(self) -> None:
-        self.close()
-        for layer in (self.contours.layer, self.surface):
-            if layer is not None and layer in self.viewer.layers:
-                self.viewer.layers.remove(layer)
-
     def _removed(self, event: Any) -> None:
         if event.value in (self.surface, self.contours.layer, self.image_layer):
             self._on_removed(event.value is not self.image_layer)

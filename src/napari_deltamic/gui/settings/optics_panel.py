@@ -7,6 +7,7 @@ from functools import partial
 from typing import Any
 
 from qtpy.QtWidgets import QComboBox, QFormLayout, QWidget
+from superqt.utils import signals_blocked
 
 from ...errors import InputError
 from ...optics import GaussianPSF
@@ -43,15 +44,14 @@ class OpticsPanel(QWidget):
         self._given: Any = None  # settings of a kind that has no fields here
         self._width = ""
         self.kind = QComboBox(self)
-        for name in (GAUSSIAN, OBJECTIVE, MEASURED):
-            self.kind.addItem(name)
+        self.kind.addItems(list(_TIPS))
         tips = "<br>".join(f"<b>{name}</b>: {text}" for name, text in _TIPS.items())
         self.kind.setToolTip(f"<qt>{tips}</qt>")
         self.sigma = TripleField(tip, self)
         self.objective = ObjectiveFields(self)
         self.measured = MeasuredFields(self._complain, self)
         self.width_note, self.trouble = Note(self), Note(self, wrong=True)
-        self.picture = PsfPicture(self)
+        self.picture = PsfPicture(doc, self)
         self._wrong = False
         self._pages: dict[str, QWidget] = {
             GAUSSIAN: self.sigma,
@@ -63,7 +63,6 @@ class OpticsPanel(QWidget):
         rows = self.width_note, self.trouble, self.picture
         column(top, *self._pages.values(), *rows, of=self)
         self._background = doc.background(self._show_width, self._complain)
-        doc.at_end(self.picture.close_links)
         self.kind.currentTextChanged.connect(self._edited)
         for fields in (self.objective, self.measured, self.sigma):
             fields.edited.connect(self._edited)
@@ -99,31 +98,29 @@ class OpticsPanel(QWidget):
 
     def show_settings(self, settings: Any) -> None:
         """Show settings of a PSF, without a signal; None for a Gaussian of three widths."""
-        blocked = self.blockSignals(True)
-        at = self.kind.findText(GIVEN)
-        if at >= 0:
-            self.kind.removeItem(at)
-        self._given = None
-        if settings is None:
-            self.kind.setCurrentText(GAUSSIAN)
-        elif isinstance(settings, MicroscopeOptics):
-            self.objective.show_settings(settings)
-            self.kind.setCurrentText(OBJECTIVE)
-        elif isinstance(settings, MeasuredOptics):
-            self.measured.show_settings(settings)
-            self.kind.setCurrentText(MEASURED)
-        else:
-            self._given = settings
-            self.kind.addItem(GIVEN)
-            self.kind.setCurrentText(GIVEN)
-        self.blockSignals(blocked)
+        with signals_blocked(self):
+            at = self.kind.findText(GIVEN)
+            if at >= 0:
+                self.kind.removeItem(at)
+            self._given = None
+            if settings is None:
+                self.kind.setCurrentText(GAUSSIAN)
+            elif isinstance(settings, MicroscopeOptics):
+                self.objective.show_settings(settings)
+                self.kind.setCurrentText(OBJECTIVE)
+            elif isinstance(settings, MeasuredOptics):
+                self.measured.show_settings(settings)
+                self.kind.setCurrentText(MEASURED)
+            else:
+                self._given = settings
+                self.kind.addItem(GIVEN)
+                self.kind.setCurrentText(GIVEN)
         self._renew()
 
     def prefer(self, kind: str) -> None:
         """Begin with a kind of PSF, without a signal."""
-        blocked = self.blockSignals(True)
-        self.kind.setCurrentText(kind)
-        self.blockSignals(blocked)
+        with signals_blocked(self):
+            self.kind.setCurrentText(kind)
         self.described.emit()
 
     def summary(self) -> str:

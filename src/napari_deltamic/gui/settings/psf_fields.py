@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from qtpy.QtWidgets import QFileDialog, QLabel, QSizePolicy, QWidget
+from superqt.utils import signals_blocked
 
 from ...common.choices import IMAGE_FILES, ZARR
 from ...errors import InputError
@@ -47,10 +48,9 @@ class ObjectiveFields(Form):
 
     def show_settings(self, settings: MicroscopeOptics) -> None:
         """Show settings, without a signal."""
-        blocked = self.blockSignals(True)
         self._fitted, self._zernike = settings.fitted, settings.zernike
-        self.show_values(settings)
-        self.blockSignals(blocked)
+        with signals_blocked(self):
+            self.show_values(settings)
         self._show_rows()
 
     # ----------------------------------------------------------------------------------- inside
@@ -108,14 +108,13 @@ class MeasuredFields(QWidget):
 
     def show_settings(self, settings: MeasuredOptics) -> None:
         """Show settings, without a signal."""
-        blocked = self.blockSignals(True)
         self._show_file(settings.file)
         try:
             size = settings.voxel_size or _noted_size(settings.file)
         except InputError:
             size = None  # the file is gone: building the PSF says so
-        self.form.show_values(settings.model_copy(update={"voxel_size": size}))
-        self.blockSignals(blocked)
+        with signals_blocked(self):
+            self.form.show_values(settings.model_copy(update={"voxel_size": size}))
 
     def take_file(self, path: str) -> None:
         """Take the image of a bead. InputError if its voxel size cannot be read."""

@@ -14,7 +14,7 @@ from skimage.transform import resize
 
 from ...optics import Optics
 from ...optics.sections import Sections, psf_sections
-from ..work import Background
+from ..document import Document
 
 _EVERY = 250  # ms between two pictures, at least
 _SIDE, _GAP = 92, 8  # px
@@ -24,11 +24,11 @@ _BARS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)  # um
 class PsfPicture(QLabel):
     """Shows the PSF that it was last given; computes nothing while it is hidden."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
+    def __init__(self, doc: Document, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.sections: Sections | None = None
         self._wanted: Optics | None = None  # not yet shown
-        self._background = Background(self._show, self._drop)
+        self._background = doc.background(self._show, self._drop)
         self._timer = QTimer(self)
         self._timer.setSingleShot(True)
         self._timer.setInterval(_EVERY)
@@ -55,10 +55,6 @@ class PsfPicture(QLabel):
         self._wanted = None
         self._background.drop()
         self._drop("")
-
-    def close_links(self) -> None:
-        self._timer.stop()
-        self._background.close()
 
     def showEvent(self, event: QShowEvent | None) -> None:
         """Qt's; what was given meanwhile is looked at now."""

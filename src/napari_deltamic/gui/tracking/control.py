@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
@@ -21,7 +20,7 @@ from ...scene import Grid
 from ...tracking import FrameResult, TrackSettings
 from ..document import Document
 from ..layer_channels import origin_of
-from ..viewing.frame import Frame
+from ..viewing.frame import Frame, data_of
 from ..work import attempt
 from .layers import TrackLayers
 from .panel import TrackPanel
@@ -43,9 +42,7 @@ class TrackControl(QObject):
         self.layers: TrackLayers | None = None
         self._kept = Tracked()  # of a session that was opened
         self._again: tuple[Callable[[], TrackJob], range] | None = None  # to go on
-        self._frames = range(0)
         self._seeds: list[Any] = []  # layers that the run started from
-        self._of: Any = None  # the series that was tracked
         panel.track_button.clicked.connect(self.start)
         panel.go_on_button.clicked.connect(self.go_on)
         panel.save.connect(self.save)
@@ -90,7 +87,7 @@ class TrackControl(QObject):
         if layers.image_layer is not layer:
             return None
         return SavedTracks(
-            pixels=layer.data[0] if layer.multiscale else layer.data,
+            pixels=data_of(layer),
             time=(float(layer.scale[-4]), float(layer.translate[-4]), str(layer.units[-4])),
             results=tracked.results,
             settings=tracked.job.settings,
@@ -103,10 +100,10 @@ class TrackControl(QObject):
         image = self._doc.image
         frame, frames = image.frame(), Frames(tracks.pixels)
         self._kept = Tracked(_reopened(tracks, frame, frames), tracks.results, tracks.seconds)
-        self.work, self._of = None, weakref.ref(image.layer)
+        self.work = None
         self._show_in(image.layer, frame)
-        self._frames = range(tracks.settings.track.first, len(frames))
-        self._again = (partial(_same, self._kept.job), self._frames)
+        left = range(tracks.settings.track.first, len(frames))
+        self._again = (partial(_same, self._kept.job), left)
         self.panel.divisions.setChecked(tracks.settings.track.divisions)
         if self.layers is not None:
             self.layers.show(tracks.results)
@@ -130,7 +127,7 @@ class TrackControl(QObject):
         layer, frame = image.layer, image.frame()
         if layer is None or layer.ndim != 4:
             raise InputError("tracking needs an image over time (T, Z, Y, X)")
-        data = layer.data[0] if layer.multiscale else layer.data
+        data = data_of(layer)
         first, stop = int(self._doc.viewer.dims.current_step[-4]), len(data)
         if stop < 2:
             raise InputError("tracking needs two frames or more; the image has one")
@@ -167,21 +164,15 @@ class TrackControl(QObject):
     def _launch(
         self, prepare: Callable[[], TrackJob], frames: range, done: Sequence[FrameResult]
     ) -> None:
-        self._again, self._frames = (prepare, frames), frames
-        layer = self._doc.image.layer
-        self._of = None if layer is None else weakref.ref(layer)
+        self._again = (prepare, frames)
         self.work = TrackWork(prepare, frames, done, self._frame_done, self._ended)
         self.panel.show_verdict("", "")
         self._doc.work.start(self.work)
 
     def _show_in(self, image_layer: Any, frame: Frame) -> None:
         """Layers of an earlier run give way, or two surfaces would lie on each other."""
-        old = self.layers
-        if old is not None:
-            old.close()
-            for layer in (old.surface, old.tracks, old.contours.layer):
-                if layer is not None and layer in self._doc.viewer.layers:
-                    self._doc.viewer.layers.remove(layer)
+        if self.layers is not None:
+            self.layers.remove()
         self.layers = TrackLayers(self._doc.viewer, image_layer, frame, self._show_frame)
 
     def _frame_done(self, results: Sequence[FrameResult]) -> None:
@@ -228,11 +219,11 @@ class TrackControl(QObject):
         self._work_changed()
 
     def _work_changed(self) -> None:
-        results = self.results
-        last = results[-1].frame if results else -1
-        left = bool(results) and last < self._frames.stop - 1
-        own = self._of is not None and self._of() is self._doc.image.layer
-        self.panel.allow(not self._doc.work.occupied, can_go_on=left and own)
+        done, layers, can_go_on = self.results, self.layers, False
+        if done and layers is not None and self._again is not None:
+            left = done[-1].frame < self._again[1].stop - 1
+            can_go_on = left and layers.image_layer is self._doc.image.layer
+        self.panel.allow(not self._doc.work.occupied, can_go_on=can_go_on)
 
     def _show_frame(self) -> None:
         layers = self.layers

@@ -83,6 +83,9 @@ class TrackLayers(MeshLayers):
         super().close()
         self._on_time = None
 
+    def made(self) -> list[Any]:
+        return [self.tracks, *super().made()]
+
     def _show_surface(self, results: Sequence[FrameResult]) -> None:
         vertices, faces, cells = surface_4d(results)
         last = int(cells.max())

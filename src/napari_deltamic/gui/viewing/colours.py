@@ -96,15 +96,11 @@ def label_colormap(labels: NDArray[np.integer]) -> DirectLabelColormap:
     return DirectLabelColormap(color_dict={None: _TABLE[0], 0: np.zeros(4), **colours})
 
 
-def vertex_values(mesh: Mesh, chosen: Collection[int] = ()) -> NDArray[np.float32]:
-    """(V,) a value for each vertex; where several regions meet, that of the largest number.
-
-    Where some regions are chosen, all of their vertices have their colours, and the rest is dimmed.
-    """
-    largest, own = _largest(mesh, mesh.regions), None
-    if chosen:
-        own = _largest(mesh, _only(mesh.regions, chosen))
-    return _values(largest, own, colour_indices(mesh))
+def vertex_values(mesh: Mesh) -> NDArray[np.float32]:
+    """(V,) a value for each vertex; where several regions meet, that of the largest number."""
+    largest = np.zeros(len(mesh.vertices), np.int64)
+    np.maximum.at(largest, mesh.faces.ravel(), np.repeat(mesh.regions.max(axis=1), 3))
+    return side_values(largest[:, None], (), colour_indices(mesh))
 
 
 def side_values(
@@ -112,21 +108,15 @@ def side_values(
     chosen: Collection[int] = (),
     indices: Mapping[int, int] | None = None,
 ) -> NDArray[np.float32]:
-    """(n,) the same for vertices that lie between two regions each, (n, 2); see ``walls``."""
-    own = _only(sides, chosen).max(axis=1) if chosen else None
-    return _values(sides.max(axis=1), own, indices)
+    """(n,) a value for vertices that lie between some regions each, (n, k): of the largest one.
 
-
-def _values(
-    largest: NDArray[np.int64],
-    own: NDArray[np.int64] | None,
-    indices: Mapping[int, int] | None,
-) -> NDArray[np.float32]:
-    """Of the largest region, dimmed where there is no chosen one of its own."""
-    values = _places(np.maximum(largest, 1), indices) + 0.5
-    if own is not None:
-        chosen = _places(np.maximum(own, 1), indices) + 0.5
-        values = np.where(own > 0, chosen, values + len(_TABLE))
+    Where some regions are chosen, all of their vertices have their colours, and the rest is dimmed.
+    """
+    values = _places(np.maximum(sides.max(axis=1), 1), indices) + 0.5
+    if chosen:
+        own = np.where(np.isin(sides, list(chosen)), sides, 0).max(axis=1)
+        bright = _places(np.maximum(own, 1), indices) + 0.5
+        values = np.where(own > 0, bright, values + len(_TABLE))
     return values.astype(np.float32)
 
 
@@ -139,15 +129,3 @@ def _places(regions: NDArray[np.int64], indices: Mapping[int, int] | None) -> ND
     own = np.array([indices.get(n, plain_index(n)) for n in numbers.tolist()], np.int64)
     found: NDArray[np.int64] = own[inverse].reshape(regions.shape)
     return found
-
-
-def _only(regions: NDArray[np.int64], chosen: Collection[int]) -> NDArray[np.int64]:
-    """The regions that are chosen; 0 for the others."""
-    return np.where(np.isin(regions, list(chosen)), regions, 0)
-
-
-def _largest(mesh: Mesh, regions: NDArray[np.int64]) -> NDArray[np.int64]:
-    """(V,) the largest region at each vertex; 0 where there is none."""
-    largest = np.zeros(len(mesh.vertices), np.int64)
-    np.maximum.at(largest, mesh.faces.ravel(), np.repeat(regions.max(axis=1), 3))
-    return largest

@@ -185,6 +185,11 @@ def is_stack(layer: Any) -> bool:
     return int(layer.ndim) in (3, 4)
 
 
+def data_of(layer: Any) -> Any:
+    """The voxels of a layer, at its finest resolution; unread where they are lazy."""
+    return layer.data[0] if getattr(layer, "multiscale", False) else layer.data
+
+
 def stack_of(layer: Any, step: tuple[int, ...]) -> NDArray[Any]:
     """The 3D image of a layer, at the viewer's step along any axis before Z, Y, X."""
     return np.asarray(unread_stack_of(layer, step))
@@ -192,7 +197,7 @@ def stack_of(layer: Any, step: tuple[int, ...]) -> NDArray[Any]:
 
 def unread_stack_of(layer: Any, step: tuple[int, ...]) -> Any:
     """The same before it is read; it becomes an array by ``np.asarray``, in any thread."""
-    data = layer.data[0] if getattr(layer, "multiscale", False) else layer.data
+    data = data_of(layer)
     if layer.ndim == 4:
         data = data[min(step[-4] if len(step) >= 4 else 0, len(data) - 1)]
     return data
@@ -205,8 +210,7 @@ def finite(data: Any) -> NDArray[Any]:
 
 def shape_of(layer: Any) -> tuple[int, ...]:
     """The shape of what ``stack_of`` gives, without reading it."""
-    data = layer.data[0] if getattr(layer, "multiscale", False) else layer.data
-    return tuple(data.shape[-3:])
+    return tuple(data_of(layer).shape[-3:])
 
 
 def _check_straight(layer: Any) -> None:

@@ -100,7 +100,7 @@ class MeshLayers:
             return
         by = self.contours.by = None if values is None else ByValue(values)
         layer = self.surface
-        if layer is not None and layer in self.viewer.layers and self.shown is not None:
+        if layer is not None and self.has(layer) and self.shown is not None:
             layer.colormap = region_colormap() if by is None else BY_VALUE
             layer.contrast_limits = LIMITS if by is None else by.limits
         self._colour_anew()
@@ -113,6 +113,21 @@ class MeshLayers:
     def close(self) -> None:
         """Undo every connection; the layers stay."""
         self.connections.undo()
+
+    def remove(self) -> None:
+        """Close it, and take its layers away."""
+        self.close()
+        for layer in self.made():
+            if self.has(layer):
+                self.viewer.layers.remove(layer)
+
+    def made(self) -> list[Any]:
+        """Those that it has made, from the top; None for one that is not there yet."""
+        return [self.contours.layer, self.surface]
+
+    def has(self, layer: Any) -> bool:
+        """Whether there is a layer, and it is in the viewer."""
+        return layer is not None and layer in self.viewer.layers
 
     def slice_changed(self, event: Any = None) -> None:
         """Another slice, or view, is shown."""
@@ -158,7 +173,7 @@ class MeshLayers:
         layer = self.surface
         if self.shown is None:
             return
-        if layer is not None and layer in self.viewer.layers:
+        if layer is not None and self.has(layer):
             self._apart, self._late = None, False
             # With its vertices: those of a layer that is late may be of other triangles.
             self._set_surface(layer, self.shown)

@@ -86,7 +86,7 @@ class ViewerLink(MeshLayers):
     def describe(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Put measurements of the cells shown into the features of the surface."""
         layer, apart = self.surface, self._apart
-        if layer is not None and apart is not None and layer in self.viewer.layers:
+        if layer is not None and apart is not None and self.has(layer):
             layer.features = features_at(rows, apart.sides.max(axis=1))
 
     def take_images(self, rendered: NDArray[Any], residual: NDArray[Any]) -> None:
@@ -95,10 +95,10 @@ class ViewerLink(MeshLayers):
         The layers are made when they are first looked at.
         """
         self._images = (rendered, residual)
-        if self.rendered is not None and self.rendered in self.viewer.layers:
+        if self.rendered is not None and self.has(self.rendered):
             self.rendered.data = rendered
         shown = self.residual
-        if shown is not None and shown in self.viewer.layers:
+        if shown is not None and self.has(shown):
             shown.data = residual
             if tuple(shown.contrast_limits) == self._limits:  # not those that the user chose
                 shown.contrast_limits = self._limits = limits_of(residual)
