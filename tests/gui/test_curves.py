@@ -2,7 +2,7 @@
 
 import pytest
 
-from napari_deltamic.gui.running.plots import ExplainedCurve
+from napari_deltamic.gui.running.check_panel import ExplainedCurve
 from napari_deltamic.results.timeline import Moment
 
 

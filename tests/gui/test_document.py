@@ -9,7 +9,7 @@ import pytest
 import napari_deltamic
 from napari_deltamic.errors import InputError
 from napari_deltamic.gui.document import Document
-from napari_deltamic.gui.seeding.seed_kinds import seeds_from_layer
+from napari_deltamic.gui.seeding.cell_source import seeds_from_layer
 from napari_deltamic.gui.work import Task, Work
 
 from .conftest import CENTER, SHAPE, SIZE

@@ -8,7 +8,7 @@ import pytest
 
 import napari_deltamic
 from napari_deltamic.gui.settings import preferences
-from napari_deltamic.gui.settings.accuracy_dial import CHOICES
+from napari_deltamic.gui.settings.accuracy_forecast import CHOICES
 from napari_deltamic.gui.settings.preferences import PLUGIN, Preferences, read_preferences, usable
 from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene.effects import Attenuation, Effects

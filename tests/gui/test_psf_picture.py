@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from napari_deltamic.gui.settings import psf_picture
+from napari_deltamic.gui.settings import optics_panel
 from napari_deltamic.gui.settings.optics_panel import OBJECTIVE
 from napari_deltamic.optics import GaussianPSF
 
@@ -11,13 +11,13 @@ from napari_deltamic.optics import GaussianPSF
 @pytest.fixture
 def counted(monkeypatch):
     """What was computed."""
-    made, find = [], psf_picture.psf_sections
+    made, find = [], optics_panel.psf_sections
 
     def sections(optics):
         made.append(optics)
         return find(optics)
 
-    monkeypatch.setattr(psf_picture, "psf_sections", sections)
+    monkeypatch.setattr(optics_panel, "psf_sections", sections)
     return made
 
 
@@ -54,7 +54,7 @@ def test_the_numbers_shown_are_drawn(open_panel, spin):
     tall, wide = extent(picture(open_panel).sections.xz)
     assert tall == pytest.approx(4 * wide, rel=0.4)
     image = picture(open_panel).grab().toImage()
-    bright = image.pixelColor(psf_picture._SIDE // 2, psf_picture._SIDE // 2)
+    bright = image.pixelColor(optics_panel._SIDE // 2, optics_panel._SIDE // 2)
     assert bright.lightness() > 200
 
 

@@ -12,7 +12,7 @@ from qtpy.QtWidgets import QApplication
 import napari_deltamic as nd
 from napari_deltamic.geometry import sphere
 from napari_deltamic.gui.cell_table import CellTable
-from napari_deltamic.gui.results.selection import ClickSelection, region_at
+from napari_deltamic.gui.results.results_panel import ClickSelection, region_at
 from napari_deltamic.gui.viewing.colours import (
     LIMITS,
     region_colormap,

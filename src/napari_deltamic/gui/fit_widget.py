@@ -16,8 +16,7 @@ from .document import Document
 from .fields import tip_of
 from .image_panel import ImagePanel
 from .results.more_actions import CommandCopy, SessionBar
-from .results.results_panel import ResultsPanel
-from .results.selection import ClickSelection
+from .results.results_panel import ClickSelection, ResultsPanel
 from .results.session import Parts
 from .running.check_panel import CheckPanel
 from .running.edits import Edits

@@ -15,7 +15,7 @@ from ...errors import InputError
 from ...geometry import Mesh
 from ...results.colouring import colour_indices
 from ...results.session_file import SavedImage, SavedLayer, SavedTracks
-from ..seeding.seed_kinds import at_time
+from ..seeding.cell_source import at_time
 from ..viewing import own_layers
 from ..viewing.colours import side_values, surface_look
 from ..viewing.frame import OWN, Frame, stack_of

@@ -7,18 +7,150 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from napari.layers import Labels, Points
+from napari.layers import Labels, Points, Surface
 from numpy.typing import NDArray
 
 from ...errors import InputError
 from ...geometry import Mesh
 from ...runs.seed_checks import PointSet, Remark, all_remarks
 from ...runs.seed_preview import Problem
-from ...runs.seeds import PointSeeds, Seeds, mixed
+from ...runs.seeds import LabelSeeds, MeshSeeds, PointSeeds, Seeds, mixed
 from ..image_source import ImageSource
 from ..layer_choice import LayerTicks
-from ..viewing.frame import FloatArray, Frame, stack_of
-from .seed_kinds import at_time, is_empty, is_seeds, seeds_from_layer, without_place
+from ..viewing.cell_layers import unchanged_file
+from ..viewing.frame import OWN, FloatArray, Frame, stack_of
+from ..viewing.viewer_link import PINS
+from ..viewing.walls import joined
+
+SEED_LAYERS = (Points, Labels, Surface)
+PREVIEW = "preview"  # key under OWN: layers that only show what seeds would give
+
+
+def is_seeds(layer: Any) -> bool:
+    """Whether a layer can give seeds."""
+    kept = isinstance(layer, SEED_LAYERS) and layer.ndim >= 3
+    own = layer.metadata.get(OWN, {})
+    tracked = bool(own) and isinstance(layer, Surface) and layer.ndim > 3
+    return kept and not (own.get(PREVIEW) or own.get(PINS) or tracked)
+
+
+def seed_kind(layer: Any) -> type:
+    """Which of the kinds of layers that give seeds it is; subclasses count as theirs."""
+    return next(kind for kind in SEED_LAYERS if isinstance(layer, kind))
+
+
+def seeds_from_layer(
+    layer: Any,
+    frame: Frame,
+    step: tuple[int, ...],
+    *,
+    spheres: bool,
+    point: tuple[float, ...] = (),
+    copied: bool = True,
+) -> Seeds:
+    """The seeds that a Points, Labels or Surface layer holds.
+
+    Parameters
+    ----------
+    step, point : of the viewer's dims: of layers of a series, the time shown is taken.
+    spheres : points are spheres as large as they are drawn.
+    copied : so that they stay as they are, whatever becomes of the layer.
+    """
+    if isinstance(layer, Points):
+        return _points(layer, frame, point, spheres=spheres)
+    if isinstance(layer, Labels):
+        return _labels(layer, frame, step, copied=copied)
+    if isinstance(layer, Surface):
+        surface = mesh_of_surface(layer, frame, point)
+        return MeshSeeds(surface, unchanged_file(layer, frame))
+    raise InputError(f"'{layer.name}' is no Points, Labels or Surface layer")
+
+
+def is_empty(layer: Any, point: tuple[float, ...] = ()) -> bool:
+    """Whether a layer holds no seeds (at the time shown): one that was only just made, say."""
+    if isinstance(layer, Points):
+        return not at_time(layer, layer.data, point).any()
+    return isinstance(layer, Labels) and not np.any(layer.data)
+
+
+def at_time(layer: Any, data: NDArray[Any], point: tuple[float, ...]) -> NDArray[np.bool_]:
+    """(n,) which rows of coordinates lie at the viewer's point along the axes before Z, Y, X."""
+    kept = np.ones(len(data), bool)
+    for axis in range(-4, -layer.ndim - 1, -1):
+        if data.shape[1] >= -axis and len(point) >= -axis:
+            own = (point[axis] - layer.translate[axis]) / layer.scale[axis]
+            kept &= np.abs(data[:, axis] - own) <= 0.5
+    return kept
+
+
+def without_place(layer: Any, point: tuple[float, ...] = ()) -> NDArray[np.int64]:
+    """Rows of a Points layer (at the time shown) whose coordinates are not all numbers."""
+    data = np.asarray(layer.data, float)
+    return np.flatnonzero(at_time(layer, data, point) & ~np.isfinite(data[:, -3:]).all(axis=1))
+
+
+def mesh_of_surface(layer: Any, frame: Frame, point: tuple[float, ...] = ()) -> Mesh:
+    """A Surface layer as a mesh, um in a frame; with the regions that a fit has noted in it."""
+    vertices, faces = np.asarray(layer.data[0], float), np.asarray(layer.data[1])
+    if vertices.ndim != 2 or vertices.shape[1] < 3 or not len(faces):
+        raise InputError(f"layer '{layer.name}' holds no surface")
+    vertices, faces = joined(vertices, faces, layer.metadata)
+    scale, shift = frame.data_to_um(layer)
+    if np.prod(scale) < 0:  # a mirrored layer, in which what was outside is inside
+        faces = faces[:, ::-1]
+    regions = layer.metadata.get(OWN, {}).get("regions")
+    if regions is not None and len(regions) != len(faces):
+        regions = None
+    shown = at_time(layer, vertices, point)[faces].all(axis=1)
+    if not shown.any():
+        raise InputError(f"layer '{layer.name}' holds no surface at this time point")
+    if not shown.all():
+        faces, regions = faces[shown], None if regions is None else regions[shown]
+        used, faces = np.unique(faces, return_inverse=True)
+        vertices, faces = vertices[used], faces.reshape(-1, 3)
+    mesh = Mesh(vertices[:, -3:] * scale + shift, faces, regions)
+    if mesh.is_closed() and regions is None and mesh.region_volume(1) < 0:
+        return Mesh(mesh.vertices, mesh.faces[:, ::-1])  # wound the other way
+    return mesh
+
+
+def _points(layer: Any, frame: Frame, point: tuple[float, ...], *, spheres: bool) -> PointSeeds:
+    data = np.asarray(layer.data, float)
+    if not len(data):
+        raise InputError(f"layer '{layer.name}' has no points yet: click inside each cell")
+    if data.shape[1] < 3:
+        raise InputError(f"layer '{layer.name}' is 2D; seeds need three coordinates")
+    shown = at_time(layer, data, point)
+    if not shown.any():
+        raise InputError(f"layer '{layer.name}' has no points at this time point")
+    placeless = without_place(layer, point)
+    if len(placeless):
+        named = ", ".join(str(row + 1) for row in placeless[:6].tolist())
+        raise InputError(f"layer '{layer.name}': point {named} has no place (nan): delete it")
+    scale, shift = frame.data_to_um(layer)
+    points = data[:, -3:] * scale + shift
+    if frame.shape is not None:  # points beside the region belong to other cells
+        places = np.floor(points / frame.voxel_size + 0.5)
+        shown &= ((places >= 0) & (places < frame.shape)).all(axis=1)
+        if not shown.any():
+            raise InputError(f"layer '{layer.name}' has no points in the region that is fitted")
+    points, radii = points[shown], None
+    if spheres:
+        radii = np.asarray(layer.size, float)[shown] / 2 * float(np.mean(np.abs(scale)))
+    return PointSeeds(points, radii)
+
+
+def _labels(layer: Any, frame: Frame, step: tuple[int, ...], *, copied: bool) -> LabelSeeds:
+    labels = stack_of(layer, step)
+    if labels.ndim != 3:
+        raise InputError(f"layer '{layer.name}' is not 3D")
+    region = frame.region(layer, labels.shape)
+    if region is None:
+        raise InputError(
+            f"layer '{layer.name}' does not lie on the voxels of the image: give both layers the "
+            "same scale and translation"
+        )
+    return LabelSeeds(labels[region].copy() if copied else labels[region])
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from superqt.utils import signals_blocked
 from ...runs.seed_checks import Remark
 from ..layer_choice import LayerTicks
 from ..widgets import Note
-from .seed_kinds import seed_kind
+from .cell_source import seed_kind
 
 _ROWS = 5  # shown at once, at most
 _REMARKS = 4  # the same

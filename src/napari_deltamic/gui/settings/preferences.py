@@ -18,7 +18,7 @@ from ...runs.optics_settings import MicroscopeOptics
 from ...runs.settings import FitSettings
 from ...scene.effects import Effects
 from ..document import Document
-from .accuracy_dial import NORMAL
+from .accuracy_forecast import NORMAL
 
 PLUGIN = "napari-deltamic"
 _FIT = ("fit_psf", "density")

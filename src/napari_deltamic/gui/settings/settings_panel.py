@@ -16,8 +16,7 @@ from ..document import Document
 from ..fields import Form
 from ..viewing.frame import voxel_size
 from ..widgets import Fold, Note, column, filled, row
-from .accuracy_dial import AccuracyDial
-from .accuracy_forecast import AccuracyForecast, NoiseOf
+from .accuracy_forecast import AccuracyDial, AccuracyForecast, NoiseOf
 from .accuracy_view import TradeoffView
 
 # Where else than among those for experts a setting is shown.
