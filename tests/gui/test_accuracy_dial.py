@@ -279,7 +279,7 @@ def test_the_next_run_is_predicted_by_what_the_last_one_took(seeded, spin):
     # Also in words, before a third one starts.
     known = seeded.doc.learned.about(whole.kind)
     spin(lambda: not seeded.settings.forecast.busy)
-    seeded.settings.forecast._show(Outlook(0.1, 1e-2, whole, guessed=False))
+    seeded.settings.forecast._show((), Outlook(0.1, 1e-2, whole, guessed=False))
     assert seeded.settings.outlook.text() == predicted(whole.after(known))
 
 

@@ -88,8 +88,8 @@ def test_found_cells_make_room_and_have_the_colours_of_the_result(
     widget = make_widget()
     finder = widget.seeds.find_cells
     assert finder.cell_size.isHidden()
-    finder._asked = (with_image.layers["cell"], widget.doc.image.frame(), 1.0)
-    finder._show(CellsFound(ball_labels.astype(np.int32), 1.0, False))
+    found = CellsFound(ball_labels.astype(np.int32), 1.0, False)
+    finder._show(with_image.layers["cell"], widget.doc.image.frame(), 1.0, found)
     assert not finder.cell_size.isHidden()
     layer = with_image.layers["found cells"]
     np.testing.assert_allclose(layer.get_color(3), region_colours(3), atol=1e-6)

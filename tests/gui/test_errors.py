@@ -35,9 +35,9 @@ def test_an_action(caplog):
 
 def test_work_in_the_background(app, spin, caplog):
     said = []
-    background = Background(print, said.append)
+    background = Background(said.append)
     for action, n in ((broken, 1), (wrong, 2)):
-        background.ask(action)
+        background.ask(action, print)
         spin(lambda n=n: len(said) == n)
     assert said[1] == "no image"
     assert tracebacks(caplog) == [KeyError]
@@ -73,13 +73,13 @@ def test_what_a_thread_brings_too_late_is_dropped(app, spin):
     """With PySide6 it once reached an object that was gone."""
     gate, told = threading.Event(), []
     for _ in range(5):
-        background = Background(told.append, told.append)
-        background.ask(gate.wait)
+        background = Background(told.append)
+        background.ask(gate.wait, told.append)
         background.close()
         del background
     gate.set()
-    kept = Background(told.append, told.append)
-    kept.ask(lambda: "kept")
+    kept = Background(told.append)
+    kept.ask(lambda: "kept", told.append)
     spin(lambda: told)
     spin(seconds=0.1, must=False)
     assert told == ["kept"]

@@ -70,8 +70,8 @@ def test_few_controls_are_in_sight_before_a_fit(shown, with_image, ball_labels, 
     assert 10 < len(in_sight(shown)) <= MOST
     # The most: cells were found, and may be corrected.
     finder = shown.seeds.find_cells
-    finder._asked = (with_image.layers["cell"], shown.doc.image.frame(), 1.0)
-    finder._show(CellsFound(ball_labels.astype(np.int32), 1.0, False))
+    found = CellsFound(ball_labels.astype(np.int32), 1.0, False)
+    finder._show(with_image.layers["cell"], shown.doc.image.frame(), 1.0, found)
     spin(seconds=0.3, must=False)
     assert shown.seeds.corrections.bar.isVisible()
     names = [type(control).__name__ for control in in_sight(shown)]

@@ -206,9 +206,9 @@ def test_of_works_in_the_background_the_last_counts(app, spin):
 
         return run
 
-    background = Background(results.append, errors.append)
+    background = Background(errors.append)
     for k in range(4):
-        background.ask(work(k))
+        background.ask(work(k), results.append)
     spin(lambda: ran)
     assert background.busy
     gate.set()
@@ -216,14 +216,14 @@ def test_of_works_in_the_background_the_last_counts(app, spin):
     assert results == [3]
     assert ran == [0, 3]
     gate.clear()
-    background.ask(work(4))
+    background.ask(work(4), results.append)
     spin(lambda: ran[-1] == 4)
     background.drop()
     assert not background.busy
     gate.set()
     spin(seconds=0.1, must=False)
     assert results == [3]
-    background.ask(work(5))
+    background.ask(work(5), results.append)
     spin(lambda: results == [3, 5])
     assert errors == []
 
@@ -239,19 +239,19 @@ def test_errors_in_the_background_are_sentences(app, spin, error, words):
     def fail():
         raise error
 
-    background = Background(results.append, errors.append)
-    background.ask(fail)
+    background = Background(errors.append)
+    background.ask(fail, results.append)
     spin(lambda: errors)
     assert words in errors[0]
     assert results == []
-    background.ask(lambda: 1)  # it goes on
+    background.ask(lambda: 1, results.append)  # it goes on
     spin(lambda: results == [1])
 
 
 def test_closing_lets_go_of_whoever_waits(app, spin):
     class Waiting:
         def __init__(self):
-            self.background = Background(self.take, self.take)
+            self.background = Background(self.take)
             self.taken = []
 
         def take(self, result):
@@ -264,11 +264,11 @@ def test_closing_lets_go_of_whoever_waits(app, spin):
         done.append(True)
 
     waiting = Waiting()
-    waiting.background.ask(work)
+    waiting.background.ask(work, waiting.take)
     spin(seconds=0.05, must=False)
     refs = [weakref.ref(waiting), weakref.ref(waiting.background)]
     waiting.background.close()
-    waiting.background.ask(work)  # nothing happens
+    waiting.background.ask(work, waiting.take)  # nothing happens
     del waiting
     gc.collect()
     assert [ref() for ref in refs] == [None, None]

@@ -30,7 +30,7 @@ from ..accuracy.machine_costs import costs
 from ..accuracy.shape_error import DRAWS, ShapeError, photons_for, shape_errors
 from ..accuracy.tradeoff import Way, measure_ways, with_front
 from ..common.choices import RENDERED_ACCURACY
-from ..common.words import duration
+from ..common.words import counted, duration
 from ..common.writing import make_folder, write_atomically
 from ..errors import failure
 from ..fitting import fit
@@ -63,7 +63,7 @@ class _Scene:
     @property
     def title(self) -> str:
         shape = " x ".join(map(str, self.grid.shape))
-        cores = "1 thread" if threads() == 1 else f"{threads()} threads"
+        cores = counted(threads(), "thread")
         return f"{self.name}: {shape} voxels, {len(self.mesh.faces)} faces, {cores}"
 
 

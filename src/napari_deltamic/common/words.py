@@ -18,3 +18,8 @@ def duration(seconds: float, whole: bool = False) -> str:
             return f"{seconds / size:{digits}} {unit}"
     hours = seconds / 3600
     return f"{hours:{digits}} h" if hours < 48 else f"{hours / 24:.0f} days"
+
+
+def counted(n: int, thing: str) -> str:
+    """So many of a thing: 1 cell, 2 cells."""
+    return f"{n} {thing}" if n == 1 else f"{n} {thing}s"

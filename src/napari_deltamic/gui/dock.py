@@ -21,6 +21,7 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
+from .document import Document
 from .widgets import button, row
 
 DOCS = "https://github.com/napari-deltamic/napari-deltamic/blob/main/docs/napari.md"
@@ -69,24 +70,11 @@ class Column(QScrollArea):
             self.setMinimumWidth(shown.minimumSizeHint().width() + bar.sizeHint().width() + 2)
 
 
-class Keys:
-    """Binds keys of a viewer to actions until it is closed.
-
-    Parameters
-    ----------
-    actions : by key, as napari writes them.
-    """
-
-    def __init__(self, viewer: Any, actions: Mapping[str, Callable[[], Any]]) -> None:
-        self._viewer, self._keys = viewer, list(actions)
-        for key, action in actions.items():
-            viewer.bind_key(key, partial(_press, action), overwrite=True)
-
-    def close_links(self) -> None:
-        """Give the keys back."""
-        for key in self._keys:
-            self._viewer.bind_key(key, None, overwrite=True)
-        self._keys = []
+def bind_keys(doc: Document, actions: Mapping[str, Callable[[], Any]]) -> None:
+    """Bind keys of the viewer, as napari writes them, to actions until the window is closed."""
+    for key, action in actions.items():
+        doc.viewer.bind_key(key, partial(_press, action), overwrite=True)
+        doc.at_end(partial(doc.viewer.bind_key, key, None, overwrite=True))
 
 
 def _press(action: Callable[[], Any], viewer: Any) -> None:

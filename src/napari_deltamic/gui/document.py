@@ -349,11 +349,9 @@ class Document:
         self.noted.emit(reason)
         self.warned.emit(reason)
 
-    def background(
-        self, on_result: Callable[[Any], None], on_error: Callable[[str], None]
-    ) -> Background:
+    def background(self, on_error: Callable[[str], None]) -> Background:
         """Runs short functions, as long as there is a window."""
-        made = Background(on_result, on_error)
+        made = Background(on_error)
         self.at_end(made.close)
         return made
 

@@ -11,7 +11,7 @@ from qtpy.QtWidgets import QWidget
 
 from ..common.description import described
 from ..runs.settings import SceneSettings
-from .dock import Column, Header, Keys, ask_before_closing
+from .dock import Column, Header, ask_before_closing, bind_keys
 from .document import Document
 from .fields import tip_of
 from .image_panel import ImagePanel
@@ -73,8 +73,8 @@ class FitWidget(QWidget):
         self.destroyed.connect(doc.close)
         self.running.fit_again.connect(self._fit_again)
         doc.began.connect(self._show_check)
-        keys = Keys(
-            doc.viewer,
+        bind_keys(
+            doc,
             {
                 "Alt-C": self.seeds.find_cells.start,
                 "Alt-F": self.start_or_stop,
@@ -83,7 +83,7 @@ class FitWidget(QWidget):
                 "Alt-V": doc.look_further,
             },
         )
-        doc.at_end(chooses.close_links, keys.close_links)
+        doc.at_end(chooses.close_links)
         self._lay_out()
         preferences, remark = read_preferences()
         preferences.show(doc, self.seeds.preview)

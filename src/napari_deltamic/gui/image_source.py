@@ -33,6 +33,7 @@ from .viewing.frame import (
     OWN,
     Box,
     Frame,
+    chosen_of,
     data_of,
     finite,
     is_stack,
@@ -169,8 +170,7 @@ class ImageSource:
         InputError where there is none.
         """
         shapes = [x for x in self.viewer.layers if isinstance(x, Shapes) and len(x.data)]
-        active = self.viewer.layers.selection.active
-        layer = active if active in shapes else shapes[-1] if shapes else None
+        layer = chosen_of(self.viewer, shapes)
         if layer is None:
             raise InputError("draw a rectangle around the cells in a Shapes layer first")
         chosen = sorted(layer.selected_data) or [len(layer.data) - 1]
@@ -282,13 +282,7 @@ class SecondSource(LayerChoice):
         image.changed.connect(self._image_changed)
 
     def view(self) -> ViewEffect | None:
-        """The effect, or None for no second view.
-
-        Raises
-        ------
-        InputError
-            If the layer does not lie on the voxels of the image.
-        """
+        """The effect, or None for no second view. InputError if the layer lies on other voxels."""
         layer, image = self.layer, self._image.layer
         if layer is None or image is None:
             return None
@@ -346,12 +340,11 @@ def _check_on_voxels(layer: Any, image: Any) -> None:
             f"second view: '{layer.name}' has {mine} voxels, the image {theirs}: {advice}"
         )
     try:
-        own, first = Frame.of(layer), Frame.of(image)
+        Frame.of(layer)
+        region = Frame.of(image).region(layer, shape)
     except InputError as error:
         raise InputError(f"second view: {error}: {advice}") from None
-    shift = np.abs(first.to_um(own.translate))
-    same = np.allclose(own.voxel_size, first.voxel_size, rtol=1e-3)
-    if not same or (shift > 0.01 * np.array(first.voxel_size)).any():
+    if region is None:
         raise InputError(
             f"second view: '{layer.name}' does not lie on the voxels of the image: {advice}, "
             "then give both layers the same scale and translation"

@@ -299,22 +299,20 @@ class Background(QObject):
     """Runs one function at a time in a thread; of several asked for, the last one counts.
 
     A function that runs cannot be interrupted: its result is dropped, and the latest one asked
-    for starts when it has ended. Made and used on the main thread, where both callbacks are
-    called. After ``close`` neither is, and nothing is held but what still runs.
+    for starts when it has ended. Made and used on the main thread, where all callbacks are
+    called. After ``close`` none is, and nothing is held but what still runs.
 
     Parameters
     ----------
-    on_result : called with what the function returned.
     on_error : called with a sentence in plain words.
     """
 
-    def __init__(self, on_result: Callable[[Any], None], on_error: Callable[[str], None]) -> None:
+    def __init__(self, on_error: Callable[[str], None]) -> None:
         super().__init__()
-        self._on_result: Callable[[Any], None] | None = on_result
         self._on_error: Callable[[str], None] | None = on_error
         self._call: Future[Any] | None = None
-        self._next: Callable[[], Any] | None = None
-        self._awaited = False  # the result of what runs
+        self._then: Callable[[Any], None] | None = None  # None: nobody awaits what runs
+        self._next: tuple[Callable[[], Any], Callable[[Any], None]] | None = None
         self._soon: Callable[[], None] | None = None
         self._waiting = QTimer(self)
         self._waiting.setSingleShot(True)
@@ -326,31 +324,34 @@ class Background(QObject):
     @property
     def busy(self) -> bool:
         """Whether a result is still to come."""
-        return self._awaited or self._next is not None or self._soon is not None
+        return any(one is not None for one in (self._then, self._next, self._soon))
 
     def soon(self, ask: Callable[[], None], wait: int) -> None:
         """Call, on the main thread, what may ask; unless this is called again within ``wait`` ms.
 
         It comes in the place of what is awaited.
         """
-        if self._on_result is not None:
+        if self._on_error is not None:
             self.drop()
             self._soon = ask
             self._waiting.start(wait)
 
-    def ask(self, work: Callable[[], Any]) -> None:
-        """Run a function without arguments; it must not know of any widget."""
-        if self._on_result is None:
+    def ask(self, work: Callable[[], Any], then: Callable[[Any], None]) -> None:
+        """Run a function without arguments, and then another one with what it returned.
+
+        The first must not know of any widget.
+        """
+        if self._on_error is None:
             return
-        self._next = work
+        self._next = work, then
         if self._call is None:
             self._start()
         else:
-            self._awaited = False
+            self._then = None
 
     def drop(self) -> None:
         """No result is wanted any more."""
-        self._next, self._awaited, self._soon = None, False, None
+        self._then = self._next = self._soon = None
 
     def close(self) -> None:
         """Call nobody any more."""
@@ -358,7 +359,7 @@ class Background(QObject):
         with suppress(RuntimeError):  # the application may have ended before
             self._timer.stop()
             self._waiting.stop()
-        self._call = self._on_result = self._on_error = None
+        self._call = self._on_error = None
 
     def _waited(self) -> None:
         ask, self._soon = self._soon, None
@@ -366,9 +367,9 @@ class Background(QObject):
             ask()
 
     def _start(self) -> None:
-        work, self._next = self._next, None
-        if work is not None:
-            self._call, self._awaited = _THREADS.submit(work), True
+        if self._next is not None:
+            (work, self._then), self._next = self._next, None
+            self._call = _THREADS.submit(work)
             self._timer.start()
 
     def _look(self) -> None:
@@ -378,15 +379,16 @@ class Background(QObject):
         self._timer.stop()
         self._call = None
         try:
-            if self._awaited:
-                self._tell(call)
+            self._tell(call)
         finally:
             if self._call is None:
                 self._start()
 
     def _tell(self, call: Future[Any]) -> None:
-        self._awaited, error = False, call.exception()
-        if isinstance(error, Exception) and self._on_error is not None:
+        then, self._then, error = self._then, None, call.exception()
+        if then is None:
+            return
+        if error is None:
+            then(call.result())
+        elif isinstance(error, Exception) and self._on_error is not None:
             self._on_error(words_of(error))
-        elif error is None and self._on_result is not None:
-            self._on_result(call.result())

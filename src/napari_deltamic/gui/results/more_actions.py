@@ -27,8 +27,7 @@ class CommandCopy:
         self._doc = doc
         self._parent = parent
         # Image files are compared, and meshes of seeds are computed: it may take seconds.
-        self._checking = doc.background(self._checked, doc.refuse)
-        self._writing = doc.background(self._done, doc.refuse)
+        self._background = doc.background(doc.refuse)
         tip = "The command that repeats this run without a window."
         self.copy_action = action("Copy as command", tip, partial(doc.guarded, self.copy), parent)
         tip = "Writes batch.toml with these settings beside the stacks, and copies its command."
@@ -37,7 +36,7 @@ class CommandCopy:
 
     @property
     def busy(self) -> bool:
-        return self._checking.busy or self._writing.busy
+        return self._background.busy
 
     def copy(self) -> None:
         """Put the command together of what is chosen. InputError where something is missing."""
@@ -47,7 +46,7 @@ class CommandCopy:
         settings, second = doc.run_settings(seeds), doc.second.pixels()
         doc.noted.emit("putting the command together ...")
         chosen = Chosen(settings, pixels, frame.grid(pixels.shape), seeds, second)
-        self._checking.ask(chosen.compared)
+        self._background.ask(chosen.compared, self._checked)
 
     def _run_folder(self) -> None:
         folder = QFileDialog.getExistingDirectory(self._parent, "Folder of stacks")
@@ -62,7 +61,7 @@ class CommandCopy:
             folder = str(QFileDialog.getExistingDirectory(self._parent, title))
             if not folder:
                 return
-        self._writing.ask(partial(chosen.command, folder))
+        self._background.ask(partial(chosen.command, folder), self._done)
 
     def _done(self, text: str) -> None:
         self._doc.noted.emit("")
@@ -93,8 +92,7 @@ class SessionBar(QObject):
             "that is fitted; all of it where cells were tracked."
         )
         self.save_action = action(_SAVE[0], tip, self._ask_save, self)
-        self._saving = doc.background(partial(self._ended, "saved"), partial(self._ended, ""))
-        self._opening = doc.background(self._opened, partial(self._ended, ""))
+        self._saving, self._opening = (doc.background(self._failed) for _ in range(2))
         self._steps: Generator[None] | None = None  # that are left of showing a session
 
     @property
@@ -106,25 +104,26 @@ class SessionBar(QObject):
         session, remark = capture(self._parts)
         if remark:
             self._doc.warned.emit(remark)
-        self._saving.ask(partial(_save, path, session))
+        self._saving.ask(partial(_save, path, session), self._saved)
         self._show()
 
     def open(self, path: str) -> None:
         """Open a session; it is shown when it has been read."""
-        self._opening.ask(partial(load_session, path))
+        self._opening.ask(partial(load_session, path), self._opened)
         self._show()
 
     def _forget(self) -> None:
         """The window is closed; a file that is being written is written to its end."""
         self._steps = None
 
-    def _ended(self, done: str, text: str) -> None:
-        """A file was written, or could not be, or could not be read."""
+    def _saved(self, path: str) -> None:
         self._show()
-        if done:
-            self._doc.told.emit(f"{done} {text}")
-        else:
-            self._doc.warned.emit(text)
+        self._doc.told.emit(f"saved {path}")
+
+    def _failed(self, text: str) -> None:
+        """A file could not be written, or read."""
+        self._show()
+        self._doc.warned.emit(text)
 
     def _opened(self, session: Session) -> None:
         self._steps = restore(self._parts, session)

@@ -31,12 +31,8 @@ class Parts:
 def capture(parts: Parts) -> tuple[Session, str]:
     """The session that is shown, and what of it is left out, in words ('' for nothing).
 
-    It shares the arrays of the layers, so that a large image is not copied.
-
-    Raises
-    ------
-    InputError
-        If there is no image, or a setting that is not valid.
+    It shares the arrays of the layers, so that a large image is not copied. InputError if there is
+    no image, or a setting that is not valid.
     """
     doc = parts.doc
     dims, frame = doc.viewer.dims, doc.image.frame()
@@ -73,11 +69,7 @@ def restore(parts: Parts, session: Session) -> Generator[None]:
     """Show a session: its layers are added, the panels show what they did.
 
     Where it yields, the window may do what waits: cells come after the image, then the result.
-
-    Raises
-    ------
-    InputError
-        If something runs.
+    InputError if something runs.
     """
     doc, panel = parts.doc, parts.seeds
     viewer = doc.viewer

@@ -12,6 +12,7 @@ from qtpy.QtCore import QPointF, QRectF
 from qtpy.QtGui import QColor, QPainter, QPaintEvent, QPalette, QPen, QPolygonF
 from qtpy.QtWidgets import QGroupBox, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
+from ...common.words import counted
 from ...fitting import FitState
 from ...fitting.job import FitInput
 from ...results.judged import told
@@ -237,7 +238,7 @@ class RemarkList(Fold):
 
     def show_remarks(self, remarks: Sequence[str]) -> None:
         """Show remarks; hidden where there are none."""
-        self.set_title(f"{len(remarks)} {'remark' if len(remarks) == 1 else 'remarks'}")
+        self.set_title(counted(len(remarks), "remark"))
         self.label.say("\n".join(remarks))
         self.unfold(False)
         self.setVisible(bool(remarks))

@@ -35,7 +35,7 @@ class HistoryBar(QWidget):
         self._doc, self._edits, self._control = doc, edits, control
         self._next = 0.0
         self._moments: tuple[Moment, ...] = ()
-        self._chosen: Moment | None = None
+        self.chosen: Moment | None = None  # that is looked at; None where it is the newest
         self._running = False
         self.undo_button = small(button("↶", "", self.undo, self))
         self.redo_button = small(button("↷", "", self.redo, self))
@@ -58,11 +58,6 @@ class HistoryBar(QWidget):
         self._show_undo()
         self.show_moments((), running=False)
 
-    @property
-    def chosen(self) -> Moment | None:
-        """The moment that is looked at; None where it is the newest."""
-        return self._chosen
-
     def show_moments(self, moments: Sequence[Moment], *, running: bool) -> None:
         """Which there are; the one that is looked at stays, or the nearest to it."""
         self._moments, self._running = tuple(moments), running
@@ -70,7 +65,7 @@ class HistoryBar(QWidget):
         with signals_blocked(self.slider):
             self.slider.setRange(0, last)
             self.slider.setEnabled(last > 0)
-            self.slider.setValue(last if self._chosen is None else self._index(self._chosen))
+            self.slider.setValue(last if self.chosen is None else self._index(self.chosen))
         self._show()
 
     def update_moments(self) -> None:
@@ -108,7 +103,7 @@ class HistoryBar(QWidget):
             self.update_moments()
 
     def _go_on(self) -> None:
-        moment, present = self._chosen, self._doc.present()
+        moment, present = self.chosen, self._doc.present()
         if moment is not None:
             note = f"back to iteration {moment.iteration}"
             self._edits.go_on_from(moment.mesh, moment.optics, note)
@@ -134,8 +129,8 @@ class HistoryBar(QWidget):
         self._choose(None if at_end else self._moments[index])
 
     def _choose(self, moment: Moment | None) -> None:
-        if moment is not self._chosen:
-            self._chosen = moment
+        if moment is not self.chosen:
+            self.chosen = moment
             self._doc.look_back(moment is not None)
             self._show()
             if moment is None:
@@ -153,7 +148,7 @@ class HistoryBar(QWidget):
         return min(earlier[-1] if earlier else 0, max(len(self._moments) - 2, 0))
 
     def _show(self) -> None:
-        looking = self._chosen is not None
+        looking = self.chosen is not None
         self.live_button.setVisible(looking)
         self.go_on_button.setVisible(looking or (not self._running and bool(self._moments)))
         self.go_on_button.setToolTip(
@@ -161,7 +156,7 @@ class HistoryBar(QWidget):
             if self._running
             else "Start a fit from the state shown, with little blur."
         )
-        shown = self._chosen or (self._moments[-1] if self._moments else None)
+        shown = self.chosen or (self._moments[-1] if self._moments else None)
         if shown is None or (not looking and self._running):
             self.note.say("")
             return

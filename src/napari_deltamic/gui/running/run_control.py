@@ -58,13 +58,13 @@ class RunControl(QObject):
 
         Snapshots include it from the number returned on.
         """
-        number = int(self._doc.run.change(change, of))
+        number = int(self._doc.run.waiting.add(change, of))
         self._asked.append((number, note))
         return number
 
     def ask_shift(self, shift: NDArray[np.float64], note: str, of: Mesh) -> None:
         """Let the fit go on with its vertices moved, (V, 3) um."""
-        self._asked.append((self._doc.run.shift(shift, of), note))
+        self._asked.append((self._doc.run.waiting.shift(shift, of), note))
 
     def replace_result(self, state: FitState, note: str) -> None:
         """Take a state for the result: it was changed by hand."""
@@ -206,8 +206,7 @@ class Judging(QObject):
     def __init__(self, doc: Document, parent: QObject | None = None) -> None:
         super().__init__(parent)
         self._doc = doc
-        self._asked: tuple[Record, FitState | None] | None = None
-        self._background = doc.background(self._add, doc.warned.emit)
+        self._background = doc.background(doc.warned.emit)
         self._spread = Spread()
         doc.shown.connect(self._show_snapshot)
         doc.began.connect(self._began)
@@ -227,21 +226,21 @@ class Judging(QObject):
         """What a fit that runs has rendered, if it has."""
         record = self._doc.record
         if snapshot.rendered is not None and record is not None and not self._background.busy:
-            self._asked = (record, None)
-            self._background.ask(partial(compared, snapshot.rendered, snapshot.job, self._spread))
+            work = partial(compared, snapshot.rendered, snapshot.job, self._spread)
+            self._background.ask(work, partial(self._add, record, None))
 
     def _judge(self) -> None:
         """Render the result, and look at what it leaves unexplained."""
         record = self._doc.result
         if record is not None and not self._doc.running and record.judged is None:
-            self._asked = (record, record.state)
-            self._background.ask(partial(judge, *record.of_fit(), self._spread))
+            work = partial(judge, *record.of_fit(), self._spread)
+            self._background.ask(work, partial(self._add, record, record.state))
 
-    def _add(self, images: Compared) -> None:
-        asked, self._asked = self._asked, None
-        if asked is None or (asked[1] is not None and asked[0].state is not asked[1]):
+    def _add(self, record: Record, state: FitState | None, images: Compared) -> None:
+        """Take over what was found: of a result, or, without a state, of a fit that runs."""
+        if state is not None and record.state is not state:
             return
-        record, doc = asked[0], self._doc
+        doc = self._doc
         record.link.take_images(images.rendered, images.residual)
         if images.judged is not None:
             record.judge(images.judged)

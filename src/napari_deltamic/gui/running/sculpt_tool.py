@@ -173,18 +173,14 @@ class Sculptor(QObject):
 
     def _finish(self, stroke: _Stroke) -> None:
         if stroke.tool == "pin":
-            self._doc.guarded(lambda: self._pin(stroke))
+            pins = stroke.which, not stroke.turned, stroke.start
+            self._doc.guarded(partial(self._edits.pin, *pins))
             self._show_pins()
         else:
             if stroke.shift.any():
-                self._doc.guarded(lambda: self._shift(stroke))
+                moved = stroke.shift, stroke.tool, stroke.start
+                self._doc.guarded(partial(self._edits.shift, *moved))
             self._control.let_go()
-
-    def _pin(self, stroke: _Stroke) -> None:
-        self._edits.pin(stroke.which, not stroke.turned, stroke.start)
-
-    def _shift(self, stroke: _Stroke) -> None:
-        self._edits.shift(stroke.shift, stroke.note, stroke.start)
 
 
 class _Stroke:
@@ -203,11 +199,6 @@ class _Stroke:
         self._grip = _in_plane(link, event, touch.point)
         if tool != "nudge":
             self._dab(touch)
-
-    @property
-    def note(self) -> str:
-        """What it was, in a word."""
-        return "push" if self.tool == "push" else "nudge"
 
     @property
     def mesh(self) -> Mesh:

@@ -18,7 +18,6 @@ from ...errors import InputError
 from ...fitting import Change, FitState
 from ...fitting.job import FitInput, scene_with, start
 from ...fitting.pending import Waiting, usable
-from ...geometry import Mesh
 from ...results.report import History
 from ..work import Task, words_of
 
@@ -39,7 +38,7 @@ class Snapshot:
     job : what is fitted.
     rendered : (Z, Y, X) float32, or None where it was not computed this time.
     iterations_per_second : lately, without pauses.
-    changes : the number of the last change that it includes, see ``FitRun.change``.
+    changes : the number of the last change that it includes, see ``FitRun.waiting``.
     remaining : s that the fit will still take; None where that is not known.
     """
 
@@ -76,6 +75,12 @@ class FitRun(Task):
     on_refusal : called with the reason why a change was not taken over.
     forecaster : makes what forecasts how long a fit will take, in the thread; None for none.
     first : what the fit is told after its first iteration: pinned vertices, for example.
+
+    Attributes
+    ----------
+    waiting : changes from which the fit goes on, from its next iteration on. Snapshots tell by its
+        number whether they include one. What cannot be used is refused with a note, and the fit
+        goes on without it. Pins are of a mesh, which the fit may have remeshed by then.
     """
 
     title = "a fit is running"
@@ -93,9 +98,9 @@ class FitRun(Task):
         super().__init__()
         self._prepare, self._forecaster = prepare, forecaster
         self._on_snapshot, self._on_end, self._on_refusal = on_snapshot, on_end, on_refusal
-        self._waiting = Waiting()
+        self.waiting = Waiting()
         if first is not None:
-            self._waiting.add(first)
+            self.waiting.add(first)
         self.render = False  # whether snapshots should bring rendered images
         self._refusals: deque[str] = deque()
         self._marked: deque[Snapshot] = deque()  # those that a change led to
@@ -117,21 +122,8 @@ class FitRun(Task):
     @property
     def left(self) -> Change | None:
         """After the end: a change that came too late for the fit."""
-        state, taken = self.state, self._waiting.take()
+        state, taken = self.state, self.waiting.take()
         return None if taken is None or state is None else taken.on(state.mesh)
-
-    def change(self, change: Change, of: Mesh | None = None) -> int:
-        """Let the fit go on from something else, from its next iteration on.
-
-        Snapshots tell by the number returned whether they include it. What cannot be used is
-        refused with a note, and the fit goes on without it. Pins are of a mesh, which the fit may
-        have remeshed by then.
-        """
-        return self._waiting.add(change, of)
-
-    def shift(self, shift: NDArray[np.float64], of: Mesh | None = None) -> int:
-        """Move the vertices from where they then are, (V, 3) um; else like ``change``."""
-        return self._waiting.shift(shift, of)
 
     def look(self) -> None:
         while self._refusals:
@@ -185,7 +177,7 @@ class FitRun(Task):
             if self.paused:
                 self._publish(state, must=True)
                 self.stage = "paused"
-            while self.paused and not self._waiting.any and not self.stopping:
+            while self.paused and not self.waiting.any and not self.stopping:
                 time.sleep(0.02)
                 yield
             self.stage = "fitting"
@@ -235,7 +227,7 @@ class FitRun(Task):
 
     def _taken(self, state: FitState) -> Change | None:
         """The change that waits, if any; why it is refused is told."""
-        taken, job = self._waiting.take(), self.job
+        taken, job = self.waiting.take(), self.job
         if taken is None or job is None:
             return None
         self._changes = taken.number

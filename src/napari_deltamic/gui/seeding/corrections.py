@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from qtpy.QtCore import QObject
 from qtpy.QtWidgets import QWidget
 
+from ...common.words import counted
 from ...errors import InputError
 from ...geometry import Click
 from ...geometry.labels.label_edits import Action, Corrector
 from ...runs.seeds import LabelSeeds
 from ..document import Document
-from ..viewing.frame import FloatArray, Frame
+from ..viewing.frame import FloatArray, Frame, chosen_of
 from ..viewing.listening import Presses, is_click, lay_down, wants_clicks
 from ..widgets import Note, Signal, ToolBar, button, small
 from ..work import attempt
@@ -63,13 +64,11 @@ class Corrections(QObject):
         bar.column.addWidget(self.count)
         self._first: Click | None = None  # of the two that are to be merged
         self._waiting: list[_Wanted] = []
-        # What is under way: the layer, its array, and its labels.
-        self._asked: tuple[Any, Any, NDArray[np.int32]] | None = None
         self._corrector: Corrector | None = None
         self._corrector_of: tuple[Any, ...] = ()
         self._corrector_data: Any = None
         self._clicked_in: Any = None  # the layer whose cells the tool corrects
-        self._background = doc.background(self._show, self._fail)
+        self._background = doc.background(self._fail)
         doc.at_end(self._let_go)
         self._presses = Presses(doc.viewer, self._pressed)
         doc.listen(doc.viewer.dims.events.ndisplay, self._view_changed)
@@ -78,9 +77,7 @@ class Corrections(QObject):
 
     @property
     def layer(self) -> Any:
-        layers = [x for x in self._cells.ticked if _can_be_corrected(x)]
-        active = self._viewer.layers.selection.active
-        return active if active in layers else layers[-1] if layers else None
+        return chosen_of(self._viewer, [x for x in self._cells.ticked if _can_be_corrected(x)])
 
     @property
     def busy(self) -> bool:
@@ -100,8 +97,8 @@ class Corrections(QObject):
         if self.bar.tool is not None and layer is not self._clicked_in:
             self._listen(layer)
             self.bar.explain()
-        cells = _cells(np.asarray(layer.data)) if self.bar.tool else 0
-        self.count.say(f"{cells} {'cell' if cells == 1 else 'cells'}" if self.bar.tool else "")
+        in_use = self.bar.tool is not None
+        self.count.say(counted(_cells(np.asarray(layer.data)), "cell") if in_use else "")
 
     def click(self, place: FloatArray) -> None:
         """Use the tool at a place, um in the image's frame."""
@@ -138,14 +135,14 @@ class Corrections(QObject):
 
     def forget(self) -> None:
         """Another image: what is under way is given up."""
-        self._waiting, self._asked, self._corrector, self._first = [], None, None, None
+        self._waiting, self._corrector, self._first = [], None, None
         self._background.drop()
         self.bar.explain()
 
     def _let_go(self) -> None:
         """The window is closed."""
         self._listen(None)
-        self._waiting, self._asked, self._corrector = [], None, None
+        self._waiting, self._corrector = [], None
 
     # ------------------------------------------------------------------------------------ mouse
 
@@ -218,9 +215,8 @@ class Corrections(QObject):
         seeds = seeds_from_layer(layer, frame, (), spheres=False)
         assert isinstance(seeds, LabelSeeds)
         work = partial(self._corrector_for(frame, read, layer.data).corrected, seeds.labels, clicks)
-        self._asked = (layer, layer.data, seeds.labels)
         self.bar.hint.say("working ...")
-        self._background.ask(work)
+        self._background.ask(work, partial(self._show, layer, layer.data, seeds.labels))
 
     def _corrector_for(
         self, frame: Frame, read: Callable[[], NDArray[Any]], data: Any
@@ -234,10 +230,10 @@ class Corrections(QObject):
             self._corrector_data = data
         return self._corrector
 
-    def _show(self, labels: NDArray[np.int32]) -> None:
-        if self._asked is None:
-            return
-        (layer, data, before), self._asked = self._asked, None
+    def _show(
+        self, layer: Any, data: Any, before: NDArray[np.int32], labels: NDArray[np.int32]
+    ) -> None:
+        """Other labels for those that a layer had, if it still has that array."""
         self.bar.explain()
         if layer in self._viewer.layers and layer.data is data:  # not replaced meanwhile
             _put(layer, labels, labels != before)
@@ -246,7 +242,6 @@ class Corrections(QObject):
         self._next()
 
     def _fail(self, message: str) -> None:
-        self._asked = None
         self.bar.hint.say(_without_numbers(message))
         self.renew()
         self._next()

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from qtpy.QtWidgets import QPushButton, QWidget
 from superqt.utils import signals_blocked
 
+from ...common.words import counted
 from ...errors import InputError
 from ...evidence.tilted_ground import with_ground
 from ...fitting.job import levelled
@@ -57,9 +58,8 @@ class FindCells(QPushButton):
         self._sizes: list[tuple[float, int]] = []
         self._moved = False
         self._layer: Any = None
-        self._asked: tuple[Any, Frame, float | None] | None = None  # the last: size, um
         self._found_in: Any = None  # the image layer that the message and the labels are of
-        self._background = doc.background(self._show, self._fail)
+        self._background = doc.background(self._fail)
         doc.at_end(self._let_go)
         self.clicked.connect(self.start)
         self.cell_size.valueChanged.connect(self._note_move)
@@ -81,8 +81,8 @@ class FindCells(QPushButton):
             self._tell(sentence(str(error)))
             return
         size = float(self.cell_size.value()) if self._moved else None
-        self._asked = (self._image.layer, frame, size)
-        self._background.ask(partial(look, read, frame.voxel_size, size))
+        then = partial(self._show, self._image.layer, frame, size)
+        self._background.ask(partial(look, read, frame.voxel_size, size), then)
         self._tell("Looking for cells ...")
 
     def suit(self, shape: tuple[int, ...], voxel_size: tuple[float, ...]) -> None:
@@ -117,18 +117,16 @@ class FindCells(QPushButton):
 
     def _let_go(self) -> None:
         """The window is closed."""
-        self._layer = self._asked = self._found_in = None
+        self._layer = self._found_in = None
 
     def find_with(self, size: float) -> None:
         self._set_size(size)
         self._moved = True
         self.start()
 
-    def _show(self, result: Any) -> None:
-        if self._asked is None:
-            return
+    def _show(self, image_layer: Any, frame: Frame, wanted: float | None, result: Any) -> None:
+        """The cells found in an image; wanted: of which size (um), None for any."""
         size, labels = result.size, result.labels
-        (image_layer, frame, wanted), self._asked = self._asked, None
         if image_layer not in self._viewer.layers:
             self._tell("")
             return
@@ -139,7 +137,7 @@ class FindCells(QPushButton):
             self._sizes = [(size, 0), *others]
         layer, self._found_in = self._layer_for(frame, labels), image_layer
         n = len(np.unique(labels[labels > 0]))
-        self._tell(f"Found {n} {'cell' if n == 1 else 'cells'} of about {size:.3g} µm.")
+        self._tell(f"Found {counted(n, 'cell')} of about {size:.3g} µm.")
         self.others = [(s, n) for s, n in self._sizes if abs(s / size - 1) > _SAME]
         self.told.emit()
         self.found.emit(layer)

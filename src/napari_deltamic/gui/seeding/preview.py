@@ -42,11 +42,10 @@ class Preview(QCheckBox):
         self._wanted = wanted
         self._user_chose = False
         self._preferred = True
-        self._asked: Wanted | None = None
         self._key: tuple[Any, ...] | None = None
         self._viewer = doc.viewer
         self._layers: StartLayers | None = None
-        self._background = doc.background(self._show, self._fail)
+        self._background = doc.background(self._fail)
         doc.at_end(self._let_go)
         self.clicked.connect(self._note_choice)
         self.toggled.connect(self._toggled)
@@ -84,7 +83,7 @@ class Preview(QCheckBox):
     def clear(self) -> None:
         """Show none until the points change."""
         self._background.drop()
-        self._asked = self._key = None
+        self._key = None
         self._take_away()
         self._set_problems(())
 
@@ -92,7 +91,7 @@ class Preview(QCheckBox):
         """The window is closed."""
         if self._layers is not None:  # which stay, as the window may be gone
             self._layers.close()
-        self._layers = self._asked = None
+        self._layers = None
 
     def _ask(self) -> None:
         asked = self._wanted() if self.isChecked() else None
@@ -103,13 +102,10 @@ class Preview(QCheckBox):
 
     def _look_for(self, asked: Wanted) -> None:
         image = asked.image()
-        self._asked = asked
-        self._background.ask(partial(find, asked.points, image, asked.frame.grid(image.shape)))
+        work = partial(find, asked.points, image, asked.frame.grid(image.shape))
+        self._background.ask(work, partial(self._show, asked))
 
-    def _show(self, found: Found) -> None:
-        asked, self._asked = self._asked, None
-        if asked is None:
-            return
+    def _show(self, asked: Wanted, found: Found) -> None:
         shown, of = self._layers, asked.layer
         if found.mesh is None or of not in self._viewer.layers:
             self._take_away()

@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 from napari.layers import Points
-from numpy.typing import NDArray
 from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QFileDialog, QFormLayout, QGroupBox, QWidget
 
+from ...common.words import counted
 from ...errors import InputError
 from ...geometry.formats import MESH_FILES_LISTED, MESH_FILTER
 from ..document import Document
 from ..viewing.cell_layers import LoadedMesh, load_meshes, surface_layer
-from ..viewing.frame import Frame, made_by_fit
+from ..viewing.frame import Frame, chosen_of, made_by_fit
 from ..viewing.listening import Connections
 from ..viewing.own_layers import Points as SeedPoints
 from ..viewing.own_layers import cut_by_slices
@@ -111,7 +111,7 @@ class SeedsPanel(QGroupBox):
 
     def use_file(self, *paths: str) -> None:
         """Add mesh files as Surface layers, which are seeds like others, once they are read."""
-        self._reading.ask(partial(load_meshes, list(paths)))
+        self._reading.ask(partial(load_meshes, list(paths)), self._add_meshes)
 
     def _close(self) -> None:
         self._open = False
@@ -133,7 +133,7 @@ class SeedsPanel(QGroupBox):
             "from the centre of the first voxel."
         )
         self.open_file = button("From file...", tip, self._ask_file, self)
-        self._reading = self._doc.background(self._add_meshes, self._doc.warned.emit)
+        self._reading = self._doc.background(self._doc.warned.emit)
         self.find_cells = FindCells(self._doc, self)
         tip = (
             "'The membrane' finds the dark region around each click, up to its bright membrane: "
@@ -271,7 +271,7 @@ class SeedsPanel(QGroupBox):
     def _resize(self, value: float = 0, *, everything: bool = False) -> None:
         for layer in self.cells.points_layers():
             try:
-                um = self._um_per_data(layer)
+                um = self._image.frame().data_to_um(layer)[0]
             except InputError:
                 continue  # said when the fit starts
             size = 2 * self._drawn_radius() / float(np.mean(um))
@@ -303,17 +303,12 @@ class SeedsPanel(QGroupBox):
         """um; a point that is no sphere is drawn small, but over several slices."""
         return float(self.radius.value()) * (1.0 if self.cells.spheres else 0.25)
 
-    def _um_per_data(self, layer: Any) -> NDArray[np.float64]:
-        um: NDArray[np.float64] = self._image.frame().data_to_um(layer)[0]
-        return um
-
     # ------------------------------------------------------------------------ notes and remarks
 
     def _points_layer(self) -> Any:
         """Which takes clicks: the one that is selected, else the highest."""
-        layers = [layer for layer in self.cells.points_layers() if not made_by_fit(layer)]
-        active = self._viewer.layers.selection.active
-        return active if active in layers else layers[-1] if layers else None
+        points = [layer for layer in self.cells.points_layers() if not made_by_fit(layer)]
+        return chosen_of(self._viewer, points)
 
     def _show(self) -> None:
         layers, points = self.cells.ticked, self.cells.points_layers()
@@ -332,7 +327,7 @@ class SeedsPanel(QGroupBox):
             texts.append(f"Or try: {', '.join(others)}.")
         if points:
             n = sum(len(layer.data) for layer in points)
-            texts.append(f"{n} {'point' if n == 1 else 'points'}.")
+            texts.append(f"{counted(n, 'point')}.")
         elif not layers:
             texts.append("Press 'Find cells', or 'Click cells' and click inside each.")
         self.note.say(" ".join(filter(None, texts)))

@@ -122,10 +122,9 @@ class AccuracyForecast(QObject):
     ) -> None:
         super().__init__(parent)
         self._doc, self._dial = doc, dial
-        self._asked_of: tuple[Any, ...] = ()  # the image whose noise comes with the forecast
         self._told: Forecast | None = None  # that of the run, as it is shown
         self.noise = noise
-        self._background = doc.background(self._show, self._fail)
+        self._background = doc.background(self._fail)
         for signal in (doc.image.changed, doc.cells_changed, doc.settings_changed):
             signal.connect(self.later)
         dial.currentTextChanged.connect(self.later)
@@ -167,13 +166,12 @@ class AccuracyForecast(QObject):
         except InputError:
             self.predicts.emit("")  # what is missing is said by its panel
             return
-        self._asked_of = self.noise.key()
         if not costs().measured:
             self.predicts.emit("measuring this computer for the forecast (once, a second) ...")
-        self._background.ask(partial(outlook, scene))
+        self._background.ask(partial(outlook, scene), partial(self._show, self.noise.key()))
 
-    def _show(self, found: Outlook) -> None:
-        self.noise.learn(self._asked_of, found.noise)
+    def _show(self, key: tuple[Any, ...], found: Outlook) -> None:
+        self.noise.learn(key, found.noise)
         self._show_number()
         expected = found.forecast
         known = self._doc.learned.about(expected.kind)
@@ -207,10 +205,8 @@ class AccuracyForecast(QObject):
             self.last_run.emit("")
 
     def _running(self, snapshot: Snapshot) -> None:
-        self._tell(self._doc.run.forecast)
-
-    def _tell(self, forecast: Any) -> None:
         """What the run itself forecasts; it knows its surfaces, and what was changed since."""
+        forecast = self._doc.run.forecast
         whole = forecast.forecast if isinstance(forecast, RenewedForecast) else forecast
         if whole is not self._told and isinstance(whole, Forecast):
             self._told = whole

@@ -66,13 +66,7 @@ class EffectsPanel(QWidget):
     # -------------------------------------------------------------------------------- effects
 
     def effects(self) -> Effects:
-        """Those ticked, with their numbers, and the second view.
-
-        Raises
-        ------
-        InputError
-            If the layer of the second view cannot be used.
-        """
+        """Those ticked, with their numbers, and the second view; InputError if that cannot be."""
         return self._effects.in_role(ViewEffect, self._doc.second.view())
 
     @property

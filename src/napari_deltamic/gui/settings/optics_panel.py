@@ -70,7 +70,7 @@ class OpticsPanel(QWidget):
         top.addRow("PSF", self.kind)
         rows = self.width_note, self.trouble, self.picture
         column(top, *self._pages.values(), *rows, of=self)
-        self._background = doc.background(self._show_width, self._complain)
+        self._background = doc.background(self._complain)
         self.kind.currentTextChanged.connect(self._edited)
         for fields in (self.objective, self.measured, self.sigma):
             fields.edited.connect(self._edited)
@@ -90,13 +90,8 @@ class OpticsPanel(QWidget):
         return bool(self.kind.currentText() == GAUSSIAN)
 
     def settings(self) -> Any:
-        """Settings of the PSF; None for the Gaussian of :attr:`sigma`.
-
-        Raises
-        ------
-        InputError
-            If a number is missing.
-        """
+        """Settings of the PSF; None for the Gaussian of :attr:`sigma`. InputError names what is
+        missing."""
         kind = self.kind.currentText()
         if kind == OBJECTIVE:
             return self.objective.settings()
@@ -204,7 +199,7 @@ class OpticsPanel(QWidget):
             self._complain(str(error))
             return
         if settings is not None:
-            self._background.ask(partial(_built, settings))
+            self._background.ask(partial(_built, settings), self._show_width)
 
     def _show_width(self, optics: Any) -> None:
         sigma = optics.sigma_um
@@ -245,7 +240,7 @@ class PsfPicture(QLabel):
         super().__init__(parent)
         self.sections: Sections | None = None
         self._wanted: Optics | None = None  # not yet shown
-        self._background = doc.background(self._show, self._drop)
+        self._background = doc.background(self._drop)
         self._timer = QTimer(self)
         self._timer.setSingleShot(True)
         self._timer.setInterval(_EVERY)
@@ -288,7 +283,7 @@ class PsfPicture(QLabel):
             if self.isVisible():
                 self._timer.start()
             return
-        self._background.ask(partial(psf_sections, wanted))
+        self._background.ask(partial(psf_sections, wanted), self._show)
 
     def _show(self, sections: Sections) -> None:
         self.sections = sections

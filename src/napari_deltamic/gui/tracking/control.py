@@ -150,14 +150,7 @@ class TrackControl(QObject):
             time_step=scale if scale > 0 else 1.0,
         )
         path, channel = origin_of(self._doc.image.layer)
-        values = {
-            "image": path,
-            "channel": channel,
-            "seeds": run.seeds,
-            "scene": run.scene,
-            "fit": run.fit,
-            "track": tracking,
-        }
+        values = {**dict(run), "image": path, "channel": channel, "track": tracking}
         settings: TrackRun = validated(TrackRun, values)
         return settings
 

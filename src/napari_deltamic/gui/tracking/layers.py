@@ -15,7 +15,7 @@ from ...measure import measure_cells
 from ...results.colouring import PALETTE, colour_indices, plain_index
 from ...tracking import FrameResult, lineage, surface_4d
 from ..viewing.colours import PALETTE_RGBA, region_colours
-from ..viewing.frame import OWN, Frame
+from ..viewing.frame import MADE_BY_FIT, OWN, Frame
 from ..viewing.mesh_layers import MeshLayers
 from ..viewing.own_layers import Surface, Tracks
 
@@ -39,7 +39,7 @@ class TrackLayers(MeshLayers):
     ) -> None:
         name = image_layer.name
         names = (f"{name}: tracked surfaces", f"{name}: tracked contours")
-        super().__init__(viewer, image_layer, frame, names, {"fit": True}, {})
+        super().__init__(viewer, image_layer, frame, names)
         self.results: dict[int, FrameResult] = {}
         self.tracks: Tracks | None = None
         self._coloured: Mapping[int, int] = {}  # colours that the surface has
@@ -96,7 +96,7 @@ class TrackLayers(MeshLayers):
                 name=self._name,
                 shading="smooth",
                 visible=self._belongs(),
-                metadata={OWN: {"fit": True}},
+                metadata={OWN: dict(MADE_BY_FIT)},
                 **self._options(),
             ).lie_on(self.image_layer)
             self._placed = self._belongs()
@@ -137,7 +137,7 @@ class TrackLayers(MeshLayers):
                 colormaps_dict={_COLOUR: _colours(PALETTE_RGBA)},
                 name=f"{self.image_layer.name}: tracks",
                 tail_width=3,
-                metadata={OWN: {"fit": True}},
+                metadata={OWN: dict(MADE_BY_FIT)},
                 **self._options(),
             ).lie_on(self.image_layer)
             self.add(self.tracks)

@@ -13,6 +13,7 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
+from ...common.words import counted
 from ...measure import measure_cells
 from ...tracking import FrameResult, TrackSettings
 from ..cell_table import CellTable
@@ -81,7 +82,7 @@ class TrackPanel(QGroupBox):
             self.frame.setText(result.message)
             return
         self.table.show_rows(measure_cells(result.mesh), colours)
-        cells = f"{len(result.cells)} cells" if len(result.cells) != 1 else "1 cell"
+        cells = counted(len(result.cells), "cell")
         words = [f"time {result.frame}: {cells}", *_told(result)]
         self.frame.setText("; ".join(words))
 

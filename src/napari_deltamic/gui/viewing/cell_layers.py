@@ -17,7 +17,7 @@ from ...errors import InputError, RepairWarning
 from ...geometry import Mesh, load_mesh
 from ...results.features import features_of
 from .colours import label_colormap, surface_look, vertex_values
-from .frame import ORIGIN, OWN, Frame
+from .frame import MADE_BY_FIT, ORIGIN, OWN, Frame
 from .own_layers import Surface
 
 _AXES = ("z", "y", "x")
@@ -96,7 +96,7 @@ def labels_options(rows: Iterable[Mapping[str, Any]], frame: Frame, name: str) -
         "name": name,
         "opacity": 0.4,
         "features": features_of(rows),
-        "metadata": {OWN: {"fit": True}},
+        "metadata": {OWN: dict(MADE_BY_FIT)},
     }
 
 

@@ -12,7 +12,7 @@ from ...geometry import Mesh
 from ...geometry.mesh import OUTSIDE
 from ...measure import section
 from .colours import ByValue, region_colours
-from .frame import OWN, Frame, camera_of
+from .frame import MADE_BY_FIT, OWN, Frame, camera_of
 from .own_layers import Vectors
 
 _PIXELS = 2.0  # of the canvas that a line is wide, until the user chooses another width
@@ -34,7 +34,7 @@ class Contours:
             vector_style="line",
             opacity=1.0,
             blending="translucent_no_depth",
-            metadata={OWN: {"fit": True}},
+            metadata={OWN: dict(MADE_BY_FIT)},
             **frame.layer_options(),
         )
         if image_layer is not None:

@@ -17,6 +17,7 @@ from ...images.padding import without_padding
 from ...scene import Grid
 
 OWN = "deltamic"  # key in the metadata of layers: what this plugin knows of them
+MADE_BY_FIT = {"fit": True}  # under it: of layers that show a fit
 # Under it: of a layer of a mesh file, where in the world the file's coordinates count from; None
 # for one that has not been put into the frame of an image yet.
 ORIGIN = "origin"
@@ -135,6 +136,12 @@ def unwrapped(viewer: Any) -> Any:
 def camera_of(viewer: Any) -> Any:
     """The camera of a viewer or its model; napari 0.9 has moved it."""
     return getattr(viewer, "scene", viewer).camera
+
+
+def chosen_of(viewer: Any, layers: list[Any]) -> Any:
+    """Of some layers the one that is selected, else the highest; None where there are none."""
+    active = viewer.layers.selection.active
+    return active if active in layers else layers[-1] if layers else None
 
 
 def um_per_unit(layer: Any) -> Triple | None:

@@ -12,7 +12,7 @@ from ...geometry import Mesh
 from ...results.colouring import colour_indices
 from .colours import BY_VALUE, LIMITS, ByValue, region_colormap, side_values, surface_look
 from .contours import Contours
-from .frame import OWN, Frame, camera_of
+from .frame import MADE_BY_FIT, OWN, Frame, camera_of
 from .listening import Connections
 from .own_layers import Surface
 from .walls import COPIES, Apart
@@ -39,11 +39,11 @@ class MeshLayers:
         image_layer: Any,
         frame: Frame,
         names: tuple[str, str],
-        known: Mapping[str, Any],
-        look: Mapping[str, Any],
+        known: Mapping[str, Any] = MADE_BY_FIT,
+        look: Mapping[str, Any] | None = None,
     ) -> None:
         self.viewer, self.image_layer, self.frame = viewer, image_layer, frame
-        self._name, self._known, self._look = names[0], dict(known), dict(look)
+        self._name, self._known, self._look = names[0], dict(known), dict(look or {})
         self.chosen: frozenset[int] = frozenset()
         self.surface: Surface | None = None
         self.contours = Contours(frame, names[1], image_layer)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...geometry import Mesh
 from ...results.features import features_at
-from .frame import OWN, Frame, camera_of
+from .frame import MADE_BY_FIT, OWN, Frame, camera_of
 from .mesh_layers import MeshLayers
 from .own_layers import Points, cut_by_slices
 
@@ -38,7 +38,7 @@ class ViewerLink(MeshLayers):
     ) -> None:
         name = image_layer.name
         names = (f"{name}: surfaces", f"{name}: contours")
-        super().__init__(viewer, image_layer, frame, names, {"fit": True}, {})
+        super().__init__(viewer, image_layer, frame, names)
         self.mesh: Mesh | None = None  # the newest; ``shown`` may be another
         self._held: Mesh | None = None
         self.rendered: Image | None = None
@@ -163,7 +163,7 @@ class ViewerLink(MeshLayers):
         layer = Image(
             data,
             name=f"{self.image_layer.name}: {what}",
-            metadata={OWN: {"fit": True}},
+            metadata={OWN: dict(MADE_BY_FIT)},
             visible=False,
             **self.frame.image_options(),
             **options,
