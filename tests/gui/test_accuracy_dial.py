@@ -26,7 +26,7 @@ from napari_deltamic.fitting.default_accuracy import (
 )
 from napari_deltamic.geometry import sphere
 from napari_deltamic.gui.results.session import capture, restore
-from napari_deltamic.gui.running import worker
+from napari_deltamic.gui.running import run_control, worker
 from napari_deltamic.gui.settings.accuracy_forecast import predicted
 from napari_deltamic.runs.command import command
 from napari_deltamic.runs.settings import NEAR_LEVELS, FitSettings
@@ -248,8 +248,8 @@ def test_a_run_shows_its_own_forecast(seeded, spin, endless):
     assert seeded.settings.outlook.text() == in_words(seeded.run.forecast)
 
 
-def test_measured_beside_predicted(seeded, spin, endless):
-    seeded.control._forecaster = lambda job: Forecast(LEVELS, True)
+def test_measured_beside_predicted(seeded, spin, endless, monkeypatch):
+    monkeypatch.setattr(run_control, "expected", lambda job: Forecast(LEVELS, True))
     seeded.start()
     spin(lambda: seeded.run.state is not None)
     seeded.stop()
@@ -259,10 +259,10 @@ def test_measured_beside_predicted(seeded, spin, endless):
     assert text.endswith(f"{duration(Forecast(LEVELS, True).seconds)} predicted")
 
 
-def test_the_next_run_is_predicted_by_what_the_last_one_took(seeded, spin):
+def test_the_next_run_is_predicted_by_what_the_last_one_took(seeded, spin, monkeypatch):
     # So slow as no machine is: what is learned does not depend on this one.
     whole = Forecast(tuple(replace(one, seconds_per_iteration=1e4) for one in LEVELS), True)
-    seeded.control._forecaster = lambda job: whole
+    monkeypatch.setattr(run_control, "expected", lambda job: whole)
     seeded.settings.max_iterations.setValue(30)
     seeded.start()
     spin(lambda: not running(seeded))
@@ -291,7 +291,9 @@ def test_time_that_a_fit_was_paused_does_not_count(seeded, spin, endless, monkey
         elapsed.append(seconds)
         return 1.0
 
-    seeded.control._forecaster = lambda job: SimpleNamespace(remaining_seconds=remaining, levels=())
+    monkeypatch.setattr(
+        run_control, "expected", lambda job: SimpleNamespace(remaining_seconds=remaining, levels=())
+    )
     seeded.start()
     spin(lambda: elapsed and elapsed[-1] > 0)
     pause(seeded, spin)
@@ -302,9 +304,11 @@ def test_time_that_a_fit_was_paused_does_not_count(seeded, spin, endless, monkey
     assert 0 < elapsed[asked] < before + 0.5
 
 
-def test_a_change_of_the_dial_is_forecast_anew(seeded, spin, endless):
+def test_a_change_of_the_dial_is_forecast_anew(seeded, spin, endless, monkeypatch):
     jobs = []
-    seeded.control._forecaster = lambda job: jobs.append(job) or Forecast(LEVELS, True)
+    monkeypatch.setattr(
+        run_control, "expected", lambda job: jobs.append(job) or Forecast(LEVELS, True)
+    )
     seeded.start()
     spin(went_on(seeded))
     dial = seeded.settings.accuracy

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from napari_deltamic.gui.running import run_control
 from napari_deltamic.gui.running.footer import forecast_text, progress_text
 
 from .interacting import notes, pause, right_end, use, vertices, went_on
@@ -108,16 +109,15 @@ def test_a_failed_start_keeps_the_last_result(ended, with_image, spin, told):
     assert notes(ended)[-1] == "push"
 
 
-def test_remaining_time_is_told_where_it_is_known(begun, spin):
+def test_remaining_time_is_told_where_it_is_known(begun, spin, monkeypatch):
     spin(lambda: " left; " in begun.footer.message.text())
     begun.stop()
     spin(lambda: not begun.run.running)
     text = begun.footer.message.text
     for left in (42.0, None):
         known = left is not None
-        begun.control._forecaster = lambda job, left=left: SimpleNamespace(
-            remaining_seconds=lambda history, state, elapsed: left
-        )
+        found = SimpleNamespace(remaining_seconds=lambda *course, left=left: left)
+        monkeypatch.setattr(run_control, "expected", lambda job, found=found: found)
         begun.start()
         spin(lambda: text().endswith("a second"))
         spin(lambda known=known: text().startswith("about 42 s left") is known)

@@ -28,6 +28,7 @@ from superqt import QLabeledDoubleSlider
 from superqt.utils import signals_blocked
 
 from ..errors import InputError
+from .document import Document
 from .layer_choice import LayerChoice
 from .work import Question, Work
 
@@ -250,7 +251,7 @@ class Note(QLabel):
 
 
 class ToolBar(QWidget):
-    """Buttons for tools of the mouse, of which one or none is in use, and what that one does.
+    """Buttons for tools of the mouse, and what the one in use does; one of the window is, or none.
 
     Parameters
     ----------
@@ -264,20 +265,22 @@ class ToolBar(QWidget):
         self,
         tools: Mapping[str, tuple[str, str]],
         more: Callable[[str, int], str],
+        doc: Document,
         parent: QWidget | None = None,
     ) -> None:
         super().__init__(parent)
-        self._tools, self._more, self._ndisplay = tools, more, 2
+        self._tools, self._more, self._doc = tools, more, doc
         self.buttons: dict[str, QPushButton] = {}
         self.hint = Note(self)
         self.row = row(spacing=4)
         self.column = column(self.row, self.hint, of=self)
         for tool, (title, tip) in tools.items():
-            one = self.buttons[tool] = QPushButton(title, self)
+            one = button(title, tip, partial(self._clicked, tool), self)
             one.setCheckable(True)
-            one.setToolTip(f"<qt>{tip}</qt>")
-            one.clicked.connect(partial(self._clicked, tool))
+            self.buttons[tool] = one
             self.row.addWidget(one, 1)
+        doc.finish_tools.connect(self._other_tool)
+        doc.listen(doc.viewer.dims.events.ndisplay, self._view_changed)
 
     @property
     def tool(self) -> Any:
@@ -289,22 +292,27 @@ class ToolBar(QWidget):
             for name, one in self.buttons.items():
                 one.setChecked(name == tool)
             self.explain()
+            if tool is not None:
+                self._doc.finish_tools.emit(self)
             self.tool_chosen.emit(tool)
-
-    def show_dimensions(self, ndisplay: int) -> None:
-        """Whether the view is 2D or 3D."""
-        self._ndisplay = ndisplay
-        self.explain()
 
     def explain(self) -> None:
         """What the tool in use does."""
-        tool = self.tool
-        more = f"{self._tools[tool][1]} {self._more(tool, self._ndisplay)}" if tool else ""
+        tool, ndisplay = self.tool, self._doc.viewer.dims.ndisplay
+        more = f"{self._tools[tool][1]} {self._more(tool, ndisplay)}" if tool else ""
         self.hint.say(more.strip())
 
     def _clicked(self, tool: str, checked: bool) -> None:
         self.buttons[tool].setChecked(not checked)  # as it was
         self.use(tool if checked else None)
+
+    def _other_tool(self, tool: object) -> None:
+        """The mouse is wanted by another one."""
+        if tool is not self:
+            self.use(None)
+
+    def _view_changed(self, event: Any = None) -> None:
+        self.explain()
 
 
 class Fold(QWidget):

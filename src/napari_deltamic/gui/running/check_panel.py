@@ -64,7 +64,7 @@ class CheckPanel(QGroupBox):
         self.again = button(title, tip, self.fit_again, self)
         self.remarks = RemarkList(self)
         self.note = Note(self)
-        self.edit = EditBar(self)
+        self.edit = EditBar(doc, self)
         self.history = HistoryBar(doc, edits, control, self)
         self.curve = ExplainedCurve(self)
         self.numbers = LiveNumbers(self)

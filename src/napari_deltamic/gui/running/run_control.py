@@ -33,7 +33,6 @@ class RunControl(QObject):
     def __init__(self, doc: Document, parent: QObject | None = None) -> None:
         super().__init__(parent)
         self._doc = doc
-        self._forecaster: Callable[[FitInput], Forecaster | None] = expected
         self._asked: list[tuple[int, str]] = []  # changes by number, until the fit has them
         self._lets_go = False
 
@@ -133,7 +132,7 @@ class RunControl(QObject):
             partial(self._show, record),
             partial(self._ended, record),
             self._not_taken,
-            partial(_after, doc.learned, self._forecaster),
+            partial(_after, doc.learned),
             first,
         )
         doc.start(run, record, fresh=fresh)
@@ -192,11 +191,9 @@ class RunControl(QObject):
             self.let_go()
 
 
-def _after(
-    learned: Learned, forecaster: Callable[[FitInput], Forecaster | None], job: FitInput
-) -> Forecaster | None:
+def _after(learned: Learned, job: FitInput) -> Forecaster | None:
     """A forecast that knows how earlier runs went."""
-    found = forecaster(job)
+    found = expected(job)
     return found.after(learned.about(found.kind)) if isinstance(found, Forecast) else found
 
 

@@ -40,9 +40,9 @@ _PINNED = 0.25  # weight from which on a vertex is pinned
 class EditBar(ToolBar):
     """Tools that change the surface by hand, and the size of the brush, while one is in use."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
+    def __init__(self, doc: Document, parent: QWidget | None = None) -> None:
         tools = {tool: (tool.capitalize(), tip) for tool, tip in _TIPS.items()}
-        super().__init__(tools, _start, parent)
+        super().__init__(tools, _start, doc, parent)
         self.pins = button("", "Free all pinned vertices.", None, self)
         self.radius = slider("Radius of the brush, µm; the effect fades towards its rim.", self)
         self.row.insertWidget(0, QLabel("edit", self))
@@ -88,27 +88,19 @@ class Sculptor(QObject):
         self._doc, self._viewer = doc, doc.viewer
         self._control, self._edits, self._bar = control, edits, bar
         self.presses = Presses(doc.viewer, self._pressed)
-        doc.listen(doc.viewer.dims.events.ndisplay, self._view_changed)
         bar.tool_chosen.connect(self._tool_chosen)
         bar.pins.clicked.connect(self._free_all)
-        doc.finish_tools.connect(self._other_tool)
         doc.began.connect(self._began)
         doc.image.changed.connect(self._show_pins)
         edits.changed.connect(self._show_pins)
         doc.at_end(partial(self.presses.listen, False))
-        self._view_changed()
 
     def _tool_chosen(self, tool: str | None) -> None:
         self.presses.listen(tool is not None, first=True)  # others only look at a click
         if tool is not None:
             # Points that are placed, or labels that are painted, would be in the way.
-            self._doc.finish_tools.emit(self)
             self._doc.finish_placing.emit(False)
             lay_down(self._viewer.layers.selection.active)
-
-    def _other_tool(self, tool: object) -> None:
-        if tool is not self:
-            self._bar.use(None)
 
     def _began(self, fresh: bool) -> None:
         present, link = self._doc.present(), self._doc.link
@@ -128,9 +120,6 @@ class Sculptor(QObject):
 
     def _free_all(self) -> None:
         self._doc.guarded(self._edits.free_all)
-
-    def _view_changed(self, event: Any = None) -> None:
-        self._bar.show_dimensions(self._viewer.dims.ndisplay)
 
     # ------------------------------------------------------------------------------------ mouse
 

@@ -73,7 +73,7 @@ class FitRun(Task):
     on_snapshot : called with the newest snapshot, and with each that a change led to.
     on_end : called once with the outcome, unless the run was closed.
     on_refusal : called with the reason why a change was not taken over.
-    forecaster : makes what forecasts how long a fit will take, in the thread; None for none.
+    forecaster : makes what forecasts how long a fit will take, in the thread.
     first : what the fit is told after its first iteration: pinned vertices, for example.
 
     Attributes
@@ -92,7 +92,7 @@ class FitRun(Task):
         on_snapshot: Callable[[Snapshot], None],
         on_end: Callable[[Outcome], None],
         on_refusal: Callable[[str], None],
-        forecaster: Callable[[FitInput], Forecaster | None] | None = None,
+        forecaster: Callable[[FitInput], Forecaster | None],
         first: Change | None = None,
     ) -> None:
         super().__init__()
@@ -150,7 +150,7 @@ class FitRun(Task):
         self.stage = "preparing the seeds"
         job = self.job = self._prepare()
         yield
-        self.forecast = self._forecaster(job) if self._forecaster is not None else None
+        self.forecast = self._forecaster(job)
         self.stage = "fitting"
         yield from self._fit(job)
         state = self.state
@@ -252,6 +252,6 @@ class FitRun(Task):
 
     def _forecast_anew(self, job: FitInput) -> None:
         """The settings were changed: forecast what is left of the fit with the new ones."""
-        found = None if self._forecaster is None else self._forecaster(job)
+        found = self._forecaster(job)
         if isinstance(found, Forecast):
             self.forecast = RenewedForecast(found, len(self.history.level), self.seconds)

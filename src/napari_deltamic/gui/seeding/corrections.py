@@ -57,7 +57,7 @@ class Corrections(QObject):
     def __init__(self, doc: Document, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._doc, self._viewer, self._image, self._cells = doc, doc.viewer, doc.image, doc.cells
-        self.bar = bar = ToolBar({t: one[:2] for t, one in _TOOLS.items()}, _more, parent)
+        self.bar = bar = ToolBar({t: one[:2] for t, one in _TOOLS.items()}, _more, doc, parent)
         tip = "Undo the last correction, or stroke of the brush (Ctrl+Z)."
         self.undo_button, self.count = small(button("↶", tip, self.undo, bar)), Note(bar)
         bar.row.addWidget(self.undo_button)
@@ -71,9 +71,7 @@ class Corrections(QObject):
         self._background = doc.background(self._fail)
         doc.at_end(self._let_go)
         self._presses = Presses(doc.viewer, self._pressed)
-        doc.listen(doc.viewer.dims.events.ndisplay, self._view_changed)
         bar.tool_chosen.connect(self._tool_chosen)
-        self._view_changed()
 
     @property
     def layer(self) -> Any:
@@ -83,16 +81,12 @@ class Corrections(QObject):
     def busy(self) -> bool:
         return bool(self._waiting) or self._background.busy
 
-    def lay_down(self) -> None:
-        """Clicks move the view again."""
-        self.bar.use(None)
-
     def renew(self) -> None:
         """Look at the layers again: other ones may be ticked, or labels painted."""
         layer = self.layer
         self.bar.setVisible(layer is not None)
         if layer is None:
-            self.lay_down()
+            self.bar.use(None)
             return
         if self.bar.tool is not None and layer is not self._clicked_in:
             self._listen(layer)
@@ -150,7 +144,6 @@ class Corrections(QObject):
         layer = self.layer if tool is not None else None
         self._listen(layer)
         if layer is not None:
-            self._doc.finish_tools.emit(self)
             for other in self._viewer.layers:  # points that are placed, labels that are painted
                 lay_down(other)
             layer.visible = True
@@ -163,14 +156,11 @@ class Corrections(QObject):
         self._clicked_in = layer
         self._presses.listen(layer is not None)
 
-    def _view_changed(self, event: Any = None) -> None:
-        self.bar.show_dimensions(self._viewer.dims.ndisplay)
-
     def _pressed(self, viewer: Any, event: Any) -> Iterator[None]:
         if event.button != 1 or event.handled or event.modifiers or self.bar.tool is None:
             return
         if wants_clicks(viewer.layers.selection.active):
-            self.lay_down()  # the layer's own tool was taken up
+            self.bar.use(None)  # the layer's own tool was taken up
         elif (yield from is_click(event)):
             attempt(partial(self._clicked, event), self.bar.hint.say)
 

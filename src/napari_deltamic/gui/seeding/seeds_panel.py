@@ -69,7 +69,6 @@ class SeedsPanel(QGroupBox):
                 return
             self._viewer.add_layer(layer)
         self._doc.finish_tools.emit(self)
-        self.corrections.lay_down()
         self._viewer.dims.ndisplay = 2
         self._viewer.layers.selection = {layer}
         layer.visible = True
@@ -91,7 +90,7 @@ class SeedsPanel(QGroupBox):
 
     def finish_placing(self, keep_preview: bool = False) -> None:
         """Clicks move the view again; the preview goes, or stays until there is room to be made."""
-        self.corrections.lay_down()
+        self.corrections.bar.use(None)
         for layer in self._viewer.layers:
             if isinstance(layer, Points) and str(layer.mode) == "add":
                 layer.mode = "pan_zoom"
@@ -173,7 +172,6 @@ class SeedsPanel(QGroupBox):
         self.radius.valueChanged.connect(self._resize)
         self.preview.changed.connect(self._previewed)
         doc = self._doc
-        doc.finish_tools.connect(self._other_tool)
         doc.finish_placing.connect(self.finish_placing)
         doc.meshes_came.connect(self.make_room)
         doc.clicks_wanted.connect(self.add_clicks)
@@ -263,10 +261,6 @@ class SeedsPanel(QGroupBox):
 
     def _try_size(self, link: str) -> None:
         self.find_cells.find_with(float(link))
-
-    def _other_tool(self, tool: object) -> None:
-        if tool is not self.corrections and tool is not self:
-            self.corrections.lay_down()
 
     def _resize(self, value: float = 0, *, everything: bool = False) -> None:
         for layer in self.cells.points_layers():
