@@ -98,8 +98,8 @@ def measure(name: str, of: Any, chosen: dict[str, str]) -> dict[str, Any]:
     expected = outlook(scene_now(widget.doc)).forecast
     said = expected.after(widget.doc.learned.about(expected.kind)).seconds
     widget.start()
-    _wait(lambda: not widget.run.running)
-    run = widget.run
+    _wait(lambda: not widget.doc.run.running)
+    run = widget.doc.run
     found = {
         "name": name,
         "kind": expected.kind,

@@ -153,21 +153,21 @@ def measure(scene: str, seconds: float) -> dict[str, Any]:
     timer.setTimerType(Qt.TimerType.PreciseTimer)
     timer.timeout.connect(watch.beat)
     widget.start()
-    while widget.run.running and not snapshots:
+    while widget.doc.run.running and not snapshots:
         app.processEvents()
     timer.start(BEAT)
-    n, start = len(widget.run.history.loss), time.perf_counter()
+    n, start = len(widget.doc.run.history.loss), time.perf_counter()
     user, next_step = _user(viewer, widget), start
-    while widget.run.running and time.perf_counter() - start < seconds:
+    while widget.doc.run.running and time.perf_counter() - start < seconds:
         app.processEvents()
         time.sleep(0.0005)  # an idle event loop sleeps
         if time.perf_counter() > next_step:
             next(user)
             next_step += 0.15
     taken = time.perf_counter() - start
-    iterations, shown = len(widget.run.history.loss) - n, sum(t > start for t in snapshots)
+    iterations, shown = len(widget.doc.run.history.loss) - n, sum(t > start for t in snapshots)
     widget.stop()
-    while widget.run.running:
+    while widget.doc.run.running:
         app.processEvents()
     timer.stop()
     slots, computing, collecting = watch.slots()
@@ -180,7 +180,7 @@ def measure(scene: str, seconds: float) -> dict[str, Any]:
         "iterations_per_second": iterations / taken,
         "gap_ms": 1e3 * max(watch.gaps),
         "gap_99_ms": 1e3 * float(np.quantile(watch.gaps, 0.99)),
-        "vertices": len(widget.link.mesh.vertices),
+        "vertices": len(widget.doc.link.mesh.vertices),
     }
     with TemporaryDirectory() as folder:
         path = Path(folder) / "a.deltamic"
@@ -272,7 +272,7 @@ def _user(viewer: Any, widget: Any) -> Any:
             history.slider.setValue(int(share * history.slider.maximum()))
             yield
         if widget.doc.present() is not None:
-            mesh = widget.link.mesh  # the fit may be ahead of it
+            mesh = widget.doc.link.mesh  # the fit may be ahead of it
             shift = np.zeros((len(mesh.vertices), 3))
             shift[: len(shift) // 10] = random.normal(scale=0.1, size=3)
             widget.edits.shift(shift, "nudge", mesh)

@@ -113,7 +113,7 @@ def embryo() -> None:
     widget.settings.density.setCurrentText("smooth")
     widget.doc.look("image")
     widget.start()
-    wait(lambda: widget.run is not None and not widget.run.running, 2.0)
+    wait(lambda: widget.doc.run is not None and not widget.doc.run.running, 2.0)
     wait(lambda: not widget.judging.busy)
     viewer.reset_view()
     shot(viewer, "widget.png")

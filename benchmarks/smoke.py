@@ -41,7 +41,7 @@ sample = dividing_cell_sample()
 settings = demo.demo_settings(sample, Path("."))
 widget = open_demo(viewer, sample, demo.start_mesh(sample), settings)
 until = time.monotonic() + 600
-while not widget.run.history.loss or widget.run.running:
+while not widget.doc.run.history.loss or widget.doc.run.running:
     QApplication.processEvents()
     time.sleep(0.01)
     assert time.monotonic() < until, "the fit did not end"

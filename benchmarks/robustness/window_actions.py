@@ -37,13 +37,13 @@ def _fitting(s: Session) -> list[Action]:
                 layer.selected_data = set()
                 layer.data = [CENTER]
         w.start()
-        run = w.run
+        run = w.doc.run
         s.spin(2, lambda: run is None or bool(run.state) or not run.running)
         s.did["fits"] += run is not None and run.state is not None
 
     def stroke() -> None:
         """With whatever tool is in use, wherever there is or was a surface."""
-        link = s.widget.link
+        link = s.widget.doc.link
         if link is None:
             return
         if rng.random() < 0.5:

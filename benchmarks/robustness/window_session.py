@@ -91,7 +91,7 @@ class Session:
     @property
     def running(self) -> bool:
         """Whether a fit is."""
-        run = self.widget.run
+        run = self.widget.doc.run
         return run is not None and run.running
 
     def play(self, chosen: Sequence[Action], count: int, longest: float) -> None:

@@ -292,14 +292,14 @@ def begun(seeded, with_image, spin, endless):
     """A widget with a fit that runs, and is shown."""
     with_image.dims.set_point(0, CENTER[0] + 1)
     seeded.start()
-    spin(lambda: seeded.link.mesh is not None and len(seeded.run.history.loss) > 3)
+    spin(lambda: seeded.doc.link.mesh is not None and len(seeded.doc.run.history.loss) > 3)
     return seeded
 
 
 @pytest.fixture
 def ended(begun, spin):
     begun.stop()
-    spin(lambda: not begun.run.running)
+    spin(lambda: not begun.doc.run.running)
     return begun
 
 

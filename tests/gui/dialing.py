@@ -9,4 +9,4 @@ def settled(widget):
 
 
 def running(widget):
-    return widget.run is not None and widget.run.running
+    return widget.doc.run is not None and widget.doc.run.running

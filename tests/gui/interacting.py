@@ -9,13 +9,13 @@ ALONG_X = np.array([0.0, 0.0, 1.0])
 
 
 def vertices(widget):
-    return widget.link.shown.vertices_numpy()
+    return widget.doc.link.shown.vertices_numpy()
 
 
 def use(widget, tool, radius=0.8):
     widget.running.edit.use(tool)
     widget.running.edit.radius.setValue(radius)
-    return Mouse(widget.link.viewer, widget.link)
+    return Mouse(widget.doc.link.viewer, widget.doc.link)
 
 
 def right_end(widget):
@@ -26,14 +26,14 @@ def right_end(widget):
 
 def went_on(widget, n=5):
     """Whether a fit has done so many iterations, and the window shows it."""
-    return lambda: widget.doc.begun and len(widget.run.history.loss) >= n
+    return lambda: widget.doc.begun and len(widget.doc.run.history.loss) >= n
 
 
 def pause(widget, spin):
     """Pause the fit, and wait until it stands, and its last mesh is shown."""
-    run = widget.run
+    run = widget.doc.run
     widget.footer.pause_button.click()
-    spin(lambda: run.stage == "paused" and widget.link.mesh is run.state.mesh)
+    spin(lambda: run.stage == "paused" and widget.doc.link.mesh is run.state.mesh)
 
 
 def notes(widget):

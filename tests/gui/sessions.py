@@ -6,7 +6,7 @@ AT_ONCE = [k for k, column in enumerate(COLUMNS) if column.key in FIRST[:4]]
 
 
 def done(widget):
-    return lambda: widget.run is None or not widget.run.running
+    return lambda: widget.doc.run is None or not widget.doc.run.running
 
 
 def fitted(widget, spin):

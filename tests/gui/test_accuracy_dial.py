@@ -245,13 +245,13 @@ def test_a_run_shows_its_own_forecast(seeded, spin, endless):
     seeded.start()
     assert seeded.settings.outlook.text() == ""
     spin(lambda: "takes" in seeded.settings.outlook.text())
-    assert seeded.settings.outlook.text() == in_words(seeded.run.forecast)
+    assert seeded.settings.outlook.text() == in_words(seeded.doc.run.forecast)
 
 
 def test_measured_beside_predicted(seeded, spin, endless, monkeypatch):
     monkeypatch.setattr(run_control, "expected", lambda job: Forecast(LEVELS, True))
     seeded.start()
-    spin(lambda: seeded.run.state is not None)
+    spin(lambda: seeded.doc.run.state is not None)
     seeded.stop()
     spin(lambda: not running(seeded))
     text = seeded.settings.pace.text()
@@ -266,7 +266,7 @@ def test_the_next_run_is_predicted_by_what_the_last_one_took(seeded, spin, monke
     seeded.settings.max_iterations.setValue(30)
     seeded.start()
     spin(lambda: not running(seeded))
-    run = seeded.run
+    run = seeded.doc.run
     learned = whole.experience(run.history, run.state, run.seconds)
     assert learned.seconds < 0.1
     known = seeded.doc.learned.about(whole.kind)
@@ -274,8 +274,8 @@ def test_the_next_run_is_predicted_by_what_the_last_one_took(seeded, spin, monke
     assert learned.iterations < known.iterations < 1  # one fit says less of that
     seeded.start()
     spin(lambda: not running(seeded))
-    assert seeded.run.forecast.seconds == pytest.approx(whole.after(known).seconds)
-    assert seeded.run.forecast.iterations == whole.after(known).iterations
+    assert seeded.doc.run.forecast.seconds == pytest.approx(whole.after(known).seconds)
+    assert seeded.doc.run.forecast.iterations == whole.after(known).iterations
     # Also in words, before a third one starts.
     known = seeded.doc.learned.about(whole.kind)
     spin(lambda: not seeded.settings.forecast.busy)
@@ -297,7 +297,7 @@ def test_time_that_a_fit_was_paused_does_not_count(seeded, spin, endless, monkey
     seeded.start()
     spin(lambda: elapsed and elapsed[-1] > 0)
     pause(seeded, spin)
-    before, asked = seeded.run.seconds, len(elapsed)
+    before, asked = seeded.doc.run.seconds, len(elapsed)
     spin(seconds=1.0, must=False)
     seeded.footer.pause_button.click()
     spin(lambda: len(elapsed) > asked)
@@ -316,8 +316,8 @@ def test_a_change_of_the_dial_is_forecast_anew(seeded, spin, endless, monkeypatc
     seeded.doc.settings_changed.emit()
     spin(lambda: len(jobs) == 2)
     assert jobs[1].settings.fit.accuracy == dial.number()
-    spin(lambda: isinstance(seeded.run.forecast, RenewedForecast))
-    assert seeded.run.forecast.iterations >= 3
+    spin(lambda: isinstance(seeded.doc.run.forecast, RenewedForecast))
+    assert seeded.doc.run.forecast.iterations >= 3
     dial.setCurrentText("normal")
     seeded.doc.settings_changed.emit()
     spin(lambda: len(jobs) == 3)

@@ -29,7 +29,7 @@ def test_the_dock_may_be_narrow_whatever_it_shows(window, docked, spin):
     widget.seeds.place.click()
     window.layers["seeds"].add(CENTER)
     widget.start()
-    spin(lambda: not widget.run.running)
+    spin(lambda: not widget.doc.run.running)
     settings = widget.settings
     for fold in (settings.more, settings.psf_fold, settings.effects_fold):
         fold.unfold()
@@ -58,7 +58,7 @@ def test_what_belongs_to_a_fit_is_hidden_until_there_is_one(seeded, spin):
     parts = (running.curve, running.edit, running.history, seeded.results)
     assert all(part.isHidden() for part in parts)
     seeded.start()
-    spin(lambda: not seeded.run.running)
+    spin(lambda: not seeded.doc.run.running)
     assert not any(part.isHidden() for part in parts)
 
 
@@ -78,7 +78,7 @@ def test_the_preview_stays_until_the_meshes_are_there(make_widget, with_image, s
     spin(lambda: widget.seeds.preview.mesh is not None)
     widget.start()
     assert "cell: start contours" in with_image.layers
-    spin(lambda: widget.link.mesh is not None)
+    spin(lambda: widget.doc.link.mesh is not None)
     assert "cell: start contours" not in with_image.layers
 
 
@@ -101,7 +101,7 @@ def test_found_cells_make_room_and_have_the_colours_of_the_result(
     widget.seeds.cells.choose(other, False)
     widget.start()
     assert layer.visible
-    spin(lambda: widget.link is not None and widget.link.mesh is not None)
+    spin(lambda: widget.doc.link is not None and widget.doc.link.mesh is not None)
     assert not layer.visible
     assert other.visible  # the user's own
 

@@ -85,7 +85,7 @@ def test_a_channel_becomes_a_layer(widget, viewer, pixels, axis, series, spin):
         viewer.layers["seeds"].add(CENTER)
         widget.settings.max_iterations.setValue(2)
         widget.start()
-        spin(lambda: not widget.run.running)
+        spin(lambda: not widget.doc.run.running)
         assert widget.results.table.rowCount() == 1
 
 

@@ -131,7 +131,7 @@ def test_a_fit_that_converged_is_not_done_again(seeded, spin, asked):
     gate, calls = asked
     gate.release()
     seeded.start()
-    spin(lambda: not seeded.run.running, seconds=60)
+    spin(lambda: not seeded.doc.run.running, seconds=60)
     state = seeded.doc.result.state
     assert state.converged
     seeded.settings.effects.button.click()
@@ -169,19 +169,19 @@ def test_without_seeds_it_says_what_is_missing(make_widget):
 
 def test_an_accepted_effect_goes_into_the_fit_that_runs(seeded, spin, endless):
     seeded.start()
-    spin(lambda: seeded.run.state is not None and seeded.link.mesh is not None)
+    spin(lambda: seeded.doc.run.state is not None and seeded.doc.link.mesh is not None)
     view = seeded.settings.effects
     assert not view.button.isEnabled()
     view.show_effects(Effects())
     view.found = recommendation(FADING)
     view.take_recommended()
-    spin(lambda: seeded.run.state.effects.names == ("attenuation",))
+    spin(lambda: seeded.doc.run.state.effects.names == ("attenuation",))
     spin(lambda: any(name == "attenuation: per um" for name, *_ in seeded.running.numbers.texts()))
     [(_, start, now)] = seeded.running.numbers.texts()
     assert start == "0.3"
     assert now.endswith(" 1/um")
     seeded.stop()
-    spin(lambda: not seeded.run.running)
+    spin(lambda: not seeded.doc.run.running)
     assert view.button.isEnabled()
     assert seeded.doc.result.job.settings.scene.effects.names == ("attenuation",)
 
@@ -190,7 +190,7 @@ def test_the_residual_is_in_standard_deviations_and_cells_are_judged(seeded, wit
     table, n = seeded.results.table, EXPLAINED
     seeded.doc.look("residual")
     seeded.start()
-    spin(lambda: not seeded.run.running, seconds=60)
+    spin(lambda: not seeded.doc.run.running, seconds=60)
     assert table.isColumnHidden(n)
     spin(lambda: not table.isColumnHidden(n), seconds=60)
     layer = with_image.layers["cell: residual"]
@@ -205,7 +205,7 @@ def test_the_residual_is_in_standard_deviations_and_cells_are_judged(seeded, wit
 
 def test_every_fit_is_graded_without_being_asked(seeded, with_image, pixels, spin):
     seeded.start()
-    spin(lambda: not seeded.run.running, seconds=60)
+    spin(lambda: not seeded.doc.run.running, seconds=60)
     spin(lambda: seeded.running.grade.text() != "", seconds=60)
     share = seeded.results.table.numbers("explained")[1]
     assert share > 0.75
@@ -223,7 +223,7 @@ def test_a_wrong_shape_is_not_called_good(seeded, spin):
     seeded.settings.max_iterations.setValue(1)
     seeded.seeds.radius.setValue(0.7)
     seeded.start()
-    spin(lambda: not seeded.run.running, seconds=60)
+    spin(lambda: not seeded.doc.run.running, seconds=60)
     spin(lambda: seeded.running.grade.text() != "", seconds=60)
     assert not seeded.running.grade.text().startswith("Good")
     assert "before you use them" in seeded.running.grade.text()
@@ -241,7 +241,7 @@ def test_the_time_shown_is_checked(series_widget, viewer, series, spin):
     """Not that of the last fit."""
     series_widget.settings.max_iterations.setValue(2)
     series_widget.start()
-    spin(lambda: not series_widget.run.running)
+    spin(lambda: not series_widget.doc.run.running)
     assert series_widget.settings.effects.asked()[0]().image.shape == series[0].shape
     np.testing.assert_array_equal(series_widget.settings.effects.asked()[0]().image, series[0])
     viewer.dims.set_current_step(0, 2)

@@ -56,7 +56,7 @@ def test_a_fit(seeded, spin, told, monkeypatch, caplog, where):
 
         monkeypatch.setattr(seeded.running.curve, "show_losses", broken_once)
     seeded.start()
-    spin(lambda: not seeded.run.running)
+    spin(lambda: not seeded.doc.run.running)
     assert "the log shows where" in told[-1]
     assert tracebacks(caplog) == [KeyError]
     assert caplog.records[-1].levelno == logging.ERROR

@@ -15,15 +15,15 @@ def test_looking_back_while_the_fit_goes_on(begun, spin):
     bar = begun.running.history
     bar.slider.setValue(1)
     moment = bar.chosen
-    assert begun.link.shown is moment.mesh
+    assert begun.doc.link.shown is moment.mesh
     assert f"iteration {moment.iteration}" in bar.note.text()
-    n = len(begun.run.history.loss)
-    spin(lambda: len(begun.run.history.loss) > n + 10)
-    assert begun.link.shown is moment.mesh
+    n = len(begun.doc.run.history.loss)
+    spin(lambda: len(begun.doc.run.history.loss) > n + 10)
+    assert begun.doc.link.shown is moment.mesh
     assert bar.chosen is moment
     assert not use(begun, "push").drag(right_end(begun))  # that is not the present surface
     bar.live_button.click()
-    assert begun.link.shown is begun.link.mesh is not moment.mesh
+    assert begun.doc.link.shown is begun.doc.link.mesh is not moment.mesh
 
 
 def test_going_on_from_an_earlier_moment(begun, spin):
@@ -36,7 +36,7 @@ def test_going_on_from_an_earlier_moment(begun, spin):
     moment = next(m for m in begun.doc.timeline.moments if m.note)
     np.testing.assert_array_equal(moment.mesh.vertices_numpy(), first)
     assert bar.chosen is None
-    assert begun.link.shown is begun.link.mesh
+    assert begun.doc.link.shown is begun.doc.link.mesh
     pause(begun, spin)
     bar.undo_button.click()
     spin(lambda: notes(begun)[-1].startswith("undo"))
@@ -49,12 +49,12 @@ def test_a_fit_that_has_ended_goes_on_from_a_moment(ended, spin):
     first, n = bar.chosen.mesh.vertices_numpy(), timeline.moments[-1].iteration
     bar.go_on_button.click()
     spin(went_on(ended))
-    assert ended.run.job.settings.fit.levels[0] < 2
+    assert ended.doc.run.job.settings.fit.levels[0] < 2
     spin(lambda: timeline.moments[-1].iteration > n)
     later = next(m for m in timeline.moments if m.iteration > n)
     assert np.abs(later.mesh.vertices_numpy() - first).max() < 0.5
     ended.stop()
-    spin(lambda: not ended.run.running)
+    spin(lambda: not ended.doc.run.running)
     bar.undo_button.click()
     assert not np.array_equal(vertices(ended), first)
 
@@ -81,9 +81,9 @@ def test_undo_and_redo(ended):
 def test_undo_of_settings_shows_them_again(begun, spin):
     before = begun.settings.fit_settings().density
     begun.settings.density.setCurrentText("smooth")
-    spin(lambda: begun.run.job.settings.fit.density == "smooth")
+    spin(lambda: begun.doc.run.job.settings.fit.density == "smooth")
     begun.running.history.undo_button.click()
-    spin(lambda: begun.run.job.settings.fit.density == before)
+    spin(lambda: begun.doc.run.job.settings.fit.density == before)
     assert begun.settings.density.currentText() == before
     assert begun.edits.redo_note == "brightness smooth"
 
@@ -102,7 +102,7 @@ def test_a_failed_start_keeps_the_last_result(ended, with_image, spin, told):
     with_image.layers["seeds"].data = [[50, 50, 50]]
     ended.seeds.shape.setCurrentIndex(0)
     ended.start()
-    spin(lambda: not ended.run.running)
+    spin(lambda: not ended.doc.run.running)
     assert ended.doc.timeline is timeline
     assert ended.doc.result.state is state
     use(ended, "push").drag(right_end(ended))
@@ -112,7 +112,7 @@ def test_a_failed_start_keeps_the_last_result(ended, with_image, spin, told):
 def test_remaining_time_is_told_where_it_is_known(begun, spin, monkeypatch):
     spin(lambda: " left; " in begun.footer.message.text())
     begun.stop()
-    spin(lambda: not begun.run.running)
+    spin(lambda: not begun.doc.run.running)
     text = begun.footer.message.text
     for left in (42.0, None):
         known = left is not None
@@ -122,7 +122,7 @@ def test_remaining_time_is_told_where_it_is_known(begun, spin, monkeypatch):
         spin(lambda: text().endswith("a second"))
         spin(lambda known=known: text().startswith("about 42 s left") is known)
         begun.stop()
-        spin(lambda: not begun.run.running)
+        spin(lambda: not begun.doc.run.running)
     assert "left" not in progress_text(10, 3.0, None)
     assert progress_text(10, 0.25, None).endswith("0.2 a second")
     assert [forecast_text(s) for s in (1, 20, 100, 4000, 9000)] == [
@@ -148,10 +148,10 @@ def test_the_rendered_image_follows_the_result(ended, with_image, spin):
 
 
 def test_a_surface_that_was_hidden_is_the_newest_when_it_is_shown(begun, with_image, spin):
-    layer = begun.link.surface
+    layer = begun.doc.link.surface
     assert not layer.visible
-    n = len(begun.run.history.loss)
-    spin(lambda: len(begun.run.history.loss) > n + 10)
+    n = len(begun.doc.run.history.loss)
+    spin(lambda: len(begun.doc.run.history.loss) > n + 10)
     pause(begun, spin)
     assert not np.allclose(layer.data[0], vertices(begun), atol=1e-4)  # saved the time
     with_image.dims.ndisplay = 3

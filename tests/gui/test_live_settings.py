@@ -14,22 +14,22 @@ from .interacting import notes, vertices, went_on
 def test_settings_are_taken_over(begun, spin):
     begun.settings.accuracy.setCurrentText("1e-4")
     begun.settings.accuracy.lineEdit().editingFinished.emit()
-    spin(lambda: begun.run.job.settings.fit.accuracy == 1e-4)
+    spin(lambda: begun.doc.run.job.settings.fit.accuracy == 1e-4)
     spin(lambda: "accuracy" in begun.running.note.text())
     assert begun.running.note.text().startswith("accuracy 1e-4 from iteration")
     begun.settings.fit_psf.setChecked(True)
     begun.settings.fields["likelihood"].setCurrentText("the same everywhere")
     spin(lambda: "noise gaussian" in " ".join(notes(begun)))
-    fit_settings = begun.run.job.settings.fit
+    fit_settings = begun.doc.run.job.settings.fit
     assert (fit_settings.fit_psf, fit_settings.likelihood) == (True, "gaussian")
     begun.stop()
-    spin(lambda: not begun.run.running)
+    spin(lambda: not begun.doc.run.running)
     assert begun.doc.result.job.settings.fit.accuracy == 1e-4
 
 
 def test_the_psf_is_taken_over(begun, spin):
     begun.settings.sigma._boxes[0].setValue(0.5)
-    spin(lambda: begun.run.state.optics.sigma_um[0] == pytest.approx(0.5))
+    spin(lambda: begun.doc.run.state.optics.sigma_um[0] == pytest.approx(0.5))
     spin(lambda: any(now.startswith("0.5 ") for _, _, now in begun.running.numbers.texts()))
 
 
@@ -37,15 +37,15 @@ def test_effects_are_taken_over_and_taken_back(begun, spin):
     panel = begun.settings
     panel.effects.show_effects(Effects.of("attenuation"))
     begun.doc.settings_changed.emit()
-    spin(lambda: begun.run.state.effects.names == ("attenuation",))
+    spin(lambda: begun.doc.run.state.effects.names == ("attenuation",))
     spin(lambda: "effects attenuation" in " ".join(notes(begun)))
     panel.effects.table.tick("pixel_integration")
-    spin(lambda: begun.run.state.effects.names == ("pixel_integration", "attenuation"))
-    assert begun.run.job.settings.scene.effects.names == ("pixel_integration", "attenuation")
+    spin(lambda: begun.doc.run.state.effects.names == ("pixel_integration", "attenuation"))
+    assert begun.doc.run.job.settings.scene.effects.names == ("pixel_integration", "attenuation")
     assert panel.effects_fold.title == "Corrections: voxels are boxes, dimmer with depth"
     for left in (("attenuation",), ()):
         begun.edits.undo()
-        spin(lambda left=left: begun.run.state.effects.names == left)
+        spin(lambda left=left: begun.doc.run.state.effects.names == left)
         assert panel.scene_settings().effects.names == left
 
 
@@ -53,25 +53,25 @@ def test_what_cannot_be_used_is_told_and_the_fit_goes_on(begun, spin):
     begun.settings.accuracy.setCurrentText("much")
     begun.settings.accuracy.lineEdit().editingFinished.emit()
     assert "accuracy" in begun.running.note.text()
-    n = len(begun.run.history.loss)
-    spin(lambda: len(begun.run.history.loss) > n + 3)
+    n = len(begun.doc.run.history.loss)
+    spin(lambda: len(begun.doc.run.history.loss) > n + 3)
 
 
 def test_the_voxel_size_is_for_the_next_run(begun, spin):
-    sigma = begun.run.state.optics.sigma_um
+    sigma = begun.doc.run.state.optics.sigma_um
     begun.image.voxel_size._boxes[0].setValue(0.4)
     assert "voxel size: from the next run on" in begun.running.note.text()
-    n = len(begun.run.history.loss)
-    spin(lambda: len(begun.run.history.loss) > n + 3)
-    assert begun.run.state.optics.sigma_um == sigma
+    n = len(begun.doc.run.history.loss)
+    spin(lambda: len(begun.doc.run.history.loss) > n + 3)
+    assert begun.doc.run.state.optics.sigma_um == sigma
 
 
 def test_another_image_is_for_the_next_run(begun, with_image, pixels, spin):
     begun.doc.image.choose(with_image.add_image(pixels.max() - pixels, name="other"))
     assert "goes on with 'cell'; the next run takes 'other'" in begun.running.note.text()
-    n = len(begun.run.history.loss)
-    spin(lambda: len(begun.run.history.loss) > n + 3)
-    assert begun.link.image_layer.name == "cell"
+    n = len(begun.doc.run.history.loss)
+    spin(lambda: len(begun.doc.run.history.loss) > n + 3)
+    assert begun.doc.link.image_layer.name == "cell"
 
 
 def test_a_tool_that_fails_says_why_and_keeps_the_verdict(ended, told):
@@ -85,14 +85,14 @@ def test_a_tool_that_fails_says_why_and_keeps_the_verdict(ended, told):
 
 
 def test_a_change_that_the_fit_refuses_does_not_end_it(begun, spin, told):
-    away = begun.link.mesh.translated((500, 500, 500))
+    away = begun.doc.link.mesh.translated((500, 500, 500))
     with pytest.raises(InputError, match="outside"):
         begun.edits.change(Change(mesh=away), "nudge")
-    begun.run.waiting.add(Change(mesh=away))  # past the first check
+    begun.doc.run.waiting.add(Change(mesh=away))  # past the first check
     spin(lambda: bool(told))
     assert "not changed" in told[-1]
-    n = len(begun.run.history.loss)
-    spin(lambda: len(begun.run.history.loss) > n + 3)
+    n = len(begun.doc.run.history.loss)
+    spin(lambda: len(begun.doc.run.history.loss) > n + 3)
 
 
 @pytest.fixture
@@ -116,14 +116,14 @@ def test_a_fit_goes_on_though_the_panels_show_what_cannot_be_used(ended, with_im
     assert "mirrored" in ended.running.note.text()
     with_image.layers["cell"].scale = SIZE
     ended.settings.fit_psf.setChecked(True)
-    spin(lambda: ended.run.job.settings.fit.fit_psf)
+    spin(lambda: ended.doc.run.job.settings.fit.fit_psf)
     assert "from the next run on" not in ended.running.note.text()
 
 
 @pytest.mark.usefixtures("raised")
 def test_undo_though_the_panels_show_what_cannot_be_used(begun, with_image, spin):
     begun.settings.sigma._boxes[0].setValue(0.5)
-    spin(lambda: begun.run.state.optics.sigma_um[0] == pytest.approx(0.5))
+    spin(lambda: begun.doc.run.state.optics.sigma_um[0] == pytest.approx(0.5))
     with_image.layers["cell"].scale = np.multiply(SIZE, (1, -1, 1))
     begun.edits.undo()
-    spin(lambda: begun.run.state.optics.sigma_um[0] != pytest.approx(0.5))
+    spin(lambda: begun.doc.run.state.optics.sigma_um[0] != pytest.approx(0.5))

@@ -142,7 +142,7 @@ def test_a_fit_with_the_psf_of_an_objective_shows_its_numbers(seeded, spin):
     seeded.settings.fit_psf.setChecked(True)
     seeded.settings.max_iterations.setValue(8)
     seeded.start()
-    spin(lambda: not seeded.run.running, seconds=60)
+    spin(lambda: not seeded.doc.run.running, seconds=60)
     state, job = seeded.doc.result.of_fit()
     assert type(state.optics).__name__ == "VectorialPSF"
     assert job.settings.scene.sigma is None
@@ -163,23 +163,23 @@ def test_numbers_are_shown_with_their_units(app):
 
 def test_another_kind_of_psf_is_for_the_next_run(seeded, spin, endless):
     seeded.start()
-    spin(lambda: seeded.run.state is not None and seeded.link.mesh is not None)
+    spin(lambda: seeded.doc.run.state is not None and seeded.doc.link.mesh is not None)
     seeded.settings.optics.objective.show_settings(optics_from_values(WATER))
     seeded.settings.optics.kind.setCurrentText(OBJECTIVE)
     assert seeded.running.note.text() == "The new PSF applies to the next run."
-    n = len(seeded.run.history.loss)
-    spin(lambda: len(seeded.run.history.loss) > n + 2)
-    assert isinstance(seeded.run.state.optics, nd.GaussianPSF)
-    assert seeded.run.job.settings.scene.optics is None
+    n = len(seeded.doc.run.history.loss)
+    spin(lambda: len(seeded.doc.run.history.loss) > n + 2)
+    assert isinstance(seeded.doc.run.state.optics, nd.GaussianPSF)
+    assert seeded.doc.run.job.settings.scene.optics is None
 
 
 def test_numbers_of_an_objective_go_into_a_fit_that_runs(seeded, spin, endless):
     seeded.settings.optics.show_settings(optics_from_values(WATER))
     seeded.start()
-    spin(lambda: seeded.run.state is not None and seeded.link.mesh is not None)
+    spin(lambda: seeded.doc.run.state is not None and seeded.doc.link.mesh is not None)
     seeded.settings.optics.objective.numbers["na"].setValue(0.9)
-    spin(lambda: float(seeded.run.state.optics.values["na"]) == 0.9)
-    assert seeded.run.job.settings.scene.optics.na == 0.9
+    spin(lambda: float(seeded.doc.run.state.optics.values["na"]) == 0.9)
+    assert seeded.doc.run.job.settings.scene.optics.na == 0.9
     seeded.edits.undo()
-    spin(lambda: float(seeded.run.state.optics.values["na"]) == 0.8)
+    spin(lambda: float(seeded.doc.run.state.optics.values["na"]) == 0.8)
     assert seeded.settings.scene_settings().optics.na == pytest.approx(0.8)

@@ -91,7 +91,7 @@ def test_fit_stop_and_progress_are_always_in_sight(shown, with_image, ball_label
     for part in (footer.run_button, footer.pause_button, footer.stop_button, footer.progress):
         assert seen(part, shown)
     shown.stop()
-    spin(lambda: not shown.run.running)
+    spin(lambda: not shown.doc.run.running)
     spin(lambda: shown.results.isVisible())
     assert seen(footer.run_button, shown)
 

@@ -52,9 +52,9 @@ def test_a_fit_runs_and_its_cells_can_be_chosen(window, opened, spin):
     widget.seeds.place.click()
     window.layers["seeds"].add(CENTER)
     widget.start()
-    spin(lambda: not widget.run.running)
+    spin(lambda: not widget.doc.run.running)
     assert widget.results.table.rowCount() == 1
-    assert widget.link.image_layer is window.layers["cell"]
+    assert widget.doc.link.image_layer is window.layers["cell"]
     window.dims.set_point(0, 1 + CENTER[0])
-    Mouse(window, widget.link).drag(CENTER)
+    Mouse(window, widget.doc.link).drag(CENTER)
     assert widget.results.table.chosen_regions() == (1,)

@@ -7,8 +7,8 @@ import npe2
 import pytest
 
 import napari_deltamic
+from napari_deltamic.fitting.default_accuracy import PRESETS, usable_choice
 from napari_deltamic.gui.settings import preferences
-from napari_deltamic.gui.settings.accuracy_forecast import CHOICES
 from napari_deltamic.gui.settings.preferences import PLUGIN, Preferences, read_preferences, usable
 from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene.effects import Attenuation, Effects
@@ -37,7 +37,10 @@ def test_the_page_has_the_defaults_of_the_program(pages):
     assert found == Preferences()
     assert found.fit == FitSettings()
     assert set(defaults) == {"fit_psf", "density", *Preferences.model_fields} - {"fit"}
-    assert pages["fit"].properties["accuracy"].enum == list(CHOICES)
+    offered = pages["fit"].properties["accuracy"].enum
+    assert offered[: len(PRESETS)] == list(PRESETS)
+    numbers = [float(usable_choice(one)) for one in offered[len(PRESETS) :]]
+    assert numbers == sorted(numbers, reverse=True)
 
 
 def test_what_is_preferred_is_used():

@@ -80,12 +80,12 @@ def test_that_of_an_objective_is_drawn(open_panel, spin):
 def test_it_follows_the_fit(open_panel, spin, endless, counted):
     open_panel.settings.fit_psf.setChecked(True)
     open_panel.start()
-    spin(lambda: open_panel.run.state is not None and open_panel.run.state.iteration > 5)
+    spin(lambda: open_panel.doc.run.state is not None and open_panel.doc.run.state.iteration > 5)
     spin(lambda: len(counted) > 1)
     open_panel.stop()
-    spin(lambda: not open_panel.run.running)
+    spin(lambda: not open_panel.doc.run.running)
     spin(lambda: not picture(open_panel).busy)
     np.testing.assert_allclose(
-        picture(open_panel).sections.side, 7 * max(open_panel.run.state.optics.sigma_um)
+        picture(open_panel).sections.side, 7 * max(open_panel.doc.run.state.optics.sigma_um)
     )
     assert isinstance(counted[-1], GaussianPSF)

@@ -61,121 +61,121 @@ def begun(make_widget, with_image, spin, gate):
     with_image.add_surface((mesh.vertices_numpy(), mesh.faces), **frame.layer_options())
     with_image.dims.set_point(0, CENTER[0] + 1)
     widget.start()
-    spin(lambda: widget.link.mesh is not None and len(widget.run.history.loss) > 2)
+    spin(lambda: widget.doc.link.mesh is not None and len(widget.doc.run.history.loss) > 2)
     return widget
 
 
 def remesh(widget, gate, spin):
-    before = widget.link.mesh
+    before = widget.doc.link.mesh
     gate.clear()
-    spin(lambda: not same_triangles(widget.link.mesh, before))
+    spin(lambda: not same_triangles(widget.doc.link.mesh, before))
     return before
 
 
 def pin_right(widget):
-    edits, mesh = widget.edits, widget.link.mesh
+    edits, mesh = widget.edits, widget.doc.link.mesh
     edits.pin(mesh.vertices_numpy()[:, 2] > CENTER[2] + 0.5, True, mesh)
 
 
 def test_pins_shown_are_those_of_the_fit(begun, with_image, gate, spin):
     pin_right(begun)
-    spin(lambda: begun.run.state.pinned is not None)
-    n = int(begun.run.state.pinned.sum())
-    places = begun.run.state.mesh.vertices_numpy()[begun.run.state.pinned]
+    spin(lambda: begun.doc.run.state.pinned is not None)
+    n = int(begun.doc.run.state.pinned.sum())
+    places = begun.doc.run.state.mesh.vertices_numpy()[begun.doc.run.state.pinned]
     remesh(begun, gate, spin)
     pause(begun, spin)
-    state, marks = begun.run.state, with_image.layers["cell: pinned"]
+    state, marks = begun.doc.run.state, with_image.layers["cell: pinned"]
     assert state.pinned.sum() >= n
     np.testing.assert_array_equal(begun.edits.pinned, state.pinned)
-    np.testing.assert_allclose(marks.data, begun.link.mesh.vertices_numpy()[state.pinned])
+    np.testing.assert_allclose(marks.data, begun.doc.link.mesh.vertices_numpy()[state.pinned])
     assert {tuple(p) for p in places} <= {tuple(p) for p in marks.data}
     assert begun.running.edit.pins.text().startswith(f"Free {state.pinned.sum()} ")
 
 
 def test_undo_and_redo_of_pins_across_a_remeshing(begun, gate, spin):
     pin_right(begun)
-    spin(lambda: begun.run.state.pinned is not None)
+    spin(lambda: begun.doc.run.state.pinned is not None)
     remesh(begun, gate, spin)
     bar = begun.running.history
     bar.undo_button.click()
-    spin(lambda: begun.run.state.pinned is None)
+    spin(lambda: begun.doc.run.state.pinned is None)
     assert not begun.edits.pinned.any()
     bar.redo_button.click()
-    spin(lambda: begun.run.state.pinned is not None)
-    state = begun.run.state
+    spin(lambda: begun.doc.run.state.pinned is not None)
+    state = begun.doc.run.state
     assert (state.mesh.vertices_numpy()[state.pinned][:, 2] > CENTER[2] + 0.2).all()
 
 
 def test_undo_of_a_nudge_brings_the_triangles_and_the_pins_back(begun, gate, spin):
     pin_right(begun)
-    spin(lambda: begun.run.state.pinned is not None)
-    old = begun.run.state.mesh
-    pinned = begun.run.state.pinned.copy()
+    spin(lambda: begun.doc.run.state.pinned is not None)
+    old = begun.doc.run.state.mesh
+    pinned = begun.doc.run.state.pinned.copy()
     begun.edits.shift(np.full((len(old.vertices), 3), 0.05), "nudge", old)
     spin(lambda: any(m.note == "nudge" for m in begun.doc.timeline.moments))
     remesh(begun, gate, spin)
     pause(begun, spin)
     begun.running.history.undo_button.click()
-    spin(lambda: same_triangles(begun.link.mesh, old))
-    np.testing.assert_array_equal(begun.run.state.pinned, pinned)
+    spin(lambda: same_triangles(begun.doc.link.mesh, old))
+    np.testing.assert_array_equal(begun.doc.run.state.pinned, pinned)
 
 
 def test_a_stroke_during_which_the_fit_is_remeshed(begun, gate, spin):
     begun.running.edit.use("nudge")
     begun.running.edit.radius.setValue(0.6)
-    v = begun.link.mesh.vertices_numpy()
+    v = begun.doc.link.mesh.vertices_numpy()
     place = np.array([CENTER[0], CENTER[1], v[:, 2].max()])
-    mouse = Mouse(begun.link.viewer, begun.link)
+    mouse = Mouse(begun.doc.link.viewer, begun.doc.link)
     assert mouse.press(place)
     mouse.move(place + 0.5 * ALONG_X)
     remesh(begun, gate, spin)
-    far = begun.link.mesh.vertices_numpy()[:, 2].max()
+    far = begun.doc.link.mesh.vertices_numpy()[:, 2].max()
     mouse.release(place + 0.5 * ALONG_X)
     spin(lambda: any(m.note == "nudge" for m in begun.doc.timeline.moments))
     moment = next(m for m in begun.doc.timeline.moments if m.note == "nudge")
     assert moment.mesh.vertices_numpy()[:, 2].max() > far + 0.2
-    assert begun.run.running
+    assert begun.doc.run.running
 
 
 def test_looking_back_across_a_remeshing_and_going_on_from_there(begun, with_image, gate, spin):
     pin_right(begun)
-    spin(lambda: begun.run.state.pinned is not None)
+    spin(lambda: begun.doc.run.state.pinned is not None)
     spin(lambda: len(begun.doc.timeline.moments) > 3)
     before = remesh(begun, gate, spin)
     bar = begun.running.history
     spin(lambda: begun.running.history.slider.maximum() > 1)
     bar.slider.setValue(1)
-    assert same_triangles(begun.link.shown, before)
-    assert len(with_image.layers["cell: pinned"].data) in (0, begun.run.state.pinned.sum())
+    assert same_triangles(begun.doc.link.shown, before)
+    assert len(with_image.layers["cell: pinned"].data) in (0, begun.doc.run.state.pinned.sum())
     begun.results.choose(1)
     bar.go_on_button.click()
     spin(lambda: any("back to" in m.note for m in begun.doc.timeline.moments))
-    assert begun.run.state.pinned is not None
+    assert begun.doc.run.state.pinned is not None
     begun.stop()
-    spin(lambda: not begun.run.running)
+    spin(lambda: not begun.doc.run.running)
     begun.running.history.go_on_button.click()  # a new run, with the pins
     spin(went_on(begun))
     assert begun.edits.pinned.any()
     begun.stop()
-    spin(lambda: not begun.run.running)
+    spin(lambda: not begun.doc.run.running)
     np.testing.assert_array_equal(begun.edits.pinned, begun.doc.result.state.pinned)
 
 
 def test_cells_can_be_chosen_while_the_surface_is_hidden(begun, with_image, gate, spin):
     remesh(begun, gate, spin)
-    assert not begun.link.surface.visible  # it still has the old triangles
-    begun.link.highlight(frozenset({1}))
+    assert not begun.doc.link.surface.visible  # it still has the old triangles
+    begun.doc.link.highlight(frozenset({1}))
     with_image.dims.ndisplay = 3
-    assert len(begun.link.surface.data[0]) == len(begun.link.surface.data[2])
-    begun.link.highlight(frozenset())
+    assert len(begun.doc.link.surface.data[0]) == len(begun.doc.link.surface.data[2])
+    begun.doc.link.highlight(frozenset())
 
 
 def test_a_session_keeps_the_pins_of_other_triangles(begun, gate, spin, tmp_path):
     pin_right(begun)
-    spin(lambda: begun.run.state.pinned is not None)
+    spin(lambda: begun.doc.run.state.pinned is not None)
     remesh(begun, gate, spin)
     begun.stop()
-    spin(lambda: not begun.run.running)
+    spin(lambda: not begun.doc.run.running)
     pinned = begun.doc.result.state.pinned
     begun.sessions.save(str(tmp_path / "kept.deltamic"))
     spin(lambda: not begun.sessions.busy)
@@ -183,7 +183,9 @@ def test_a_session_keeps_the_pins_of_other_triangles(begun, gate, spin, tmp_path
     spin(lambda: not begun.sessions.busy)
     np.testing.assert_array_equal(begun.doc.result.state.pinned, pinned)
     np.testing.assert_array_equal(begun.edits.pinned, pinned)
-    marks = [layer for layer in begun.link.viewer.layers if layer.name.startswith("cell: pinned")]
+    marks = [
+        layer for layer in begun.doc.link.viewer.layers if layer.name.startswith("cell: pinned")
+    ]
     assert len(marks[-1].data) == pinned.sum()
     damaged = load_session(tmp_path / "kept.deltamic")
     assert {len(m.mesh.faces) for m in damaged.result.moments} >= {

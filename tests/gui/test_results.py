@@ -155,7 +155,7 @@ def test_a_row_dims_the_other_cells_and_goes_there(widget, with_image):
     plain = np.array(surface.data[2])
     with_image.dims.ndisplay = 2
     widget.results.table.selectRow(1)
-    assert widget.link.chosen == {7}
+    assert widget.doc.link.chosen == {7}
     assert (np.asarray(surface.data[2]) != plain).any()
     world = np.add(CENTERS[7], (1, 2, 3))  # the image lies there
     assert with_image.dims.point == pytest.approx(world, abs=0.2)
@@ -171,19 +171,19 @@ def test_a_click_chooses_the_row_and_leaves_the_view(widget, with_image):
     scene.camera.zoom, scene.camera.center = 100, (0, 4, 5)
     click(widget, with_image, CENTERS[7])
     assert widget.results.table.chosen_regions() == (7,)
-    assert widget.link.chosen == {7}
+    assert widget.doc.link.chosen == {7}
     assert tuple(scene.camera.center[-2:]) == (4, 5)
     click(widget, with_image, CENTERS[3], "Control")
-    assert widget.link.chosen == {3, 7}
+    assert widget.doc.link.chosen == {3, 7}
     click(widget, with_image, CENTERS[3], "Control")
-    assert widget.link.chosen == {7}
+    assert widget.doc.link.chosen == {7}
     click(widget, with_image, (2.9, 0, 0))
-    assert widget.link.chosen == frozenset()
+    assert widget.doc.link.chosen == frozenset()
 
 
 def click(widget, viewer, um, *modifiers):
     event = SimpleNamespace(
-        position=tuple(widget.link.frame.to_world(um)),
+        position=tuple(widget.doc.link.frame.to_world(um)),
         pos=np.zeros(2),
         type="mouse_press",
         button=1,
@@ -257,7 +257,7 @@ def test_a_file_that_is_gone(from_file, pixels):
 
 
 def test_cells_are_coloured_by_a_column_and_described(ended, spin):
-    results, link = ended.results, ended.link
+    results, link = ended.results, ended.doc.link
     spin(lambda: ended.running.grade.text() != "", seconds=60)
     own = np.array(link.surface.data[2])
     at = results.colour.findData("volume_um3")
@@ -296,7 +296,7 @@ def test_the_result_becomes_a_labels_layer_with_measurements(ended, viewer, spin
     spin(lambda: ended.running.grade.text() != "", seconds=60)
     ended.results.add_labels()
     layer = viewer.layers["cell: labels"]
-    inside = ended.link.frame.voxel_size
+    inside = ended.doc.link.frame.voxel_size
     volume = np.count_nonzero(layer.data == 1) * np.prod(inside)
     assert volume == pytest.approx(ended.results.table.numbers("volume_um3")[1], rel=0.1)
     assert layer.features["volume_um3"].iloc[0] == ended.results.table.numbers("volume_um3")[1]

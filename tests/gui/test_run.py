@@ -26,7 +26,7 @@ VOLUME = 4 / 3 * np.pi * 1.2 * 1.1 * 1.1
 
 
 def running(widget):
-    return widget.run is not None and widget.run.running
+    return widget.doc.run is not None and widget.doc.run.running
 
 
 def test_three_clicks_give_a_mesh(make_widget, with_image, spin):
@@ -41,7 +41,7 @@ def test_three_clicks_give_a_mesh(make_widget, with_image, spin):
     assert widget.running.verdict.text().startswith("converged")
     surface = with_image.layers["cell: surfaces"]
     assert tuple(surface.translate) == (1, 2, 3)
-    row = measure_cells(widget.link.mesh)[0]
+    row = measure_cells(widget.doc.link.mesh)[0]
     assert row["volume_um3"] == pytest.approx(VOLUME, rel=0.1)
     shown = np.asarray(surface.data[0]) * surface.scale + surface.translate
     assert shown.mean(axis=0) == pytest.approx(np.add(CENTER, (1, 2, 3)), abs=0.1)
@@ -90,9 +90,9 @@ def test_pause_holds_the_fit_and_stop_keeps_what_it_reached(seeded, spin, endles
     spin(went_on(seeded))
     pause(seeded, spin)
     assert seeded.footer.message.text().startswith("paused after ")
-    n = len(seeded.run.history.loss)
+    n = len(seeded.doc.run.history.loss)
     spin(seconds=0.2, must=False)
-    assert len(seeded.run.history.loss) == n
+    assert len(seeded.doc.run.history.loss) == n
     seeded.footer.pause_button.click()
     spin(went_on(seeded, n + 2))
     seeded.footer.stop_button.click()
@@ -113,9 +113,9 @@ def test_a_paused_fit_can_be_stopped(seeded, spin, endless):
 
 def test_a_second_start_is_refused_while_a_fit_runs(seeded, spin, endless, told):
     seeded.start()
-    first = seeded.run
+    first = seeded.doc.run
     seeded.start()
-    assert seeded.run is first
+    assert seeded.doc.run is first
     assert "running already" in told[-1]
     assert not seeded.footer.run_button.isEnabled()
 
@@ -148,7 +148,7 @@ def test_other_layers_can_be_removed_while_it_runs(seeded, with_image, spin, end
     seeded.start()
     spin(lambda: name in with_image.layers)
     del with_image.layers[name]
-    n = len(seeded.run.history.loss)
+    n = len(seeded.doc.run.history.loss)
     spin(went_on(seeded, n + 30))
     assert running(seeded)
     assert name not in with_image.layers
@@ -210,13 +210,13 @@ def test_what_is_missing_is_said(make_widget, with_image, told):
     del with_image.layers["cell"]
     widget.start()
     assert "image" in told[-1]
-    assert widget.run is None
+    assert widget.doc.run is None
 
 
 def test_closing_the_widget_ends_the_fit(seeded, with_image, spin, endless):
     seeded.start()
     spin(lambda: "cell: surfaces" in with_image.layers)
-    run = seeded.run
+    run = seeded.doc.run
     seeded.close_links()
     assert not run.running
     spin(lambda: run.done)
@@ -226,8 +226,8 @@ def test_closing_the_widget_ends_the_fit(seeded, with_image, spin, endless):
 
 def test_closing_releases_widget_run_and_link(seeded, make_widget, spin, endless):
     seeded.start()
-    spin(lambda: seeded.link.mesh is not None)
-    refs = [weakref.ref(seeded.run), weakref.ref(seeded.link)]
+    spin(lambda: seeded.doc.link.mesh is not None)
+    refs = [weakref.ref(seeded.doc.run), weakref.ref(seeded.doc.link)]
     seeded.close_links()
     spin(lambda: gc.collect() >= 0 and [ref() for ref in refs] == [None, None])
 
@@ -248,7 +248,7 @@ def test_updates_do_not_queue_up(seeded, spin, endless):
     seeded.control._show = slow
     seeded.start()
     spin(lambda: len(counts) > 5)
-    assert len(counts) < len(seeded.run.history.loss) / 2
+    assert len(counts) < len(seeded.doc.run.history.loss) / 2
 
 
 def test_the_command_repeats_the_run(seeded, with_image, tmp_path):

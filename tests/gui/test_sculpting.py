@@ -26,7 +26,7 @@ def test_nudging_in_a_slice_moves_the_result(ended):
 
 def test_pushing_in_3d_moves_out_and_with_shift_in(ended, with_image):
     with_image.dims.ndisplay = 3
-    ended.link.surface.visible = True
+    ended.doc.link.surface.visible = True
     mouse = use(ended, "push")
     before = vertices(ended)
     in_front = np.array([CENTER[0], CENTER[1], CENTER[2] - 9])
@@ -81,11 +81,11 @@ def test_without_a_tool_nothing_listens(ended, with_image):
 
 def test_the_fit_goes_on_from_a_nudge(begun, spin):
     mouse, place = use(begun, "nudge"), right_end(begun)
-    n = len(begun.run.history.loss)
+    n = len(begun.doc.run.history.loss)
     mouse.press(place)
     mouse.move(place + 0.6 * ALONG_X)
     held = vertices(begun)
-    spin(lambda: len(begun.run.history.loss) > n + 5)
+    spin(lambda: len(begun.doc.run.history.loss) > n + 5)
     # While the mouse is down the surface under it stands still.
     np.testing.assert_array_equal(vertices(begun), held)
     mouse.release(place + 0.6 * ALONG_X)
@@ -93,22 +93,22 @@ def test_the_fit_goes_on_from_a_nudge(begun, spin):
     assert "nudge from iteration" in begun.running.note.text()
     moment = next(m for m in begun.doc.timeline.moments if m.note == "nudge")
     assert moment.mesh.vertices_numpy()[:, 2].max() > held[:, 2].max() - 0.25
-    shown = begun.link.shown
-    spin(lambda: begun.link.shown is not shown)
-    assert begun.run.running
+    shown = begun.doc.link.shown
+    spin(lambda: begun.doc.link.shown is not shown)
+    assert begun.doc.run.running
 
 
 def test_a_paused_fit_shows_a_change_at_once(begun, spin):
     pause(begun, spin)
     mouse, place = use(begun, "nudge"), right_end(begun)
-    n, before = len(begun.run.history.loss), vertices(begun)
+    n, before = len(begun.doc.run.history.loss), vertices(begun)
     mouse.drag(place, place + 0.6 * ALONG_X)
     spin(lambda: "nudge" in notes(begun))
     spin(seconds=0.1, must=False)
-    assert len(begun.run.history.loss) == n + 1
+    assert len(begun.doc.run.history.loss) == n + 1
     moved = vertices(begun) - before
     assert moved[:, 2].max() == pytest.approx(0.6, abs=0.15)
-    assert begun.run.paused
+    assert begun.doc.run.paused
 
 
 def test_pinned_vertices_stay(begun, with_image, spin):
@@ -122,8 +122,8 @@ def test_pinned_vertices_stay(begun, with_image, spin):
     assert 0 < pinned.sum() < len(pinned) / 2
     held = vertices(begun)[pinned]
     begun.footer.pause_button.click()
-    n = len(begun.run.history.loss)
-    spin(lambda: len(begun.run.history.loss) > n + 20)
+    n = len(begun.doc.run.history.loss)
+    spin(lambda: len(begun.doc.run.history.loss) > n + 20)
     np.testing.assert_array_equal(vertices(begun)[pinned], held)
     marks = with_image.layers["cell: pinned"]
     assert len(marks.data) == pinned.sum()
@@ -146,7 +146,7 @@ def test_pins_outlast_the_fit_and_the_next_one(ended, spin):
     spin(went_on(ended, 20))
     np.testing.assert_array_equal(vertices(ended)[pinned], held)
     ended.stop()
-    spin(lambda: not ended.run.running)
+    spin(lambda: not ended.doc.run.running)
     use(ended, "pin", 3.0).drag(right_end(ended), shift=True)
     assert not ended.edits.pinned.any()
 
@@ -156,9 +156,9 @@ def test_a_change_that_comes_too_late_changes_the_result(begun, spin):
     begun.stop()  # the thread has ended, and has not told yet
     shift = np.zeros_like(vertices(begun))
     shift[:, 1] = 0.25
-    before = begun.run.state.mesh.vertices_numpy()
+    before = begun.doc.run.state.mesh.vertices_numpy()
     begun.edits.shift(shift, "nudge")
-    spin(lambda: not begun.run.running)
+    spin(lambda: not begun.doc.run.running)
     np.testing.assert_allclose(vertices(begun), before + shift)
 
 

@@ -31,7 +31,7 @@ def second(with_image, pixels, seeded):
 
 
 def done(widget):
-    return lambda: widget.run is not None and not widget.run.running
+    return lambda: widget.doc.run is not None and not widget.doc.run.running
 
 
 def test_none_is_chosen_but_by_the_user(seeded, with_image, pixels):
@@ -64,7 +64,7 @@ def test_its_image_reaches_the_fit(seeded, second, spin, monkeypatch, pixels):
     seeded.start()
     spin(done(seeded))
     np.testing.assert_array_equal(jobs[0].second, pixels[:, ::-1])
-    assert seeded.run.state.effects.second_view is not None
+    assert seeded.doc.run.state.effects.second_view is not None
     assert "failed" not in seeded.running.last_verdict
 
 
@@ -85,17 +85,17 @@ def test_a_layer_off_the_voxels_is_refused_in_words(seeded, with_image, told, sh
     assert "resample it on the image's voxels first" in fields.note.text()
     seeded.start()
     assert says in told[-1]
-    assert seeded.run is None
+    assert seeded.doc.run is None
 
 
 def test_a_fit_under_way_keeps_the_second_view_that_it_has(seeded, second, spin, endless):
     seeded.start()
-    spin(lambda: seeded.link is not None and seeded.link.mesh is not None)
+    spin(lambda: seeded.doc.link is not None and seeded.doc.link.mesh is not None)
     second.chooser.setCurrentIndex(0)
     assert "second view: from the next run on" in seeded.running.note.text()
     seeded.settings.effects.table.tick("attenuation")
-    spin(lambda: "attenuation" in seeded.run.state.effects.names)
-    assert seeded.run.state.effects.second_view is not None
+    spin(lambda: "attenuation" in seeded.doc.run.state.effects.names)
+    assert seeded.doc.run.state.effects.second_view is not None
     seeded.stop()
     spin(done(seeded))
 
@@ -131,7 +131,7 @@ def test_a_session_keeps_it(seeded, second, spin, tmp_path, with_image, pixels):
     np.testing.assert_array_equal(seeded.doc.result.job.second, pixels[:, ::-1])
     seeded.control.go_on_from(seeded.doc.result.state.mesh, seeded.doc.result.state.optics, None)
     spin(done(seeded))
-    assert seeded.run.state.effects.second_view is not None
+    assert seeded.doc.run.state.effects.second_view is not None
 
 
 def test_series_are_tracked_without_it(seeded, second, with_image, pixels, told):

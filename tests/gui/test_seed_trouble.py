@@ -64,7 +64,7 @@ def test_an_image_that_is_mirrored_is_refused(make_widget, with_image, told):
     assert "mirrored" in widget.image.note.text()
     widget.start()
     assert "mirrored" in told[-1]
-    assert widget.run is None
+    assert widget.doc.run is None
     widget.image.voxel_size._boxes[1].setValue(0.21)
     assert "mirrored" not in widget.image.note.text()
 
@@ -95,12 +95,12 @@ def test_no_fit_starts_while_cells_are_tracked(series_widget, spin, slow_trackin
     spin(lambda: widget.tracking.work.job is not None)
     widget.start()
     assert "being tracked" in told[-1]
-    assert widget.run is None
+    assert widget.doc.run is None
     widget.tracking.start()
     assert "being tracked" in told[-1]
     widget.stop()
     spin(lambda: not widget.tracking.work.running)
     widget.settings.max_iterations.setValue(2)
     widget.start()
-    assert widget.run is not None
-    spin(lambda: not widget.run.running)
+    assert widget.doc.run is not None
+    spin(lambda: not widget.doc.run.running)

@@ -133,7 +133,7 @@ def test_a_reopened_session_goes_on(seeded, spin, tmp_path, reopened):
     )
     before = len(widget.doc.timeline.moments)
     widget.running.history.go_on()
-    spin(lambda: widget.run is not None and not widget.run.running)
+    spin(lambda: widget.doc.run is not None and not widget.doc.run.running)
     assert len(widget.doc.timeline.moments) > before
     assert widget.running.verdict.text().startswith("stopped after 12")
     widget.settings.max_iterations.setValue(9)
@@ -152,7 +152,7 @@ def test_while_a_fit_runs_its_newest_state_is_saved(seeded, spin, tmp_path, monk
     seeded.start()
     spin(went_on(seeded))
     save(seeded, tmp_path / "a.deltamic", spin)
-    assert seeded.run.running
+    assert seeded.doc.run.running
     session = load_session(tmp_path / "a.deltamic")
     assert session.result.verdict == "stopped"
     assert len(session.result.history.loss) >= 5
@@ -162,7 +162,7 @@ def test_while_a_fit_runs_its_newest_state_is_saved(seeded, spin, tmp_path, monk
 
 def test_sessions_are_not_opened_over_a_running_fit(seeded, with_image, spin, tmp_path, told):
     save(fitted(seeded, spin), tmp_path / "a.deltamic", spin)
-    seeded.doc.work.task = seeded.run  # as if it still ran
+    seeded.doc.work.task = seeded.doc.run  # as if it still ran
     n = len(with_image.layers)
     seeded.sessions.open(str(tmp_path / "a.deltamic"))
     spin(lambda: not seeded.sessions.busy)

@@ -90,11 +90,11 @@ def test_a_fit_of_one_time_comes_back_at_its_time(widget, viewer, spin, reopened
     widget.settings.max_iterations.setValue(3)
     widget.doc.look("rendered")
     widget.start()
-    spin(lambda: widget.run is not None and not widget.run.running, 60)
+    spin(lambda: widget.doc.run is not None and not widget.doc.run.running, 60)
     viewer.dims.set_current_step(0, 3)
     other = reopened_here(widget)
     spin(lambda: other.doc.result.judged is not None, 60)
-    assert other.link.time == (1,)
+    assert other.doc.link.time == (1,)
     assert viewer.dims.current_step[0] == 3
     assert "movie: rendered" not in viewer.layers  # made when it is first looked at
     viewer.dims.set_current_step(0, 1)
@@ -114,8 +114,8 @@ def test_the_rendered_image_is_there_at_its_time_only(widget, viewer, spin):
     widget.settings.max_iterations.setValue(3)
     widget.doc.look("rendered")
     widget.start()
-    spin(lambda: widget.run is not None and not widget.run.running, 60)
-    spin(lambda: widget.link.rendered is not None)
+    spin(lambda: widget.doc.run is not None and not widget.doc.run.running, 60)
+    spin(lambda: widget.doc.link.rendered is not None)
     rendered = viewer.layers["movie: rendered"]
     assert rendered.visible
     viewer.dims.set_current_step(0, 2)

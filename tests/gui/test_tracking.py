@@ -165,7 +165,7 @@ def test_the_surface_of_a_fit_is_there_at_its_time_only(widget, viewer, spin):
     viewer.dims.set_current_step(0, 1)
     viewer.dims.ndisplay = 3
     widget.start()
-    spin(lambda: widget.run is not None and not widget.run.running, 60)
+    spin(lambda: widget.doc.run is not None and not widget.doc.run.running, 60)
     surface = viewer.layers["movie: surfaces"]
     assert surface.visible
     viewer.dims.set_current_step(0, 2)

@@ -89,7 +89,7 @@ def test_the_slider_keeps_the_steps_of_the_image(app, viewer, pixels, spin, thic
     # One that reaches out of the image.
     viewer.layers["seeds"].size = 2.2 * CENTER[0] * thick
     widget.start()
-    spin(lambda: not widget.run.running)
+    spin(lambda: not widget.doc.run.running)
     assert "cell: surfaces" in viewer.layers
     assert (viewer.dims.range, viewer.dims.current_step) == before
     # They follow the image, and are as before for themselves.

@@ -38,13 +38,13 @@ def docked(window, pixels):
 def test_closing_the_dock_ends_and_releases_everything(window, pixels, spin, endless):
     widget = dock(window, pixels)
     widget.start()
-    run = widget.run
+    run = widget.doc.run
     spin(went_on(widget))
     widget.running.edit.use("push")
     spin(lambda doc=widget.doc: len(doc.timeline.moments) > 3)
     widget.running.history.slider.setValue(1)
     parts = (widget.image, widget.seeds, widget.control, widget.edits, widget.sculptor)
-    refs = [weakref.ref(x) for x in (widget, run, widget.link, widget.doc.timeline, *parts)]
+    refs = [weakref.ref(x) for x in (widget, run, widget.doc.link, widget.doc.timeline, *parts)]
     n = len(refs)
     window.window.remove_dock_widget(widget)
     assert not run.running
@@ -75,7 +75,7 @@ def press_close(widget):
 def test_closing_the_dock_in_a_fit_asks(window, docked, spin, endless, asked):
     found, answers = asked
     docked.start()
-    run = docked.run
+    run = docked.doc.run
     spin(went_on(docked))
     answers += [False, True]
     press_close(docked)
@@ -114,7 +114,7 @@ def test_who_closes_the_dock_in_a_fit_can_keep_it(app, docked, spin):
 def test_closing_the_viewer_ends_the_fit(window, docked, spin, endless):
     docked.start()
     spin(went_on(docked))
-    run = docked.run
+    run = docked.doc.run
     window.close()
     spin(lambda: not run.running)
     spin(lambda: run.done)
@@ -133,7 +133,7 @@ def test_napari_opens_the_widget_of_the_manifest(window):
 @pytest.mark.skipif(not DISPLAY, reason="needs a display (DISPLAY is not set)")
 def test_a_real_window_shows_contours_and_surfaces(window, docked, spin, tmp_path):
     docked.start()
-    spin(lambda: not docked.run.running)
+    spin(lambda: not docked.doc.run.running)
     window.dims.set_point(0, CENTER[0])
     spin(seconds=0.3, must=False)
     flat = window.screenshot(canvas_only=True, flash=False)

@@ -32,7 +32,6 @@ from .settings.settings_panel import SettingsPanel
 from .tracking.control import TrackControl
 from .tracking.panel import TrackPanel
 from .viewing.frame import unwrapped
-from .viewing.viewer_link import ViewerLink
 from .widgets import action, column
 
 _WIDTH = 390  # px
@@ -89,16 +88,6 @@ class FitWidget(QWidget):
         preferences.show(doc, self.seeds.preview)
         if remark:
             _warn(remark)
-
-    @property
-    def run(self) -> Any:
-        """The fit under way, or the last one."""
-        return self.doc.run
-
-    @property
-    def link(self) -> ViewerLink | None:
-        """What shows it in the viewer."""
-        return self.doc.link
 
     def start(self) -> None:
         """Start a fit of what is chosen; says in plain words what is missing."""

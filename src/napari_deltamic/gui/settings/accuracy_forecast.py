@@ -35,8 +35,6 @@ from ..running.worker import FitRun, Snapshot
 from ..widgets import Signal, be_narrow
 
 NORMAL: Preset = "normal"
-# What the page of preferences offers; the dial also takes any other number.
-CHOICES: tuple[str, ...] = (*PRESETS, "1e-2", "3e-3", "1e-3", "3e-4", "1e-4", "1e-5")
 WAIT = 300  # ms without a change before the forecast is computed
 _TIPS: dict[Preset, str] = {
     "quick": "Longer edges, images five times coarser than normal, an earlier end. The fastest, "
