@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from qtpy.QtWidgets import QFileDialog, QGroupBox, QMenu, QVBoxLayout, QWidget
 from superqt.utils import signals_blocked
 
@@ -269,13 +268,11 @@ def region_at(link: ViewerLink, event: Any) -> int:
         face = None if face is None else link.face_of(int(face))
         if face is None or face >= len(mesh.faces):
             return OUTSIDE
-        # The frame has axes along those of the world, if of another length.
-        direction = np.asarray(event.view_direction, float)[-3:] * link.frame.um
-        return region_behind(mesh, face, direction)
+        return region_behind(mesh, face, link.frame.direction_of(event))
     axis = sliced_axis(dims)
     if axis is None:
         return OUTSIDE
-    um = link.frame.to_um(np.asarray(event.position, float)[-3:])
+    um = link.frame.place_of(event)
     drawn = max(unit for k, unit in enumerate(link.frame.um) if k != axis)
     near = drawn * _NEAR / max(float(camera_of(link.viewer).zoom), 1e-9)
     return region_in_slice(mesh, axis, um, near)

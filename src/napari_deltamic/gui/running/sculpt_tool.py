@@ -223,10 +223,9 @@ class _Stroke:
 
 def touch_at(link: ViewerLink, mesh: Mesh, event: Any, reach: float) -> Touch | None:
     """Where an event of the mouse touches a mesh that a link shows; in 2D, within a reach, um."""
-    place = link.frame.to_um(np.asarray(event.position, float)[-3:])
-    dims = link.viewer.dims
+    place, dims = link.frame.place_of(event), link.viewer.dims
     if dims.ndisplay == 3:
-        return touched_by_ray(mesh, place, _direction(link, event))
+        return touched_by_ray(mesh, place, link.frame.direction_of(event))
     axis = sliced_axis(dims)
     if axis is None:
         return None
@@ -235,15 +234,11 @@ def touch_at(link: ViewerLink, mesh: Mesh, event: Any, reach: float) -> Touch | 
     return touched_on_section(segments, faces, axis, place, reach)
 
 
-def _direction(link: ViewerLink, event: Any) -> FloatArray:
-    return np.asarray(event.view_direction, float)[-3:] * link.frame.um
-
-
 def _in_plane(link: ViewerLink, event: Any, point: FloatArray) -> FloatArray:
     """Where the mouse points to, in the plane of the view or the slice through a point, um."""
-    place = link.frame.to_um(np.asarray(event.position, float)[-3:])
+    place = link.frame.place_of(event)
     if link.viewer.dims.ndisplay == 3:
-        along = _direction(link, event)
+        along = link.frame.direction_of(event)
         along = along / np.linalg.norm(along)
         return place + along * float((point - place) @ along)
     axis = sliced_axis(link.viewer.dims)

@@ -175,7 +175,7 @@ class Corrections(QObject):
                 self.bar.hint.say(_BESIDE)
                 return
         else:
-            place = frame.to_um(np.asarray(event.position, float)[-3:])
+            place = frame.place_of(event)
         voxel = np.floor(place / frame.voxel_size + 0.5)
         if ((voxel >= 0) & (voxel < layer.data.shape)).all():  # else it was beside the image
             self.click(place)

@@ -20,7 +20,17 @@ from ...scene.effects import KINDS, Effects, ViewEffect, kind_of
 from ..document import Document
 from ..fields import TripleField
 from ..viewing.listening import Connections
-from ..widgets import LayerChooser, Note, Signal, TaskButton, button, column, row, show_row
+from ..widgets import (
+    LayerChooser,
+    Note,
+    Signal,
+    TaskButton,
+    button,
+    column,
+    row,
+    sentence,
+    show_row,
+)
 from ..work import Question
 from .accuracy_forecast import scene_key
 from .effects_table import EffectsTable, spoken
@@ -264,7 +274,7 @@ class SecondViewFields(QWidget):
         self.source = doc.second
         self.chooser = LayerChooser(doc.second, self)
         helped = kind_of(ViewEffect).help
-        self.chooser.setToolTip(f"<qt>{helped[0].upper()}{helped[1:]}.</qt>")
+        self.chooser.setToolTip(f"<qt>{sentence(helped)}</qt>")
         self.sigma = TripleField(
             "Standard deviations of the second view's PSF, um: known, or measured on a bead. "
             "They are held during a fit.",

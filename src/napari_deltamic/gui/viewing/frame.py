@@ -100,6 +100,15 @@ class Frame:
         """(n, 3) positions in the world from um."""
         return np.asarray(um, np.float64) / self.um + np.asarray(self.translate)
 
+    def place_of(self, event: Any) -> FloatArray:
+        """(3,) um: where an event of the mouse lies."""
+        return self.to_um(np.asarray(event.position, float)[-3:])
+
+    def direction_of(self, event: Any) -> FloatArray:
+        """(3,) which way the view looks at an event of the mouse; not of length 1."""
+        # The axes lie along those of the world, if of another length.
+        return np.asarray(event.view_direction, float)[-3:] * self.um
+
     def data_to_um(self, layer: Any) -> tuple[FloatArray, FloatArray]:
         """Scale and shift that take the last three coordinates of a layer's data to um."""
         _check_straight(layer)
