@@ -5,10 +5,12 @@ import weakref
 
 import numpy as np
 import pytest
+from vispy.color import Colormap
 
 from napari_deltamic._writer import write_surface
 from napari_deltamic.errors import InputError
 from napari_deltamic.gui.tracking import track_work
+from napari_deltamic.gui.viewing.colours import region_colours
 from napari_deltamic.gui.viewing.frame import OWN
 from napari_deltamic.results.track_report import read_results
 from napari_deltamic.tracking import track
@@ -51,6 +53,10 @@ def test_one_click_gives_a_surface_over_time(widget, viewer, series, spin):
         own = vertices[vertices[:, 0] == t]
         np.testing.assert_allclose(own[:, 1:].mean(axis=0), CENTER + t * STEP, atol=0.08)
     np.testing.assert_array_equal(values, surface.metadata[OWN]["cells"])
+    colours = surface.colormap  # of a single cell; as a canvas takes it
+    drawn = Colormap(colours.colors, colours.controls, str(colours.interpolation.value))
+    shown = drawn.map(np.array([[0.5]]))
+    np.testing.assert_allclose(shown[0], region_colours(1), atol=1e-6)
     tracks = viewer.layers["movie: tracks"]
     assert tracks.data.shape == (4, 5)
     assert viewer.dims.current_step[0] == 3, "what is looked at moves on with the frames"

@@ -163,5 +163,7 @@ class TrackLayers(MeshLayers):
 
 def _colours(table: NDArray[np.float64]) -> Colormap:
     """Colours (n, 4) as a map, over limits of half a number around n whole ones."""
+    if len(table) == 1:
+        table = np.repeat(table, 2, axis=0)  # a canvas draws by no fewer
     controls = np.linspace(0, 1, len(table) + 1)
     return Colormap(table, name="deltamic cells", controls=controls, interpolation="zero")
