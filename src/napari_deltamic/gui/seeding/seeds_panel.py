@@ -164,7 +164,7 @@ class SeedsPanel(QGroupBox):
     def _connect(self) -> None:
         self.find_cells.told.connect(self._show)
         self.find_cells.found.connect(self.cells.choose)
-        self.find_cells.gone.connect(self._untick)
+        self.find_cells.gone.connect(partial(self.cells.choose, ticked=False))
         self.cells.chosen.connect(self._layers_chosen)
         self.corrections.edited.connect(self.find_cells.colour)
         self.corrections.edited.connect(self._show_soon)
@@ -211,9 +211,6 @@ class SeedsPanel(QGroupBox):
         self.preview.suit(shape, size)
         self._show_soon()
 
-    def _untick(self, layer: Any) -> None:
-        self.cells.choose(layer, False)
-
     def _layers_chosen(self) -> None:
         self._of_layers.undo()
         layers = self.cells.ticked
@@ -249,14 +246,11 @@ class SeedsPanel(QGroupBox):
         self.preview.later()
         self._show()
         self._show_remarks()
-        self._tell()
+        self._doc.cells_changed.emit()
 
     def _previewed(self) -> None:
         self.cells.take_preview(self.preview.mesh if self.preview.isChecked() else None)
         self._show_remarks()
-        self._tell()
-
-    def _tell(self) -> None:
         self._doc.cells_changed.emit()
 
     def _try_size(self, link: str) -> None:

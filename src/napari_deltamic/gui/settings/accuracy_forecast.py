@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -178,18 +179,13 @@ class AccuracyForecast(QObject):
     def _fail(self, message: str) -> None:
         self.predicts.emit(f"no forecast: {message}")
 
-    def _number(self) -> float | None:
-        """What the dial stands for; None where that is not known yet, or nothing."""
-        choice, noise = self._dial.choice, self.noise.known
-        if relative(choice) and noise is None:
-            return None
-        try:
-            return accuracy_of(choice, noise or 0.0)
-        except InputError:
-            return None
-
     def _show_number(self) -> None:
-        self.number_changed.emit(self._number())
+        """What the dial stands for, where that is known and something."""
+        choice, noise, number = self._dial.choice, self.noise.known, None
+        if noise is not None or not relative(choice):
+            with suppress(InputError):
+                number = accuracy_of(choice, noise or 0.0)
+        self.number_changed.emit(number)
 
     # --------------------------------------------------------------------------- during a run
 
