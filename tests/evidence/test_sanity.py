@@ -79,3 +79,14 @@ def test_images_that_hardly_are_some_raise_nothing():
         warnings.simplefilter("error")
         for image in (np.zeros((2, 3, 4)), np.ones((8, 8, 8)), np.full((9, 9, 9), np.nan)):
             doubts(image, VOXEL)
+
+
+def test_a_logarithm_is_known_by_its_noise():
+    assert kinds(20 * np.log1p(membrane()), seeds=SEEDS) == ["brightness"]
+    assert kinds(10 * np.sqrt(membrane()), seeds=SEEDS) == []  # a camera's own noise is as even
+
+
+def test_without_noise_nothing_is_said_of_brightness():
+    light = gaussian_filter(np.exp(-((distance() / 0.15) ** 2)), (2.0, 1.2, 1.2))
+    for image in (light, np.log1p(100 * light)):
+        assert "brightness" not in kinds(image.astype(np.float32), seeds=SEEDS)

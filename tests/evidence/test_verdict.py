@@ -39,6 +39,7 @@ def test_a_fit_without_fault_is_good():
         ({"narrow": True}, "fair", "narrower than voxels"),
         ({"cut": 0.6}, "fair", "60% of the bright voxels are cut off"),
         ({"cut": 0.3}, "good", "good"),
+        ({"compressed": True}, "fair", "look like logarithms"),
     ],
 )
 def test_what_concerns_all(change, grade, word):

@@ -16,6 +16,7 @@ from ..fitting.voxel_ownership import surface_voxels
 from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import Mesh
 from ..scene import Grid
+from .compressed_brightness import compressed
 from .first_sigma import first_sigma
 from .outgrowths import outgrowths
 from .predicted_error import predicted_error
@@ -116,8 +117,9 @@ def facts_of(
         width = None  # noise that was smoothed looks like light that is sharper
     voxel = float(size.prod() ** (1 / 3))
     error = predicted_error(job, state)
-    cut_off = share_cut(np.asarray(job.image))
-    return Facts(state.converged, left.explained, width, narrow, cells, error, voxel, cut_off)
+    pixels = np.asarray(job.image)
+    spoilt = share_cut(pixels), compressed(pixels)
+    return Facts(state.converged, left.explained, width, narrow, cells, error, voxel, *spoilt)
 
 
 def _width(image: np.ndarray, grid: Grid, sigma: np.ndarray) -> float | None:

@@ -1,7 +1,8 @@
 """Whether an image can be what it is said to be: a look of a second before a fit.
 
-A wrong voxel size, a stack whose slices lean, cut brightness, an image without structure or of
-something else than the seeds, and time taken for depth all end in fits that mean nothing. None of
+A wrong voxel size, a stack whose slices lean, cut brightness or its logarithm, an image without
+structure or of something else than the seeds, and time taken for depth all end in fits that mean
+nothing. None of
 them can be proved from one image; each leaves a mark that images in order hardly show.
 """
 
@@ -23,6 +24,7 @@ from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import Mesh
 from ..images.missing import filled
 from ..scene import Grid
+from .compressed_brightness import compressed
 from .first_sigma import first_sigma
 from .slices import drift
 
@@ -131,6 +133,7 @@ def doubts(
         _time(middle),
         _sides(voxel_size),
         _cut(pixels),
+        _compressed(middle),
     ]
     if found[0] is None:
         leaning = _lean(middle, voxel_size)
@@ -297,6 +300,16 @@ def _cut(pixels: np.ndarray) -> Doubt | None:
         "saturation",
         f"{share:.1%} of the voxels are cut at {cut:g}: they count as at least that "
         "bright; a shorter exposure would tell more",
+    )
+
+
+def _compressed(pixels: Pixels) -> Doubt | None:
+    if not compressed(pixels):
+        return None
+    return Doubt(
+        "brightness",
+        "the noise is smaller where the image is brighter: its intensities look like logarithms, "
+        "which move every surface; give the image as the camera took it",
     )
 
 

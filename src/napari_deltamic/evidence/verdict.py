@@ -152,6 +152,8 @@ class Facts:
         um: geometric mean of the sides of a voxel.
     cut
         Share of the bright voxels that are cut off at the largest value.
+    compressed
+        Whether intensities look like logarithms.
     """
 
     finished: bool
@@ -162,6 +164,7 @@ class Facts:
     error: PredictedError = field(default_factory=PredictedError)
     voxel: float = 1.0
     cut: float = 0.0
+    compressed: bool = False
 
 
 @dataclass(frozen=True)
@@ -254,6 +257,9 @@ def _of_whole(facts: Facts) -> list[tuple[Grade, str]]:
     if facts.cut > RULES.cut:
         text = f"{facts.cut:.0%} of the bright voxels are cut off: what was there is a guess"
         found.append(("fair", f"{text} (a shorter exposure)"))
+    if facts.compressed:
+        text = "intensities look like logarithms, which move every surface"
+        found.append(("fair", f"{text} (the image as the camera took it)"))
     return found
 
 

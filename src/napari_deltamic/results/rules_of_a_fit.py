@@ -11,6 +11,7 @@ from dataclasses import asdict
 from typing import Any
 
 from ..evidence import (
+    compressed_brightness,
     fainter_membranes,
     fit_facts,
     outgrowths,
@@ -69,5 +70,6 @@ RULES_OF_A_FIT: dict[str, dict[str, Any]] = {
     "fainter membranes": asdict(fainter_membranes.RULES),
     "predicted error": asdict(predicted_error.RULES),
     "facts": asdict(fit_facts.RULES),
+    "logarithms": asdict(compressed_brightness.RULES),
     "verdict": asdict(verdict.RULES),
 }
