@@ -68,3 +68,15 @@ def test_what_shines_in_small_cells_is_asked_of_the_image(light, name) -> None:
     assert structure_of(last.light) == name
     for cell in (1, 2):
         assert abs(last.mesh.region_volume(cell) / truth.region_volume(cell) - 1) < 0.25
+
+
+def test_a_level_without_voxels_is_not_asked_what_shines() -> None:
+    """In small images the first level's blur is wider than the field of view."""
+    grid, optics = nd.Grid((9, 9, 9), (0.2, 0.2, 0.2)), nd.GaussianPSF((0.3, 0.24, 0.24))
+    truth = sphere(np.full(3, 0.8), 0.5, edge_length=0.2)
+    shown = nd.scene.expected_image(truth, grid, optics, 1e-3, 1.0, 0.0)
+    counted = np.random.default_rng(0).poisson(60 * shown / shown.max() + 5)
+    start, settings = truth.scaled(0.9), FitSettings(levels=(5.0, 1.0))
+    *_, last = nd.fit(counted.astype(np.float32), grid, start, optics, settings=settings)
+    assert structure_of(last.light) == "membrane"
+    assert last.mesh.region_volume(1) == pytest.approx(truth.region_volume(1), rel=0.25)

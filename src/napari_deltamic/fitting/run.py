@@ -88,6 +88,8 @@ class Run:
             self._begin_level(begun)
             begun = False
             if self._level.usable or self._last:
+                if self._level.usable and self._stage.iteration == 0:
+                    self._ask_of_small()
                 yield from self._level_states()
                 if self._over:
                     return
@@ -137,8 +139,6 @@ class Run:
             if not self._last:  # how bright each inside is, is found anew where the surface is now
                 self._fitted = self._fitted.shining(replace(self._fitted.light, cells=()))
         self._make_level()
-        if not begun and self._stage.level_number == 0:
-            self._ask_of_small()
         if not begun:
             blurred = 0.0 if self._level.factor == 1 else self._level.width
             self._remeshing.begin_level(self._fitted.mesh, blurred)
