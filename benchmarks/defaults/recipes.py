@@ -97,6 +97,12 @@ def _packed(rng: np.random.Generator, **others: Any) -> Recipe:
     return Recipe(tuple(cells), names, shape=shape, **(given | light | others))  # type: ignore[arg-type]
 
 
+def _partly_seeded(rng: np.random.Generator) -> Recipe:
+    """The same; of every three, one has no seed."""
+    whole = _packed(rng)
+    return replace(whole, seeded=tuple(k for k in whole.seeded if k % 3))
+
+
 def _mixed(rng: np.random.Generator) -> Recipe:
     """One cell in which everything differs at once, and perhaps neighbours without a seed."""
 
@@ -181,6 +187,7 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
     ),
     "tissue-partial": lambda rng: replace(_labelled_tissue(rng), seeded=(1, 2)),
     "packed-nuclei": _packed,
+    "packed-partial": _partly_seeded,
     "packed-hazy": lambda rng: _packed(rng, haze=0.3),
     "tissue-insides": lambda rng: replace(
         _labelled_tissue(rng), membrane=0.0, interior=1.0, unequal=rng.choice([0.0, 0.4])

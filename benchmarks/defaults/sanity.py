@@ -15,6 +15,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, shift
 
 from napari_deltamic import Mesh
+from napari_deltamic.evidence.compressed_brightness import bright_over_dark
 from napari_deltamic.evidence.sanity import (
     doubts,
     elongation,
@@ -160,7 +161,8 @@ def measured(case: Case) -> str:
     longer = elongation(pixels, case.voxel_size, case.seeds if case.close else None)
     return (
         f"structure {structured(pixels):6.1f} lasting {lasting(pixels):5.2f} psf {ratio:5.2f} "
-        f"long {longer:5.2f} follows {follows:5.2f}"
+        f"long {longer:5.2f} follows {follows:5.2f} "
+        f"noise {bright_over_dark(pixels) or np.nan:5.2f}"
     )
 
 

@@ -1,4 +1,4 @@
-"""Whether the intensities of an image are logarithms of what a camera counted, or roots of it."""
+"""Whether the intensities of an image are logarithms of what a camera counted."""
 
 from __future__ import annotations
 

@@ -2,8 +2,8 @@
 
 A wrong voxel size, a stack whose slices lean, cut brightness or its logarithm, an image without
 structure or of something else than the seeds, and time taken for depth all end in fits that mean
-nothing. None of
-them can be proved from one image; each leaves a mark that images in order hardly show.
+nothing. None of them can be proved from one image; each leaves a mark that images in order hardly
+show.
 """
 
 from __future__ import annotations

@@ -110,9 +110,8 @@ def inside_over_membrane(light: Light, widths: Sequence[float] | FloatArray) -> 
 def may_shine(asked: StructureChoice, mesh: Mesh, optics: Optics) -> Structure:
     """What may shine when a fit begins; only what is closed has an inside.
 
-    In cells that are hardly wider than the PSF an inside looks like a membrane further out: both at
-    once would be one too many, and which of them it is is asked of the image
-    (:func:`~.rival_structures.nearer_of`).
+    In cells that are hardly wider than the PSF an inside looks like a membrane, so they begin with
+    one of the two; :func:`~.rival_structures.nearer_of` asks the image which.
     """
     if not mesh.is_closed():
         if asked in ("interior", "both"):

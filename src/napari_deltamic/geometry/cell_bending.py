@@ -6,7 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from .bending import BendingEnergy
-from .mesh import FloatArray, Mesh
+from .mesh import OUTSIDE, FloatArray, Mesh
 
 
 class CellBending:
@@ -25,17 +25,14 @@ class CellBending:
 
     def __init__(self, mesh: Mesh) -> None:
         self._count = len(mesh.vertices)
-        faces, vertices, first = [], [], 0
-        for region in mesh.region_ids():
-            own = mesh.faces[(mesh.regions == region).any(1)]
-            used, corners = np.unique(own, return_inverse=True)
-            faces.append(corners.reshape(-1, 3) + first)
-            vertices.append(used)
-            first += len(used)
-        self._vertices = np.concatenate(vertices)
-        """The vertex of the mesh that each vertex of a cell is."""
+        face, side = np.nonzero(mesh.regions != OUTSIDE)
+        cell = np.unique(mesh.regions[face, side], return_inverse=True)[1]
+        # A vertex of the mesh is one for each cell that it belongs to.
+        own = cell[:, None] * self._count + mesh.faces[face]
+        used, corners = np.unique(own, return_inverse=True)
+        self._vertices = used % self._count  # of the mesh, for each vertex of a cell
         places = mesh.vertices_numpy()[self._vertices]
-        self._apart = BendingEnergy(Mesh(places, np.concatenate(faces)))
+        self._apart = BendingEnergy(Mesh(places, corners.reshape(-1, 3)))
 
     def __call__(self, vertices: FloatArray) -> tuple[float, FloatArray]:
         """The energy and its gradient (V, 3) 1/um, at vertices (V, 3) um."""
