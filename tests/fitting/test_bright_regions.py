@@ -3,9 +3,9 @@ import pytest
 from numpy.testing import assert_array_equal
 from scipy.ndimage import gaussian_filter
 
-from napari_deltamic import GaussianPSF, Grid
+from napari_deltamic import GaussianPSF, Grid, Mesh
 from napari_deltamic.fitting.bright_regions import STRANGER, bright_regions
-from napari_deltamic.fitting.voxel_ownership import counted_around
+from napari_deltamic.fitting.voxel_ownership import counted_around, counted_voxels
 from napari_deltamic.geometry import sphere
 
 GRID = Grid((20, 26, 44), (2.0, 1.0, 1.0))  # um
@@ -58,6 +58,38 @@ def test_what_touches_does_not_count_however_near():
     counted = counted_around(photographed(OWN | OTHER), GRID, start, OPTICS)
     assert counted[OWN].mean() > 0.98
     assert counted[OTHER].mean() < 0.02
+
+
+def several(*balls):
+    """One mesh of spheres, numbered from 1."""
+    parts = [sphere(center, radius) for center, radius in balls]
+    return Mesh.merge([Mesh(m.vertices, m.faces, k * m.regions) for k, m in enumerate(parts, 1)])
+
+
+def test_a_nucleus_between_two_starts_does_not_count():
+    """No part of it is 2 widths of the PSF away from both, where light may be theirs."""
+    sides, between = ((20, 13, 9), (20, 13, 31)), (20, 13, 20)
+    image = photographed(sum(ball(c, r) for c, r in [*((c, 6.5) for c in sides), (between, 4.0)]))
+    starts = several(*((c, 6.5) for c in sides))
+    counted = counted_voxels(image, GRID, starts, GaussianPSF((2.8, 2.1, 2.1)))
+    assert counted[ball(sides[0], 6.5) | ball(sides[1], 6.5)].mean() > 0.98
+    assert counted[ball(between, 3.0)].mean() < 0.02
+
+
+@pytest.mark.parametrize("haze", [0.0, 0.4])
+def test_alone_all_counts_however_the_start_errs(haze):
+    """By a width of the PSF, in haze as well."""
+    for error in (-1.2, 0.0, 1.2):
+        start = sphere(CENTER, RADIUS + error)
+        image = photographed(np.where(OWN, 1.0, haze))
+        assert counted_voxels(image, GRID, start, OPTICS).mean() > 0.98
+
+
+def test_one_dim_start_does_not_make_all_that_is_brighter_foreign():
+    dim = ball((20, 13, 34), 4.0)
+    image = photographed(OWN + 0.05 * dim + 0.15 * ball((20, 13, 24), 3.0))
+    starts = several((CENTER, RADIUS), ((20, 13, 34), 4.0))
+    assert counted_voxels(image, GRID, starts, OPTICS).mean() > 0.98
 
 
 def test_a_nucleus_of_two_lobes_stays_whole_where_its_start_holds_both():

@@ -143,3 +143,29 @@ def test_crowds_of_small_cells_keep_their_volumes_and_do_not_cross(seed):
     assert min(volumes.values()) > 0.9
     assert max(volumes.values()) < 1.1
     assert not crosses(mesh)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("touching", [False, True])
+def test_no_small_cell_is_lost(touching):
+    """Balls 5 voxels across, beside larger ones or alone: 20 of each."""
+    middle = 10 + np.random.default_rng(0).uniform(-0.5, 0.5, (20, 3))
+    z, y, x = np.indices((21, 21, 31))
+    for a, b, c in middle:
+        labels = ((z - a) ** 2 + (y - b) ** 2 + (x - c) ** 2 < 2.5**2).astype(int)
+        near = (z - a) ** 2 + (y - b) ** 2 + (x - c - (6.5 if touching else 8)) ** 2 < 16
+        labels[near & (labels == 0)] = 2
+        mesh = mesh_from_labels(labels, (1, 1, 1))
+        assert mesh.region_ids().tolist() == [1, 2]
+        assert mesh.region_volume(1) > 0.5 * (labels == 1).sum()
+
+
+def test_crumbs_are_still_left_out():
+    """And edges that are asked for stay as they are."""
+    labels = halves()
+    labels[:1, :2, :3] = 7
+    with pytest.warns(RepairWarning, match=r"^1 of 3 labels is left out: label 7 is too small"):
+        assert mesh_from_labels(labels, SIZE).region_ids().tolist() == [4, 9]
+    z, y, x = np.indices((11, 11, 11)) - 5.2
+    with pytest.raises(InputError, match="too small for edges of 3 um"):
+        mesh_from_labels((z**2 + y**2 + x**2 < 2.5**2).astype(int), (1, 1, 1), edge_length=3.0)

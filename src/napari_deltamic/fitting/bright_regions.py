@@ -77,8 +77,7 @@ def bright_regions(image: np.ndarray, grid: Grid, starts: Labels) -> Labels | No
     size = np.asarray(grid.voxel_size)
     names = np.union1d([0], starts)
     starts = np.searchsorted(names, starts).astype(np.int32)  # names may be large numbers
-    volumes = np.bincount(starts.ravel())[1:] * size.prod()
-    radii = np.cbrt(3 / (4 * np.pi) * volumes)
+    radii = _radii(starts, size)
     smooth = gaussian_filter(filled(image).astype(np.float32), RULES.calm * radii.min() / size)
     smooth -= np.percentile(smooth, 20)  # what is dark
     ends = _ends(smooth, starts, radii, size)
@@ -98,21 +97,59 @@ def bright_regions(image: np.ndarray, grid: Grid, starts: Labels) -> Labels | No
     return found
 
 
+def without_start(bright: Mask, light: np.ndarray, starts: Labels, grid: Grid) -> Mask:
+    """(Z, Y, X) bright things as thick as cells beside starts that lie close to their own.
+
+    None where most starts lie on dark ground: there membranes shine.
+
+    Parameters
+    ----------
+    bright
+        (Z, Y, X) what is as bright as such a thing.
+    light
+        (Z, Y, X) brightness above the dark level.
+    starts
+        (Z, Y, X) regions of the starts.
+    """
+    size = np.asarray(grid.voxel_size)
+    names = np.union1d([0], starts)
+    starts = np.searchsorted(names, starts).astype(np.int32)
+    radii = _radii(starts, size)
+    cores, brightest = _cores(light, starts, radii, size)
+    if np.median(cores - RULES.full * brightest) <= 0:
+        return np.zeros(starts.shape, bool)
+    return _without_thin(bright & (starts == 0), RULES.thin * radii.min(), size)[0]
+
+
+def _radii(starts: Labels, size: np.ndarray) -> NDArray[np.floating]:
+    """Of spheres as large as the starts, from number 1."""
+    volumes = np.bincount(starts.ravel())[1:] * size.prod()
+    return np.asarray(np.cbrt(3 / (4 * np.pi) * volumes))
+
+
 def _ends(
     smooth: np.ndarray, starts: Labels, radii: np.ndarray, size: np.ndarray
 ) -> np.ndarray | None:
     """Brightness at which the thing of each start ends, from number 1; None if a core is dark."""
+    cores, brightest = _cores(smooth, starts, radii, size)
+    if (cores <= 0).any() or (cores < RULES.full * brightest).any():
+        return None
+    return np.append(0.0, RULES.half * cores)
+
+
+def _cores(
+    smooth: np.ndarray, starts: Labels, radii: np.ndarray, size: np.ndarray
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Brightness in the core of each start, 0 where it has none; and of its brightest places."""
     within = distance_transform_edt(starts > 0, sampling=size)
-    ends = [0.0]
-    for r, (box, radius) in enumerate(zip(find_objects(starts), radii, strict=True), 1):
-        own = starts[box] == r
-        core = smooth[box][own & (within[box] > RULES.deep * radius)]
+    cores, brightest = np.zeros(len(radii)), np.zeros(len(radii))
+    for r, (box, radius) in enumerate(zip(find_objects(starts), radii, strict=True)):
+        own = starts[box] == r + 1
         # The core alone: a start that is too large holds more dark than bright voxels.
-        level = float(np.median(core)) if core.size else 0.0
-        if level <= 0 or level < RULES.full * np.percentile(smooth[box][own], 95):
-            return None
-        ends.append(RULES.half * level)
-    return np.array(ends)
+        core = smooth[box][own & (within[box] > RULES.deep * radius)]
+        cores[r] = float(np.median(core)) if core.size else 0.0
+        brightest[r] = np.percentile(smooth[box][own], 95)
+    return cores, brightest
 
 
 def _things_of(starts: Labels, bright: Mask, far: float, size: np.ndarray) -> tuple[Labels, Mask]:

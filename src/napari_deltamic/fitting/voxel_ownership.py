@@ -27,7 +27,7 @@ from ..geometry.seed_points import labels_from_points
 from ..images.missing import filled
 from ..optics import Optics
 from ..scene import Grid
-from .bright_regions import STRANGER, Labels, Mask, alike, bright_regions
+from .bright_regions import STRANGER, Labels, Mask, alike, bright_regions, without_start
 
 
 @dataclass(frozen=True)
@@ -50,6 +50,11 @@ class OwnershipRules:
         Share of what lies so far away that is bright where it is still its own; as is 0.7.
     bright
         Of the typical membrane above the dark level: less is haze; chosen, not measured.
+    beside
+        The same for what is as thick as a cell, beside starts whose insides shine: of packed nuclei
+        of which a third has no seed (four draws, ``packed-partial`` of benchmarks.defaults), 0.3
+        leaves 0.18 to 0.23 voxel of error, 0.4 0.20 to 0.26, 0.5 0.25 to 0.34 and swallows one;
+        0.3 takes the rim of a large cell for a thing where another start is small.
     above, smooth
         Standard deviations of noise above it, smoothed over this many widths: else single voxels of
         noise were taken for neighbours where most of a membrane is dim.
@@ -67,6 +72,7 @@ class OwnershipRules:
     margin: float = 1.0
     most: float = 0.5
     bright: float = 0.3
+    beside: float = 0.4
     above: float = 4.0
     smooth: float = 0.7
     low: int = 10
@@ -96,7 +102,8 @@ def counted_voxels(image: np.ndarray, grid: Grid, mesh: Mesh, optics: Optics) ->
     (Z, Y, X) bool.
     """
     labels = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
-    return _shared_out(image, grid, surface_voxels(mesh, grid), labels, optics, RULES.near)
+    given = surface_voxels(mesh, grid), labels, optics, RULES.near
+    return _shared_out(image, grid, *given, close=_all_seen(image, mesh, labels))
 
 
 def counted_around(image: np.ndarray, grid: Grid, mesh: Mesh, optics: Optics) -> np.ndarray | None:
@@ -106,7 +113,7 @@ def counted_around(image: np.ndarray, grid: Grid, mesh: Mesh, optics: Optics) ->
     crest of its membrane, or the bright one, up to where it ends. None where nothing can be told.
     """
     starts = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
-    if not (np.isfinite(image).any() and np.isin(mesh.region_ids(), starts).all()):
+    if not _all_seen(image, mesh, starts):
         return None
     labels = bright_regions(image, grid, starts)
     if labels is None:
@@ -122,8 +129,18 @@ def counted_around(image: np.ndarray, grid: Grid, mesh: Mesh, optics: Optics) ->
     return _shared_out(image, grid, surface, labels, optics, RULES.explained)
 
 
+def _all_seen(image: np.ndarray, mesh: Mesh, labels: Labels) -> bool:
+    return bool(np.isfinite(image).any() and np.isin(mesh.region_ids(), labels).all())
+
+
 def _shared_out(
-    image: np.ndarray, grid: Grid, surface: Mask, labels: Labels, optics: Optics, explained: float
+    image: np.ndarray,
+    grid: Grid,
+    surface: Mask,
+    labels: Labels,
+    optics: Optics,
+    explained: float,
+    close: bool = False,
 ) -> np.ndarray:
     known, inside = np.isfinite(image), labels > 0
     if not (surface & known).any():
@@ -136,14 +153,18 @@ def _shared_out(
     # The brightest voxel near each piece of surface is what a membrane looks like here.
     membrane = np.percentile(pixels[(own < 1) & known], 60)
     haze = minimum_filter(pixels, tuple(_across(RULES.haze / spacing)), mode="nearest") - dark
+    haze = np.maximum(haze, 0)
     # Beside a bright side of a cell its own image reaches further.
     crest = np.maximum(maximum_filter(pixels, tuple(_across(1 / spacing)))[tuple(at)], membrane)
     least = np.maximum(RULES.bright * (crest - dark), RULES.above * _noise(pixels[known]))
-    bright = pixels - np.maximum(haze, 0) > dark + least
+    bright = pixels - haze > dark + least
     # What lies in a cell is light of this cell, whatever it is; that of strangers is theirs however
     # near: half way to them, a fit still grew into what it could not see of them.
     foreign = bright & (own > _reach(bright, own, ~inside & known, explained)) & ~inside & known
     foreign |= known & (labels == STRANGER)
+    if close:
+        shining = pixels - haze > dark + RULES.beside * (crest - dark)
+        foreign |= known & without_start(shining, pixels - dark, labels, grid)
     if not foreign.any():
         return known
     other = distance_transform_edt(~foreign, sampling=spacing)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,6 +30,9 @@ MOST_FACES, MOST_FACES_EACH = 60_000, 1000
 # Of its voxels: a label whose mesh holds less is too small for the edges. Chosen; usual ones hold
 # all but 1e-5 of them.
 _RIGHT = 0.5
+# Of the default edge, where a label is lost that is not a crumb; measured: of 20 balls 5 voxels
+# across 18 are lost with edges of 3 voxels, of those 6 across 2, and none with edges of 2.
+_FINER = 2 / 3
 _LEAST_CONTACT = 9  # voxel faces between two labels that make a wall
 
 
@@ -116,9 +119,7 @@ def surfaces_of_labels(
         clusters = _touching(numbers, len(names))
     boxes = ndimage.find_objects(numbers, len(names))
     where = _Place(size, start, edge, names, boxes)
-    made = (
-        _single(numbers, c, where) if len(c) == 1 else _cluster(numbers, c, where) for c in clusters
-    )
+    made = (_made(numbers, c, where, edge_length is None) for c in clusters)
     meshes = [mesh for mesh in made if mesh is not None]
     present = {k for mesh in meshes for k in mesh.region_ids().tolist()}
     too_small = [k for k in names.tolist() if k not in present]
@@ -147,6 +148,28 @@ class _Place:
     edge: float
     names: IntArray
     boxes: list[tuple[slice, ...]]
+
+
+def _made(numbers: IntArray, cluster: IntArray, at: _Place, may_be_finer: bool) -> Mesh | None:
+    """Mesh of labels that touch; with shorter edges where one is lost, if it may."""
+    make = _single if len(cluster) == 1 else _cluster
+    mesh = make(numbers, cluster, at)
+    if may_be_finer and (lost := _lost(numbers, cluster, at, mesh)):
+        finer = make(numbers, cluster, replace(at, edge=_FINER * at.edge))
+        if _lost(numbers, cluster, at, finer) < lost:
+            return finer
+    return mesh
+
+
+def _lost(numbers: IntArray, cluster: IntArray, at: _Place, mesh: Mesh | None) -> int:
+    """How many labels a mesh lacks, or nearly; crumbs, smaller than a cube of an edge, left out."""
+    found = {} if mesh is None else mesh.volumes()
+    lost = 0
+    for number in cluster.tolist():
+        wanted = np.count_nonzero(numbers[at.boxes[number - 1]] == number) * at.size.prod()
+        held = found.get(int(at.names[number - 1]), 0.0)
+        lost += wanted >= at.edge**3 and held < _RIGHT * wanted
+    return lost
 
 
 def _single(numbers: IntArray, cluster: IntArray, at: _Place) -> Mesh | None:
