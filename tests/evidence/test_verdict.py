@@ -58,6 +58,8 @@ def test_what_concerns_all(change, grade, word):
         ({"cut": True}, "fair", "border"),
         ({"inside": 0.4}, "fair", "light inside"),
         ({"inside": -0.4}, "fair", "light around"),
+        ({"paler": 0.6}, "fair", "60% of its surface: is this a thick layer"),
+        ({"paler": -0.6}, "good", "good"),
         ({"compact": 0.4}, "fair", "crumpled"),
         ({"uneven": 0.2}, "fair", "its inside is uneven, by 20% in the mean"),
         ({"lit": 0.35}, "fair", "only 35% of its surface shines"),

@@ -9,7 +9,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter
 from napari_deltamic import InputError
 from napari_deltamic.geometry.labels import bright_cells
 from napari_deltamic.geometry.labels.bright_cells import cells_of
-from napari_deltamic.geometry.labels.crowded_cells import crowded_cells
+from napari_deltamic.geometry.labels.crowded_cells import crowded_cells, without_halves
 from napari_deltamic.images.stacks import read_image
 
 VOXEL = (0.4, 0.2, 0.2)
@@ -155,3 +155,30 @@ def test_a_net_of_walls_that_encloses_nothing_is_not_cut_into_cells(monkeypatch)
     any_holes = replace(bright_cells.RULES, holes=np.inf)
     monkeypatch.setattr(bright_cells, "RULES", any_holes)
     assert cells_of(net(), (1.0, 0.2, 0.2)).bright  # but for the dark places that it surrounds
+
+
+@pytest.mark.parametrize(
+    ("kind", "draw"), [("packed-nuclei", 0), ("packed-hazy", 2), ("tissue-insides", 0)]
+)
+def test_nuclei_a_voxel_apart_or_touching_are_all_found(kind, draw):
+    """Of the first half had been found, of the second a third, and the last were one."""
+    scene = pytest.importorskip("benchmarks.defaults.scenes").made(kind, draw, "")
+    found = cells_of(scene.image, scene.voxel_size)
+    assert found.bright
+    assert matched(found.labels, scene.all_labels) == 1
+    assert found.labels.max() == len(scene.centres)
+
+
+def test_a_large_cell_is_not_cut_in_halves():
+    """Two that touch stay apart."""
+    z, y, x = np.indices((30, 40, 70))
+
+    def ball(c, r):
+        return (z - c[0]) ** 2 + (y - c[1]) ** 2 + (x - c[2]) ** 2 < r**2
+
+    whole, one, other = ball((15, 20, 16), 12), ball((15, 20, 42), 7), ball((15, 20, 55), 7)
+    parts = np.where(whole, np.where(y < 20, 1, 2), 0)
+    parts = np.where(one, 3, np.where(other & ~one, 4, parts))
+    joined = without_halves(parts)
+    assert len(np.unique(joined[whole])) == 1
+    assert sorted(np.unique(joined[one | other])) == [3, 4]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
@@ -92,6 +92,7 @@ def facts_of(
     for spot in left.spots:
         light[spot.region] = max(light.get(spot.region, 0.0), abs(spot.light))
     uneven, lit = uneven_insides(job, state, image), _lit(state)
+    paler = _darker_around(job, state, seen, shown)
     cells = tuple(
         CellFacts(
             region,
@@ -105,6 +106,7 @@ def facts_of(
             None if region not in grown_out else tuple(grown_out[region].tolist()),
             uneven.get(region, 0.0),
             lit.get(region, 1.0),
+            paler.get(region, 0.0),
         )
         for region, area in areas.items()
     )
@@ -189,7 +191,24 @@ def _roundness(mesh: Mesh) -> dict[int, float]:
     }
 
 
-def _inside(job: FitInput, state: FitState, image: np.ndarray) -> dict[int, float]:
+def _darker_around(
+    job: FitInput, state: FitState, seen: np.ndarray, shown: np.ndarray
+) -> dict[int, float]:
+    """How much darker it is around each region than where a model of dark insides has it.
+
+    Over the brightness of the surface, and in the whole image: where the light of a thick layer
+    ends is far from its inner side, where such a model explains it.
+    """
+    if state.light.interior >= 0:
+        return {}
+    whole = replace(job, counted=None)
+    measured, modelled = (_inside(whole, state, image, np.inf) for image in (seen, shown))
+    return {region: level - modelled[region] for region, level in measured.items()}
+
+
+def _inside(
+    job: FitInput, state: FitState, image: np.ndarray, far: float = RULES.far
+) -> dict[int, float]:
     """Brightness deep inside of each region less that outside, over that of the surface."""
     grid, mesh = job.grid, state.mesh
     known = np.isfinite(image)
@@ -202,7 +221,7 @@ def _inside(job: FitInput, state: FitState, image: np.ndarray) -> dict[int, floa
     widths = np.asarray(grid.voxel_size) / np.asarray(state.optics.sigma_um)
     away = distance_transform_edt(~surface, sampling=widths)
     deep = known & (away > RULES.deep)
-    outer = deep & (labels == 0) & (away < RULES.far)
+    outer = deep & (labels == 0) & (away < far)
     if outer.sum() < RULES.fewest:
         return {}
     dark, bright = float(image[outer].mean()), float(np.median(image[surface & known]))

@@ -18,6 +18,7 @@ from .collisions import CollisionGuard
 from .fit_objective import Objective, Terms
 from .fitted import Fitted
 from .preconditioner import Preconditioners
+from .shape import Shape
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,11 @@ class RivalRules:
         membranes had passed the others by then.
     renewed_every
         Steps after which voxels and weights are chosen anew.
+    levels
+        Rivals are followed before each of so many last levels. Measured: a cell of which one side
+        is bright (its start off by a tenth of the radius) had shrunk to an eighth of its volume
+        before the last one, and ended 0.77 voxel off, with two 0.48, and with one that begins at
+        the start as well, 0.06.
     less
         Share of the squares that are left by which it must leave less: small differences could be
         those of steps not yet taken. Half and twice change nothing in small fits.
@@ -38,13 +44,14 @@ class RivalRules:
 
     steps: int = 12
     renewed_every: int = 6
+    levels: int = 2
     less: float = 0.05
 
 
 RULES = RivalRules()
 
 
-def best_of(terms: Terms, fitted: Fitted) -> tuple[Fitted, int]:
+def best_of(terms: Terms, fitted: Fitted, start: Shape | None) -> tuple[Fitted, int]:
     """The fit that goes on, of both again, and evaluations that it took.
 
     Parameters
@@ -53,11 +60,15 @@ def best_of(terms: Terms, fitted: Fitted) -> tuple[Fitted, int]:
         Of the fit.
     fitted
         Where all of them begin.
+    start
+        Where the fit began: membranes alone begin there as well, if given.
     """
     terms, factored = replace(terms, imaging_fitted=False), Preconditioners()
     structures: tuple[Structure, ...] = ("both", "membrane", "interior")
-    ends = [_gone_on(terms, fitted.with_structure(s), factored) for s in structures]
-    (_, both, _), *alone = ends
+    begin = [fitted.with_structure(s) for s in structures]
+    if start is not None:
+        begin.append(fitted.retriangulated(start).with_structure("membrane"))
+    (_, both, _), *alone = ends = [_gone_on(terms, one, factored) for one in begin]
     rival, left, _ = min(alone, key=lambda end: end[1])
     taken = sum(end[2] for end in ends)
     stuck = left < (1 - RULES.less) * both

@@ -25,6 +25,7 @@ from .preconditioner import Preconditioners
 from .prediction import View
 from .problem import Problem
 from .reporting import Reporter, verdict
+from .rival_structures import RULES as RIVALS
 from .rival_structures import best_of, nearer_of
 from .schedule import Progress, Schedule
 from .stage import Stage
@@ -68,6 +69,7 @@ class Run:
         self._second: Level | None
         self._due = True  # whether the objective is to be posed anew
         self._kept: Arrays = {}
+        self._begun = self._fitted.shape
 
     def say(self, *remarks: str) -> None:
         """Tell this with the next state."""
@@ -99,14 +101,21 @@ class Run:
             self._stage = replace(self._stage, level_number=self._stage.level_number + 1)
 
     def _look_for_rivals(self) -> None:
-        """A fit of insides that is stuck goes on elsewhere, once the last level comes next."""
-        comes_last = self._level.usable and self._stage.level_number == len(self._levels) - 2
+        """A fit of insides that is stuck goes on elsewhere, once the last levels come next."""
+        follow = len(self._levels) - 1 - self._stage.level_number
         asked = self._settings.structure == "auto" and self._fitted.structure == "both"
-        if not (comes_last and asked):
+        if not (self._level.usable and 1 <= follow <= RIVALS.levels and asked):
             return
         if self._objective.structure().structure != "membrane":
-            self._fitted, taken = best_of(self._terms, self._fitted)
+            edited = self._stage.changed_at > 0
+            start = None if edited or not self._same_cells() else self._begun
+            self._fitted, taken = best_of(self._terms, self._fitted, start)
             self._stage = replace(self._stage, evaluations=self._stage.evaluations + taken)
+
+    def _same_cells(self) -> bool:
+        """Whether the cells are those that the fit began with."""
+        first, now = self._begun.mesh.region_ids(), self._fitted.mesh.region_ids()
+        return np.array_equal(first, now)
 
     def _level_states(self) -> Generator[FitState, Change | None, None]:
         self._due = True

@@ -46,6 +46,10 @@ class CrowdRules:
     least
         Height of a blob over the saddle to the next, of the response to a bright one. Measured
         there: 0.1 parts more than 0.25 (0.50 and 0.61).
+    alike
+        Solidity by which voxels may make a cell less solid than its halves. Measured: 0.002 for a
+        ball of 24 voxels cut along a plane; twice as much as chosen here joins true neighbours in a
+        real image of packed nuclei.
     """
 
     smallest: float = 4.0
@@ -53,6 +57,7 @@ class CrowdRules:
     step: float = 1.25
     fine: float = 0.6
     least: float = 0.1
+    alike: float = 0.005
 
 
 CROWD = CrowdRules()
@@ -84,7 +89,7 @@ def crowded_cells(data: Image, voxel: FloatArray, size: float | None) -> NDArray
 
 
 def without_halves(labels: Labels) -> Labels:
-    """Parts that touch are joined where both together are no less solid than each for itself.
+    """Parts that touch are joined where both together are as solid as each for itself.
 
     Two cells have a furrow around their contact; a cell that was cut has none. The F1 score (at an
     IoU of 0.5) of a real image of packed nuclei is 0.76 with this and 0.67 without, that of six
@@ -109,7 +114,7 @@ def without_halves(labels: Labels) -> Labels:
             if not {a, b} <= fresh:
                 continue
             apart = np.average([solidity_of(a), solidity_of(b)], weights=volumes[[a, b]])
-            if solidity_of(a, b) < apart:
+            if solidity_of(a, b) < apart - CROWD.alike:
                 continue
             whole, box = solidity_of(a, b), _around(boxes[a], boxes[b])
             labels[box][labels[box] == b] = a
