@@ -260,23 +260,24 @@ def apart_by_threads(settings: FitSettings, subdivisions: int = 2) -> tuple[floa
 # ------------------------------------------------------------------------------------------ units
 
 
-def apart_by_units(unit: float, iterations: int = 24) -> float:
+def apart_by_units(unit: float, accuracy: float = 0.0, iterations: int = 24) -> float:
     """Largest distance of a vertex after fits in um and in another unit, over the cell's size.
 
     The first level is no whole number of voxels wide: rounding would choose between two grids. In
     double precision: what single leaves to chance, steps of second order make a hundred times as
     large.
     """
-    apart = np.linalg.norm(_end_in(1.0, iterations) - _end_in(unit, iterations), axis=1)
+    here, there = (_end_in(u, accuracy, iterations) for u in (1.0, unit))
+    apart = np.linalg.norm(here - there, axis=1)
     return float(apart.max() / (2 * RADIUS))
 
 
 @cache
-def _end_in(unit: float, iterations: int) -> np.ndarray:
+def _end_in(unit: float, accuracy: float, iterations: int) -> np.ndarray:
     """Vertices (V, 3) um of a fit in another unit."""
     grid = nd.Grid(GRID.shape, tuple(unit * d for d in GRID.voxel_size))  # type: ignore[arg-type]
     optics = nd.GaussianPSF(tuple(unit * s for s in OPTICS.sigma_um))
-    settings = FitSettings(accuracy=0, levels=(1.9, 1.0), max_iterations=iterations)
+    settings = FitSettings(accuracy=accuracy, levels=(1.9, 1.0), max_iterations=iterations)
     image = photons(TRUTH, GRID, OPTICS, 3)
     *_, last = nd.fit(image, grid, start().scaled(unit), optics, settings=settings)
     return last.mesh.vertices_numpy() / unit
