@@ -28,6 +28,7 @@ from .processing import Stack, processed
 from .recipes import KINDS, Recipe
 
 _EDGE = 1.2  # voxels; of the true meshes
+_LEAST_LABEL = 0.25  # of the cell; a label that would be smaller is drawn as it should be
 _OFFSET = 100  # of a camera, where padding is to be seen
 
 
@@ -217,5 +218,7 @@ def _careless(labels: NDArray[np.int32], rng: np.random.Generator) -> NDArray[np
         own = labels == k
         depth = distance_transform_edt(own) - distance_transform_edt(~own)
         mine = (depth + wander > 0) & (depth > best)
+        if mine.sum() < _LEAST_LABEL * own.sum():
+            mine = own  # no tool draws what is hardly there
         result[mine], best[mine] = k, depth[mine]
     return result
