@@ -159,7 +159,7 @@ def test_a_net_of_walls_that_encloses_nothing_is_not_cut_into_cells(monkeypatch)
 
 @pytest.mark.parametrize(("kind", "draw"), [("packed-hazy", 2), ("tissue-insides", 0)])
 def test_nuclei_a_voxel_apart_or_touching_are_all_found(kind, draw):
-    """Of the first 28 clumps had been found, of the others one."""
+    """They had come as 28 clumps of 45, and as a single cell."""
     scene = pytest.importorskip("benchmarks.defaults.scenes").made(kind, draw, "")
     found = cells_of(scene.image, scene.voxel_size)
     assert found.bright
@@ -168,7 +168,7 @@ def test_nuclei_a_voxel_apart_or_touching_are_all_found(kind, draw):
 
 
 def test_a_large_cell_is_not_cut_in_halves():
-    """Two that touch stay apart."""
+    """And two that touch stay apart."""
     z, y, x = np.indices((30, 40, 70))
 
     def ball(c, r):

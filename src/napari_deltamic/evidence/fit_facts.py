@@ -92,7 +92,7 @@ def facts_of(
     for spot in left.spots:
         light[spot.region] = max(light.get(spot.region, 0.0), abs(spot.light))
     uneven, lit = uneven_insides(job, state, image), _lit(state)
-    paler = _darker_around(job, state, seen, shown)
+    darker = _darker_around(job, state, seen, shown)
     cells = tuple(
         CellFacts(
             region,
@@ -106,7 +106,7 @@ def facts_of(
             None if region not in grown_out else tuple(grown_out[region].tolist()),
             uneven.get(region, 0.0),
             lit.get(region, 1.0),
-            paler.get(region, 0.0),
+            darker.get(region, 0.0),
         )
         for region, area in areas.items()
     )

@@ -41,8 +41,8 @@ class VerdictRules:
     inside
         Brightness deep inside a cell less that outside, over that of its surface: with membranes
         alone within 0.02 of 0, with light inside or a haze around beyond 0.35. Also how much darker
-        it is around one than a model of dark insides has it: in a haze 0, of a layer 6.6 voxels
-        thick 0.7.
+        its surroundings are than a model of dark insides has them: in a haze 0, around the inner
+        side of a layer 6.6 voxels thick 0.7.
     compact
         Area of the sphere of the same volume over that of the cell, over what it was at the start:
         0.9 to 1 where the shape was found, below 0.6 where it crumpled or swallowed a neighbour.
@@ -117,8 +117,9 @@ class CellFacts:
         (:func:`~.uneven_insides.uneven_insides`).
     lit
         Share of its surface that shines; 1 where only insides do.
-    paler
-        How much darker it is around it than in a model of dark insides, over its surface.
+    darker_around
+        How much darker its surroundings are than a model of dark insides has them, over the
+        brightness of its surface.
     """
 
     region: int
@@ -132,7 +133,7 @@ class CellFacts:
     outgrowth: tuple[float, float, float] | None = None
     uneven: float = 0.0
     lit: float = 1.0
-    paler: float = 0.0
+    darker_around: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -286,8 +287,9 @@ def _of_cell(cell: CellFacts, usual: float, facts: Facts) -> CellVerdict:
             f"light {where}, {abs(cell.inside):.0%} as bright as its surface, is not in the model"
         )
         found.append(("fair", f"{text} (--structure both)"))
-    if cell.paler > RULES.inside:
-        text = f"it is darker around it than in the model, by {cell.paler:.0%} of its surface"
+    if cell.darker_around > RULES.inside:
+        much = f"{cell.darker_around:.0%} of the brightness of its surface"
+        text = f"its surroundings are darker than the model has them, by {much}"
         found.append(("fair", text + ": is this a thick layer of light?"))
     if cell.compact is not None and cell.compact < RULES.compact:
         text = "its surface has crumpled, or leaked into a neighbour: smooth it, or start anew"

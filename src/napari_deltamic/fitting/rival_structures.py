@@ -33,10 +33,9 @@ class RivalRules:
     renewed_every
         Steps after which voxels and weights are chosen anew.
     levels
-        Rivals are followed before each of so many last levels. Measured: a cell of which one side
-        is bright (its start off by a tenth of the radius) had shrunk to an eighth of its volume
-        before the last one, and ended 0.77 voxel off, with two 0.48, and with one that begins at
-        the start as well, 0.06.
+        Rivals are followed before each of so many last levels. Measured on a cell with one
+        bright side, onto which it shrank before the last level: with one it ended 0.77 voxel off,
+        with two 0.48, and 0.06 since a rival begins at the start as well.
     less
         Share of the squares that are left by which it must leave less: small differences could be
         those of steps not yet taken. Half and twice change nothing in small fits.

@@ -24,6 +24,7 @@ from napari_deltamic.geometry.labels.find_cells import (
     solidity,
 )
 from napari_deltamic.geometry.labels.region_merging import Image, Labels
+from napari_deltamic.geometry.labels.voxels import box_around
 from napari_deltamic.geometry.mesh import FloatArray
 
 
@@ -101,7 +102,7 @@ def without_halves(labels: Labels) -> Labels:
 
     def solidity_of(*parts: int) -> float:
         if parts not in solid:
-            box = _around(*(boxes[k] for k in parts))
+            box = box_around(*(boxes[k] for k in parts))
             solid[parts] = solidity(np.isin(labels[box], parts))
         return solid[parts]
 
@@ -116,7 +117,7 @@ def without_halves(labels: Labels) -> Labels:
             apart = np.average([solidity_of(a), solidity_of(b)], weights=volumes[[a, b]])
             if solidity_of(a, b) < apart - CROWD.alike:
                 continue
-            whole, box = solidity_of(a, b), _around(boxes[a], boxes[b])
+            whole, box = solidity_of(a, b), box_around(boxes[a], boxes[b])
             labels[box][labels[box] == b] = a
             boxes[a], volumes[a] = box, volumes[a] + volumes[b]
             solid = {parts: x for parts, x in solid.items() if a not in parts and b not in parts}
@@ -124,12 +125,6 @@ def without_halves(labels: Labels) -> Labels:
             fresh -= {a, b}
             joined = True
     return labels
-
-
-def _around(*boxes: tuple[slice, ...]) -> tuple[slice, ...]:
-    """The box that holds all of them."""
-    sides = zip(*boxes, strict=True)
-    return tuple(slice(min(s.start for s in x), max(s.stop for s in x)) for x in sides)
 
 
 def _spacing(light: Image, voxel: FloatArray) -> float | None:

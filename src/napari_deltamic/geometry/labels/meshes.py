@@ -16,6 +16,7 @@ from napari_deltamic.geometry.contacts import label_contacts
 from napari_deltamic.geometry.labels.label_repair import repair_labels, share_out_gaps
 from napari_deltamic.geometry.labels.partition import TooCoarse, partition_mesh, with_volumes
 from napari_deltamic.geometry.labels.surface_nets import closed_surface
+from napari_deltamic.geometry.labels.voxels import box_around
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
 from napari_deltamic.geometry.refused import told
 from napari_deltamic.geometry.remeshing import can_remesh, remesh
@@ -190,10 +191,7 @@ def _single(numbers: IntArray, cluster: IntArray, at: _Place) -> Mesh | None:
 
 def _cluster(numbers: IntArray, cluster: IntArray, at: _Place) -> Mesh | None:
     """One mesh of labels that touch, without those that are too small."""
-    own = [at.boxes[k - 1] for k in cluster]
-    box = tuple(
-        slice(min(b[axis].start for b in own), max(b[axis].stop for b in own)) for axis in range(3)
-    )
+    box = box_around(*(at.boxes[k - 1] for k in cluster))
     cut = np.where(np.isin(numbers[box], cluster), numbers[box], 0)
     cut = _whole(cut, cluster)
     try:

@@ -136,3 +136,9 @@ def _twice(p: FloatArray, q: FloatArray, r: FloatArray) -> FloatArray:
     left, right = q - p, r - p
     area: FloatArray = left[:, 0] * right[:, 1] - left[:, 1] * right[:, 0]
     return area
+
+
+def box_around(*boxes: tuple[slice, ...]) -> tuple[slice, ...]:
+    """The box of voxels that holds all of some boxes."""
+    sides = zip(*boxes, strict=True)
+    return tuple(slice(min(s.start for s in x), max(s.stop for s in x)) for x in sides)
