@@ -47,6 +47,8 @@ MAKE = {
     "ImageJ": (lambda p: imagej(p / "a.tif"), SIZE),
     "OME": (lambda p: ome(p / "a.ome.tif"), SIZE),
     "compressed": (lambda p: ome(p / "a.ome.tif", compression="zlib"), SIZE),
+    "LZW": (lambda p: imagej(p / "a.tif", compression="lzw"), SIZE),
+    "Zstandard": (lambda p: ome(p / "a.ome.tif", compression="zstd"), SIZE),
     "plain": (lambda p: plain(p / "a.tif"), None),
     "npy": (lambda p: npy(p / "a.npy"), None),
     "folder": (lambda p: files(p / "a", ["t8.tif", "t9.tif", "t10.tif"]), SIZE),
