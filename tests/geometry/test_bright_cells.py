@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.ndimage import distance_transform_edt, gaussian_filter
+from scipy.ndimage import binary_erosion, distance_transform_edt, gaussian_filter
 
 from napari_deltamic import InputError
 from napari_deltamic.geometry.labels import bright_cells
@@ -180,3 +180,74 @@ def test_a_large_cell_is_not_cut_in_halves():
     joined = without_halves(parts)
     assert len(np.unique(joined[whole])) == 1
     assert sorted(np.unique(joined[one | other])) == [3, 4]
+
+
+def band(shape):
+    """A slanted half of an image, as deskewing a light sheet's stack leaves it."""
+    z, y, _ = np.ogrid[: shape[0], : shape[1], :1]
+    middle = shape[1] / 2 + 0.5 * (z - shape[0] / 2)
+    return np.broadcast_to(np.abs(y - middle) < 0.27 * shape[1], shape)
+
+
+def cells_in(kind):
+    """True labels of cells that shine from inside, or of cells with walls; and an image."""
+    if kind == "nuclei":
+        return packed(1.0)
+    scene = pytest.importorskip("benchmarks.defaults.tissues").tissue(6, "")
+    return scene.all_labels, scene.image
+
+
+@pytest.mark.parametrize("kind", ["nuclei", "walls"])
+def test_no_cell_is_found_where_the_image_is_missing(kind):
+    """Half of those found had been smeared edges of the image."""
+    labels, image = cells_in(kind)
+    known = band(image.shape)
+    found = cells_of(np.where(known, image, np.nan), (1.0, 1.0, 1.0))
+    assert not found.labels[binary_erosion(~known, iterations=2)].any()  # but for a stepped edge
+    there = np.bincount(labels[known]) > 0.5 * np.bincount(labels.ravel())
+    there[0] = False
+    numbers = np.where(there, np.cumsum(there), 0)
+    assert matched(found.labels, numbers[np.where(known, labels, 0)]) > 0.9
+    assert found.bright == (kind == "nuclei")
+
+
+def test_a_dead_slice_is_bridged():
+    image = image_of("nuclei")
+    image[11] = np.nan
+    found = cells_of(image, VOXEL)
+    assert found.labels.max() == 3
+    assert min(overlaps(found.labels)) > 0.8
+
+
+def test_a_cell_with_walls_in_a_bright_haze_comes_before_the_haze():
+    scene = pytest.importorskip("benchmarks.defaults.scenes").made("haze", 2, "")
+    found = cells_of(scene.image, scene.voxel_size)
+    assert not found.bright
+    assert matched(found.labels, scene.all_labels) == 1
+
+
+def discs():
+    """Nine flat cells at random tilts, their rims five times as bright as their insides."""
+    rng = np.random.default_rng(0)
+    places = np.stack(np.indices((84, 130, 130)), -1).astype(float)
+    labels = np.zeros(places.shape[:3], int)
+    for y, x in np.stack(np.meshgrid([21, 65, 109], [21, 65, 109]), -1).reshape(-1, 2):
+        axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        away = np.linalg.norm((places - [42, y, x]) @ axes / [8, 18.5, 18.5], axis=-1)
+        labels[away < 1] = labels.max() + 1
+    light = np.where(labels > 0, 0.2, 0.0)
+    light[(labels > 0) & ~binary_erosion(labels > 0, iterations=2)] = 1
+    return labels, rng.poisson(3 + 60 * gaussian_filter(light, 1.3)).astype(np.float32)
+
+
+def test_cells_with_bright_rims_are_found_whole_where_walls_enclose_none(monkeypatch):
+    """As of red blood cells, whose dimples leave no dark place that a wall encloses."""
+
+    def refused(*given):
+        raise InputError("no cells")
+
+    monkeypatch.setattr(bright_cells, "find_cells", refused)
+    labels, image = discs()
+    found = cells_of(image, (1.0, 1.0, 1.0))
+    assert found.labels.max() == 9
+    assert matched(found.labels, labels) == 1

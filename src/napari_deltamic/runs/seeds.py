@@ -208,7 +208,7 @@ class FoundSeeds:
         # Imported where it is needed, as that takes a while.
         from ..geometry.labels.bright_cells import cells_of
 
-        return cells_of(filled(image), grid.voxel_size, self.size).labels
+        return cells_of(image, grid.voxel_size, self.size).labels
 
 
 def seeds_of(path: str) -> Seeds:

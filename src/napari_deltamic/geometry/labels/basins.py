@@ -76,9 +76,9 @@ def label_basins(
     return labels, refused + same + cut
 
 
-def noise_after(data: FloatArray, sigma: FloatArray) -> float:
+def noise_after(data: FloatArray, sigma: FloatArray, known: Mask | None = None) -> float:
     """Standard deviation of what is left of the image's noise by Gaussians of sigma voxels."""
-    return pixel_noise(data) * noise_gain(sigma)
+    return pixel_noise(data, known) * noise_gain(sigma)
 
 
 def noise_gain(sigma: FloatArray) -> float:
@@ -88,25 +88,34 @@ def noise_gain(sigma: FloatArray) -> float:
     return float(np.prod([np.linalg.norm(ndimage.gaussian_filter1d(pulse, s)) for s in sigma]))
 
 
-def pixel_noise(data: FloatArray) -> float:
+def pixel_noise(data: FloatArray, known: Mask | None = None) -> float:
     """Standard deviation of the noise of single voxels; 0 for an image too narrow to tell.
+
+    known : where the image is not missing; None: everywhere.
 
     From second differences along X: they hardly see membranes, and their median hardly any. The
     median of a normal deviate's magnitude is 0.6745, and the weights 1, -2, 1 have squares of 6.
     """
     if data.shape[2] < 3:
         return 0.0
-    return float(np.median(np.abs(np.diff(data, 2, axis=2)))) / 0.6745 / 6**0.5  # exact, see above
+    second = np.abs(np.diff(data, 2, axis=2))
+    if known is not None:
+        second = second[known[..., 2:] & known[..., 1:-1] & known[..., :-2]]
+    return float(np.median(second)) / 0.6745 / 6**0.5 if second.size else 0.0  # exact, see above
 
 
-def border_area(shape: tuple[int, ...], size: FloatArray) -> FloatArray:
-    """Area (um^2) of each voxel's faces that lie on the border of the image."""
+def border_area(shape: tuple[int, ...], size: FloatArray, known: Mask | None = None) -> FloatArray:
+    """Area (um^2) of each voxel's faces on the border of the image, or of what is known of it."""
     area = np.zeros(shape)
     for axis in range(3):
         sides = np.moveaxis(area, axis, 0)
         face = float(np.prod(size) / size[axis])
         sides[0] += face
         sides[-1] += face
+        if known is not None:
+            there = np.moveaxis(known, axis, 0)
+            sides[1:] += face * ~there[:-1]
+            sides[:-1] += face * ~there[1:]
     return area
 
 

@@ -75,8 +75,6 @@ class FindingRules:
     border
         Area on the border of the image over that of a ball of the same volume: a region with more
         than this is mostly outside, or is the background. Of a halved ball it is 0.4.
-    known
-        Least share of a region that is not missing from the image.
     gap, closed
         How enclosed a region is times how solid (its volume over that of its convex hull), both in
         parts of what the best quarter of the volume found has: less is a gap between cells, whose
@@ -123,7 +121,6 @@ class FindingRules:
     rim_contrast: float = 0.35
     sizes: tuple[float, float] = (0.4, 2.0)
     border: float = 0.7
-    known: float = 0.5
     gap: float = 0.7
     closed: float = 0.97
     leak: float = 0.12

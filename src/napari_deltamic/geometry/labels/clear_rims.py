@@ -10,6 +10,7 @@ lens can pass, the finest checkered pattern, neighbouring values have a known co
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from napari_deltamic.geometry.labels.cell_rules import FINDING
@@ -20,15 +21,16 @@ from napari_deltamic.geometry.labels.region_merging import (
     faces_between,
 )
 from napari_deltamic.geometry.mesh import FloatArray
+from napari_deltamic.images.missing import filled
 
 _SECOND = np.array([0.5, -1.0, 0.5]) / 1.5**0.5  # so that white noise keeps its variance
 _WHITE = -2 / 3  # by definition, the correlation of neighbours that it leaves of white noise
 
 
-def noise_magnitudes(data: Image) -> Image | None:
+def noise_magnitudes(data: Image, known: NDArray[np.bool_]) -> Image | None:
     """Of each voxel a positive number whose mean over a neighbourhood is the noise there.
 
-    None where the noise is not that of single voxels.
+    None where the noise is not that of single voxels. known : where the image is not missing.
     """
     if min(data.shape) < 4:  # no neighbours are left within
         return None
@@ -36,18 +38,22 @@ def noise_magnitudes(data: Image) -> Image | None:
     for axis in range(3):
         fine = ndimage.convolve1d(fine, _SECOND, axis=axis, mode="reflect")
     inner = fine[1:-1, 1:-1, 1:-1]
+    told = ndimage.binary_erosion(known, np.ones((3, 3, 3)), border_value=1)[1:-1, 1:-1, 1:-1]
+    if not told.any():
+        return None
     # Single bright specks, and what membranes leave, would weigh more than all the noise.
-    bound = 4 * float(np.median(np.abs(inner)))
+    bound = 4 * float(np.median(np.abs(inner[told])))
     if not bound > 0:
         return None
     inner = np.clip(inner, -bound, bound)
-    power = float((inner**2).mean())
+    power = float((inner[told] ** 2).mean())
     for axis in range(3):
-        lines = np.moveaxis(inner, axis, 0)
-        if float((lines[1:] * lines[:-1]).mean()) > (_WHITE + FINDING.white_within) * power:
+        lines, both = np.moveaxis(inner, axis, 0), np.moveaxis(told, axis, 0)
+        products = (lines[1:] * lines[:-1])[both[1:] & both[:-1]]
+        if products.size and products.mean() > (_WHITE + FINDING.white_within) * power:
             return None
-    magnitudes: Image = (np.abs(fine) * (np.pi / 2) ** 0.5).astype(np.float32)  # normal deviates
-    return magnitudes
+    magnitudes = (np.abs(fine) * (np.pi / 2) ** 0.5).astype(np.float32)  # of normal deviates
+    return filled(np.where(known, magnitudes, np.float32(np.nan)))
 
 
 def clear_rims(
@@ -59,7 +65,7 @@ def clear_rims(
 
     Parameters
     ----------
-    labels : (Z, Y, X) from 1, less than count.
+    labels : (Z, Y, X) from 1, less than count; 0 where the image is missing.
     smooth : the smoothed image.
     noise : what is left there of the noise, around each voxel.
     side : um, of a voxel.

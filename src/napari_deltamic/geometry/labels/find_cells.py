@@ -29,6 +29,7 @@ from napari_deltamic.geometry.three_numbers import three_numbers
 from napari_deltamic.images.missing import filled, unmasked
 
 Mask = NDArray[np.bool_]
+_GAP = np.ones((3, 3, 3), bool)  # chosen: narrower ones are bridged
 
 
 def find_cells(
@@ -54,9 +55,9 @@ def find_cells(
         Not 3D, not numbers, the same everywhere, a size that is not positive, is larger than the
         image or too small for its voxels, or no cell found.
     """
-    data, missing, voxel = checked_image(image, voxel_size)
+    data, known, voxel = checked_image(image, voxel_size)
     diameter = _checked_size(size, data.shape, voxel)
-    seen = _Seen(data, missing, noise_magnitudes(data), voxel)
+    seen = _Seen(data, known, noise_magnitudes(data, known), voxel)
     labels, diameters, enclosed = _find(seen, diameter, FINDING.finest)
     labels = _without_gaps(labels, enclosed, diameters**3)
     if not labels.any():
@@ -66,22 +67,23 @@ def find_cells(
 
 @dataclass(frozen=True)
 class _Seen:
-    """An image without gaps, where its gaps are, its noise (see ``noise_magnitudes``), its voxel.
+    """An image, its gaps filled, where it is known, its noise, and its voxel.
 
-    The second and third are None where there are none, or it cannot be told.
+    The noise is that of ``noise_magnitudes``; None where it cannot be told.
     """
 
     data: Image
-    missing: Image | None
+    known: Mask
     noise: Image | None
     voxel: FloatArray
 
     def coarsened(self, step: NDArray[np.int_]) -> _Seen:
         """Means of blocks of voxels."""
         blocks = np.float32(np.prod(step) ** 0.5)
+        half = 0.5  # by definition
         return _Seen(
             coarsened_image(self.data, step),
-            None if self.missing is None else coarsened_image(self.missing, step),
+            coarsened_image(self.known.astype(np.float32), step) > half,
             None if self.noise is None else coarsened_image(self.noise, step) / blocks,
             self.voxel * step,
         )
@@ -137,11 +139,12 @@ def suggest_sizes(image: ArrayLike, voxel_size: Sequence[float]) -> list[SizeFou
     InputError
         As `find_cells`.
     """
-    data, missing, voxel = checked_image(image, voxel_size)
+    data, known, voxel = checked_image(image, voxel_size)
     extent = np.array(data.shape) * voxel
-    step = np.floor(np.cbrt(np.prod(extent) / FINDING.tried_voxels) / voxel).astype(int)
+    told = known.mean() * np.prod(extent)
+    step = np.floor(np.cbrt(told / FINDING.tried_voxels) / voxel).astype(int)
     step = np.clip(step, 1, data.shape)
-    seen = _Seen(data, missing, noise_magnitudes(data), voxel).coarsened(step)
+    seen = _Seen(data, known, noise_magnitudes(data, known), voxel).coarsened(step)
     size, tried = FINDING.first_tried * float(extent.max()), list[SizeFound]()
     while size >= FINDING.smallest_tried * _mean_side(seen.voxel):
         _, found, enclosed = _find(seen, size, 0.0)
@@ -164,19 +167,16 @@ def _find(seen: _Seen, size: float, finest: float) -> tuple[Labels, FloatArray, 
     step = np.minimum(step, seen.data.shape)
     coarse = seen.coarsened(step)
     side = coarse.voxel
-    walls = compressed_walls(coarse.data, side, size)
-    seeds, _ = ndimage.label(
-        local_minima(
-            ndimage.gaussian_filter(walls, FINDING.seed_smoothing * size / side, mode="nearest")
-        )
-    )
+    walls = compressed_walls(coarse.data, side, size, coarse.known)
+    calm = ndimage.gaussian_filter(walls, FINDING.seed_smoothing * size / side, mode="nearest")
+    seeds, _ = ndimage.label(local_minima(calm) & coarse.known)
     ball = np.pi / 6 * size**3
-    pieces = watershed(walls, seeds).astype(np.int32)
+    pieces = watershed(walls, seeds, mask=coarse.known).astype(np.int32)
     regions = join_regions(pieces, walls, side, ball)
     names, quality = _cells(regions, coarse, size)
     labels, kept = _trimmed(regions.labels, names, side, size)
     diameters = np.cbrt(6 / np.pi * regions.volume[names[kept]])
-    return _refined(labels, step, seen.data, seen.voxel, size), diameters, quality[kept]
+    return _refined(labels, step, seen, size), diameters, quality[kept]
 
 
 def _wall_sigma(side: FloatArray, size: float) -> FloatArray:
@@ -185,17 +185,23 @@ def _wall_sigma(side: FloatArray, size: float) -> FloatArray:
     return sigma
 
 
-def compressed_walls(data: Image, side: FloatArray, size: float) -> Image:
-    """The smoothed image with its contrast compressed: dim walls count next to bright ones."""
+def compressed_walls(
+    data: Image, side: FloatArray, size: float, known: Mask | None = None
+) -> Image:
+    """The smoothed image with its contrast compressed: dim walls count next to bright ones.
+
+    Noise and contrast are those where the image is known (None: everywhere).
+    """
     sigma = _wall_sigma(side, size)
     smooth = ndimage.gaussian_filter(data, sigma, mode="nearest")
-    low, high = np.percentile(smooth, FINDING.percentiles)
+    told = smooth if known is None else smooth[known]
+    low, high = np.percentile(told, FINDING.percentiles)
     floor = max(
         FINDING.floor * float(high - low),
-        FINDING.floor_noise * noise_after(data.astype(np.float64), sigma),
+        FINDING.floor_noise * noise_after(data.astype(np.float64), sigma, known),
     )
     if not floor > 0:  # nearly all voxels are alike
-        floor = max(FINDING.floor * float(np.ptp(smooth)), float(np.finfo(np.float32).tiny))
+        floor = max(FINDING.floor * float(np.ptp(told)), float(np.finfo(np.float32).tiny))
     walls: Image = np.log(np.maximum(smooth - low, 0) / floor + 1).astype(np.float32)
     return walls
 
@@ -207,7 +213,7 @@ def _cells(regions: Regions, seen: _Seen, size: float) -> tuple[NDArray[np.int64
     """
     n, side = len(regions.volume), seen.voxel
     flat = regions.labels.ravel()
-    border = np.bincount(flat, border_area(regions.labels.shape, side).ravel(), n)
+    border = np.bincount(flat, border_area(regions.labels.shape, side, seen.known).ravel(), n)
     diameter = np.cbrt(6 / np.pi * regions.volume)
     smallest, largest = FINDING.sizes
     good = (diameter >= smallest * size) & (diameter <= largest * size)
@@ -227,11 +233,7 @@ def _cells(regions: Regions, seen: _Seen, size: float) -> tuple[NDArray[np.int64
         dim &= (height >= FINDING.rim_mean) & (regions.height >= FINDING.rim_contrast)
         quality = np.maximum(quality, np.where(dim, clear, 0))
     good &= quality > 0
-    if seen.missing is not None:
-        known = 1 - np.bincount(flat, seen.missing.ravel(), n) / np.maximum(
-            np.bincount(flat, None, n), 1
-        )
-        good &= known > FINDING.known
+    good[0] = False  # what is missing
     names = np.flatnonzero(good)
     return names, quality[names]
 
@@ -306,16 +308,14 @@ def _upper_quartile(values: FloatArray, volume: FloatArray) -> float:
     return float(values[order][np.searchsorted(below, place)])
 
 
-def _refined(
-    labels: Labels, step: NDArray[np.int_], data: Image, voxel: FloatArray, size: float
-) -> Labels:
+def _refined(labels: Labels, step: NDArray[np.int_], seen: _Seen, size: float) -> Labels:
     """Labels on the voxels of the image, their borders moved onto the crests."""
     if (step == 1).all():
         return labels
     for axis, times in enumerate(step):
         labels = np.repeat(labels, times, axis=axis)
-    pad = [(0, max(n - m, 0)) for n, m in zip(data.shape, labels.shape, strict=True)]
-    labels = np.pad(labels, pad, mode="edge")[tuple(slice(n) for n in data.shape)]
+    pad = [(0, max(n - m, 0)) for n, m in zip(seen.data.shape, labels.shape, strict=True)]
+    labels = np.pad(labels, pad, mode="edge")[tuple(slice(n) for n in seen.data.shape)]
     width = tuple(int(2 * s + 1) if s > 1 else 1 for s in step)
     low = ndimage.minimum_filter(labels, width, mode="nearest")
     sure = low == ndimage.maximum_filter(labels, width, mode="nearest")
@@ -323,8 +323,8 @@ def _refined(
         return labels
     # The background is a marker, too: it is known where it lies, up to the width of a step.
     markers = np.where(sure, np.where(labels == 0, labels.max() + 1, labels), 0)
-    walls = compressed_walls(data, voxel, size)
-    fine = watershed(walls, markers).astype(np.int32)
+    walls = compressed_walls(seen.data, seen.voxel, size, seen.known)
+    fine = watershed(walls, markers, mask=seen.known).astype(np.int32)
     fine[fine == labels.max() + 1] = 0
     return fine
 
@@ -348,10 +348,11 @@ def _mean_side(voxel: FloatArray) -> float:
 # Checks ---------------------------------------------------------------------------------------
 
 
-def checked_image(
-    image: ArrayLike, voxel_size: Sequence[float]
-) -> tuple[Image, Image | None, FloatArray]:
-    """The image without gaps, where its gaps are, and the voxel size."""
+def checked_image(image: ArrayLike, voxel_size: Sequence[float]) -> tuple[Image, Mask, FloatArray]:
+    """The image, its gaps filled, where it is known, and the voxel size.
+
+    Gaps of a voxel or a slice count as known: a cell goes on beyond them.
+    """
     array = np.asarray(unmasked(image))
     if array.ndim != 3 or not array.size:
         raise InputError(f"a 3D image is needed to find cells, not one of shape {array.shape}")
@@ -365,13 +366,14 @@ def checked_image(
     missing = ~np.isfinite(array)
     if missing.all():
         raise InputError("the image has no value anywhere")
+    known = ~ndimage.binary_opening(missing, _GAP) if missing.any() else ~missing
     array = filled(array, tuple(voxel))  # flooding needs every voxel
     low, high = float(array.min()), float(array.max())
     if low == high:
         raise InputError("the image has the same value everywhere")
     # Single precision would lose a faint image on a high pedestal.
     data = ((array - array.dtype.type(low)) / (high - low)).astype(np.float32)
-    return data, missing.astype(np.float32) if missing.any() else None, voxel
+    return data, known, voxel
 
 
 def _checked_size(size: float, shape: tuple[int, ...], voxel: FloatArray) -> float:

@@ -28,9 +28,10 @@ _NOTHING = 1e-6  # of an area: what sums and differences of areas leave by round
 class Regions:
     """Regions of an image; arrays are indexed by label, and 0 where a label is not used.
 
-    labels : (Z, Y, X) int32 from 1.
+    labels : (Z, Y, X) int32 from 1; 0 where the image is missing.
     volume : um^3.
-    enclosed : the share of a region's surface that is on a wall; the image border is not counted.
+    enclosed : the share of a region's surface that is on a wall; borders of the image, and of what
+        is missing from it, are not counted.
     height : the mean over that surface of how far the image is above the region's level.
     """
 
@@ -108,7 +109,7 @@ def join_regions(labels: Labels, image: Image, size: FloatArray, ball: float) ->
 
     Parameters
     ----------
-    labels : (Z, Y, X) int32 from 1: every voxel in a region.
+    labels : (Z, Y, X) int32 from 1, every voxel in a region; 0 where the image is missing.
     image : (Z, Y, X), bright walls.
     size : um, of a voxel.
     ball : um^3, the volume of a usual cell.
@@ -154,12 +155,15 @@ def dark_half(labels: Labels, image: Image, count: int) -> tuple[FloatArray, Flo
 def faces_between(
     labels: Labels, image: Image, size: FloatArray
 ) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
-    """Faces between voxels of two regions: (2, n) labels in order, height, area (um^2)."""
+    """Faces between voxels of two regions: (2, n) labels in order, height, area (um^2).
+
+    Label 0 is no region.
+    """
     pairs, heights, areas = [], [], []
     for axis in range(3):
         a, b = (np.moveaxis(labels, axis, 0)[s] for s in (slice(None, -1), slice(1, None)))
         p, q = (np.moveaxis(image, axis, 0)[s] for s in (slice(None, -1), slice(1, None)))
-        differ = a != b
+        differ = (a != b) & (a > 0) & (b > 0)
         pairs.append(np.sort(np.stack([a[differ], b[differ]]).astype(np.int64), axis=0))
         heights.append(np.maximum(p[differ], q[differ]).astype(np.float64))
         areas.append(np.full(heights[-1].shape, np.prod(size) / size[axis]))
