@@ -62,6 +62,9 @@ def test_what_concerns_all(change, grade, word):
         ({"darker_around": -0.6}, "good", "good"),
         ({"compact": 0.4}, "fair", "crumpled"),
         ({"uneven": 0.2}, "fair", "its inside is uneven, by 20% in the mean"),
+        ({"seen": 0.7}, "fair", "the image is missing at 30% of its surface"),
+        ({"seen": 0.2}, "poor", "the image is missing at 80% of its surface"),
+        ({"seen": 0.92}, "good", "good"),
         ({"lit": 0.35}, "fair", "only 35% of its surface shines"),
         ({"lit": 0.2}, "poor", "only 20% of its surface shines"),
     ],
@@ -97,6 +100,16 @@ def test_one_bad_cell_spoils_no_other_and_is_named():
     assert found.grade == "good"
     assert "poor: cell 6 (20% of the signal around it is explained)" in found.reasons
     assert [cell.grade for cell in found.cells] == ["good"] * 5 + ["poor"]
+
+
+def test_the_error_told_is_that_of_the_cell_in_the_middle_as_the_grade_is():
+    small, large = ShapeDeviation(0.01, 0, 0), ShapeDeviation(5.0, 0, 0)
+    error = PredictedError(large, {1: small, 2: small, 3: large})
+    cells = tuple(CellFacts(k, 0.9) for k in (1, 2, 3))
+    found = judged(replace(FINE, cells=cells, error=error))
+    assert found.sentence().startswith("good, off by about 10 nm: poor: cell 3")
+    both = judged(replace(FINE, cells=cells[1:], error=error))
+    assert both.sentence().startswith("poor, off by about 5000 nm")
 
 
 def test_cells_that_are_no_better_have_the_usual_reason_with_them():
@@ -143,6 +156,10 @@ def test_facts_of_a_fit():
     assert capped.cells[0].lit == pytest.approx(high.mean(), abs=0.05)
     assert judged(capped).grade == "poor"
     assert judged(facts).grade == "good"
+    hidden = image.copy()
+    hidden[:, :, 12:] = np.nan
+    half = facts_of(replace(job, image=hidden), state, analyse_residual(hidden, grid, state))
+    assert half.cells[0].seen == pytest.approx(0.5, abs=0.05)
     assert facts.error.unknown == ""
     # Of 200 photons and a surface of 0.2 um voxels: a few nm, and nothing that it lacks.
     assert 0.0005 < facts.error.whole.total < 0.02

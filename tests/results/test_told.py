@@ -4,15 +4,14 @@ from types import SimpleNamespace
 
 import pytest
 
-from napari_deltamic.evidence.verdict import CellVerdict
+from napari_deltamic.evidence.verdict import CellVerdict, Verdict
 from napari_deltamic.results.judged import told
 
 
 def judged(grades, reasons=()):
     """What is known of a fit whose cells have these grades."""
     cells = tuple(CellVerdict(k, grade) for k, grade in enumerate(grades, 1))
-    error = SimpleNamespace(whole=None)
-    verdict = SimpleNamespace(grade="fair", cells=cells, reasons=reasons, error=error)
+    verdict = Verdict("fair", tuple(reasons), cells)
     return SimpleNamespace(verdict=verdict, found=SimpleNamespace(explained=0.9))
 
 

@@ -92,7 +92,7 @@ def facts_of(
     for spot in left.spots:
         light[spot.region] = max(light.get(spot.region, 0.0), abs(spot.light))
     uneven, lit = uneven_insides(job, state, image), _lit(state)
-    darker = _darker_around(job, state, seen, shown)
+    darker, there = _darker_around(job, state, seen, shown), _seen(job, state.mesh)
     cells = tuple(
         CellFacts(
             region,
@@ -107,6 +107,7 @@ def facts_of(
             uneven.get(region, 0.0),
             lit.get(region, 1.0),
             darker.get(region, 0.0),
+            there.get(region, 1.0),
         )
         for region, area in areas.items()
     )
@@ -232,6 +233,21 @@ def _inside(
             level = float(image[own].mean())
             found[int(region)] = (level - dark) / max(bright - min(level, dark), 1e-30)
     return found
+
+
+def _seen(job: FitInput, mesh: Mesh) -> dict[int, float]:
+    """Share of the surface of each region where the image is not missing."""
+    known, grid = np.isfinite(np.asarray(job.image)), job.grid
+    if known.all():
+        return {}
+    middles = mesh.vertices_numpy()[mesh.faces].mean(1)
+    index = np.rint((middles - np.asarray(grid.origin)) / np.asarray(grid.voxel_size))
+    index = np.clip(index, 0, np.asarray(grid.shape) - 1).astype(np.int64)
+    areas, there = mesh.areas(), known[tuple(index.T)]
+    return {
+        r: float(areas[own][there[own]].sum() / max(areas[own].sum(), 1e-300))
+        for r, own in mesh.faces_by_region().items()
+    }
 
 
 def _cut(mesh: Mesh, grid: Grid) -> set[int]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
-from statistics import median
+from statistics import median, median_high
 from typing import Any, Literal
 
 from ..geometry.judgement import Judgement
@@ -51,6 +51,9 @@ class VerdictRules:
         nothing shines, the image tells no shape. Measured: vesicles 0.69 or more, cells of an
         embryo 0.49, of a gland 0.38; in an epithelium of which only the junctions shine, where all
         but these was wrong, 0.26 in the median.
+    seen, unseen
+        Least share of the surface of a cell that lies where the image is not missing, below which
+        it is fair, and poor. Chosen, not measured: a dead slice of 20 hides a twentieth.
     psf_voxels
         Narrowest PSF that an image can tell, in voxels: at the largest wavenumber of voxels its
         OTF is 0.17 still, so that most of the fall of a narrower one lies beyond.
@@ -77,6 +80,8 @@ class VerdictRules:
     compact: float = 0.65
     lit: float = 0.4
     dark: float = 0.3
+    seen: float = 0.9
+    unseen: float = 0.5
     psf_voxels: float = 0.6
     uneven: float = 0.1
     cut: float = 0.4
@@ -120,6 +125,8 @@ class CellFacts:
     darker_around
         How much darker its surroundings are than a model of dark insides has them, over the
         brightness of its surface.
+    seen
+        Share of its surface where the image is not missing.
     """
 
     region: int
@@ -134,6 +141,7 @@ class CellFacts:
     uneven: float = 0.0
     lit: float = 1.0
     darker_around: float = 0.0
+    seen: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -210,15 +218,29 @@ class Verdict:
             for cell in self.cells
         }
 
+    @property
+    def usual_error_um(self) -> float | None:
+        """That of the cell in the middle, as the grade is; of all surfaces where no cell has one.
+
+        One cell that went wrong would have most of what is predicted of all surfaces.
+        """
+        of_cells = [c.shape_error_um for c in self.cells if c.shape_error_um is not None]
+        if of_cells:
+            return median_high(of_cells)
+        return None if self.error.whole is None else self.error.whole.total
+
     def sentence(self) -> str:
         """For a user: the grade, the predicted error, and why."""
-        whole = self.error.whole
-        about = "" if whole is None else f", off by about {1000 * whole.total:.0f} nm"
+        off = self.usual_error_um
+        about = "" if off is None else f", off by about {1000 * off:.0f} nm"
         return f"{self.grade}{about}" + (f": {'; '.join(self.reasons)}" if self.reasons else "")
 
 
 def judged(facts: Facts) -> Verdict:
-    """The grade: that of most cells, lowered by what concerns all; one bad cell spoils no other."""
+    """The grade: that of most cells, lowered by what concerns all; one bad cell spoils no other.
+
+    Where half of them are worse, the worse one.
+    """
     whole = _of_whole(facts)
     usual = _usual_growth(facts.cells)
     cells = tuple(_of_cell(cell, usual, facts) for cell in facts.cells)
@@ -228,7 +250,7 @@ def judged(facts: Facts) -> Verdict:
         bad = [cell.region for cell in cells if cell.grade == word]
         if not bad:
             continue
-        if 2 * sum(_ORDER.index(c.grade) >= _ORDER.index(word) for c in cells) > len(cells):
+        if 2 * sum(_ORDER.index(c.grade) >= _ORDER.index(word) for c in cells) >= len(cells):
             grade = _worst((grade, word))
         if len(cells) == 1:
             reasons += [text for text in cells[0].reasons if text not in reasons]
@@ -272,10 +294,14 @@ def _of_whole(facts: Facts) -> list[tuple[Grade, str]]:
 def _of_cell(cell: CellFacts, usual: float, facts: Facts) -> CellVerdict:
     found: list[tuple[Grade, str]] = []
     predicted = facts.error.cells.get(cell.region)
+    if cell.seen < RULES.seen:
+        word: Grade = "fair" if cell.seen >= RULES.unseen else "poor"
+        much = f"{1 - cell.seen:.0%} of its surface"
+        found.append((word, f"the image is missing at {much}: what lies there is a guess"))
     if predicted is not None:
         found += _of_error(predicted, facts)
     if cell.explained is not None and cell.explained < RULES.good:
-        word: Grade = "fair" if cell.explained >= RULES.fair else "poor"
+        word = "fair" if cell.explained >= RULES.fair else "poor"
         found.append((word, f"{_share(cell.explained)} of the signal around it is explained"))
     if cell.stray > RULES.stray:
         much = f"{cell.stray:.0%} of that" if cell.stray < 1 else "more than that"

@@ -111,8 +111,8 @@ def told(known: Judged) -> str:
     text = (
         f"{verdict.grade.capitalize()}: the cells explain {explained:.0%} of the signal around them"
     )
-    whole = verdict.error.whole
-    text += "." if whole is None else f"; they are off by about {1000 * whole.total:.0f} nm."
+    off = verdict.usual_error_um
+    text += "." if off is None else f"; they are off by about {1000 * off:.0f} nm."
     named = ("fair: cell", "poor: cell")  # each of them has reasons of its own
     reasons = [r for r in verdict.reasons if "is explained" not in r and not r.startswith(named)]
     if any(reason.startswith(named) for reason in verdict.reasons):
