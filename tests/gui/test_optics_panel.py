@@ -22,7 +22,7 @@ WATER = {"kind": "microscope", "na": 0.8, "wavelength": 0.6, "immersion": "water
 @pytest.fixture
 def panel(app, with_image):
     doc = Document(with_image)
-    panel = OpticsPanel(doc, "widths")
+    panel = OpticsPanel(doc)
     panel.objective.show_settings(optics_from_values(WATER))
     yield panel
     doc.close()

@@ -9,11 +9,8 @@ from napari.utils.notifications import show_info, show_warning
 from qtpy.QtCore import QEvent, QSize
 from qtpy.QtWidgets import QWidget
 
-from ..common.description import described
-from ..runs.settings import SceneSettings
 from .dock import Column, Header, ask_before_closing, bind_keys
 from .document import Document
-from .fields import tip_of
 from .image_panel import ImagePanel
 from .results.more_actions import CommandCopy, SessionBar
 from .results.results_panel import ClickSelection, ResultsPanel
@@ -48,8 +45,7 @@ class FitWidget(QWidget):
         doc.warned.connect(lambda text: show_warning(text))
         self.image = ImagePanel(doc, self)
         self.seeds = SeedsPanel(doc, self)
-        optics = OpticsPanel(doc, tip_of(described(SceneSettings)["sigma"]), self)
-        self.settings = SettingsPanel(doc, optics, EffectsPanel(doc, self), self)
+        self.settings = SettingsPanel(doc, OpticsPanel(doc, self), EffectsPanel(doc, self), self)
         self.control = RunControl(doc, self)
         self.edits = Edits(doc, self.control, self)
         self.live_settings = LiveSettings(doc, self.edits, self)
@@ -87,7 +83,7 @@ class FitWidget(QWidget):
         preferences, remark = read_preferences()
         preferences.show(doc, self.seeds.preview)
         if remark:
-            _warn(remark)
+            doc.warned.emit(remark)
 
     def start(self) -> None:
         """Start a fit of what is chosen; says in plain words what is missing."""
@@ -148,11 +144,3 @@ class FitWidget(QWidget):
         shown.addStretch()
         self._column = Column(inner, self)
         column(self.header, (self._column, 1), self.footer, of=self, spacing=2)
-
-
-def _tell(text: str) -> None:
-    show_info(text)
-
-
-def _warn(text: str) -> None:
-    show_warning(text)

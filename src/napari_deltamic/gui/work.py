@@ -16,8 +16,9 @@ from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 from napari.utils import progress
 from psygnal import EmitLoopError, Signal
@@ -55,6 +56,17 @@ LONGEST_REST = 0.5  # s that a slow viewer is left alone, at most
 _LOOK_EVERY = 10  # ms, for the result of a function
 # They are kept: to start one waits for it, and where a fit is at work that takes a while.
 _THREADS = ThreadPoolExecutor(32, "deltaMic")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a fit or tracking ended, in plain words too.
+
+    message : its first line is the verdict; each of those after it is a remark.
+    """
+
+    verdict: Literal["converged", "ended", "done", "stopped", "failed"]
+    message: str
 
 
 class Task:

@@ -23,8 +23,8 @@ from ...geometry import Mesh
 from ...results.judged import Compared, Spread, compared, judge
 from ...runs.settings import NEAR_LEVELS
 from ..document import Document, Record
-from ..work import attempt
-from .worker import FitRun, Outcome, Snapshot
+from ..work import Outcome, attempt
+from .worker import FitRun, Snapshot
 
 
 class RunControl(QObject):
@@ -164,27 +164,28 @@ class RunControl(QObject):
         attempt(self._doc.ended.emit, self._doc.warned.emit)
 
     def _end(self, record: Record, outcome: Outcome) -> None:
-        doc, run, state = self._doc, self._doc.run, outcome.state
+        doc, run = self._doc, self._doc.run
+        state, job = run.state, run.job
         doc.said.emit("")
         text, *remarks = outcome.message.split("\n")
         if state is not None:
             done = "" if "iterations" in text else f"{state.iteration} iterations, "
-            text += f" ({done}{outcome.seconds:.1f}\N{NO-BREAK SPACE}s)"
+            text += f" ({done}{run.seconds:.1f}\N{NO-BREAK SPACE}s)"
         record.end(outcome.verdict, "\n".join([text, *remarks]))
         if outcome.verdict == "failed":
             doc.warned.emit(outcome.message)
-        if state is None or outcome.job is None:
+        if state is None or job is None:
             doc.result_changed.emit()
             return
         doc.begin(record)
         record.show(state)
-        record.take(state, outcome.job, run.history, outcome.seconds)
+        record.take(state, job, run.history, run.seconds)
         doc.result_changed.emit()
         late, notes = run.left, ", ".join(note for _, note in self._asked)
         self._asked = []
         if late is not None and (late.mesh is not None or late.optics is not None):
-            usable(late, state.mesh, state.optics, outcome.job)
-            self.replace_result(changed_by_hand(state, outcome.job, late), notes)
+            usable(late, state.mesh, state.optics, job)
+            self.replace_result(changed_by_hand(state, job, late), notes)
         elif late is not None and late.pinned is not None:
             record.pin(late.pinned)
         if self._lets_go:

@@ -6,7 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,15 +19,13 @@ from ...fitting import Change, FitState
 from ...fitting.job import FitInput, scene_with, start
 from ...fitting.pending import Waiting, usable
 from ...results.report import History
-from ..work import Task, words_of
+from ..work import Outcome, Task, words_of
 
 RENDER_EVERY = 0.3  # s, at least, between two rendered images
 RENDER_SHARE = 0.1  # of the time of a fit may go into rendered images
 SNAPSHOT_EVERY = 0.03  # s
 RATE_OVER = 2.0  # s
 FORECAST_EVERY = 0.5  # s; more often it could not be read
-
-Verdict = Literal["converged", "ended", "stopped", "failed"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,20 +46,6 @@ class Snapshot:
     iterations_per_second: float
     changes: int = 0
     remaining: float | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """How a run ended: the verdict, in plain words too, and the last good state if any.
-
-    message : its first line is the verdict; each of those after it is a remark.
-    """
-
-    verdict: Verdict
-    message: str
-    state: FitState | None = None
-    job: FitInput | None = None
-    seconds: float = 0.0
 
 
 class FitRun(Task):
@@ -136,12 +120,11 @@ class FitRun(Task):
 
     def end(self, outcome: Outcome | None) -> None:
         text = "stopped by you" if self.state else "stopped before the first iteration"
-        stopped = Outcome("stopped", text, self.state, self.job, self.seconds)
-        self._on_end(outcome or stopped)
+        self._on_end(outcome or Outcome("stopped", text))
 
     def failed(self, error: Exception) -> Outcome:
         shape = self.job.grid.shape if self.job else None
-        return Outcome("failed", words_of(error, shape), self.state, self.job, self.seconds)
+        return Outcome("failed", words_of(error, shape))
 
     # ------------------------------------------------------------------------------- the thread
 
@@ -156,11 +139,11 @@ class FitRun(Task):
         state = self.state
         if state is None:
             return Outcome("failed", "the fit ended before its first iteration")
-        verdict: Verdict = "converged" if state.converged else "ended"
         # The last message is the verdict in words; those before it are remarks made on the way.
         told = self._messages
-        words = [*told[-1:], *told[:-1]] if state.message else [verdict]
-        return Outcome(verdict, "\n".join(dict.fromkeys(words)), state, self.job, self.seconds)
+        words = [*told[-1:], *told[:-1]] if state.message else ["ended"]
+        message = "\n".join(dict.fromkeys(words))
+        return Outcome("converged" if state.converged else "ended", message)
 
     def _fit(self, job: FitInput) -> Generator[None]:
         began, waited = time.monotonic(), 0.0

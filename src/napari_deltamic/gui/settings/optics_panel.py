@@ -14,12 +14,14 @@ from qtpy.QtWidgets import QComboBox, QFormLayout, QLabel, QWidget
 from skimage.transform import resize
 from superqt.utils import signals_blocked
 
+from ...common.description import described
 from ...errors import InputError
 from ...optics import GaussianPSF, Optics
 from ...optics.sections import Sections, psf_sections
 from ...runs.optics_settings import MeasuredOptics, MicroscopeOptics
+from ...runs.settings import SceneSettings
 from ..document import Document
-from ..fields import TripleField
+from ..fields import TripleField, tip_of
 from ..widgets import Note, Signal, column
 from .psf_fields import MeasuredFields, ObjectiveFields
 
@@ -36,17 +38,12 @@ _TIPS = {
 
 
 class OpticsPanel(QWidget):
-    """Kind of PSF and its numbers; ``changed`` comes from the user.
-
-    Parameters
-    ----------
-    tip : explains the widths.
-    """
+    """Kind of PSF and its numbers; ``changed`` comes from the user."""
 
     changed = Signal()
     described = Signal()  # :meth:`summary` may be another
 
-    def __init__(self, doc: Document, tip: str, parent: QWidget | None = None) -> None:
+    def __init__(self, doc: Document, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._doc = doc
         self._given: Any = None  # settings of a kind that has no fields here
@@ -55,7 +52,7 @@ class OpticsPanel(QWidget):
         self.kind.addItems(list(_TIPS))
         tips = "<br>".join(f"<b>{name}</b>: {text}" for name, text in _TIPS.items())
         self.kind.setToolTip(f"<qt>{tips}</qt>")
-        self.sigma = TripleField(tip, self)
+        self.sigma = TripleField(tip_of(described(SceneSettings)["sigma"]), self)
         self.objective = ObjectiveFields(self)
         self.measured = MeasuredFields(self._complain, self)
         self.width_note, self.trouble = Note(self), Note(self, wrong=True)

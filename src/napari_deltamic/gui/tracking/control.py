@@ -21,10 +21,10 @@ from ...tracking import FrameResult, TrackSettings
 from ..document import Document
 from ..layer_channels import origin_of
 from ..viewing.frame import Frame, data_of
-from ..work import attempt
+from ..work import Outcome, attempt
 from .layers import TrackLayers
 from .panel import TrackPanel
-from .track_work import Frames, Tracked, TrackJob, TrackOutcome, TrackWork
+from .track_work import Frames, Tracked, TrackJob, TrackWork
 
 
 class TrackControl(QObject):
@@ -179,7 +179,7 @@ class TrackControl(QObject):
             self._doc.warned.emit(results[-1].message)
         self._show_frame()
 
-    def _ended(self, outcome: TrackOutcome) -> None:
+    def _ended(self, outcome: Outcome) -> None:
         self._end(outcome.verdict, outcome.message)
         if outcome.verdict == "failed":
             self._doc.warned.emit(outcome.message)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 from numpy.typing import NDArray
 
@@ -14,7 +14,7 @@ from ...results.timeline import explained
 from ...runs.track_run import TrackRun
 from ...tracking import FrameResult, track
 from ..viewing.frame import Box, finite
-from ..work import Task, words_of
+from ..work import Outcome, Task, words_of
 
 
 class Frames:
@@ -56,14 +56,6 @@ class Tracked:
     seconds: float = 0.0
 
 
-@dataclass(frozen=True)
-class TrackOutcome:
-    """How it ended, in plain words too."""
-
-    verdict: Literal["done", "stopped", "failed"]
-    message: str
-
-
 class TrackWork(Task):
     """One run of tracking.
 
@@ -85,7 +77,7 @@ class TrackWork(Task):
         frames: range,
         done: Sequence[FrameResult],
         on_frame: Callable[[Sequence[FrameResult]], None],
-        on_end: Callable[[TrackOutcome], None],
+        on_end: Callable[[Outcome], None],
     ) -> None:
         super().__init__()
         self._prepare, self._frames = prepare, frames
@@ -101,14 +93,14 @@ class TrackWork(Task):
             self._shown += 1
             self._on_frame(self.results[: self._shown])
 
-    def end(self, outcome: TrackOutcome | None) -> None:
+    def end(self, outcome: Outcome | None) -> None:
         self.look()
-        self._on_end(outcome or TrackOutcome("stopped", "stopped by you"))
+        self._on_end(outcome or Outcome("stopped", "stopped by you"))
 
-    def failed(self, error: Exception) -> TrackOutcome:
-        return TrackOutcome("failed", words_of(error))
+    def failed(self, error: Exception) -> Outcome:
+        return Outcome("failed", words_of(error))
 
-    def steps(self) -> Generator[None, None, TrackOutcome]:
+    def steps(self) -> Generator[None, None, Outcome]:
         """Yields after every iteration."""
         began, done = time.monotonic(), list(self.results)
         job = self.job = self._prepare()
@@ -141,4 +133,4 @@ class TrackWork(Task):
         text = f"{len(self.results)} frames tracked"
         if left_out:
             text += f", {left_out} of them left out"
-        return TrackOutcome("done", text)
+        return Outcome("done", text)
