@@ -22,7 +22,7 @@ class ImagePanel(QGroupBox):
     def __init__(self, doc: Document, parent: QWidget | None = None) -> None:
         super().__init__("1  Image", parent)
         self._doc, self._image = doc, doc.image
-        self.chooser = LayerChooser(doc.image.choice, self)
+        self.chooser = LayerChooser(doc.image, self)
         self.chooser.setToolTip("The 3D image of membranes to fit. Of a 4D one, the time shown.")
         tip = (
             "The channel that shows the membranes. It becomes a layer of its own, which is fitted."

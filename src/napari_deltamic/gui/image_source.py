@@ -43,40 +43,25 @@ from .viewing.frame import (
     unread_stack_of,
     voxel_size,
 )
-from .viewing.listening import Connections
 
 _SMALLEST = 4  # voxels along each side of a region
 
 
-class ImageSource:
+class ImageSource(LayerChoice):
     """Choice of an image layer; ``changed`` says that it, its voxel size or region is another."""
 
-    changed = Signal()
     looked = Signal()  # the layers are others: channels may be, and what is missing
 
     def __init__(self, viewer: Any) -> None:
-        self.viewer = viewer
         self.box: Box | None = None  # the region of the layer that is fitted; None: all of it
         # Files, and channels in them, that were asked for their voxel size.
         self._asked: set[tuple[str, str | None]] = set()
         self._scaled: Any = None
-        self._connections = Connections()
-        self.choice = LayerChoice(viewer, is_one_channel)
-        self.choice.changed.connect(self._chosen)
+        super().__init__(viewer, is_one_channel)
         events = viewer.layers.events
         self._connections.connect(events.inserted, self._place_meshes)
         for emitter in (events.inserted, events.removed):
             self._connections.connect(emitter, self._look, position="last")
-        self._chosen()
-
-    @property
-    def layer(self) -> Any:
-        """The image layer chosen, or None."""
-        return self.choice.layer
-
-    def choose(self, layer: Any) -> None:
-        """Choose a layer."""
-        self.choice.choose(layer)
 
     def frame(self) -> Frame:
         """Of what is fitted. InputError if there is no image, or it is turned."""
@@ -89,12 +74,12 @@ class ImageSource:
         """The frame and the voxels of the image under a layer of the region, or of all."""
         if self.box is not None and tuple(layer.data.shape[-3:]) == self.shape():
             return self.frame(), self.reader()
-        whole = unread_stack_of(self.layer, tuple(self.viewer.dims.current_step))
+        whole = unread_stack_of(self.layer, tuple(self._viewer.dims.current_step))
         return Frame.of(self.layer), partial(finite, whole)
 
     def missing(self) -> str:
         """Why there is no image to fit, in a sentence that says what to do."""
-        reasons = [why_unusable(layer) for layer in self.viewer.layers]
+        reasons = [why_unusable(layer) for layer in self._viewer.layers]
         return next((reason for reason in reversed(reasons) if reason), "open a 3D image first")
 
     @property
@@ -103,7 +88,7 @@ class ImageSource:
         layer = self.layer
         if layer is None or layer.ndim < 4:
             return ()
-        return tuple(int(step) for step in self.viewer.dims.current_step[-layer.ndim : -3])
+        return tuple(int(step) for step in self._viewer.dims.current_step[-layer.ndim : -3])
 
     def shape(self) -> tuple[int, ...]:
         """Of ``stack``, without reading it."""
@@ -126,7 +111,7 @@ class ImageSource:
 
     def unread(self, layer: Any) -> Any:
         """The region of a layer that lies on the voxels of the image, before it is read."""
-        whole = unread_stack_of(layer, tuple(self.viewer.dims.current_step))
+        whole = unread_stack_of(layer, tuple(self._viewer.dims.current_step))
         return whole if self.box is None else whole[tuple(slice(a, b) for a, b in self.box)]
 
     def path(self) -> str:
@@ -145,15 +130,15 @@ class ImageSource:
 
     def take_channel(self, whole: Any, choice: Choice) -> None:
         """One channel of a layer as a layer of its own, in the place of all."""
-        if whole is not None and whole in self.viewer.layers:
+        if whole is not None and whole in self._viewer.layers:
             layer = channel_layer(whole, choice)
             whole.visible = False
-            self.viewer.add_layer(layer)
+            self._viewer.add_layer(layer)
             self.choose(layer)
 
     def with_channels(self) -> Any:
         """The layer whose channels may be chosen: this one, or one that cannot be fitted."""
-        others = [other for other in self.viewer.layers if why_unusable(other)]
+        others = [other for other in self._viewer.layers if why_unusable(other)]
         return self.layer if self.layer is not None or not others else others[-1]
 
     def take_region(self, box: Box | None) -> None:
@@ -169,8 +154,8 @@ class ImageSource:
 
         InputError where there is none.
         """
-        shapes = [x for x in self.viewer.layers if isinstance(x, Shapes) and len(x.data)]
-        layer = chosen_of(self.viewer, shapes)
+        shapes = [x for x in self._viewer.layers if isinstance(x, Shapes) and len(x.data)]
+        layer = chosen_of(self._viewer, shapes)
         if layer is None:
             raise InputError("draw a rectangle around the cells in a Shapes layer first")
         chosen = sorted(layer.selected_data) or [len(layer.data) - 1]
@@ -198,18 +183,17 @@ class ImageSource:
         if layer is not None:
             scale = np.array(layer.scale, float)
             scale[-3:] = np.asarray(size) / np.asarray(um_per_unit(layer) or (1.0, 1.0, 1.0))
-            rescale(self.viewer, layer, scale)
+            rescale(self._viewer, layer, scale)
             self.changed.emit()
 
     def close_links(self) -> None:
-        """Listen to the viewer no more."""
-        self.choice.close_links()
-        self._connections.undo()
+        """Listen to the viewer no more, and let its layers go."""
+        super().close_links()
         self._listen_to(None)
 
     # ---- what follows from it -----------------------------------------------------------------
 
-    def _chosen(self) -> None:
+    def _layer_changed(self) -> None:
         layer, self.box = self.layer, None
         self._listen_to(layer)
         if layer is not None:
@@ -227,7 +211,7 @@ class ImageSource:
             frame = self.frame()
         except InputError:
             return  # there is no image yet, or one that cannot be used
-        for layer in self.viewer.layers:
+        for layer in self._viewer.layers:
             own = layer.metadata.get(OWN, {})
             if ORIGIN not in own or own[ORIGIN] is not None or layer.ndim != 3:
                 continue
@@ -254,7 +238,7 @@ class ImageSource:
         except InputError:
             return  # napari could read it, so it is an image all the same; its size stays unknown
         if size is not None and layer.ndim == 3:
-            rescale(self.viewer, layer, size)
+            rescale(self._viewer, layer, size)
 
     def _listen_to(self, layer: Any) -> None:
         if self._scaled is not None:
@@ -278,7 +262,6 @@ class SecondSource(LayerChoice):
         self.sigma: Triple = (1.0, 1.0, 1.0)
         self._given = self._quiet = False
         super().__init__(viewer, self._can_be_second, optional=True)
-        self.changed.connect(self._chosen)
         image.changed.connect(self._image_changed)
 
     def view(self) -> ViewEffect | None:
@@ -324,7 +307,8 @@ class SecondSource(LayerChoice):
             self.sigma = triple(SIGMA_IN_VOXELS * d for d in voxel_size(layer))
         self.shown.emit()
 
-    def _chosen(self) -> None:
+    def _layer_changed(self) -> None:
+        super()._layer_changed()
         self.shown.emit()
         if not self._quiet:
             self.edited.emit()

@@ -65,7 +65,7 @@ class LayerChoice(Layers):
         if layer is not self.layer and (layer in self.layers or (self.optional and layer is None)):
             self.layer = layer
             self.listed.emit()
-            self.changed.emit()
+            self._layer_changed()
 
     def refresh(self, event: Any = None) -> None:
         self.layers, before = self.found(), self.layer
@@ -75,7 +75,11 @@ class LayerChoice(Layers):
             self.layer = others[-1] if others and not self.optional else None
         self.listed.emit()
         if self.layer is not before:
-            self.changed.emit()
+            self._layer_changed()
+
+    def _layer_changed(self) -> None:
+        """Another layer is chosen: tell it."""
+        self.changed.emit()
 
     def close_links(self) -> None:
         super().close_links()
