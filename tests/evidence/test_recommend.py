@@ -1,6 +1,8 @@
 """Which effects an image calls for."""
 
+import importlib
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -55,6 +57,21 @@ def test_the_predicted_bias_is_that_of_a_fit(hazy):
     size = [np.cbrt(m.volumes()[1] * 3 / (4 * np.pi)) for m in (state.mesh, right.mesh)]
     swelling = abs(size[0] - size[1])
     assert of(found, "halo").bias_nm == pytest.approx(1e3 * swelling, rel=0.8)
+
+
+def test_the_search_begins_with_the_numbers_that_a_fit_has_found(monkeypatch):
+    """Not with those that its settings started from."""
+    asked = []
+    module = importlib.import_module("napari_deltamic.evidence.recommend")
+    monkeypatch.setattr(module, "recommend", lambda *given, **more: asked.append(more["effects"]))
+    begun, found = (Effects.of(Halo(fraction=share, width=1.0)) for share in (0.1, 0.3))
+    settings = SimpleNamespace(fit=SETTINGS, scene=SimpleNamespace(effects=begun))
+    job = SimpleNamespace(
+        image=None, grid=GRID, mesh=TRUTH, optics=OPTICS, settings=settings, counted=None
+    )
+    module.recommend_for(job)
+    module.recommend_for(job, SimpleNamespace(effects=found))
+    assert asked == [begun, found]
 
 
 def test_light_from_inside_is_no_effect_and_stays_free():

@@ -45,14 +45,14 @@ def asked(monkeypatch):
     """Questions to the engine, which answers at once when it is let."""
     gate, calls = threading.Semaphore(0), []
 
-    def recommend(image, grid, mesh, optics, settings, **more):
-        calls.append({"mesh": mesh, "optics": optics, **more})
-        more["progress"]("looking at attenuation")
+    def recommend_for(job, fitted, progress):
+        calls.append(fitted)
+        progress("looking at attenuation")
         assert gate.acquire(timeout=20)
-        more["progress"]("looking at halo")
+        progress("looking at halo")
         return recommendation(FADING, HALO)
 
-    monkeypatch.setattr(effects_panel, "recommend", recommend)
+    monkeypatch.setattr(effects_panel, "recommend_for", recommend_for)
     yield gate, calls
     gate.release(99)
 
@@ -121,7 +121,7 @@ def test_the_image_and_its_seeds_are_asked_in_the_background(seeded, spin, asked
     spin(lambda: not seeded.settings.effects.button.busy)
     assert view.found.recommended == ("attenuation",)
     assert seeded.settings.effects_fold.title == "Corrections: none; dimmer with depth recommended"
-    assert calls[0]["fitted"].iteration == 5
+    assert calls[0].iteration == 5
     assert seeded.settings.scene_settings().effects == Effects()
     seeded.settings.sigma._boxes[0].setValue(0.9)
     assert "check again" in view.progress.text()
@@ -136,14 +136,14 @@ def test_a_fit_that_converged_is_not_done_again(seeded, spin, asked):
     assert state.converged
     seeded.settings.effects.button.click()
     spin(lambda: not seeded.settings.effects.button.busy)
-    assert calls[0]["fitted"] is state
+    assert calls[0] is state
     seeded.settings.effects.table.tick("attenuation")
     seeded.settings.max_iterations.setValue(3)
     gate.release()
     seeded.settings.effects.button.click()
     spin(lambda: not seeded.settings.effects.button.busy, seconds=60)
-    assert calls[1]["fitted"] is not state
-    assert calls[1]["effects"].names == ("attenuation",)
+    assert calls[1] is not state
+    assert calls[1].effects.names == ("attenuation",)
 
 
 def test_a_check_can_be_stopped(seeded, spin, asked):

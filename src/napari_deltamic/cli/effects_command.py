@@ -12,7 +12,7 @@ import numpy as np
 
 from ..common.writing import write_atomically
 from ..errors import failure
-from ..evidence import Recommendation
+from ..evidence import Recommendation, recommend_for
 from ..evidence.camera import Camera
 from ..evidence.candidates import chosen_candidates
 from ..evidence.estimate import Finding
@@ -23,7 +23,7 @@ from ..results.report import plain_values
 from ..scene.effects import Effects
 from .inputs import gather
 from .messages import Notes
-from .recommending import as_plain, as_table, recommendation_for
+from .recommending import as_plain, as_table
 
 
 def run(arguments: argparse.Namespace, notes: Notes) -> int:
@@ -35,7 +35,7 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
     try:
         job = gather(arguments, notes)
         notes.release()
-        found = recommendation_for(job, notes, only=only)
+        found = recommend_for(job, candidates=only, progress=notes.add)
         hints = _hints(job)
     except (MemoryError, RuntimeError) as error:
         raise failure(error) from error

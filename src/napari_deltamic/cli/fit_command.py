@@ -13,7 +13,7 @@ from typing import Any
 
 from ..common.writing import interrupts_held, own_folder, write_atomically
 from ..errors import PROGRAM, InputError, failure
-from ..evidence import analyse_residual
+from ..evidence import analyse_residual, recommend_for
 from ..evidence.fit_facts import verdict_of
 from ..evidence.sanity import tell_doubts
 from ..fitting import FitState
@@ -26,7 +26,6 @@ from .inputs import gather
 from .messages import INTERRUPTED, Bar, Notes, tell
 from .recommending import (
     as_plain,
-    recommendation_for,
     residual_as_plain,
     verdict,
     with_recommended,
@@ -103,7 +102,7 @@ class _Run:
     def _with_recommended(self) -> Iterator[FitState]:
         """The fit with the effects that the one before calls for; empty where it calls for none."""
         assert self.last is not None, "a fit yields at least one state"
-        found = recommendation_for(self.job, self.notes, self.last)
+        found = recommend_for(self.job, self.last, progress=self.notes.add)
         self.further["recommendation"] = as_plain(found)
         for line in verdict(found):
             self.notes.add(line)

@@ -5,31 +5,11 @@ from __future__ import annotations
 from dataclasses import asdict, replace
 from typing import Any
 
-from ..evidence import Recommendation, Residual, recommend
+from ..evidence import Recommendation, Residual
 from ..evidence.camera import Camera
-from ..fitting import FitState
 from ..fitting.job import FitInput
-from .messages import Notes
 
 _HEADINGS = ("effect", "score", "bias (nm)", "cost (ms)", "", "why")
-
-
-def recommendation_for(
-    job: FitInput, notes: Notes, fitted: FitState | None = None, only: Any = None
-) -> Recommendation:
-    """Ask the engine, and say on stderr what it looks at."""
-    return recommend(
-        job.image,
-        job.grid,
-        job.mesh,
-        job.optics,
-        job.settings.fit,
-        only,
-        counted=job.counted,
-        effects=job.settings.scene.effects,
-        fitted=fitted,
-        progress=notes.add,
-    )
 
 
 def with_recommended(job: FitInput, found: Recommendation) -> FitInput:

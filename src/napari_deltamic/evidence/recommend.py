@@ -10,6 +10,7 @@ import numpy as np
 from ..fitting.checks import check_image, hot_voxels
 from ..fitting.default_accuracy import accuracy_for_image
 from ..fitting.fit import fit
+from ..fitting.job import FitInput
 from ..fitting.likelihood import voxel_noise
 from ..fitting.state import FitState
 from ..geometry.mesh import Mesh
@@ -163,6 +164,30 @@ def recommend(
     costs = EffectCosts(fitted.mesh, grid, fitted.optics.detach(), present, accuracy)
     found = _outcome(search, names, present, camera, costs)
     return with_detection(found, search, pixels, known)
+
+
+def recommend_for(
+    job: FitInput,
+    fitted: FitState | None = None,
+    candidates: Sequence[str] | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Recommendation:
+    """Decide which effects the image of a fit calls for; see :func:`recommend`.
+
+    fitted : the last state of this fit, where it was done: the effects have the numbers it found.
+    """
+    return recommend(
+        job.image,
+        job.grid,
+        job.mesh,
+        job.optics,
+        job.settings.fit,
+        candidates,
+        counted=job.counted,
+        effects=job.settings.scene.effects if fitted is None else fitted.effects,
+        fitted=fitted,
+        progress=progress,
+    )
 
 
 def _outcome(

@@ -10,7 +10,7 @@ from typing import Any
 from qtpy.QtWidgets import QFormLayout, QWidget
 
 from ...errors import InputError
-from ...evidence import Recommendation, recommend
+from ...evidence import Recommendation, recommend_for
 from ...evidence.camera import Camera
 from ...evidence.candidates import CONSIDERED
 from ...fitting import FitState
@@ -246,17 +246,7 @@ def _check(
             question.step(f"fitting: iteration {state.iteration}")
             yield
     assert state is not None, "a fit yields at least one state"
-    return recommend(
-        job.image,
-        job.grid,
-        job.mesh,
-        job.optics,
-        job.settings.fit,
-        counted=job.counted,
-        effects=state.effects,
-        fitted=state,
-        progress=question.step,
-    )
+    return recommend_for(job, state, progress=question.step)
 
 
 def _camera(camera: Camera) -> list[str]:
