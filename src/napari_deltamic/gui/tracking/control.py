@@ -24,7 +24,7 @@ from ..viewing.frame import Frame, data_of
 from ..work import Outcome, attempt
 from .layers import TrackLayers
 from .panel import TrackPanel
-from .track_work import Frames, Tracked, TrackJob, TrackWork
+from .track_work import Frames, TrackJob, TrackWork
 
 
 class TrackControl(QObject):
@@ -38,10 +38,8 @@ class TrackControl(QObject):
     def __init__(self, doc: Document, panel: TrackPanel, parent: QObject | None = None) -> None:
         super().__init__(parent)
         self._doc, self.panel = doc, panel
-        self.work: TrackWork | None = None
+        self.work: TrackWork | None = None  # the last run, or that of a session
         self.layers: TrackLayers | None = None
-        self._kept = Tracked()  # of a session that was opened
-        self._again: tuple[Callable[[], TrackJob], range] | None = None  # to go on
         self._seeds: list[Any] = []  # layers that the run started from
         panel.track_button.clicked.connect(self.start)
         panel.go_on_button.clicked.connect(self.go_on)
@@ -53,13 +51,7 @@ class TrackControl(QObject):
 
     @property
     def results(self) -> list[FrameResult]:
-        return list(self.tracked.results)
-
-    @property
-    def tracked(self) -> Tracked:
-        """What the last run has reached, or that of a session."""
-        work = self.work
-        return self._kept if work is None else Tracked(work.job, tuple(work.results), work.seconds)
+        return [] if self.work is None else list(self.work.results)
 
     def start(self) -> None:
         """Track from the frame shown; says in plain words what is missing."""
@@ -69,10 +61,8 @@ class TrackControl(QObject):
 
     def go_on(self) -> None:
         """Track the frames after those that are done."""
-        if self._busy() or self._again is None:
-            return
-        prepare, frames = self._again
-        self._launch(prepare, frames, self.results)
+        if not self._busy() and self.work is not None:
+            self._launch(self.work.prepare, self.work.frames, self.results)
 
     def save(self, folder: str) -> None:
         """Write what the command line would."""
@@ -80,8 +70,8 @@ class TrackControl(QObject):
 
     def saved(self) -> SavedTracks | None:
         """What a session keeps of the series that is chosen; None where it was not tracked."""
-        tracked, layers = self.tracked, self.layers
-        if layers is None or tracked.job is None or not tracked.results:
+        work, layers = self.work, self.layers
+        if layers is None or work is None or work.job is None or not work.results:
             return None
         layer = self._doc.image.layer
         if layers.image_layer is not layer:
@@ -89,21 +79,21 @@ class TrackControl(QObject):
         return SavedTracks(
             pixels=data_of(layer),
             time=(float(layer.scale[-4]), float(layer.translate[-4]), str(layer.units[-4])),
-            results=tracked.results,
-            settings=tracked.job.settings,
-            seconds=tracked.seconds,
-            shared_ground=tracked.job.shared_ground,
+            results=tuple(work.results),
+            settings=work.job.settings,
+            seconds=work.seconds,
+            shared_ground=work.job.shared_ground,
         )
 
     def reopen(self, tracks: SavedTracks) -> None:
         """Show what a session kept, of the image chosen, as if it had just been tracked."""
         image = self._doc.image
         frame, frames = image.frame(), Frames(tracks.pixels)
-        self._kept = Tracked(_reopened(tracks, frame, frames), tracks.results, tracks.seconds)
-        self.work = None
-        self._show_in(image.layer, frame)
+        job = _reopened(tracks, frame, frames)
         left = range(tracks.settings.track.first, len(frames))
-        self._again = (partial(_same, self._kept.job), left)
+        self.work = self._made(partial(_same, job), left, tracks.results)
+        self.work.job, self.work.seconds, self.work.running = job, tracks.seconds, False
+        self._show_in(image.layer, frame)
         self.panel.divisions.setChecked(tracks.settings.track.divisions)
         if self.layers is not None:
             self.layers.show(tracks.results)
@@ -157,10 +147,14 @@ class TrackControl(QObject):
     def _launch(
         self, prepare: Callable[[], TrackJob], frames: range, done: Sequence[FrameResult]
     ) -> None:
-        self._again = (prepare, frames)
-        self.work = TrackWork(prepare, frames, done, self._frame_done, self._ended)
+        self.work = self._made(prepare, frames, done)
         self.panel.show_verdict("", "")
         self._doc.work.start(self.work)
+
+    def _made(
+        self, prepare: Callable[[], TrackJob], frames: range, done: Sequence[FrameResult]
+    ) -> TrackWork:
+        return TrackWork(prepare, frames, done, self._frame_done, self._ended)
 
     def _show_in(self, image_layer: Any, frame: Frame) -> None:
         """Layers of an earlier run give way, or two surfaces would lie on each other."""
@@ -186,22 +180,21 @@ class TrackControl(QObject):
 
     def _end(self, verdict: str, text: str) -> None:
         """Show how it ended, and whether it can go on."""
-        results, seconds = self.results, self.tracked.seconds
+        work = self.work
         self._work_changed()
-        if results:
-            kept = "" if verdict == "done" else f"{len(results)} frames are kept, "
-            text += f" ({kept}{seconds:.1f} s)"
+        if work is not None and work.results:
+            kept = "" if verdict == "done" else f"{len(work.results)} frames are kept, "
+            text += f" ({kept}{work.seconds:.1f} s)"
         self.panel.show_verdict(verdict, text)
         self._show_frame()
 
     def _save(self, folder: str) -> None:
-        tracked = self.tracked
-        job = tracked.job
-        if job is None or not tracked.results:
+        work, results = self.work, self.results
+        if work is None or work.job is None or not results:
             raise InputError("there are no frames to save")
-        for result in tracked.results:
+        for result in results:
             write_frame(folder, result)
-        write_tracks(folder, tracked.results, job.first.grid, job.settings, tracked.seconds)
+        write_tracks(folder, results, work.job.first.grid, work.job.settings, work.seconds)
         self._doc.told.emit(f"saved {folder}")
 
     # ------------------------------------------------------------------------------- the panel
@@ -212,9 +205,9 @@ class TrackControl(QObject):
         self._work_changed()
 
     def _work_changed(self) -> None:
-        done, layers, can_go_on = self.results, self.layers, False
-        if done and layers is not None and self._again is not None:
-            left = done[-1].frame < self._again[1].stop - 1
+        work, layers, can_go_on = self.work, self.layers, False
+        if work is not None and work.results and layers is not None:
+            left = work.results[-1].frame < work.frames.stop - 1
             can_go_on = left and layers.image_layer is self._doc.image.layer
         self.panel.allow(not self._doc.work.occupied, can_go_on=can_go_on)
 

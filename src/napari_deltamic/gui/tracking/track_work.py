@@ -44,18 +44,6 @@ class TrackJob:
     shared_ground: bool
 
 
-@dataclass(frozen=True)
-class Tracked:
-    """What a run has reached; of ``seconds`` s.
-
-    job : None while it is prepared.
-    """
-
-    job: TrackJob | None = None
-    results: tuple[FrameResult, ...] = ()
-    seconds: float = 0.0
-
-
 class TrackWork(Task):
     """One run of tracking.
 
@@ -66,6 +54,12 @@ class TrackWork(Task):
     done : frames of an earlier run to go on from.
     on_frame : called for each frame that is done, with those up to it.
     on_end : called once with the outcome, unless the run was closed.
+
+    Attributes
+    ----------
+    job : None while it is prepared.
+    results : of the frames done.
+    seconds : s that it has taken.
     """
 
     title = "cells are being tracked"
@@ -80,7 +74,7 @@ class TrackWork(Task):
         on_end: Callable[[Outcome], None],
     ) -> None:
         super().__init__()
-        self._prepare, self._frames = prepare, frames
+        self.prepare, self.frames = prepare, frames
         self._on_frame, self._on_end = on_frame, on_end
         self._shown = len(done)  # frames
         self.job: TrackJob | None = None
@@ -103,9 +97,9 @@ class TrackWork(Task):
     def steps(self) -> Generator[None, None, Outcome]:
         """Yields after every iteration."""
         began, done = time.monotonic(), list(self.results)
-        job = self.job = self._prepare()
+        job = self.job = self.prepare()
         yield
-        first, count = job.first, len(self._frames)
+        first, count = job.first, len(self.frames)
         for state in track(
             job.frames,
             first.grid,
@@ -122,7 +116,7 @@ class TrackWork(Task):
             if state.done is not None:
                 self.results.append(state.done)
             elif fit is not None:
-                number = state.frame - self._frames.start
+                number = state.frame - self.frames.start
                 self.share = (number + (fit.level - 1) / max(fit.levels, 1)) / count
                 self.stage = (
                     f"frame {number + 1} of {count}: level {fit.level} of {fit.levels}, "
