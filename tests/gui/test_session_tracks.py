@@ -125,3 +125,29 @@ def test_the_rendered_image_is_there_at_its_time_only(widget, viewer, spin):
     assert not rendered.visible
     widget.doc.look("rendered")
     assert rendered.visible
+
+
+def test_frames_of_a_region_come_back_where_they_were(widget, viewer, series, spin, reopened_here):
+    """With the voxels of the region, and none of those around it."""
+    widget.doc.image.take_region(((0, 20), (2, 23), (1, 24)))
+    widget.tracking.start()
+    spin(ended(widget), 60)
+    vertices = viewer.layers["movie: tracked surfaces"].data[0]
+    place = viewer.layers["movie: tracked surfaces"].translate
+    other = reopened_here(widget)
+    again = viewer.layers["movie: tracked surfaces"]
+    np.testing.assert_array_equal(again.data[0], vertices)
+    np.testing.assert_allclose(again.translate, place)
+    image = viewer.layers["movie"]
+    np.testing.assert_array_equal(image.data, series[:, :, 2:23, 1:24])
+    np.testing.assert_allclose(image.translate, (0, 1, 2 + 2 * 0.2, 3 + 0.2))
+    assert other.tracking.work.job.first.image.shape == (20, 21, 23)
+
+
+def test_tracks_of_another_region_are_not_saved(widget, spin):
+    widget.tracking.start()
+    spin(ended(widget), 60)
+    widget.doc.image.take_region(((0, 20), (2, 23), (1, 24)))
+    found, left_out = session.capture(widget.parts)
+    assert found.tracks is None
+    assert left_out.startswith("the tracks are of another image or region")

@@ -47,6 +47,10 @@ def capture(parts: Parts) -> tuple[Session, str]:
     )
     step = tuple(dims.current_step)
     point = tuple(float(p) for p in dims.point)
+    tracks = parts.tracking.saved()
+    if tracks is None and parts.tracking.results:
+        others = "the tracks are of another image or region: they are not in this session"
+        left_out = "; ".join(filter(None, (left_out, others)))
     session = Session(
         settings=settings,
         image=save_image(doc.image.layer, pixels, frame),
@@ -60,7 +64,7 @@ def capture(parts: Parts) -> tuple[Session, str]:
             "result_time": doc.link.time if result and doc.link else [],
         },
         second=_second(doc, frame, result[1] if result else None),
-        tracks=parts.tracking.saved(),
+        tracks=tracks,
     )
     return session, left_out
 

@@ -69,15 +69,16 @@ class TrackControl(QObject):
         attempt(partial(self._save, folder), self._doc.warned.emit)
 
     def saved(self) -> SavedTracks | None:
-        """What a session keeps of the series that is chosen; None where it was not tracked."""
+        """What a session keeps of the series, as it is chosen; None if that was not tracked."""
         work, layers = self.work, self.layers
         if layers is None or work is None or work.job is None or not work.results:
             return None
-        layer = self._doc.image.layer
-        if layers.image_layer is not layer:
+        layer, frame = self._doc.image.layer, self._doc.image.frame()
+        if layers.image_layer is not layer or layers.frame != frame:
             return None
+        pixels, box = data_of(layer), frame.box
         return SavedTracks(
-            pixels=data_of(layer),
+            pixels=pixels if box is None else pixels[(..., *(slice(a, b) for a, b in box))],
             time=(float(layer.scale[-4]), float(layer.translate[-4]), str(layer.units[-4])),
             results=tuple(work.results),
             settings=work.job.settings,
