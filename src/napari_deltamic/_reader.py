@@ -13,12 +13,11 @@ from .geometry.formats import MESH_FILES
 from .gui.menu import fit_widget
 from .gui.results.session_layers import image_layer, mesh_layer, seed_layer
 from .gui.viewing.cell_layers import load_meshes, surface_layer
-from .gui.viewing.frame import ORIGIN, OWN, Frame
+from .gui.viewing.frame import ORIGIN, OWN, WORLD, Frame
 from .results.session_file import EXTENSION, load_session
 
 LayerData = tuple[Any, dict[str, Any], str]
 _NO_LAYERS: Any = (None,)  # napari's sign that a file was read, and no layer is to be added
-_WORLD = Frame((1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0), ("um",) * 3)
 
 
 def get_reader(path: str | Sequence[str]) -> Callable[..., list[LayerData]] | None:
@@ -44,7 +43,7 @@ def read_meshes(path: str | Sequence[str]) -> list[LayerData]:
     for loaded in load_meshes(_paths(path)):
         for remark in loaded.remarks:
             show_warning(remark)
-        layer = surface_layer(loaded, _WORLD)
+        layer = surface_layer(loaded, WORLD)
         layer.opacity = 1.0
         layer.metadata[OWN][ORIGIN] = None
         found.append(layer.as_layer_data_tuple())

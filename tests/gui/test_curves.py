@@ -22,6 +22,6 @@ def test_each_level_is_a_line_of_what_is_explained(app):
 
 def test_the_history_tells_it_too(make_widget):
     bar = make_widget().running.history
-    bar.show_moments([Moment(k, 0.4 - 0.1 * k, None, None) for k in (1, 2)], running=False)
+    bar.show_moments([Moment(k, 0.4 - 0.1 * k, None, None) for k in (1, 2)])
     bar.slider.setValue(0)
     assert bar.note.text() == "iteration 1, 70.0% explained"

@@ -23,9 +23,7 @@ from ..scene.structures import membranes_and_insides
 from .seeding.cell_source import mesh_of_surface
 from .viewing.cell_layers import labels_options
 from .viewing.colours import surface_look, vertex_values
-from .viewing.frame import OWN, TRUTH, Frame, shape_of
-
-_WORLD = Frame((1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0), ("um",) * 3)
+from .viewing.frame import OWN, TRUTH, WORLD, Frame, shape_of
 
 
 def measure_surface(
@@ -50,7 +48,7 @@ def measure_surface(
     written = folder if folder != Path() else None
     if image is None and written is None:
         raise InputError("choose a folder for the tables, or an image for a layer with them")
-    frame = _WORLD if image is None else Frame.of(image)
+    frame = WORLD if image is None else Frame.of(image)
     grid = None if image is None else frame.grid(shape_of(image))
     mesh, name = mesh_of_surface(surface, frame), surface.name
     if written is not None and (written / "cells.csv").exists():

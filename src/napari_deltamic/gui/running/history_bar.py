@@ -36,7 +36,6 @@ class HistoryBar(QWidget):
         self._next = 0.0
         self._moments: tuple[Moment, ...] = ()
         self.chosen: Moment | None = None  # that is looked at; None where it is the newest
-        self._running = False
         self.undo_button = small(button("↶", "", self.undo, self))
         self.redo_button = small(button("↷", "", self.redo, self))
         self.slider = QSlider(Qt.Orientation.Horizontal, self)
@@ -56,11 +55,11 @@ class HistoryBar(QWidget):
         doc.image.changed.connect(self._image_changed)
         edits.changed.connect(self._show_undo)
         self._show_undo()
-        self.show_moments((), running=False)
+        self.show_moments(())
 
-    def show_moments(self, moments: Sequence[Moment], *, running: bool) -> None:
+    def show_moments(self, moments: Sequence[Moment]) -> None:
         """Which there are; the one that is looked at stays, or the nearest to it."""
-        self._moments, self._running = tuple(moments), running
+        self._moments = tuple(moments)
         last = max(len(self._moments) - 1, 0)
         with signals_blocked(self.slider):
             self.slider.setRange(0, last)
@@ -69,7 +68,7 @@ class HistoryBar(QWidget):
         self._show()
 
     def update_moments(self) -> None:
-        self.show_moments(self._doc.timeline.moments, running=self._doc.running)
+        self.show_moments(self._doc.timeline.moments)
 
     def undo(self) -> None:
         self._take_back(self._edits.undo)
@@ -148,16 +147,16 @@ class HistoryBar(QWidget):
         return min(earlier[-1] if earlier else 0, max(len(self._moments) - 2, 0))
 
     def _show(self) -> None:
-        looking = self.chosen is not None
+        looking, running = self.chosen is not None, self._doc.running
         self.live_button.setVisible(looking)
-        self.go_on_button.setVisible(looking or (not self._running and bool(self._moments)))
+        self.go_on_button.setVisible(looking or (not running and bool(self._moments)))
         self.go_on_button.setToolTip(
             "The fit goes on from the state shown."
-            if self._running
+            if running
             else "Start a fit from the state shown, with little blur."
         )
         shown = self.chosen or (self._moments[-1] if self._moments else None)
-        if shown is None or (not looking and self._running):
+        if shown is None or (not looking and running):
             self.note.say("")
             return
         text = f"iteration {shown.iteration}"

@@ -17,7 +17,7 @@ from ...scene.effects import Effects, ViewEffect, kind_of
 from ..document import Document
 from .edits import Edits
 
-_SCENE = {"voxel_size": "voxel size", "origin": "origin", "view": kind_of(ViewEffect).title}
+_SCENE = {"voxel_size": "voxel size", "view": kind_of(ViewEffect).title}
 _FIT = described(FitSettings)
 
 
@@ -172,11 +172,7 @@ class LiveSettings(QObject):
 
 
 def _scene(settings: SceneSettings) -> dict[str, Any]:
-    return {
-        "voxel_size": settings.voxel_size,
-        "origin": settings.origin,
-        "view": settings.effects.view,
-    }
+    return {"voxel_size": settings.voxel_size, "view": settings.effects.view}
 
 
 def _words(name: str, value: Any) -> str:

@@ -78,8 +78,6 @@ class SeedsPanel(QGroupBox):
         """Add a point at each of some places, um in the image's frame. InputError if it cannot."""
         self.place_seeds()
         layer, frame = self._points_layer(), self._image.frame()
-        if layer is None:
-            raise InputError(self._image.missing())
         scale, shift = frame.data_to_um(layer)
         added = (np.asarray(places, float) - shift) / scale
         before = np.asarray(layer.data)

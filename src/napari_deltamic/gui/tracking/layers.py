@@ -7,14 +7,12 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from napari.utils import Colormap
-from numpy.typing import NDArray
 
 from ...geometry import Mesh
 from ...measure import measure_cells
 from ...results.colouring import PALETTE, colour_indices, plain_index
 from ...tracking import FrameResult, lineage, surface_4d
-from ..viewing.colours import PALETTE_RGBA, region_colours
+from ..viewing.colours import PALETTE_RGBA, in_steps, region_colours
 from ..viewing.frame import MADE_BY_FIT, OWN, Frame
 from ..viewing.mesh_layers import MeshLayers
 from ..viewing.own_layers import Surface, Tracks
@@ -43,7 +41,7 @@ class TrackLayers(MeshLayers):
         self.results: dict[int, FrameResult] = {}
         self.tracks: Tracks | None = None
         self._coloured: Mapping[int, int] = {}  # colours that the surface has
-        self._on_time: Callable[[], None] | None = on_time
+        self._on_time = on_time
 
     @property
     def number(self) -> int:
@@ -76,12 +74,7 @@ class TrackLayers(MeshLayers):
 
     def slice_changed(self, event: Any = None) -> None:
         super().slice_changed(event)
-        if self._on_time is not None:
-            self._on_time()
-
-    def close(self) -> None:
-        super().close()
-        self._on_time = None
+        self._on_time()
 
     def made(self) -> list[Any]:
         return [self.tracks, *super().made()]
@@ -105,7 +98,8 @@ class TrackLayers(MeshLayers):
             layer.data = (vertices.astype(np.float32), faces, cells.astype(np.float32))
         if layer.contrast_limits[1] != last + 0.5 or self._coloured != self.contours.colours:
             self._coloured = self.contours.colours
-            layer.colormap = _colours(region_colours(np.arange(1, last + 1), (), self._coloured))
+            colours = region_colours(np.arange(1, last + 1), (), self._coloured)
+            layer.colormap = in_steps(colours, "deltamic cells")
             layer.contrast_limits = (0.5, last + 0.5)
         # The identity of each vertex, for whoever goes on with the layer.
         layer.metadata[OWN]["cells"] = cells
@@ -134,7 +128,7 @@ class TrackLayers(MeshLayers):
                 graph=graph,
                 features=colour,
                 color_by=_COLOUR,
-                colormaps_dict={_COLOUR: _colours(PALETTE_RGBA)},
+                colormaps_dict={_COLOUR: in_steps(PALETTE_RGBA, "deltamic cells")},
                 name=f"{self.image_layer.name}: tracks",
                 tail_width=3,
                 metadata={OWN: dict(MADE_BY_FIT)},
@@ -159,11 +153,3 @@ class TrackLayers(MeshLayers):
             "translate": (float(layer.translate[-4]), *options["translate"]),
             "units": (str(layer.units[-4]), *options["units"]),
         }
-
-
-def _colours(table: NDArray[np.float64]) -> Colormap:
-    """Colours (n, 4) as a map, over limits of half a number around n whole ones."""
-    if len(table) == 1:
-        table = np.repeat(table, 2, axis=0)  # a canvas draws by no fewer
-    controls = np.linspace(0, 1, len(table) + 1)
-    return Colormap(table, name="deltamic cells", controls=controls, interpolation="zero")

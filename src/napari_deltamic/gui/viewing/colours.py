@@ -16,12 +16,11 @@ from ...results.colouring import COLOURS, PALETTE, colour_indices, label_indices
 
 _DIM, _GREY = 0.75, 0.42  # a cell that is not chosen: so much of this grey in its colour
 _OPAQUE = np.ones((len(PALETTE), 1))
-_TABLE = np.hstack([np.array(PALETTE) / 255, _OPAQUE])
-PALETTE_RGBA = _TABLE
-_DIMMED = np.hstack([(1 - _DIM) * _TABLE[:, :3] + _DIM * _GREY, _OPAQUE])
-_BOTH = np.concatenate([_TABLE, _DIMMED])
+PALETTE_RGBA = np.hstack([np.array(PALETTE) / 255, _OPAQUE])
+_DIMMED = np.hstack([(1 - _DIM) * PALETTE_RGBA[:, :3] + _DIM * _GREY, _OPAQUE])
+_BOTH = np.concatenate([PALETTE_RGBA, _DIMMED])
 _GHOSTS = _BOTH.copy()
-_GHOSTS[len(_TABLE) :, 3] = 0.2  # in 3D one looks through them at what is chosen
+_GHOSTS[len(PALETTE_RGBA) :, 3] = 0.2  # in 3D one looks through them at what is chosen
 BY_VALUE = "viridis"
 _BY_VALUE = ensure_colormap(BY_VALUE)
 LIMITS = (0.0, float(len(_BOTH)))
@@ -70,15 +69,22 @@ def region_colours(
     numbers = np.asarray(regions)
     index = _places(numbers, indices)
     if chosen:
-        index = index + len(_TABLE) * ~np.isin(numbers, list(chosen))
+        index = index + len(PALETTE_RGBA) * ~np.isin(numbers, list(chosen))
     colours: NDArray[np.float64] = _BOTH[index]
     return colours
 
 
 def region_colormap() -> Colormap:
     """A colormap that, over ``LIMITS``, gives ``vertex_values`` the colours of their regions."""
-    controls = np.linspace(0, 1, len(_BOTH) + 1)
-    return Colormap(_GHOSTS, name="deltamic regions", controls=controls, interpolation="zero")
+    return in_steps(_GHOSTS, "deltamic regions")
+
+
+def in_steps(colours: NDArray[np.float64], name: str) -> Colormap:
+    """Colours, (n, 4) RGBA, as a map: each over one n-th of the limits."""
+    if len(colours) == 1:
+        colours = np.repeat(colours, 2, axis=0)  # a canvas draws by no fewer
+    controls = np.linspace(0, 1, len(colours) + 1)
+    return Colormap(colours, name=name, controls=controls, interpolation="zero")
 
 
 def surface_look() -> dict[str, Any]:
@@ -91,9 +97,9 @@ def label_colormap(labels: NDArray[np.integer]) -> DirectLabelColormap:
 
     Labels lie side by side without a contour: two of one colour would look like one cell.
     """
-    colours: dict[int | None, Any] = {k: _TABLE[v] for k, v in label_indices(labels).items()}
+    colours: dict[int | None, Any] = {k: PALETTE_RGBA[v] for k, v in label_indices(labels).items()}
     # None is napari's name for those that are painted later.
-    return DirectLabelColormap(color_dict={None: _TABLE[0], 0: np.zeros(4), **colours})
+    return DirectLabelColormap(color_dict={None: PALETTE_RGBA[0], 0: np.zeros(4), **colours})
 
 
 def vertex_values(mesh: Mesh) -> NDArray[np.float32]:
@@ -116,7 +122,7 @@ def side_values(
     if chosen:
         own = np.where(np.isin(sides, list(chosen)), sides, 0).max(axis=1)
         bright = _places(np.maximum(own, 1), indices) + 0.5
-        values = np.where(own > 0, bright, values + len(_TABLE))
+        values = np.where(own > 0, bright, values + len(PALETTE_RGBA))
     return values.astype(np.float32)
 
 

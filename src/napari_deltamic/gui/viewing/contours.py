@@ -48,7 +48,6 @@ class Contours:
         self._empty = True
         self._pixels = _PIXELS
         self._um_of_pixel = 1.0  # where the width was last looked at
-        self._widening = False
         self.layer.events.edge_width.connect(self._width_chosen)
 
     def update(self, mesh: Mesh | None, viewer: Any) -> None:
@@ -85,14 +84,12 @@ class Contours:
     def _keep_width(self, viewer: Any) -> None:
         width = self._width(viewer)
         if not 1 / _OFF < width / float(self.layer.edge_width) < _OFF:
-            self._widening = True
-            self.layer.edge_width = width
-            self._widening = False
+            with self.layer.events.edge_width.blocker(self._width_chosen):
+                self.layer.edge_width = width
 
     def _width_chosen(self, event: Any = None) -> None:
         """The user has chosen a width, which is kept from now on."""
-        if not self._widening:
-            self._pixels = float(self.layer.edge_width) / self._um_of_pixel
+        self._pixels = float(self.layer.edge_width) / self._um_of_pixel
 
     def position(self, dims: Any, axis: int) -> float:
         """um: where the slice across an axis lies that the viewer's dims are at."""

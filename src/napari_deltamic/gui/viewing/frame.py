@@ -132,6 +132,10 @@ class Frame:
         return {"scale": size, "translate": self.translate, "units": self.units}
 
 
+# Of what lies in no image.
+WORLD = Frame((1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0), ("um",) * 3)
+
+
 def unwrapped(viewer: Any) -> Any:
     """The viewer itself, where napari hands over a ``PublicOnlyProxy`` of it.
 

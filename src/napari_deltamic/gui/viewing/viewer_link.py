@@ -47,7 +47,7 @@ class ViewerLink(MeshLayers):
         self._limits = (0.0, 0.0)  # of the residual, as long as the user chooses no others
         self._view = "image"
         self._pins = Pins(self, f"{name}: pinned")
-        self._on_lost: Callable[[str], None] | None = on_lost
+        self._on_lost = on_lost
         self.connections.connect(viewer.layers.events.removed, self._layer_removed)
 
     @property
@@ -119,10 +119,6 @@ class ViewerLink(MeshLayers):
         self.viewer.dims.set_point(range(n - 3, n), world)
         camera_of(self.viewer).center = tuple(world)
 
-    def close(self) -> None:
-        super().close()
-        self._on_lost = None
-
     def slice_changed(self, event: Any = None) -> None:
         super().slice_changed(event)
         self._place_images()
@@ -172,8 +168,6 @@ class ViewerLink(MeshLayers):
         return layer
 
     def _layer_removed(self, event: Any) -> None:
-        if self._on_lost is None:
-            return
         if event.value is self.image_layer:
             self._on_lost("the image layer was removed")
         elif event.value is self.surface:
