@@ -30,6 +30,7 @@ _WAIT = 250  # ms without a change before the PSF is computed
 _EVERY = 250  # ms between two pictures, at least
 _SIDE, _GAP = 92, 8  # px
 _BARS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)  # um
+_KINDS: dict[Any, str] = {MicroscopeOptics: OBJECTIVE, MeasuredOptics: MEASURED}
 _TIPS = {
     GAUSSIAN: "Three widths; enough where cells are much larger than the PSF.",
     OBJECTIVE: "Computed from the numbers on the objective.",
@@ -57,7 +58,6 @@ class OpticsPanel(QWidget):
         self.measured = MeasuredFields(self._complain, self)
         self.width_note, self.trouble = Note(self), Note(self, wrong=True)
         self.picture = PsfPicture(doc, self)
-        self._wrong = False
         self._pages: dict[str, QWidget] = {
             GAUSSIAN: self.sigma,
             OBJECTIVE: self.objective,
@@ -89,32 +89,24 @@ class OpticsPanel(QWidget):
     def settings(self) -> Any:
         """Settings of the PSF; None for the Gaussian of :attr:`sigma`. InputError names what is
         missing."""
-        kind = self.kind.currentText()
-        if kind == OBJECTIVE:
-            return self.objective.settings()
-        if kind == MEASURED:
-            return self.measured.settings()
-        return self._given if kind == GIVEN else None
+        if self.is_gaussian:
+            return None
+        fields: Any = self._pages.get(self.kind.currentText())
+        return self._given if fields is None else fields.settings()
 
     def show_settings(self, settings: Any) -> None:
         """Show settings of a PSF, without a signal; None for a Gaussian of three widths."""
+        kind = GAUSSIAN if settings is None else _KINDS.get(type(settings), GIVEN)
         with signals_blocked(self):
-            at = self.kind.findText(GIVEN)
-            if at >= 0:
-                self.kind.removeItem(at)
-            self._given = None
-            if settings is None:
-                self.kind.setCurrentText(GAUSSIAN)
-            elif isinstance(settings, MicroscopeOptics):
-                self.objective.show_settings(settings)
-                self.kind.setCurrentText(OBJECTIVE)
-            elif isinstance(settings, MeasuredOptics):
-                self.measured.show_settings(settings)
-                self.kind.setCurrentText(MEASURED)
-            else:
-                self._given = settings
+            if self._given is not None:
+                self.kind.removeItem(self.kind.findText(GIVEN))
+            self._given = settings if kind == GIVEN else None
+            if kind == GIVEN:
                 self.kind.addItem(GIVEN)
-                self.kind.setCurrentText(GIVEN)
+            elif settings is not None:
+                fields: Any = self._pages[kind]
+                fields.show_settings(settings)
+            self.kind.setCurrentText(kind)
         self._renew()
 
     def prefer(self, kind: str) -> None:
@@ -131,11 +123,9 @@ class OpticsPanel(QWidget):
         if kind == OBJECTIVE:
             fields = self.objective
             name = f"{fields.modality.currentText()} NA {fields.numbers['na'].value():g}"
-        elif kind == MEASURED:
-            name = "measured"
         else:
-            name = str(self._given.kind)
-        more = "cannot be used" if self._wrong else self._width
+            name = "measured" if kind == MEASURED else str(self._given.kind)
+        more = "cannot be used" if self.trouble.text() else self._width
         return f"{name}, {more}" if more else name
 
     def key(self) -> str:
@@ -210,7 +200,6 @@ class OpticsPanel(QWidget):
         self.described.emit()
 
     def _complain(self, message: str) -> None:
-        self._wrong = bool(message)
         if message:
             self.picture.clear()
         self.trouble.say(message)
