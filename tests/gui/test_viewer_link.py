@@ -38,3 +38,19 @@ def test_a_residual_that_is_large_in_many_places_is_not_saturated_there(viewer):
     link.take_images(noise, noise - 30)
     assert shown.contrast_limits == [-2, 2], "the user chose them"
     link.close()
+
+
+def test_an_image_that_was_removed_is_there_again_when_it_is_asked_for(viewer):
+    pixels = np.zeros((6, 7, 8))
+    layer = viewer.add_image(pixels, name="cell")
+    link = ViewerLink(viewer, layer, Frame.of(layer), print)
+    link.take_images(pixels, pixels)
+    for view in ("rendered", "residual"):
+        link.look(view)
+        viewer.layers.remove(f"cell: {view}")
+        link.take_images(pixels, pixels)
+        assert f"cell: {view}" not in viewer.layers
+        link.look("image")
+        link.look(view)
+        assert viewer.layers[f"cell: {view}"].visible
+    link.close()

@@ -108,6 +108,10 @@ class ViewerLink(MeshLayers):
         """Show the image alone, the rendered one in its place or beside it, or the residual."""
         if view != self._view:
             self._view = view
+            # One that the user has removed is made anew when it is asked for again.
+            self.rendered, self.residual = (
+                layer if self.has(layer) else None for layer in (self.rendered, self.residual)
+            )
             self._place_images()
 
     def go_to(self, center: Sequence[float]) -> None:
