@@ -85,7 +85,9 @@ def test_found_cells_are_of_their_image(make_widget, with_image, spin, other, mo
 
 
 def test_recommendations_are_of_their_image(seeded, spin, other, monkeypatch):
-    monkeypatch.setattr(effects_panel, "recommend", lambda *a, **k: recommendation(FADING, HALO))
+    monkeypatch.setattr(
+        effects_panel, "recommend_for", lambda *a, **k: recommendation(FADING, HALO)
+    )
     seeded.settings.show_settings(FitSettings(max_iterations=2))
     seeded.settings.effects.button.start()
     spin(lambda: not seeded.settings.effects.button.busy)
