@@ -120,6 +120,20 @@ def test_a_second_start_is_refused_while_a_fit_runs(seeded, spin, endless, told)
     assert not seeded.footer.run_button.isEnabled()
 
 
+@pytest.mark.parametrize("name", ["cell: surfaces", "cell: contours"])
+def test_a_layer_that_was_removed_is_there_again_with_the_next_fit(seeded, with_image, spin, name):
+    """And nothing is left of the others that were with it."""
+    seeded.settings.max_iterations.setValue(2)
+    seeded.start()
+    spin(lambda: not seeded.doc.run.running)
+    before = sorted(layer.name for layer in with_image.layers)
+    with_image.layers.remove(name)
+    seeded.start()
+    spin(lambda: not seeded.doc.run.running)
+    assert sorted(layer.name for layer in with_image.layers) == before
+    assert seeded.doc.link.mesh is seeded.doc.result.state.mesh
+
+
 def test_a_second_run_uses_the_same_layers(seeded, with_image, spin):
     for _ in range(2):
         seeded.start()

@@ -265,16 +265,23 @@ class Document:
         record = self.records.get(layer)
         if record is None:
             record = self.records[layer] = Record(self._link_for(layer, frame))
-        elif record.link.frame == frame and record.link.surface in (None, *self.viewer.layers):
+        elif record.link.frame == frame:
+            self.mend_link(record)
             record.link.take_time()
         else:
-            self.renew_link(record, frame)
+            record.link.close()
+            record.link = self._link_for(layer, frame)
         return record
 
-    def renew_link(self, record: Record, frame: Frame) -> None:
-        """Show a record by new layers."""
-        record.link.close()
-        record.link = self._link_for(record.link.image_layer, frame)
+    def mend_link(self, record: Record) -> None:
+        """Show a record by new layers where the user has removed one: those left are of no use."""
+        link = record.link
+        if not link.whole:
+            link.remove()
+            record.link = self._link_for(link.image_layer, link.frame)
+            record.link.take_time(link.time)
+            if record.state is not None:
+                record.link.show_mesh(record.state.mesh)
 
     def start(self, run: Any, record: Record, *, fresh: bool) -> None:
         """Start a fit of the image of a record; InputError where something else runs."""

@@ -93,8 +93,7 @@ class RunControl(QObject):
         first = None
         if pinned is not None and pinned.any():
             first = Change(mesh=mesh, pinned=pinned)
-        if link.surface not in doc.viewer.layers:
-            doc.renew_link(record, link.frame)
+        doc.mend_link(record)
         self._launch(record, lambda: job, fresh=False, first=first)
 
     def hold(self, mesh: Mesh) -> None:

@@ -73,10 +73,10 @@ class MeshLayers:
         """Step of the time point that the mesh is of, of a 4D image; () where it has none."""
         return tuple(int(step) for step in self._time)
 
-    def take_time(self) -> None:
-        """From now on the meshes are those of the time point that is shown, of a 4D image."""
-        steps = tuple(self.viewer.dims.current_step)
-        self._time = steps[:-3] if self.image_layer.ndim > 3 else ()
+    def take_time(self, time: tuple[int, ...] | None = None) -> None:
+        """From now on the meshes are those of a time point of a 4D image; None: the one shown."""
+        shown = tuple(self.viewer.dims.current_step[:-3])
+        self._time = () if self.image_layer.ndim < 4 else shown if time is None else time
 
     @property
     def at_time(self) -> bool:
@@ -124,6 +124,11 @@ class MeshLayers:
     def made(self) -> list[Any]:
         """Those that it has made, from the top; None for one that is not there yet."""
         return [self.contours.layer, self.surface]
+
+    @property
+    def whole(self) -> bool:
+        """Whether the layers of the mesh are in the viewer, or not made yet."""
+        return self.surface is None or (self.has(self.surface) and self.has(self.contours.layer))
 
     def has(self, layer: Any) -> bool:
         """Whether there is a layer, and it is in the viewer."""

@@ -114,6 +114,9 @@ class ViewerLink(MeshLayers):
             )
             self._place_images()
 
+    def made(self) -> list[Any]:
+        return [*super().made(), self.rendered, self.residual, self._pins.layer]
+
     def go_to(self, center: Sequence[float]) -> None:
         """Move slices and camera to a place, um in the frame."""
         if not np.isfinite(center).all():
