@@ -74,6 +74,14 @@ def test_new_layers_are_ticked_but_not_those_of_a_fit(panel, with_image):
     assert [layer.name for layer in panel.cells.ticked] == ["theirs"]
 
 
+def test_spheres_of_a_mirrored_layer_are_as_large_as_they_are_drawn(panel, with_image):
+    points = add_points(panel, with_image, CENTER)
+    points.scale = np.multiply(points.scale, (-1, 1, 1))
+    panel.shape.setCurrentIndex(SPHERE)
+    panel.radius.setValue(0.8)
+    assert np.asarray(points.size) * np.abs(points.scale).mean() == pytest.approx(1.6)
+
+
 def test_each_source_alone(panel, with_image, ball_labels):
     points = add_points(panel, with_image, CENTER)
     assert taken(panel).kind == "image"

@@ -260,7 +260,7 @@ class SeedsPanel(QGroupBox):
                 um = self._image.frame().data_to_um(layer)[0]
             except InputError:
                 continue  # said when the fit starts
-            size = 2 * self._drawn_radius() / float(np.mean(um))
+            size = 2 * self._drawn_radius() / float(np.mean(np.abs(um)))
             layer.current_size = size
             sizes = np.array(layer.size, float)
             chosen = [] if everything else sorted(layer.selected_data)
