@@ -9,7 +9,7 @@ from vispy.color import Colormap
 
 from napari_deltamic._writer import write_surface
 from napari_deltamic.errors import InputError
-from napari_deltamic.gui.tracking import track_work
+from napari_deltamic.gui.tracking import control, track_work
 from napari_deltamic.gui.viewing.colours import region_colours
 from napari_deltamic.gui.viewing.frame import OWN
 from napari_deltamic.results.track_report import read_results
@@ -141,6 +141,18 @@ def test_an_error_of_the_engine_is_told_in_words(widget, spin, monkeypatch, told
     spin(ended(widget))
     assert told[-1] == "it cannot be"
     assert widget.track_panel.track_button.isEnabled()
+
+
+def test_a_region_is_not_taken_for_all_of_its_file(widget, spin, monkeypatch):
+    """Or run.toml would track something else."""
+    monkeypatch.setattr(control, "origin_of", lambda layer: ("/data/movie.tif", None))
+    for box, path in ((None, "/data/movie.tif"), (((0, 20), (2, 23), (1, 24)), "")):
+        widget.doc.image.take_region(box)
+        widget.tracking.start()
+        spin(lambda: widget.tracking.work.job is not None)
+        assert widget.tracking.work.job.settings.image == path
+        widget.stop()
+        spin(ended(widget), 60)
 
 
 def test_a_second_run_replaces_the_layers_of_the_first(widget, viewer, spin):

@@ -140,7 +140,9 @@ class TrackControl(QObject):
             divisions=self.panel.divisions.isChecked(),
             time_step=scale if scale > 0 else 1.0,
         )
-        path, channel = origin_of(self._doc.image.layer)
+        image = self._doc.image
+        # No file holds a region alone.
+        path, channel = origin_of(image.layer) if image.box is None else ("", None)
         values = {**dict(run), "image": path, "channel": channel, "track": tracking}
         settings: TrackRun = validated(TrackRun, values)
         return settings
