@@ -185,12 +185,7 @@ def _colormap(saved: dict[str, Any]) -> Any:
     known = AVAILABLE_COLORMAPS.get(saved["name"])
     if known is not None and _save_colormap(known) == saved:
         return saved["name"]
-    return Colormap(
-        colors=np.asarray(saved["colors"]),
-        controls=np.asarray(saved["controls"]),
-        name=saved["name"],
-        interpolation=saved["interpolation"],
-    )
+    return Colormap(**saved)
 
 
 def _plain(value: Any) -> Any:

@@ -44,7 +44,6 @@ class MeshLayers:
     ) -> None:
         self.viewer, self.image_layer, self.frame = viewer, image_layer, frame
         self._name, self._known, self._look = names[0], dict(known), dict(look or {})
-        self.chosen: frozenset[int] = frozenset()
         self.surface: Surface | None = None
         self.contours = Contours(frame, names[1], image_layer)
         self.contours.layer.metadata[OWN] = dict(known)
@@ -90,8 +89,8 @@ class MeshLayers:
 
     def highlight(self, regions: frozenset[int]) -> None:
         """Dim all cells but some; none of them: show all alike."""
-        if regions != self.chosen:
-            self.chosen = self.contours.chosen = regions
+        if regions != self.contours.chosen:
+            self.contours.chosen = regions
             self._colour_anew()
 
     def colour_by(self, values: Mapping[int, float] | None) -> None:
@@ -196,8 +195,8 @@ class MeshLayers:
                 values = by.at(apart.sides.max(axis=1))
                 self._values = np.nan_to_num(values, nan=by.limits[0])
             else:
-                self._values = side_values(apart.sides, self.chosen, self.colours)
-            apart = self._apart = apart.first(mesh, self.chosen)
+                self._values = side_values(apart.sides, self.contours.chosen, self.colours)
+            apart = self._apart = apart.first(mesh, self.contours.chosen)
         return apart.vertices(mesh), apart.faces, self._values
 
     def _set_surface(self, layer: Surface, mesh: Mesh) -> None:
