@@ -189,3 +189,13 @@ def test_contours_keep_their_width_on_the_screen(viewer, unit):
     viewer.dims.ndisplay = 2
     assert screen_width(contours, viewer) == pytest.approx(6, rel=0.11)
     link.close()
+
+
+def test_a_region_that_begins_where_the_image_does_is_found_in_all_of_it():
+    whole = Labels(np.zeros((6, 8, 9), int))
+    for first in (0, 2):
+        box = ((0, 6), (first, first + 4), (0, 5))
+        frame = Frame.of(Image(np.zeros((6, 8, 9)))).within(box)
+        assert frame.region(whole, (6, 8, 9)) == tuple(slice(a, b) for a, b in box)
+        own = Labels(np.zeros((6, 4, 5), int), translate=(0, first, 0))
+        assert frame.region(own, (6, 4, 5)) == (slice(None),) * 3

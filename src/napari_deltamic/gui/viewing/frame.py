@@ -75,8 +75,9 @@ class Frame:
         size = np.asarray(self.voxel_size)
         if not np.allclose(scale, size, rtol=1e-3):
             return None
-        if (np.abs(shift) <= 0.01 * size).all():
-            return (slice(None),) * 3 if self.box is None or shape == self.shape else None
+        alike = self.box is None or shape == self.shape
+        if alike and (np.abs(shift) <= 0.01 * size).all():
+            return (slice(None),) * 3
         if self.box is None:
             return None
         first = np.array([low for low, _ in self.box])
