@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 
+from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.labels.bright_cells import CellsFound
+from napari_deltamic.gui import document
+from napari_deltamic.gui.results import session
 from napari_deltamic.gui.seeding import find_cells_button
 from napari_deltamic.gui.settings import effects_panel
 from napari_deltamic.runs.settings import FitSettings
@@ -121,3 +124,26 @@ def test_what_the_user_typed_stays(make_widget, other):
     other()
     choose(widget, "other")
     assert widget.settings.sigma.value()[0] == 0.5
+
+
+def test_a_fit_of_a_region_that_fails_leaves_the_result_where_it_was(seeded, spin, monkeypatch):
+    seeded.settings.max_iterations.setValue(2)
+    seeded.start()
+    spin(lambda: not seeded.doc.run.running)
+    link, mesh = seeded.doc.link, seeded.doc.result.state.mesh
+
+    def fail(*arguments):
+        raise InputError("nothing can be made of this")
+
+    seeded.doc.image.take_region(((0, 20), (2, 23), (2, 24)))
+    with monkeypatch.context() as patch:
+        patch.setattr(document, "assemble", fail)
+        seeded.start()
+        spin(lambda: not seeded.doc.run.running)
+    assert "nothing can be made of this" in seeded.running.verdict.text()
+    assert (seeded.doc.link, seeded.doc.link.mesh) == (link, mesh)
+    assert session.capture(seeded.parts)[0].result is None, "it is of another region"
+    seeded.start()
+    spin(lambda: not seeded.doc.run.running)
+    assert seeded.doc.link.frame == seeded.doc.image.frame()
+    assert session.capture(seeded.parts)[0].result is not None

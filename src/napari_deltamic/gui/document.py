@@ -7,30 +7,26 @@ the cells chosen.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Any, Literal, Protocol, get_args
 
-import numpy as np
-from numpy.typing import NDArray
 from psygnal import Signal
 
 from ..accuracy.experience import Learned
-from ..errors import DoubtWarning, InputError
+from ..errors import DoubtWarning
 from ..evidence.first_sigma import with_first_psf
 from ..evidence.sanity import tell_doubts
 from ..evidence.tilted_ground import with_ground
 from ..fitting import FitState
 from ..fitting.checks import check_image
 from ..fitting.job import FitInput, assemble, levelled
-from ..measure import measure_cells
-from ..results.judged import Judged
 from ..results.report import History
 from ..results.timeline import Moment, Timeline
 from ..runs.seeds import Seeds
 from ..runs.settings import FitSettings, RunSettings, SceneSettings
 from .image_source import ImageSource, SecondSource
+from .record import Present, Record
 from .seeding.cell_source import CellSource
 from .viewing.frame import Frame
 from .viewing.listening import Connections
@@ -39,68 +35,6 @@ from .work import Background, Work, attempt
 
 View = Literal["image", "rendered", "residual", "side by side"]
 VIEWS: tuple[View, ...] = get_args(View)
-
-
-@dataclass(eq=False)
-class Record:
-    """What fits of one image have reached.
-
-    words : how the last one ended: in a word, and in text.
-    state, job : of the result; None before there is one.
-    rows : measurements of its cells.
-    judged : how good it is, once that is known.
-    """
-
-    link: ViewerLink
-    timeline: Timeline = field(default_factory=Timeline)
-    words: tuple[str, str] = ("", "")
-    state: FitState | None = None
-    job: FitInput | None = None
-    history: History = field(default_factory=History)
-    seconds: float = 0.0
-    rows: Sequence[Mapping[str, Any]] = ()
-    judged: Judged | None = None
-
-    def of_fit(self) -> tuple[FitState, FitInput]:
-        """State and job of the result. InputError where there is none."""
-        if self.state is None or self.job is None:
-            raise InputError("there is no result yet: run a fit first")
-        return self.state, self.job
-
-    def end(self, verdict: str, text: str) -> None:
-        self.words = verdict, text
-
-    def show(self, state: FitState, note: str = "", *, passing: bool = False) -> None:
-        """The fit has come to a state, by what the user changed where there is a note."""
-        self.timeline.add(state, note)
-        self.link.show_mesh(state.mesh, passing=passing)
-
-    def take(self, state: FitState, job: FitInput | None, history: History, seconds: float) -> None:
-        """Take a state for the result; of how good it is, nothing is known yet."""
-        self.state, self.job, self.history, self.seconds = state, job, history, seconds
-        self.rows, self.judged = measure_cells(state.mesh), None
-
-    def pin(self, pinned: NDArray[np.bool_]) -> None:
-        """Note which vertices of the result are pinned, (V,), for a fit that goes on."""
-        if self.state is not None:
-            self.state = replace(self.state, pinned=pinned)
-
-    def judge(self, judged: Judged) -> None:
-        """Take over how good the result is, and what that says of each cell."""
-        self.judged = judged
-        self.rows = [{**row, **judged.cells.get(int(row["region"]), {})} for row in self.rows]
-
-
-@dataclass(frozen=True, eq=False)
-class Present:
-    """What there is to change.
-
-    running : whether a fit goes on from it.
-    """
-
-    state: FitState
-    job: FitInput
-    running: bool
 
 
 class FitChoice(Protocol):
@@ -170,6 +104,7 @@ class Document:
         self.learned = Learned()  # how long fits take on this machine
         self._last: list[Callable[[], None]] = []  # what is done when the window is closed
         self._of_run: Record | None = None
+        self._place: tuple[Frame, tuple[int, ...]]  # that the last fit was started for
         self._fresh = True  # whether the run has a mesh of its own
         self._closed = False
         self._connections = Connections()
@@ -260,17 +195,14 @@ class Document:
     # ---- what is done -------------------------------------------------------------------------
 
     def record_for(self, frame: Frame) -> Record:
-        """The record of the image chosen, with a link whose layers are still of use."""
+        """The record of the image chosen, for a fit in a frame, at the time that is shown."""
         layer = self.image.layer
+        self._place = frame, tuple(self.viewer.dims.current_step[:-3])
         record = self.records.get(layer)
         if record is None:
             record = self.records[layer] = Record(self._link_for(layer, frame))
         elif record.link.frame == frame:
             self.mend_link(record)
-            record.link.take_time()
-        else:
-            record.link.close()
-            record.link = self._link_for(layer, frame)
         return record
 
     def mend_link(self, record: Record) -> None:
@@ -298,6 +230,7 @@ class Document:
             if self._fresh:
                 self.meshes_came.emit()
                 record.timeline = Timeline()
+                self._place_link(record)
             else:
                 record.timeline.go_on()
             self.began.emit(self._fresh)
@@ -315,6 +248,7 @@ class Document:
         record = self.record_for(self.image.frame())
         record.timeline, record.words = Timeline(moments), words
         self.meshes_came.emit()
+        self._place_link(record)
         record.link.show_mesh(state.mesh)
         record.take(state, job, history, seconds)
         self.result_changed.emit()
@@ -394,6 +328,14 @@ class Document:
             for name in dir(type(signals)):
                 if isinstance(getattr(type(signals), name), Signal):
                     getattr(signals, name).disconnect()
+
+    def _place_link(self, record: Record) -> None:
+        """What is shown of a record is from now on where, and when, the last fit was started."""
+        frame, time = self._place
+        if record.link.frame != frame:
+            record.link.close()
+            record.link = self._link_for(record.link.image_layer, frame)
+        record.link.take_time(time)
 
     def _link_for(self, layer: Any, frame: Frame) -> ViewerLink:
         return ViewerLink(self.viewer, layer, frame, partial(self._lost, layer))

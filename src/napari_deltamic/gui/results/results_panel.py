@@ -24,7 +24,8 @@ from ...results.cell_columns import COLUMNS, value_of
 from ...results.mesh_exchange import labels_of
 from ...results.report import write_results
 from ..cell_table import CellTable
-from ..document import Document, Record
+from ..document import Document
+from ..record import Record
 from ..viewing.cell_layers import labels_layer
 from ..viewing.contours import sliced_axis
 from ..viewing.frame import camera_of

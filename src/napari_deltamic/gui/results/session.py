@@ -12,7 +12,8 @@ from ...fitting.job import FitInput, optics_of
 from ...results.report import History
 from ...results.session_file import SavedImage, SavedResult, Session
 from ...runs.settings import RunSettings
-from ..document import VIEWS, Document, Record
+from ..document import VIEWS, Document
+from ..record import Record
 from ..tracking.control import TrackControl
 from ..viewing.frame import Frame
 from ..viewing.own_layers import lie_on

@@ -18,7 +18,8 @@ from ...fitting.job import FitInput
 from ...results.judged import told
 from ...results.moved_numbers import MovedNumber, moved_numbers
 from ...results.timeline import Moment, explained
-from ..document import VIEWS, Document, Record
+from ..document import VIEWS, Document
+from ..record import Record
 from ..widgets import VERDICTS, Fold, Note, Signal, button, filled, narrow_box, row
 from .edits import Edits
 from .history_bar import HistoryBar

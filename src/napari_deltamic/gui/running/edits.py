@@ -15,7 +15,8 @@ from ...fitting.by_hand import changed_by_hand
 from ...fitting.pending import usable
 from ...geometry import Mesh
 from ...geometry.carry import carried
-from ..document import Document, Present
+from ..document import Document
+from ..record import Present
 from ..widgets import Signal
 
 _DEEPEST = 30  # steps that can be undone

@@ -22,7 +22,8 @@ from ...fitting.pending import usable
 from ...geometry import Mesh
 from ...results.judged import Compared, Spread, compared, judge
 from ...runs.settings import NEAR_LEVELS
-from ..document import Document, Record
+from ..document import Document
+from ..record import Record
 from ..work import Outcome, attempt
 from .worker import FitRun, Snapshot
 

@@ -1,0 +1,81 @@
+"""What fits of one image have reached, and what there is of it to change."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..fitting import FitState
+from ..fitting.job import FitInput
+from ..measure import measure_cells
+from ..results.judged import Judged
+from ..results.report import History
+from ..results.timeline import Timeline
+from .viewing.viewer_link import ViewerLink
+
+
+@dataclass(eq=False)
+class Record:
+    """What fits of one image have reached.
+
+    words : how the last one ended: in a word, and in text.
+    state, job : of the result; None before there is one.
+    rows : measurements of its cells.
+    judged : how good it is, once that is known.
+    """
+
+    link: ViewerLink
+    timeline: Timeline = field(default_factory=Timeline)
+    words: tuple[str, str] = ("", "")
+    state: FitState | None = None
+    job: FitInput | None = None
+    history: History = field(default_factory=History)
+    seconds: float = 0.0
+    rows: Sequence[Mapping[str, Any]] = ()
+    judged: Judged | None = None
+
+    def of_fit(self) -> tuple[FitState, FitInput]:
+        """State and job of the result. InputError where there is none."""
+        if self.state is None or self.job is None:
+            raise InputError("there is no result yet: run a fit first")
+        return self.state, self.job
+
+    def end(self, verdict: str, text: str) -> None:
+        self.words = verdict, text
+
+    def show(self, state: FitState, note: str = "", *, passing: bool = False) -> None:
+        """The fit has come to a state, by what the user changed where there is a note."""
+        self.timeline.add(state, note)
+        self.link.show_mesh(state.mesh, passing=passing)
+
+    def take(self, state: FitState, job: FitInput | None, history: History, seconds: float) -> None:
+        """Take a state for the result; of how good it is, nothing is known yet."""
+        self.state, self.job, self.history, self.seconds = state, job, history, seconds
+        self.rows, self.judged = measure_cells(state.mesh), None
+
+    def pin(self, pinned: NDArray[np.bool_]) -> None:
+        """Note which vertices of the result are pinned, (V,), for a fit that goes on."""
+        if self.state is not None:
+            self.state = replace(self.state, pinned=pinned)
+
+    def judge(self, judged: Judged) -> None:
+        """Take over how good the result is, and what that says of each cell."""
+        self.judged = judged
+        self.rows = [{**row, **judged.cells.get(int(row["region"]), {})} for row in self.rows]
+
+
+@dataclass(frozen=True, eq=False)
+class Present:
+    """What there is to change.
+
+    running : whether a fit goes on from it.
+    """
+
+    state: FitState
+    job: FitInput
+    running: bool
