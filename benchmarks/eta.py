@@ -85,7 +85,7 @@ def measure(name: str, of: Any, chosen: dict[str, str]) -> dict[str, Any]:
     viewer.add_image(image, scale=grid.voxel_size, units=("um",) * 3, name=name)
     if chosen.get("cells") == "found":
         widget.seeds.find_cells.start()
-        _wait(lambda: not widget.seeds.find_cells.busy, 0.5)
+        _wait(lambda: not widget.seeds.find_cells.background.busy, 0.5)
     else:
         widget.seeds.place.click()
         viewer.layers["seeds"].add(places)
@@ -94,7 +94,7 @@ def measure(name: str, of: Any, chosen: dict[str, str]) -> dict[str, Any]:
         widget.settings.accuracy.show_choice(chosen["accuracy"])
     if "density" in chosen:
         widget.settings.density.setCurrentText(chosen["density"])
-    _wait(lambda: not widget.settings.forecast.busy, 1.0)
+    _wait(lambda: not widget.settings.forecast.background.busy, 1.0)
     expected = outlook(scene_now(widget.doc)).forecast
     said = expected.after(widget.doc.learned.about(expected.kind)).seconds
     widget.start()
@@ -112,7 +112,7 @@ def measure(name: str, of: Any, chosen: dict[str, str]) -> dict[str, Any]:
         "expected_iterations": run.forecast.iterations,
         "verdict": widget.doc.record.words,
     }
-    _wait(lambda: not widget.judging.busy)
+    _wait(lambda: not widget.judging.background.busy)
     widget.close_links()
     return found
 

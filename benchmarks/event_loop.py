@@ -184,15 +184,15 @@ def measure(scene: str, seconds: float) -> dict[str, Any]:
     }
     with TemporaryDirectory() as folder:
         path = Path(folder) / "a.deltamic"
-        _wait(lambda: not widget.judging.busy)
+        _wait(lambda: not widget.judging.background.busy)
         widget.sessions.save(str(path))
         _wait(lambda: not widget.sessions.busy)
         widget.close_links()
         watch.slots()
         _, widget = _window()
         widget.sessions.open(str(path))
-        _wait(lambda: widget.doc.result is not None and not widget.judging.busy)
-        _wait(lambda: not widget.settings.forecast.busy, 0.5)
+        _wait(lambda: widget.doc.result is not None and not widget.judging.background.busy)
+        _wait(lambda: not widget.settings.forecast.background.busy, 0.5)
         widget.close_links()
     session, computing, collecting = watch.slots()
     full = sorted(1e3 * s for generation, s in watch.collections if generation == 2)

@@ -114,7 +114,7 @@ def embryo() -> None:
     widget.doc.look("image")
     widget.start()
     wait(lambda: widget.doc.run is not None and not widget.doc.run.running, 2.0)
-    wait(lambda: not widget.judging.busy)
+    wait(lambda: not widget.judging.background.busy)
     viewer.reset_view()
     shot(viewer, "widget.png")
     viewer.dims.ndisplay = 3

@@ -132,7 +132,7 @@ def _seeds(s: Session) -> list[Action]:
 
     def find() -> None:
         of().find_cells.start()
-        s.spin(3, lambda: not of().find_cells.busy)
+        s.spin(3, lambda: not of().find_cells.background.busy)
         s.did["cells looked for"] += 1
 
     def correct() -> None:

@@ -2,10 +2,8 @@
 
 
 def settled(widget):
-    seeds = widget.seeds
-    return lambda: (
-        not (seeds._later.isActive() or seeds.preview.busy or widget.settings.forecast.busy)
-    )
+    later, forecast = widget.seeds._later, widget.settings.forecast.background
+    return lambda: not (later.isActive() or widget.seeds.preview.background.busy or forecast.busy)
 
 
 def running(widget):

@@ -212,7 +212,7 @@ def test_closing_the_widget_while_the_forecast_is_made(seeded, make_widget, spin
     widget = make_widget()
     spin(lambda: "measuring" in widget.settings.outlook.text())
     widget.close_links()
-    assert not widget.settings.forecast.busy
+    assert not widget.settings.forecast.background.busy
     gate.set()
     spin(seconds=0.2, must=False)
     assert "measuring" in widget.settings.outlook.text(), "nobody was told"
@@ -278,7 +278,7 @@ def test_the_next_run_is_predicted_by_what_the_last_one_took(seeded, spin, monke
     assert seeded.doc.run.forecast.iterations == whole.after(known).iterations
     # Also in words, before a third one starts.
     known = seeded.doc.learned.about(whole.kind)
-    spin(lambda: not seeded.settings.forecast.busy)
+    spin(lambda: not seeded.settings.forecast.background.busy)
     seeded.settings.forecast._show((), Outlook(0.1, 1e-2, whole, guessed=False))
     assert seeded.settings.outlook.text() == predicted(whole.after(known))
 

@@ -147,7 +147,7 @@ def test_the_file_says_which_channels_there_are(widget, viewer, pixels, from_fil
 
 def command_of(widget, spin):
     widget.commands.copy_action.trigger()
-    spin(lambda: not widget.commands.busy)
+    spin(lambda: not widget.commands.background.busy)
     return shlex.split(more_actions.QApplication.clipboard().text())[1:]
 
 

@@ -269,7 +269,7 @@ def test_an_image_is_read_in_the_thread(seeded, with_image, spin, asked):
 
     lazy = Lazy(layer.data)
     layer._data = lazy
-    spin(lambda: not seeded.settings.forecast.busy)
+    spin(lambda: not seeded.settings.forecast.background.busy)
     lazy.readers.clear()
     seeded.settings.effects.button.start()
     assert main not in lazy.readers

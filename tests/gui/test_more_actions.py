@@ -35,9 +35,9 @@ def test_membranes_are_found_in_the_background(mixture, told, spin, monkeypatch,
 
     monkeypatch.setattr(seeds, "seeds_from_points", watched)
     mixture.commands.copy_action.trigger()
-    assert mixture.commands.busy
+    assert mixture.commands.background.busy
     assert "command" in mixture.running.note.text()
-    spin(lambda: not mixture.commands.busy)
+    spin(lambda: not mixture.commands.background.busy)
     assert threads
     assert threading.main_thread() not in threads
     text = more_actions.QApplication.clipboard().text()
@@ -50,7 +50,7 @@ def test_membranes_are_found_in_the_background(mixture, told, spin, monkeypatch,
 def test_what_fails_is_told(mixture, with_image, told, spin):
     with_image.layers["seeds"].data = np.array([[50.0, 50.0, 50.0]])
     mixture.commands.copy_action.trigger()
-    spin(lambda: not mixture.commands.busy)
+    spin(lambda: not mixture.commands.background.busy)
     assert told
     assert told[-1] == mixture.running.note.text() != ""
 

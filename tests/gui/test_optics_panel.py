@@ -57,7 +57,7 @@ def test_only_the_fields_of_the_modality_are_there(panel):
 def test_the_widths_of_the_psf_are_told(panel, spin):
     assert panel.summary().startswith("Gaussian ")
     panel.kind.setCurrentText(OBJECTIVE)
-    spin(lambda: not panel.busy)
+    spin(lambda: not panel.background.busy)
     z, y, _ = optics_from_values(WATER).build().sigma_um
     assert f"{1000 * y:.0f} nm in the plane, {1000 * z:.0f} nm along z" in panel.width_note.text()
     assert panel.summary() == f"widefield NA 0.8, {z:.2f} (z), {y:.2f} (yx) µm"
@@ -73,11 +73,11 @@ def test_the_widths_of_the_psf_are_told(panel, spin):
 def test_an_error_is_told_in_words(panel, spin, field, value, says):
     panel.kind.setCurrentText(OBJECTIVE)
     panel.objective.numbers[field].setValue(value)
-    spin(lambda: not panel.busy)
+    spin(lambda: not panel.background.busy)
     assert panel.trouble.text() == says
     assert panel.summary().endswith("cannot be used")
     panel.objective.numbers[field].setValue(0.6)
-    spin(lambda: not panel.busy)
+    spin(lambda: not panel.background.busy)
     assert panel.trouble.text() == ""
 
 
@@ -86,7 +86,7 @@ def test_a_bead_in_a_file_is_the_psf(panel, spin, bead):
     with pytest.raises(nd.InputError, match="choose the image of a bead"):
         panel.settings()
     panel.measured.take_file(str(bead))
-    spin(lambda: not panel.busy)
+    spin(lambda: not panel.background.busy)
     assert panel.settings().build().sigma_um == pytest.approx((0.3, 0.2, 0.2), rel=0.1)
     assert "measured, 0.3" in panel.summary()
     panel.measured.diameter.setValue(200)

@@ -70,10 +70,10 @@ def test_many_changes_are_few_pictures(open_panel, spin, counted):
 def test_that_of_an_objective_is_drawn(open_panel, spin):
     optics = open_panel.settings.optics
     optics.kind.setCurrentText(OBJECTIVE)
-    spin(lambda: not optics.busy and not picture(open_panel).busy)
+    spin(lambda: not optics.background.busy and not picture(open_panel).busy)
     assert picture(open_panel).sections is not None
     optics.objective.numbers["na"].setValue(9)
-    spin(lambda: not optics.busy and not picture(open_panel).busy)
+    spin(lambda: not optics.background.busy and not picture(open_panel).busy)
     assert picture(open_panel).sections is None, "there is no such PSF"
 
 

@@ -214,7 +214,7 @@ def from_file(make_widget, with_image, pixels, tmp_path, monkeypatch, spin):
 
     def copied():
         widget.commands.copy_action.trigger()
-        spin(lambda: not widget.commands.busy)
+        spin(lambda: not widget.commands.background.busy)
         words = shlex.split(more_actions.QApplication.clipboard().text())
         job = gather(build_parser().parse_args(words[1:]), Notes())
         return words[2], job.image

@@ -53,7 +53,7 @@ def test_an_image_that_is_removed_while_a_preview_is_computed(
     monkeypatch.setattr(panel._later, "start", lambda: None)  # the preview is not asked anew yet
     del with_image.layers["cell"]
     gate.set()
-    spin(lambda: not panel.preview._background.busy)
+    spin(lambda: not panel.preview.background.busy)
     assert not errors
     assert panel.preview.mesh is None
 

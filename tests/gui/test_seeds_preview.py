@@ -57,8 +57,8 @@ def test_of_several_previews_the_latest_is_shown(panel, with_image, spin, held):
     spin(lambda: calls == [1])
     assert "Looking for the membranes" in panel.remarks.text()
     seeds.add((50, 50, 50))  # outside: the preview goes on without it
-    spin(lambda: panel.preview._background._waiting.isActive())
-    spin(lambda: not panel.preview._background._waiting.isActive())
+    spin(lambda: panel.preview.background._waiting.isActive())
+    spin(lambda: not panel.preview.background._waiting.isActive())
     assert calls == [1], "one thread at a time"
     gate.set()
     spin(lambda: panel.preview.mesh is not None)
@@ -106,7 +106,7 @@ def test_closing_releases_a_panel_whose_preview_is_under_way(window, pixels, spi
     widget.seeds.shape.setCurrentIndex(MEMBRANE)
     spin(lambda: calls)
     panel = widget.seeds
-    parts = (widget, panel, panel.chooser, panel.preview, panel.preview._background, panel.remarks)
+    parts = (widget, panel, panel.chooser, panel.preview, panel.preview.background, panel.remarks)
     refs = [weakref.ref(part) for part in parts]
     window.window.remove_dock_widget(widget)
     del widget, panel, parts

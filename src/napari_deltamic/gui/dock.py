@@ -73,12 +73,8 @@ class Column(QScrollArea):
 def bind_keys(doc: Document, actions: Mapping[str, Callable[[], Any]]) -> None:
     """Bind keys of the viewer, as napari writes them, to actions until the window is closed."""
     for key, action in actions.items():
-        doc.viewer.bind_key(key, partial(_press, action), overwrite=True)
+        doc.viewer.bind_key(key, lambda viewer, press=action: press(), overwrite=True)
         doc.at_end(partial(doc.viewer.bind_key, key, None, overwrite=True))
-
-
-def _press(action: Callable[[], Any], viewer: Any) -> None:
-    action()
 
 
 def ask_before_closing(widget: QWidget, busy: Callable[[], str]) -> None:

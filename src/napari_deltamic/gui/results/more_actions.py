@@ -27,16 +27,12 @@ class CommandCopy:
         self._doc = doc
         self._parent = parent
         # Image files are compared, and meshes of seeds are computed: it may take seconds.
-        self._background = doc.background(doc.refuse)
+        self.background = doc.background(doc.refuse)
         tip = "The command that repeats this run without a window."
         self.copy_action = action("Copy as command", tip, partial(doc.guarded, self.copy), parent)
         tip = "Writes batch.toml with these settings beside the stacks, and copies its command."
         slot = partial(doc.guarded, self._run_folder)
         self.folder_action = action("Run on a folder...", tip, slot, parent)
-
-    @property
-    def busy(self) -> bool:
-        return self._background.busy
 
     def copy(self) -> None:
         """Put the command together of what is chosen. InputError where something is missing."""
@@ -46,7 +42,7 @@ class CommandCopy:
         settings, second = doc.run_settings(seeds), doc.second.pixels()
         doc.noted.emit("putting the command together ...")
         chosen = Chosen(settings, pixels, frame.grid(pixels.shape), seeds, second)
-        self._background.ask(chosen.compared, self._checked)
+        self.background.ask(chosen.compared, self._checked)
 
     def _run_folder(self) -> None:
         folder = QFileDialog.getExistingDirectory(self._parent, "Folder of stacks")
@@ -61,7 +57,7 @@ class CommandCopy:
             folder = str(QFileDialog.getExistingDirectory(self._parent, title))
             if not folder:
                 return
-        self._background.ask(partial(chosen.command, folder), self._done)
+        self.background.ask(partial(chosen.command, folder), self._done)
 
     def _done(self, text: str) -> None:
         self._doc.noted.emit("")

@@ -13,8 +13,6 @@ from qtpy.QtGui import QColor, QPainter, QPaintEvent, QPalette, QPen, QPolygonF
 from qtpy.QtWidgets import QGroupBox, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from ...common.words import counted
-from ...fitting import FitState
-from ...fitting.job import FitInput
 from ...results.judged import told
 from ...results.moved_numbers import MovedNumber, moved_numbers
 from ...results.timeline import Moment, explained
@@ -147,7 +145,7 @@ class CheckPanel(QGroupBox):
         if record is not None and record.state is not None and not doc.running:
             history = record.history
             self.curve.show_losses(history.loss, history.level, history.first)
-            self.numbers.show_fit(*record.of_fit())
+            self.numbers.show_numbers(moved_numbers(*record.of_fit()))
         if not shown:
             self.numbers.hide()
         self._hide_if_empty()
@@ -161,7 +159,7 @@ class CheckPanel(QGroupBox):
         history = self._doc.run.history
         self.curve.show_losses(history.loss, history.level, history.first)
         if not self._doc.earlier:
-            self.numbers.show_fit(snapshot.state, snapshot.job)
+            self.numbers.show_numbers(moved_numbers(snapshot.state, snapshot.job))
 
     def _show_verdict(self, verdict: str, text: str) -> None:
         """How it ended, in the first line of a text; those after it are remarks, in a list."""
@@ -252,9 +250,6 @@ class LiveNumbers(Fold):
         self.table = QLabel()
         super().__init__("Numbers that the fit moved", self.table, parent)
         self.show_numbers([])
-
-    def show_fit(self, state: FitState, job: FitInput) -> None:
-        self.show_numbers(moved_numbers(state, job))
 
     def show_numbers(self, numbers: list[MovedNumber]) -> None:
         self._numbers = numbers

@@ -204,7 +204,7 @@ class Judging(QObject):
     def __init__(self, doc: Document, parent: QObject | None = None) -> None:
         super().__init__(parent)
         self._doc = doc
-        self._background = doc.background(doc.warned.emit)
+        self.background = doc.background(doc.warned.emit)
         self._spread = Spread()
         doc.shown.connect(self._show_snapshot)
         doc.began.connect(self._began)
@@ -212,27 +212,23 @@ class Judging(QObject):
         doc.image.changed.connect(self._place)
         doc.view_changed.connect(self._place)
 
-    @property
-    def busy(self) -> bool:
-        return self._background.busy
-
     def _began(self, fresh: bool) -> None:
         if self._doc.running:
-            self._background.drop()  # what was found is of an earlier fit
+            self.background.drop()  # what was found is of an earlier fit
 
     def _show_snapshot(self, snapshot: Snapshot) -> None:
         """What a fit that runs has rendered, if it has."""
         record = self._doc.record
-        if snapshot.rendered is not None and record is not None and not self._background.busy:
+        if snapshot.rendered is not None and record is not None and not self.background.busy:
             work = partial(compared, snapshot.rendered, snapshot.job, self._spread)
-            self._background.ask(work, partial(self._add, record, None))
+            self.background.ask(work, partial(self._add, record, None))
 
     def _judge(self) -> None:
         """Render the result, and look at what it leaves unexplained."""
         record = self._doc.result
         if record is not None and not self._doc.running and record.judged is None:
             work = partial(judge, *record.of_fit(), self._spread)
-            self._background.ask(work, partial(self._add, record, record.state))
+            self.background.ask(work, partial(self._add, record, record.state))
 
     def _add(self, record: Record, state: FitState | None, images: Compared) -> None:
         """Take over what was found: of a result, or, without a state, of a fit that runs."""

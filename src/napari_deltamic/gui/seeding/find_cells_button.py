@@ -59,7 +59,7 @@ class FindCells(QPushButton):
         self._moved = False
         self._layer: Any = None
         self._found_in: Any = None  # the image layer that the message and the labels are of
-        self._background = doc.background(self._fail)
+        self.background = doc.background(self._fail)
         doc.at_end(self._let_go)
         self.clicked.connect(self.start)
         self.cell_size.valueChanged.connect(self._note_move)
@@ -68,10 +68,6 @@ class FindCells(QPushButton):
     def tried(self) -> bool:
         """Whether its slider is of use yet."""
         return self._moved or bool(self.message)
-
-    @property
-    def busy(self) -> bool:
-        return self._background.busy
 
     def start(self) -> None:
         """Look for cells in the image chosen; what is under way is given up."""
@@ -82,7 +78,7 @@ class FindCells(QPushButton):
             return
         size = float(self.cell_size.value()) if self._moved else None
         then = partial(self._show, self._image.layer, frame, size)
-        self._background.ask(partial(look, read, frame.voxel_size, size), then)
+        self.background.ask(partial(look, read, frame.voxel_size, size), then)
         self._tell("Looking for cells ...")
 
     def suit(self, shape: tuple[int, ...], voxel_size: tuple[float, ...]) -> None:
@@ -100,8 +96,8 @@ class FindCells(QPushButton):
 
     def forget(self) -> None:
         """Give up what is under way."""
-        if self._background.busy:
-            self._background.drop()
+        if self.background.busy:
+            self.background.drop()
             self._tell("")
 
     def colour(self, event: Any = None) -> None:

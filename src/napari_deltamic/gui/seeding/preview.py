@@ -45,14 +45,10 @@ class Preview(QCheckBox):
         self._key: tuple[Any, ...] | None = None
         self._viewer = doc.viewer
         self._layers: StartLayers | None = None
-        self._background = doc.background(self._fail)
+        self.background = doc.background(self._fail)
         doc.at_end(self._let_go)
         self.clicked.connect(self._note_choice)
         self.toggled.connect(self._toggled)
-
-    @property
-    def busy(self) -> bool:
-        return self._background.busy
 
     @property
     def mesh(self) -> Mesh | None:
@@ -78,11 +74,11 @@ class Preview(QCheckBox):
             self.clear()
         elif wanted.key() != self._key:
             self._key = wanted.key()
-            self._background.soon(self._ask, WAIT)
+            self.background.soon(self._ask, WAIT)
 
     def clear(self) -> None:
         """Show none until the points change."""
-        self._background.drop()
+        self.background.drop()
         self._key = None
         self._take_away()
         self._set_problems(())
@@ -103,7 +99,7 @@ class Preview(QCheckBox):
     def _look_for(self, asked: Wanted) -> None:
         image = asked.image()
         work = partial(find, asked.points, image, asked.frame.grid(image.shape))
-        self._background.ask(work, partial(self._show, asked))
+        self.background.ask(work, partial(self._show, asked))
 
     def _show(self, asked: Wanted, found: Found) -> None:
         shown, of = self._layers, asked.layer

@@ -320,7 +320,7 @@ class SeedsPanel(QGroupBox):
 
     def _show_remarks(self) -> None:
         remarks = self.cells.remarks(self.preview.problems) if self._open else []
-        busy = "Looking for the membranes ..." if self.preview.busy else ""
+        busy = "Looking for the membranes ..." if self.preview.background.busy else ""
         self.remarks.show_remarks(remarks, busy)
 
     def _preview_wanted(self) -> Wanted | None:

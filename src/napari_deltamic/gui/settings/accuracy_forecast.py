@@ -123,7 +123,7 @@ class AccuracyForecast(QObject):
         self._doc, self._dial = doc, dial
         self._told: Forecast | None = None  # that of the run, as it is shown
         self.noise = noise
-        self._background = doc.background(self._fail)
+        self.background = doc.background(self._fail)
         for signal in (doc.image.changed, doc.cells_changed, doc.settings_changed):
             signal.connect(self.later)
         dial.currentTextChanged.connect(self.later)
@@ -134,14 +134,10 @@ class AccuracyForecast(QObject):
         doc.ended.connect(self._ended)
         self.later()
 
-    @property
-    def busy(self) -> bool:
-        return self._background.busy
-
     def later(self) -> None:
         """Something may be different: forecast anew, unless it changes again at once."""
         self._show_number()
-        self._background.soon(self._ask, WAIT)
+        self.background.soon(self._ask, WAIT)
 
     def _image_changed(self) -> None:
         """How fast the last run was, is of its image."""
@@ -167,7 +163,7 @@ class AccuracyForecast(QObject):
             return
         if not costs().measured:
             self.predicts.emit("measuring this computer for the forecast (once, a second) ...")
-        self._background.ask(partial(outlook, scene), partial(self._show, self.noise.key()))
+        self.background.ask(partial(outlook, scene), partial(self._show, self.noise.key()))
 
     def _show(self, key: tuple[Any, ...], found: Outlook) -> None:
         self.noise.learn(key, found.noise)
@@ -192,8 +188,8 @@ class AccuracyForecast(QObject):
     def _work_changed(self) -> None:
         """A fit starts."""
         if self._doc.running and not self.noise.held:
-            self._background.drop()
-            self.noise.hold()
+            self.background.drop()
+            self.noise.held = self.noise.known is not None
             self._told = None
             self.predicts.emit("")
             self.last_run.emit("")
@@ -207,7 +203,7 @@ class AccuracyForecast(QObject):
             self.predicts.emit(predicted(whole))
 
     def _ended(self) -> None:
-        self.noise.let_go()
+        self.noise.held = False
         run = self._doc.run
         if run is not None and isinstance(run.forecast, Forecast):
             expected = duration(run.forecast.seconds)
@@ -257,14 +253,6 @@ class NoiseOf:
         if image.layer is None:
             return ()
         return weakref.ref(image.layer), id(image.layer.data), image.time, image.box
-
-    def hold(self) -> None:
-        """A fit begins."""
-        self.held = self.known is not None
-
-    def let_go(self) -> None:
-        """It has ended."""
-        self.held = False
 
     def learn(self, key: tuple[Any, ...], noise: float) -> None:
         """Take over what was measured elsewhere."""

@@ -67,7 +67,7 @@ class OpticsPanel(QWidget):
         top.addRow("PSF", self.kind)
         rows = self.width_note, self.trouble, self.picture
         column(top, *self._pages.values(), *rows, of=self)
-        self._background = doc.background(self._complain)
+        self.background = doc.background(self._complain)
         self.kind.currentTextChanged.connect(self._edited)
         for fields in (self.objective, self.measured, self.sigma):
             fields.edited.connect(self._edited)
@@ -76,10 +76,6 @@ class OpticsPanel(QWidget):
             signal.connect(self._show_own_or_found)
         self._show_page()
         self._show_own()
-
-    @property
-    def busy(self) -> bool:
-        return self._background.busy
 
     @property
     def is_gaussian(self) -> bool:
@@ -165,7 +161,7 @@ class OpticsPanel(QWidget):
         self._width = ""
         self._complain("")
         self.width_note.say("")
-        self._background.drop()  # of what was shown before
+        self.background.drop()  # of what was shown before
         self._show_own()
         self.described.emit()
 
@@ -173,7 +169,7 @@ class OpticsPanel(QWidget):
         if self.is_gaussian:
             self.picture.show_optics(GaussianPSF(self.sigma.value()))
         else:
-            self._background.soon(self._compute, _WAIT)
+            self.background.soon(self._compute, _WAIT)
 
     def _show_page(self) -> None:
         for kind, page in self._pages.items():
@@ -186,7 +182,7 @@ class OpticsPanel(QWidget):
             self._complain(str(error))
             return
         if settings is not None:
-            self._background.ask(partial(_built, settings), self._show_width)
+            self.background.ask(partial(_built, settings), self._show_width)
 
     def _show_width(self, optics: Any) -> None:
         sigma = optics.sigma_um

@@ -81,11 +81,12 @@ class TrackLayers(MeshLayers):
 
     def _show_surface(self, results: Sequence[FrameResult]) -> None:
         vertices, faces, cells = surface_4d(results)
+        data = vertices.astype(np.float32), faces, cells.astype(np.float32)
         last = int(cells.max())
         layer = self.surface
         if layer is None:
             layer = self.surface = Surface(
-                (vertices.astype(np.float32), faces, cells.astype(np.float32)),
+                data,
                 name=self._name,
                 shading="smooth",
                 visible=self._belongs(),
@@ -95,7 +96,7 @@ class TrackLayers(MeshLayers):
             self._placed = self._belongs()
             self.add_layers(layer, self.contours.layer)
         elif layer in self.viewer.layers:
-            layer.data = (vertices.astype(np.float32), faces, cells.astype(np.float32))
+            layer.data = data
         if layer.contrast_limits[1] != last + 0.5 or self._coloured != self.contours.colours:
             self._coloured = self.contours.colours
             colours = region_colours(np.arange(1, last + 1), (), self._coloured)
