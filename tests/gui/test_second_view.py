@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from napari_deltamic.cli import main
+from napari_deltamic.gui import image_source
 from napari_deltamic.gui.results import session
 from napari_deltamic.gui.running import worker
 from napari_deltamic.results.session_file import load_session, save_session
@@ -50,6 +51,15 @@ def test_it_is_an_effect_of_the_run(seeded, second):
     assert "second view" in seeded.settings.effects_fold.title
     second.chooser.setCurrentIndex(0)
     assert seeded.doc.run_settings().scene.effects.second_view is None
+
+
+def test_a_region_is_in_no_file(seeded, second, monkeypatch):
+    monkeypatch.setattr(image_source, "file_of", lambda layer: (f"/data/{layer.name}.tif", None))
+    view = seeded.doc.run_settings().scene.effects.second_view
+    assert (seeded.doc.image.path(), view.image) == ("/data/cell.tif", "/data/side.tif")
+    seeded.doc.image.take_region(((0, 20), (2, 23), (2, 24)))
+    view = seeded.doc.run_settings().scene.effects.second_view
+    assert (seeded.doc.image.path(), view.image) == ("", "")
 
 
 def test_its_image_reaches_the_fit(seeded, second, spin, monkeypatch, pixels):

@@ -271,8 +271,9 @@ class SecondSource(LayerChoice):
             return None
         _check_on_voxels(layer, image)
         path, channel = file_of(layer)
-        # The file of a second view holds nothing else.
-        return kind_of(ViewEffect)(sigma=self.sigma, image="" if channel else path)
+        # The file of a second view holds nothing else, and more than a region.
+        whole = not channel and self._image.box is None
+        return kind_of(ViewEffect)(sigma=self.sigma, image=path if whole else "")
 
     def pixels(self) -> NDArray[Any] | None:
         """(Z, Y, X) of the layer, at the time shown; None for no second view."""
