@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -89,6 +90,12 @@ class ImageSource(LayerChoice):
         if layer is None or layer.ndim < 4:
             return ()
         return tuple(int(step) for step in self._viewer.dims.current_step[-layer.ndim : -3])
+
+    def key(self) -> tuple[Any, ...]:
+        """Equal as long as the voxels are the same ones; () where there is no image."""
+        if self.layer is None:
+            return ()
+        return weakref.ref(self.layer), id(self.layer.data), self.time, self.box
 
     def shape(self) -> tuple[int, ...]:
         """Of ``stack``, without reading it."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
@@ -127,7 +126,7 @@ class AccuracyForecast(QObject):
         for signal in (doc.image.changed, doc.cells_changed, doc.settings_changed):
             signal.connect(self.later)
         dial.currentTextChanged.connect(self.later)
-        self._image: Any = None  # a weak reference to the one that was chosen
+        self._image: tuple[Any, ...] = ()  # the one that was chosen
         doc.image.changed.connect(self._image_changed)
         doc.work.changed.connect(self._work_changed)
         doc.shown.connect(self._running)
@@ -141,10 +140,9 @@ class AccuracyForecast(QObject):
 
     def _image_changed(self) -> None:
         """How fast the last run was, is of its image."""
-        image, before = self._doc.image.layer, self._image
-        if (before is None or before() is not image) and not self._doc.running:
+        before, self._image = self._image, self._doc.image.key()[:1]
+        if self._image != before and not self._doc.running:
             self.last_run.emit("")
-        self._image = None if image is None else weakref.ref(image)
 
     # --------------------------------------------------------------------------- before a run
 
@@ -163,7 +161,7 @@ class AccuracyForecast(QObject):
             return
         if not costs().measured:
             self.predicts.emit("measuring this computer for the forecast (once, a second) ...")
-        self.background.ask(partial(outlook, scene), partial(self._show, self.noise.key()))
+        self.background.ask(partial(outlook, scene), partial(self._show, self._doc.image.key()))
 
     def _show(self, key: tuple[Any, ...], found: Outlook) -> None:
         self.noise.learn(key, found.noise)
@@ -239,20 +237,13 @@ class NoiseOf:
         known = self.known
         if known is None:
             known = image_noise(self._doc.image.stack())
-            self.learn(self.key(), known)
+            self.learn(self._doc.image.key(), known)
         return known
 
     @property
     def known(self) -> float | None:
         """The noise where it was measured, else None."""
-        return self._noise if self.held or self._of == self.key() else None
-
-    def key(self) -> tuple[Any, ...]:
-        """What it is the noise of."""
-        image = self._doc.image
-        if image.layer is None:
-            return ()
-        return weakref.ref(image.layer), id(image.layer.data), image.time, image.box
+        return self._noise if self.held or self._of == self._doc.image.key() else None
 
     def learn(self, key: tuple[Any, ...], noise: float) -> None:
         """Take over what was measured elsewhere."""
@@ -262,9 +253,9 @@ class NoiseOf:
 
 def scene_key(doc: Document) -> tuple[Any, ...]:
     """The same as long as image, voxel size and PSF are."""
-    image = doc.image
-    size = None if image.layer is None else tuple(image.layer.scale)
-    return id(image.layer), image.time, image.box, size, doc.settings.optics.key()
+    layer = doc.image.layer
+    size = None if layer is None else tuple(layer.scale)
+    return *doc.image.key(), size, doc.settings.optics.key()
 
 
 def scene_now(doc: Document) -> SceneNow:
