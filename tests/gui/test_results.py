@@ -155,7 +155,7 @@ def test_a_row_dims_the_other_cells_and_goes_there(widget, with_image):
     plain = np.array(surface.data[2])
     with_image.dims.ndisplay = 2
     widget.results.table.selectRow(1)
-    assert widget.doc.link.chosen == {7}
+    assert widget.doc.link.contours.chosen == {7}
     assert (np.asarray(surface.data[2]) != plain).any()
     world = np.add(CENTERS[7], (1, 2, 3))  # the image lies there
     assert with_image.dims.point == pytest.approx(world, abs=0.2)
@@ -171,14 +171,14 @@ def test_a_click_chooses_the_row_and_leaves_the_view(widget, with_image):
     scene.camera.zoom, scene.camera.center = 100, (0, 4, 5)
     click(widget, with_image, CENTERS[7])
     assert widget.results.table.chosen_regions() == (7,)
-    assert widget.doc.link.chosen == {7}
+    assert widget.doc.link.contours.chosen == {7}
     assert tuple(scene.camera.center[-2:]) == (4, 5)
     click(widget, with_image, CENTERS[3], "Control")
-    assert widget.doc.link.chosen == {3, 7}
+    assert widget.doc.link.contours.chosen == {3, 7}
     click(widget, with_image, CENTERS[3], "Control")
-    assert widget.doc.link.chosen == {7}
+    assert widget.doc.link.contours.chosen == {7}
     click(widget, with_image, (2.9, 0, 0))
-    assert widget.doc.link.chosen == frozenset()
+    assert widget.doc.link.contours.chosen == frozenset()
 
 
 def click(widget, viewer, um, *modifiers):
