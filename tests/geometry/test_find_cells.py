@@ -6,6 +6,7 @@ from scipy import ndimage
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import find_cells, mesh_from_labels, suggest_size
+from napari_deltamic.geometry.labels.basins import border_area
 
 VOXEL = np.array([0.4, 0.25, 0.25])
 SHAPE = (26, 44, 60)
@@ -202,3 +203,13 @@ def test_gaps_between_cells_are_no_cells():
     image = np.random.default_rng(0).poisson(3 + 60 * light / light.max())
     found = find_cells(image, (1.0, 1.0, 1.0), 14.0)
     assert found.max() == len(places)
+
+
+def test_a_slanted_border_has_the_area_of_a_plane():
+    z, y, _ = np.indices((60, 60, 60))
+    known = np.abs(y - 0.6 * z - 12) < 14  # between two planes
+    size = np.array([0.5, 0.2, 0.2])
+    area = border_area(known.shape, size, known) - border_area(known.shape, size)
+    inner = np.s_[15:45, :, 10:50]
+    planes = 2 * (30 * 0.5) * (40 * 0.2) * np.hypot(1, 0.6 * 0.2 / 0.5)
+    assert (area * known)[inner].sum() == pytest.approx(planes, rel=0.03)

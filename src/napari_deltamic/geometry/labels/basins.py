@@ -105,17 +105,21 @@ def pixel_noise(data: FloatArray, known: Mask | None = None) -> float:
 
 
 def border_area(shape: tuple[int, ...], size: FloatArray, known: Mask | None = None) -> FloatArray:
-    """Area (um^2) of each voxel's faces on the border of the image, or of what is known of it."""
+    """Area (um^2) of each voxel's faces on the border of the image, or of what is known of it.
+
+    The latter is mostly slanted. The faces of its voxels have up to 1.7 times its area, so it is
+    taken from the slope of a smoothed mask, twice, as half of that lies on the other side.
+    """
     area = np.zeros(shape)
     for axis in range(3):
         sides = np.moveaxis(area, axis, 0)
         face = float(np.prod(size) / size[axis])
         sides[0] += face
         sides[-1] += face
-        if known is not None:
-            there = np.moveaxis(known, axis, 0)
-            sides[1:] += face * ~there[:-1]
-            sides[:-1] += face * ~there[1:]
+    if known is not None and not known.all():
+        smooth = ndimage.gaussian_filter(known.astype(np.float32), 1.0, mode="nearest")
+        slopes = [np.gradient(smooth, d, axis=k) for k, d in enumerate(size) if shape[k] > 1]
+        area += 2 * np.sqrt(sum(s * s for s in slopes)) * np.prod(size)
     return area
 
 
