@@ -12,21 +12,18 @@ from ..optics import Optics
 from ..runs.settings import WIDE_LEVELS, FitSettings
 from ..scene import expected_image
 from ..scene.effects import Effects
-from .amplitudes import all_small, inside_over_membrane, may_shine
 from .change import Change
 from .checkpoint import Checkpoint
 from .collisions import CollisionGuard
 from .convergence import Remaining
-from .density import RULES as DENSITY
 from .fit_objective import Objective, Terms
 from .fitted import Arrays, Fitted, fingerprint
 from .level import Level
+from .model_choice import ModelChoice
 from .preconditioner import Preconditioners
 from .prediction import View
 from .problem import Problem
 from .reporting import Reporter, verdict
-from .rival_structures import RULES as RIVALS
-from .rival_structures import best_of, nearer_of
 from .schedule import Progress, Schedule
 from .stage import Stage
 from .state import FitState
@@ -91,7 +88,7 @@ class Run:
             begun = False
             if self._level.usable or self._last:
                 if self._level.usable and self._stage.iteration == 0:
-                    self._ask_of_small()
+                    self._fitted = self._choice.of_small(self._terms, self._fitted)
                 yield from self._level_states()
                 if self._over:
                     return
@@ -101,16 +98,14 @@ class Run:
             self._stage = replace(self._stage, level_number=self._stage.level_number + 1)
 
     def _look_for_rivals(self) -> None:
-        """A fit of insides that is stuck goes on elsewhere, once the last levels come next."""
-        follow = len(self._levels) - 1 - self._stage.level_number
-        asked = self._settings.structure == "auto" and self._fitted.structure == "both"
-        if not (self._level.usable and 1 <= follow <= RIVALS.levels and asked):
+        """Go on with the best of what may shine, where the fit may be stuck."""
+        if not self._level.usable:
             return
-        if self._objective.structure().structure != "membrane":
-            edited = self._stage.changed_at > 0
-            start = None if edited or not self._same_cells() else self._begun
-            self._fitted, taken = best_of(self._terms, self._fitted, start)
-            self._stage = replace(self._stage, evaluations=self._stage.evaluations + taken)
+        edited = self._stage.changed_at > 0
+        start = None if edited or not self._same_cells() else self._begun
+        given = self._objective, self._fitted, self._stage, start
+        self._fitted, taken = self._choice.beside_rivals(self._terms, *given)
+        self._stage = replace(self._stage, evaluations=self._stage.evaluations + taken)
 
     def _same_cells(self) -> bool:
         """Whether the cells are those that the fit began with."""
@@ -134,8 +129,12 @@ class Run:
                 return
 
     @property
+    def _choice(self) -> ModelChoice:
+        return ModelChoice(self._settings, len(self._levels))
+
+    @property
     def _last(self) -> bool:
-        return self._stage.level_number == len(self._levels) - 1
+        return self._choice.last(self._stage)
 
     @property
     def _over(self) -> bool:
@@ -151,12 +150,6 @@ class Run:
         if not begun:
             blurred = 0.0 if self._level.factor == 1 else self._level.width
             self._remeshing.begin_level(self._fitted.mesh, blurred)
-
-    def _ask_of_small(self) -> None:
-        """Whether membranes or insides shine where cells are too small to fit both."""
-        fitted, asked = self._fitted, self._settings.structure == "auto"
-        if asked and fitted.mesh.is_closed() and all_small(fitted.mesh, fitted.optics):
-            self._fitted = fitted.with_structure(nearer_of(self._terms, fitted))
 
     def _make_level(self) -> None:
         problem, fitted = self._problem, self._fitted
@@ -174,7 +167,9 @@ class Run:
         stage, settings = self._stage, self._settings
         if self._topology.trial is None:
             self._kept = self._checkpoint().saved()  # before the look: a resumed fit looks again
-        if self._density_waits and stage.progress.iterations:  # after one objective at most
+        choice = self._choice
+        after_one = stage.progress.iterations > 0  # objective, at most
+        if after_one and choice.density_waits(self._fitted):
             self._fitted = self._fitted.with_density(settings.density)
         given = self._fitted, settings, self._level.factor, stage.iteration
         self._surface(self._topology.look(*given))
@@ -183,10 +178,11 @@ class Run:
         held = self._stage.progress.held and self._last
         views = self._objective.posed.posterior.views if held else ()
         self._objective = self._posed(views)
-        if self._density_waits and not self._walls_first:
+        waits = choice.density_waits(self._fitted)
+        if waits and not choice.walls_first(self._objective, self._fitted):
             self._fitted = self._fitted.with_density(settings.density)
             self._objective = self._posed(())
-        if self._structure_is_open:
+        if choice.asked(self._fitted, self._stage):
             found = self._objective.structure()
             progress = replace(self._stage.progress, sure=found.sure)
             if found.structure != self._fitted.structure:
@@ -207,44 +203,13 @@ class Run:
             self._second,
             self._settings,
             self._schedule,
-            self._density_fitted,
-            not self._first,
+            self._choice.density_fitted(self._fitted, self._stage),
+            not self._choice.first(self._stage),
             self._last,
         )
 
     def _posed(self, views: Sequence[View]) -> Objective:
         return Objective(self._terms, self._fitted, self._guard, self._factored, views)
-
-    @property
-    def _structure_is_open(self) -> bool:
-        """Whether to ask what shines: at the last level, once the surface has come near."""
-        asked = self._settings.structure == "auto" and self._fitted.structure == "both"
-        near = self._stage.level_number > 0 or self._stage.progress.iterations > 0
-        return asked and self._last and near and not self._stage.progress.sure
-
-    @property
-    def _density_fitted(self) -> bool:
-        """Numbers of walls are too few to stand in for a shape; held back, it would for them."""
-        if self._fitted.structure == "interior":
-            return False
-        return self._fitted.shape.model == "interface" or not self._first
-
-    @property
-    def _density_waits(self) -> bool:
-        """Whether densities of walls are still fitted in place of what was asked for."""
-        return self._fitted.shape.model != self._settings.density
-
-    @property
-    def _first(self) -> bool:
-        """Whether a level still follows the first one, whose shape is found without PSF, effects
-        and smooth brightness: far from it, they would stand in for it."""
-        return self._stage.level_number == 0 and len(self._levels) > 1
-
-    @property
-    def _walls_first(self) -> bool:
-        """Whether insides shine: a smooth density would stand in for them."""
-        light, widths = self._objective.now.light, self._fitted.optics.sigma_um
-        return inside_over_membrane(light, widths) > DENSITY.walls_first
 
     def _advance(self) -> None:
         """One step down."""
@@ -273,10 +238,7 @@ class Run:
         self._stage = replace(self._stage, remaining=remaining, progress=progress)
         if not progress.at_rest(schedule):
             return False
-        if self._density_waits:
-            self._due = True
-            return False
-        if self._other_structure():
+        if self._choice.density_waits(self._fitted) or self._other_structure():
             self._due = True
             return False
         late = progress.iterations >= schedule.patience
@@ -293,12 +255,10 @@ class Run:
 
     def _other_structure(self) -> bool:
         """Whether, at rest, something else shines than what had been clear on the way."""
-        if not (self._stage.progress.sure and self._fitted.structure == "both"):
+        found = self._choice.at_rest(self._objective, self._fitted, self._stage)
+        if found is self._fitted:
             return False
-        found = self._objective.structure().structure
-        if found == "both":
-            return False
-        self._fitted = self._fitted.with_structure(found)
+        self._fitted = found
         self._stage = replace(self._stage, progress=self._stage.progress.released())
         return True
 
@@ -335,11 +295,7 @@ class Run:
             self._take_settings(change.settings)
         self._fitted = self._fitted.changed(change, self._settings.density)
         if (change.settings, change.effects) != (None, None):
-            f = self._fitted
-            auto = self._settings.structure == "auto"
-            if not (auto and f.structure != "both" and all_small(f.mesh, f.optics)):
-                structure = may_shine(self._settings.structure, f.mesh, f.optics)
-                self._fitted = f.with_structure(structure)
+            self._fitted = self._choice.anew(self._fitted)
         self._stage = replace(self._stage, changed_at=self._stage.iteration, progress=Progress())
         self._due = True
         if change.mesh is not None:

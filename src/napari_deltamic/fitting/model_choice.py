@@ -1,0 +1,104 @@
+"""What shines, and how evenly, as far as a fit leaves it open: asked at fixed points of its way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..runs.settings import FitSettings
+from .amplitudes import all_small, inside_over_membrane, may_shine
+from .density import RULES as DENSITY
+from .fit_objective import Objective, Terms
+from .fitted import Fitted
+from .rival_structures import RULES as RIVALS
+from .rival_structures import best_of, nearer_of
+from .shape import Shape
+from .stage import Stage
+
+
+@dataclass(frozen=True)
+class ModelChoice:
+    """Which structure and which densities a fit goes on with; it writes into nobody.
+
+    Attributes
+    ----------
+    settings
+        Of the fit.
+    levels
+        How many there are.
+    """
+
+    settings: FitSettings
+    levels: int
+
+    def first(self, stage: Stage) -> bool:
+        """Whether a level still follows the first one, whose shape is found without PSF, effects
+        and smooth brightness: far from it, they would stand in for it."""
+        return stage.level_number == 0 and self.levels > 1
+
+    def last(self, stage: Stage) -> bool:
+        """Whether no level follows."""
+        return stage.level_number == self.levels - 1
+
+    # ---- structure ------------------------------------------------------------------------
+
+    def is_open(self, fitted: Fitted) -> bool:
+        """Whether the image decides what shines, and both still may."""
+        return self.settings.structure == "auto" and fitted.structure == "both"
+
+    def asked(self, fitted: Fitted, stage: Stage) -> bool:
+        """Whether to ask what shines: at the last level, once the surface has come near."""
+        near = stage.level_number > 0 or stage.progress.iterations > 0
+        return self.is_open(fitted) and self.last(stage) and near and not stage.progress.sure
+
+    def of_small(self, terms: Terms, fitted: Fitted) -> Fitted:
+        """Whether membranes or insides shine where cells are too small to fit both."""
+        asked, mesh = self.settings.structure == "auto", fitted.mesh
+        if asked and mesh.is_closed() and all_small(mesh, fitted.optics):
+            return fitted.with_structure(nearer_of(terms, fitted))
+        return fitted
+
+    def beside_rivals(
+        self, terms: Terms, objective: Objective, fitted: Fitted, stage: Stage, start: Shape | None
+    ) -> tuple[Fitted, int]:
+        """A fit of insides that is stuck goes on elsewhere, once the last levels come next.
+
+        And the evaluations that finding out took. start : where it began, if cells are the same.
+        """
+        follow = self.levels - 1 - stage.level_number
+        if not (1 <= follow <= RIVALS.levels and self.is_open(fitted)):
+            return fitted, 0
+        if objective.structure().structure == "membrane":
+            return fitted, 0
+        return best_of(terms, fitted, start)
+
+    def at_rest(self, objective: Objective, fitted: Fitted, stage: Stage) -> Fitted:
+        """With what shines at rest, where that differs from what had been clear on the way."""
+        if not (stage.progress.sure and fitted.structure == "both"):
+            return fitted
+        found = objective.structure().structure
+        return fitted if found == "both" else fitted.with_structure(found)
+
+    def anew(self, fitted: Fitted) -> Fitted:
+        """With all that may shine, for other settings; of small cells, what was found stays."""
+        asked, known = self.settings.structure, fitted.structure != "both"
+        if asked == "auto" and known and all_small(fitted.mesh, fitted.optics):
+            return fitted
+        return fitted.with_structure(may_shine(asked, fitted.mesh, fitted.optics))
+
+    # ---- densities ------------------------------------------------------------------------
+
+    def density_fitted(self, fitted: Fitted, stage: Stage) -> bool:
+        """Numbers of walls are too few to stand in for a shape; held back, it would for them."""
+        if fitted.structure == "interior":
+            return False
+        return fitted.shape.model == "interface" or not self.first(stage)
+
+    def density_waits(self, fitted: Fitted) -> bool:
+        """Whether densities of walls are still fitted in place of what was asked for."""
+        return fitted.shape.model != self.settings.density
+
+    @staticmethod
+    def walls_first(objective: Objective, fitted: Fitted) -> bool:
+        """Whether insides shine: a smooth density would stand in for them."""
+        over = inside_over_membrane(objective.now.light, fitted.optics.sigma_um)
+        return over > DENSITY.walls_first
