@@ -82,6 +82,19 @@ def test_spheres_of_a_mirrored_layer_are_as_large_as_they_are_drawn(panel, with_
     assert np.asarray(points.size) * np.abs(points.scale).mean() == pytest.approx(1.6)
 
 
+def test_another_region_leaves_spheres_as_large_as_they_were(panel, with_image):
+    points = add_points(panel, with_image, CENTER, CENTER)
+    panel.shape.setCurrentIndex(SPHERE)
+    panel.radius.setValue(0.8)
+    points.selected_data = {1}
+    panel.radius.setValue(0.5)
+    before = np.array(points.size)
+    assert before[0] > before[1]
+    panel._image.take_region(((2, 12), (2, 12), (2, 12)))
+    assert panel.radius.value() == pytest.approx(0.5)
+    np.testing.assert_array_equal(points.size, before)
+
+
 def test_each_source_alone(panel, with_image, ball_labels):
     points = add_points(panel, with_image, CENTER)
     assert taken(panel).kind == "image"

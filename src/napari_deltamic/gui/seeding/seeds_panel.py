@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -41,6 +42,7 @@ class SeedsPanel(QGroupBox):
         doc.at_end(self._close)
         self._of_layers = Connections()
         self._time: tuple[int, ...] = ()
+        self._voxels: tuple[Any, ...] = ()  # of which image, and how large
         self._open = True
         self._used = False  # whether a result that started from them is shown
         self._make_fields()
@@ -203,8 +205,13 @@ class SeedsPanel(QGroupBox):
             return
         size = self._image.frame().voxel_size
         sides = np.asarray(size) * shape
-        self.radius.setRange(2 * min(size), float(sides.max()) / 2)
-        self.radius.setValue(float(sides.min()) / 6)
+        radius, voxels = float(self.radius.value()), (weakref.ref(self._image.layer), size)
+        if voxels == self._voxels:  # another region only: spheres keep their sizes
+            self.radius.setRange(2 * min(size), max(float(sides.max()) / 2, radius))
+        else:
+            self.radius.setRange(2 * min(size), float(sides.max()) / 2)
+            self.radius.setValue(float(sides.min()) / 6)
+        self._voxels = voxels
         self.find_cells.suit(shape, size)
         self.preview.suit(shape, size)
         self._show_soon()
