@@ -56,6 +56,16 @@ def test_nuclei_are_found_one_by_one(size):
     assert found.size == pytest.approx(3.1, rel=0.15)
 
 
+def test_what_is_dark_inside_of_a_nucleus_is_its_own():
+    z, y, x = np.indices((30, 30, 60))
+    away = [np.sqrt((z - 15) ** 2 + (y - 15) ** 2 + (x - c) ** 2) for c in (15, 45)]
+    light = sum(((r < 10) & (r > 3)).astype(float) for r in away)
+    image = np.random.default_rng(0).poisson(3 + 50 * gaussian_filter(light, 1.0))
+    found = cells_of(image, (1.0, 1.0, 1.0)).labels
+    assert [len(np.unique(found[r < 8.5])) for r in away] == [1, 1]
+    assert found[15, 15, 15] > 0
+
+
 def test_membranes_are_not_taken_for_bright_cells():
     found = cells_of(image_of("membranes"), VOXEL)
     assert not found.bright

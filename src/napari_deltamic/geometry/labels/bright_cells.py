@@ -149,7 +149,8 @@ def cells_of(
         walled, refused = None, error
     bright = _instead(walled, _seen(data, known, voxel), size)
     if bright is not None:
-        return CellsFound(bright, _typical(bright, voxel), True)
+        whole = _without_holes(bright)
+        return CellsFound(whole, _typical(whole, voxel), True)
     if walled is None:
         assert refused is not None, "what was not found was refused"
         raise refused
@@ -286,6 +287,16 @@ def _ended(seen: _Seen, parts: Labels, depth: FloatArray) -> Labels:
             core = own & (depth[box] >= RULES.core * depth[box][own].max())
             ends[k] = dark + RULES.half * (float(np.median(smooth[box][core])) - dark)
     return np.where((parts > 0) & (smooth > ends[parts]), parts, 0)
+
+
+def _without_holes(labels: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Dark places that a cell encloses are its own."""
+    whole = labels.copy()
+    for k, box in enumerate(ndimage.find_objects(labels), 1):
+        if box is not None:
+            own = ndimage.binary_fill_holes(labels[box] == k)
+            whole[box][own & (labels[box] == 0)] = k
+    return whole
 
 
 def _hollow(smooth: Image, parts: Labels, depth: FloatArray) -> list[bool]:
