@@ -43,6 +43,9 @@ class FactRules:
         which gives 1.4 (from the correlations that it leaves, exp(-n^2 / 4 s^2) over n voxels).
     fewest
         Voxels whose mean is told to a fifth of their spread: enough for what is judged.
+    darker
+        Of the brightness of a surface: insides of a model that are less dark than this beside the
+        medium are not asked whether the image shows that. Chosen: noise and haze differ by 0.01.
     """
 
     deep: float = 2.5
@@ -50,6 +53,7 @@ class FactRules:
     long_enough: int = 12
     coloured: float = 1.25
     fewest: int = 30
+    darker: float = 0.03
 
 
 RULES = FactRules()
@@ -92,7 +96,7 @@ def facts_of(
     for spot in left.spots:
         light[spot.region] = max(light.get(spot.region, 0.0), abs(spot.light))
     uneven, lit = uneven_insides(job, state, image), _lit(state)
-    darker, there = _darker_around(job, state, seen, shown), _seen(job, state.mesh)
+    medium, there = _medium(job, state, seen, shown), _seen(job, state.mesh)
     cells = tuple(
         CellFacts(
             region,
@@ -106,7 +110,7 @@ def facts_of(
             None if region not in grown_out else tuple(grown_out[region].tolist()),
             uneven.get(region, 0.0),
             lit.get(region, 1.0),
-            darker.get(region, 0.0),
+            medium.get(region, 1.0),
             there.get(region, 1.0),
         )
         for region, area in areas.items()
@@ -192,19 +196,23 @@ def _roundness(mesh: Mesh) -> dict[int, float]:
     }
 
 
-def _darker_around(
+def _medium(
     job: FitInput, state: FitState, seen: np.ndarray, shown: np.ndarray
 ) -> dict[int, float]:
-    """How much darker it is around each region than where a model of dark insides has it.
+    """Share that the image shows of how much darker a model's insides are than the medium around.
 
-    Over the brightness of the surface, and in the whole image: where the light of a thick layer
-    ends is far from its inner side, where such a model explains it.
+    In the whole image: where the light of a thick layer ends is far from its inner side, where such
+    a model explains it.
     """
     if state.light.interior >= 0:
         return {}
     whole = replace(job, counted=None)
     measured, modelled = (_inside(whole, state, image, np.inf) for image in (seen, shown))
-    return {region: level - modelled[region] for region, level in measured.items()}
+    return {
+        region: measured[region] / level
+        for region, level in modelled.items()
+        if level < -RULES.darker and region in measured
+    }
 
 
 def _inside(
