@@ -93,7 +93,7 @@ class TrackControl(QObject):
         job = _reopened(tracks, frame, frames)
         left = range(tracks.settings.track.first, len(frames))
         self.work = self._made(partial(_same, job), left, tracks.results)
-        self.work.job, self.work.seconds, self.work.running = job, tracks.seconds, False
+        self.work.reopen(job, tracks.seconds)
         self._show_in(image.layer, frame)
         self.panel.divisions.setChecked(tracks.settings.track.divisions)
         if self.layers is not None:
