@@ -53,10 +53,10 @@ def fainter_membranes(posed: Posed, responses: Responses, state: FitState) -> Al
     if state.light.interior <= 0 or not state.mesh.is_closed():
         return None
     tried = []
-    now = _shown(posed, state)
+    now = shown(posed, state)
     for widths in RULES.depths:
         other, moved = _with_membranes(posed, state, widths)
-        gain, followed = responses.instead(state.amplitude * (_shown(posed, other) - now))
+        gain, followed = responses.instead(state.amplitude * (shown(posed, other) - now))
         if gain < -RULES.never:
             break
         likely = np.exp(min(gain, 0.0) / 2)
@@ -95,7 +95,7 @@ def _outwards(mesh: Mesh) -> FloatArray:
     return np.divide(summed, length, out=np.zeros_like(summed), where=length > 0)
 
 
-def _shown(posed: Posed, state: FitState) -> FloatArray:
+def shown(posed: Posed, state: FitState) -> FloatArray:
     """(N,) the image of a state where voxels count, of amplitude 1."""
     level, view = posed.posterior.level, posed.posterior.views[0]
     renderer = level.renderer(state.mesh, state.optics, state.effects, insides=True)

@@ -20,6 +20,7 @@ from ..geometry.mesh import FloatArray, Mesh
 from ..scene.light import INSIDES
 from .candidates import allowed, chosen_candidates, points_inwards, variants
 from .fainter_membranes import fainter_membranes
+from .light_cone import shows_cone
 
 
 @dataclass(frozen=True)
@@ -83,12 +84,15 @@ class PredictedError:
         The alternative that explains most of what is left; empty where none does.
     unknown
         Why there are none; empty where there are.
+    cone
+        Whether the image shows the cone of light of an objective, which the fitted PSF lacks.
     """
 
     whole: ShapeDeviation | None = None
     cells: Mapping[int, ShapeDeviation] = field(default_factory=dict)
     lacks: str = ""
     unknown: str = ""
+    cone: bool = False
 
 
 def predicted_error(job: FitInput, state: FitState) -> PredictedError:
@@ -123,7 +127,8 @@ def predicted_error(job: FitInput, state: FitState) -> PredictedError:
 
     every = np.unique(state.mesh.faces)
     cells = {region: over(own) for region, own in _vertices(state.mesh).items()}
-    return PredictedError(over(every), cells, lacks)
+    cone = shows_cone(posed, responses, state, job.optics.sigma_um, REFITS.sure)
+    return PredictedError(over(every), cells, lacks, cone=cone)
 
 
 def _alternative(posed: Posed, responses: Responses, state: FitState) -> tuple[str, FloatArray]:

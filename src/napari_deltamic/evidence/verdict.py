@@ -211,6 +211,7 @@ class Verdict:
             "whole_um": None if whole is None else {**asdict(whole), "total": whole.total},
             "lacks": self.error.lacks,
             "unknown": self.error.unknown,
+            "cone": self.error.cone,
         }
         return found
 
@@ -283,6 +284,9 @@ def _of_whole(facts: Facts) -> list[tuple[Grade, str]]:
     elif facts.width is not None and facts.width < RULES.widths[0]:
         text = f"the image is {1 / facts.width:.2g} times as sharp as the PSF: give its width"
         found.append(("fair", text))
+    if facts.error.cone:
+        text = "the image shows an objective's cone of light, which a Gaussian PSF lacks"
+        found.append(("fair", f"{text} (--modality, --na, --wavelength)"))
     if facts.narrow:
         found.append(("fair", "the fitted PSF is narrower than voxels can tell: hold it"))
     if facts.cut > RULES.cut:
