@@ -46,3 +46,21 @@ def test_odd_draws_follow_the_commit_and_even_ones_do_not():
     for draw, same in ((0, True), (1, False)):
         one, other = (made("dim", draw, commit).image for commit in ("a", "b"))
         assert np.array_equal(one, other) is same
+
+
+@pytest.mark.parametrize(("microscope", "kept"), [("widefield", 1.0), ("confocal", 0.5)])
+def test_microscopes_are_as_wide_as_asked_and_keep_light_out_of_focus(microscope, kept):
+    field = imaging.Field((21, 31, 31), (0.1, 0.1, 0.1), rim=4)
+    light = np.zeros(field.fine_shape)
+    light[tuple(n // 2 for n in light.shape)] = 1
+    image = imaging.seen_by(microscope, light, field, 0.12)
+    z, y, x = np.unravel_index(image.argmax(), image.shape)
+    row = image[z, y]
+    top = row > 0.3 * row.max()
+    bend, _ = np.polyfit(0.1**2 * (np.flatnonzero(top) - x) ** 2, np.log(row[top]), 1)
+    whole = imaging.effective_sigma(field, (0.12, 0.12, 0.12))[0]  # voxels included
+    assert (-0.5 / bend) ** 0.5 == pytest.approx(whole, rel=0.05)
+    sums = image.sum((1, 2))
+    assert sums[z + 6] / sums[z] < kept + 0.05
+    if microscope == "widefield":
+        assert sums[z + 6] / sums[z] > 0.95

@@ -17,6 +17,7 @@ import tifffile
 from napari_deltamic import Mesh, load_mesh, save_mesh
 from napari_deltamic.geometry import sphere
 
+from .imaging import APERTURE, wavelength
 from .scenes import Scene
 
 PROGRAM = (sys.executable, "-m", "napari_deltamic")
@@ -48,7 +49,7 @@ def fitted(scene: Scene, folder: Path, told: bool, patience: float) -> Outcome:
     seeds = _seeds(scene, folder, told)
     words = ["fit", str(image), "--voxel-size", *map(str, scene.voxel_size), "--seeds", seeds]
     if told:
-        words += ["--sigma", *map(str, scene.sigma), *_possible(scene.recipe.told)]
+        words += [*_psf(scene), *_possible(scene.recipe.told)]
     out = folder / ("told" if told else "default")
     words += ["-o", str(out), "--overwrite"]
     began = time.monotonic()
@@ -62,6 +63,17 @@ def fitted(scene: Scene, folder: Path, told: bool, patience: float) -> Outcome:
         return Outcome({}, None, seconds, last)
     report = json.loads((out / "report.json").read_text())
     return Outcome(report, load_mesh(out / "mesh.ply"), seconds, last)
+
+
+def _psf(scene: Scene) -> list[str]:
+    """Options that say what the PSF is."""
+    microscope = scene.recipe.microscope
+    if not microscope:
+        return ["--sigma", *map(str, scene.sigma)]
+    wave = f"{wavelength(microscope, scene.recipe.psf[1] * scene.voxel_size[2]):.4f}"
+    words = ["--modality", microscope, "--na", str(APERTURE), "--immersion", "water"]
+    words += ["--psf-model", "scalar", "--wavelength", wave]
+    return [*words, "--excitation", wave] if microscope == "confocal" else words
 
 
 def _possible(told: tuple[str, ...]) -> list[str]:

@@ -13,12 +13,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
+from scipy.signal import fftconvolve
 
 from napari_deltamic import Mesh
 
 Array = NDArray[np.float64]
 FINE = 3  # fine voxels along a voxel
 _PER_VOXEL = 3.0  # points of a surface that fall into a fine voxel that it crosses
+APERTURE, WATER = 1.2, 1.33  # of the microscopes
+# Standard deviation in the plane, in wavelengths / NA.
+_ACROSS = {"widefield": 0.22, "confocal": 0.216}
+_PINHOLE = 0.61  # radius, wavelengths / NA: one Airy unit across
 
 
 @dataclass(frozen=True)
@@ -147,6 +152,35 @@ def imaged(light: Array, field: Field, sigma: tuple[float, float, float]) -> Arr
     """The stack without noise: blurred by a Gaussian (um, Z Y X) and binned."""
     width = np.asarray(sigma) / field.fine_size
     return field.binned(gaussian_filter(light, width, mode="constant", truncate=5.0))
+
+
+def wavelength(microscope: str, across: float) -> float:
+    """um; with which a microscope's PSF has a standard deviation across, um, in the plane."""
+    return across * APERTURE / _ACROSS[microscope]
+
+
+def seen_by(microscope: str, light: Array, field: Field, across: float) -> Array:
+    """The stack without noise, by a microscope whose PSF is so wide in the plane (um).
+
+    Its field is summed over the pupil plane by plane (scalar theory, no aberrations); of a confocal
+    one, light that excites has the wavelength of that which is detected.
+    """
+    wave = wavelength(microscope, across)
+    depth, *plane = (n // 2 * 2 + 1 for n in field.fine_shape)
+    ky, kx = (np.fft.fftfreq(n, d) for n, d in zip(plane, field.fine_size[1:], strict=True))
+    squared = ky[:, None] ** 2 + kx**2
+    pupil = squared <= (APERTURE / wave) ** 2
+    along = np.sqrt(np.maximum((WATER / wave) ** 2 - squared, 0))
+    focus = (np.arange(depth) - depth // 2) * field.fine_size[0]
+    waves = (np.fft.ifft2(pupil * np.exp(2j * np.pi * z * along)) for z in focus)
+    point = np.fft.fftshift(np.stack([np.abs(wave) ** 2 for wave in waves]), axes=(1, 2))
+    if microscope == "confocal":
+        y, x = (
+            (np.arange(n) - n // 2) * d for n, d in zip(plane, field.fine_size[1:], strict=True)
+        )
+        pinhole = (y[:, None] ** 2 + x**2 <= (_PINHOLE * wave / APERTURE) ** 2).astype(float)
+        point = point * np.stack([fftconvolve(one, pinhole, "same") for one in point])
+    return np.maximum(field.binned(fftconvolve(light, point / point.sum(), "same")), 0)
 
 
 def effective_sigma(field: Field, sigma: tuple[float, float, float]) -> tuple[float, ...]:

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 SeedKind = Literal["labels", "spheres", "points", "mesh", "auto"]
+Microscope = Literal["", "widefield", "confocal"]
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,7 @@ class Recipe:
     shape: tuple[int, int, int] = (40, 40, 40)
     aspect: float = 1.0  # Z over lateral voxel side
     psf: tuple[float, float] = (1.2, 1.2)  # standard deviation along Z (of its voxels) and in plane
+    microscope: Microscope = ""  # of NA 1.2 in water, as wide in plane; else the PSF is a Gaussian
     photons: float = 60.0
     dark: float = 6.0
     membrane: float = 1.0
@@ -42,6 +44,7 @@ class Recipe:
     seeds: SeedKind = "spheres"
     start: tuple[float, float] = (0.9, 0.1)  # radius of spheres and meshes, offset, in radii
     told: tuple[str, ...] = ()  # what the command that knows all is told besides the PSF
+    all_labelled: bool = False  # cells without a seed have labels, too, but do not count
 
 
 def _neighbours(rng: np.random.Generator, seeds: SeedKind) -> Recipe:
@@ -141,6 +144,30 @@ def _mixed(rng: np.random.Generator) -> Recipe:
     )
 
 
+def _confluent(rng: np.random.Generator) -> Recipe:
+    """Cells that fill the stack; only those count of which half a cell or more lies in it."""
+    shape, radius = (30, 42, 42), rng.uniform(7, 9)
+    reach = np.array(shape) + 4.4 * radius
+    cloud = rng.uniform(-0.5, 0.5, (8000, 3)) * reach
+    places = cloud[: int(np.prod(reach) / (4.2 * radius**3))]
+    for _ in range(12):
+        nearest = ((cloud[:, None] - places) ** 2).sum(2).argmin(1)
+        places = np.array([cloud[nearest == k].mean(0) for k in range(len(places))])
+    near = (np.abs(places) < np.array(shape) / 2 + 0.9 * radius).all(1)
+    cells = tuple((*p.tolist(), 1.35 * radius) for p in places[near])
+    within = (np.abs(places[near]) < np.array(shape) / 2).all(1)
+    seeded = tuple(int(k) for k in np.flatnonzero(within) + 1)
+    light = {"unequal": 0.2, "interior": rng.choice([0.0, 0.4]), "psf": (1.2, 1.1)}
+    given = {"shape": shape, "seeds": "labels", "all_labelled": True, **light}
+    return Recipe(cells, seeded, True, roughness=0.03, **given)
+
+
+def _flat_voxels(rng: np.random.Generator, microscope: Microscope, **others: Any) -> Recipe:
+    """One cell, in voxels twice as deep as wide."""
+    given = {"cells": ((0, 0, 0, 12.0),), "shape": (24, 48, 48), "aspect": 2.0}
+    return replace(PLAIN, microscope=microscope, photons=rng.uniform(30, 100), **(given | others))
+
+
 PLAIN = Recipe()
 KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
     "plain": lambda rng: replace(
@@ -211,6 +238,14 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
     "flat": lambda rng: replace(
         PLAIN, aspect=rng.uniform(3.5, 5), shape=(16, 44, 44), cells=((0, 0, 0, 13.0),)
     ),
+    "widefield": lambda rng: _flat_voxels(rng, "widefield"),
+    "widefield-nucleus": lambda rng: _flat_voxels(rng, "widefield", membrane=0.0, interior=1.0),
+    "widefield-tissue": lambda rng: replace(_labelled_tissue(rng), microscope="widefield"),
+    "confocal": lambda rng: _flat_voxels(rng, "confocal"),
+    "confocal-nuclei": lambda rng: _crowd(
+        rng, membrane=0.0, interior=1.0, microscope="confocal", aspect=2.0, shape=(30, 54, 54)
+    ),
+    "confluent": _confluent,
     "mixed": _mixed,
     "wrong-start": lambda rng: replace(PLAIN, start=(0.6, 0.4)),
 }

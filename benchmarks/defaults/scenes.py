@@ -22,6 +22,7 @@ from .imaging import (
     effective_sigma,
     imaged,
     inside,
+    seen_by,
     surface_light,
 )
 from .processing import Stack, processed
@@ -96,7 +97,10 @@ def scene_of(name: str, recipe: Recipe, rng: np.random.Generator) -> Scene:
     if recipe.fading != 1:
         deep = (np.arange(space.fine_shape[0]) / FINE - space.rim) / recipe.shape[0]
         light *= (recipe.fading**deep)[:, None, None]
-    clean = imaged(light, space, sigma)
+    if recipe.microscope:
+        clean = seen_by(recipe.microscope, light, space, sigma[2])
+    else:
+        clean = imaged(light, space, sigma)
     if recipe.specks:
         clean += _specks(recipe, space, solid, rng)
     image = counted_photons(clean, recipe.photons, recipe.dark, rng)
@@ -106,11 +110,12 @@ def scene_of(name: str, recipe: Recipe, rng: np.random.Generator) -> Scene:
     if recipe.padded:
         z, _, x = np.indices(image.shape) / np.array(image.shape).reshape(3, 1, 1, 1)
         image = np.where(z + x < recipe.padded, 0, image + _OFFSET).astype(np.float32)
-    strangers = tuple(k for k in centres if k not in recipe.seeded)
+    known = tuple(centres) if recipe.all_labelled else recipe.seeded
+    strangers = tuple(k for k in centres if k not in known)
     every = np.zeros(recipe.shape, np.int32)
     for k, occupied in solid.items():
         every[space.binned(occupied) > 0.5] = k
-    labels = np.where(np.isin(every, recipe.seeded), every, 0).astype(np.int32)
+    labels = np.where(np.isin(every, known), every, 0).astype(np.int32)
     given = (truth, strangers, centres, radii, _careless(labels, rng), every)
     return Scene(name, recipe, image, voxel, effective_sigma(space, sigma), *given)
 
