@@ -21,6 +21,7 @@ from napari_deltamic.accuracy.machine_costs import processor
 
 from .figure import Figure, MissingData, Options, Row, default_data_folder
 from .page import HEADINGS, cells, table
+from .tree import commit
 
 # Each exposes FIGURES: dict[str, Callable[[Options], list[Row]]].
 MODULES = ("engine", "rendering", "fits", "vesicles", "event_loop")
@@ -49,6 +50,7 @@ def machine(only: list[str] | None, quick: bool) -> dict[str, str]:
     arguments = (["--only", *only] if only else []) + (["--quick"] if quick else [])
     found: dict[str, str] = {
         "command": shlex.join(["python", "-m", "benchmarks", *arguments]),
+        "commit": commit()[:7] or "unknown",
         "date": time.strftime("%Y-%m-%d %H:%M"),
         "processor": processor(),
         "cores": str(os.cpu_count()),

@@ -27,10 +27,10 @@ from napari_deltamic.cli.messages import Notes
 from napari_deltamic.fitting.job import start
 from napari_deltamic.measure import surface_distance
 
-from .defaults.__main__ import commit
 from .defaults.scenes import Recipe, Scene, rng_of, scene_of
 from .figure import Row, at_least, at_most
 from .page import put_between, table
+from .tree import commit
 
 COUNTS = (1, 1, 1, 1, 1, 1, 1, 1, 2, 2, 2, 3, 4, 4, 6, 8, 8, 12, 16, 16, 24, 32, 64, 100)
 SLOWEST = "1nm"

@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import subprocess
 import sys
 import tempfile
 import time
@@ -21,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from ..tree import commit
 from .command import Outcome, fitted, renumbered
 from .processing import BASES, PROCESSINGS
 from .scenes import KINDS, made
@@ -89,17 +89,6 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[str]:
     swallowed, lost = sum(r["swallowed"] for r in rows), sum(r["lost"] for r in rows)
     lines.append(f"swallowed neighbours {swallowed}, lost cells {lost}, of {len(rows)} scenes")
     return lines
-
-
-def commit() -> str:
-    """The commit that is measured."""
-    done = subprocess.run(
-        ["git", "rev-parse", "HEAD"],
-        capture_output=True,
-        text=True,
-        cwd=Path(__file__).parent,
-    )
-    return done.stdout.strip() or "unknown"
 
 
 def main(argv: Sequence[str]) -> int:

@@ -6,6 +6,7 @@ with a wrong voxel size, leaning slices, cut brightness, time for depth, no or a
 
 from __future__ import annotations
 
+import argparse
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -27,7 +28,7 @@ from napari_deltamic.evidence.sanity import (
 from napari_deltamic.geometry import mesh_from_labels, sphere
 from napari_deltamic.scene import Grid
 
-from .__main__ import commit
+from ..tree import commit
 from .scenes import KINDS, Scene, made, rng_of
 
 Triple = tuple[float, float, float]
@@ -198,8 +199,10 @@ def main(verbose: Callable[[Case], str] | None = None) -> int:
 
 
 def run(argv: Sequence[str]) -> int:
-    """With ``-v`` the numbers of every case."""
-    return main(measured if "-v" in argv else None)
+    """Returns what ``main`` does."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.defaults.sanity")
+    parser.add_argument("-v", "--verbose", action="store_true", help="the numbers of every case")
+    return main(measured if parser.parse_args(argv).verbose else None)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from napari_deltamic.geometry.labels.bright_cells import cells_of
 from napari_deltamic.geometry.labels.find_cells import find_cells, suggest_size
 
-from .__main__ import commit
+from ..tree import commit
 from .scenes import Recipe, Scene, made, rng_of, scene_of
 
 COUNT = 20

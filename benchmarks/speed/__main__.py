@@ -11,7 +11,6 @@ import argparse
 import json
 import math
 import os
-import subprocess
 import sys
 import tempfile
 import time
@@ -22,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from ..figure import MissingData, default_data_folder
+from ..tree import commit
 from . import (
     clusters,
     growing,
@@ -56,21 +56,6 @@ CASES: dict[str, Case] = {
     )
     for name, case in module.CASES.items()
 }
-
-
-def commit() -> str:
-    """The commit of this tree, with a plus where files differ from it; "" where none is known."""
-    try:
-        told = subprocess.run(
-            ["git", "describe", "--always", "--abbrev=40", "--dirty=+", "--exclude=*"],
-            cwd=ROOT,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-    except (OSError, subprocess.CalledProcessError):
-        return ""
-    return told.stdout.strip()
 
 
 def measured(name: str, bench: Bench) -> list[Line]:
