@@ -186,7 +186,7 @@ def test_what_is_not_said(data, tmp_path, fails):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("name", ["report.json", "mesh.ply", "mesh.rec", "checkpoint.npz"])
+@pytest.mark.parametrize("name", ["report.json", "mesh.rec", "checkpoint.npz", "run.toml"])
 def test_nothing_is_written_over(data, tmp_path, run, fails, seen, name):
     (tmp_path / name).write_text("precious")
     arguments = ("fit", data / "cell.tif", "--seeds", data / "start.ply", *SIGMA, "-o", tmp_path)

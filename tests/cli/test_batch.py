@@ -67,6 +67,13 @@ def test_a_folder_of_stacks(run, stacks, tmp_path):
     assert [(out / name).read_bytes() for name in ("summary.csv", "cells.csv")] == before
 
 
+def test_a_table_of_something_else_is_kept(fails, stacks, tmp_path):
+    (tmp_path / "cells.csv").write_text("mine")
+    told = fails("batch", stacks, *SEEDS, "--workers", 0, "-o", tmp_path, *FAST)
+    assert "holds a cells.csv that is of no batch: choose another folder" in told
+    assert (tmp_path / "cells.csv").read_text() == "mine"
+
+
 def test_other_options_fit_again(run, stacks, tmp_path):
     (stacks / "bad.tif").unlink()
     arguments = ("batch", stacks, *SEEDS, "--workers", 0, "-o", tmp_path / "out")

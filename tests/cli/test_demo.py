@@ -49,11 +49,12 @@ def test_without_napari_it_says_so_and_writes(shown, monkeypatch, capsys, tmp_pa
     assert "napari is not installed" in capsys.readouterr().err
 
 
-def test_it_keeps_results_that_are_not_its_own(shown, monkeypatch, capsys, tmp_path):
+@pytest.mark.parametrize("name", ["report.json", "image.tif", "run.toml"])
+def test_it_keeps_results_that_are_not_its_own(shown, monkeypatch, capsys, tmp_path, name):
     monkeypatch.chdir(tmp_path)
     for folder in ("mine", "demo-output"):
         (tmp_path / folder).mkdir()
-        (tmp_path / folder / "report.json").write_text("precious")
+        (tmp_path / folder / name).write_text("precious")
     assert main(["demo", "--headless", "-o", "mine"]) == 2
     assert "--overwrite" in capsys.readouterr().err
     assert main(["demo", "--headless"]) == 0

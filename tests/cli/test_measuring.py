@@ -70,6 +70,21 @@ def test_a_mesh_without_an_image(bubble, run, tmp_path):
     assert len(rows(tmp_path / "out" / "junctions.csv")) == 1
 
 
+def test_files_of_the_user_are_not_replaced(run, fails, tmp_path):
+    """Meshes are often called as what is written: the mesh itself, and others beside it."""
+    mesh = tmp_path / "cells.ply"
+    nd.save_mesh(sphere((2, 2, 2), 1.0), mesh)
+    before = mesh.read_bytes()
+    assert "holds cells.ply; --overwrite" in fails("measure", mesh, "-o", tmp_path)
+    told = fails("measure", mesh, "--overwrite", "-o", tmp_path)
+    assert f"{mesh} would be replaced by the results: choose another folder" in told
+    assert mesh.read_bytes() == before
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "labels.ome.tif").write_text("mine")
+    assert "holds labels.ome.tif" in fails("measure", mesh, "-o", tmp_path / "out")
+    assert run("measure", mesh, "--overwrite", "-o", tmp_path / "out")[0] == 0
+
+
 def test_labels_at_a_voxel_size(bubble, run, tmp_path):
     options = ("--label-voxel", 0.5, 0.25, 0.25)
     code, out, _ = run("measure", bubble, *options, "-o", tmp_path / "out")

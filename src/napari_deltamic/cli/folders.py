@@ -45,5 +45,12 @@ def check_folder(
             raise InputError(f"{folder} holds {name}; --overwrite replaces what is there")
 
 
+def check_kept(folder: Path, names: Sequence[str], *files: str | None) -> None:
+    """InputError where results would take the place of a file that they are made of."""
+    for file in files:
+        if file is not None and any(_same(folder / name, Path(file)) for name in names):
+            raise InputError(f"{file} would be replaced by the results: choose another folder")
+
+
 def _same(one: Path, other: Path) -> bool:
     return one.exists() and other.exists() and one.samefile(other)

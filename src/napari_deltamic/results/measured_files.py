@@ -15,19 +15,8 @@ from ..geometry import Mesh, save_mesh
 from ..images.stacks import write_image
 from ..measure import Measurements, Table
 from ..scene import Grid
+from .measured_names import MEASURED as MEASURED
 from .mesh_exchange import cells_apart, labels_grid, labels_of, wall_attributes
-
-MEASURED = (
-    "cells.csv",
-    "walls.csv",
-    "junctions.csv",
-    "cells.vtk",
-    "cells.ply",
-    "walls.vtk",
-    "walls.ply",
-    "labels.ome.tif",
-    "measurements.html",
-)
 
 
 def write_measurements(

@@ -45,7 +45,10 @@ def _check(arguments: argparse.Namespace) -> None:
     # Seeds are a pattern, and each image is looked at when its turn comes.
     alone = {**vars(arguments), "image": arguments.source, "seeds": arguments.source}
     check_fit_options(argparse.Namespace(**alone), "batch")
-    check_folder(Path(arguments.output), ())
+    folder = Path(arguments.output)
+    check_folder(folder, ())
+    if (folder / "cells.csv").exists() and not (folder / "summary.csv").exists():
+        raise InputError(f"{folder} holds a cells.csv that is of no batch: choose another folder")
 
 
 def fit_words(arguments: argparse.Namespace) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ from ..folders import check_folder
 from .fit_arguments import PRECIOUS
 
 _OUTPUT = "demo-output"
+_WRITTEN = (*PRECIOUS, "image.tif", "seeds.ply", "truth.ply")
 
 
 def add_parser(commands: Any) -> None:
@@ -35,4 +36,4 @@ def add_parser(commands: Any) -> None:
 
 def _check(arguments: argparse.Namespace) -> None:
     overwrite = arguments.overwrite or arguments.output == _OUTPUT
-    check_folder(Path(arguments.output), PRECIOUS, overwrite=overwrite)
+    check_folder(Path(arguments.output), _WRITTEN, overwrite=overwrite)

@@ -16,8 +16,16 @@ from ..optics_arguments import add_optics, optics_values
 from .argument_checks import check_channel, check_files
 
 CHECKPOINT = "checkpoint.npz"
-# What one would not want to lose; the other results belong to them.
-PRECIOUS = ("report.json", "mesh.ply", "mesh.rec", CHECKPOINT)
+_GOING_ON = ("report.json", "mesh.ply", "mesh.rec", CHECKPOINT)
+# What one would not want to lose: files of another kind may have such names too.
+PRECIOUS = (
+    *_GOING_ON,
+    "run.toml",
+    "rendered.tif",
+    "residual.tif",
+    "measurements.csv",
+    "picture.png",
+)
 _SCENE = ("voxel_size", "sigma", "effects")
 
 
@@ -87,7 +95,9 @@ def check_fit_options(arguments: argparse.Namespace, command: str) -> None:
 
 def _check(arguments: argparse.Namespace) -> None:
     folder = Path(arguments.output)
-    check_folder(folder, PRECIOUS, overwrite=arguments.overwrite, but=arguments.resume)
+    # Beside a checkpoint lies the run.toml of the same fit.
+    names = _GOING_ON if arguments.resume else PRECIOUS
+    check_folder(folder, names, overwrite=arguments.overwrite, but=arguments.resume)
     check_files(arguments, "image")
     check_fit_options(arguments, "fit")
     if arguments.effects == "auto" and arguments.resume:

@@ -9,12 +9,13 @@ from typing import Any
 
 from ...common.choices import IMAGE_FILES
 from ...errors import InputError
+from ...results.measured_names import FURTHER, MEASURED
 from ...runs.scene_settings import RunFields
 from ..flags import TRIPLE, add_flags
-from ..folders import check_folder
+from ..folders import check_folder, check_kept
 from .argument_checks import check_channel, check_files
 
-PRECIOUS = ("cells.csv", "walls.csv", "junctions.csv", "measurements.html", "tracks.geff")
+_WRITTEN = (*MEASURED, *FURTHER)
 
 
 def add_parser(commands: Any) -> None:
@@ -88,7 +89,9 @@ def _check(arguments: argparse.Namespace) -> None:
         if size is not None and not all(isfinite(d) and d > 0 for d in size):
             option = name.replace("_", "-")
             raise InputError(f"--{option} must be three positive numbers (um)")
-    check_folder(Path(arguments.output), PRECIOUS, overwrite=arguments.overwrite)
+    folder = Path(arguments.output)
+    check_folder(folder, _WRITTEN, overwrite=arguments.overwrite)
+    check_kept(folder, _WRITTEN, arguments.source, arguments.image, arguments.other_channel)
 
 
 def _is_image(text: str | None) -> bool:
