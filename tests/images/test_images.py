@@ -63,11 +63,17 @@ def test_npy(tmp_path):
 
 @pytest.mark.parametrize(
     ("unit", "factor"),
-    [("um", 1), ("micron", 1), ("\\u00B5m", 1), ("nm", 1e-3), ("mm", 1e3)],
+    [("um", 1), ("micron", 1), ("\\u00B5m", 1), ("nm", 1e-3), ("mm", 1e3), ("nanometres", 1e-3)],
 )
 def test_imagej_units(tmp_path, unit, factor):
     _, size = read_image(imagej(tmp_path / "a.tif", unit))
     assert size == pytest.approx([factor * d for d in SIZE], rel=1e-6)
+
+
+def test_imagej_with_a_unit_for_each_axis(tmp_path):
+    metadata = {"axes": "ZYX", "unit": "um", "spacing": 300.0, "zunit": "nm"}
+    path = save(tmp_path / "a.tif", imagej=True, metadata=metadata, resolution=(10, 1 / 0.12))
+    assert read_image(path)[1] == pytest.approx((0.3, 0.12, 0.1))
 
 
 @pytest.mark.parametrize("unit", ["pixel", "", "furlong", "sec"])
@@ -101,6 +107,26 @@ def test_plain_tiff_has_no_voxel_size(tmp_path):
     image, size = read_image(save(tmp_path / "a.tif", resolution=(300, 300)))
     assert image.shape == STACK.shape
     assert size is None
+
+
+@pytest.mark.parametrize(
+    ("kind", "into", "high"),
+    [
+        ("float16", "float32", 7),
+        ("int64", "uint32", 70000),
+        ("uint64", "uint32", 7),
+        ("int64", "int32", -7),
+        ("int64", "float64", 2**40),
+    ],
+)
+def test_values_that_no_tiff_holds_are_written_as_others(tmp_path, kind, into, high):
+    image = np.zeros((2, 3, 4), kind)
+    image[1, 2, 3] = high
+    write_image(tmp_path / "a.tif", image, SIZE)
+    again, size = read_image(tmp_path / "a.tif")
+    assert again.dtype == into
+    np.testing.assert_array_equal(again, image)
+    assert size == pytest.approx(SIZE)
 
 
 def test_byte_order_and_bool(tmp_path):

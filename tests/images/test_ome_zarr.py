@@ -62,6 +62,23 @@ def test_a_stack_comes_back_to_the_last_bit(tmp_path, dtype):
     assert [p.name for p in tmp_path.iterdir()] == ["stack.ome.zarr"]
 
 
+@pytest.mark.parametrize("axes", ["xyz", "yxz", "zxy", "cxyz", "xyzc"])
+def test_axes_of_space_in_any_order(tmp_path, axes):
+    image = np.arange(2 * 3 * 4 * 5, dtype=np.uint16).reshape(2, 3, 4, 5)  # C Z Y X
+    several = "c" in axes
+    stored = (image if several else image[1]).transpose(
+        ["czyx"[not several :].index(a) for a in axes]
+    )
+    path = store(tmp_path / "a.zarr", stored, axes=axes)
+    again, size = read_image(path, "2" if several else None)
+    np.testing.assert_array_equal(again, image[1])
+    assert size == SIZE
+    frames = np.stack([stored, stored + 7])
+    path = store(tmp_path / "t.zarr", frames, axes="t" + axes)
+    series = open_series(path, "2" if several else None)
+    np.testing.assert_array_equal(series[1], image[1] + 7)
+
+
 def test_what_is_missing_stays_missing(tmp_path):
     image = np.ones((3, 4, 5), np.float32)
     image[1, 2, 3] = np.nan

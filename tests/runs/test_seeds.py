@@ -6,6 +6,7 @@ import pytest
 import napari_deltamic as nd
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import sphere
+from napari_deltamic.images.stacks import read_image
 from napari_deltamic.runs.seeds import (
     FoundSeeds,
     LabelSeeds,
@@ -75,3 +76,9 @@ def test_what_is_no_file_of_seeds(tmp_path):
         seeds_of(str(tmp_path / "seeds.doc"))
     with pytest.raises(InputError, match="shape"):
         LabelSeeds(np.ones((2, 2, 2), int)).make(np.zeros(GRID.shape), GRID)
+
+
+def test_large_labels_are_saved(tmp_path):
+    seeds = LabelSeeds(70_000 * labels().astype(np.int32))
+    path = seeds.save(tmp_path, np.zeros(GRID.shape), GRID)
+    np.testing.assert_array_equal(read_image(path)[0], seeds.labels)

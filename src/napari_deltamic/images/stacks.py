@@ -132,7 +132,8 @@ def write_image(
         sides = {f"PhysicalSize{name}": d for name, d in zip("ZYX", (z, y, x), strict=True)}
         units = {f"PhysicalSize{name}Unit": "µm" for name in "ZYX"}
         metadata = {"axes": "ZYX", **sides, **units}
-        tifffile.imwrite(buffer, array, ome=True, photometric="minisblack", metadata=metadata)
+        held = _held_by_ome(array)
+        tifffile.imwrite(buffer, held, ome=True, photometric="minisblack", metadata=metadata)
     write_atomically(path, buffer.getvalue())
 
 
@@ -168,6 +169,18 @@ def holds_image(path: str | os.PathLike[str], image: ArrayLike, channel: str | N
         )
         for a, b in zip(stored, array, strict=True)
     )
+
+
+def _held_by_ome(array: NDArray[Any]) -> NDArray[Any]:
+    """The same values in a type that OME-TIFF has: whole numbers of 32 bits at most, no halves."""
+    if array.dtype == np.float16:
+        return array.astype(np.float32)
+    if array.dtype.kind not in "iu" or array.dtype.itemsize <= 4:
+        return array
+    kind: Any = np.int32 if array.min() < 0 else np.uint32
+    limits = np.iinfo(kind)
+    fits = limits.min <= array.min() and array.max() <= limits.max
+    return array.astype(kind if fits else np.float64)
 
 
 def _named_ome(path: Path) -> bool:

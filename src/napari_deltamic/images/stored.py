@@ -111,15 +111,33 @@ def _open_npy(path: Path) -> Stored:
 
 def _open_zarr(path: Path) -> Stored:
     found = open_zarr(path)
-    array = found.array
+    array, order = found.array, _in_order(found.axes, len(found.array.shape))
+
+    def read(index: Index) -> NDArray[np.generic]:
+        stored: list[int | slice] = [ALL] * len(order)
+        for axis, at in zip(order, index, strict=True):
+            stored[axis] = at
+        left = [axis for axis, at in zip(order, index, strict=True) if isinstance(at, slice)]
+        return np.asarray(array[tuple(stored)]).transpose(np.argsort(np.argsort(left)))
+
     return Stored(
-        tuple(int(n) for n in array.shape),
+        tuple(int(array.shape[axis]) for axis in order),
         np.dtype(array.dtype),
-        found.axes,
+        "".join(found.axes[axis] for axis in order) if found.axes else "",
         plausible(found.voxel_size),
         found.channels,
-        lambda index: np.asarray(array[index]),
+        read,
     )
+
+
+def _in_order(axes: str, count: int) -> list[int]:
+    """The numbers of stored axes, those of space as Z, Y, X: the format leaves their order open."""
+    order = list(range(count))
+    space = [axis for axis, name in enumerate(axes) if name in "ZYX"]
+    sought = sorted(space, key=lambda axis: "ZYX".index(axes[axis]))
+    for place, axis in zip(space, sought, strict=True):
+        order[place] = axis
+    return order
 
 
 def _open_tiff(path: Path) -> Stored:
@@ -239,12 +257,15 @@ def _ome_size(tif: tifffile.TiffFile) -> VoxelSize | None:
 
 def _imagej_size(tif: tifffile.TiffFile) -> VoxelSize | None:
     metadata = tif.imagej_metadata or {}
-    unit = unit_um(str(metadata.get("unit", "")))
-    if unit is None or "spacing" not in metadata:
+    # Units of Y and Z are told only where they are not that of X.
+    z, y, x = (
+        unit_um(str(metadata.get(f"{axis}unit", metadata.get("unit", "")))) for axis in "zyx"
+    )
+    if z is None or y is None or x is None or "spacing" not in metadata:
         return None
     tags = tif.pages.first.tags
     sides = [float(metadata["spacing"])]
     for name in ("YResolution", "XResolution"):
         count, length = tags[name].value  # pixels per unit, as a fraction
         sides.append(length / count)
-    return sides[0] * unit, sides[1] * unit, sides[2] * unit
+    return sides[0] * z, sides[1] * y, sides[2] * x

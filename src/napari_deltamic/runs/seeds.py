@@ -107,10 +107,10 @@ class LabelSeeds:
     def save(self, folder: Path, image: NDArray[Any], grid: Grid) -> Path:
         """See ``Seeds``."""
         path = folder / "seeds.tif"
-        high = int(self.labels.max(initial=0))
-        if high > np.iinfo(np.uint16).max:
-            raise InputError(f"label {high} is too large for a label image file")
-        write_image(path, self.labels.astype(np.uint16), grid.voxel_size)
+        least, most = self.labels.min(initial=0), self.labels.max(initial=0)
+        small = least == 0 and most <= np.iinfo(np.uint16).max
+        labels = self.labels.astype(np.uint16) if small else self.labels
+        write_image(path, labels, grid.voxel_size)
         return path
 
 
