@@ -86,6 +86,32 @@ def test_other_options_fit_again(run, stacks, tmp_path):
     assert [row["iterations"] for row in second] == ["5", "5"]
 
 
+def test_other_settings_of_the_same_name_fit_again(run, stacks, data, tmp_path):
+    """A file of settings that has changed is another option."""
+    (stacks / "bad.tif").unlink()
+    (stacks / "two.tif").write_bytes((data / "nan.tif").read_bytes())
+    made = tmp_path / "made"
+    given = ("fit", data / "cell.tif", "--seeds", data / "start.ply", "-o", made)
+    assert run(*given, *FAST)[0] == 0
+    toml = made / "run.toml"
+    settings = ("--settings", toml)
+    arguments = ("batch", stacks, *SEEDS, *settings, "--workers", 0, "-o", tmp_path / "out")
+    run(*arguments)
+    assert "1 of 2 are done already" in run(*arguments)[2]
+    first, second = rows(tmp_path / "out" / "summary.csv")
+    assert (first["iterations"], second["status"]) == ("3", "failed")
+    assert second["message"].startswith("the image holds 2 NaN voxels")
+    toml.write_text(toml.read_text().replace("max_iterations = 3", "max_iterations = 4"))
+    assert "done already" not in run(*arguments)[2]
+    assert rows(tmp_path / "out" / "summary.csv")[0]["iterations"] == "4"
+
+
+def test_a_failure_is_told_whole(tmp_path):
+    image = tmp_path / "an error: here.tif"
+    told = cluster.fit_in_folder(["fit", str(image), "--seeds", "auto", "-o", str(tmp_path / "x")])
+    assert told == f"{image}: there is no such file"
+
+
 def test_a_full_disk_keeps_what_is_finished(run, fails, stacks, tmp_path, monkeypatch):
     """One sentence, the first image is whole, and with room again the rest follows."""
     (stacks / "bad.tif").unlink()
@@ -282,13 +308,15 @@ def test_seeds_are_no_images_in_a_folder_named_from_here(tmp_path, monkeypatch):
 
 
 def test_seeds_are_no_images(tmp_path):
-    for name in ("a.tif", "a_labels.tif", "b.ome.tif", "b_labels.tif"):
+    """Nor is what macOS puts beside each file."""
+    for name in ("a.tif", "a_labels.tif", "b.ome.tif", "b_labels.tif", "._a.tif"):
         (tmp_path / name).write_text("")
-    jobs = batch_jobs(tmp_path, "{stem}_labels.tif")
-    assert [(job.name, Path(job.seeds).name) for job in jobs] == [
-        ("a", "a_labels.tif"),
-        ("b", "b_labels.tif"),
-    ]
+    (tmp_path / "batch.toml").write_text('images = ["*.tif"]\nseeds = "{stem}_labels.tif"\n')
+    for jobs in (batch_jobs(tmp_path, "{stem}_labels.tif"), batch_jobs(tmp_path / "batch.toml")):
+        assert [(job.name, Path(job.seeds).name) for job in jobs] == [
+            ("a", "a_labels.tif"),
+            ("b", "b_labels.tif"),
+        ]
     assert {job.seeds for job in batch_jobs(tmp_path, "auto")} == {"auto"}
     (tmp_path / "a.npy").write_text("")
     with pytest.raises(InputError, match="two images are named"):

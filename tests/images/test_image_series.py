@@ -83,6 +83,14 @@ def test_a_damaged_file_of_many_is_named_when_it_is_read(tmp_path):
         series[1]
 
 
+def test_hidden_files_are_no_frames(tmp_path):
+    """macOS puts one beside each file, on disks of other systems."""
+    folder = files(tmp_path / "a", ["t0.tif", "t1.tif", "t2.tif"])
+    for frame in range(3):
+        (folder / f"._t{frame}.tif").write_bytes(b"no image")
+    assert open_series(folder).names == ["t0.tif", "t1.tif", "t2.tif"]
+
+
 def small(folder):
     files(folder, ["t0.npy", "t1.npy", "t2.npy"])
     np.save(folder / "t1.npy", SERIES[1, :, :, :4])

@@ -48,9 +48,15 @@ def test_what_is_fitted_and_how(folder):
 
 
 def test_a_voxel_size_is_given_where_a_file_has_none(folder):
+    """Only there: those of the other files stand."""
     np.save(folder / "c.npy", np.ones((4, 5, 6)))
-    options = batch_for(folder, SETTINGS).options
-    assert options[options.index("--voxel-size") :][1:4] == ("0.3", "0.2", "0.2")
+    write_batch(folder, SETTINGS)
+    parser = build_parser()
+    sizes = {
+        job.name: parser.parse_args(job.words(folder)).voxel_size
+        for job in batch_jobs(folder / "batch.toml")
+    }
+    assert sizes == {"a": None, "b [1]": None, "c": [0.3, 0.2, 0.2]}
 
 
 def test_seeds_beside_the_stacks(folder):

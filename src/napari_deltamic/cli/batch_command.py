@@ -81,6 +81,10 @@ def _wanted(job: BatchJob) -> str:
         "words": job.words(Path("."))[:-2],
         "files": [_state(job.image), None if job.seeds is None else _state(Path(job.seeds))],
     }
+    # Settings, and the image of a bead.
+    named = [_state(Path(word)) for word in job.options if Path(word).is_file()]
+    if named:
+        facts["named"] = named
     return json.dumps(facts, indent=1) + "\n"
 
 

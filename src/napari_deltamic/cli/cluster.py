@@ -19,7 +19,7 @@ from typing import Any
 
 from ..common import seldom_collected
 from ..common.writing import interrupts_held
-from ..errors import Failure, InputError, one_line
+from ..errors import PROGRAM, Failure, InputError, one_line
 from ..results.batch_tables import DONE
 from ..runs.batch import BatchJob
 from .messages import INTERRUPTED
@@ -53,8 +53,9 @@ def fit_in_folder(words: Sequence[str]) -> str:
         return traceback.format_exc(limit=-1).strip().splitlines()[-1]
     if code == INTERRUPTED:
         raise KeyboardInterrupt
-    lines = [line for line in said.getvalue().splitlines() if "error:" in line]
-    return "" if code == 0 else (lines or [f"it ended with code {code}"])[-1].split("error: ")[-1]
+    start = f"{PROGRAM}: error: "
+    lines = [line for line in said.getvalue().splitlines() if line.startswith(start)]
+    return "" if code == 0 else (lines or [f"it ended with code {code}"])[-1].removeprefix(start)
 
 
 def outcomes(

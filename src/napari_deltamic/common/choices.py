@@ -4,6 +4,8 @@ Free of the engine, so that the command line can list it, and refuse the rest, b
 loaded.
 """
 
+from os import PathLike
+from pathlib import PurePath
 from typing import Literal
 
 DeviceChoice = Literal["auto", "cpu", "cuda", "mps"]
@@ -43,5 +45,15 @@ EFFECTS = (
 TIFF = (".tif", ".tiff")
 ZARR = ".zarr"  # a folder
 IMAGE_FILES = (*TIFF, ".npy", ZARR)
+
+
+def is_image(path: str | PathLike[str]) -> bool:
+    """Whether a file of a folder is an image, by its name; hidden ones are none.
+
+    macOS puts a hidden `._a.tif` beside each `a.tif` on disks of other systems.
+    """
+    plain = PurePath(path)
+    return plain.suffix.lower() in IMAGE_FILES and not plain.name.startswith(".")
+
 
 AUTO = "auto"  # in the place of a file of seeds: cells are looked for in the image

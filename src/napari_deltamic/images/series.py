@@ -11,7 +11,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from ..common.choices import IMAGE_FILES, ZARR
+from ..common.choices import IMAGE_FILES, ZARR, is_image
 from ..common.reading import one_reason
 from ..errors import InputError
 from .channels import one_channel
@@ -73,7 +73,7 @@ def open_series(
     text = os.fspath(path)
     kind = Path(text).suffix.lower()
     if os.path.isdir(text) and kind != ZARR:
-        files = [str(p) for p in Path(text).iterdir() if p.suffix.lower() in IMAGE_FILES]
+        files = [str(p) for p in Path(text).iterdir()]
         return _of_files(text, files, channel, flag)
     if not os.path.exists(text) and glob.has_magic(text):
         return _of_files(text, glob.glob(text, recursive=True), channel, flag)
@@ -84,7 +84,7 @@ def open_series(
 
 
 def _of_files(text: str, files: list[str], channel: str | None, flag: str) -> ImageSeries:
-    files = sorted((f for f in files if Path(f).suffix.lower() in IMAGE_FILES), key=_by_numbers)
+    files = sorted((f for f in files if is_image(f)), key=_by_numbers)
     if not files:
         raise InputError(f"{text}: no {', '.join(IMAGE_FILES)} files are there")
     shapes = [stored_shape(f, channel) for f in files]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from ..common.choices import AUTO, IMAGE_FILES, ZARR
+from ..common.choices import AUTO, IMAGE_FILES, ZARR, is_image
 from ..common.reading import read_text, toml_values
 from ..common.toml import toml_value
 from ..common.writing import write_atomically
@@ -49,9 +49,14 @@ class BatchSettings(BaseModel):
     runs: tuple[BatchRun, ...] = Field(default=(), description="images with values of their own")
 
     def to_toml(self) -> str:
-        """The batch file; single runs are left out."""
-        values = self.model_dump(include={"images", "seeds", "options"}, exclude_none=True)
-        return "".join(f"{name} = {toml_value(value)}\n" for name, value in values.items())
+        """The batch file."""
+        values = self.model_dump(exclude_none=True)
+        runs = values.pop("runs")
+        text = "".join(f"{name} = {toml_value(value)}\n" for name, value in values.items())
+        for run in runs:
+            text += "\n[[runs]]\n"
+            text += "".join(f"{name} = {toml_value(value)}\n" for name, value in run.items())
+        return text
 
 
 @dataclass(frozen=True)
@@ -124,13 +129,16 @@ def batch_for(folder: str | Path, settings: RunSettings) -> BatchSettings:
     names = {p.name for p in folder.iterdir()}
     seeds = next((end for end in SEED_ENDS if _fits(end, names)), AUTO)
     stacks = [job.image for job in batch_jobs(folder, seeds)]
-    told = all(_tells_voxel_size(stack, settings.channel) for stack in stacks)
     words = options_of(settings)
-    if told:
-        at = words.index("--voxel-size")
-        del words[at : at + 4]
+    at = words.index("--voxel-size")
+    size = tuple(words[at : at + 4])
+    del words[at : at + 4]
+    told = {stack.name: _tells_voxel_size(stack, settings.channel) for stack in stacks}
     return BatchSettings(
-        images=tuple(stack.name for stack in stacks), seeds=seeds, options=tuple(words)
+        images=tuple(name for name, tells in told.items() if tells),
+        seeds=seeds,
+        options=tuple(words),
+        runs=tuple(BatchRun(image=name, options=size) for name, tells in told.items() if not tells),
     )
 
 
@@ -151,7 +159,7 @@ def write_batch(folder: str | Path, settings: RunSettings) -> str:
 
 def _fits(end: str, names: set[str]) -> bool:
     """Whether a pattern of seeds names a file for some stack."""
-    stacks = (Path(name) for name in names if Path(name).suffix.lower() in IMAGE_FILES)
+    stacks = (Path(name) for name in names if is_image(name))
     return any(end.replace(STEM, _stem(stack)) in names for stack in stacks)
 
 
@@ -163,7 +171,7 @@ def _tells_voxel_size(stack: Path, channel: str | None) -> bool:
 
 
 def _of_folder(folder: Path, seeds: str | None) -> list[BatchJob]:
-    known = (p for p in folder.iterdir() if p.suffix.lower() in IMAGE_FILES)
+    known = (p for p in folder.iterdir() if is_image(p))
     stacks = sorted(p for p in known if p.is_dir() == (p.suffix.lower() == ZARR))
     used = {_seeds(seeds, stack, folder) for stack in stacks}
     return [_job(stack, seeds, folder) for stack in stacks if str(stack.absolute()) not in used]
@@ -178,7 +186,11 @@ def _of_file(path: Path, seeds: str | None) -> list[BatchJob]:
     jobs = []
     for text in settings.images:
         is_pattern = glob.has_magic(text) and not (folder / text).exists()
-        names = sorted(glob.glob(text, root_dir=folder)) if is_pattern else [text]
+        names = [text]
+        if is_pattern:
+            fitting = sorted(glob.glob(text, root_dir=folder))
+            used = {_seeds(pattern, folder / name, folder) for name in fitting}
+            names = [name for name in fitting if str((folder / name).absolute()) not in used]
         if not names:
             raise InputError(f"{path}: no file fits {text!r} in {folder.absolute()}")
         jobs += [_job(folder / name, pattern, folder) for name in names]

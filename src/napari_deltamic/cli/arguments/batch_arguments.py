@@ -60,7 +60,7 @@ def fit_words(arguments: argparse.Namespace) -> tuple[str, ...]:
         value = getattr(arguments, action.dest)
         if value is None or value == action.default or action.dest == "seeds":
             continue
-        if action.dest == "settings":
+        if action.dest in ("settings", "optics", "psf"):  # for processes that start elsewhere
             value = Path(value).absolute()
         if isinstance(value, bool):
             words.append(action.option_strings[0 if value else -1])
