@@ -4,6 +4,7 @@ import csv
 
 import numpy as np
 import pytest
+import tifffile
 from benchmarks.double_bubble import DoubleBubble
 
 import napari_deltamic as nd
@@ -85,6 +86,18 @@ def test_files_of_the_user_are_not_replaced(run, fails, tmp_path):
     assert run("measure", mesh, "--overwrite", "-o", tmp_path / "out")[0] == 0
 
 
+def test_what_is_of_an_image_needs_one(data, run, fails, tmp_path):
+    mesh = data / "start.ply"
+    out = ("-o", tmp_path / "out")
+    for option in (("--voxel-size", *SIZE), ("--channel", 1)):
+        assert "are of --image, which is not given" in fails("measure", mesh, *option, *out)
+    small = tmp_path / "mm.ply"
+    nd.save_mesh(sphere((2e-3, 2e-3, 2e-3), 1e-3), small)
+    code, _, err = run("measure", small, *out)
+    assert code == 0
+    assert "the mesh is 0.002 um wide: are its numbers um?" in err
+
+
 def test_labels_at_a_voxel_size(bubble, run, tmp_path):
     options = ("--label-voxel", 0.5, 0.25, 0.25)
     code, out, _ = run("measure", bubble, *options, "-o", tmp_path / "out")
@@ -92,6 +105,28 @@ def test_labels_at_a_voxel_size(bubble, run, tmp_path):
     labels, size = read_image(out[-2])
     assert size == pytest.approx((0.5, 0.25, 0.25))
     assert set(np.unique(labels)) == {0, 1, 2}
+
+
+def test_labels_say_where_they_begin(data, run, tmp_path):
+    """Where that is not the first voxel of the image: for a mesh that begins before it, say."""
+    mesh = tmp_path / "ball.ply"
+    nd.save_mesh(sphere((-3, 2.3, 2.3), 1.0), mesh)
+    size = (0.5, 0.25, 0.25)
+    code, out, err = run("measure", mesh, "--label-voxel", *size, "-o", tmp_path / "a")
+    assert code == 0, err
+    assert "labels: their first voxel lies -5 0 0 um (Z Y X) from where the mesh counts from" in err
+    labels, _ = read_image(out[-2])
+    with tifffile.TiffFile(out[-2]) as file:
+        pixels = tifffile.xml2dict(file.ome_metadata)["OME"]["Image"]["Pixels"]
+    first = pixels["Plane"][0]
+    origin = [float(first[f"Position{axis}"]) for axis in "ZYX"]
+    middle = np.argwhere(labels).mean(0) * size + origin
+    assert middle == pytest.approx((-3, 2.3, 2.3), abs=0.02)
+    # Larger voxels of the block of an image begin deeper in it.
+    nd.save_mesh(sphere((2.9, 2.3, 2.3), 1.0), mesh)
+    given = ("--image", data / "cell.tif", "--label-voxel", 0.6, 0.4, 0.4)
+    code, out, err = run("measure", mesh, *given, "-o", tmp_path / "b")
+    assert "labels: their first voxel lies 0.15 0.1 0.1 um" in err
 
 
 def test_an_image_says_what_its_border_cuts(run, tmp_path):
@@ -124,9 +159,16 @@ def test_the_folder_of_a_fit(fitted, run, tmp_path):
     assert row["shape_error_um"] == fit_row["shape_error_um"]
     assert f"shapes: {row['grade']}" in page
     image.unlink()
-    code, _, err = run("measure", folder, "-o", tmp_path / "again")
+    code, out, err = run("measure", folder, "-o", tmp_path / "again")
     assert code == 0
     assert "is not there any more" in err
+    assert rows(tmp_path / "again" / "cells.csv") == [row]  # the folder still tells all that it did
+    assert [path.rsplit("/")[-1] for path in out] == list(MEASURED)
+    (folder / "rendered.tif").unlink()
+    _, _, err = run("measure", folder, "-o", tmp_path / "once more")
+    assert "nothing is known of its border" in err
+    (bare,) = rows(tmp_path / "once more" / "cells.csv")
+    assert (bare["grade"], bare["cut_by_border"]) == (row["grade"], "")
 
 
 def test_a_session(data, run, tmp_path):
@@ -143,7 +185,9 @@ def test_a_session(data, run, tmp_path):
     image = SavedImage("cell", pixels, SIZE, SIZE, (0.0,) * 3, ("um",) * 3)
     whole = Session(settings, image, result=SavedResult(settings, state, History()))
     save_session(tmp_path / "a.deltamic", whole)
-    code, _, err = run("measure", tmp_path / "a.deltamic", "--errors", "-o", tmp_path / "out")
+    given = ("measure", tmp_path / "a.deltamic", "-o", tmp_path / "out")
+    assert "holds its voxel size: leave out" in run(*given, "--voxel-size", *SIZE)[2]
+    code, _, err = run(*given, "--errors")
     assert code == 0, err
     row = rows(tmp_path / "out" / "cells.csv")[0]
     found = float(row["volume_um3"]) + float(row["volume_bias_um3"])

@@ -79,6 +79,15 @@ def test_axes_of_space_in_any_order(tmp_path, axes):
     np.testing.assert_array_equal(series[1], image[1] + 7)
 
 
+def test_where_the_first_voxel_lies_is_said(tmp_path):
+    write_image(tmp_path / "a.zarr", np.ones((3, 4, 5), np.uint8), SIZE, (-1.0, 2.0, 0.5))
+    (image,) = zarr.open_group(str(tmp_path / "a.zarr")).attrs["multiscales"]
+    scale, move = image["datasets"][0]["coordinateTransformations"]
+    assert scale == {"type": "scale", "scale": list(SIZE)}
+    assert move == {"type": "translation", "translation": [-1.0, 2.0, 0.5]}
+    assert read_voxel_size(tmp_path / "a.zarr") == SIZE
+
+
 def test_what_is_missing_stays_missing(tmp_path):
     image = np.ones((3, 4, 5), np.float32)
     image[1, 2, 3] = np.nan

@@ -25,6 +25,7 @@ from ..results.html_page import html_page
 from ..results.lineage_graph import GEFF, write_geff
 from ..results.measured_files import write_measurements
 from ..results.measured_source import Measurable, measurable
+from ..results.mesh_exchange import about_place, labels_grid
 from ..results.track_report import holds_tracks, read_results, tracks_csv
 from .messages import Notes, tell
 
@@ -48,9 +49,13 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
         further = () if arguments.other_channel is None else _other(arguments, source, notes)
         images = _images(arguments, source)
         measured = measure(source.mesh, source.known)
+        size = _asked(arguments.label_voxel)
+        if size is not None:
+            place = labels_grid(source.mesh, size, source.grid)
+            if told := about_place(place, source.grid):
+                notes.add(told)
         with own_folder(folder):
             notes.release()
-            size = _asked(arguments.label_voxel)
             paths = write_measurements(
                 folder,
                 source.mesh,

@@ -73,12 +73,15 @@ def open_zarr(path: str | os.PathLike[str]) -> ZarrImage:
 
 
 def write_zarr(
-    path: str | os.PathLike[str], image: NDArray[Any], voxel_size: Sequence[float]
+    path: str | os.PathLike[str],
+    image: NDArray[Any],
+    voxel_size: Sequence[float],
+    origin: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> None:
     """Write a (Z, Y, X) image, or labels if its values are whole numbers of 16 or 32 bits.
 
     One resolution, OME-NGFF 0.4. The folder appears whole or not at all; an older one of the name
-    is replaced.
+    is replaced. origin : um, Z Y X, of the centre of the first voxel.
 
     Raises
     ------
@@ -87,12 +90,14 @@ def write_zarr(
     """
     zarr = _zarr()
     path = Path(path)
-    transform = {"type": "scale", "scale": [float(d) for d in voxel_size]}
+    transforms = [{"type": "scale", "scale": [float(d) for d in voxel_size]}]
+    if any(origin):
+        transforms.append({"type": "translation", "translation": [float(o) for o in origin]})
     image_facts = {
         "version": "0.4",
         "name": path.name.split(".")[0],
         "axes": [{"name": n, "type": "space", "unit": "micrometer"} for n in "zyx"],
-        "datasets": [{"path": "0", "coordinateTransformations": [transform]}],
+        "datasets": [{"path": "0", "coordinateTransformations": transforms}],
     }
     attributes: dict[str, Any] = {"multiscales": [image_facts]}
     if path.name.split(".")[0] == "labels":  # what readers take for a label image

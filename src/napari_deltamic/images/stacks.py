@@ -85,7 +85,10 @@ def _stack(path: str | os.PathLike[str], channel: str | None, flag: str) -> Stor
 
 
 def write_image(
-    path: str | os.PathLike[str], image: ArrayLike, voxel_size: Sequence[float]
+    path: str | os.PathLike[str],
+    image: ArrayLike,
+    voxel_size: Sequence[float],
+    origin: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> None:
     """Write a stack with its voxel size; the file appears whole or not at all.
 
@@ -98,6 +101,7 @@ def write_image(
     path : path
     image : (Z, Y, X) array of real numbers.
     voxel_size : um, Z Y X.
+    origin : um, Z Y X; where the centre of the first voxel lies. OME-TIFF and OME-Zarr say so.
 
     Raises
     ------
@@ -115,7 +119,7 @@ def write_image(
     if kind not in IMAGE_FILES:
         raise InputError(f"{path}: unknown image extension '{path.suffix}'; use .tif")
     if kind == ZARR:
-        write_zarr(path, array, (z, y, x))
+        write_zarr(path, array, (z, y, x), origin)
         return
     if kind == ".npy":
         np.save(buffer, array)
@@ -131,7 +135,9 @@ def write_image(
     else:
         sides = {f"PhysicalSize{name}": d for name, d in zip("ZYX", (z, y, x), strict=True)}
         units = {f"PhysicalSize{name}Unit": "µm" for name in "ZYX"}
-        metadata = {"axes": "ZYX", **sides, **units}
+        metadata: dict[str, Any] = {"axes": "ZYX", **sides, **units}
+        if any(origin):
+            metadata["Plane"] = _places(len(array), z, origin)
         held = _held_by_ome(array)
         tifffile.imwrite(buffer, held, ome=True, photometric="minisblack", metadata=metadata)
     write_atomically(path, buffer.getvalue())
@@ -169,6 +175,14 @@ def holds_image(path: str | os.PathLike[str], image: ArrayLike, channel: str | N
         )
         for a, b in zip(stored, array, strict=True)
     )
+
+
+def _places(count: int, step: float, origin: Sequence[float]) -> dict[str, list[Any]]:
+    """Where slices lie, um, as OME-TIFF says it."""
+    z, y, x = origin
+    along = {"Z": [z + k * step for k in range(count)], "Y": [y] * count, "X": [x] * count}
+    units = {f"Position{name}Unit": ["µm"] * count for name in "ZYX"}
+    return {**{f"Position{name}": places for name, places in along.items()}, **units}
 
 
 def _held_by_ome(array: NDArray[Any]) -> NDArray[Any]:

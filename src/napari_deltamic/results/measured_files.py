@@ -81,12 +81,12 @@ def write_measurements(
                 save_mesh(one, paths[-1], numbers)
         if place is not None:
             paths.append(folder / f"labels{image_suffix}")
-            write_image(paths[-1], labels_of(mesh, place), place.voxel_size)
+            write_image(paths[-1], labels_of(mesh, place), place.voxel_size, place.origin)
         if page:
             paths.append(folder / "measurements.html")
             write_atomically(paths[-1], page.encode())
         for name, pixels in (images or {}).items():
             assert grid is not None, "images have a grid"
             paths.append(folder / f"{name}{image_suffix}")
-            write_image(paths[-1], pixels, grid.voxel_size)
+            write_image(paths[-1], pixels, grid.voxel_size, grid.origin)
     return paths

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,8 @@ from ..scene import Grid
 from .session_file import EXTENSION, load_session
 
 _FLAG = described(RunSettings)["channel"].flag
+# um, of a whole mesh: chosen, as no light microscope shows what is smaller, and none takes in more.
+_SMALLEST, _LARGEST = 0.05, 1e5
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,13 +91,20 @@ def measurable(
             raise InputError(f"{path.name} holds its image: leave out --image")
         if channel is not None:
             raise InputError(f"{path.name} holds one channel only: leave out --channel")
+        if voxel_size is not None:
+            raise InputError(f"{path.name} holds its voxel size: leave out --voxel-size")
         return _of_session(path, errors)
     if errors:
         raise InputError("standard errors need a session: save one in the window")
     if path.is_dir():
         return _of_folder(path, image, voxel_size, channel)
+    if image is None and (voxel_size is not None or channel is not None):
+        raise InputError(
+            "--voxel-size and --channel are of --image, which is not given; a mesh is in um"
+        )
     mesh = load_mesh(path)
-    return _with_image(Measurable(path.name, mesh, Known()), image, voxel_size, channel)
+    plain = Measurable(path.name, mesh, Known(), remarks=_about_unit(mesh))
+    return _with_image(plain, image, voxel_size, channel)
 
 
 def _with_image(
@@ -106,8 +115,7 @@ def _with_image(
 ) -> Measurable:
     """With the grid of an image; the mesh counts from the centre of its first voxel."""
     if image is None:
-        words = "no image: nothing is known of its border"
-        return Measurable(found.name, found.mesh, found.known, remarks=(*found.remarks, words))
+        return _without_image(found)
     pixels, stored = read_image(image, channel, _FLAG)
     pixels = finite_or_nan(without_padding(pixels)[0])
     size = voxel_size or stored
@@ -119,6 +127,11 @@ def _with_image(
     return Measurable(found.name, found.mesh, Known(grid=grid), grid, pixels, file=str(image))
 
 
+def _without_image(found: Measurable) -> Measurable:
+    words = "no image: nothing is known of its border"
+    return replace(found, remarks=(*found.remarks, words))
+
+
 def _of_folder(
     path: Path, image: str | Path | None, voxel_size: Triple | None, channel: str | None
 ) -> Measurable:
@@ -128,31 +141,35 @@ def _of_folder(
     plain = Measurable(path.name, mesh, Known())
     if not (path / "run.toml").is_file():
         return _with_image(plain, image, voxel_size, channel)
-    settings = RunSettings.from_toml(path / "run.toml")
-    source = Path(image or settings.image)
-    if image is None and not (source.exists() and source.suffix.lower() in IMAGE_FILES):
-        lost = f"the image {source} is not there any more"
-        return _with_image(Measurable(path.name, mesh, Known(), remarks=(lost,)), None, None)
-    pixels = read_image(source, channel or settings.channel, _FLAG)[0]
-    pixels = finite_or_nan(without_padding(pixels)[0])
-    z, y, x = pixels.shape
-    grid = Grid((z, y, x), voxel_size or settings.scene.voxel_size, settings.scene.origin)
-    _check_near(mesh, grid)
-    report = _report(path / "report.json")
+    settings, report = RunSettings.from_toml(path / "run.toml"), _report(path / "report.json")
     rendered = None
     if (path / "rendered.tif").is_file():
         rendered, _ = read_image(path / "rendered.tif")
-        rendered = rendered if rendered.shape == pixels.shape else None
     sigma = _widths(report.get("optics"))
     known = Known(
-        grid=grid,
         resolution=0.0 if sigma is None else float(np.prod(sigma) ** (1 / 3)),
         explained=_explained(report.get("residual")),
         judgements=_judgements(report.get("verdict")),
     )
-    return Measurable(
-        path.name, mesh, known, grid, pixels, rendered, sigma, report, file=str(source)
-    )
+    found = Measurable(path.name, mesh, known, sigma=sigma, facts=report)
+    source, pixels = Path(image or settings.image), None
+    if image is None and not (source.exists() and source.suffix.lower() in IMAGE_FILES):
+        found = replace(found, remarks=(f"the image {source} is not there any more",))
+        if rendered is None:
+            return _without_image(found)
+        shape = rendered.shape  # as that of the image was
+    else:
+        pixels = read_image(source, channel or settings.channel, _FLAG)[0]
+        pixels = finite_or_nan(without_padding(pixels)[0])
+        shape = pixels.shape
+        found = replace(found, file=str(source))
+    z, y, x = shape
+    grid = Grid((z, y, x), voxel_size or settings.scene.voxel_size, settings.scene.origin)
+    _check_near(mesh, grid)
+    if rendered is not None and rendered.shape != shape:
+        rendered = None
+    known = replace(known, grid=grid)
+    return replace(found, known=known, grid=grid, image=pixels, rendered=rendered)
 
 
 def _of_session(path: Path, errors: bool) -> Measurable:
@@ -195,6 +212,15 @@ def _check_near(mesh: Mesh, grid: Grid) -> None:
     first, last = grid.extent
     if (high < first).any() or (low > last).any():
         raise InputError("the mesh lies outside of the image: is it of this image, and in um?")
+
+
+def _about_unit(mesh: Mesh) -> tuple[str, ...]:
+    """A remark on a mesh whose numbers can hardly be um."""
+    low, high = mesh.bounds()
+    widest = float((high - low).max())
+    if _SMALLEST <= widest <= _LARGEST:
+        return ()
+    return (f"the mesh is {widest:.3g} um wide: are its numbers um?",)
 
 
 def _report(path: Path) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from ..measure.sides import Sides
 from ..scene import Grid
 
 _MARGIN = 2  # voxels around a mesh that comes without an image
+_ROUNDING = 1e-6  # um
 _MOST_VOXELS = 4_000_000_000  # a typing error in a voxel size should not fill the memory
 
 
@@ -68,6 +69,15 @@ def labels_grid(mesh: Mesh, voxel_size: tuple[float, float, float], image: Grid 
         raise InputError(f"voxels of {sides} um are too small: there would be {shape.prod():.3g}")
     z, y, x = (int(n) for n in shape)
     return Grid((z, y, x), voxel_size, tuple(origin.tolist()))
+
+
+def about_place(labels: Grid, image: Grid | None) -> str:
+    """Where a label image begins, if not where the mesh counts from; "" if it does."""
+    start = (0.0, 0.0, 0.0) if image is None else image.origin
+    if np.allclose(labels.origin, start, rtol=0, atol=_ROUNDING):
+        return ""
+    place = " ".join(f"{o:.4g}" for o in np.subtract(labels.origin, start))
+    return f"labels: their first voxel lies {place} um (Z Y X) from where the mesh counts from"
 
 
 def labels_of(mesh: Mesh, grid: Grid) -> NDArray[np.integer]:
