@@ -57,6 +57,21 @@ def test_ctrl_c_twice_keeps_the_checkpoint(command, tmp_path, run, monkeypatch):
     assert run(*again)[0] == 0
 
 
+def test_what_no_settings_hold_is_said_again(command, tmp_path, run, monkeypatch):
+    """A residual that is asked for comes with the rest; one of an earlier fit goes."""
+    folder = tmp_path / "out"
+    interrupted(monkeypatch, "write_results")
+    asked = ("--residual", "--effects", "auto")
+    monkeypatch.setattr("napari_deltamic.cli.fit_command._Run._with_recommended", lambda run: ())
+    _, _, err = run(*command, *asked, "-o", folder)
+    ask, go_on = (line.partition(": ")[2] for line in err.splitlines()[-2:])
+    assert ask == f"napari-deltamic effects --settings {folder / 'run.toml'}"
+    assert run(*go_on.split()[1:])[0] == 0
+    assert (folder / "residual.tif").is_file()
+    assert run(*command, "--overwrite", "-o", folder)[0] == 0
+    assert not (folder / "residual.tif").exists()
+
+
 def test_bad_input_leaves_nothing_behind(command, tmp_path, run, monkeypatch):
     def refuses(*arguments, **options):
         raise InputError("the image is not to its taste")

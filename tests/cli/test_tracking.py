@@ -182,3 +182,19 @@ def test_seeds_outside_of_the_image(series, tmp_path, fails):
 def test_results_are_not_replaced_unasked(series, tmp_path, fails):
     (tmp_path / "tracks.csv").write_text("precious")
     assert "--overwrite" in fails(*arguments(series, "-o", tmp_path))
+
+
+def test_other_frames_of_an_earlier_run_go(series, tmp_path, run):
+    """Viewers play all meshes of a folder as one series."""
+    folder = tmp_path / "out"
+    assert run(*arguments(series, "-o", folder))[0] == 0
+    before = {path.name for path in folder.glob("mesh_t*")}
+    (folder / "mesh_thesis.ply").write_text("mine")
+    fewer = ("--frames", "1:3", "--overwrite", "-o", folder)
+    code, _, err = run(*arguments(series, *fewer))
+    assert code == 0, err
+    left = {path.name for path in folder.glob("mesh_t*")}
+    kinds = (".ply", ".vtk")
+    assert left == {f"mesh_t00{k}{kind}" for k in (1, 2) for kind in kinds} | {"mesh_thesis.ply"}
+    assert left - before == {"mesh_thesis.ply"}
+    assert (folder / "surface.npz").is_file()

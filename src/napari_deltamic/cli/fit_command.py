@@ -159,10 +159,12 @@ class _Run:
             explained={c.region: c.explained for c in left.cells if c.explained is not None},
             verdict=found,
         )
+        tif = self.folder / "residual.tif"
         if self.residual:
-            tif = self.folder / "residual.tif"
             write_image(tif, left.map, job.grid.voxel_size)
             paths.append(tif)
+        else:
+            tif.unlink(missing_ok=True)  # of an earlier fit
         how = state.message or ("converged" if state.converged else "ended")
         print(
             f"{how} ({state.iteration} iterations, {seconds:.1f} s, loss {state.loss:.4g})",
@@ -200,7 +202,11 @@ class _Run:
         words = [PROGRAM, "fit", "--settings", toml, "--resume", self.checkpoint]
         # What is no part of the settings must be said again.
         words += ["--missing-nan"] if self.job.has_missing else []
+        words += ["--residual"] if self.residual else []
         words += ["--overwrite", "-o", self.folder]
+        if self.auto and "recommendation" not in self.further:
+            ask = shlex.join([PROGRAM, "effects", "--settings", str(toml)])
+            print(f"which effects the image calls for is still to be asked: {ask}", file=sys.stderr)
         print(f"to go on: {shlex.join(map(str, words))}", file=sys.stderr)
         return INTERRUPTED
 

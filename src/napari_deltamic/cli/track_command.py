@@ -18,7 +18,14 @@ from ..fitting.job import FitInput, assemble
 from ..images.missing import finite_or_nan
 from ..images.padding import without_padding
 from ..images.series import ImageSeries, open_series
-from ..results.track_report import FILES, mesh_name, read_results, write_frame, write_tracks
+from ..results.track_report import (
+    FILES,
+    forget_others,
+    mesh_name,
+    read_results,
+    write_frame,
+    write_tracks,
+)
 from ..runs.settings import validated
 from ..runs.track_run import TrackRun
 from ..scene import Grid
@@ -121,6 +128,7 @@ class _Run:
         self.job, self.folder, self.notes = job, folder, notes
         self.results = list(job.done)
         self.started = time.monotonic()
+        self.alone = False  # whether what an earlier run left in the folder is gone
 
     def complete(self) -> int:
         """Track to the end, or to that of the user's patience."""
@@ -200,6 +208,9 @@ class _Run:
         with written_together(self.folder / FILES[-1]):
             write_frame(self.folder, result)
             self._write(surface=False)
+        if not self.alone:  # not before there is something in its place
+            forget_others(self.folder, self.results)
+            self.alone = True
 
     def _write(self, *, surface: bool) -> list[Path]:
         job = self.job

@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import os
+import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -31,6 +32,7 @@ from .rules_of_a_fit import RULES_OF_A_FIT
 
 MESH_KINDS = (".ply", ".vtk")  # exact, with regions; and for viewers that play series
 FILES = ("tracks.csv", "surface.npz", "run.toml", "report.json")
+_MESH = re.compile(r"mesh_t\d+\.(ply|vtk)")
 
 
 def mesh_name(frame: int, kind: str = ".ply") -> str:
@@ -46,6 +48,15 @@ def write_frame(folder: str | os.PathLike[str], result: FrameResult) -> list[Pat
     for path in paths:
         save_mesh(result.mesh, path)
     return paths
+
+
+def forget_others(folder: str | os.PathLike[str], results: Sequence[FrameResult]) -> None:
+    """Remove what an earlier run left: meshes of frames that these do not have, and the surface."""
+    own = {mesh_name(r.frame, kind) for r in results if r.mesh is not None for kind in MESH_KINDS}
+    for path in Path(folder).glob("mesh_t*"):
+        if _MESH.fullmatch(path.name) and path.name not in own:
+            path.unlink(missing_ok=True)
+    (Path(folder) / FILES[1]).unlink(missing_ok=True)
 
 
 def write_tracks(
