@@ -79,6 +79,14 @@ def test_a_fit_takes_what_is_recommended_and_reports_it(run, folder, tmp_path):
     assert str(tmp_path / "out" / "residual.tif") in lines
 
 
+def test_a_file_that_cannot_be_written_is_refused_before_any_work(fails, folder, monkeypatch):
+    monkeypatch.setattr("napari_deltamic.cli.effects_command.gather", None)
+    given = ("effects", folder / "cell.tif", "--seeds", folder / "start.ply", "--json")
+    said = fails(*given, folder / "none" / "a.json")
+    assert f"{folder / 'none'}: no folder that can be written to" in said
+    assert f"{folder} is a folder; name a file" in fails(*given, folder)
+
+
 def test_bad_usage_is_one_line(fails, folder):
     given = ("effects", folder / "cell.tif", "--seeds", folder / "start.ply", *SIGMA)
     assert "leave out 'auto'" in fails(*given, "--effects", "auto")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 
 from ...common.accuracy_bounds import check_accuracy
@@ -20,6 +21,14 @@ def check_files(arguments: argparse.Namespace, *names: str) -> None:
         asked = path is not None and not (name == "seeds" and path == AUTO)
         if asked and not Path(path).exists():
             raise InputError(f"{path}: there is no such file")
+
+
+def check_file_to_write(path: Path, *, folder: bool = False) -> None:
+    """InputError unless a file, or such a folder, can be written there; it may be there already."""
+    if path.is_dir() and not folder:
+        raise InputError(f"{path} is a folder; name a file")
+    if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
+        raise InputError(f"{path.parent}: no folder that can be written to")
 
 
 def check_given_accuracy(arguments: argparse.Namespace) -> None:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 from ...errors import InputError
-from .argument_checks import check_files
+from .argument_checks import check_file_to_write, check_files
 from .fit_arguments import add_fit_options, check_fit_options
 
 
@@ -29,5 +30,7 @@ def add_parser(commands: Any) -> None:
 def _check(arguments: argparse.Namespace) -> None:
     if arguments.effects == "auto":
         raise InputError("--effects names those that are in the scene already; leave out 'auto'")
+    if arguments.json and arguments.json != "-":
+        check_file_to_write(Path(arguments.json))
     check_files(arguments, "image")
     check_fit_options(arguments, "effects")

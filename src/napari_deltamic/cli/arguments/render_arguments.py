@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ from ...common.choices import EFFECTS, IMAGE_FILES, RENDERED_ACCURACY, ZARR
 from ...errors import InputError
 from ...geometry.formats import MESH_FILES_LISTED
 from ..optics_arguments import add_grid_and_optics, optics_values
-from .argument_checks import check_files, check_given_accuracy
+from .argument_checks import check_file_to_write, check_files, check_given_accuracy
 
 
 def add_parser(commands: Any) -> None:
@@ -46,12 +45,9 @@ def _check(arguments: argparse.Namespace) -> None:
     path = Path(arguments.output)
     if path.suffix.lower() not in IMAGE_FILES:
         raise InputError(f"{path}: unknown image extension '{path.suffix}'; use .tif")
-    if path.is_dir() and path.suffix.lower() != ZARR:
-        raise InputError(f"{path} is a folder; name an image")
+    check_file_to_write(path, folder=path.suffix.lower() == ZARR)
     if path.exists() and not arguments.overwrite:
         raise InputError(f"{path} is there already; --overwrite replaces it")
-    if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
-        raise InputError(f"{path.parent}: no folder that can be written to")
     check_given_accuracy(arguments)
     check_files(arguments, "mesh")
     optics_values(arguments)
