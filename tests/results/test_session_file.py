@@ -198,6 +198,16 @@ def test_a_session_opens_no_file_that_it_names(tmp_path, monkeypatch):
     assert not [path for path in asked if "elsewhere" in path]
 
 
+def test_a_session_without_its_bead_is_not_written(tmp_path):
+    """It could not be opened again."""
+    optics = MeasuredOptics(file=str(tmp_path / "gone.tif"), voxel_size=(0.1, 0.1, 0.1))
+    scene = SceneSettings(voxel_size=SIZE, optics=optics)
+    whole = replace(session(), settings=RunSettings(image="", seeds="", scene=scene))
+    with pytest.raises(InputError, match=r"put it back \(.*gone.tif: there is no such file\)"):
+        save_session(tmp_path / "a.deltamic", whole)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_temporary_folders_go(tmp_path):
     with_a_bead(tmp_path, "bead.tif")
     code = (

@@ -17,19 +17,26 @@ from ..runs.settings import RunSettings
 
 
 def keep_bead(archive: ArchiveWriter, name: str, settings: RunSettings) -> RunSettings:
-    """Put the image of the bead into a session, where the PSF is measured and the file is there.
+    """Put the image of the bead into a session, where the PSF is measured.
 
     Returns
     -------
     The settings, which say the voxel size that the file said.
+
+    Raises
+    ------
+    InputError
+        If the file is gone: nobody could open the session.
     """
     optics = settings.scene.optics
     if not isinstance(optics, MeasuredOptics):
         return settings
     try:
         pixels, size = read_image(optics.file)
-    except InputError:
-        return settings  # the file is gone since: what was fitted can be saved all the same
+    except InputError as error:
+        raise InputError(
+            f"the PSF is measured on a bead, whose image a session needs: put it back ({error})"
+        ) from None
     archive.add_array(name, np.asarray(pixels))
     return _with(settings, optics.model_copy(update={"voxel_size": optics.voxel_size or size}))
 
