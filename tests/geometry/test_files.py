@@ -344,3 +344,16 @@ def test_every_other_file_loads(shared_data):
         if not path.name.startswith("HGF"):  # its regions are in another file
             assert mesh.is_closed(), path
             assert min(mesh.volumes().values()) > 0, path
+
+
+def test_several_bodies_without_names_are_told(tmp_path):
+    """They are one region: a table of cells would have one row."""
+    both = Mesh.merge([sphere((0, 0, 0), 1.0), sphere((0, 0, 3), 1.0)])
+    one = Mesh(both.vertices, both.faces)
+    save_mesh(one, tmp_path / "two.stl")
+    told = r"two\.stl: the file does not name its cells: 2 separate surfaces count as one cell"
+    with pytest.warns(RepairWarning, match=told):
+        load_mesh(tmp_path / "two.stl")
+    for kind in ("ply", "obj", "vtk", "rec"):  # without a word
+        save_mesh(both, tmp_path / f"two.{kind}")
+        assert load_mesh(tmp_path / f"two.{kind}").region_ids().tolist() == [1, 2]

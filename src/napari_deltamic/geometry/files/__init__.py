@@ -14,6 +14,7 @@ import numpy as np
 from napari_deltamic.common.reading import one_reason, quiet
 from napari_deltamic.common.writing import write_atomically
 from napari_deltamic.errors import InputError, RepairWarning
+from napari_deltamic.geometry.connected import connected
 from napari_deltamic.geometry.files.raw import RawMesh
 from napari_deltamic.geometry.formats import MESH_FILES, MESH_FORMATS, MeshFormat, mesh_format
 from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, Mesh
@@ -67,7 +68,7 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh:
         raise InputError(
             f"{path}: not a readable {path.suffix} mesh ({one_reason(error)})"
         ) from error
-    for message in (*raw.messages, *messages, *_remarks(mesh)):
+    for message in (*raw.messages, *messages, *_remarks(mesh, raw.regions is not None)):
         warnings.warn(f"{path.name}: {message}", RepairWarning, stacklevel=2)
     return mesh
 
@@ -118,9 +119,18 @@ def save_mesh(
     write_atomically(path, write(xyz, mesh.faces, mesh.regions, **more))
 
 
-def _remarks(mesh: Mesh) -> list[str]:
-    """What cannot be repaired safely, and may be in the way: borders, and too many walls."""
+def _remarks(mesh: Mesh, named: bool) -> list[str]:
+    """What cannot be repaired safely, and may be in the way: borders, and too many walls.
+
+    named : whether the file says which cells there are.
+    """
     found = []
+    parts = 1 if named else int(connected(mesh.edges(), len(mesh.vertices)).max()) + 1
+    if parts > 1:
+        found.append(
+            f"the file does not name its cells: {parts} separate surfaces count as one cell; "
+            f"{', '.join(one.suffix for one in MESH_FORMATS if one.regions)} can name them"
+        )
     is_open = [str(k) for k in mesh.region_ids() if not mesh.is_closed(int(k))]
     if is_open:
         found.append(f"the surface of region {', '.join(is_open)} is open: it has no volume")
