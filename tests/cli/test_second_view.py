@@ -45,6 +45,19 @@ def test_it_is_added_to_the_effects_of_a_settings_file(data, given, tmp_path, ru
     assert seen[-1][1]["effects"].names == ("attenuation", "second_view")
 
 
+@pytest.mark.parametrize("asked", ["none", "attenuation"])
+def test_other_effects_leave_it(data, given, tmp_path, run, seen, asked):
+    """It is data, which has flags of its own."""
+    options = ("--second-view", data / "cell.tif", *PSF)
+    run(*given, *options, "-o", tmp_path / "a")
+    settings = ("--settings", tmp_path / "a" / "run.toml", "--effects", asked)
+    code, _, err = run("fit", *settings, "-o", tmp_path / "b")
+    assert code == 0, err
+    effects = seen[-1][1]["effects"]
+    assert effects.names == (("second_view",) if asked == "none" else (asked, "second_view"))
+    assert effects.view.image == str(data / "cell.tif")
+
+
 def test_bad_second_views_are_told(data, given, tmp_path, fails):
     out = ("-o", tmp_path / "out")
     assert "needs --second-sigma" in fails(*given, "--second-view", data / "cell.tif", *out)

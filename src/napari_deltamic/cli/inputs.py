@@ -111,7 +111,11 @@ def run_values(
             notes.add("effects: 'auto' adds none to a series; 'effects' says which a frame needs")
         # Those that an image calls for are added once it was fitted without.
         text = "none" if arguments.effects == "auto" else arguments.effects
-        values["scene"]["effects"] = Effects.from_text(text)
+        effects, before = Effects.from_text(text), values["scene"].get("effects")
+        view = None if before is None else validated(Effects, before).view
+        if view is not None and effects.view is None:
+            effects = effects.adding(view)  # it is data, which flags of its own give
+        values["scene"]["effects"] = effects
     with_second_view(values["scene"], arguments)
     return values
 
