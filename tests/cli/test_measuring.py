@@ -288,6 +288,14 @@ def test_another_channel(bubble, run, fails, tmp_path):
     # Two membranes where the cells touch.
     expected = {("1", "0"): 2000, ("2", "0"): 2000, ("2", "1"): 4000}
     assert found == pytest.approx(expected, rel=0.03)
+    assert "says that its voxels" not in err
+    image = tmp_path / "image.tif"
+    image.write_bytes((tmp_path / "channel.tif").read_bytes())
+    write_image(tmp_path / "channel.tif", noisy, (0.6, 0.3, 0.3))
+    given = [image if a == arguments[5] else a for a in arguments[4:]]
+    code, _, err = run(*arguments[:4], *given, "-o", tmp_path / "other")
+    assert code == 0, err
+    assert "channel.tif says that its voxels are 0.6 0.3 0.3 um (Z Y X); 0.3 0.3 0.3 um" in err
 
 
 def test_an_open_surface_and_a_channel_of_another_shape(run, fails, tmp_path):

@@ -79,6 +79,21 @@ def test_axes_of_space_in_any_order(tmp_path, axes):
     np.testing.assert_array_equal(series[1], image[1] + 7)
 
 
+@pytest.mark.parametrize("version", ["0.4", "0.5"])
+def test_a_folder_of_bioformats2raw(tmp_path, version):
+    """It holds a folder for each image."""
+    image = np.arange(3 * 4 * 5, dtype=np.uint16).reshape(3, 4, 5)
+    facts = {"bioformats2raw.layout": 3}
+    zarr.open_group(
+        str(tmp_path / "a.zarr"), mode="w", zarr_format=3 if version == "0.5" else 2,
+        attributes={"ome": facts} if version == "0.5" else facts,
+    )  # fmt: skip
+    store(tmp_path / "a.zarr" / "0", image[None, None], axes="tczyx", version=version)
+    again, size = read_image(tmp_path / "a.zarr")
+    np.testing.assert_array_equal(again, image)
+    assert size == SIZE
+
+
 def test_where_the_first_voxel_lies_is_said(tmp_path):
     write_image(tmp_path / "a.zarr", np.ones((3, 4, 5), np.uint8), SIZE, (-1.0, 2.0, 0.5))
     (image,) = zarr.open_group(str(tmp_path / "a.zarr")).attrs["multiscales"]

@@ -16,7 +16,8 @@ from ..errors import InputError, failure
 from ..evidence.residual import residual_map
 from ..images.missing import finite_or_nan
 from ..images.padding import without_padding
-from ..images.stacks import read_image
+from ..images.stacks import SIZES_AGREE, read_image
+from ..images.stored import VoxelSize
 from ..measure import Table, measure
 from ..measure.channel import ChannelSettings, channel_amounts
 from ..measure.channel_tables import channel_tables
@@ -125,7 +126,14 @@ def _other(arguments: argparse.Namespace, source: Measurable, notes: Notes) -> t
         raise InputError("no widths of the PSF are known: give --other-channel-sigma Z Y X")
     on = arguments.other_channel_on
     settings = ChannelSettings(walls=on != "insides", insides=on != "walls")
-    pixels = finite_or_nan(without_padding(_other_pixels(asked, source))[0])
+    whole, size = _other_pixels(asked, source)
+    if size is not None and not np.allclose(size, source.grid.voxel_size, rtol=SIZES_AGREE):
+        own, used = (" ".join(f"{d:.4g}" for d in s) for s in (size, source.grid.voxel_size))
+        notes.add(
+            f"{Path(asked).name} says that its voxels are {own} um (Z Y X); {used} um, as of the "
+            "image, is used"
+        )
+    pixels = finite_or_nan(without_padding(whole)[0])
     try:
         found = channel_amounts(pixels, source.grid, source.mesh, GaussianPSF(sigma), settings)
     except InputError as error:
@@ -138,15 +146,18 @@ def _other(arguments: argparse.Namespace, source: Measurable, notes: Notes) -> t
     return channel_tables(source.mesh, found)
 
 
-def _other_pixels(asked: str, source: Measurable) -> NDArray[Any]:
-    """Those of a file, or of a channel of the image that the mesh was fitted to."""
+def _other_pixels(asked: str, source: Measurable) -> tuple[NDArray[Any], VoxelSize | None]:
+    """Those of a file, or of a channel of the image that the mesh was fitted to; with their size.
+
+    None for the size where that of the image counts.
+    """
     if Path(asked).suffix.lower() in IMAGE_FILES:
-        return read_image(asked)[0]
+        return read_image(asked)
     if not source.file:
         raise InputError(
             f"--other-channel {asked}: the session holds one channel only: give a file"
         )
-    return read_image(source.file, asked, "--other-channel")[0]
+    return read_image(source.file, asked, "--other-channel")[0], None
 
 
 def _asked(values: list[float] | None) -> Triple | None:

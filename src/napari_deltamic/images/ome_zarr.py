@@ -59,8 +59,10 @@ def open_zarr(path: str | os.PathLike[str]) -> ZarrImage:
                 "it is a bare Zarr array, which says neither axes nor voxel size: an OME-Zarr "
                 "image is needed, or a .tif"
             ) from None
-        attributes = dict(group.attrs)
-        told = attributes.get("ome", attributes)
+        told = _told(group)
+        if "bioformats2raw.layout" in told and "multiscales" not in told and "0" in group:
+            group = group["0"]  # the first of the images that this program put into one folder
+            told = _told(group)
         facts = _first_image(told)
         dataset = facts["datasets"][0]
         array = group[dataset["path"]]
@@ -129,6 +131,11 @@ def _quietly() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield
+
+
+def _told(group: Any) -> Any:
+    attributes = dict(group.attrs)
+    return attributes.get("ome", attributes)
 
 
 def _first_image(facts: Any) -> Mapping[str, Any]:
