@@ -93,8 +93,7 @@ def run_headless(sample: Sample, folder: Path) -> None:
     left = analyse_residual(sample.image, sample.grid, state)
     found = verdict_of(job, state, left)
     given = state, sample.image, sample.grid, settings, history, seconds
-    explained = {c.region: c.explained for c in left.cells if c.explained is not None}
-    paths = write_results(folder, *given, explained=explained, verdict=found)
+    paths = write_results(folder, *given, explained=left.shares(), verdict=found)
     print(f"shapes: {found.sentence()}")
     for line in summary(sample, state, seconds):
         print(line)

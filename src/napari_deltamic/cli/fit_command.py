@@ -156,7 +156,7 @@ class _Run:
             seconds,
             warnings=self.notes.texts,
             further=self.further,
-            explained={c.region: c.explained for c in left.cells if c.explained is not None},
+            explained=left.shares(),
             verdict=found,
         )
         tif = self.folder / "residual.tif"

@@ -91,6 +91,10 @@ class Residual:
     explained: float | None
     cells: tuple[CellFit, ...]
 
+    def shares(self) -> dict[int, float]:
+        """For a region, the share explained around it; without those of which it is not known."""
+        return {c.region: c.explained for c in self.cells if c.explained is not None}
+
 
 def analyse_residual(
     image: np.ndarray,

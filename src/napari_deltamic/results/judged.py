@@ -91,9 +91,8 @@ def _measured(
     state: FitState, job: FitInput, found: Residual, verdict: Verdict
 ) -> dict[int, dict[str, Any]]:
     """All that is measured on each cell, and how well it is explained."""
-    known = {cell.region: cell.explained for cell in found.cells if cell.explained is not None}
     judgements = verdict.by_region()
-    about = known_of(state, job.grid, explained=known, judgements=judgements)
+    about = known_of(state, job.grid, explained=found.shares(), judgements=judgements)
     table = measure(state.mesh, about).cells
     rows = {int(row["region"]): dict(row) for row in table.rows if row["region"] is not None}
     for cell in found.cells:

@@ -180,8 +180,7 @@ def _of_session(path: Path, errors: bool) -> Measurable:
     state, pixels = result.state, session.image.pixels
     explained, remarks = {}, []
     try:
-        left = analyse_residual(pixels, grid, state, counted=result.counted)
-        explained = {c.region: c.explained for c in left.cells if c.explained is not None}
+        explained = analyse_residual(pixels, grid, state, counted=result.counted).shares()
     except InputError as error:
         remarks.append(f"what the fit explains is not known: {error}")
     replicas = replicas_at(pixels, grid, state, result.settings.fit) if errors else None
