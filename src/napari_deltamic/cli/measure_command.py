@@ -155,7 +155,7 @@ def _other_pixels(asked: str, source: Measurable) -> tuple[NDArray[Any], VoxelSi
         return read_image(asked)
     if not source.file:
         raise InputError(
-            f"--other-channel {asked}: the image of the mesh is in no file with channels: name a file"
+            f"--other-channel {asked}: the image of the mesh is in no file of channels: give one"
         )
     return read_image(source.file, asked, "--other-channel")[0], None
 
