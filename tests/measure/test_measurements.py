@@ -67,6 +67,15 @@ def test_torus_has_a_handle():
     assert row["volume_um3"] == pytest.approx(2 * np.pi**2 * 20, rel=0.02)
 
 
+@pytest.mark.parametrize(("other", "handles"), [("ball", 1), ("torus", 2)])
+def test_handles_of_a_cell_in_two_parts(other, handles):
+    """As in a file that names no cells."""
+    more = {"ball": sphere((0, 0, 20), 2.0), "torus": torus((0, 0, 20), 5.0, 2.0)}[other]
+    both = Mesh.merge([torus((0, 0, 0), 5.0, 2.0), more])
+    row = the_row(Mesh(both.vertices, both.faces))
+    assert row["handles"] == handles
+
+
 def test_kelvin_cell():
     row = the_row(kelvin_cell(1.5))
     assert row["volume_um3"] == pytest.approx(8 * np.sqrt(2) * 1.5**3)

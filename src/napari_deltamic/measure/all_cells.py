@@ -43,8 +43,8 @@ CELL_COLUMNS = (
         mean_curvature_per_um: this integral over the area; 1 / r for a ball
         gaussian_curvature_integral: integral of k1 k2: sum over vertices of 2 pi minus the
             angles there
-        handles: holes through the cell, from Gauss and Bonnet: 1 - that integral / (4 pi); 0
-            for a ball, 1 for a torus
+        handles: holes through the cell, from Gauss and Bonnet: number of its surfaces - that
+            integral / (4 pi); 0 for a ball, 1 for a torus
         density: mean density of its membranes relative to that of all, by area
         pressure_per_um: above the outside, by Laplace's law over its walls, in mean tensions of
             the cluster
@@ -126,9 +126,11 @@ def _curvatures(sides: Sides) -> list[dict[str, Value]]:
             "mean_curvature_integral_um": float(mean),
             "mean_curvature_per_um": float(mean / area) if area > 0 else None,
             "gaussian_curvature_integral": float(gaussian),
-            "handles": round(1 - gaussian / (4 * np.pi)) if np.isfinite(gaussian) else None,
+            "handles": round(parts - gaussian / (4 * np.pi)) if np.isfinite(gaussian) else None,
         }
-        for mean, gaussian, area in zip(found.mean, found.gaussian, areas, strict=True)
+        for mean, gaussian, parts, area in zip(
+            found.mean, found.gaussian, found.parts.tolist(), areas, strict=True
+        )
     ]
 
 

@@ -19,6 +19,7 @@ from math import nan
 
 import numpy as np
 
+from napari_deltamic.geometry.connected import connected
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
 from napari_deltamic.measure.sides import Sides
 
@@ -29,15 +30,14 @@ class CellCurvature:
 
     mean : um; integral of the mean curvature over the surface, ridges included.
     gaussian : integral of the Gaussian curvature.
-    euler : vertices - edges + faces; 2 for a ball, 0 for a torus.
+    parts : of how many surfaces it is made that do not touch.
 
-    NaN where the surface is not closed, or where more than two of its faces meet at an edge; euler
-    is then 0.
+    NaN where the surface is not closed, or where more than two of its faces meet at an edge.
     """
 
     mean: FloatArray
     gaussian: FloatArray
-    euler: IntArray
+    parts: IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,12 +64,15 @@ def cell_curvature(sides: Sides) -> CellCurvature:
     mean = np.where(usable, _turning(sides), nan)
     corner_cell = np.repeat(sides.cell, 3)
     vertices = mesh.faces[sides.face].reshape(-1)
-    keys = np.unique(corner_cell * len(mesh.vertices) + vertices)
+    keys, index = np.unique(corner_cell * len(mesh.vertices) + vertices, return_inverse=True)
     n_vertices = np.bincount(keys // len(mesh.vertices), minlength=n)
-    n_edges, n_faces = np.bincount(cell, minlength=n), np.bincount(sides.cell, minlength=n)
     angles = np.bincount(corner_cell, corner_angles(mesh)[sides.face].reshape(-1), n)
     gaussian = np.where(usable, 2 * np.pi * n_vertices - angles, nan)
-    return CellCurvature(mean, gaussian, np.where(usable, n_vertices - n_edges + n_faces, 0))
+    own = np.arange(len(sides.cell))
+    links = np.column_stack([np.repeat(own, 3), len(own) + index.reshape(-1)])
+    piece = connected(links, len(own) + len(keys))[: len(own)]
+    first = np.unique(piece, return_index=True)[1]
+    return CellCurvature(mean, gaussian, np.bincount(sides.cell[first], minlength=n))
 
 
 def wall_curvature(mesh: Mesh) -> WallCurvature:
