@@ -211,6 +211,7 @@ def test_text_gives_names_or_first_numbers():
     ("text", "says"),
     [
         ("magic", "unknown effect 'magic': choose from pixel_integration"),
+        ("halo,:", "unknown effect ':': choose from"),
         ("attenuation,bleaching", "no image tells attenuation from bleaching: choose one"),
         *((name, reason) for name, reason in REFUSED.items()),
         ("halo=2", "less than or equal to 0.8"),

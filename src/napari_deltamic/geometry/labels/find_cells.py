@@ -61,7 +61,10 @@ def find_cells(
     labels, diameters, enclosed = _find(seen, diameter, FINDING.finest)
     labels = _without_gaps(labels, enclosed, diameters**3)
     if not labels.any():
-        raise InputError(f"no cells of about {diameter:g} um were found: try another size")
+        raise InputError(
+            f"no cells of about {diameter:g} um were found: try another size, or start from points "
+            "or labels"
+        )
     return labels
 
 

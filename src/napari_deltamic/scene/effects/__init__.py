@@ -189,7 +189,7 @@ class Effects(BaseModel):
         """Read :meth:`to_text`; ``attenuation=0.01`` gives the first number of an effect."""
         found: dict[str, dict[str, Any]] = {}
         for word in _split(text, ","):
-            head, *parts = _split(word, ":")
+            head, *parts = _split(word, ":") or [word]
             name, equals, number = head.partition("=")
             name = name.strip().replace("-", "_")
             fields = dict(_field(part) for part in parts)
