@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
-from ..common.reading import json_values, read_text
+from ..common.reading import json_values, read_text, reading
 from ..common.writing import make_folder, write_atomically
 from ..errors import InputError, RepairWarning
 from ..geometry import load_mesh, save_mesh
@@ -127,10 +127,8 @@ def read_results(folder: str | os.PathLike[str]) -> list[FrameResult]:
     """
     folder = Path(folder)
     path = folder / FILES[-1]
-    try:
+    with reading("tracks", path):
         values = json_values(read_text(path))
-    except InputError as error:
-        raise InputError(f"cannot read {path}: {error}") from None
     try:
         frames = _FRAMES.validate_python(values["frames"])
     except (LookupError, TypeError, ValueError):

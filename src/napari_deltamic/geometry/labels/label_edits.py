@@ -19,7 +19,7 @@ from scipy import ndimage
 from skimage.graph import MCP_Geometric
 from skimage.segmentation import watershed
 
-from napari_deltamic.common.reading import one_reason, read_text
+from napari_deltamic.common.reading import one_reason, read_text, reading
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.labels.cell_rules import CLICKS
 from napari_deltamic.geometry.labels.find_cells import checked_image, compressed_walls
@@ -140,11 +140,12 @@ def read_clicks_csv(path: str | Path) -> list[Click]:
     InputError
         The file cannot be read, has another header, or a field that means nothing.
     """
-    try:
-        lines = csv.reader(read_text(path).splitlines())
-        rows = [[field.strip().lower() for field in row] for row in lines]
-    except (InputError, csv.Error) as error:
-        raise InputError(f"cannot read clicks from {path}: {error}") from error
+    with reading("clicks", path):
+        try:
+            lines = csv.reader(read_text(path).splitlines())
+            rows = [[field.strip().lower() for field in row] for row in lines]
+        except csv.Error as error:
+            raise InputError(str(error)) from error
     if not rows or tuple(rows[0]) not in (_COLUMNS[:4], _COLUMNS):
         raise InputError(f"{path}: the first line must be z,y,x,action or z,y,x,action,step")
     clicks = []
