@@ -254,6 +254,9 @@ BAD = {
     "a wrong value": (("stacks", "--accuracy", "-1"), "accuracy"),
     "a folder": (("output.toml",), "-o is not for a batch"),
     "another option": (("option.toml",), "--fast"),
+    "a checkpoint": (("resume.toml",), "--resume is not for a batch"),
+    "help": (("help.toml",), "--help is not for a batch"),
+    "a name that leads elsewhere": (("name.toml",), "a name of a folder is needed, not '../a'"),
     "no seeds": (("stacks", "--workers", "0"), "where does the fit of a start"),
     "workers": (("stacks", "--workers", "-1"), "--workers must be 0 or more"),
     "both": (("stacks", "--workers", "1", "--scheduler", "tcp://x:1"), "leave out --workers"),
@@ -272,6 +275,10 @@ def test_what_no_batch_can_be(fails, tmp_path, monkeypatch, name):
     Path("text.toml").write_text("images = [")
     Path("twice.toml").write_text('images = ["x/a.tif", "y/a.npy"]\n')
     Path("output.toml").write_text('images = ["a.tif"]\nseeds = "auto"\noptions = ["-o", "x"]\n')
+    for option in ("resume=x", "help"):
+        text = f'images = ["a.tif"]\nseeds = "auto"\noptions = ["--{option}"]\n'
+        Path(f"{option.partition('=')[0]}.toml").write_text(text)
+    Path("name.toml").write_text('[[runs]]\nimage = "a.tif"\nname = "../a"\n')
     Path("option.toml").write_text('images = ["a.tif"]\nseeds = "auto"\noptions = ["--fast"]\n')
     arguments, says = BAD[name]
     first, rest = arguments[0], arguments[1:]

@@ -1,6 +1,7 @@
 """``measure``: of meshes, sessions and folders of fits; what it refuses."""
 
 import csv
+import json
 
 import numpy as np
 import pytest
@@ -159,11 +160,25 @@ def test_the_folder_of_a_fit(fitted, run, tmp_path):
     assert row["shape_error_um"] == fit_row["shape_error_um"]
     assert f"shapes: {row['grade']}" in page
     image.unlink()
+    kept = (folder / "report.json").read_text()
     code, out, err = run("measure", folder, "-o", tmp_path / "again")
     assert code == 0
     assert "is not there any more" in err
     assert rows(tmp_path / "again" / "cells.csv") == [row]  # the folder still tells all that it did
     assert [path.rsplit("/")[-1] for path in out] == list(MEASURED)
+    report, told = folder / "report.json", json.loads((folder / "report.json").read_text())
+    told["residual"]["cells"], told["verdict"]["cells"][0]["region"] = 5, "first"
+    report.write_text(json.dumps(told))
+    assert run("measure", folder, "--overwrite", "-o", tmp_path / "again")[0] == 0
+    (damaged,) = rows(tmp_path / "again" / "cells.csv")
+    assert damaged == {
+        **row,
+        "explained": "",
+        "grade": "",
+        "shape_error_um": "",
+        "note": damaged["note"],
+    }
+    report.write_text(json.dumps(told | {"verdict": json.loads(kept)["verdict"]}))
     (folder / "rendered.tif").unlink()
     _, _, err = run("measure", folder, "-o", tmp_path / "once more")
     assert "nothing is known of its border" in err

@@ -109,7 +109,8 @@ def _check_options(jobs: Sequence[BatchJob]) -> None:
             )
     parser = build_parser()
     for options in dict.fromkeys(job.options for job in jobs):
-        for word in ("-o", "--output", "--resume"):
-            if word in options:
+        given = {option.partition("=")[0] for option in options}
+        for word in ("-o", "--output", "--resume", "-h", "--help"):
+            if word in given:
                 raise InputError(f"{word} is not for a batch: each image has a folder of its own")
         parser.parse_args(["fit", "image.tif", *options, "-o", "folder"])

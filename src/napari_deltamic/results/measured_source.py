@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ from ..runs.settings import RunSettings
 from ..scene import Grid
 from .session_file import EXTENSION, load_session
 
+_T = TypeVar("_T")
 _FLAG = described(RunSettings)["channel"].flag
 # um, of a whole mesh: chosen, as no light microscope shows what is smaller, and none takes in more.
 _SMALLEST, _LARGEST = 0.05, 1e5
@@ -148,8 +149,8 @@ def _of_folder(
     sigma = _widths(report.get("optics"))
     known = Known(
         resolution=0.0 if sigma is None else float(np.prod(sigma) ** (1 / 3)),
-        explained=_explained(report.get("residual")),
-        judgements=_judgements(report.get("verdict")),
+        explained=_told(_explained, report.get("residual")),
+        judgements=_told(_judgements, report.get("verdict")),
     )
     found = Measurable(path.name, mesh, known, sigma=sigma, facts=report)
     source, pixels = Path(image or settings.image), None
@@ -229,6 +230,14 @@ def _report(path: Path) -> dict[str, Any]:
     except (OSError, ValueError):
         return {}
     return found if isinstance(found, dict) else {}
+
+
+def _told(read: Callable[[Any], dict[int, _T]], section: Any) -> dict[int, _T]:
+    """What a section of a report tells of each cell; nothing where it is damaged."""
+    try:
+        return read(section)
+    except (TypeError, ValueError):
+        return {}
 
 
 def _widths(optics: Any) -> Triple | None:

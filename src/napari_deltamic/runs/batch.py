@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from ..common.choices import AUTO, IMAGE_FILES, ZARR, is_image
 from ..common.reading import read_text, toml_values
@@ -36,6 +36,13 @@ class BatchRun(BaseModel):
     seeds: str | None = Field(default=None, description="file; by default that of the pattern")
     name: str | None = Field(default=None, description="of its folder; by default the image's")
     options: tuple[str, ...] = Field(default=(), description="of fit, after those of all")
+
+    @field_validator("name")
+    @classmethod
+    def _of_one_folder(cls, name: str | None) -> str | None:
+        if name is not None and (name in ("", "..") or Path(name).name != name):
+            raise ValueError(f"a name of a folder is needed, not {name!r}")
+        return name
 
 
 class BatchSettings(BaseModel):
