@@ -1,9 +1,12 @@
 """Gain, read noise, offset and saturation from one image."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from napari_deltamic.evidence import camera
 from napari_deltamic.evidence.camera import camera_from_image, failed_slices
 from napari_deltamic.images.stacks import read_image
 
@@ -55,6 +58,13 @@ def test_voxels_left_out_do_not_count():
     known[:20] = False
     image[:20] = np.random.default_rng(0).normal(500, 200, image[:20].shape)
     assert camera_from_image(image, known).gain.value == pytest.approx(2.0, rel=0.1)
+
+
+def test_large_stacks_of_floats_are_looked_at_in_their_middle(monkeypatch):
+    image = stack().astype(np.float32)
+    small = replace(camera.CAMERA, looked_at=image.size // 2)
+    monkeypatch.setattr(camera, "CAMERA", small)
+    assert camera_from_image(image).gain.value == pytest.approx(2.0, rel=0.1)
 
 
 @pytest.mark.parametrize(

@@ -100,11 +100,11 @@ def camera_from_image(image: np.ndarray, known: np.ndarray | None = None) -> Cam
         usable = usable & (pixels > low)
     values = np.where(finite, pixels, 0).astype(np.float32)
     middle = _middle(values.shape)
-    values, usable, finite = values[middle], usable[middle], finite[middle]
+    values, usable = values[middle], usable[middle]
     line, why = _line(values, usable)
     if line is None:
         gain = unknown(why)
-        return Camera(gain, gain, _level(values, finite, low), high, None)
+        return Camera(gain, gain, _level(values, finite[middle], low), high, None)
     if _rescaled(pixels, finite):
         gain = unknown("the values run from 0 to 1: they were rescaled and are no counts")
         return Camera(gain, gain, unknown(gain.reason), unknown(gain.reason), line)

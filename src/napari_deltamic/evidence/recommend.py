@@ -141,7 +141,7 @@ def recommend(
         *_, fitted = fit(
             image, grid, mesh, optics, settings=settings, counted=counted, effects=present
         )
-    camera = camera_from_image(image)
+    camera = camera_from_image(image, known)
     usable = known if counted is None else known & (np.asarray(counted) != 0)
     usable = usable & ~hot_voxels(pixels, usable)
     if camera.saturation.value is not None:
