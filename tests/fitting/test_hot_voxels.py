@@ -1,6 +1,8 @@
+import numpy as np
 import pytest
 
 from napari_deltamic import fit
+from napari_deltamic.fitting.checks import hot_voxels
 from napari_deltamic.measure import surface_distance
 from synthetic import GRID, OPTICS, VOXEL, measured, start
 
@@ -22,3 +24,11 @@ def test_a_hot_voxel_is_left_out_and_told(image, value):
 
 def test_noise_and_membranes_are_not_hot(image):
     assert "hot" not in next(fit(image, GRID, start(1), OPTICS)).message
+
+
+@pytest.mark.parametrize("photons", [0.02, 0.1])
+def test_single_photons_are_not_hot(photons):
+    image = np.random.default_rng(0).poisson(photons, (24, 24, 24)).astype(np.float32)
+    image[5, 6, 7] = 60.0
+    hot = hot_voxels(image, np.ones(image.shape, bool))
+    assert np.argwhere(hot).tolist() == [[5, 6, 7]]

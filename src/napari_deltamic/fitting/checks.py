@@ -96,6 +96,7 @@ def hot_voxels(pixels: np.ndarray, known: np.ndarray) -> np.ndarray:
 
     A PSF of 0.8 voxel or wider gives the neighbours of its brightest voxel almost half of what it
     holds; a camera's hot pixel or a cosmic ray gives them nothing. One such voxel can pull a mesh.
+    Of a few counted photons, most of which have none beside them, one alone is no sign of either.
     """
     if not known.any():
         return np.zeros(pixels.shape, bool)
@@ -103,5 +104,11 @@ def hot_voxels(pixels: np.ndarray, known: np.ndarray) -> np.ndarray:
     around[1, 1, 1] = False
     neighbours = maximum_filter(pixels, footprint=around, mode="nearest")
     dark = float(np.median(pixels[known]))
-    noise = voxel_noise(pixels, known)
+    noise = voxel_noise(pixels, known) or _faintest(pixels[known] - dark)
     return known & (pixels - dark > 4 * np.maximum(neighbours - dark, 3 * noise))
+
+
+def _faintest(light: np.ndarray) -> float:
+    """The least light above the dark level, such as one photon; 0 where there is none."""
+    above = light[light > 0]
+    return float(above.min()) if above.size else 0.0
