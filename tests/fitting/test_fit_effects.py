@@ -88,6 +88,18 @@ def test_finds_the_numbers_and_the_shape(effect, within):
     assert np.abs(last.rendered() - image).max() < 0.1 * np.abs(left_out.rendered() - image).max()
 
 
+def test_the_unit_of_the_image_does_not_change_how_a_background_is_found():
+    image = scene(Background(coefficients=(8.0, -4.0, 4.0)))
+    settings = SHORT.model_copy(update={"fit_psf": False, "structure": "membrane"})
+    one, other = (
+        fitted(times * image, near(), settings=settings, effects=("background",))
+        for times in (1.0, 4096.0)  # a power of two: nothing is rounded
+    )
+    found = numbers(other.effects.background) / 4096
+    np.testing.assert_allclose(found, numbers(one.effects.background), rtol=1e-3)
+    assert apart(one.mesh, other.mesh) < 1e-3
+
+
 @pytest.mark.slow
 def test_finds_psf_and_effects_together():
     effects = (Attenuation(per_um=0.1), Illumination(order=1, coefficients=(0.15, -0.1)))

@@ -59,6 +59,6 @@ def posed_at(
     log = None if state.density is None else density.of_faces(state.density)
     shape = Shape.begun(state.mesh, settings.density).moved(state.mesh.vertices_numpy(), log)
     optics = state.optics.detach()
-    imaging = Imaging(optics, state.effects, optics, settings.fit_psf, True)
+    imaging = Imaging(optics, state.effects, optics, settings.fit_psf, True, level.range)
     posed = (level, None), shape, density, imaging, False, True, ()
     return pose(*posed, structure_of(state.light), state.light)

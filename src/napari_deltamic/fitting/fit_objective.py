@@ -92,7 +92,12 @@ class Objective:
         differ = fitted.structure == "both" and shining > DENSITY.walls_first
         self._density = Density(fitted.mesh, fitted.shape.model, width, differ)
         self._imaging = Imaging(
-            fitted.optics, fitted.effects, fitted.first_optics, settings.fit_psf and free, free
+            fitted.optics,
+            fitted.effects,
+            fitted.first_optics,
+            settings.fit_psf and free,
+            free,
+            level.range,
         )
         self.posed = pose(
             (level, terms.second),

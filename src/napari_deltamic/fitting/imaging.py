@@ -10,7 +10,8 @@ from torch import Tensor
 
 from ..geometry.mesh import FloatArray
 from ..optics import GaussianPSF, Optics
-from ..scene.effects import Effect, Effects
+from ..scene.columns import Now, effect_columns
+from ..scene.effects import Effect, Effects, OffsetEffect
 
 # Standard deviation of the prior on a parameter of the PSF, as a share of how far it may go: 0.5 of
 # a log width, of which starts wrong by a factor of two are found (benchmarks/speed).
@@ -36,6 +37,8 @@ class Imaging:
         Whether the PSF is fitted.
     fit_effects
         Whether effects are.
+    intensity
+        What numbers in the unit of the image are counted in, so that its unit changes no fit.
     """
 
     optics: Optics
@@ -43,11 +46,12 @@ class Imaging:
     start: Optics
     fit_psf: bool
     fit_effects: bool
+    intensity: float = 1.0
 
     def numbers(self) -> tuple[FloatArray, FloatArray]:
         """(P,) of the PSF and (E,) of the effects, as they are now."""
         p = self.optics.parameters().detach().numpy() if self.fit_psf else np.zeros(0)
-        parts = [e.parameters().numpy() for e in self.fitted]
+        parts = [self._counted(e) for e in self.fitted]
         return p.astype(np.float64), np.concatenate(parts) if parts else np.zeros(0)
 
     @property
@@ -65,9 +69,25 @@ class Imaging:
         at = 0
         for effect in self.fitted:
             n = len(effect.parameters())
-            changed[effect.name] = effect.with_parameters(torch.tensor(numbers[at : at + n]))
+            own = self._unit(effect) * numbers[at : at + n]
+            changed[effect.name] = effect.with_parameters(torch.tensor(own))
             at += n
         return self.effects.replace(**changed) if changed else self.effects
+
+    def effect_columns(self, now: Now) -> list[Tensor]:
+        """(N,) each: derivatives of the image by the numbers of effects."""
+        found = []
+        for effect in self.fitted:
+            own = effect_columns(now, getattr(now.effects, effect.name))
+            found += [self._unit(effect) * column for column in own]
+        return found
+
+    def _counted(self, effect: Effect) -> FloatArray:
+        found: FloatArray = effect.parameters().numpy() / self._unit(effect)
+        return found
+
+    def _unit(self, effect: Effect) -> float:
+        return self.intensity if isinstance(effect, OffsetEffect) else 1.0
 
     def bounded(self, optics: FloatArray, effects: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Both within their bounds."""
@@ -76,7 +96,7 @@ class Imaging:
             optics = np.clip(optics, low, high)
         if len(effects):
             chosen = self.effects_of(effects)
-            kept = [getattr(chosen, e.name).parameters().numpy() for e in self.fitted]
+            kept = [self._counted(getattr(chosen, e.name)) for e in self.fitted]
             effects = np.concatenate(kept)
         return optics, effects
 

@@ -145,9 +145,9 @@ class Level:
         # Where the blur is wider than the field of view, hardly a voxel is left to go by.
         self.usable = int(self.counted.sum()) >= FEWEST_VOXELS
         if self.usable:
-            self.noise = ImageNoise(
-                self.target[self.counted], settings.likelihood, camera=effects.detector
-            )
+            seen = self.target[self.counted]
+            self.noise = ImageNoise(seen, settings.likelihood, camera=effects.detector)
+            self.range = float(seen.max() - seen.min()) or 1.0
         self._spread = spread if effects.spread > 0 else 0.0
 
     def _blurred(self, image: np.ndarray, counted: np.ndarray, grid: Grid) -> tuple[Tensor, ...]:

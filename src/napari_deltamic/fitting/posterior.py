@@ -16,7 +16,7 @@ from ..geometry.junction_bending import JunctionBending
 from ..geometry.mesh import FloatArray
 from ..optics import Optics
 from ..scene import Renderer
-from ..scene.columns import Now, effect_columns
+from ..scene.columns import Now
 from ..scene.effects import Effects
 from ..scene.light import INSIDES, Light
 from .density import Density
@@ -189,7 +189,7 @@ class Posterior(Prediction):
                 view.voxels,
                 found.amplitude,
             )
-            columns = [c for e in effects.fitted() for c in effect_columns(now, e)]
+            columns = self._imaging.effect_columns(now)
             dots = [float(total(c.to(pull) * pull)) for c in columns]
         return np.array(dots) / view.variance
 

@@ -251,9 +251,7 @@ class Prediction:
     def _imaging_columns(self, now: Now, at: Variables) -> list[Tensor]:
         """(N,) each: derivatives of the first image by PSF and effects."""
         columns = optics_columns(now) if len(at.optics) else []
-        for effect in self._imaging.fitted:
-            columns += effect_columns(now, getattr(now.effects, effect.name))
-        return columns
+        return columns + self._imaging.effect_columns(now)
 
     def psf_columns(self, at: Variables) -> FloatArray:
         """(N, P) derivatives of the first measured image by its PSF, fitted or not."""
