@@ -4,15 +4,20 @@ import tracemalloc
 
 import numpy as np
 import pytest
+import torch
 
 import napari_deltamic as nd
 from napari_deltamic.errors import InputError, RepairWarning
+from napari_deltamic.evidence.outgrowths import outgrowths
+from napari_deltamic.fourier.solid import contrasts
 from napari_deltamic.geometry import mesh_from_labels, sphere
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.labels.label_repair import label_boxes, repair_labels
 from napari_deltamic.geometry.labels.voxels import voxel_labels
 from napari_deltamic.geometry.mesh import OUTSIDE
 from napari_deltamic.geometry.remeshing import can_remesh
+from napari_deltamic.geometry.topology.rearranging import give_way
+from napari_deltamic.geometry.topology.small_pieces import small_pieces
 from napari_deltamic.geometry.topology.thin_places import short_junctions, small_walls
 from napari_deltamic.geometry.windings import fix_windings
 from napari_deltamic.scene.structures import Points, Solid
@@ -87,6 +92,31 @@ def test_places_where_regions_meet_cost_what_there_is_of_them():
     assert peak(lambda: short_junctions(large, 100.0)) < 2**22
     (wall,) = small_walls(large, 100.0)
     assert (wall.regions, wall.sides) == ((1, LARGE), (OUTSIDE,))
+
+
+def test_light_inside_and_outgrowths_cost_what_there_is_of_regions():
+    mesh = two_balls()
+    ids, weights = mesh.region_ids(), torch.tensor([1.0, 3.0])
+    assert peak(lambda: contrasts(mesh.regions, ids, weights)) < 2**22
+    assert set(contrasts(mesh.regions, ids, weights).tolist()) == {1.0, 3.0}
+    grid = nd.Grid((12, 12, 40), (0.2, 0.2, 0.2), (-1.2, -1.2, -1.2))
+    assert outgrowths(mesh, grid, nd.GaussianPSF(0.1)) == {}
+
+
+@pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
+def test_a_small_piece_goes_to_a_large_number():
+    ball = sphere((0, 0, 0), 0.2, edge_length=0.2)
+    shell = sphere((0, 0, 0), 1.0, edge_length=0.3)
+    mesh = nd.Mesh.merge([shell, ball])
+    # A pocket of the outside within a cell.
+    regions = np.where(mesh.regions == 1, LARGE, 0)
+    regions[len(shell.faces) :] = OUTSIDE, LARGE
+    mesh = nd.Mesh(mesh.vertices, mesh.faces, regions)
+    (place,) = small_pieces(mesh, 0.1)
+    found = []
+    used = peak(lambda: found.append(give_way(mesh, [place], 0.3)))
+    assert used < 2**24
+    assert len(found[0].mesh.faces) == len(shell.faces)
 
 
 @pytest.mark.parametrize("kind", ["ply", "vtk", "rec", "obj"])

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, find_objects
+from scipy.ndimage import distance_transform_edt
 
+from ..geometry.labels.label_repair import label_boxes
 from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import FloatArray, Mesh
 from ..optics import Optics
@@ -45,9 +46,7 @@ def outgrowths(mesh: Mesh, grid: Grid, optics: Optics) -> dict[int, FloatArray]:
     labels = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
     spacing = np.asarray(grid.voxel_size) / np.asarray(optics.sigma_um)
     found: dict[int, FloatArray] = {}
-    for region, box in enumerate(find_objects(labels), 1):
-        if box is None:
-            continue
+    for region, box in label_boxes(labels):
         own = np.pad(labels[box] == region, 1)
         thick = distance_transform_edt(own, sampling=spacing) > RULES.thin
         if not thick.any():

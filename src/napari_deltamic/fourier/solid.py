@@ -122,10 +122,9 @@ def contrasts(regions: Tensor | np.ndarray, ids: np.ndarray, weights: Tensor) ->
             f"weights must have shape ({len(ids)},), one number per region, "
             f"not {tuple(weights.shape)}"
         )
-    row = np.zeros(int(ids.max(initial=0)) + 1, np.int64)
-    row[ids] = np.arange(1, len(ids) + 1)
     of = torch.cat([weights.new_zeros(1), weights])
-    sides = torch.from_numpy(row[np.asarray(regions)])
+    # By rank: a region number may be anything.
+    sides = torch.from_numpy(np.searchsorted(np.append(0, ids), np.asarray(regions)))
     return of[sides[:, 0]] - of[sides[:, 1]]
 
 

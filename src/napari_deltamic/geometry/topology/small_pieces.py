@@ -48,10 +48,10 @@ def absorbed(part: Submesh, place: ThinPlace, _: float) -> Iterator[Change]:
     rows = _rows_of(part, place)
     if rows is None:
         return
-    beyond = mesh.regions[rows].sum(1) - region
-    areas = np.bincount(beyond, mesh.areas()[rows])
-    areas[OUTSIDE] = 0
-    heir = int(areas.argmax())
+    beyond, rank = np.unique(mesh.regions[rows].sum(1) - region, return_inverse=True)
+    areas = np.bincount(rank, mesh.areas()[rows])
+    areas[beyond == OUTSIDE] = 0
+    heir = int(beyond[areas.argmax()])
     regions = mesh.regions.copy()
     regions[rows] = np.where(regions[rows] == region, heir, regions[rows])
     kept = regions[:, 0] != regions[:, 1]
