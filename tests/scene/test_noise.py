@@ -52,6 +52,11 @@ def test_no_light_is_dark():
     assert not noisy(light=-LIGHT * 1e-9).any()  # what rendering leaves below 0
 
 
+def test_more_photons_than_can_be_counted_are_refused():
+    with pytest.raises(nd.InputError, match="too many"):
+        noisy(light=LIGHT * 1e18, bits=32)
+
+
 def test_the_same_seed_gives_the_same_bytes():
     camera = Camera(gain=1.5, read_noise=2.0)
     one, same, other = (noisy(camera, seed=s).tobytes() for s in (4, 4, 5))

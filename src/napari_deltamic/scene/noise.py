@@ -11,6 +11,8 @@ from ..common.choices import Bits
 from ..errors import InputError
 from .effects import DetectorEffect
 
+_MOST = 1e18  # photons in a voxel: nearly as many as a whole number of 64 bits can count
+
 
 def detected(
     light: NDArray[Any], camera: DetectorEffect | None, rng: np.random.Generator, bits: Bits = 16
@@ -35,12 +37,14 @@ def detected(
     Raises
     ------
     InputError
-        If the light is not finite, or the brightest voxel is beyond the range of the bits and the
-        camera does not say that it saturates.
+        If the light is not finite or too much to be counted, or the brightest voxel is beyond the
+        range of the bits and the camera does not say that it saturates.
     """
     if bits not in get_args(Bits):
         raise InputError(f"bits must be 8, 12, 16 or 32 (float32), not {bits}")
     expected = intensities(light, camera)
+    if light.max() > _MOST:
+        raise InputError(f"{light.max():.4g} photons in a voxel are too many: take fewer")
     top = highest(bits)
     if expected.max() > top and (camera is None or camera.saturation is None):
         raise InputError(
