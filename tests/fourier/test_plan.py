@@ -282,3 +282,10 @@ def test_rules_cover_every_face_once_and_divide_large_ones():
     # A face ten times longer needs a hundred times the points.
     assert points[7] / points[5] == pytest.approx(9, rel=0.2)
     assert choose_rules(np.zeros(0), 1e-3, 1e-4) == []
+
+
+def test_a_triangle_without_area_is_planned_as_a_speck():
+    flat = nd.Mesh([[0, 0, 0], [0, 0, 0.5], [0, 0, 1]], [[0, 1, 2]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert float(nd.render(flat, GRID, OPTICS).abs().sum()) == 0

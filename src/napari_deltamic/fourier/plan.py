@@ -282,7 +282,7 @@ def _size(vertices: np.ndarray, faces: np.ndarray) -> tuple[float, bool]:
     volume = abs(float(np.einsum("fi,fi->", centred, normal)) / 6)
     # Rounded down, to the safe side, so that the tables of one mesh serve its neighbours.
     steps = floor(2 * log2(max(area, 1e-6)))
-    return 2.0 ** (steps / 2), 2 * volume < 1.5 * area
+    return 2.0 ** (steps / 2), 2 * volume <= 1.5 * area
 
 
 def _held(
