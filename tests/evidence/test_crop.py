@@ -4,6 +4,7 @@ import numpy as np
 
 from napari_deltamic import Grid, Mesh, render
 from napari_deltamic.evidence.crop import crop_of
+from napari_deltamic.evidence.modes import shape_modes
 from napari_deltamic.geometry import mesh_from_labels, sphere
 from napari_deltamic.optics import GaussianPSF
 
@@ -45,3 +46,14 @@ def test_a_piece_shows_what_the_whole_image_shows_there():
     piece = render(part.mesh, part.grid, optics, 1e-4, density=part.density).numpy()
     piece = piece.reshape(-1)[part.index]
     assert np.linalg.norm(piece - whole) < 5e-3 * np.linalg.norm(whole)
+
+
+def test_a_cell_beyond_the_image_is_not_judged():
+    grid = Grid((30, 40, 40), (0.2, 0.2, 0.2))
+    ball = sphere((3, 4, 4), 1.5)
+    mesh = Mesh.merge([ball, ball.translated((0, 0, 30))])
+    part = crop_of(np.ones(grid.shape, bool), grid, mesh, None, WIDTH)
+    assert part.cells.tolist() == [1]
+    assert part.of == 2
+    assert len(shape_modes(part.mesh, part.cells)) > 0
+    assert len(shape_modes(part.mesh, np.zeros(0, int))) == 0

@@ -73,6 +73,7 @@ def crop_of(
     shape = (box[0].stop - first[0], box[1].stop - first[1], box[2].stop - first[2])
     piece = Grid(shape, grid.voxel_size, (float(z), float(y), float(x)))
     seen, weight = _near_piece(mesh, density, piece, JUDGING.seen * width)
+    cells = np.intersect1d(cells, seen.region_ids())
     return Crop(piece, box, seen, weight, cells, np.flatnonzero(found[box]), len(every))
 
 

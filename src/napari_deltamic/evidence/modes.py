@@ -73,7 +73,7 @@ def shape_modes(
         count = next((n for most, n in MODES.per_region if len(wanted) <= most), MODES.many)
     laplacian = adjacency(mesh)
     fields = [f for r in wanted for f in _of_region(mesh, int(r), laplacian, count)]
-    return _normalised(mesh, np.array(fields))
+    return _normalised(mesh, np.array(fields).reshape(-1, len(mesh.vertices), 3))
 
 
 def density_fields(mesh: Mesh, model: DensityModel, regions: np.ndarray) -> np.ndarray:
