@@ -1,7 +1,5 @@
 """The operators for GPUs, on tensors of the CPU: emulated kernels, and what happens without any."""
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 import pytest
 import torch
@@ -14,7 +12,7 @@ from napari_deltamic.fourier.cuda import device, layout, operators, transform
 from napari_deltamic.fourier.cuda.build import OutOfMemoryWarning
 from napari_deltamic.fourier.cuda.device import NoGpuWarning
 from napari_deltamic.fourier.cuda.driver import torch_for
-from napari_deltamic.fourier.cuda.kept import Kept, contents
+from napari_deltamic.fourier.cuda.layout import contents
 from napari_deltamic.fourier.devices import choose_device
 from napari_deltamic.geometry import sphere
 
@@ -213,20 +211,6 @@ def test_kernels_that_cannot_be_had_are_asked_for_once(monkeypatch):
 
 
 # ----------------------------------------------------------------------------------- what is kept
-
-
-def test_threads_share_what_is_kept():
-    kept, made = Kept(3), []
-
-    def ask(first):
-        for i in range(300):
-            key = (first + i // 50) % 5
-            assert kept.get(key, lambda key=key: made.append(key) or [key]) == [key]
-
-    with ThreadPoolExecutor(4) as pool:
-        list(pool.map(ask, range(4)))
-    assert len(kept) == 3
-    assert len(made) < 1200
 
 
 def test_tensors_of_inference_mode_are_not_kept():

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from ..fitting.pose import Posed
+from ..fitting.prediction import as_floats
 from ..fitting.refits import Alternative
 from ..fitting.responses import Responses
 from ..fitting.state import FitState
@@ -103,4 +104,4 @@ def shown(posed: Posed, state: FitState) -> FloatArray:
         density = torch.from_numpy(state.density)
         spectrum = renderer.transform(density=density, light=state.light)
         shown = level.rendered(renderer, spectrum, renderer.otf(state.optics))
-        return view.voxels.of(shown).cpu().numpy().astype(np.float64)
+        return as_floats(view.voxels.of(shown))

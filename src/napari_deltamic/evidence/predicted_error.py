@@ -13,6 +13,7 @@ from ..fitting.convergence import Patches, vertex_normals
 from ..fitting.errors_of_measures import posed_at
 from ..fitting.job import FitInput
 from ..fitting.pose import Posed
+from ..fitting.prediction import as_floats
 from ..fitting.refits import RULES as REFITS
 from ..fitting.responses import Responses, noise_of, responses_of
 from ..fitting.state import FitState
@@ -168,7 +169,7 @@ def _inside(posed: Posed, state: FitState) -> FloatArray:
     with torch.no_grad():
         otf = renderer.otf(state.optics)
         shown = level.rendered(renderer, renderer.transform(light=INSIDES), otf)
-        return view.voxels.of(shown).cpu().numpy().astype(np.float64)[:, None]
+        return as_floats(view.voxels.of(shown))[:, None]
 
 
 class _Patches:

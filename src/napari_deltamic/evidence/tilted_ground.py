@@ -15,6 +15,7 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from ..common.normal import SIGMA_PER_MEDIAN_DEVIATION
 from ..runs.settings import SceneSettings
 from ..scene.effects.smooth import Background
 
@@ -58,7 +59,6 @@ class GroundRules:
 RULES = GroundRules()
 _ROUNDS = 20  # of leaving blocks out; chosen, a handful is enough
 _MANY = 4  # blocks for each number: chosen, so that noise is not explained by as many
-_NORMAL = 1.4826  # by definition: standard deviation over median magnitude of a normal deviate
 
 
 def with_ground(scene: SceneSettings, image: NDArray[Any]) -> tuple[SceneSettings, str]:
@@ -124,7 +124,7 @@ def _lowest(columns: Floats, dark: Floats) -> tuple[Floats, float, float]:
         numbers = np.asarray(np.linalg.lstsq(columns[kept], dark[kept], rcond=None)[0], float)
         left = dark - columns @ numbers
         middle = np.median(left[kept])
-        spread = _NORMAL * float(np.median(np.abs(left[kept] - middle)))
+        spread = SIGMA_PER_MEDIAN_DEVIATION * float(np.median(np.abs(left[kept] - middle)))
         now = left <= middle + RULES.brighter * spread
         if (now == kept).all() or now.sum() < _MANY * columns.shape[1]:
             break

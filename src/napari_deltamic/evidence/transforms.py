@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..fourier.cuda.kept import Kept
+from ..common.kept import Kept
 from ..scene import Renderer
 from ..scene.effects import DepthEffect, FaceEffect
 from ..scene.light import MEMBRANES, Light

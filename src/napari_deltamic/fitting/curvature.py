@@ -24,6 +24,7 @@ from .factors import on_host
 from .likelihood import solve_scale
 from .normal_jacobian import Colouring, normal_jacobian, widest_psf
 from .posterior import Posterior
+from .prediction import as_floats
 from .unequal_insides import each_alone
 from .variables import Variables
 
@@ -75,7 +76,7 @@ class Curvature:
         weights, residuals, columns, scaled = [], [], [], []
         for number, view in enumerate(posterior.views):
             image, own = images[number], np.zeros((len(images[number]), 2 * len(images)))
-            weight = view.voxels.weights.detach().cpu().numpy().astype(np.float64)
+            weight = as_floats(view.voxels.weights)
             amplitude, background = _scale(image, measured[number], weight)
             own[:, 2 * number], own[:, 2 * number + 1] = image, 1.0
             columns.append(own)

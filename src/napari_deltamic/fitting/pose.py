@@ -14,7 +14,6 @@ from ..fourier.devices import for_objects
 from ..geometry.bending import BendingEnergy
 from ..geometry.cell_bending import CellBending
 from ..geometry.junction_bending import JunctionBending
-from ..geometry.mesh import FloatArray
 from ..scene import Renderer
 from ..scene.effects import Effects
 from ..scene.light import INSIDES, MEMBRANES, Light
@@ -27,7 +26,7 @@ from .level import Level, Voxels, differences
 from .likelihood import Match, explained, total
 from .posterior import Posterior, Prior
 from .preconditioner import Preconditioner
-from .prediction import View
+from .prediction import View, as_floats
 from .saturation import censored
 from .shape import Shape
 from .tempering import tempered_variance
@@ -271,8 +270,8 @@ class _Look:
         measured = self._measured(voxels, level)
         root = torch.sqrt(voxels.weights)
         signal = found.amplitude * voxels.of(rendered)
-        residual = _double((measured - signal - found.background) * root)
-        least = level.accuracy**2 * float(np.mean(_double(signal * root) ** 2))
+        residual = as_floats((measured - signal - found.background) * root)
+        least = level.accuracy**2 * float(np.mean(as_floats(signal * root) ** 2))
         alone = max(float(np.mean(residual**2)), least, 1e-300)
         optics = None if level is self.level else level.optics
         if not tempered:
@@ -291,13 +290,13 @@ class _Look:
             return voxels
         volume = float(np.prod(level.grid.voxel_size)) * level.volume_ratio
         alike = replace(at, insides=np.zeros_like(at.insides))
-        share = _double(self.rendered(alike, INSIDES)) / volume
-        shown = found.amplitude * _double(self.rendered(at, replace(light, membrane=0.0)))
-        rest = found.amplitude * _double(self.rendered(at, light)) - shown + found.background
+        share = as_floats(self.rendered(alike, INSIDES)) / volume
+        shown = found.amplitude * as_floats(self.rendered(at, replace(light, membrane=0.0)))
+        rest = found.amplitude * as_floats(self.rendered(at, light)) - shown + found.background
         added = level.offset(self.imaging.effects)
-        insides = _double(level.target if added is None else level.target - added) - rest
+        insides = as_floats(level.target if added is None else level.target - added) - rest
         widths = np.asarray(self.imaging.optics.sigma_um) / np.asarray(level.grid.voxel_size)
-        noise = _double(differences(torch.from_numpy(insides - shown)))
+        noise = as_floats(differences(torch.from_numpy(insides - shown)))
         share = np.where(level.counted.cpu().numpy(), share, 0.0)
         uneven = unevenness(insides, shown, share, noise, widths)
         if uneven is None:
@@ -325,10 +324,10 @@ class _Look:
     def _censored(self, voxels: Voxels, rendered: Tensor, found: Match, cut: float) -> Voxels:
         """Values and weights of cut voxels, of an image as bright as was found."""
         added = self.level.offset(self.imaging.effects)
-        light = found.amplitude * _double(voxels.of(rendered)) + found.background
+        light = found.amplitude * as_floats(voxels.of(rendered)) + found.background
         if added is not None:
-            light += _double(added.reshape(-1)[voxels.index])
-        measured, weights = _double(voxels.measured), _double(voxels.weights)
+            light += as_floats(added.reshape(-1)[voxels.index])
+        measured, weights = as_floats(voxels.measured), as_floats(voxels.weights)
         full = measured >= cut
         if full.all():
             return voxels
@@ -366,7 +365,3 @@ class _Look:
         brightness = found.amplitude * volume * level.volume_ratio
         sharp = light.membrane**2 / (4 * width**3) + light.interior**2 / (2 * width)
         return weight * brightness**2 * sharp / (np.sqrt(np.pi) * volume)
-
-
-def _double(values: Tensor) -> FloatArray:
-    return values.detach().cpu().numpy().astype(np.float64)

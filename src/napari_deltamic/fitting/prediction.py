@@ -301,8 +301,8 @@ def _stacked(columns: Sequence[Tensor], rows: int) -> FloatArray:
     return np.stack(each, 1) if each else np.zeros((rows, 0))
 
 
-def as_floats(gradient: Tensor | None) -> FloatArray:
-    """On the CPU; empty where there is none."""
-    if gradient is None:
+def as_floats(values: Tensor | None) -> FloatArray:
+    """In double precision on the CPU; empty where there are none."""
+    if values is None:
         return np.zeros(0)
-    return gradient.detach().cpu().numpy().astype(np.float64)
+    return values.detach().cpu().numpy().astype(np.float64)

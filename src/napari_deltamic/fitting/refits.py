@@ -114,7 +114,7 @@ class Refits:
         now = self._posterior(self._at)
         self._image = as_floats(view.voxels.of(now.rendered))
         self._seen = now.match.amplitude * self._image + now.match.background
-        self._weights = view.voxels.weights.cpu().numpy().astype(np.float64) / view.variance
+        self._weights = as_floats(view.voxels.weights) / view.variance
         self.residual = self._posterior.measured(self._at)[0] - self._seen
 
     def after(self, change: FloatArray) -> FloatArray:

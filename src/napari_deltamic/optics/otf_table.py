@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..common.kept import Kept
 from ..errors import InputError
 from .bessel import j0
 from .parameters import Spec
@@ -234,8 +235,7 @@ class RadialPSF(TablePSF):
         return width, width
 
 
-_HANKEL: dict[tuple, tuple[Tensor, Tensor]] = {}
-_MOST_KEPT = 6
+_hankels: Kept[tuple[Tensor, Tensor]] = Kept(6)  # planes: of a fit's levels, and of what is shown
 
 
 def _hankel(
@@ -245,18 +245,15 @@ def _hankel(
 
     Kept: it hangs on the grid alone, so an iteration of a fit needs no Bessel function of it.
     """
-    key = (ky, kx, len(r), float(r[0]), float(r[-1]), resolved)
-    if key in _HANKEL:
-        return _HANKEL[key]
-    y, x = torch.tensor(ky, dtype=torch.float64), torch.tensor(kx, dtype=torch.float64)
-    squared = (y**2)[:, None] + x**2
-    scale = float(squared.max()) or 1.0
-    # Lengths that differ by rounding are one.
-    rounded = torch.round(squared.reshape(-1) / scale * 1e12)
-    lengths, where = torch.unique(rounded, return_inverse=True)
-    k = torch.sqrt(lengths * (scale / 1e12))
-    matrix = j0(r[:, None] * k) * (k <= resolved)
-    while len(_HANKEL) >= _MOST_KEPT:
-        _HANKEL.pop(next(iter(_HANKEL)))
-    _HANKEL[key] = matrix, where
-    return matrix, where
+
+    def make() -> tuple[Tensor, Tensor]:
+        y, x = torch.tensor(ky, dtype=torch.float64), torch.tensor(kx, dtype=torch.float64)
+        squared = (y**2)[:, None] + x**2
+        scale = float(squared.max()) or 1.0
+        # Lengths that differ by rounding are one.
+        rounded = torch.round(squared.reshape(-1) / scale * 1e12)
+        lengths, where = torch.unique(rounded, return_inverse=True)
+        k = torch.sqrt(lengths * (scale / 1e12))
+        return j0(r[:, None] * k) * (k <= resolved), where
+
+    return _hankels.get((ky, kx, len(r), float(r[0]), float(r[-1]), resolved), make)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from .kept import Kept, contents, stream_of
+from ...common.kept import Kept
 
 _SEGMENT = np.dtype([("kz", "i4"), ("ky", "i4"), ("kx", "i4"), ("length", "i4"), ("offset", "i8")])
 _KEPT = 8
@@ -64,3 +65,18 @@ def corners_of_vertices(faces: Tensor, vertices: int) -> tuple[Tensor, Tensor]:
     known = contents(faces)
     key = None if known is None else (known, stream_of(faces.device), vertices)
     return _incidences.get(key, make)[:2]
+
+
+def contents(t: Tensor) -> Hashable | None:
+    """Stands for the contents of a tensor, as long as that is alive; None where nothing can.
+
+    Tensors of ``torch.inference_mode`` do not count their changes.
+    """
+    if t.is_inference():
+        return None
+    return t.data_ptr(), t._version, tuple(t.shape), t.stride(), t.dtype, t.device
+
+
+def stream_of(device: torch.device) -> int:
+    """Handle of torch's current stream: what was made on one is not yet there on another."""
+    return int(torch.cuda.current_stream(device).cuda_stream) if device.type == "cuda" else 0

@@ -1,4 +1,4 @@
-"""The last few results of something that a fit asks for at every iteration."""
+"""The last few results of something that is asked for again and again."""
 
 from __future__ import annotations
 
@@ -6,9 +6,6 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import Generic, TypeVar
-
-import torch
-from torch import Tensor
 
 T = TypeVar("T")
 
@@ -40,18 +37,3 @@ class Kept(Generic[T]):
         """Keep nothing."""
         with self._lock:
             self._found.clear()
-
-
-def contents(t: Tensor) -> Hashable | None:
-    """Stands for the contents of a tensor, as long as that is alive; None where nothing can.
-
-    Tensors of ``torch.inference_mode`` do not count their changes.
-    """
-    if t.is_inference():
-        return None
-    return t.data_ptr(), t._version, tuple(t.shape), t.stride(), t.dtype, t.device
-
-
-def stream_of(device: torch.device) -> int:
-    """Handle of torch's current stream: what was made on one is not yet there on another."""
-    return int(torch.cuda.current_stream(device).cuda_stream) if device.type == "cuda" else 0
