@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from napari_deltamic import Change, GaussianPSF, Grid, InputError, Mesh, fit, render
+from napari_deltamic.fitting.job import assemble
+from napari_deltamic.fitting.pending import usable
 from napari_deltamic.geometry import remesh, sphere
-from napari_deltamic.runs.settings import FitSettings
-from napari_deltamic.scene.effects import Effects, Halo
+from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
+from napari_deltamic.scene.effects import Effects, Halo, Missing
 from synthetic import CENTER, GRID, OPTICS, RADIUS, VOXEL, apart, measured, start
 
 QUICK = FitSettings(levels=(2.0, 1.0))
@@ -193,3 +195,13 @@ def test_a_psf_so_wide_that_its_blur_leaves_no_voxel_is_taken_at_the_blur_before
     state = states.send(Change(optics=wide))
     assert state.optics.sigma_um == wide.sigma_um
     assert np.isfinite(next(states).loss)
+
+
+def test_effects_that_leave_too_few_voxels_are_refused_before_a_fit_takes_them(image):
+    scene = SceneSettings(voxel_size=GRID.voxel_size, sigma=OPTICS.sigma_um)
+    run = RunSettings(image="", seeds="", scene=scene)
+    job = assemble(run, image, GRID, start(2), "rough")
+    change = Change(effects=Effects.of(Missing(slices=tuple(range(GRID.shape[0])))))
+    with pytest.raises(InputError, match="only 0 voxels count"):
+        usable(change, job.mesh, job.optics, job)
+    usable(Change(effects=Effects.of("halo")), job.mesh, job.optics, job)
