@@ -211,6 +211,18 @@ def test_a_second_view_sees_what_the_first_does_not(tmp_path, one_thread):
     np.testing.assert_array_equal(both[0].mesh.vertices, both[1].mesh.vertices)
 
 
+def test_a_second_view_of_which_much_is_missing_waits_until_it_can_be_told():
+    second = measured(noise=1).astype(float)
+    second[:, :, : GRID.shape[2] // 2] = np.nan
+    settings = FitSettings(levels=(6.0, 1.0), max_iterations=6)
+    given = {"effects": Effects.of(SecondView(sigma=(0.13,) * 3)), "settings": settings}
+    last = fitted(measured(noise=0), near(), second=second, **given)
+    assert last.level == 2
+    few = np.where(np.arange(second.size).reshape(second.shape) < 50, 1.0 * measured(), np.nan)
+    with pytest.raises(InputError, match="second view: only 50 voxels count"):
+        fitted(measured(), second=few, **given)
+
+
 def test_refuses_a_second_view_that_does_not_fit():
     effects = Effects.of(SecondView(sigma=(0.1, 0.1, 0.3)))
     with pytest.raises(InputError, match="second_view has no image: name its file"):

@@ -31,7 +31,7 @@ class Problem:
     Raises
     ------
     InputError
-        If fewer than 64 voxels count.
+        If fewer than 64 voxels count, of either image.
     """
 
     image: np.ndarray
@@ -41,6 +41,8 @@ class Problem:
 
     def __post_init__(self) -> None:
         _check_enough(self.counted)
+        if self.second is not None:
+            _check_enough(self.second.known, "second view: ")
 
     def counted_with(self, effects: Effects) -> np.ndarray:
         """(Z, Y, X) bool: the voxels that may count with these effects.
@@ -58,7 +60,7 @@ class Problem:
         return counted
 
 
-def _check_enough(counted: np.ndarray) -> None:
+def _check_enough(counted: np.ndarray, which: str = "") -> None:
     n = int(np.count_nonzero(counted))
     if n < FEWEST_VOXELS:
-        raise InputError(f"only {n} voxels count; a fit needs {FEWEST_VOXELS}")
+        raise InputError(f"{which}only {n} voxels count; a fit needs {FEWEST_VOXELS}")

@@ -160,7 +160,9 @@ class Run:
         spread = fitted.first_effects.spread
         other = None if second is None else second.optics
         self._level = Level(problem.image, counted, *given, factor, other, spread)
-        self._second = None if second is None else second.level(*given, factor)
+        seen = None if second is None else second.level(*given, factor)
+        # Of an image of which much is missing, a wide blur may leave nothing to go by.
+        self._second = seen if seen is not None and seen.usable else None
 
     def _renew(self) -> None:
         """Good triangles, topology, and the objective from where the fit is."""
