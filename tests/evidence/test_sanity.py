@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, shift
 
-from napari_deltamic.evidence.sanity import doubts
+from napari_deltamic.evidence.sanity import doubts, followed
 from napari_deltamic.geometry import sphere
+from napari_deltamic.scene import Grid
 
 SHAPE, VOXEL = (32, 32, 32), (0.3, 0.2, 0.2)
 
@@ -79,6 +80,15 @@ def test_images_that_hardly_are_some_raise_nothing():
         warnings.simplefilter("error")
         for image in (np.zeros((2, 3, 4)), np.ones((8, 8, 8)), np.full((9, 9, 9), np.nan)):
             doubts(image, VOXEL)
+
+
+def test_seeds_where_the_image_is_missing_raise_nothing():
+    image = np.random.default_rng(0).poisson(5.0, (20, 20, 20)).astype(float)
+    image[:10] = np.nan
+    seeds = sphere((1.0, 1.0, 1.0), 0.3, edge_length=0.2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert followed(image, Grid(image.shape, (0.3, 0.2, 0.2)), seeds) == 0
 
 
 def test_a_logarithm_is_known_by_its_noise():

@@ -9,6 +9,7 @@ import napari_deltamic as nd
 from napari_deltamic.fitting.default_accuracy import accuracy_for
 from napari_deltamic.fitting.job import assemble
 from napari_deltamic.fitting.shape_dial import Situation, dialled, with_edges
+from napari_deltamic.fitting.triangle_quality import Remeshing
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
@@ -94,3 +95,11 @@ def test_a_run_takes_edges_accuracy_and_tolerance_from_it():
 def test_edges_that_are_about_right_stay():
     assert with_edges(BALL, 1.05 * BALL.median_edge()) is BALL
     assert len(with_edges(BALL, 0.3).vertices) > 2 * len(BALL.vertices)
+
+
+def test_a_start_that_is_a_point_stays_what_it_is():
+    point = nd.Mesh(np.ones((3, 3)), [[0, 1, 2]])
+    for choice in ("quick", "20nm"):
+        wanted = dialled(choice, Situation.of(point, GRID, (0.26,) * 3, 0.046))
+        assert with_edges(point, wanted.edge) is point
+    assert not Remeshing(point, 0.26).able

@@ -256,6 +256,8 @@ def followed(pixels: np.ndarray, grid: Grid, seeds: Mesh) -> float:
     cells = max(len(seeds.region_ids()), 1)
     radius = float(np.sqrt(seeds.areas().sum() / cells / (4 * np.pi)))
     near = known & (away < _AROUND * radius)
+    if not near.any():
+        return 0.0
     values = gaussian_filter(whole, 1.0)[near].astype(np.float64)
     classes = ((away[near] / radius + 2) * 8).clip(0).astype(int)
     count = np.bincount(classes)

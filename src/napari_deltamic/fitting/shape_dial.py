@@ -200,7 +200,8 @@ def _for_length(asked: float, now: Situation) -> tuple[float, float, float]:
 
 def with_edges(mesh: Mesh, edge: float) -> Mesh:
     """The start with edges of about that length; itself where it has them, or cannot change."""
-    if not can_remesh() or abs(edge / mesh.median_edge() - 1) < _SAME_EDGES:
+    now = mesh.median_edge()
+    if not (can_remesh() and now > 0) or abs(edge / now - 1) < _SAME_EDGES:
         return mesh
     try:
         return remesh(mesh, edge, apart=True).mesh

@@ -70,8 +70,8 @@ class Remeshing:
         # A face with one corner twice has no third edge to split, collapse or flip.
         corners = np.sort(mesh.faces, axis=1)
         whole = bool((corners[:, 1:] != corners[:, :-1]).all())
-        self.able = can_remesh() and whole
         self._start, self._area = mesh.median_edge(), float(mesh.areas().sum())
+        self.able = can_remesh() and whole and self._start > 0
         self._finest = min(RULES.finest * width, self._start)
         self.left = 0.0  # share of slivers that the last remeshing left: no use to try again
         self._coarse = 0.0  # um: edges of the level
