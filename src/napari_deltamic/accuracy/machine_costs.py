@@ -50,7 +50,7 @@ def costs(measure: bool = False, again: bool = False) -> Costs:
 
 
 def costs_file() -> Path:
-    """Where the costs are kept; see :func:`.cache_folder.cache_folder`."""
+    """Where the costs are kept."""
     return cache_folder() / f"costs-{threads()}.json"
 
 

@@ -222,8 +222,8 @@ class Level:
     ) -> np.ndarray:
         """(V,) measured over rendered brightness at vertices (V, 3) um.
 
-        Both without the background of the match, and without what of the rendering is light from
-        inside; 1 where hardly any shows, or nothing is known.
+        Both without the background of the match, and without the light from inside that is
+        rendered; 1 where hardly any shows, or nothing is known.
         """
         at = ((vertices - np.asarray(self.grid.origin)) / np.asarray(self.grid.voxel_size)).T
         added = self.offset(effects)

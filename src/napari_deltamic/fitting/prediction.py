@@ -262,7 +262,7 @@ class Prediction:
     def columns_of(self, at: Variables, effect: Effect) -> FloatArray:
         """(N, E) derivatives of the first measured image by the numbers of a further effect.
 
-        None for one that reaches further than images are padded for.
+        No column (E = 0) for one that reaches further than images are padded for.
         """
         effects = self._imaging.effects_of(at.effects).adding(effect)
         if not self._renderer.pads_enough_for(effects, self._imaging.optics):

@@ -100,7 +100,7 @@ class GaussianMixturePSF(ParametricPSF):
         parts = [(plain(m), [plain(s) for s in sigma]) for m, sigma in self._components()]
         found = []
         for i in range(3):
-            # Along the line through the middle; see table.l2_width.
+            # Along the line through the middle; see otf_table.l2_width.
             line = [(m / (s[0] * s[1] * s[2]) * s[i], s[i]) for m, s in parts]
             first = sum(a for a, _ in line)
             second = sum(a * b / sqrt(s * s + t * t) for a, s in line for b, t in line)

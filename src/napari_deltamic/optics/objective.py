@@ -79,7 +79,7 @@ class ObjectivePSF(RadialPSF):
         return self._values["na"]
 
     def _path(self, s: Tensor, weight: Tensor) -> Tensor | None:
-        """Path (um) of rays in excess of those in focus, which hangs on the weight of each."""
+        """Path (um) of rays beyond that of those in focus, which depends on the weight of each."""
         return None
 
     def _fields(self, s: Tensor, amplitude: Tensor) -> list[tuple[float, Tensor, int]]:

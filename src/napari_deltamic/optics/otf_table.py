@@ -243,7 +243,7 @@ def _hankel(
 ) -> tuple[Tensor, Tensor]:
     """J0(k r) (Nr, N) at the distinct lengths k of a plane of wavevectors; where each is.
 
-    Kept: it hangs on the grid alone, so an iteration of a fit needs no Bessel function of it.
+    Kept: it depends on the grid alone, so that iterations of a fit need no Bessel functions.
     """
 
     def make() -> tuple[Tensor, Tensor]:
