@@ -139,22 +139,15 @@ def pose(
     rendered = look.rendered(at, light)
     begins = density_fitted and shape.log_density is None and density.model == "smooth"
     if begins and light.membrane:
-        found = look.found(voxels, rendered)
-        inside = look.rendered(at, replace(light, membrane=0.0)) if light.interior else None
-        ratio = level.brightness(at.vertices, rendered, found, imaging.effects, inside)
         smoother = Preconditioner(shape.mesh, level.smoothing)
-        at = replace(at, density=density.estimate(ratio, smoother))
+        at = look.with_density(voxels, at, light, rendered, smoother)
         rendered = look.rendered(at, light)
-    found = look.found(voxels, rendered)
+    found, views = look.found(voxels, rendered), list(held)
     if not held:
         voxels = look.completed(voxels, rendered, found)
+        if level.factor == 1 and density.model != "uniform" and shone.interior > 0:
+            voxels = look.evened(voxels, at, light, look.found(voxels, rendered))
         found = look.found(voxels, rendered)
-    views = list(held)
-    read = level.factor == 1 and density.model != "uniform" and shone.interior > 0
-    if read and not held:
-        voxels = look.evened(voxels, at, light, found)
-        found = look.found(voxels, rendered)
-    if not held:
         views = [look.view(voxels, rendered, found, tempered)]
         if second is not None:
             views.append(look.second_view(second, at, light, tempered))
@@ -282,6 +275,21 @@ class _Look:
         given = residual, index, level.grid.shape, tuple(widths)
         variance = tempered_variance(*given, alone)
         return View(voxels, variance, alone / variance, optics)
+
+    def with_density(
+        self,
+        voxels: Voxels,
+        at: Variables,
+        light: Light,
+        rendered: Tensor,
+        smoother: Preconditioner,
+    ) -> Variables:
+        """With the brightness of the image where the surface lies."""
+        found = self.found(voxels, rendered)
+        inside = self.rendered(at, replace(light, membrane=0.0)) if light.interior else None
+        given = at.vertices, rendered, found, self.imaging.effects, inside
+        ratio = self.level.brightness(*given)
+        return replace(at, density=self.density.estimate(ratio, smoother))
 
     def evened(self, voxels: Voxels, at: Variables, light: Light, found: Match) -> Voxels:
         """With insides as even as they are modelled, where the image says that they are not."""
