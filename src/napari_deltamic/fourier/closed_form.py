@@ -8,6 +8,7 @@ functions and autograd, ``torch.compile`` and device dispatch follow.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -134,40 +135,13 @@ def _mesh_ft_backward(
         function(
             *_arrays(vertices, faces, density),
             _double(wavevectors),
-            _out(
-                grad.to(torch.complex64 if single else torch.complex128).resolve_conj().contiguous()
-            ),
+            _incoming(grad, single),
             gv.numpy(),
             gd.numpy(),
             threads(),
             simd_level(),
         )
     return gv.to(vertices.dtype), gd.to(density.dtype)
-
-
-@_mesh_ft_backward.register_fake
-def _(
-    grad: Tensor,
-    vertices: Tensor,
-    faces: Tensor,
-    density: Tensor,
-    wavevectors: Tensor,
-    single: bool,
-) -> tuple[Tensor, Tensor]:
-    return torch.empty_like(vertices), torch.empty_like(density)
-
-
-def _save_mesh_ft(ctx, inputs, output) -> None:  # type: ignore[no-untyped-def]
-    ctx.save_for_backward(*inputs[:4])
-    ctx.single = inputs[4]
-
-
-def _grad_mesh_ft(ctx, grad):  # type: ignore[no-untyped-def]
-    gv, gd = _mesh_ft_backward(grad, *ctx.saved_tensors, ctx.single)
-    return gv, None, gd, None, None
-
-
-_mesh_ft.register_autograd(_grad_mesh_ft, setup_context=_save_mesh_ft)
 
 
 # ---------------------------------------------------------------------------------- a regular band
@@ -238,7 +212,7 @@ def _band_ft_backward(
         *_arrays(vertices, faces, density),
         *_rows(rows),
         list(spacing),
-        _out(grad.to(torch.complex64 if single else torch.complex128).resolve_conj().contiguous()),
+        _incoming(grad, single),
         gv.numpy(),
         gd.numpy(),
         threads(),
@@ -247,30 +221,31 @@ def _band_ft_backward(
     return gv.to(vertices.dtype), gd.to(density.dtype)
 
 
-@_band_ft_backward.register_fake
-def _(
-    grad: Tensor,
-    vertices: Tensor,
-    faces: Tensor,
-    density: Tensor,
-    rows: Tensor,
-    spacing: Sequence[float],
-    single: bool,
-) -> tuple[Tensor, Tensor]:
-    return torch.empty_like(vertices), torch.empty_like(density)
+# ------------------------------------------------------------------------------------ gradients
 
 
-def _save_band_ft(ctx, inputs, output) -> None:  # type: ignore[no-untyped-def]
-    ctx.save_for_backward(*inputs[:4])
-    ctx.spacing, ctx.single = inputs[4], inputs[5]
+def _differentiable(forward: Any, backward: Any) -> None:
+    """Registers a backward, and what it gives where only shapes are asked for."""
+
+    def save(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
+        ctx.save_for_backward(*inputs[:4])
+        ctx.rest = inputs[4:]
+
+    def gradients(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
+        by_vertices, by_density = backward(grad, *ctx.saved_tensors, *ctx.rest)
+        return by_vertices, None, by_density, None, *(None for _ in ctx.rest)
+
+    def shapes(
+        grad: Tensor, vertices: Tensor, faces: Tensor, density: Tensor, *rest: Any
+    ) -> tuple[Tensor, Tensor]:
+        return torch.empty_like(vertices), torch.empty_like(density)
+
+    forward.register_autograd(gradients, setup_context=save)
+    backward.register_fake(shapes)
 
 
-def _grad_band_ft(ctx, grad):  # type: ignore[no-untyped-def]
-    gv, gd = _band_ft_backward(grad, *ctx.saved_tensors, ctx.spacing, ctx.single)
-    return gv, None, gd, None, None, None
-
-
-band_ft.register_autograd(_grad_band_ft, setup_context=_save_band_ft)
+_differentiable(_mesh_ft, _mesh_ft_backward)
+_differentiable(band_ft, _band_ft_backward)
 
 
 # ------------------------------------------------------------------------------ to and from numpy
@@ -288,6 +263,11 @@ def _arrays(
 
 def _out(t: Tensor) -> np.ndarray:
     return torch.view_as_real(t.detach()).numpy()
+
+
+def _incoming(grad: Tensor, single: bool) -> np.ndarray:
+    kind = torch.complex64 if single else torch.complex128
+    return _out(grad.to(kind).resolve_conj().contiguous())
 
 
 def _rows(rows: Tensor) -> tuple[np.ndarray, np.ndarray]:
