@@ -141,8 +141,7 @@ def test_the_file_says_which_channels_there_are(widget, viewer, pixels, from_fil
     choose(widget, "2 of 2, membrane")
     assert widget.doc.image.layer.name == "both, channel 2, membrane"
     np.testing.assert_array_equal(widget.doc.image.stack(), pixels)
-    if "T" not in axes:
-        assert widget.image.voxel_size.value() == pytest.approx(SIZE)
+    assert widget.image.voxel_size.value() == pytest.approx(SIZE)
 
 
 def command_of(widget, spin):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import tifffile
 from napari.layers._source import layer_source
 
 from napari_deltamic.gui import fit_widget
@@ -45,6 +46,26 @@ def test_the_view_stays_when_the_voxel_size_is_typed(unscaled):
     after = seen(viewer, layer)
     assert after[0] == before[0] == 6
     np.testing.assert_allclose(after[1], before[1], atol=1e-4)
+
+
+@pytest.fixture
+def movie(tmp_path, pixels):
+    """The file of a series that notes its voxel size, as an image of ImageJ; and its voxels."""
+    path, frames = tmp_path / "movie.tif", np.stack([pixels, pixels + 1])
+    resolution = (1 / SIZE[2], 1 / SIZE[1])
+    metadata = {"axes": "TZYX", "spacing": SIZE[0], "unit": "um"}
+    tifffile.imwrite(path, frames, imagej=True, resolution=resolution, metadata=metadata)
+    return str(path), frames
+
+
+def test_a_series_has_the_voxel_size_of_its_file(app, viewer, movie):
+    path, frames = movie
+    with layer_source(path=path):
+        layer = viewer.add_image(frames, scale=(5, 1, 1, 1), name="movie")
+    widget = fit_widget.FitWidget(viewer)
+    assert tuple(layer.scale) == pytest.approx((5, *SIZE))
+    assert widget.image.voxel_size.value() == pytest.approx(SIZE)
+    widget.close_links()
 
 
 def test_the_view_stays_when_the_size_is_read(app, viewer, pixels, tmp_path):

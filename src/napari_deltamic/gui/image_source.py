@@ -5,7 +5,6 @@ from __future__ import annotations
 import weakref
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,18 +12,16 @@ from napari.layers import Shapes
 from numpy.typing import ArrayLike, NDArray
 from psygnal import Signal
 
-from ..common.choices import TIFF
 from ..common.triple import Triple, triple
 from ..errors import InputError
 from ..fitting.job import SIGMA_IN_VOXELS
-from ..images.stacks import read_voxel_size
 from ..scene.effects import ViewEffect, kind_of
 from .layer_channels import (
-    READ_AGAIN,
     Choice,
     channel_layer,
     file_of,
     is_one_channel,
+    noted_size,
     origin_of,
     why_unusable,
 )
@@ -230,22 +227,13 @@ class ImageSource(LayerChoice):
 
     def _take_size_of_file(self, layer: Any) -> None:
         """The voxel size that a TIFF file notes, where the layer has none."""
-        path, channel = asked = origin_of(layer)
-        unscaled = np.allclose(layer.scale, 1) and um_per_unit(layer) is None
-        if not path or not unscaled or asked in self._asked:
-            return
-        self._asked.add(asked)
-        file = Path(path)
-        if file.suffix.lower() not in TIFF or not file.is_file():
-            return
-        if file.stat().st_size > READ_AGAIN:
-            return
-        try:
-            size = read_voxel_size(file, channel)
-        except InputError:
-            return  # napari could read it, so it is an image all the same; its size stays unknown
-        if size is not None and layer.ndim == 3:
-            rescale(self._viewer, layer, size)
+        asked = origin_of(layer)
+        unscaled = np.allclose(layer.scale[-3:], 1) and um_per_unit(layer) is None
+        if unscaled and asked not in self._asked:
+            self._asked.add(asked)
+            size = noted_size(layer)
+            if size is not None:
+                rescale(self._viewer, layer, (*layer.scale[:-3], *size))
 
     def _listen_to(self, layer: Any) -> None:
         if self._scaled is not None:

@@ -15,7 +15,7 @@ from ..common.choices import IMAGE_FILES, TIFF
 from ..errors import InputError
 from ..images.channels import channel_axis, listed_channels
 from ..images.stacks import stored_shape
-from ..images.stored import Stored, naming, open_stored
+from ..images.stored import Stored, VoxelSize, naming, open_stored
 from .viewing.frame import OWN, data_of, is_stack, made_by_fit
 
 _FILE = "file"  # under OWN: path and channel of a layer that was made of another
@@ -149,6 +149,17 @@ def channels_of_file(layer: Any, largest: float = READ_AGAIN) -> Stored | None:
     if stored is None or stored.shape != tuple(data_of(layer).shape):
         return None
     return None if channel_axis(stored) is None else stored
+
+
+def noted_size(layer: Any) -> VoxelSize | None:
+    """um, Z Y X: the voxel size that the TIFF file of a layer notes; None where it notes none."""
+    path = Path(origin_of(layer)[0])
+    stored = _opened(path) if path.suffix.lower() in TIFF else None
+    if stored is None:
+        return None
+    # Planes over time have no size along Z.
+    planes = stored.axes.replace("C", "").replace("S", "")[-3:]
+    return None if "T" in planes else stored.voxel_size
 
 
 def _opened(file: Path, largest: float = READ_AGAIN) -> Stored | None:
