@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.fitting import Change
+from napari_deltamic.fitting import Change, pending
 from napari_deltamic.scene.effects import Effects
 
 from .conftest import SIZE
@@ -31,6 +31,23 @@ def test_the_psf_is_taken_over(begun, spin):
     begun.settings.sigma._boxes[0].setValue(0.5)
     spin(lambda: begun.doc.run.state.optics.sigma_um[0] == pytest.approx(0.5))
     spin(lambda: any(now.startswith("0.5 ") for _, _, now in begun.running.numbers.texts()))
+
+
+def test_a_psf_that_is_refused_holds_up_nothing_else_and_is_tried_again(begun, spin, monkeypatch):
+    said = []
+    begun.doc.noted.connect(said.append)
+    sigma = begun.doc.run.state.optics.sigma_um[0]
+    begun.settings.sigma._boxes[0].setValue(100)
+    assert "standard deviation of 100 um" in said[-1]
+    begun.settings.fit_psf.setChecked(True)
+    assert "standard deviation of 100 um" in said[-1]  # it is shown still
+    spin(lambda: begun.doc.run.job.settings.fit.fit_psf)
+    assert begun.doc.run.state.optics.sigma_um[0] == pytest.approx(sigma, rel=0.5)
+    begun.settings.fit_psf.setChecked(False)
+    spin(lambda: not begun.doc.run.job.settings.fit.fit_psf)
+    monkeypatch.setattr(pending, "check_psf", lambda optics, grid: None)
+    begun.doc.settings_changed.emit()
+    spin(lambda: begun.doc.run.state.optics.sigma_um[0] == pytest.approx(100))
 
 
 def test_effects_are_taken_over_and_taken_back(begun, spin):

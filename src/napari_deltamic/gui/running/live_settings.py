@@ -102,20 +102,20 @@ class LiveSettings(QObject):
         if "accuracy" in changed:
             changed["accuracy"] = settings.accuracy.number()  # also where the noise decides
         words = [_words(name, value) for name, value in changed.items()]
-        optics = self._other_optics(scene) if psf != self._psf else None
-        if optics is not None:
-            words.append(f"PSF {settings.optics.summary()}")
-        self._psf = psf
         effects = None
         if shown != self._effects:
             effects = self._with_found(shown)
             words.append("effects " + (", ".join(shown.names) or "none").replace("_", " "))
         if words:
             after = self._fit.model_copy(update=changed)
-            change = Change(settings=after if changed else None, optics=optics, effects=effects)
+            change = Change(settings=after if changed else None, effects=effects)
             self._edits.change(change, ", ".join(words))
-            self._fit, self._shown = after, fit
-            self._effects = shown
+            self._fit, self._shown, self._effects = after, fit, shown
+        if psf != self._psf:
+            optics = self._other_optics(scene)
+            if optics is not None:
+                self._edits.change(Change(optics=optics), f"PSF {settings.optics.summary()}")
+            self._psf = psf  # one that was refused is shown still, and told again
 
     def _other_optics(self, scene: SceneSettings) -> Optics | None:
         """The PSF shown; None where the fit cannot take it, which is told."""
