@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from napari_deltamic.errors import InputError
+from napari_deltamic.evidence import put_together
 from napari_deltamic.geometry.labels.bright_cells import CellsFound
-from napari_deltamic.gui import document
 from napari_deltamic.gui.results import session
 from napari_deltamic.gui.seeding import find_cells_button
 from napari_deltamic.gui.settings import effects_panel
@@ -137,7 +137,7 @@ def test_a_fit_of_a_region_that_fails_leaves_the_result_where_it_was(seeded, spi
 
     seeded.doc.image.take_region(((0, 20), (2, 23), (2, 24)))
     with monkeypatch.context() as patch:
-        patch.setattr(document, "assemble", fail)
+        patch.setattr(put_together, "assemble", fail)
         seeded.start()
         spin(lambda: not seeded.doc.run.running)
     assert "nothing can be made of this" in seeded.running.verdict.text()

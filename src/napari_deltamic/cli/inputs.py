@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +13,9 @@ from numpy.typing import NDArray
 from ..common.choices import AUTO
 from ..common.description import described
 from ..errors import InputError
-from ..evidence.first_sigma import with_first_psf as first_psf
-from ..evidence.tilted_ground import with_ground
+from ..evidence.put_together import put_together, start_of
 from ..fitting.checks import check_image
-from ..fitting.job import SIGMA_IN_VOXELS, FitInput, assemble, levelled
+from ..fitting.job import SIGMA_IN_VOXELS, FitInput
 from ..geometry import Mesh
 from ..images.missing import finite_or_nan
 from ..images.padding import without_padding
@@ -45,30 +45,26 @@ def gather(arguments: argparse.Namespace, notes: Notes) -> FitInput:
         notes.add(f"{Path(settings.image).name}: {padded}")
     grid = Grid(image.shape, settings.scene.voxel_size, settings.scene.origin)
     check_image(image, grid)
-    if arguments.effects in (None, AUTO) and not arguments.settings:
-        scene, uneven = with_ground(settings.scene, image)
+    ground = arguments.effects in (None, AUTO) and not arguments.settings
+    return fit_of(settings, image, grid, notes, ground=ground)
+
+
+def fit_of(
+    settings: RunSettings, image: NDArray[Any], grid: Grid, notes: Notes, *, ground: bool
+) -> FitInput:
+    """A fit of an image, with notes on what was left open; see ``put_together``."""
+
+    def tell(scene: SceneSettings, uneven: str, told: bool) -> None:
         if uneven:
             notes.add(f"{uneven}; --effects none would not")
-            settings = settings.model_copy(update={"scene": scene})
-    level = levelled(image, grid, settings.scene.effects)
-    if settings.scene.sigma is None and settings.scene.optics is None:
-        settings = with_first_psf(settings, level, notes)
-    mesh, kind = load_seeds(settings.seeds, level, grid)
-    return assemble(settings, image, grid, mesh, kind)
+        if settings.scene.sigma is None and settings.scene.optics is None:
+            how = "as wide as the blur of the image" if told else f"{SIGMA_IN_VOXELS} voxels"
+            held = "used; --fit-psf would fit it"
+            use = "where the fit of the PSF starts" if settings.fit.fit_psf else held
+            notes.add(f"no sigma given: {_shown(scene.sigma)} um (Z Y X), {how}, is {use}")
 
-
-_Run = TypeVar("_Run", bound=RunSettings)
-
-
-def with_first_psf(settings: _Run, image: NDArray[Any], notes: Notes) -> _Run:
-    """Settings with a PSF as wide as the blur of the image; 1.2 voxels where it does not tell."""
-    scene, told = first_psf(settings.scene, image)
-    assert scene.sigma is not None
-    how = "as wide as the blur of the image" if told else f"{SIGMA_IN_VOXELS} voxels"
-    held = "used; --fit-psf would fit it"
-    use = "where the fit of the PSF starts" if settings.fit.fit_psf else held
-    notes.add(f"no sigma given: {_shown(scene.sigma)} um (Z Y X), {how}, is {use}")
-    return settings.model_copy(update={"scene": scene})
+    start = partial(load_seeds, settings.seeds)
+    return put_together(settings, image, grid, start, tell=tell, ground=ground)
 
 
 def load_seeds(path: str, image: NDArray[Any], grid: Grid) -> tuple[Mesh, SeedKind]:
@@ -81,7 +77,7 @@ def load_seeds(path: str, image: NDArray[Any], grid: Grid) -> tuple[Mesh, SeedKi
     """
     seeds = seeds_of(path)
     try:
-        return seeds.make(image, grid), seeds.kind
+        return start_of(seeds, image, grid)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..common.writing import own_folder, written_together
 from ..errors import PROGRAM, InputError, failure
-from ..fitting.job import FitInput, assemble
+from ..fitting.job import FitInput
 from ..images.missing import finite_or_nan
 from ..images.padding import without_padding
 from ..images.series import ImageSeries, open_series
@@ -32,7 +32,7 @@ from ..scene import Grid
 from ..tracking import FrameResult, track
 from .arguments.track_arguments import track_values
 from .folders import check_folder
-from .inputs import CHANNEL, load_seeds, run_values, voxel_size_of, with_first_psf
+from .inputs import CHANNEL, fit_of, run_values, voxel_size_of
 from .messages import INTERRUPTED, Bar, Notes, tell
 
 _PRECIOUS = (*FILES, mesh_name(0))
@@ -56,12 +56,16 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
 class _Job:
     """What is tracked; ``first`` is the fit of the first frame."""
 
-    settings: TrackRun
     images: ImageSeries
     first: FitInput
-    shared_ground: bool
     done: list[FrameResult]
     missing_nan: bool
+
+    @property
+    def settings(self) -> TrackRun:
+        """Of the whole."""
+        assert isinstance(self.first.settings, TrackRun)
+        return self.first.settings
 
     @property
     def frames(self) -> range:
@@ -89,13 +93,9 @@ def _gather(arguments: argparse.Namespace, notes: Notes) -> _Job:
     shape = images.shape[1:]
     grid = Grid((shape[0], shape[1], shape[2]), settings.scene.voxel_size, settings.scene.origin)
     image = _seeded(images, first, arguments.missing_nan, notes)
-    if settings.scene.sigma is None and settings.scene.optics is None:
-        settings = with_first_psf(settings, image, notes)
-    mesh, kind = load_seeds(settings.seeds, image, grid)
-    job = assemble(settings, image, grid, mesh, kind)
+    job = fit_of(settings, image, grid, notes, ground=False)
     done = read_results(arguments.resume) if arguments.resume is not None else []
-    whole = settings.model_copy(update={"fit": job.settings.fit})
-    return _Job(whole, images, job, kind == "image", done, arguments.missing_nan)
+    return _Job(images, job, done, arguments.missing_nan)
 
 
 def _seeded(
@@ -179,7 +179,7 @@ class _Run:
             first.settings.fit,
             tracking=job.settings.track,
             effects=job.settings.scene.effects,
-            shared_ground=job.shared_ground,
+            shared_ground=first.kind == "image",
             done=job.done,
         )
         with Bar(

@@ -15,12 +15,11 @@ from psygnal import Signal
 
 from ..accuracy.experience import Learned
 from ..errors import DoubtWarning
-from ..evidence.first_sigma import with_first_psf
+from ..evidence.put_together import put_together, start_of
 from ..evidence.sanity import tell_doubts
-from ..evidence.tilted_ground import with_ground
 from ..fitting import FitState
 from ..fitting.checks import check_image
-from ..fitting.job import FitInput, assemble, levelled
+from ..fitting.job import FitInput
 from ..results.report import History
 from ..results.timeline import Moment, Timeline
 from ..runs.seeds import Seeds
@@ -179,14 +178,8 @@ class Document:
         def prepare() -> FitInput:
             pixels = read()
             check_image(pixels, grid)  # which takes a while where the image is large
-            scene, uneven = with_ground(settings.scene, pixels)
-            if uneven:
-                warnings.warn(uneven, DoubtWarning, stacklevel=2)
-            level = levelled(pixels, grid, scene.effects)
-            scene, _ = with_first_psf(scene, level)
-            whole = settings.model_copy(update={"scene": scene})
-            start = seeds.make(level, grid)
-            job = assemble(whole, pixels, grid, start, seeds.kind, second)
+            start, tell = partial(start_of, seeds), _tell_ground
+            job = put_together(settings, pixels, grid, start, tell=tell, second=second)
             tell_doubts(job)
             return job
 
@@ -354,3 +347,8 @@ class Document:
         if record is not None and record is not self._of_run:
             record.link.close()
             del self.records[event.value]
+
+
+def _tell_ground(scene: SceneSettings, uneven: str, told: bool) -> None:
+    if uneven:
+        warnings.warn(uneven, DoubtWarning, stacklevel=2)

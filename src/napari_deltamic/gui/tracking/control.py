@@ -9,11 +9,11 @@ from typing import Any
 from qtpy.QtCore import QObject
 
 from ...errors import InputError
-from ...evidence.first_sigma import with_first_psf
-from ...fitting.job import FitInput, assemble, optics_of
+from ...evidence.put_together import put_together, start_of
+from ...fitting.job import FitInput, optics_of
 from ...results.session_file import SavedTracks
 from ...results.track_report import write_frame, write_tracks
-from ...runs.seeds import Seeds
+from ...runs.seeds import SeedKind, Seeds
 from ...runs.settings import validated
 from ...runs.track_run import TrackRun
 from ...scene import Grid
@@ -241,15 +241,13 @@ def _reopened(tracks: SavedTracks, frame: Frame, frames: Frames) -> TrackJob | N
     settings = tracks.settings
     image = frames[settings.track.first]
     optics = optics_of(settings.scene)
-    first = FitInput(settings, image, frame.grid(image.shape), mesh, optics, None)
-    return TrackJob(first, frames, settings, tracks.shared_ground)
+    kind: SeedKind = "image" if tracks.shared_ground else "rough"
+    first = FitInput(settings, image, frame.grid(image.shape), mesh, optics, None, kind=kind)
+    return TrackJob(first, frames)
 
 
 def _prepared(settings: TrackRun, frames: Frames, grid: Grid, seeds: Seeds) -> TrackJob:
     """The job, put together in the thread."""
     pixels = frames[settings.track.first]
-    scene, _ = with_first_psf(settings.scene, pixels)
-    settings = settings.model_copy(update={"scene": scene})
-    first = assemble(settings, pixels, grid, seeds.make(pixels, grid), seeds.kind)
-    whole = settings.model_copy(update={"fit": first.settings.fit})
-    return TrackJob(first, frames, whole, seeds.kind == "image")
+    job = put_together(settings, pixels, grid, partial(start_of, seeds), ground=False)
+    return TrackJob(job, frames)

@@ -36,12 +36,21 @@ class Frames:
 
 @dataclass(frozen=True)
 class TrackJob:
-    """What is tracked: the fit of the first frame, all frames, and settings of the whole."""
+    """What is tracked: the fit of the first frame, and all frames."""
 
     first: FitInput
     frames: Frames
-    settings: TrackRun
-    shared_ground: bool
+
+    @property
+    def settings(self) -> TrackRun:
+        """Of the whole."""
+        assert isinstance(self.first.settings, TrackRun)
+        return self.first.settings
+
+    @property
+    def shared_ground(self) -> bool:
+        """Whether cells without a seed of their own would attract the others."""
+        return self.first.kind == "image"
 
 
 class TrackWork(Task):
