@@ -91,7 +91,7 @@ def measure(name: str, of: Any, chosen: dict[str, str]) -> dict[str, Any]:
         viewer.layers["seeds"].add(places)
         _wait(lambda: widget.seeds.preview.mesh is not None)  # as a user sees it
     if "accuracy" in chosen:
-        widget.settings.accuracy.show_choice(chosen["accuracy"])
+        widget.doc.settings.show_accuracy(chosen["accuracy"])
     if "density" in chosen:
         widget.settings.density.setCurrentText(chosen["density"])
     _wait(lambda: not widget.settings.forecast.background.busy, 1.0)

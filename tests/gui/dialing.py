@@ -1,4 +1,8 @@
-"""What the tests of the accuracy dial share."""
+"""What the tests of the accuracy dial, and of other settings, share."""
+
+from napari_deltamic.runs.settings import SceneSettings
+
+from .conftest import SIZE
 
 
 def settled(widget):
@@ -8,3 +12,10 @@ def settled(widget):
 
 def running(widget):
     return widget.doc.run is not None and widget.doc.run.running
+
+
+def show_psf(doc, optics=None, sigma=None):
+    """Choose a PSF, as a session does."""
+    effects = doc.settings.effects
+    scene = SceneSettings(voxel_size=SIZE, sigma=sigma, optics=optics, effects=effects)
+    doc.settings.show_scene(scene)

@@ -2,6 +2,8 @@
 
 from napari_deltamic.results.cell_columns import COLUMNS, FIRST
 
+from .dialing import show_psf
+
 AT_ONCE = [k for k, column in enumerate(COLUMNS) if column.key in FIRST[:4]]
 
 
@@ -14,7 +16,7 @@ def fitted(widget, spin):
     widget.settings.accuracy.setCurrentText("3e-3")
     widget.settings.fit_psf.setChecked(True)
     widget.settings.density.setCurrentText("smooth")
-    widget.settings.sigma.set_value((0.4, 0.25, 0.23))
+    show_psf(widget.doc, sigma=(0.4, 0.25, 0.23))
     widget.settings.max_iterations.setValue(12)
     widget.start()
     spin(done(widget))
@@ -36,8 +38,8 @@ def shown(widget):
     """What the panels say."""
     running, seeds = widget.running, widget.seeds
     return {
-        "fit": widget.settings.fit_settings(),
-        "scene": widget.settings.scene_settings(),
+        "fit": widget.doc.settings.fit_settings(),
+        "scene": widget.doc.settings.scene_settings(),
         "start as": seeds.shape.currentText(),
         "radius": seeds.radius.value(),
         "cells": cells(widget),

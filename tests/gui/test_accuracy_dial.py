@@ -62,8 +62,8 @@ def test_a_name_stands_for_a_number_on_this_image(seeded, pixels, spin):
     for name in PRESETS:
         number = preset_accuracy(name, image_noise(pixels))
         dial.setCurrentText(name)
-        assert dial.number() == number
-        assert seeded.settings.fit_settings().accuracy == (None if name == "normal" else number)
+        assert seeded.doc.settings.number() == number
+        assert seeded.doc.settings.fit_settings().accuracy == (None if name == "normal" else number)
         spin(settled(seeded))
         shown = seeded.settings.accuracy_number.text()
         assert accuracy_of(shown, 0) == number
@@ -71,7 +71,7 @@ def test_a_name_stands_for_a_number_on_this_image(seeded, pixels, spin):
 
 def test_a_number_is_taken_as_it_is(seeded, spin):
     seeded.settings.accuracy.setCurrentText("2,5e-3")
-    assert seeded.settings.fit_settings().accuracy == 2.5e-3
+    assert seeded.doc.settings.fit_settings().accuracy == 2.5e-3
     spin(settled(seeded))
     assert seeded.settings.accuracy_number.text() == ""
 
@@ -80,7 +80,7 @@ def test_what_is_no_accuracy_is_said(seeded, spin):
     for text in ("much", "", "1", "-1e-3", "nan", "inf"):
         seeded.settings.accuracy.setCurrentText(text)
         with pytest.raises(InputError, match="accuracy"):
-            seeded.settings.fit_settings()
+            seeded.doc.settings.fit_settings()
         spin(settled(seeded))
         assert seeded.settings.outlook.text().startswith("accuracy must be quick, normal")
         with pytest.raises(ValueError, match="accuracy"):
@@ -111,7 +111,7 @@ def test_typing_adds_nothing_to_the_list(seeded):
     dial.lineEdit().setText("4e-3")
     dial.lineEdit().returnPressed.emit()
     assert dial.count() == 4
-    assert dial.choice == "4e-3"
+    assert seeded.doc.settings.accuracy == "4e-3"
 
 
 # ------------------------------------------------------------------------- before a run
@@ -313,15 +313,15 @@ def test_a_change_of_the_dial_is_forecast_anew(seeded, spin, endless, monkeypatc
     spin(went_on(seeded))
     dial = seeded.settings.accuracy
     dial.setCurrentText("careful")
-    seeded.doc.settings_changed.emit()
+    seeded.doc.settings.changed.emit(True)
     spin(lambda: len(jobs) == 2)
-    assert jobs[1].settings.fit.accuracy == dial.number()
+    assert jobs[1].settings.fit.accuracy == seeded.doc.settings.number()
     spin(lambda: isinstance(seeded.doc.run.forecast, RenewedForecast))
     assert seeded.doc.run.forecast.iterations >= 3
     dial.setCurrentText("normal")
-    seeded.doc.settings_changed.emit()
+    seeded.doc.settings.changed.emit(True)
     spin(lambda: len(jobs) == 3)
-    assert jobs[2].settings.fit.accuracy == dial.number(), "not what it had before"
+    assert jobs[2].settings.fit.accuracy == seeded.doc.settings.number(), "not what it had before"
 
 
 def test_a_renewed_forecast_goes_by_the_time_since():
@@ -343,30 +343,30 @@ def test_a_renewed_forecast_goes_by_the_time_since():
 def test_a_session_keeps_the_name(seeded, make_widget, spin):
     seeded.settings.accuracy.setCurrentText("quick")
     session, _ = capture(seeded.parts)
-    number = seeded.settings.accuracy.number()
+    number = seeded.doc.settings.number()
     assert session.settings.fit.accuracy == number
     other = make_widget()
     list(restore(other.parts, session))
-    assert other.settings.accuracy.choice == "quick"
-    assert other.settings.fit_settings() == session.settings.fit
+    assert other.doc.settings.accuracy == "quick"
+    assert other.doc.settings.fit_settings() == session.settings.fit
     # An earlier version kept the number alone.
     fit = session.settings.fit.model_copy(update={"shape_error": "normal"})
     settings = session.settings.model_copy(update={"fit": fit})
     list(restore(other.parts, replace(session, panels={}, settings=settings)))
-    assert other.settings.accuracy.choice == written(number)
+    assert other.doc.settings.accuracy == written(number)
 
 
 def test_a_length_is_taken_for_the_shape(seeded):
     dial = seeded.settings.accuracy
     dial.setCurrentText("20 nm")
-    found = seeded.settings.fit_settings()
+    found = seeded.doc.settings.fit_settings()
     assert (found.accuracy, found.shape_error) == (None, "20nm")
     dial.setCurrentText("quick")
-    assert seeded.settings.fit_settings().shape_error == "quick"
-    seeded.settings.show_settings(found)
-    assert dial.choice == "20nm"
+    assert seeded.doc.settings.fit_settings().shape_error == "quick"
+    seeded.doc.settings.show_fit(found)
+    assert dial.currentText() == "20nm"
     dial.setCurrentText("3e-3")
-    assert seeded.settings.fit_settings().shape_error == "normal"
+    assert seeded.doc.settings.fit_settings().shape_error == "normal"
 
 
 def test_the_command_names_a_number(seeded, pixels):
@@ -382,10 +382,10 @@ def test_the_command_names_a_number(seeded, pixels):
 
 def test_another_image_has_another_noise(seeded, with_image, pixels, spin):
     spin(settled(seeded))
-    dial = seeded.settings.accuracy
-    dial.setCurrentText("quick")
+    seeded.settings.accuracy.setCurrentText("quick")
     smooth = np.full(SHAPE, 100, np.float32) + np.arange(SHAPE[2], dtype=np.float32)
-    before = dial.number()
+    before = seeded.doc.settings.number()
     layer = with_image.add_image(smooth, scale=SIZE, name="smooth")
     seeded.doc.image.choose(layer)
-    assert dial.number() == preset_accuracy("quick", image_noise(smooth)) != before
+    number = preset_accuracy("quick", image_noise(smooth))
+    assert seeded.doc.settings.number() == number != before

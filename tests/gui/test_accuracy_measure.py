@@ -100,9 +100,10 @@ def test_a_click_sets_the_dial(measuring, spin):
     gate.release(6)
     spin(lambda: not view.button.busy)
     edited = []
-    widget.doc.settings_changed.connect(lambda: edited.append(dial.choice))
+    settings = widget.doc.settings
+    settings.changed.connect(lambda: edited.append(settings.accuracy))
     view.list.itemClicked.emit(view.list.item(2))
-    assert dial.choice == "1e-3"
+    assert dial.currentText() == "1e-3"
     assert edited == ["1e-3"]
     assert view.list.item(2).font().bold()
 

@@ -11,6 +11,8 @@ from napari_deltamic.errors import InputError
 from napari_deltamic.gui.document import Document
 from napari_deltamic.gui.seeding.cell_source import seeds_from_layer
 from napari_deltamic.gui.work import Task, Work
+from napari_deltamic.runs.settings import FitSettings
+from napari_deltamic.scene.effects import Effects
 
 from .conftest import CENTER, SHAPE, SIZE
 from .seeding import PLACE
@@ -51,6 +53,26 @@ def test_a_region_needs_a_rectangle_and_a_few_voxels(doc, with_image):
     with pytest.raises(InputError, match="voxels wide"):
         doc.image.take_region(doc.image.drawn_box())
     assert doc.image.box is None
+
+
+def test_what_is_chosen_of_a_fit_needs_no_panel(doc, with_image):
+    chosen, news = doc.settings, []
+    chosen.changed.connect(news.append)
+    fit = FitSettings(max_iterations=7, accuracy=1e-3)
+    chosen.show_fit(fit)
+    chosen.show_effects(Effects.of("attenuation"))
+    assert (chosen.fit_settings(), chosen.accuracy) == (fit, "1e-3")
+    assert chosen.scene_settings().effects.names == ("attenuation",)
+    assert chosen.psf_is_open
+    assert not any(news), "nothing of it was edited"
+    chosen.edit_fit({"levels": (1.0, 2.0)})
+    chosen.edit_sigma((0.5, 0.3, 0.3))
+    assert news[-2:] == [True, True]
+    with pytest.raises(InputError, match="levels must decrease"):
+        chosen.fit_settings()
+    scale = np.multiply(SIZE, 2)
+    doc.image.choose(with_image.add_image(np.zeros(SHAPE), scale=scale, name="other"))
+    assert chosen.scene_settings().sigma == (0.5, 0.3, 0.3), "the user knows"
 
 
 def test_another_image_has_no_region(doc, with_image, pixels):

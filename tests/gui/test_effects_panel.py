@@ -68,7 +68,7 @@ def row_of(panel, name):
 def test_nothing_is_ticked_before_the_user_does(panel):
     assert panel.summary() == "none; check this image"
     panel.show_found(recommendation(HALO, FADING))
-    assert panel.effects() == Effects()
+    assert panel._choice.effects == Effects()
     assert panel.summary() == "none; dimmer with depth recommended"
     row = row_of(panel, "attenuation")
     assert row == {"correction": "dimmer with depth", "how": "12.3", "shift": "85", "slower": "3.2"}
@@ -78,14 +78,14 @@ def test_nothing_is_ticked_before_the_user_does(panel):
 
 def test_a_recommendation_is_accepted_with_its_numbers(panel):
     told = []
-    panel.changed.connect(lambda: told.append(panel.effects()))
+    panel._choice.changed.connect(lambda: told.append(panel._choice.effects))
     panel.show_found(recommendation(FADING))
     panel.take_button.click()
     assert told == [Effects.of(Attenuation(per_um=0.3))]
     assert panel.summary() == "dimmer with depth"
     assert panel.take_button.isHidden()
     panel.table.tick("attenuation", False)
-    assert panel.effects() == Effects()
+    assert panel._choice.effects == Effects()
     assert not panel.take_button.isHidden()
 
 
@@ -99,14 +99,14 @@ def test_the_reason_of_a_row_can_be_read(panel):
 def test_effects_that_contradict_each_other_are_refused(panel):
     panel.table.tick("attenuation")
     panel.table.tick("bleaching")
-    assert panel.effects().names == ("attenuation",)
+    assert panel._choice.effects.names == ("attenuation",)
     assert "no image tells" in panel.reason.text()
 
 
 def test_effects_without_a_row_get_one(panel):
-    panel.show_effects(Effects.of("camera"))
+    panel._choice.show_effects(Effects.of("camera"))
     assert "camera" in panel.table.names()
-    assert panel.effects().names == ("camera",)
+    assert panel._choice.effects.names == ("camera",)
 
 
 def test_the_image_and_its_seeds_are_asked_in_the_background(seeded, spin, asked):
@@ -122,7 +122,7 @@ def test_the_image_and_its_seeds_are_asked_in_the_background(seeded, spin, asked
     assert view.found.recommended == ("attenuation",)
     assert seeded.settings.effects_fold.title == "Corrections: none; dimmer with depth recommended"
     assert calls[0].iteration == 5
-    assert seeded.settings.scene_settings().effects == Effects()
+    assert seeded.doc.settings.scene_settings().effects == Effects()
     seeded.settings.sigma._boxes[0].setValue(0.9)
     assert "check again" in view.progress.text()
 
@@ -172,7 +172,7 @@ def test_an_accepted_effect_goes_into_the_fit_that_runs(seeded, spin, endless):
     spin(lambda: seeded.doc.run.state is not None and seeded.doc.link.mesh is not None)
     view = seeded.settings.effects
     assert not view.button.isEnabled()
-    view.show_effects(Effects())
+    seeded.doc.settings.show_effects(Effects())
     view.found = recommendation(FADING)
     view.take_recommended()
     spin(lambda: seeded.doc.run.state.effects.names == ("attenuation",))

@@ -48,10 +48,10 @@ def test_what_is_shown_stays_exact_until_it_is_edited(make_widget):
         remesh=False,
         max_iterations=2_000_000,
     )
-    widget.settings.show_settings(odd)
-    assert widget.settings.fit_settings() == odd
+    widget.doc.settings.show_fit(odd)
+    assert widget.doc.settings.fit_settings() == odd
     fields_of(widget)["bending"].setValue(6)
-    assert widget.settings.fit_settings() == odd.model_copy(update={"bending": 6.0})
+    assert widget.doc.settings.fit_settings() == odd.model_copy(update={"bending": 6.0})
 
 
 def test_numbers_are_typed_as_one_writes_them(make_widget):
@@ -59,15 +59,15 @@ def test_numbers_are_typed_as_one_writes_them(make_widget):
     levels = fields_of(widget)["levels"]
     levels.setText("4, 2 1")
     levels.editingFinished.emit()
-    assert widget.settings.fit_settings().levels == (4, 2, 1)
+    assert widget.doc.settings.fit_settings().levels == (4, 2, 1)
     levels.setText("")
     levels.editingFinished.emit()
-    assert widget.settings.fit_settings().levels is None
+    assert widget.doc.settings.fit_settings().levels is None
     for wrong in ("1 2", "much"):
         levels.setText(wrong)
         levels.editingFinished.emit()
         with pytest.raises(InputError, match="levels"):
-            widget.settings.fit_settings()
+            widget.doc.settings.fit_settings()
 
 
 def test_a_number_that_may_be_open_is_open_at_zero(app):

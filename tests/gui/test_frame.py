@@ -151,15 +151,16 @@ def test_contours_between_tall_voxels_are_drawn(viewer):
 
 
 def test_effects_and_switches_reach_the_settings(make_widget):
-    panel = make_widget().settings
-    assert panel.scene_settings().effects.names == ()
+    widget = make_widget()
+    panel, chosen = widget.settings, widget.doc.settings
+    assert chosen.scene_settings().effects.names == ()
     panel.effects.table.tick("pixel_integration")
     panel.fields["collisions"].setChecked(True)
     panel.fields["remesh"].setChecked(False)
-    assert panel.scene_settings().effects.names == ("pixel_integration",)
-    assert (panel.fit_settings().collisions, panel.fit_settings().remesh) == (True, False)
-    panel.effects.show_effects(Effects())
-    assert panel.scene_settings().effects.names == ()
+    assert chosen.scene_settings().effects.names == ("pixel_integration",)
+    assert (chosen.fit_settings().collisions, chosen.fit_settings().remesh) == (True, False)
+    chosen.show_effects(Effects())
+    assert chosen.scene_settings().effects.names == ()
 
 
 def screen_width(contours, viewer):

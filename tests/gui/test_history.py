@@ -79,7 +79,7 @@ def test_undo_and_redo(ended):
 
 
 def test_undo_of_settings_shows_them_again(begun, spin):
-    before = begun.settings.fit_settings().density
+    before = begun.doc.settings.fit_settings().density
     begun.settings.density.setCurrentText("smooth")
     spin(lambda: begun.doc.run.job.settings.fit.density == "smooth")
     begun.running.history.undo_button.click()

@@ -46,14 +46,14 @@ def test_a_psf_that_is_refused_holds_up_nothing_else_and_is_tried_again(begun, s
     begun.settings.fit_psf.setChecked(False)
     spin(lambda: not begun.doc.run.job.settings.fit.fit_psf)
     monkeypatch.setattr(pending, "check_psf", lambda optics, grid: None)
-    begun.doc.settings_changed.emit()
+    begun.doc.settings.changed.emit(True)
     spin(lambda: begun.doc.run.state.optics.sigma_um[0] == pytest.approx(100))
 
 
 def test_effects_are_taken_over_and_taken_back(begun, spin):
     panel = begun.settings
-    panel.effects.show_effects(Effects.of("attenuation"))
-    begun.doc.settings_changed.emit()
+    begun.doc.settings.show_effects(Effects.of("attenuation"))
+    begun.doc.settings.changed.emit(True)
     spin(lambda: begun.doc.run.state.effects.names == ("attenuation",))
     spin(lambda: "effects attenuation" in " ".join(notes(begun)))
     panel.effects.table.tick("pixel_integration")
@@ -63,7 +63,7 @@ def test_effects_are_taken_over_and_taken_back(begun, spin):
     for left in (("attenuation",), ()):
         begun.edits.undo()
         spin(lambda left=left: begun.doc.run.state.effects.names == left)
-        assert panel.scene_settings().effects.names == left
+        assert begun.doc.settings.scene_settings().effects.names == left
 
 
 def test_what_cannot_be_used_is_told_and_the_fit_goes_on(begun, spin):
@@ -129,7 +129,7 @@ def test_a_fit_goes_on_though_the_panels_show_what_cannot_be_used(ended, with_im
     history.slider.setValue(0)
     history.go_on_button.click()
     spin(went_on(ended))
-    ended.doc.settings_changed.emit()
+    ended.doc.settings.changed.emit(True)
     assert "mirrored" in ended.running.note.text()
     with_image.layers["cell"].scale = SIZE
     ended.settings.fit_psf.setChecked(True)

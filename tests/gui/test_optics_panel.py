@@ -15,17 +15,23 @@ from napari_deltamic.runs.optics_settings import MicroscopeOptics, optics_from_v
 from napari_deltamic.runs.settings import SceneSettings
 
 from .conftest import SIZE
+from .dialing import show_psf
 
 WATER = {"kind": "microscope", "na": 0.8, "wavelength": 0.6, "immersion": "water"}
 
 
 @pytest.fixture
-def panel(app, with_image):
+def doc(app, with_image):
     doc = Document(with_image)
+    yield doc
+    doc.close()
+
+
+@pytest.fixture
+def panel(doc):
     panel = OpticsPanel(doc)
     panel.objective.show_settings(optics_from_values(WATER))
-    yield panel
-    doc.close()
+    return panel
 
 
 @pytest.fixture
@@ -81,20 +87,20 @@ def test_an_error_is_told_in_words(panel, spin, field, value, says):
     assert panel.trouble.text() == ""
 
 
-def test_a_bead_in_a_file_is_the_psf(panel, spin, bead):
+def test_a_bead_in_a_file_is_the_psf(doc, panel, spin, bead):
     panel.kind.setCurrentText(MEASURED)
     with pytest.raises(nd.InputError, match="choose the image of a bead"):
-        panel.settings()
+        doc.settings.scene_settings()
     panel.measured.take_file(str(bead))
     spin(lambda: not panel.background.busy)
-    assert panel.settings().build().sigma_um == pytest.approx((0.3, 0.2, 0.2), rel=0.1)
+    assert doc.settings.psf.build().sigma_um == pytest.approx((0.3, 0.2, 0.2), rel=0.1)
     assert "measured, 0.3" in panel.summary()
     panel.measured.diameter.setValue(200)
     with pytest.raises(nd.InputError, match=r"did you mean 0\.2"):
-        panel.settings()
+        doc.settings.scene_settings()
 
 
-def test_settings_come_back_as_they_were_shown(panel):
+def test_settings_come_back_as_they_were_shown(doc, panel):
     for settings in (
         optics_from_values({**WATER, "modality": "confocal", "pinhole": 1.2, "excitation": 0.55}),
         optics_from_values({**WATER, "modality": "light sheet", "sheet": 3.0}),
@@ -104,8 +110,9 @@ def test_settings_come_back_as_they_were_shown(panel):
         ),
         None,
     ):
-        panel.show_settings(settings)
-        shown = panel.settings()
+        show_psf(doc, settings)
+        doc.settings.edit_psf(panel._settings)
+        shown = doc.settings.psf
         if isinstance(settings, MicroscopeOptics):
             assert shown.build().described() == settings.build().described()
         else:
@@ -138,7 +145,7 @@ def test_settings_follow_a_psf_that_was_fitted():
 
 
 def test_a_fit_with_the_psf_of_an_objective_shows_its_numbers(seeded, spin):
-    seeded.settings.optics.show_settings(optics_from_values({**WATER, "na": 0.6}))
+    show_psf(seeded.doc, optics_from_values({**WATER, "na": 0.6}))
     seeded.settings.fit_psf.setChecked(True)
     seeded.settings.max_iterations.setValue(8)
     seeded.start()
@@ -174,7 +181,7 @@ def test_another_kind_of_psf_is_for_the_next_run(seeded, spin, endless):
 
 
 def test_numbers_of_an_objective_go_into_a_fit_that_runs(seeded, spin, endless):
-    seeded.settings.optics.show_settings(optics_from_values(WATER))
+    show_psf(seeded.doc, optics_from_values(WATER))
     seeded.start()
     spin(lambda: seeded.doc.run.state is not None and seeded.doc.link.mesh is not None)
     seeded.settings.optics.objective.numbers["na"].setValue(0.9)
@@ -182,4 +189,4 @@ def test_numbers_of_an_objective_go_into_a_fit_that_runs(seeded, spin, endless):
     assert seeded.doc.run.job.settings.scene.optics.na == 0.9
     seeded.edits.undo()
     spin(lambda: float(seeded.doc.run.state.optics.values["na"]) == 0.8)
-    assert seeded.settings.scene_settings().optics.na == pytest.approx(0.8)
+    assert seeded.doc.settings.scene_settings().optics.na == pytest.approx(0.8)

@@ -91,7 +91,7 @@ def test_recommendations_are_of_their_image(seeded, spin, other, monkeypatch):
     monkeypatch.setattr(
         effects_panel, "recommend_for", lambda *a, **k: recommendation(FADING, HALO)
     )
-    seeded.settings.show_settings(FitSettings(max_iterations=2))
+    seeded.doc.settings.show_fit(FitSettings(max_iterations=2))
     seeded.settings.effects.button.start()
     spin(lambda: not seeded.settings.effects.button.busy)
     view = seeded.settings.effects

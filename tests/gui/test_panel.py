@@ -122,7 +122,7 @@ def test_without_an_image_no_width_is_made_up(app, viewer, spin):
     viewer.add_image(np.zeros((4, 8, 8)), scale=(0.5, 0.2, 0.2), units=("um",) * 3)
     assert widget.settings.psf_line.text() == told
     assert widget.doc.settings.scene_settings().sigma == pytest.approx((0.6, 0.24, 0.24))
-    assert widget.settings.psf_is_open
+    assert widget.doc.settings.psf_is_open
     widget.settings.sigma._boxes[0].setValue(0.7)
     told = "PSF: Gaussian 0.70 (z), 0.24 (yx) µm, then fitted with the shapes"
     assert widget.settings.psf_line.text() == told

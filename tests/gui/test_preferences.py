@@ -79,12 +79,12 @@ def test_a_new_widget_is_set_as_preferred(make_widget, monkeypatch, told):
         lambda: (Preferences(**chosen), "a remark"),
     )
     widget = make_widget()
-    assert widget.settings.fit_settings() == chosen["fit"].model_copy(update={"accuracy": 3e-4})
-    assert widget.settings.accuracy.choice == "3e-4"
+    assert widget.doc.settings.fit_settings() == chosen["fit"].model_copy(update={"accuracy": 3e-4})
+    assert widget.doc.settings.accuracy == "3e-4"
     assert widget.doc.view == "rendered"
     assert not widget.seeds.preview.isChecked()
     assert widget.doc.work.interval == 0.25
-    scene = widget.settings.scene_settings()
+    scene = widget.doc.settings.scene_settings()
     assert scene.effects == Effects.of(Attenuation(per_um=0.2))
     assert (scene.optics.modality, scene.optics.na) == ("widefield", 0.8)
     assert told == ["a remark"]

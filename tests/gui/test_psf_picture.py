@@ -7,6 +7,8 @@ from napari_deltamic.gui.settings import optics_panel
 from napari_deltamic.gui.settings.optics_panel import OBJECTIVE
 from napari_deltamic.optics import GaussianPSF
 
+from .dialing import show_psf
+
 
 @pytest.fixture
 def counted(monkeypatch):
@@ -41,7 +43,7 @@ def extent(section):
 
 def test_nothing_is_computed_while_the_panel_is_folded(seeded, spin, counted):
     seeded.show()
-    seeded.settings.optics.sigma.set_value((0.5, 0.3, 0.2))
+    show_psf(seeded.doc, sigma=(0.5, 0.3, 0.2))
     spin(seconds=0.5, must=False)
     assert counted == []
     assert picture(seeded).sections is None
@@ -49,7 +51,7 @@ def test_nothing_is_computed_while_the_panel_is_folded(seeded, spin, counted):
 
 def test_the_numbers_shown_are_drawn(open_panel, spin):
     spin(lambda: picture(open_panel).sections is not None)
-    open_panel.settings.optics.show_sigma((0.8, 0.2, 0.2))
+    show_psf(open_panel.doc, sigma=(0.8, 0.2, 0.2))
     spin(lambda: picture(open_panel).sections.side == pytest.approx(5.6))
     tall, wide = extent(picture(open_panel).sections.xz)
     assert tall == pytest.approx(4 * wide, rel=0.4)
@@ -60,7 +62,7 @@ def test_the_numbers_shown_are_drawn(open_panel, spin):
 
 def test_many_changes_are_few_pictures(open_panel, spin, counted):
     for k in range(30):
-        open_panel.settings.optics.show_sigma((0.4 + 0.01 * k, 0.2, 0.2))
+        show_psf(open_panel.doc, sigma=(0.4 + 0.01 * k, 0.2, 0.2))
         spin(seconds=0.01, must=False)
     spin(lambda: not picture(open_panel).busy)
     assert 1 <= len(counted) <= 4

@@ -15,21 +15,22 @@ from napari_deltamic.runs.optics_settings import MeasuredOptics, optics_from_val
 from napari_deltamic.scene.effects import Attenuation, Effects
 
 from .conftest import CENTER
+from .dialing import show_psf
 from .interacting import went_on
 from .sessions import done, fitted, save, shown
 
 
 def test_psf_and_effects_come_back_with_what_was_fitted(seeded, spin, tmp_path, told, reopened):
     chosen = {"kind": "microscope", "na": 0.6, "wavelength": 0.6, "immersion": "water"}
-    seeded.settings.optics.show_settings(optics_from_values(chosen))
-    seeded.settings.effects.show_effects(Effects.of(Attenuation(per_um=0.01)))
+    show_psf(seeded.doc, optics_from_values(chosen))
+    seeded.doc.settings.show_effects(Effects.of(Attenuation(per_um=0.01)))
     seeded.settings.fit_psf.setChecked(True)
     seeded.settings.max_iterations.setValue(70)
     seeded.start()
     spin(done(seeded), seconds=60)
     save(seeded, tmp_path / "a.deltamic", spin)
     _, after = reopened(tmp_path / "a.deltamic")
-    assert after.settings.scene_settings() == seeded.settings.scene_settings()
+    assert after.doc.settings.scene_settings() == seeded.doc.settings.scene_settings()
     one, other = seeded.doc.result.state, after.doc.result.state
     values = [p.value for p in one.optics.described()]
     assert [p.value for p in other.optics.described()] == pytest.approx(values, rel=1e-12)
@@ -43,7 +44,7 @@ def test_a_session_holds_the_image_of_its_bead(seeded, spin, tmp_path, told, reo
     bead = np.exp(-0.5 * (z[:, None, None] ** 2 / 9 + y[:, None] ** 2 / 4 + x**2 / 4))
     path = tmp_path / "bead.tif"
     write_image(path, (50 + 900 * bead).astype(np.float32), (0.1, 0.1, 0.1))
-    seeded.settings.optics.show_settings(MeasuredOptics(file=str(path)))
+    show_psf(seeded.doc, MeasuredOptics(file=str(path)))
     seeded.settings.max_iterations.setValue(3)
     seeded.start()
     spin(done(seeded), seconds=60)
@@ -52,7 +53,9 @@ def test_a_session_holds_the_image_of_its_bead(seeded, spin, tmp_path, told, reo
     path.unlink()
     _, after = reopened(tmp_path / "a.deltamic")
     assert after.doc.result.state.optics.sigma_um == pytest.approx(before.sigma_um)
-    assert after.settings.scene_settings().optics.build().sigma_um == pytest.approx(before.sigma_um)
+    assert after.doc.settings.scene_settings().optics.build().sigma_um == pytest.approx(
+        before.sigma_um
+    )
 
 
 def test_a_reopened_session_is_the_same(seeded, with_image, spin, tmp_path, told, reopened):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from typing import Any, Literal, Protocol, get_args
+from typing import Any, Literal, get_args
 
 from psygnal import Signal
 
@@ -23,7 +23,8 @@ from ..fitting.job import FitInput
 from ..results.report import History
 from ..results.timeline import Moment, Timeline
 from ..runs.seeds import Seeds
-from ..runs.settings import FitSettings, RunSettings, SceneSettings
+from ..runs.settings import RunSettings, SceneSettings
+from .fit_choice import FitChoice
 from .image_source import ImageSource, SecondSource
 from .record import Present, Record
 from .seeding.cell_source import CellSource
@@ -36,38 +37,10 @@ View = Literal["image", "rendered", "residual", "side by side"]
 VIEWS: tuple[View, ...] = get_args(View)
 
 
-class FitChoice(Protocol):
-    """Gives what of a fit is chosen, and shows it; InputError names what cannot be used."""
-
-    optics: Any
-    effects: Any
-    accuracy: Any
-
-    @property
-    def psf_is_open(self) -> bool:
-        """Whether nobody has said what the PSF is: the image is to tell it when a fit starts."""
-
-    def fit_settings(self) -> FitSettings:
-        """Those of the fit."""
-
-    def other_settings(self) -> FitSettings:
-        """The same without the accuracy."""
-
-    def scene_settings(self) -> SceneSettings:
-        """Voxel size of the image chosen, PSF and effects."""
-
-    def show_settings(self, settings: FitSettings) -> None:
-        """Show those of a fit."""
-
-    def show_scene(self, scene: SceneSettings) -> None:
-        """Show a PSF and effects, which belong to the image chosen."""
-
-
 class Document:
     """One for each window of the plugin."""
 
     cells_changed = Signal()  # those chosen, or what they hold
-    settings_changed = Signal()  # by the user
     began = Signal(bool)  # the first state of a fit is there; whether it has another mesh
     shown = Signal(object)  # a Snapshot of the fit under way
     ended = Signal()  # a fit has ended
@@ -85,13 +58,12 @@ class Document:
     meshes_came = Signal()  # those of a fit: what would cover them is to be hidden
     clicks_wanted = Signal(object)  # at places, um in the image's frame
 
-    settings: FitChoice
-
     def __init__(self, viewer: Any) -> None:
         self.viewer = viewer
         self.image = ImageSource(viewer)
         self.cells = CellSource(viewer, self.image)
         self.second = SecondSource(viewer, self.image)
+        self.settings = FitChoice(self.image, self.second)
         self.work = Work()
         self.work.remarked.connect(self.warned.emit)
         self.run: Any = None  # the last FitRun
@@ -248,10 +220,6 @@ class Document:
         self.began.emit(True)
         self.ended.emit()
 
-    def take_settings(self, settings: FitChoice) -> None:
-        """Who knows what of a fit is chosen."""
-        self.settings = settings
-
     def look_back(self, earlier: bool) -> None:
         """Whether an earlier moment of a fit is looked at."""
         self.earlier = earlier
@@ -316,8 +284,7 @@ class Document:
             source.close_links()
         self._last, self.run, self._of_run = [], None, None
         self.records.clear()
-        vars(self).pop("settings", None)
-        for signals in (self, self.image, self.cells, self.second, self.work):
+        for signals in (self, self.image, self.cells, self.second, self.settings, self.work):
             for name in dir(type(signals)):
                 if isinstance(getattr(type(signals), name), Signal):
                     getattr(signals, name).disconnect()

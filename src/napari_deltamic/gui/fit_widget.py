@@ -81,7 +81,7 @@ class FitWidget(QWidget):
         doc.at_end(chooses.close_links)
         self._lay_out()
         preferences, remark = read_preferences()
-        preferences.show(doc, self.seeds.preview)
+        preferences.show(doc, self.settings.optics, self.seeds.preview)
         if remark:
             doc.warned.emit(remark)
 

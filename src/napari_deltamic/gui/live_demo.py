@@ -42,9 +42,8 @@ def open_demo(
         visible=False,
     )
     widget.doc.cells.choose(seeds)
-    assert settings.scene.sigma is not None
-    widget.settings.show_sigma(settings.scene.sigma)
-    widget.settings.show_settings(settings.fit)
+    widget.doc.settings.show_scene(settings.scene)
+    widget.doc.settings.show_fit(settings.fit)
     viewer.dims.ndisplay = 3
     viewer.reset_view()
     getattr(viewer, "scene", viewer).camera.angles = (15, 25, 65)

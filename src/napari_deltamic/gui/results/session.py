@@ -61,7 +61,7 @@ def capture(parts: Parts) -> tuple[Session, str]:
             "seeds": _seeds_shown(parts.seeds),
             "shown": {"view": doc.view},
             "view": _view(dims),
-            "accuracy": doc.settings.accuracy.choice,
+            "accuracy": doc.settings.accuracy,
             "result_time": doc.link.time if result and doc.link else [],
         },
         second=_second(doc, frame, result[1] if result else None),
@@ -89,7 +89,7 @@ def restore(parts: Parts, session: Session) -> Generator[None]:
     yield
     if _left(doc, image):
         return
-    doc.settings.show_settings(session.settings.fit)
+    doc.settings.show_fit(session.settings.fit)
     doc.settings.show_scene(session.settings.scene)
     _show_second(doc, session, second)
     _show_accuracy(doc, session.panels.get("accuracy"))
@@ -245,7 +245,7 @@ def _show_seeds(seeds: Any, shown: dict[str, Any]) -> None:
 def _show_accuracy(doc: Document, choice: Any) -> None:
     """Of an accuracy, the name by which it was chosen."""
     try:
-        doc.settings.accuracy.show_choice(usable_choice(choice))
+        doc.settings.show_accuracy(usable_choice(choice))
     except ValueError:
         return  # an earlier session, which has none: the number is shown
 

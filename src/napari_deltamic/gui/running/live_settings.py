@@ -33,11 +33,10 @@ class LiveSettings(QObject):
         self._psf = ""  # that was chosen then
         self._scene: dict[str, Any] = {}
         self._effects = Effects()  # those that were chosen then
-        self._quiet = False
         doc.work.changed.connect(self._started)
         doc.began.connect(self._began)
         edits.settings_undone.connect(self._undone)
-        doc.settings_changed.connect(self._edited)
+        doc.settings.changed.connect(self._edited)
         doc.image.changed.connect(self._image_changed)
 
     def _started(self) -> None:
@@ -45,13 +44,13 @@ class LiveSettings(QObject):
             return
         settings, self._run = self._doc.settings, id(self._doc.run)
         self._fit, self._shown = None, settings.fit_settings()
-        self._psf = settings.optics.key()
+        self._psf = settings.psf_key()
         try:
             scene = settings.scene_settings()
         except InputError:
             # A fit that goes on from the history has its own image and second view, whatever has
             # become of those in the panels.
-            self._scene, self._effects = {}, settings.effects.own
+            self._scene, self._effects = {}, settings.effects
         else:
             self._scene, self._effects = _scene(scene), scene.effects
 
@@ -59,14 +58,14 @@ class LiveSettings(QObject):
         present = self._doc.present()
         if present is not None:
             self._fit = present.job.settings.fit
-        self._edited()  # what was edited while the seeds were prepared
+        self._edited(True)  # what was edited while the seeds were prepared
 
     @property
     def _running(self) -> bool:
-        return self._doc.running and self._fit is not None and not self._quiet
+        return self._doc.running and self._fit is not None
 
-    def _edited(self) -> None:
-        if self._running:
+    def _edited(self, by_user: bool) -> None:
+        if by_user and self._running:
             try:
                 self._hand_over()
                 self._tell_fixed()
@@ -76,7 +75,7 @@ class LiveSettings(QObject):
     def _image_changed(self) -> None:
         if self._running:
             # A PSF that is only guessed follows the voxel size, but not in a fit.
-            self._psf = self._doc.settings.optics.key()
+            self._psf = self._doc.settings.psf_key()
             link, chosen = self._doc.link, self._doc.image.layer
             try:
                 if link is None or chosen is link.image_layer:
@@ -89,7 +88,7 @@ class LiveSettings(QObject):
 
     def _hand_over(self) -> None:
         settings = self._doc.settings
-        fit, scene, psf = settings.fit_settings(), settings.scene_settings(), settings.optics.key()
+        fit, scene, psf = settings.fit_settings(), settings.scene_settings(), settings.psf_key()
         # The fit has the image of its second view, or has none.
         shown = scene.effects.in_role(ViewEffect, self._effects.view)
         assert self._fit is not None
@@ -100,7 +99,7 @@ class LiveSettings(QObject):
             self._doc.noted.emit(f"{' and '.join(later)}: from the next run on")
         changed = {name: getattr(fit, name) for name in other if _FIT[name].live}
         if "accuracy" in changed:
-            changed["accuracy"] = settings.accuracy.number()  # also where the noise decides
+            changed["accuracy"] = settings.number()  # also where the noise decides
         words = [_words(name, value) for name, value in changed.items()]
         effects = None
         if shown != self._effects:
@@ -114,7 +113,7 @@ class LiveSettings(QObject):
         if psf != self._psf:
             optics = self._other_optics(scene)
             if optics is not None:
-                self._edits.change(Change(optics=optics), f"PSF {settings.optics.summary()}")
+                self._edits.change(Change(optics=optics), f"PSF {settings.psf_in_words()}")
             self._psf = psf  # one that was refused is shown still, and told again
 
     def _other_optics(self, scene: SceneSettings) -> Optics | None:
@@ -149,26 +148,22 @@ class LiveSettings(QObject):
             self._doc.noted.emit(f"{' and '.join(other)}: from the next run on")
 
     def _undone(self, back: Change) -> None:
-        self._quiet = True
         try:
             self._show(back)
         except InputError as error:  # of an image or a second view that have changed since
             self._doc.noted.emit(f"{error}; the panels do not show what was undone")
-        finally:
-            self._quiet = False
 
     def _show(self, back: Change) -> None:
-        panel = self._doc.settings
+        settings = self._doc.settings
         if back.settings is not None:
-            panel.show_settings(back.settings)
-            self._fit, self._shown = back.settings, panel.fit_settings()
+            settings.show_fit(back.settings)
+            self._fit, self._shown = back.settings, settings.fit_settings()
         if back.optics is not None:
-            scene = scene_with(panel.scene_settings(), back.optics)
-            panel.show_scene(scene.model_copy(update={"effects": panel.effects.effects()}))
-            self._psf = panel.optics.key()
+            settings.show_scene(scene_with(settings.scene_settings(), back.optics))
+            self._psf = settings.psf_key()
         if back.effects is not None:
-            panel.effects.show_effects(back.effects)
-            self._effects = panel.scene_settings().effects
+            settings.show_effects(back.effects)
+            self._effects = settings.scene_settings().effects
 
 
 def _scene(settings: SceneSettings) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from typing import Any
@@ -23,18 +22,14 @@ from ...fitting.default_accuracy import (
     Preset,
     accuracy_of,
     chosen,
-    image_noise,
-    is_length,
     relative,
-    written,
 )
 from ...geometry import Mesh
-from ...runs.fit_settings import SHAPE_CHOICES
 from ..document import Document
+from ..fit_choice import NORMAL
 from ..running.worker import FitRun, Snapshot
 from ..widgets import Signal, be_narrow
 
-NORMAL: Preset = "normal"
 WAIT = 300  # ms without a change before the forecast is computed
 _TIPS: dict[Preset, str] = {
     "quick": "Longer edges, images five times coarser than normal, an earlier end. The fastest, "
@@ -54,16 +49,10 @@ _TIP = (
 
 
 class AccuracyDial(QComboBox):
-    """Quick, normal, careful, exact, or a number that is typed in.
+    """Quick, normal, careful, exact, or a number that is typed in."""
 
-    Parameters
-    ----------
-    noise : the noise of the image chosen, see ``image_noise``. InputError where there is none.
-    """
-
-    def __init__(self, noise: Callable[[], float], parent: QWidget | None = None) -> None:
+    def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.noise = noise
         self.setEditable(True)
         self.setInsertPolicy(QComboBox.InsertPolicy.NoInsert)
         for k, name in enumerate(PRESETS):
@@ -73,39 +62,12 @@ class AccuracyDial(QComboBox):
         self.setToolTip(f"<qt>{_TIP}{rows}</qt>")
         be_narrow(self, 8)
         self.setMinimumWidth(104)  # napari's style asks for more, and the dock could not be narrow
-        self.show_choice(NORMAL)
-
-    @property
-    def choice(self) -> str:
-        """What is chosen: a name, or what was typed."""
-        return chosen(self.currentText())
-
-    def setting(self) -> float | None:
-        """The accuracy for the settings; None leaves it to the noise. InputError if it is none."""
-        return None if self.choice == NORMAL or is_length(self.choice) else self.number()
-
-    @property
-    def shape_error(self) -> str:
-        """What the choice says of the shape: numbers without a unit are of images alone."""
-        word = self.choice
-        known = word in SHAPE_CHOICES or is_length(word)
-        return word.replace(" ", "") if known else "normal"
-
-    def number(self) -> float:
-        """What the choice stands for on this image. InputError if nothing."""
-        choice = self.choice
-        return accuracy_of(choice, self.noise() if relative(choice) else 0.0)
-
-    def show_fit(self, accuracy: float | None, shape_error: str) -> None:
-        """Show what settings say of images and of the shape."""
-        if shape_error != "normal":
-            self.show_choice(shape_error)
-            return
-        self.show_choice(NORMAL if accuracy is None else written(accuracy))
+        self.setCurrentText(NORMAL)
 
     def show_choice(self, choice: str) -> None:
         """Show a name or a number."""
-        self.setCurrentText(chosen(choice))
+        if chosen(self.currentText()) != choice:
+            self.setCurrentText(choice)
 
 
 class AccuracyForecast(QObject):
@@ -115,15 +77,13 @@ class AccuracyForecast(QObject):
     predicts = Signal(str)
     last_run = Signal(str)  # how long it took
 
-    def __init__(
-        self, doc: Document, dial: AccuracyDial, noise: NoiseOf, parent: QObject | None = None
-    ) -> None:
+    def __init__(self, doc: Document, dial: AccuracyDial, parent: QObject | None = None) -> None:
         super().__init__(parent)
-        self._doc, self._dial = doc, dial
+        self._doc, self._choice = doc, doc.settings
         self._told: Forecast | None = None  # that of the run, as it is shown
-        self.noise = noise
+        self.noise = doc.settings.noise
         self.background = doc.background(self._fail)
-        for signal in (doc.image.changed, doc.cells_changed, doc.settings_changed):
+        for signal in (doc.image.changed, doc.cells_changed, doc.settings.changed):
             signal.connect(self.later)
         dial.currentTextChanged.connect(self.later)
         self._image: tuple[Any, ...] = ()  # the one that was chosen
@@ -150,7 +110,7 @@ class AccuracyForecast(QObject):
         if self._doc.running:
             return  # the fit has a forecast of its own
         try:
-            accuracy_of(self._dial.choice, 0.0)
+            accuracy_of(self._choice.accuracy, 0.0)
         except InputError as error:
             self.predicts.emit(str(error))
             return
@@ -175,7 +135,7 @@ class AccuracyForecast(QObject):
 
     def _show_number(self) -> None:
         """What the dial stands for, where that is known and something."""
-        choice, noise, number = self._dial.choice, self.noise.known, None
+        choice, noise, number = self._choice.accuracy, self.noise.known, None
         if noise is not None or not relative(choice):
             with suppress(InputError):
                 number = accuracy_of(choice, noise or 0.0)
@@ -223,39 +183,11 @@ def predicted(forecast: Forecast, guessed: bool = False) -> str:
     return f"takes {'about ' * guessed}{duration(forecast.seconds)}"
 
 
-class NoiseOf:
-    """The noise of the image chosen, measured once for each image and time."""
-
-    def __init__(self, doc: Document) -> None:
-        self._doc = doc
-        self._of: tuple[Any, ...] = ()
-        self._noise: float | None = None
-        self.held = False  # while a fit runs, that of its image counts
-
-    def __call__(self) -> float:
-        """The noise. InputError if there is no image."""
-        known = self.known
-        if known is None:
-            known = image_noise(self._doc.image.stack())
-            self.learn(self._doc.image.key(), known)
-        return known
-
-    @property
-    def known(self) -> float | None:
-        """The noise where it was measured, else None."""
-        return self._noise if self.held or self._of == self._doc.image.key() else None
-
-    def learn(self, key: tuple[Any, ...], noise: float) -> None:
-        """Take over what was measured elsewhere."""
-        if key and not self.held:
-            self._of, self._noise = key, noise
-
-
 def scene_key(doc: Document) -> tuple[Any, ...]:
     """The same as long as image, voxel size and PSF are."""
     layer = doc.image.layer
     size = None if layer is None else tuple(layer.scale)
-    return *doc.image.key(), size, doc.settings.optics.key()
+    return *doc.image.key(), size, doc.settings.psf_key()
 
 
 def scene_now(doc: Document) -> SceneNow:
@@ -263,7 +195,7 @@ def scene_now(doc: Document) -> SceneNow:
     image, frame = doc.image, doc.image.frame()
     seeds = doc.cells.seeds(frame, copied=False)
     return SceneNow(
-        choice=doc.settings.accuracy.choice,
+        choice=doc.settings.accuracy,
         image=image.unread(image.layer),
         grid=frame.grid(image.shape()),
         scene=doc.settings.scene_settings(),

@@ -46,7 +46,7 @@ class TradeoffView(QWidget):
         column(self.button, self.progress, self.list, of=self)
         self.list.hide()
         self.list.itemClicked.connect(self._clicked)
-        for signal in (doc.image.changed, doc.settings_changed):
+        for signal in (doc.image.changed, doc.settings.changed):
             signal.connect(self.look)
         self.button.began.connect(self._show)
         self.button.refused.connect(self.progress.say)

@@ -45,15 +45,14 @@ _STALE = "this was of another image or PSF: check again"
 
 
 class EffectsPanel(QWidget):
-    """Button, table and reasons; ``changed`` says that the user wants other effects."""
+    """Button, table and reasons."""
 
-    changed = Signal()
     described = Signal()  # :meth:`summary` may be another
 
     def __init__(self, doc: Document, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._doc = doc
-        self._effects = Effects()  # without the second view, which is chosen by its layer
+        self._doc, self._choice = doc, doc.settings
+        self._shown: Effects | None = None
         self._kept: Recommendation | None = None  # what was found, also of another image
         self.found: Recommendation | None = None
         self.button = TaskButton(doc.work, _TITLES, _TIP, self._question, self)
@@ -68,27 +67,12 @@ class EffectsPanel(QWidget):
         self.button.refused.connect(self.progress.say)
         self.table.ticked.connect(self._ticked)
         self.table.looked_at.connect(self._explain)
-        doc.second.edited.connect(self._second_edited)
-        for signal in (doc.image.changed, doc.settings_changed):
+        self._choice.changed.connect(self._show)
+        for signal in (doc.image.changed, self._choice.changed):
             signal.connect(self.look)
-        self._show_outcome()
+        self._show()
 
     # -------------------------------------------------------------------------------- effects
-
-    def effects(self) -> Effects:
-        """Those ticked, with their numbers, and the second view; InputError if that cannot be."""
-        return self._effects.in_role(ViewEffect, self._doc.second.view())
-
-    @property
-    def own(self) -> Effects:
-        """The effects ticked, without the second view."""
-        return self._effects
-
-    def show_effects(self, effects: Effects) -> None:
-        """Tick effects, without a signal; the second view, which is a layer, stays as it is."""
-        self._effects = effects.in_role(ViewEffect, None)
-        self.table.show_present(self._effects.names)
-        self._show_outcome()
 
     def take_recommended(self) -> None:
         """Tick what is recommended."""
@@ -98,7 +82,7 @@ class EffectsPanel(QWidget):
     def summary(self) -> str:
         """The present choice in a few words."""
         view = [kind_of(ViewEffect).name] if self._doc.second.layer else []
-        chosen = [*self._effects.names, *view]
+        chosen = [*self._choice.effects.names, *view]
         names = ", ".join(spoken(name) for name in chosen)
         more = self._open_recommendations()
         if more:
@@ -123,7 +107,7 @@ class EffectsPanel(QWidget):
         state, job = record.of_fit()
         # Only the end of a fit with this PSF and these effects needs no other one.
         before = job.settings.scene
-        if doc.settings.psf_is_open:  # the image has told it
+        if self._choice.psf_is_open:  # the image has told it
             scene = scene.model_copy(update={"sigma": before.sigma})
         same = (
             state.converged
@@ -187,7 +171,7 @@ class EffectsPanel(QWidget):
     def _open_recommendations(self) -> list[str]:
         """What is recommended and not ticked."""
         found = self.found.recommended if self.found is not None else ()
-        return [name for name in found if name not in self._effects.names]
+        return [name for name in found if name not in self._choice.effects.names]
 
     def _show_outcome(self) -> None:
         names = self._open_recommendations()
@@ -201,22 +185,23 @@ class EffectsPanel(QWidget):
             )
         self.described.emit()
 
-    def _second_edited(self) -> None:
-        self.described.emit()
-        self.changed.emit()
+    def _show(self, by_user: bool = False) -> None:
+        if self._choice.effects is not self._shown:
+            self._shown = self._choice.effects
+            self.table.show_present(self._shown.names)
+            self._show_outcome()
 
     def _ticked(self, name: str, on: bool) -> None:
         found = None if self.found is None else getattr(self.found.effects, name)
         try:
             added = (found or KINDS[name]()) if on else None
-            effects = self._effects.replace(**{name: added})
+            effects = self._choice.effects.replace(**{name: added})
         except (InputError, ValueError) as error:
             self.reason.say(f"{spoken(name)} cannot be added: {error}")
-            self.table.show_present(self._effects.names)
+            self.table.show_present(self._choice.effects.names)
             return
         self.reason.say("")
-        self.show_effects(effects)
-        self.changed.emit()
+        self._choice.edit_effects(effects)
 
     def _explain(self, name: str) -> None:
         if not name:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -22,6 +21,7 @@ from ...runs.optics_settings import MeasuredOptics, MicroscopeOptics
 from ...runs.settings import SceneSettings
 from ..document import Document
 from ..fields import TripleField, tip_of
+from ..fit_choice import widths_in_words
 from ..widgets import Note, Signal, column
 from .psf_fields import MeasuredFields, ObjectiveFields
 
@@ -39,16 +39,14 @@ _TIPS = {
 
 
 class OpticsPanel(QWidget):
-    """Kind of PSF and its numbers; ``changed`` comes from the user."""
+    """Kind of PSF and its numbers."""
 
-    changed = Signal()
     described = Signal()  # :meth:`summary` may be another
 
     def __init__(self, doc: Document, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._doc = doc
-        self._given: Any = None  # settings of a kind that has no fields here
-        self._width = ""
+        self._doc, self._choice = doc, doc.settings
+        self._key = self._width = ""
         self.kind = QComboBox(self)
         self.kind.addItems(list(_TIPS))
         tips = "<br>".join(f"<b>{name}</b>: {text}" for name, text in _TIPS.items())
@@ -69,75 +67,28 @@ class OpticsPanel(QWidget):
         column(top, *self._pages.values(), *rows, of=self)
         self.background = doc.background(self._complain)
         self.kind.currentTextChanged.connect(self._edited)
-        for fields in (self.objective, self.measured, self.sigma):
+        for fields in (self.objective, self.measured):
             fields.edited.connect(self._edited)
+        self.sigma.edited.connect(self._sigma_edited)
+        self._choice.changed.connect(self._show)
         doc.shown.connect(self._show_of_fit)
         for signal in (doc.image.changed, doc.result_changed, doc.ended):
             signal.connect(self._show_own_or_found)
-        self._show_page()
-        self._show_own()
+        self._show()
 
-    @property
-    def is_gaussian(self) -> bool:
-        """Whether the PSF is the Gaussian of :attr:`sigma`."""
-        return bool(self.kind.currentText() == GAUSSIAN)
-
-    def settings(self) -> Any:
-        """Settings of the PSF; None for the Gaussian of :attr:`sigma`. InputError names what is
-        missing."""
-        if self.is_gaussian:
-            return None
-        fields: Any = self._pages.get(self.kind.currentText())
-        return self._given if fields is None else fields.settings()
-
-    def show_settings(self, settings: Any) -> None:
-        """Show settings of a PSF, without a signal; None for a Gaussian of three widths."""
-        kind = GAUSSIAN if settings is None else _KINDS.get(type(settings), GIVEN)
-        with signals_blocked(self):
-            if self._given is not None:
-                self.kind.removeItem(self.kind.findText(GIVEN))
-            self._given = settings if kind == GIVEN else None
-            if kind == GIVEN:
-                self.kind.addItem(GIVEN)
-            elif settings is not None:
-                fields: Any = self._pages[kind]
-                fields.show_settings(settings)
-            self.kind.setCurrentText(kind)
-        self._renew()
-
-    def prefer(self, kind: str) -> None:
-        """Begin with a kind of PSF, without a signal."""
-        with signals_blocked(self):
-            self.kind.setCurrentText(kind)
-        self.described.emit()
+    def begin_with(self, objective: MicroscopeOptics, kind: str) -> None:
+        """Show the numbers of an objective, and choose a kind of PSF."""
+        self.objective.show_settings(objective)
+        self.kind.setCurrentText(kind)
 
     def summary(self) -> str:
         """The present choice in a few words."""
-        kind = self.kind.currentText()
-        if kind == GAUSSIAN:
-            return f"Gaussian {_triple(self.sigma.value())} µm"
-        if kind == OBJECTIVE:
-            fields = self.objective
-            name = f"{fields.modality.currentText()} NA {fields.numbers['na'].value():g}"
-        else:
-            name = "measured" if kind == MEASURED else str(self._given.kind)
+        if self._choice.psf is None:
+            return self._choice.psf_in_words()
+        unknown = isinstance(self._choice.psf, InputError)
+        name = self.kind.currentText() if unknown else self._choice.psf_in_words()
         more = "cannot be used" if self.trouble.text() else self._width
         return f"{name}, {more}" if more else name
-
-    def key(self) -> str:
-        """What is the same as long as the PSF is."""
-        try:
-            settings = self.settings()
-        except InputError as error:
-            return str(error)
-        return repr(self.sigma.value() if settings is None else settings)
-
-    def show_sigma(self, sigma: Sequence[float]) -> None:
-        """Show the widths of a Gaussian (um), without a signal."""
-        self.sigma.set_value(sigma)
-        if self.is_gaussian:
-            self._show_own()
-        self.described.emit()
 
     def _show_of_fit(self, snapshot: Any) -> None:
         self.picture.show_optics(snapshot.state.optics)
@@ -153,8 +104,38 @@ class OpticsPanel(QWidget):
     # ----------------------------------------------------------------------------------- inside
 
     def _edited(self, value: Any = None) -> None:
-        self._renew()
-        self.changed.emit()
+        self._choice.edit_psf(self._settings)
+
+    def _sigma_edited(self) -> None:
+        self._choice.edit_sigma(self.sigma.value())
+
+    def _settings(self) -> Any:
+        """Settings of the PSF; None for the Gaussian. InputError names what is missing."""
+        if self.kind.currentText() == GIVEN:
+            return self._choice.psf
+        fields: Any = self._pages[self.kind.currentText()]
+        return None if fields is self.sigma else fields.settings()
+
+    def _show(self, by_user: bool = False) -> None:
+        """Show what is chosen, and what follows from it where that is another PSF."""
+        if not by_user and not isinstance(self._choice.psf, InputError):
+            self._show_fields(self._choice.psf)
+        key = self._choice.psf_key()
+        if key != self._key:
+            self._key = key
+            self._renew()
+
+    def _show_fields(self, psf: Any) -> None:
+        kind = GAUSSIAN if psf is None else _KINDS.get(type(psf), GIVEN)
+        with signals_blocked(self.kind):
+            self.kind.removeItem(self.kind.findText(GIVEN))
+            if kind == GIVEN:
+                self.kind.addItem(GIVEN)
+            self.kind.setCurrentText(kind)
+        if kind in (OBJECTIVE, MEASURED):
+            fields: Any = self._pages[kind]
+            fields.show_settings(psf)
+        self.sigma.set_value(self._choice.sigma)
 
     def _renew(self) -> None:
         self._show_page()
@@ -166,8 +147,8 @@ class OpticsPanel(QWidget):
         self.described.emit()
 
     def _show_own(self) -> None:
-        if self.is_gaussian:
-            self.picture.show_optics(GaussianPSF(self.sigma.value()))
+        if self._choice.psf is None:
+            self.picture.show_optics(GaussianPSF(self._choice.sigma))
         else:
             self.background.soon(self._compute, _WAIT)
 
@@ -176,20 +157,18 @@ class OpticsPanel(QWidget):
             page.setVisible(kind == self.kind.currentText())
 
     def _compute(self) -> None:
-        try:
-            settings = self.settings()
-        except InputError as error:
-            self._complain(str(error))
-            return
-        if settings is not None:
-            self.background.ask(partial(_built, settings), self._show_width)
+        psf = self._choice.psf
+        if isinstance(psf, InputError):
+            self._complain(str(psf))
+        elif psf is not None:
+            self.background.ask(partial(_built, psf), self._show_width)
 
     def _show_width(self, optics: Any) -> None:
         sigma = optics.sigma_um
         self.picture.show_optics(optics)
         z, y, x = (1000 * s for s in sigma)
         across = f"{y:.0f} nm" if abs(y - x) < 0.5 else f"{y:.0f} and {x:.0f} nm"
-        self._width = f"{_triple(sigma)} µm"
+        self._width = f"{widths_in_words(sigma)} µm"
         self.width_note.say(
             f"as wide as a Gaussian of sigma {across} in the plane, {z:.0f} nm along z"
         )
@@ -207,12 +186,6 @@ def _built(settings: Any) -> Any:
     optics = settings.build()
     assert optics.sigma_um
     return optics
-
-
-def _triple(sigma: tuple[float, float, float]) -> str:
-    """Z / Y / X, one number where Y and X are the same."""
-    z, y, x = (f"{s:.2f}" if s >= 0.1 else f"{s:.3f}" for s in sigma)
-    return f"{z} (z), {y} (yx)" if y == x else f"{z} (z), {y} (y), {x} (x)"
 
 
 class PsfPicture(QLabel):

@@ -18,7 +18,7 @@ from ...runs.optics_settings import MicroscopeOptics
 from ...runs.settings import FitSettings
 from ...scene.effects import Effects
 from ..document import Document
-from .accuracy_forecast import NORMAL
+from ..fit_choice import NORMAL
 
 PLUGIN = "napari-deltamic"
 _FIT = ("fit_psf", "density")
@@ -67,14 +67,12 @@ class Preferences(BaseModel):
             sheet=2.0,
         )
 
-    def show(self, doc: Document, preview: Any) -> None:
-        """Set a new window."""
-        settings = doc.settings
-        settings.show_settings(self.fit)
-        settings.accuracy.show_choice(self.accuracy)
-        settings.effects.show_effects(Effects.from_text(self.effects))
-        settings.optics.objective.show_settings(self.objective)
-        settings.optics.prefer(self.psf)
+    def show(self, doc: Document, optics: Any, preview: Any) -> None:
+        """Set a new window, with its panels of the PSF and of the preview."""
+        doc.settings.show_fit(self.fit)
+        doc.settings.show_accuracy(self.accuracy)
+        doc.settings.show_effects(Effects.from_text(self.effects))
+        optics.begin_with(self.objective, self.psf)
         preview.prefer(self.preview_seeds)
         doc.look("rendered" if self.show_rendered else "image")
         doc.work.look_at_most(self.updates_per_second)

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import weakref
+from contextlib import suppress
 from typing import Any
 
 from qtpy.QtWidgets import QFormLayout, QGroupBox, QLabel, QToolButton, QVBoxLayout, QWidget
+from superqt.utils import signals_blocked
 
 from ...accuracy.accuracy_chart import short
 from ...common.description import described
-from ...fitting.default_accuracy import PRESETS
-from ...fitting.job import SIGMA_IN_VOXELS
-from ...runs.settings import FitSettings, SceneSettings, validated
+from ...errors import InputError
+from ...fitting.default_accuracy import PRESETS, written
+from ...runs.settings import FitSettings
 from ..document import Document
 from ..fields import Form
-from ..viewing.frame import voxel_size
 from ..widgets import Fold, Note, column, filled, row
-from .accuracy_forecast import AccuracyDial, AccuracyForecast, NoiseOf
+from .accuracy_forecast import AccuracyDial, AccuracyForecast
 from .accuracy_view import TradeoffView
 
 # Where else than among those for experts a setting is shown.
@@ -38,10 +38,7 @@ class SettingsPanel(QGroupBox):
         self, doc: Document, optics: Any, effects: Any, parent: QWidget | None = None
     ) -> None:
         super().__init__("3  Fit", parent)
-        self._doc, self._image = doc, doc.image
-        doc.take_settings(self)
-        self._sigma_given = False
-        self._shown_for: Any = None  # a weak reference to the image that came with its PSF
+        self._choice = doc.settings
         self.optics, self.effects = optics, effects
         self.sigma = self.optics.sigma
         experts = [name for name in described(FitSettings) if name not in _OWN]
@@ -49,89 +46,34 @@ class SettingsPanel(QGroupBox):
         self.fields = {name: field for form in self.forms for name, field in form.fields.items()}
         self.fit_psf, self.density = self.fields["fit_psf"], self.fields["density"]
         self.max_iterations = self.fields["max_iterations"]
-        noise = NoiseOf(doc)
-        self.accuracy = AccuracyDial(noise, self)
+        self.accuracy = AccuracyDial(self)
         self.accuracy_number = QLabel(self)  # what the dial stands for
         self.outlook, self.pace = Note(self), Note(self)  # predicted, and measured, times
         self.tradeoff = TradeoffView(doc, self)
         self.psf_button = QToolButton(self)
         self.advanced = self._lay_out()
-        self.show_settings(FitSettings())
+        self._show()
+        for form in self.forms:
+            form.edited.connect(self._edited)
         typed: Any = self.accuracy.lineEdit()
-        for signal in (
-            *(form.edited for form in self.forms),
-            self.effects.changed,
-            self.accuracy.activated,
-            typed.editingFinished,
-        ):
-            signal.connect(self._edited)
-        doc.image.changed.connect(self._guess_sigma)
-        self.sigma.edited.connect(self._sigma_given_by_user)
-        self.optics.changed.connect(self._edited)
+        for signal in (self.accuracy.activated, typed.editingFinished):
+            signal.connect(self._accuracy_edited)
+        self.accuracy.currentTextChanged.connect(self._choice.type_accuracy)
+        self._choice.changed.connect(self._show)
         for shown in (self._show_choices, self.effects.look, self.tradeoff.look):
             self.optics.described.connect(shown)
         self.effects.described.connect(self._show_choices)
-        self.fit_psf.toggled.connect(self._show_choices)
         self.psf_button.clicked.connect(self._show_psf)
         self.tradeoff.chosen.connect(self._take_accuracy)
-        self.forecast = AccuracyForecast(doc, self.accuracy, noise, self)
+        self.forecast = AccuracyForecast(doc, self.accuracy, self)
         self.forecast.predicts.connect(self.outlook.say)
         self.forecast.last_run.connect(self.pace.say)
         self.forecast.number_changed.connect(self._show_number)
-        self._guess_sigma()
-        self._show_choices()
 
     def estimate_all(self) -> None:
         """Let the fit find all that it can."""
         self.fit_psf.setChecked(True)
         self.density.setCurrentText("smooth")
-
-    def fit_settings(self) -> FitSettings:
-        """The settings shown. InputError names the field that is wrong."""
-        chosen = {"accuracy": self.accuracy.setting(), "shape_error": self.accuracy.shape_error}
-        return self.other_settings().model_copy(update=chosen)
-
-    def other_settings(self) -> FitSettings:
-        """The settings shown, without the accuracy."""
-        values = {name: value for form in self.forms for name, value in form.values().items()}
-        settings: FitSettings = validated(FitSettings, values)
-        return settings
-
-    def scene_settings(self) -> SceneSettings:
-        """Voxel size of the image chosen, PSF and effects."""
-        optics = self.optics.settings()
-        values = {
-            "voxel_size": self._image.frame().voxel_size,
-            "sigma": self.sigma.value() if optics is None else None,
-            "optics": optics,
-            "effects": self.effects.effects(),
-        }
-        settings: SceneSettings = validated(SceneSettings, values)
-        return settings
-
-    @property
-    def psf_is_open(self) -> bool:
-        """Whether nobody has said what the PSF is: the image is to tell it when a fit starts."""
-        return not self._sigma_given and self.optics.is_gaussian
-
-    def show_settings(self, settings: FitSettings) -> None:
-        for form in self.forms:
-            form.show_values(settings)
-        self.accuracy.show_fit(settings.accuracy, settings.shape_error)
-
-    def show_sigma(self, sigma: tuple[float, float, float]) -> None:
-        """Show PSF widths that are known, um."""
-        self._sigma_given = True
-        self.optics.show_sigma(sigma)
-
-    def show_scene(self, scene: SceneSettings) -> None:
-        """Show the PSF and the effects of settings, which belong to the image chosen."""
-        layer = self._image.layer
-        self._shown_for = None if layer is None else weakref.ref(layer)
-        self.optics.show_settings(scene.optics)
-        if scene.sigma is not None:
-            self.show_sigma(scene.sigma)
-        self.effects.show_effects(scene.effects)
 
     # ----------------------------------------------------------------------------------- inside
 
@@ -165,38 +107,39 @@ class SettingsPanel(QGroupBox):
         self.advanced.unfold()
         self.psf_fold.unfold()
 
-    def _show_choices(self, checked: bool = False) -> None:
+    def _show_choices(self) -> None:
         """What is chosen is told while its fields are folded away."""
         psf = self.optics.summary()
         fitted = ", then fitted with the shapes" if self.fit_psf.isChecked() else ""
-        if self.psf_is_open:
+        if self._choice.psf_is_open:
             psf = "as wide as the blur of the image"
         self.psf_line.say(f"PSF: {psf}{fitted}")
         self.psf_fold.set_title(f"Microscope: {psf}")
         self.effects_fold.set_title(f"Corrections: {self.effects.summary()}")
 
-    def _guess_sigma(self) -> None:
-        if self._shown_for is not None and self._shown_for() is not self._image.layer:
-            self._shown_for, self._sigma_given = None, False
-            self.optics.show_settings(None)
-        if self._image.layer is not None and not self._sigma_given:
-            sizes = voxel_size(self._image.layer)
-            self.optics.show_sigma([SIGMA_IN_VOXELS * d for d in sizes])
+    def _show(self, by_user: bool = False) -> None:
+        if not by_user:
+            with suppress(InputError):  # what was typed last stays
+                settings = self._choice.other_settings()
+                for form in self.forms:
+                    with signals_blocked(form):
+                        form.show_values(settings)
+            self.accuracy.show_choice(self._choice.accuracy)
         self._show_choices()
 
-    def _edited(self, value: Any = None) -> None:
-        self._doc.settings_changed.emit()
+    def _edited(self) -> None:
+        values = (form.values() for form in self.forms)
+        self._choice.edit_fit({name: value for part in values for name, value in part.items()})
+
+    def _accuracy_edited(self) -> None:
+        self._choice.edit_accuracy(self.accuracy.currentText())
 
     def _take_accuracy(self, accuracy: float) -> None:
-        self.accuracy.show_fit(accuracy, "normal")
-        self._edited()
+        self.accuracy.show_choice(written(accuracy))
+        self._accuracy_edited()
 
     def _show_number(self, number: float | None) -> None:
-        named = self.accuracy.choice in PRESETS
+        named = self._choice.accuracy in PRESETS
         text = f"{short(number) if number else 0}" if named and number is not None else ""
         self.accuracy_number.setText(text)
         self.tradeoff.show_accuracy(number)
-
-    def _sigma_given_by_user(self) -> None:
-        self._sigma_given, self._shown_for = True, None
-        self._show_choices()

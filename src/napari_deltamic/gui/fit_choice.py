@@ -1,0 +1,219 @@
+"""What of a fit is chosen: accuracy, PSF, effects and all else; panels show it, and change it."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+from psygnal import Signal
+
+from ..common.triple import Triple, triple
+from ..errors import InputError
+from ..fitting.default_accuracy import (
+    accuracy_of,
+    chosen,
+    image_noise,
+    is_length,
+    relative,
+    written,
+)
+from ..fitting.job import SIGMA_IN_VOXELS
+from ..runs.fit_settings import SHAPE_CHOICES
+from ..runs.optics_settings import MicroscopeOptics
+from ..runs.settings import FitSettings, SceneSettings, validated
+from ..scene.effects import Effects, ViewEffect
+from .image_source import ImageSource, SecondSource
+from .viewing.frame import voxel_size
+
+NORMAL = "normal"
+
+
+class FitChoice:
+    """What is chosen of a fit of the image chosen.
+
+    What is typed may be of no good: InputError says why when it is asked for.
+
+    Attributes
+    ----------
+    accuracy : a name or a number, as on the dial.
+    psf : its settings; None for a Gaussian; an InputError where they are not complete.
+    sigma : um, the widths of that Gaussian.
+    effects : without the second view, which is chosen by its layer.
+    noise : of the image chosen.
+    """
+
+    changed = Signal(bool)  # whether by the user; else (a session, undo) panels show all anew
+
+    def __init__(self, image: ImageSource, second: SecondSource) -> None:
+        self._image, self._second = image, second
+        self._fit: FitSettings | InputError = FitSettings()
+        self.accuracy = NORMAL
+        self.psf: Any = None
+        self.sigma: Triple = (1.0, 1.0, 1.0)
+        self.effects = Effects()
+        self.noise = NoiseOf(image)
+        self._sigma_given = False
+        self._came_with: Any = None  # a weak reference to the image that came with its PSF
+        image.changed.connect(self._guess_sigma)
+        second.edited.connect(partial(self.changed.emit, True))
+        self._guess_sigma()
+
+    # ---- what is chosen -----------------------------------------------------------------------
+
+    def fit_settings(self) -> FitSettings:
+        """Those of the fit."""
+        word = self.accuracy
+        of_shape = word in SHAPE_CHOICES or is_length(word)  # numbers alone are of images
+        by_noise = word == NORMAL or is_length(word)
+        found = {
+            "accuracy": None if by_noise else self.number(),
+            "shape_error": word.replace(" ", "") if of_shape else NORMAL,
+        }
+        return self.other_settings().model_copy(update=found)
+
+    def other_settings(self) -> FitSettings:
+        """The same without the accuracy."""
+        if isinstance(self._fit, InputError):
+            raise InputError(str(self._fit))
+        return self._fit
+
+    def scene_settings(self) -> SceneSettings:
+        """Voxel size of the image chosen, PSF and effects."""
+        if isinstance(self.psf, InputError):
+            raise InputError(str(self.psf))
+        values = {
+            "voxel_size": self._image.frame().voxel_size,
+            "sigma": self.sigma if self.psf is None else None,
+            "optics": self.psf,
+            "effects": self.effects.in_role(ViewEffect, self._second.view()),
+        }
+        settings: SceneSettings = validated(SceneSettings, values)
+        return settings
+
+    def number(self) -> float:
+        """What the accuracy stands for on this image."""
+        return accuracy_of(self.accuracy, self.noise() if relative(self.accuracy) else 0.0)
+
+    @property
+    def psf_is_open(self) -> bool:
+        """Whether nobody has said what the PSF is: the image is to tell it when a fit starts."""
+        return not self._sigma_given and self.psf is None
+
+    def psf_key(self) -> str:
+        """What is the same as long as the PSF is."""
+        return repr(self.sigma if self.psf is None else self.psf)
+
+    def psf_in_words(self) -> str:
+        """The PSF in a few words."""
+        if self.psf is None:
+            return f"Gaussian {widths_in_words(self.sigma)} µm"
+        if isinstance(self.psf, MicroscopeOptics):
+            return f"{self.psf.modality} NA {self.psf.na:g}"
+        return str(self.psf.kind)
+
+    # ---- by the user --------------------------------------------------------------------------
+
+    def edit_fit(self, values: Mapping[str, Any]) -> None:
+        """Take plain values of all settings but the accuracy."""
+        self._fit = _made(lambda: validated(FitSettings, dict(values)))
+        self.changed.emit(True)
+
+    def type_accuracy(self, choice: str) -> None:
+        """Take what may not be complete yet."""
+        self.accuracy = chosen(choice)
+
+    def edit_accuracy(self, choice: str) -> None:
+        self.accuracy = chosen(choice)
+        self.changed.emit(True)
+
+    def edit_psf(self, settings: Callable[[], Any]) -> None:
+        """Take the settings of a PSF, or why there are none."""
+        self.psf = _made(settings)
+        self.changed.emit(True)
+
+    def edit_sigma(self, sigma: Triple) -> None:
+        self.sigma, self._sigma_given, self._came_with = sigma, True, None
+        self.changed.emit(True)
+
+    def edit_effects(self, effects: Effects) -> None:
+        self.effects = effects
+        self.changed.emit(True)
+
+    # ---- by something else --------------------------------------------------------------------
+
+    def show_fit(self, settings: FitSettings) -> None:
+        """Take those of a fit."""
+        self._fit = settings.model_copy(update={"accuracy": None, "shape_error": NORMAL})
+        number = NORMAL if settings.accuracy is None else written(settings.accuracy)
+        self.show_accuracy(number if settings.shape_error == NORMAL else settings.shape_error)
+
+    def show_accuracy(self, choice: str) -> None:
+        self.accuracy = chosen(choice)
+        self.changed.emit(False)
+
+    def show_scene(self, scene: SceneSettings) -> None:
+        """Take a PSF and effects, which belong to the image chosen."""
+        layer = self._image.layer
+        self._came_with = None if layer is None else weakref.ref(layer)
+        self.psf = scene.optics
+        if scene.sigma is not None:
+            self.sigma, self._sigma_given = scene.sigma, True
+        self.show_effects(scene.effects)
+
+    def show_effects(self, effects: Effects) -> None:
+        """Take effects; the second view, which is a layer, stays as it is."""
+        self.effects = effects.in_role(ViewEffect, None)
+        self.changed.emit(False)
+
+    def _guess_sigma(self) -> None:
+        """Another image, or voxel size: a PSF that nobody has given is of that."""
+        layer = self._image.layer
+        if self._came_with is not None and self._came_with() is not layer:
+            self._came_with, self._sigma_given, self.psf = None, False, None
+        if layer is not None and not self._sigma_given:
+            self.sigma = triple(SIGMA_IN_VOXELS * d for d in voxel_size(layer))
+        self.changed.emit(False)
+
+
+def widths_in_words(sigma: Triple) -> str:
+    """Z / Y / X, one number where Y and X are the same."""
+    z, y, x = (f"{s:.2f}" if s >= 0.1 else f"{s:.3f}" for s in sigma)
+    return f"{z} (z), {y} (yx)" if y == x else f"{z} (z), {y} (y), {x} (x)"
+
+
+def _made(make: Callable[[], Any]) -> Any:
+    """What a function gives, or the InputError that it raises."""
+    try:
+        return make()
+    except InputError as error:
+        return error
+
+
+class NoiseOf:
+    """The noise of the image chosen, measured once for each image and time."""
+
+    def __init__(self, image: ImageSource) -> None:
+        self._image = image
+        self._of: tuple[Any, ...] = ()
+        self._noise: float | None = None
+        self.held = False  # while a fit runs, that of its image counts
+
+    def __call__(self) -> float:
+        """The noise. InputError if there is no image."""
+        known = self.known
+        if known is None:
+            known = image_noise(self._image.stack())
+            self.learn(self._image.key(), known)
+        return known
+
+    @property
+    def known(self) -> float | None:
+        """The noise where it was measured, else None."""
+        return self._noise if self.held or self._of == self._image.key() else None
+
+    def learn(self, key: tuple[Any, ...], noise: float) -> None:
+        """Take over what was measured elsewhere."""
+        if key and not self.held:
+            self._of, self._noise = key, noise
