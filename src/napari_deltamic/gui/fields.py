@@ -19,7 +19,7 @@ from superqt.utils import signals_blocked
 
 from ..common.description import Described, described
 from ..common.triple import Triple
-from .widgets import Signal, be_narrow, row, show_row
+from .widgets import Signal, be_narrow, row
 
 _MOST = 1_000_000  # of a whole number without a limit
 
@@ -149,10 +149,6 @@ class Form(QWidget):
         _show(self.fields[name], value)
         if value is not None:
             self._exact[name] = value
-
-    def show_row(self, name: str, shown: bool) -> None:
-        """Show a field with its title, or hide it."""
-        show_row(self.form, self.fields[name], shown)
 
     def _edited(self, name: str, value: Any = None) -> None:
         self._exact.pop(name, None)

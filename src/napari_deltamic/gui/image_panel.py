@@ -11,7 +11,7 @@ from .document import Document
 from .fields import TripleField
 from .layer_channels import Choice, channel_axes, channels
 from .viewing.frame import data_of, um_per_unit
-from .widgets import AMBER, LayerChooser, Note, button, narrow_box, row, sentence, show_row
+from .widgets import AMBER, LayerChooser, Note, button, narrow_box, row, sentence
 
 WHOLE, BOX = "whole image", "the rectangle drawn"
 
@@ -110,7 +110,7 @@ class ImagePanel(QGroupBox):
         self.channels.addItems(
             [f"{k + 1} of {n}, {name or f'along axis {a + 1}'}" for a, k, n, name in self._choices]
         )
-        show_row(self._form, self.channels, bool(self._choices))
+        self._form.setRowVisible(self.channels, bool(self._choices))
 
     def _take_channel(self, index: int) -> None:
         if 0 < index <= len(self._choices):

@@ -12,7 +12,6 @@ from qtpy.QtGui import QResizeEvent
 from qtpy.QtWidgets import (
     QAbstractItemView,
     QComboBox,
-    QFormLayout,
     QHBoxLayout,
     QHeaderView,
     QLabel,
@@ -206,14 +205,6 @@ def _bare(layout: Any, parts: Sequence[Any], of: QWidget | None, spacing: int | 
 def sentence(text: str) -> str:
     """A reason as a sentence."""
     return f"{text[0].upper()}{text[1:]}." if text else ""
-
-
-def show_row(form: QFormLayout, field: QWidget, shown: bool) -> None:
-    """Show a row of a form, or hide it with its title."""
-    title = form.labelForField(field)
-    for part in (field, title):
-        if part is not None:
-            part.setVisible(shown)
 
 
 def be_table_of_rows(table: QTableWidget, narrowest: int) -> Any:

@@ -21,7 +21,7 @@ from ..viewing.frame import Frame, chosen_of, made_by_fit
 from ..viewing.listening import Connections
 from ..viewing.own_layers import Points as SeedPoints
 from ..viewing.own_layers import cut_by_slices
-from ..widgets import Note, button, narrow_box, row, sentence, show_row, slider
+from ..widgets import Note, button, narrow_box, row, sentence, slider
 from .cell_source import Wanted
 from .corrections import Corrections
 from .find_cells_button import FindCells
@@ -307,10 +307,10 @@ class SeedsPanel(QGroupBox):
         layers, points = self.cells.ticked, self.cells.points_layers()
         self.corrections.renew()
         shown = bool(points) or not layers
-        show_row(self._form, self.find_cells.cell_size, self.find_cells.tried)
-        show_row(self._form, self.shape, shown)
-        show_row(self._form, self.radius, shown and self.cells.spheres)
-        show_row(self._form, self.preview, shown and not self.cells.spheres)
+        self._form.setRowVisible(self.find_cells.cell_size, self.find_cells.tried)
+        self._form.setRowVisible(self.shape, shown)
+        self._form.setRowVisible(self.radius, shown and self.cells.spheres)
+        self._form.setRowVisible(self.preview, shown and not self.cells.spheres)
         texts = [self.find_cells.message]
         others = [
             f"<a style='color: {LINK}' href='{size!r}'>{n or ''} of {size:.3g} µm</a>"

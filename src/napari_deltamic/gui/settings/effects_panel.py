@@ -29,7 +29,6 @@ from ..widgets import (
     column,
     row,
     sentence,
-    show_row,
 )
 from ..work import Question
 from .accuracy_forecast import scene_key
@@ -276,7 +275,7 @@ class SecondViewFields(QWidget):
             for moved in (layer.events.scale, layer.events.translate):
                 self._of_layers.connect(moved, self._check)
         self.sigma.set_value(self.source.sigma)
-        show_row(self._form, self.sigma, self.source.layer is not None)
+        self._form.setRowVisible(self.sigma, self.source.layer is not None)
         self._check()
 
     def _check(self, event: Any = None) -> None:

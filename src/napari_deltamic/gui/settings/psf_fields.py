@@ -69,7 +69,7 @@ class ObjectiveFields(Form):
 
     def _show_rows(self) -> None:
         for name in self.fields:
-            self.show_row(name, self._needs(name))
+            self.form.setRowVisible(self.fields[name], self._needs(name))
 
 
 class MeasuredFields(QWidget):

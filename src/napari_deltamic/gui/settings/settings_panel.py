@@ -60,9 +60,8 @@ class SettingsPanel(QGroupBox):
             signal.connect(self._accuracy_edited)
         self.accuracy.currentTextChanged.connect(self._choice.type_accuracy)
         self._choice.changed.connect(self._show)
-        for shown in (self._show_choices, self.effects.look, self.tradeoff.look):
-            self.optics.described.connect(shown)
-        self.effects.described.connect(self._show_choices)
+        for part in (self.optics, self.effects):
+            part.described.connect(self._show_choices)
         self.psf_button.clicked.connect(self._show_psf)
         self.tradeoff.chosen.connect(self._take_accuracy)
         self.forecast = AccuracyForecast(doc, self.accuracy, self)
