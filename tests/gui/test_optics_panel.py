@@ -7,7 +7,13 @@ import napari_deltamic as nd
 from napari_deltamic.fitting.job import optics_of, scene_with
 from napari_deltamic.gui.document import Document
 from napari_deltamic.gui.running.check_panel import LiveNumbers
-from napari_deltamic.gui.settings.optics_panel import GAUSSIAN, MEASURED, OBJECTIVE, OpticsPanel
+from napari_deltamic.gui.settings.optics_panel import (
+    GAUSSIAN,
+    GIVEN,
+    MEASURED,
+    OBJECTIVE,
+    OpticsPanel,
+)
 from napari_deltamic.images.stacks import write_image
 from napari_deltamic.results.moved_numbers import MovedNumber
 from napari_deltamic.runs.command import optics_flags
@@ -118,6 +124,16 @@ def test_settings_come_back_as_they_were_shown(doc, panel):
         else:
             assert shown == settings
     assert panel.kind.currentText() == GAUSSIAN
+
+
+def test_one_that_has_no_fields_can_be_chosen_again(doc, panel):
+    given = {"kind": "mixture", "sigmas": ((1, 1, 1), (2, 2, 2)), "masses": (1, 0.5)}
+    show_psf(doc, optics_from_values(given))
+    panel.kind.setCurrentText(GAUSSIAN)
+    assert doc.settings.psf is None
+    panel.kind.setCurrentText(GIVEN)
+    assert doc.settings.psf == optics_from_values(given)
+    assert panel.summary().startswith("mixture")
 
 
 def test_a_command_gives_the_same_psf(capsys):

@@ -198,7 +198,7 @@ class NoiseOf:
         self._image = image
         self._of: tuple[Any, ...] = ()
         self._noise: float | None = None
-        self.held = False  # while a fit runs, that of its image counts
+        self._held = False
 
     def __call__(self) -> float:
         """The noise. InputError if there is no image."""
@@ -211,9 +211,13 @@ class NoiseOf:
     @property
     def known(self) -> float | None:
         """The noise where it was measured, else None."""
-        return self._noise if self.held or self._of == self._image.key() else None
+        return self._noise if self._held or self._of == self._image.key() else None
+
+    def hold(self, on: bool) -> None:
+        """While a fit runs, that of its image counts, where it is known."""
+        self._held = on and self.known is not None
 
     def learn(self, key: tuple[Any, ...], noise: float) -> None:
         """Take over what was measured elsewhere."""
-        if key and not self.held:
+        if key and not self._held:
             self._of, self._noise = key, noise

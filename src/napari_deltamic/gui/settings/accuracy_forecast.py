@@ -145,9 +145,9 @@ class AccuracyForecast(QObject):
 
     def _work_changed(self) -> None:
         """A fit starts."""
-        if self._doc.running and not self.noise.held:
+        if self._doc.running:
             self.background.drop()
-            self.noise.held = self.noise.known is not None
+            self.noise.hold(True)
             self._told = None
             self.predicts.emit("")
             self.last_run.emit("")
@@ -161,7 +161,7 @@ class AccuracyForecast(QObject):
             self.predicts.emit(predicted(whole))
 
     def _ended(self) -> None:
-        self.noise.held = False
+        self.noise.hold(False)
         run = self._doc.run
         if run is not None and isinstance(run.forecast, Forecast):
             expected = duration(run.forecast.seconds)

@@ -46,6 +46,7 @@ class OpticsPanel(QWidget):
     def __init__(self, doc: Document, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._doc, self._choice = doc, doc.settings
+        self._given: Any = None  # settings of a kind that has no fields here
         self._key = self._width = ""
         self.kind = QComboBox(self)
         self.kind.addItems(list(_TIPS))
@@ -112,7 +113,7 @@ class OpticsPanel(QWidget):
     def _settings(self) -> Any:
         """Settings of the PSF; None for the Gaussian. InputError names what is missing."""
         if self.kind.currentText() == GIVEN:
-            return self._choice.psf
+            return self._given
         fields: Any = self._pages[self.kind.currentText()]
         return None if fields is self.sigma else fields.settings()
 
@@ -130,6 +131,7 @@ class OpticsPanel(QWidget):
         with signals_blocked(self.kind):
             self.kind.removeItem(self.kind.findText(GIVEN))
             if kind == GIVEN:
+                self._given = psf
                 self.kind.addItem(GIVEN)
             self.kind.setCurrentText(kind)
         if kind in (OBJECTIVE, MEASURED):
