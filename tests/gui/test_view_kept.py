@@ -1,5 +1,7 @@
 """What the user looks at stays: slice and zoom when voxels change, the slider's steps in a fit."""
 
+import os
+
 import numpy as np
 import pytest
 import tifffile
@@ -64,6 +66,16 @@ def test_a_series_has_the_voxel_size_of_its_file(app, viewer, movie):
         layer = viewer.add_image(frames, scale=(5, 1, 1, 1), name="movie")
     widget = fit_widget.FitWidget(viewer)
     assert tuple(layer.scale) == pytest.approx((5, *SIZE))
+    assert widget.image.voxel_size.value() == pytest.approx(SIZE)
+    widget.close_links()
+
+
+def test_a_large_file_is_asked_for_its_voxel_size_too(app, viewer, movie):
+    path, frames = movie
+    os.truncate(path, 300_000_000)  # which takes no room on the disk
+    with layer_source(path=path):
+        viewer.add_image(frames, name="movie")
+    widget = fit_widget.FitWidget(viewer)
     assert widget.image.voxel_size.value() == pytest.approx(SIZE)
     widget.close_links()
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,6 @@ from ..images.stored import Stored, VoxelSize, naming, open_stored
 from .viewing.frame import OWN, data_of, is_stack, made_by_fit
 
 _FILE = "file"  # under OWN: path and channel of a layer that was made of another
-READ_AGAIN = 200e6  # bytes; larger TIFF files are not opened a second time for what they tell
 _MOST = 5  # an axis of more than so many steps is no axis of stains, unless it is named so
 _CHANNEL, _OTHER = ("c", "ch", "channel", "channels"), ("t", "time", "z", "y", "x")
 
@@ -65,7 +63,7 @@ def channel_layer(layer: Any, choice: Choice) -> Image:
         name: tuple(value for k, value in enumerate(getattr(layer, name)) if k != axis)
         for name in ("scale", "translate", "units", "axis_labels")
     }
-    stored = channels_of_file(layer, inf)
+    stored = channels_of_file(layer)
     known = stored is not None and channel_axis(stored) == axis
     # The number is what the command line takes, too.
     own = {_FILE: (str(layer.source.path), str(channel + 1))} if known else {}
@@ -137,15 +135,12 @@ def file_of(layer: Any) -> tuple[str, str | None]:
     return str(Path(path).absolute()), channel
 
 
-def channels_of_file(layer: Any, largest: float = READ_AGAIN) -> Stored | None:
-    """What the file of a layer tells, where it says that the layer has several channels.
-
-    largest : bytes; larger TIFF files are not asked.
-    """
+def channels_of_file(layer: Any) -> Stored | None:
+    """What the file of a layer tells, where it says that the layer has several channels."""
     path = getattr(layer.source, "path", None)
     if not path or layer.ndim < 4 or not isinstance(layer, Image) or layer.rgb:
         return None
-    stored = _opened(Path(path), largest)
+    stored = _opened(Path(path))
     if stored is None or stored.shape != tuple(data_of(layer).shape):
         return None
     return None if channel_axis(stored) is None else stored
@@ -162,13 +157,12 @@ def noted_size(layer: Any) -> VoxelSize | None:
     return None if "T" in planes else stored.voxel_size
 
 
-def _opened(file: Path, largest: float = READ_AGAIN) -> Stored | None:
-    """What a file tells; None where it is no image file that can be read, or larger than that."""
-    kind = file.suffix.lower()
+def _opened(file: Path) -> Stored | None:
+    """What a file tells, without its voxels; None where it is no image file that can be read."""
+    if file.suffix.lower() not in IMAGE_FILES:
+        return None
     try:
         state = file.stat()
-        if kind not in IMAGE_FILES or (kind in TIFF and state.st_size > largest):
-            return None
         return _stored(str(file), state.st_mtime_ns, state.st_size)
     except (OSError, InputError):
         return None  # napari could read it, so it is an image all the same
