@@ -176,6 +176,7 @@ def test_ctrl_c_ends_the_batch_and_what_it_cut_short_is_fitted_again(
     assert [row["iterations"] for row in rows(out / "summary.csv")] == ["3", "3"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="no groups of processes to interrupt")
 def test_ctrl_c_reaches_all_processes_without_tracebacks(stacks, tmp_path):
     pytest.importorskip("distributed")

@@ -1,5 +1,7 @@
 """Whether an image shows the cone of light of an objective."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -15,33 +17,34 @@ from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSetting
 SIZE, SHAPE = (0.2, 0.1, 0.1), (24, 36, 36)
 ABOUT = (0.3, 0.11, 0.11)  # um; widths of the PSF of NA 1.2 in water at 0.6 um
 MIDDLE = (2.3, 1.75, 1.75)
+OBJECTIVE = nd.ScalarPSF(1.2, 0.6, 1.33)
 
 
-def ended(optics, fit_psf=True):
-    """A fit of a cell seen through some PSF, as a Gaussian that may change; its predicted error."""
+@cache
+def ended(optics):
+    """A fit of a cell seen through some PSF, as a Gaussian that may change, and its end."""
     grid = nd.Grid(SHAPE, SIZE)
     image = nd.render(sphere(MIDDLE, 1.1, edge_length=0.15), grid, optics).numpy()
     image = np.random.default_rng(0).poisson(5 + 100 * image / image.max()).astype(np.float32)
     start, gaussian = sphere(MIDDLE, 1.0, edge_length=0.3), nd.GaussianPSF(ABOUT)
     scene = SceneSettings(voxel_size=SIZE, sigma=ABOUT)
-    fitting = FitSettings(fit_psf=fit_psf, structure="auto")
+    fitting = FitSettings(fit_psf=True, structure="auto")
     *_, state = nd.fit(image, grid, start, gaussian, settings=fitting)
     run = RunSettings(image="", seeds="", scene=scene, fit=fitting)
-    return predicted_error(FitInput(run, image, grid, start, gaussian, None), state)
+    return FitInput(run, image, grid, start, gaussian, None), state
 
 
-@pytest.mark.parametrize(
-    ("optics", "shown"),
-    [(nd.ScalarPSF(1.2, 0.6, 1.33), True), (nd.GaussianPSF(ABOUT), False)],
-)
+@pytest.mark.parametrize(("optics", "shown"), [(OBJECTIVE, True), (nd.GaussianPSF(ABOUT), False)])
 def test_an_objective_is_told_from_a_gaussian(optics, shown):
-    found = ended(optics)
+    found = predicted_error(*ended(optics))
     assert found.unknown == ""
     assert found.cone is shown
 
 
 def test_a_psf_that_is_held_is_not_asked():
-    assert not ended(nd.ScalarPSF(1.2, 0.6, 1.33), fit_psf=False).cone
+    job, state = ended(OBJECTIVE)
+    held = job.settings.fit.model_copy(update={"fit_psf": False})
+    assert not predicted_error(job.with_settings(fit=held), state).cone
 
 
 def test_a_fit_through_the_wrong_kind_of_psf_is_fair():
