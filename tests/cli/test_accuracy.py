@@ -106,7 +106,10 @@ def test_shape_error(data, tmp_path, run, monkeypatch):
     )
     assert code == 0, err
     assert (asked["photons"], asked["draws"]) == (50, 2)
-    assert "normal is enough for the shape, given this noise (2 draws)." in out
+    assert (
+        "normal is the fastest choice within 5 % of the least error, given this noise (2 draws)."
+        in out
+    )
     assert row(out, "careful").split()[1:5] == ["12", "nm", "10.5", "nm"]
     assert (tmp_path / "shape.png").is_file()
     facts = json.loads((tmp_path / "accuracy.json").read_text())["shape"]

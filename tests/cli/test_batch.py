@@ -70,7 +70,7 @@ def test_a_folder_of_stacks(run, stacks, tmp_path):
 def test_a_table_of_something_else_is_kept(fails, stacks, tmp_path):
     (tmp_path / "cells.csv").write_text("mine")
     told = fails("batch", stacks, *SEEDS, "--workers", 0, "-o", tmp_path, *FAST)
-    assert "holds a cells.csv that is of no batch: choose another folder" in told
+    assert "holds a cells.csv that no batch wrote: choose another folder" in told
     assert (tmp_path / "cells.csv").read_text() == "mine"
 
 
@@ -257,7 +257,7 @@ BAD = {
     "another option": (("option.toml",), "--fast"),
     "a checkpoint": (("resume.toml",), "--resume is not for a batch"),
     "help": (("help.toml",), "--help is not for a batch"),
-    "a name that leads elsewhere": (("name.toml",), "a name of a folder is needed, not '../a'"),
+    "a name that leads elsewhere": (("name.toml",), "must be the name of one folder, not '../a'"),
     "no seeds": (("stacks", "--workers", "0"), "where does the fit of a start"),
     "workers": (("stacks", "--workers", "-1"), "--workers must be 0 or more"),
     "both": (("stacks", "--workers", "1", "--scheduler", "tcp://x:1"), "leave out --workers"),

@@ -83,7 +83,7 @@ def test_a_file_that_cannot_be_written_is_refused_before_any_work(fails, folder,
     monkeypatch.setattr("napari_deltamic.cli.effects_command.gather", None)
     given = ("effects", folder / "cell.tif", "--seeds", folder / "start.ply", "--json")
     said = fails(*given, folder / "none" / "a.json")
-    assert f"{folder / 'none'}: no folder that can be written to" in said
+    assert f"{folder / 'none'} does not exist or cannot be written to" in said
     assert f"{folder} is a folder; name a file" in fails(*given, folder)
 
 

@@ -91,12 +91,12 @@ def test_what_is_of_an_image_needs_one(data, run, fails, tmp_path):
     mesh = data / "start.ply"
     out = ("-o", tmp_path / "out")
     for option in (("--voxel-size", *SIZE), ("--channel", 1)):
-        assert "are of --image, which is not given" in fails("measure", mesh, *option, *out)
+        assert "need --image: leave them out" in fails("measure", mesh, *option, *out)
     small = tmp_path / "mm.ply"
     nd.save_mesh(sphere((2e-3, 2e-3, 2e-3), 1e-3), small)
     code, _, err = run("measure", small, *out)
     assert code == 0
-    assert "the mesh is 0.002 um wide: are its numbers um?" in err
+    assert "the mesh is 0.002 um wide: check that its coordinates are in um" in err
 
 
 def test_labels_at_a_voxel_size(bubble, run, tmp_path):
@@ -115,7 +115,10 @@ def test_labels_say_where_they_begin(data, run, tmp_path):
     size = (0.5, 0.25, 0.25)
     code, out, err = run("measure", mesh, "--label-voxel", *size, "-o", tmp_path / "a")
     assert code == 0, err
-    assert "labels: their first voxel lies -5 0 0 um (Z Y X) from where the mesh counts from" in err
+    assert (
+        "the first voxel of the labels lies at -5 0 0 um (Z Y X), from the origin of the mesh"
+        in err
+    )
     labels, _ = read_image(out[-2])
     with tifffile.TiffFile(out[-2]) as file:
         pixels = tifffile.xml2dict(file.ome_metadata)["OME"]["Image"]["Pixels"]
@@ -127,7 +130,7 @@ def test_labels_say_where_they_begin(data, run, tmp_path):
     nd.save_mesh(sphere((2.9, 2.3, 2.3), 1.0), mesh)
     given = ("--image", data / "cell.tif", "--label-voxel", 0.6, 0.4, 0.4)
     code, out, err = run("measure", mesh, *given, "-o", tmp_path / "b")
-    assert "labels: their first voxel lies 0.15 0.1 0.1 um" in err
+    assert "the first voxel of the labels lies at 0.15 0.1 0.1 um" in err
 
 
 def test_an_image_says_what_its_border_cuts(run, tmp_path):
@@ -163,7 +166,7 @@ def test_the_folder_of_a_fit(fitted, run, tmp_path):
     kept = (folder / "report.json").read_text()
     code, out, err = run("measure", folder, "-o", tmp_path / "again")
     assert code == 0
-    assert "is not there any more" in err
+    assert "no longer exists" in err
     assert rows(tmp_path / "again" / "cells.csv") == [row]  # the folder still tells all that it did
     assert [path.rsplit("/")[-1] for path in out] == list(MEASURED)
     report, told = folder / "report.json", json.loads((folder / "report.json").read_text())
@@ -303,14 +306,15 @@ def test_another_channel(bubble, run, fails, tmp_path):
     # Two membranes where the cells touch.
     expected = {("1", "0"): 2000, ("2", "0"): 2000, ("2", "1"): 4000}
     assert found == pytest.approx(expected, rel=0.03)
-    assert "says that its voxels" not in err
+    assert "gives a voxel size" not in err
     image = tmp_path / "image.tif"
     image.write_bytes((tmp_path / "channel.tif").read_bytes())
     write_image(tmp_path / "channel.tif", noisy, (0.6, 0.3, 0.3))
     given = [image if a == arguments[5] else a for a in arguments[4:]]
     code, _, err = run(*arguments[:4], *given, "-o", tmp_path / "other")
     assert code == 0, err
-    assert "channel.tif says that its voxels are 0.6 0.3 0.3 um (Z Y X); 0.3 0.3 0.3 um" in err
+    assert "channel.tif gives a voxel size of 0.6 0.3 0.3 um (Z Y X)" in err
+    assert "that of the image, 0.3 0.3 0.3 um, is used instead" in err
 
 
 def test_an_open_surface_and_a_channel_of_another_shape(run, fails, tmp_path):

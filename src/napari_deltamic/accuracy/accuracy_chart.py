@@ -72,7 +72,7 @@ def shape_answer(found: Sequence[ShapeError]) -> str:
     """Which choice is enough, in a sentence."""
     draws = len(found[0].errors)
     given = f"given this noise ({draws} draw{'s' if draws > 1 else ''})"
-    return f"{enough(found)} is enough for the shape, {given}."
+    return f"{enough(found)} is the fastest choice within 5 % of the least error, {given}."
 
 
 def ways_chart(ways: Sequence[Way], title: str) -> Chart:

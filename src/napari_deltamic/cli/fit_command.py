@@ -206,7 +206,7 @@ class _Run:
         words += ["--overwrite", "-o", self.folder]
         if self.auto and "recommendation" not in self.further:
             ask = shlex.join([PROGRAM, "effects", "--settings", str(toml)])
-            print(f"which effects the image calls for is still to be asked: {ask}", file=sys.stderr)
+            print(f"not yet checked for effects; to check: {ask}", file=sys.stderr)
         print(f"to go on: {shlex.join(map(str, words))}", file=sys.stderr)
         return INTERRUPTED
 

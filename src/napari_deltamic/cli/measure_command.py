@@ -130,8 +130,8 @@ def _other(arguments: argparse.Namespace, source: Measurable, notes: Notes) -> t
     if size is not None and not np.allclose(size, source.grid.voxel_size, rtol=SIZES_AGREE):
         own, used = (" ".join(f"{d:.4g}" for d in s) for s in (size, source.grid.voxel_size))
         notes.add(
-            f"{Path(asked).name} says that its voxels are {own} um (Z Y X); {used} um, as of the "
-            "image, is used"
+            f"{Path(asked).name} gives a voxel size of {own} um (Z Y X); that of the image, "
+            f"{used} um, is used instead"
         )
     pixels = finite_or_nan(without_padding(whole)[0])
     try:
@@ -155,7 +155,8 @@ def _other_pixels(asked: str, source: Measurable) -> tuple[NDArray[Any], VoxelSi
         return read_image(asked)
     if not source.file:
         raise InputError(
-            f"--other-channel {asked}: the image of the mesh is in no file of channels: give one"
+            f"--other-channel {asked}: no image file is known for this mesh: give the file of the "
+            "channel"
         )
     return read_image(source.file, asked, "--other-channel")[0], None
 

@@ -1,8 +1,9 @@
-"""Whether an image shows the cone of light of an objective, which a Gaussian PSF lacks.
+"""Whether an image shows the light cone of an objective, which a Gaussian PSF lacks.
 
 Out of focus, light spreads over a cone (all of it in a widefield microscope, what a pinhole passes
-in a confocal one). A fit through a Gaussian has surfaces and insides make up for it: cells come out
-too high. So the image is rendered through an objective's PSF of the same widths, too.
+in a confocal one). With a Gaussian PSF, a fit makes up for it with surfaces and light inside, and
+cells come out too high. So the image is also rendered through an objective's PSF of the same
+widths.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ def shows_cone(
 ) -> bool:
     """Whether an objective's PSF gains more than some nats over the Gaussian that a fit ended with.
 
-    The surface follows. Not asked where the PSF is given, or is none that an objective could have.
+    The surface follows. Skipped where the PSF is held or is no Gaussian, or where no objective
+    could have such widths.
 
     Parameters
     ----------

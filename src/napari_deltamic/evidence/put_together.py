@@ -1,4 +1,4 @@
-"""A fit of what is chosen: what its settings leave open, the image tells."""
+"""Puts a fit together from its settings; the image tells what they leave open."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def put_together(
     Parameters
     ----------
     image : (Z, Y, X); NaN where missing.
-    start : makes the mesh, of the image without what effects add to it; and says how near to the
-        membranes it lies.
+    start : makes the mesh, from the image without what effects add to it, and says how near to
+        the membranes it lies.
     tell : called before that with the scene to be fitted; a sentence on its background, '' where
         that is even; and whether the image told how wide the PSF is.
     second : (Z, Y, X) second view, where it is in no file.

@@ -285,8 +285,8 @@ def _of_whole(facts: Facts) -> list[tuple[Grade, str]]:
         text = f"the image is {1 / facts.width:.2g} times as sharp as the PSF: give its width"
         found.append(("fair", text))
     if facts.error.cone:
-        text = "the image shows an objective's cone of light, which a Gaussian PSF lacks"
-        found.append(("fair", f"{text} (--modality, --na, --wavelength)"))
+        text = "the image shows the light cone of an objective, which a Gaussian PSF lacks"
+        found.append(("fair", f"{text}: describe it (--modality, --na, --wavelength)"))
     if facts.narrow:
         found.append(("fair", "the fitted PSF is narrower than voxels can tell: hold it"))
     if facts.cut > RULES.cut:

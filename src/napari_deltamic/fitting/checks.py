@@ -96,7 +96,7 @@ def hot_voxels(pixels: np.ndarray, known: np.ndarray) -> np.ndarray:
 
     A PSF of 0.8 voxel or wider gives the neighbours of its brightest voxel almost half of what it
     holds; a camera's hot pixel or a cosmic ray gives them nothing. One such voxel can pull a mesh.
-    Of a few counted photons, most of which have none beside them, one alone is no sign of either.
+    In images of few photons, where most have none beside them, one alone is a sign of neither.
     """
     if not known.any():
         return np.zeros(pixels.shape, bool)

@@ -31,9 +31,9 @@ NORMAL = "normal"
 
 
 class FitChoice:
-    """What is chosen of a fit of the image chosen.
+    """The user's choices for a fit of the image chosen.
 
-    What is typed may be of no good: InputError says why when it is asked for.
+    What is typed may be invalid: InputError says why when it is asked for.
 
     Attributes
     ----------

@@ -101,7 +101,7 @@ def measurable(
         return _of_folder(path, image, voxel_size, channel)
     if image is None and (voxel_size is not None or channel is not None):
         raise InputError(
-            "--voxel-size and --channel are of --image, which is not given; a mesh is in um"
+            "--voxel-size and --channel need --image: leave them out, as a mesh is in um"
         )
     mesh = load_mesh(path)
     plain = Measurable(path.name, mesh, Known(), remarks=_about_unit(mesh))
@@ -155,7 +155,7 @@ def _of_folder(
     found = Measurable(path.name, mesh, known, sigma=sigma, facts=report)
     source, pixels = Path(image or settings.image), None
     if image is None and not (source.exists() and source.suffix.lower() in IMAGE_FILES):
-        found = replace(found, remarks=(f"the image {source} is not there any more",))
+        found = replace(found, remarks=(f"the image {source} no longer exists",))
         if rendered is None:
             return _without_image(found)
         shape = rendered.shape  # as that of the image was
@@ -220,7 +220,7 @@ def _about_unit(mesh: Mesh) -> tuple[str, ...]:
     widest = float((high - low).max())
     if _SMALLEST <= widest <= _LARGEST:
         return ()
-    return (f"the mesh is {widest:.3g} um wide: are its numbers um?",)
+    return (f"the mesh is {widest:.3g} um wide: check that its coordinates are in um",)
 
 
 def _report(path: Path) -> dict[str, Any]:

@@ -77,7 +77,7 @@ def about_place(labels: Grid, image: Grid | None) -> str:
     if np.allclose(labels.origin, start, rtol=0, atol=_ROUNDING):
         return ""
     place = " ".join(f"{o:.4g}" for o in np.subtract(labels.origin, start))
-    return f"labels: their first voxel lies {place} um (Z Y X) from where the mesh counts from"
+    return f"the first voxel of the labels lies at {place} um (Z Y X), from the origin of the mesh"
 
 
 def labels_of(mesh: Mesh, grid: Grid) -> NDArray[np.integer]:

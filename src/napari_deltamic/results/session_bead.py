@@ -35,7 +35,8 @@ def keep_bead(archive: ArchiveWriter, name: str, settings: RunSettings) -> RunSe
         pixels, size = read_image(optics.file)
     except InputError as error:
         raise InputError(
-            f"the PSF is measured on a bead, whose image a session needs: put it back ({error})"
+            "the session needs the image of the bead that its PSF is measured from: put it back "
+            f"({error})"
         ) from None
     archive.add_array(name, np.asarray(pixels))
     return _with(settings, optics.model_copy(update={"voxel_size": optics.voxel_size or size}))

@@ -41,7 +41,7 @@ class BatchRun(BaseModel):
     @classmethod
     def _of_one_folder(cls, name: str | None) -> str | None:
         if name is not None and (name in ("", "..") or Path(name).name != name):
-            raise ValueError(f"a name of a folder is needed, not {name!r}")
+            raise ValueError(f"must be the name of one folder, not {name!r}")
         return name
 
 

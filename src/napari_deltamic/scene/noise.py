@@ -44,7 +44,9 @@ def detected(
         raise InputError(f"bits must be 8, 12, 16 or 32 (float32), not {bits}")
     expected = intensities(light, camera)
     if light.max() > _MOST:
-        raise InputError(f"{light.max():.4g} photons in a voxel are too many: take fewer")
+        raise InputError(
+            f"{light.max():.4g} photons in a voxel are too many to simulate: use fewer"
+        )
     top = highest(bits)
     if expected.max() > top and (camera is None or camera.saturation is None):
         raise InputError(

@@ -28,7 +28,9 @@ def check_file_to_write(path: Path, *, folder: bool = False) -> None:
     if path.is_dir() and not folder:
         raise InputError(f"{path} is a folder; name a file")
     if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
-        raise InputError(f"{path.parent}: no folder that can be written to")
+        raise InputError(
+            f"{path.parent} does not exist or cannot be written to: choose another folder"
+        )
 
 
 def check_given_accuracy(arguments: argparse.Namespace) -> None:

@@ -48,7 +48,7 @@ def _check(arguments: argparse.Namespace) -> None:
     folder = Path(arguments.output)
     check_folder(folder, ())
     if (folder / "cells.csv").exists() and not (folder / "summary.csv").exists():
-        raise InputError(f"{folder} holds a cells.csv that is of no batch: choose another folder")
+        raise InputError(f"{folder} holds a cells.csv that no batch wrote: choose another folder")
 
 
 def fit_words(arguments: argparse.Namespace) -> tuple[str, ...]:

@@ -129,7 +129,7 @@ def _remarks(mesh: Mesh, named: bool) -> list[str]:
     if parts > 1:
         found.append(
             f"the file does not name its cells: {parts} separate surfaces count as one cell; "
-            f"{', '.join(one.suffix for one in MESH_FORMATS if one.regions)} can name them"
+            f"{', '.join(one.suffix for one in MESH_FORMATS if one.regions)} keep cells apart"
         )
     is_open = [str(k) for k in mesh.region_ids() if not mesh.is_closed(int(k))]
     if is_open:
