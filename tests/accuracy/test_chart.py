@@ -152,9 +152,9 @@ def errors(*means):
 @pytest.mark.parametrize(
     ("means", "says"),
     [
-        ((0.03, 0.0202, 0.02), "normal is enough"),
-        ((0.0201, 0.02, 0.02), "quick is enough"),
-        ((0.04, 0.03, 0.02), "careful is enough"),
+        ((0.03, 0.0202, 0.02), "normal is the fastest"),
+        ((0.0201, 0.02, 0.02), "quick is the fastest"),
+        ((0.04, 0.03, 0.02), "careful is the fastest"),
     ],
 )
 def test_answer(means, says):

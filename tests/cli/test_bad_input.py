@@ -213,7 +213,7 @@ RENDER = {
     "accuracy": (("--accuracy", 2), "accuracy must be"),
     "outside": (("--shape", 2, 2, 2, "--voxel-size", 0.01, 0.01, 0.01), "outside the image"),
     "extension": (("-o", "image.jpg"), "unknown image extension '.jpg'"),
-    "folder": (("-o", "nowhere/image.tif"), "nowhere: no folder"),
+    "folder": (("-o", "nowhere/image.tif"), "nowhere does not exist"),
 }
 
 

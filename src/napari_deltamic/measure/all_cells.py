@@ -43,8 +43,8 @@ CELL_COLUMNS = (
         mean_curvature_per_um: this integral over the area; 1 / r for a ball
         gaussian_curvature_integral: integral of k1 k2: sum over vertices of 2 pi minus the
             angles there
-        handles: holes through the cell, from Gauss and Bonnet: number of its surfaces - that
-            integral / (4 pi); 0 for a ball, 1 for a torus
+        handles: holes through the cell, from Gauss and Bonnet: the number of its closed surfaces,
+            minus that integral / (4 pi); 0 for a ball, 1 for a torus
         density: mean density of its membranes relative to that of all, by area
         pressure_per_um: above the outside, by Laplace's law over its walls, in mean tensions of
             the cluster
