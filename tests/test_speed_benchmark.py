@@ -37,6 +37,7 @@ def tiny(bench):
     ]
 
 
+@pytest.mark.slow
 def test_a_case_is_measured_on_both_sides_and_kept(monkeypatch, tmp_path, capsys):
     monkeypatch.setitem(speed.CASES, "tiny", tiny)
     results, page = tmp_path / "speed.json", tmp_path / "speed.md"
