@@ -86,7 +86,7 @@ class PredictedError:
     unknown
         Why there are none; empty where there are.
     cone
-        Whether the image shows the cone of light of an objective, which the fitted PSF lacks.
+        Whether the image shows the light cone of an objective, which the fitted PSF lacks.
     """
 
     whole: ShapeDeviation | None = None

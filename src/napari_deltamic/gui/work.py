@@ -8,7 +8,6 @@ the process if one of them is still at work when the application goes.
 
 from __future__ import annotations
 
-import gc
 import logging
 import threading
 import time
@@ -204,9 +203,6 @@ class Work(QObject):
         if self.task is not None:
             self.stop(at_once=True)
         self.task = task
-        # What is there already is not searched for garbage meanwhile: a search through all that
-        # napari holds stops every thread for a quarter of a second (docs/benchmarks.md).
-        gc.freeze()
         self._activity = progress(total=0, desc=f"deltaMic: {task.title}")
         self.changed.emit()
         _THREADS.submit(_run, task)
@@ -234,7 +230,6 @@ class Work(QObject):
             self._timer.stop()
         task, self.task = self.task, None
         if task is not None:
-            gc.unfreeze()
             task.close()
         self._close_activity()
 
@@ -269,7 +264,6 @@ class Work(QObject):
     def _end(self, task: Task, outcome: Any) -> None:
         self._timer.stop()
         self.task, task.running = None, False
-        gc.unfreeze()
         self._close_activity()
         task.end(outcome)
         self.changed.emit()
