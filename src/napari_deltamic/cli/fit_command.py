@@ -17,7 +17,7 @@ from ..evidence import analyse_residual, recommend_for
 from ..evidence.fit_facts import verdict_of
 from ..evidence.sanity import tell_doubts
 from ..fitting import FitState
-from ..fitting.job import FitInput, start
+from ..fitting.job import FitInput, following, start
 from ..images.stacks import write_image
 from ..results.report import History, write_results
 from ..runs.fit_settings import asked_error
@@ -108,8 +108,7 @@ class _Run:
             self.notes.add(line)
         if not found.recommended:
             return iter(())
-        self.job = with_recommended(self.job, found)
-        self.has_settings = False
+        self._take_over(with_recommended(self.job, found))
         self.history = History()
         self.last = replace(self.last, message="")  # its verdict is not that of what comes
         return start(self.job)
@@ -123,6 +122,7 @@ class _Run:
                 if self.last is not None and self.last.message:
                     self.notes.add(self.last.message)
                 self.last = state
+                self._take_over(following(self.job, state))
                 self.history.add(state)
                 bar.set_description_str(f"level {state.level}/{state.levels}", refresh=False)
                 bar.set_postfix_str(f"loss {state.loss:.4g}", refresh=False)
@@ -130,6 +130,11 @@ class _Run:
                 if time.monotonic() - saved > CHECKPOINT_EVERY:
                     self._keep(state)
                     saved = time.monotonic()
+
+    def _take_over(self, job: FitInput) -> None:
+        """Go on with this job, whose settings are then no longer those on disk."""
+        self.has_settings = self.has_settings and job is self.job
+        self.job = job
 
     def _keep(self, state: FitState) -> None:
         """Write a checkpoint, which is of use only together with the settings."""

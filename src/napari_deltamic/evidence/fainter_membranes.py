@@ -12,10 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 
 from ..fitting.pose import Posed
-from ..fitting.prediction import as_floats
 from ..fitting.refits import Alternative
 from ..fitting.responses import Responses
 from ..fitting.state import FitState
@@ -54,10 +52,10 @@ def fainter_membranes(posed: Posed, responses: Responses, state: FitState) -> Al
     if state.light.interior <= 0 or not state.mesh.is_closed():
         return None
     tried = []
-    now = shown(posed, state)
+    now = posed.shown(state)
     for widths in RULES.depths:
         other, moved = _with_membranes(posed, state, widths)
-        gain, followed = responses.instead(state.amplitude * (shown(posed, other) - now))
+        gain, followed = responses.instead(state.amplitude * (posed.shown(other) - now))
         if gain < -RULES.never:
             break
         likely = np.exp(min(gain, 0.0) / 2)
@@ -94,14 +92,3 @@ def _outwards(mesh: Mesh) -> FloatArray:
     summed = np.stack([np.bincount(rows, np.tile(one, 3), n) for one in each.T], 1)
     length = np.linalg.norm(summed, axis=1, keepdims=True)
     return np.divide(summed, length, out=np.zeros_like(summed), where=length > 0)
-
-
-def shown(posed: Posed, state: FitState) -> FloatArray:
-    """(N,) the image of a state where voxels count, of amplitude 1."""
-    level, view = posed.posterior.level, posed.posterior.views[0]
-    renderer = level.renderer(state.mesh, state.optics, state.effects, insides=True)
-    with torch.no_grad():
-        density = torch.from_numpy(state.density)
-        spectrum = renderer.transform(density=density, light=state.light)
-        shown = level.rendered(renderer, spectrum, renderer.otf(state.optics))
-        return as_floats(view.voxels.of(shown))

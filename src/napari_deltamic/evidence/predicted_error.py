@@ -21,7 +21,6 @@ from ..geometry.mesh import FloatArray, Mesh
 from ..scene.light import INSIDES
 from .candidates import allowed, chosen_candidates, points_inwards, variants
 from .fainter_membranes import fainter_membranes
-from .light_cone import shows_cone
 
 
 @dataclass(frozen=True)
@@ -128,8 +127,7 @@ def predicted_error(job: FitInput, state: FitState) -> PredictedError:
 
     every = np.unique(state.mesh.faces)
     cells = {region: over(own) for region, own in _vertices(state.mesh).items()}
-    cone = shows_cone(posed, responses, state, job.optics.sigma_um, REFITS.sure)
-    return PredictedError(over(every), cells, lacks, cone=cone)
+    return PredictedError(over(every), cells, lacks, cone=state.cone)
 
 
 def _alternative(posed: Posed, responses: Responses, state: FitState) -> tuple[str, FloatArray]:

@@ -108,7 +108,7 @@ def fit(
     problem.counted_with(effects)  # refuses what leaves too few
     run = Run(problem, mesh, optics, settings, effects)
     if resume is not None:
-        run.resume(load_checkpoint(resume))
+        run = run.resumed(load_checkpoint(resume))
     run.say(*repairs)
     if hot.any():
         run.say(f"{hot.sum()} hot voxels, brighter than any PSF can make one, are left out")
@@ -118,15 +118,19 @@ def fit(
 # Also where the caller has turned gradients off, which a fit cannot do without.
 @torch.enable_grad()
 def _states(run: Run) -> Generator[FitState, Change | None, None]:
-    """Those of the run; where a GPU is too small for it, the CPU takes over and says so."""
-    try:
-        yield from run.states()
-        return
-    except torch.OutOfMemoryError:
-        if not run.leave_device():
-            raise
-    run.say("the memory of the GPU does not suffice: the fit goes on on the CPU")
-    yield from run.states()
+    """Those of the run and of what follows it.
+
+    Where a GPU is too small for a run, the CPU takes over and says so.
+    """
+    following: Run | None = run
+    while following is not None:
+        run = following
+        try:
+            following = yield from run.states()
+        except torch.OutOfMemoryError:
+            if not run.leave_device():
+                raise
+            run.say("the memory of the GPU does not suffice: the fit goes on on the CPU")
 
 
 def _apart(mesh: Mesh, settings: FitSettings) -> tuple[Mesh, tuple[str, ...]]:

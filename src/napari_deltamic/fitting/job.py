@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..geometry import Mesh
-from ..optics import GaussianPSF, Optics
-from ..runs.optics_settings import optics_from_values
+from ..optics import GaussianPSF, Optics, ScalarPSF
+from ..runs.optics_settings import MicroscopeOptics, optics_from_values
 from ..runs.seeds import SeedKind as SeedKind
 from ..runs.settings import NEAR_LEVELS, FitSettings, RunSettings, SceneSettings
 from ..scene import Grid
@@ -91,8 +91,31 @@ def scene_with(scene: SceneSettings, optics: Optics) -> SceneSettings:
         tilted = optics_from_values({"kind": "gaussian", "covariance": rows})
         return scene.model_copy(update={"sigma": None, "optics": tilted})
     if scene.optics is None:
-        return scene
+        return _with_objective(scene, optics)
     return scene.model_copy(update={"optics": scene.optics.moved(optics.described())})
+
+
+def _with_objective(scene: SceneSettings, optics: Optics) -> SceneSettings:
+    """The settings of a scene where a fit has found an objective's PSF."""
+    if not isinstance(optics, ScalarPSF):
+        return scene
+    found = {p.name: p.value for p in optics.described()}
+    objective = MicroscopeOptics(
+        na=found["na"],
+        wavelength=found["wavelength"],
+        immersion=found["index"],
+        model="scalar",
+        fitted=optics.fitted,
+    )
+    return scene.model_copy(update={"sigma": None, "optics": objective})
+
+
+def following(job: FitInput, state: FitState) -> FitInput:
+    """The job of a fit that has begun anew with another kind of PSF; else itself."""
+    if type(state.optics) is type(job.optics):
+        return job
+    scene = scene_with(job.settings.scene, state.optics)
+    return replace(job.with_settings(scene=scene), optics=state.optics)
 
 
 def assemble(

@@ -14,6 +14,7 @@ from ..fourier.devices import for_objects
 from ..geometry.bending import BendingEnergy
 from ..geometry.cell_bending import CellBending
 from ..geometry.junction_bending import JunctionBending
+from ..geometry.mesh import FloatArray
 from ..scene import Renderer
 from ..scene.effects import Effects
 from ..scene.light import INSIDES, MEMBRANES, Light
@@ -23,12 +24,13 @@ from .evening import RULES as EVENING
 from .evening import unevenness
 from .imaging import Imaging
 from .level import Level, Voxels, differences
-from .likelihood import Match, explained, total
+from .likelihood import Match, explained, solve_scale, total
 from .posterior import Posterior, Prior
 from .preconditioner import Preconditioner
 from .prediction import View, as_floats
 from .saturation import censored
 from .shape import Shape
+from .state import FitState
 from .tempering import tempered_variance
 from .unequal_insides import RULES as UNEQUAL
 from .unequal_insides import Insides
@@ -79,6 +81,25 @@ class Posed:
     left: float
     held: bool
     firmness: float
+
+    def shown(self, state: FitState) -> FloatArray:
+        """(N,) the image of a state where voxels count, of amplitude 1."""
+        level, view = self.posterior.level, self.posterior.views[0]
+        renderer = level.renderer(state.mesh, state.optics, state.effects, insides=True)
+        with torch.no_grad():
+            density = torch.from_numpy(state.density)
+            spectrum = renderer.transform(density=density, light=state.light)
+            shown = level.rendered(renderer, spectrum, renderer.otf(state.optics))
+            return as_floats(view.voxels.of(shown))
+
+    def left_by(self, state: FitState) -> float:
+        """What another state would leave of the first image: as :attr:`left`."""
+        voxels = self.posterior.views[0].voxels
+        shown = torch.from_numpy(self.shown(state)).to(voxels.weights)
+        measured = torch.from_numpy(self.posterior.measured(self.at)[0]).to(shown)
+        a, b, _ = solve_scale(shown, measured, voxels.weights)
+        squares = total(voxels.weights * (measured - a * shown - b) ** 2)
+        return float(squares / total(voxels.weights))
 
 
 def pose(

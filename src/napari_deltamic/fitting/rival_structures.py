@@ -9,6 +9,7 @@ as both could do the same.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from ..common.choices import Structure
 from .collisions import CollisionGuard
 from .fit_objective import Objective, Terms
 from .fitted import Fitted
+from .pose import Posed
 from .preconditioner import Preconditioners
 from .shape import Shape
 
@@ -67,10 +69,10 @@ def best_of(terms: Terms, fitted: Fitted, start: Shape | None) -> tuple[Fitted, 
     begin = [fitted.with_structure(s) for s in structures]
     if start is not None:
         begin.append(fitted.retriangulated(start).with_structure("membrane"))
-    (_, both, _), *alone = ends = [_gone_on(terms, one, factored) for one in begin]
-    rival, left, _ = min(alone, key=lambda end: end[1])
+    (_, both, _), *alone = ends = [gone_on(terms, one, factored) for one in begin]
+    rival, posed, _ = min(alone, key=lambda end: end[1].left)
     taken = sum(end[2] for end in ends)
-    stuck = left < (1 - RULES.less) * both
+    stuck = posed.left < (1 - RULES.less) * both.left
     return (rival.with_structure("both") if stuck else fitted), taken
 
 
@@ -91,16 +93,26 @@ def nearer_of(terms: Terms, fitted: Fitted) -> Structure:
     return alone[int(np.argmin(left))]
 
 
-def _gone_on(terms: Terms, fitted: Fitted, factored: Preconditioners) -> tuple[Fitted, float, int]:
-    """A few steps down; the squares that are left there, and evaluations."""
+def gone_on(
+    terms: Terms,
+    fitted: Fitted,
+    factored: Preconditioners,
+    hopeless: Callable[[Posed], bool] = lambda posed: False,
+) -> tuple[Fitted, Posed, int]:
+    """A few steps down; the objective as it is posed there, and evaluations.
+
+    hopeless : of an objective that is posed: whether to go no further.
+    """
     terms = replace(terms, density_fitted=terms.density_fitted and fitted.structure != "interior")
     guard, taken, since = CollisionGuard(terms.settings.collisions), 0, 0
     objective = Objective(terms, fitted, guard, factored)
     for _ in range(RULES.steps):
+        if since == 0 and hopeless(objective.posed):
+            return objective.fitted, objective.posed, taken + objective.evaluations()
         moved, since = objective.step(), since + 1
         if since >= RULES.renewed_every or objective.strayed() or not moved:
             taken += objective.evaluations()
             objective, since = Objective(terms, objective.fitted, guard, factored), 0
     taken += objective.evaluations()
     end = Objective(terms, objective.fitted, guard, factored)
-    return objective.fitted, end.posed.left, taken
+    return objective.fitted, end.posed, taken

@@ -8,17 +8,18 @@ from dataclasses import replace
 import numpy as np
 
 from ..geometry.mesh import Mesh
-from ..optics import Optics
+from ..optics import GaussianPSF, Optics, ScalarPSF
 from ..runs.settings import WIDE_LEVELS, FitSettings
 from ..scene import expected_image
 from ..scene.effects import Effects
 from .change import Change
-from .checkpoint import Checkpoint
+from .checkpoint import Checkpoint, objective_in
 from .collisions import CollisionGuard
 from .convergence import Remaining
 from .fit_objective import Objective, Terms
 from .fitted import Arrays, Fitted, fingerprint
 from .level import Level
+from .light_cone import ANEW, objective_instead
 from .model_choice import ModelChoice
 from .preconditioner import Preconditioners
 from .prediction import View
@@ -80,8 +81,11 @@ class Run:
 
     # --------------------------------------------------------------------------- iterations
 
-    def states(self) -> Generator[FitState, Change | None, None]:
-        """One state after every iteration; a change may be sent in return for each."""
+    def states(self) -> Generator[FitState, Change | None, Run | None]:
+        """One state after every iteration; a change may be sent in return for each.
+
+        Returns the run that follows, if the image calls for another PSF.
+        """
         begun = self._stage.iteration > 0  # a level of a checkpoint, or of another device
         while self._stage.level_number < len(self._levels):
             self._begin_level(begun)
@@ -89,20 +93,20 @@ class Run:
             if self._level.usable or self._last:
                 if self._level.usable and self._stage.iteration == 0:
                     self._fitted = self._choice.of_small(self._terms, self._fitted)
-                yield from self._level_states()
-                if self._over:
-                    return
+                following = yield from self._level_states()
+                if following is not None or self._over:
+                    return following
             self._look_for_rivals()
             given = self._fitted, self._settings, self._stage.iteration
             self._surface(self._topology.end_level(*given))
             self._stage = replace(self._stage, level_number=self._stage.level_number + 1)
+        return None
 
     def _look_for_rivals(self) -> None:
         """Go on with the best of what may shine, where the fit may be stuck."""
         if not self._level.usable:
             return
-        edited = self._stage.changed_at > 0
-        start = None if edited or not self._same_cells() else self._begun
+        start = None if self._stage.edited or not self._same_cells() else self._begun
         given = self._objective, self._fitted, self._stage, start
         self._fitted, taken = self._choice.beside_rivals(self._terms, *given)
         self._stage = replace(self._stage, evaluations=self._stage.evaluations + taken)
@@ -112,7 +116,7 @@ class Run:
         first, now = self._begun.mesh.region_ids(), self._fitted.mesh.region_ids()
         return np.array_equal(first, now)
 
-    def _level_states(self) -> Generator[FitState, Change | None, None]:
+    def _level_states(self) -> Generator[FitState, Change | None, Run | None]:
         self._due = True
         while True:
             if self._due:
@@ -120,13 +124,36 @@ class Run:
             else:
                 self._advance()
             self._stage = replace(self._stage, iteration=self._stage.iteration + 1)
-            finished = self._finished()
-            ends = (finished and self._last) or self._over
-            change = yield self._state(ends, finished and self._last)
+            finished, state = self._finished(), self._state()
+            instead = self._objective_instead(state) if finished and self._last else None
+            following = None if instead is None else self._with_objective(instead)
+            ends = following is None and ((finished and self._last) or self._over)
+            told = replace(state, cone=instead is not None)
+            change = yield self._told(told, ends, finished and self._last)
             if change is not None:
                 self._take(change)
             elif ends or finished:
-                return
+                return following
+
+    def _objective_instead(self, state: FitState) -> ScalarPSF | None:
+        """An objective's PSF, where the image shows the light cone that a Gaussian lacks."""
+        found, taken = objective_instead(self._terms, self._fitted, state)
+        self._stage = replace(self._stage, evaluations=self._stage.evaluations + taken)
+        return found
+
+    def _with_objective(self, optics: Optics) -> Run | None:
+        """The run that begins anew with this PSF; None once a user has changed something."""
+        if self._stage.edited:
+            return None
+        self._reporter.say(ANEW)
+        return self.followed_by(optics)
+
+    def followed_by(self, optics: Optics) -> Run:
+        """A run from the same start with another PSF."""
+        given = self._begun.mesh, optics, self._settings, self._fitted.first_effects
+        run = Run(self._problem, *given)
+        run._stage = self._stage.begun_anew(run._stage.blurred_for)
+        return run
 
     @property
     def _choice(self) -> ModelChoice:
@@ -138,7 +165,7 @@ class Run:
 
     @property
     def _over(self) -> bool:
-        return self._stage.iteration - self._stage.changed_at >= self._settings.max_iterations
+        return self._stage.since_changed >= self._settings.max_iterations
 
     def _begin_level(self, begun: bool) -> None:
         if not begun:
@@ -335,17 +362,22 @@ class Run:
         # A change of topology has come since the objective was posed.
         return fitted.shape.face_densities()
 
-    def _state(self, ends: bool, finished: bool) -> FitState:
-        fitted, stage, found = self._fitted, self._stage, self._objective.now.match
-        density, grid, kept = self._face_densities(), self._problem.grid, self._kept
-        accuracy = self._settings.image_accuracy
+    def _told(self, state: FitState, ends: bool, finished: bool) -> FitState:
+        """With what there is to say, and with a verdict where it is the last."""
+        fitted, stage = self._fitted, self._stage
         self._reporter.say(self._guard.remark())
         message, events = self._reporter.told(fitted.mesh, stage.iteration, ends)
         if ends:
-            left = stage.remaining
+            left, found = stage.remaining, self._objective.now.match
             moving = left if left.moves(self._tolerance, self._schedule.gain) else None
             given = fitted, found, finished, stage.iteration, moving, message
             message, finished = verdict(*given)
+        return replace(state, message=message, events=events, converged=ends and finished)
+
+    def _state(self) -> FitState:
+        fitted, stage, found = self._fitted, self._stage, self._objective.now.match
+        density, grid, kept = self._face_densities(), self._problem.grid, self._kept
+        accuracy = self._settings.image_accuracy
 
         def rendered() -> np.ndarray:
             given = fitted.mesh, grid, fitted.optics, accuracy, found.amplitude, found.background
@@ -366,10 +398,7 @@ class Run:
             blur=self._level.factor,
             effects=fitted.effects,
             light=fitted.light,
-            converged=finished,
-            message=message,
             pinned=fitted.shape.pinned if fitted.shape.pinned.any() else None,
-            events=events,
             evaluations=stage.evaluations,
             _render=rendered,
             _checkpoint=lambda: kept,
@@ -388,8 +417,20 @@ class Run:
             self._remeshing.to_dict(),
         )
 
-    def resume(self, kept: Arrays) -> None:
-        """Go on from a checkpoint; raises InputError if it belongs to another mesh or fit."""
+    def resumed(self, kept: Arrays) -> Run:
+        """This run, or the one that followed, from a checkpoint on.
+
+        Raises
+        ------
+        InputError
+            If it belongs to another mesh or fit.
+        """
+        objective = objective_in(kept) if isinstance(self._fitted.optics, GaussianPSF) else None
+        run = self if objective is None else self.followed_by(objective)
+        run._go_on_from(kept)
+        return run
+
+    def _go_on_from(self, kept: Arrays) -> None:
         found = self._checkpoint().loaded(kept)
         self._fitted, self._stage = found.fitted, found.stage
         self._topology = TopologyTrials(self._problem, found.policy)

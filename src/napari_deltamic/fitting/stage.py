@@ -9,7 +9,7 @@ from ..optics import Optics
 from .convergence import Remaining
 from .schedule import Progress
 
-_COUNTS = ("iteration", "evaluations", "level_number", "changed_at")
+_COUNTS = ("iteration", "evaluations", "level_number", "changed_at", "begun_at")
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,8 @@ class Stage:
         Of the fit.
     changed_at
         The iteration of the last change from outside: the patience starts anew.
+    begun_at
+        The iteration before the first one with this kind of PSF: so it does then.
     """
 
     level_number: int
@@ -39,6 +41,27 @@ class Stage:
     iteration: int = 0
     evaluations: int = 0
     changed_at: int = 0
+    begun_at: int = 0
+
+    @property
+    def edited(self) -> bool:
+        """Whether anything has been changed from outside."""
+        return self.changed_at > 0
+
+    @property
+    def since_changed(self) -> int:
+        """Iterations since the patience last started."""
+        return self.iteration - max(self.changed_at, self.begun_at)
+
+    def begun_anew(self, blurred_for: Optics) -> Stage:
+        """At the first level again; counts go on."""
+        return Stage(
+            0,
+            blurred_for,
+            iteration=self.iteration,
+            evaluations=self.evaluations,
+            begun_at=self.iteration,
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, but for the PSF."""
@@ -56,5 +79,7 @@ class Stage:
             progress,
             iteration=int(values["iteration"]),
             evaluations=int(values["evaluations"]),
-            changed_at=int(values.get("changed_at", 0)),  # earlier versions kept none
+            # Earlier versions kept none of these.
+            changed_at=int(values.get("changed_at", 0)),
+            begun_at=int(values.get("begun_at", 0)),
         )

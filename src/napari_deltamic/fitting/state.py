@@ -50,6 +50,9 @@ class FitState:
         Changes of topology since the last state, a sentence each.
     evaluations
         Renderings with their gradient so far.
+    cone
+        Whether the image shows the light cone of an objective, which this PSF lacks; asked at the
+        end of a fit.
     """
 
     iteration: int
@@ -69,6 +72,7 @@ class FitState:
     pinned: np.ndarray | None = None
     events: tuple[str, ...] = ()
     evaluations: int = 0
+    cone: bool = False
     _render: Callable[[], np.ndarray] = field(repr=False, default=lambda: np.zeros(0))
     _checkpoint: Callable[[], dict[str, np.ndarray]] = field(repr=False, default=dict)
 

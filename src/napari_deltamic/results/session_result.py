@@ -30,7 +30,10 @@ from .session_parts import SavedResult
 from .timeline import Moment
 
 # What of a state is a plain value.
-_STATE = ("iteration", "level", "levels", "amplitude", "background", "blur", "converged", "message")
+_STATE = (
+    *("iteration", "level", "levels", "amplitude", "background"),
+    *("blur", "converged", "message", "cone"),
+)
 
 
 def result_facts(archive: ArchiveWriter, meshes: MeshWriter, result: SavedResult) -> ResultFacts:

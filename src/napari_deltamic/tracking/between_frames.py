@@ -9,9 +9,10 @@ import torch
 from numpy.typing import NDArray
 
 from ..fitting.fit import fit
+from ..fitting.light_cone import objective_of
 from ..fitting.state import FitState
 from ..geometry.mesh import Mesh
-from ..optics import Optics
+from ..optics import GaussianPSF, Optics
 from ..runs.settings import FitSettings
 from ..scene import Grid
 from ..scene.effects import Effects
@@ -82,10 +83,18 @@ class BetweenFrames:
                 continue
             self._see(result.frame, result.mesh, result.events)
             self.done[result.frame] = result
-            if settings.fit_psf and len(result.psf) == self.optics.parameters().numel():
-                numbers = torch.tensor(result.psf, dtype=self.optics.parameters().dtype)
-                self.optics = self.optics.with_parameters(numbers)
+            if settings.fit_psf:
+                self.optics = self._left_by(result)
         self.done = dict(sorted(self.done.items())[-RULES.frames.remembered :])
+
+    def _left_by(self, result: FrameResult) -> Optics:
+        """The PSF that the fit of a frame ended with, where that is known."""
+        numbers = torch.tensor(result.psf, dtype=self.optics.parameters().dtype)
+        known = [self.optics]
+        if isinstance(self.optics, GaussianPSF):  # a fit may have found that of an objective
+            known.append(objective_of(self.optics.sigma_um))
+        same = (one for one in known if len(numbers) == one.parameters().numel())
+        return next((one.with_parameters(numbers) for one in same), self.optics)
 
     def recall(self, frame: Frame, settings: FitSettings, effects: Effects) -> None:
         """What a frame of an earlier run left behind for those to come."""

@@ -16,7 +16,7 @@ from ...accuracy.outlook import Forecaster
 from ...accuracy.renewed_forecast import RenewedForecast
 from ...errors import InputError
 from ...fitting import Change, FitState
-from ...fitting.job import FitInput, scene_with, start
+from ...fitting.job import FitInput, following, scene_with, start
 from ...fitting.pending import Waiting, usable
 from ...results.report import History
 from ..work import Outcome, Task, words_of
@@ -151,6 +151,7 @@ class FitRun(Task):
         state, change = next(states, None), None
         while state is not None:
             self.state = state
+            self._follow(state)
             self._messages += [state.message] if state.message else []
             self.history.add(state)
             self.seconds = time.monotonic() - began - waited
@@ -172,6 +173,14 @@ class FitRun(Task):
                 state = None
         if self.state is not None:
             self._publish(self.state, must=True)
+
+    def _follow(self, state: FitState) -> None:
+        """The fit may have begun anew with another kind of PSF."""
+        before = self.job
+        assert before is not None
+        self.job = following(before, state)
+        if self.job is not before:
+            self._forecast_anew(self.job)
 
     def _publish(self, state: FitState, *, marked: bool = False, must: bool = False) -> None:
         """Let the main thread have a state, if it is time; always if a change led to it."""

@@ -1,0 +1,112 @@
+"""Whether an image shows the light cone of an objective, which a Gaussian PSF lacks.
+
+Out of focus, light spreads over a cone (all of it in a widefield microscope, what a pinhole passes
+in a confocal one). With a Gaussian PSF, a fit makes up for it with surfaces and light inside, and
+cells come out too high, or are lost. So at its end a few steps are taken with the PSF of an
+objective about as wide; where that leaves less unexplained, the fit begins anew with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import sqrt
+
+import numpy as np
+
+from ..optics import GaussianPSF, Optics, ScalarPSF
+from ..optics.objective import WAVELENGTH
+from .amplitudes import may_shine
+from .fit_objective import Terms
+from .fitted import Fitted
+from .pose import Posed
+from .preconditioner import Preconditioners
+from .rival_structures import gone_on
+from .state import FitState
+
+# Of a widefield PSF, by definition: standard deviation across, in wavelengths over NA (B. Zhang et
+# al., Appl. Opt. 46, 2007), and full width at half maximum along, in wavelengths over
+# n - sqrt(n^2 - NA^2) (S. Wilhelm et al., "Confocal Laser Scanning Microscopy", Zeiss, 2003).
+_ACROSS, _ALONG = 0.22, 0.88
+_HALVES = 2.3548  # by definition: that width of a Gaussian, over its standard deviation
+_INDEX = 1.33  # of water; chosen: wavelength and NA stand in for any other
+# NA over index; chosen: few objectives gather more, and a fit may go on from there.
+_WIDEST = 0.92
+ANEW = "the image shows the light cone of an objective: the fit begins anew with such a PSF"
+
+
+@dataclass(frozen=True)
+class LightConeRules:
+    """Which images are asked, and when to give up.
+
+    Attributes
+    ----------
+    roundest
+        Standard deviation of the Gaussian along, over that across. Objectives with the widest cone
+        have 2.6; chosen, as the spectrum tells widths to 10 or 20 %, and fits end with longer ones.
+    hopeless
+        Of the squares that the Gaussian leaves: an objective that leaves more before its first step
+        is dropped. Measured (benchmarks.defaults): 0.5 to 1.2 times as many in widefield stacks, 2
+        to 5 times as many in confocal ones and with Gaussian PSFs as long.
+    """
+
+    roundest: float = 1.7
+    hopeless: float = 1.6
+
+
+RULES = LightConeRules()
+
+
+def objective_instead(
+    terms: Terms, fitted: Fitted, state: FitState
+) -> tuple[ScalarPSF | None, int]:
+    """The PSF of an objective that explains an image better than the Gaussian that was fitted.
+
+    As wide as that was at the start, where it can be; by what is left of the same voxels after a
+    few steps from the end of the fit.
+
+    Returns that PSF as it was before the steps, None where the Gaussian is held or explains as
+    much; and evaluations that finding out took.
+
+    Parameters
+    ----------
+    terms, fitted, state
+        Of the fit at its end, before its last level is left.
+    """
+    settings, first = terms.settings, fitted.first_optics
+    given = _is_plain(fitted.optics) and _is_plain(first)
+    if not given or not settings.fit_psf or terms.second is not None:
+        return None, 0
+    widths = first.sigma_um, fitted.optics.sigma_um
+    optics = next((objective_of(sigma) for sigma in widths if _is_long(sigma)), None)
+    if optics is None:
+        return None, 0
+    rival = replace(fitted, optics=optics, first_optics=optics, learnt=None)
+    rival = rival.with_structure(may_shine(settings.structure, fitted.mesh, optics))
+
+    def hopeless(posed: Posed) -> bool:
+        return posed.left > RULES.hopeless * posed.left_by(state)
+
+    _, posed, taken = gone_on(terms, rival, Preconditioners(), hopeless)
+    return optics if posed.left < posed.left_by(state) else None, taken
+
+
+def objective_of(sigma: Sequence[float]) -> ScalarPSF:
+    """A widefield PSF about as wide, whose aperture and wavelength are fitted; sigma : um, Z Y X.
+
+    As wide as light makes one.
+    """
+    across = sqrt(sigma[1] * sigma[2])
+    # With NA = n sin(a), the ratio of both widths grows as (1 + cos(a)) / sin(a) = 1 / tan(a / 2).
+    tangent = _ALONG / _HALVES / _ACROSS * across / sigma[0]
+    sine = min(2 * tangent / (1 + tangent**2), _WIDEST) if tangent < 1 else _WIDEST
+    wavelength = float(np.clip(across * sine * _INDEX / _ACROSS, *WAVELENGTH.typical))
+    return ScalarPSF(sine * _INDEX, wavelength, _INDEX, fitted=("na", "wavelength"))
+
+
+def _is_plain(optics: Optics) -> bool:
+    return isinstance(optics, GaussianPSF) and optics.diagonal
+
+
+def _is_long(sigma: Sequence[float]) -> bool:
+    return sigma[0] > RULES.roundest * sqrt(sigma[1] * sigma[2])

@@ -1,0 +1,142 @@
+"""A fit whose image shows the cone of light of an objective goes on with such a PSF."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+import napari_deltamic as nd
+from napari_deltamic.evidence.predicted_error import predicted_error
+from napari_deltamic.evidence.verdict import CellFacts, Facts, judged
+from napari_deltamic.fitting.job import FitInput, following, optics_of
+from napari_deltamic.fitting.light_cone import ANEW, objective_of
+from napari_deltamic.geometry import sphere
+from napari_deltamic.measure.surface_distance import distance_to_surface
+from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
+
+SIZE, SHAPE = (0.2, 0.1, 0.1), (22, 32, 32)
+ABOUT = (0.3, 0.11, 0.11)  # um; widths of the PSF of NA 1.2 in water at 0.6 um
+TRUE = sphere((2.1, 1.55, 1.55), 0.95, edge_length=0.13)
+START = sphere((2.1, 1.55, 1.55), 0.85, edge_length=0.28)
+GRID = nd.Grid(SHAPE, SIZE)
+OBJECTIVE, GAUSSIAN = nd.ScalarPSF(1.2, 0.6, 1.33), nd.GaussianPSF(ABOUT)
+
+
+@cache
+def image_through(optics):
+    clean = nd.render(TRUE, GRID, optics).numpy()
+    drawn = np.random.default_rng(0).poisson(5 + 100 * clean / clean.max())
+    return drawn.astype(np.float32)
+
+
+def begun(optics, fit_psf=True, **further):
+    """A fit of a cell seen through some PSF, as a Gaussian that may change."""
+    settings = FitSettings(fit_psf=fit_psf, structure="auto")
+    return nd.fit(image_through(optics), GRID, START, GAUSSIAN, settings=settings, **further)
+
+
+@cache
+def states_of(optics):
+    return list(begun(optics))
+
+
+def off(state):
+    """um, of the surface along Z at most."""
+    away = distance_to_surface(TRUE.vertices_numpy(), state.mesh)
+    return float(np.sqrt((np.asarray(away) ** 2).mean()))
+
+
+def test_a_fit_goes_on_with_the_psf_of_an_objective():
+    states = states_of(OBJECTIVE)
+    kinds = [type(state.optics) for state in states]
+    first = kinds.index(nd.ScalarPSF)
+    assert set(kinds[:first]) == {nd.GaussianPSF}
+    assert set(kinds[first:]) == {nd.ScalarPSF}
+    assert [ANEW in state.message for state in states].index(True) == first - 1
+    assert [state.iteration for state in states] == list(range(1, len(states) + 1))
+    assert states[first].level < states[first - 1].level
+    assert [state.converged for state in states] == [False] * (len(states) - 1) + [True]
+    assert not states[-1].cone
+    found = {p.name: p.value for p in states[-1].optics.described()}
+    assert found["na"] == pytest.approx(1.2, rel=0.05)
+    assert found["wavelength"] == pytest.approx(0.6, rel=0.05)
+    assert off(states[-1]) < 0.5 * off(states[first - 1])
+
+
+def test_a_gaussian_stays():
+    states = states_of(GAUSSIAN)
+    assert {type(state.optics) for state in states} == {nd.GaussianPSF}
+    assert not states[-1].cone
+
+
+def test_a_psf_that_is_held_is_not_asked():
+    *_, state = begun(OBJECTIVE, fit_psf=False)
+    assert isinstance(state.optics, nd.GaussianPSF)
+    assert not state.cone
+
+
+def test_what_a_user_has_changed_is_not_begun_anew():
+    states = begun(OBJECTIVE)
+    first = next(states)
+    pinned = np.zeros(len(first.mesh.vertices), bool)
+    pinned[0] = True
+    last = states.send(nd.Change(pinned=pinned))
+    for last in states:  # noqa: B007
+        pass
+    assert isinstance(last.optics, nd.GaussianPSF)
+    assert last.converged
+    assert last.cone
+    settings = RunSettings(image="", seeds="", scene=SceneSettings(voxel_size=SIZE, sigma=ABOUT))
+    given = settings, image_through(OBJECTIVE), GRID, START, GAUSSIAN, None
+    assert predicted_error(FitInput(*given), last).cone
+
+
+def test_a_checkpoint_goes_on_with_the_psf_that_was_found(tmp_path):
+    states = states_of(OBJECTIVE)
+    first = [type(state.optics) for state in states].index(nd.ScalarPSF)
+    kept = tmp_path / "state.npz"
+    states[first + 20].save(kept)
+    *_, resumed = begun(OBJECTIVE, resume=kept)
+    assert isinstance(resumed.optics, nd.ScalarPSF)
+    assert resumed.iteration == states[-1].iteration
+    np.testing.assert_allclose(
+        resumed.mesh.vertices_numpy(), states[-1].mesh.vertices_numpy(), atol=1e-6
+    )
+
+
+def test_settings_of_the_job_follow():
+    settings = RunSettings(image="", seeds="", scene=SceneSettings(voxel_size=SIZE, sigma=ABOUT))
+    job = FitInput(settings, image_through(OBJECTIVE), GRID, START, GAUSSIAN, None)
+    states = states_of(OBJECTIVE)
+    assert following(job, states[0]) is job
+    found = following(job, states[-1])
+    assert found.optics is states[-1].optics
+    assert following(found, states[-1]) is found
+    again = optics_of(RunSettings.model_validate(found.settings.model_dump()).scene)
+    assert again.fitted == ("na", "wavelength")
+    assert again.parameters().tolist() == pytest.approx(states[-1].optics.parameters().tolist())
+
+
+def test_a_fit_through_the_wrong_kind_of_psf_is_fair():
+    cells = (CellFacts(1, 0.9),)
+    facts = Facts(finished=True, explained=0.9, cells=cells)
+    assert judged(facts).grade == "good"
+    found = judged(Facts(True, 0.9, cells=cells, error=type(facts.error)(cone=True)))
+    assert found.grade == "fair"
+    assert "--modality" in found.sentence()
+    assert found.as_plain()["error"]["cone"]
+
+
+@pytest.mark.parametrize("aperture", [0.5, 0.9, 1.2])
+def test_the_objective_is_about_as_wide(aperture):
+    # Widths by the formulas that the module names, so that only their inverse is tested here.
+    across = 0.22 * 0.5 / aperture
+    along = 0.88 * 0.5 / (1.33 - np.sqrt(1.33**2 - aperture**2)) / 2.3548
+    found = {p.name: p.value for p in objective_of((along, across, across)).described()}
+    assert found["na"] == pytest.approx(aperture, rel=1e-9)
+    assert found["wavelength"] == pytest.approx(0.5, rel=1e-9)
+
+
+def test_no_wavelength_is_longer_than_that_of_light():
+    found = {p.name: p.value for p in objective_of((30, 10, 10)).described()}
+    assert found["wavelength"] == 2.0
