@@ -37,20 +37,16 @@ ANEW = "the image shows the light cone of an objective: the fit begins anew with
 
 @dataclass(frozen=True)
 class LightConeRules:
-    """Which images are asked, and when to give up.
+    """When to give up.
 
     Attributes
     ----------
-    roundest
-        Standard deviation of the Gaussian along, over that across. Objectives with the widest cone
-        have 2.6; chosen, as the spectrum tells widths to 10 or 20 %, and fits end with longer ones.
     hopeless
         Of the squares that the Gaussian leaves: an objective that leaves more before its first step
         is dropped. Measured (benchmarks.defaults): 0.5 to 1.2 times as many in widefield stacks, 2
         to 5 times as many in confocal ones and with Gaussian PSFs as long.
     """
 
-    roundest: float = 1.7
     hopeless: float = 1.6
 
 
@@ -62,8 +58,9 @@ def objective_instead(
 ) -> tuple[ScalarPSF | None, int]:
     """The PSF of an objective that explains an image better than the Gaussian that was fitted.
 
-    As wide as that was at the start, where it can be; by what is left of the same voxels after a
-    few steps from the end of the fit.
+    As wide as that was at the start; by what is left of the same voxels after a few steps from the
+    end of the fit. Asked where the Gaussian has become as long as the roundest PSF of an objective:
+    a cone makes it longer than its middle is.
 
     Returns that PSF as it was before the steps, None where the Gaussian is held or explains as
     much; and evaluations that finding out took.
@@ -77,10 +74,9 @@ def objective_instead(
     given = _is_plain(fitted.optics) and _is_plain(first)
     if not given or not settings.fit_psf or terms.second is not None:
         return None, 0
-    widths = first.sigma_um, fitted.optics.sigma_um
-    optics = next((objective_of(sigma) for sigma in widths if _is_long(sigma)), None)
-    if optics is None:
+    if _roundness(fitted.optics.sigma_um) > _half_angle(_WIDEST):
         return None, 0
+    optics = objective_of(first.sigma_um)
     rival = replace(fitted, optics=optics, first_optics=optics, learnt=None)
     rival = rival.with_structure(may_shine(settings.structure, fitted.mesh, optics))
 
@@ -96,11 +92,10 @@ def objective_of(sigma: Sequence[float]) -> ScalarPSF:
 
     As wide as light makes one.
     """
-    across = sqrt(sigma[1] * sigma[2])
-    # With NA = n sin(a), the ratio of both widths grows as (1 + cos(a)) / sin(a) = 1 / tan(a / 2).
-    tangent = _ALONG / _HALVES / _ACROSS * across / sigma[0]
-    sine = min(2 * tangent / (1 + tangent**2), _WIDEST) if tangent < 1 else _WIDEST
-    wavelength = float(np.clip(across * sine * _INDEX / _ACROSS, *WAVELENGTH.typical))
+    tangent = min(_roundness(sigma), _half_angle(_WIDEST))
+    sine = 2 * tangent / (1 + tangent**2)
+    wavelength = sqrt(sigma[1] * sigma[2]) * sine * _INDEX / _ACROSS
+    wavelength = float(np.clip(wavelength, *WAVELENGTH.typical))
     return ScalarPSF(sine * _INDEX, wavelength, _INDEX, fitted=("na", "wavelength"))
 
 
@@ -108,5 +103,14 @@ def _is_plain(optics: Optics) -> bool:
     return isinstance(optics, GaussianPSF) and optics.diagonal
 
 
-def _is_long(sigma: Sequence[float]) -> bool:
-    return sigma[0] > RULES.roundest * sqrt(sigma[1] * sigma[2])
+def _roundness(sigma: Sequence[float]) -> float:
+    """Of a PSF of an objective: the tangent of half the angle of its cone.
+
+    With NA = n sin(a), width across over width along grows as sin(a) / (1 + cos(a)) = tan(a / 2).
+    """
+    return _ALONG / _HALVES / _ACROSS * sqrt(sigma[1] * sigma[2]) / sigma[0]
+
+
+def _half_angle(sine: float) -> float:
+    """The tangent of half an angle."""
+    return sine / (1 + sqrt(1 - sine**2))
