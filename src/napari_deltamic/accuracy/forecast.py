@@ -286,7 +286,8 @@ def forecast(
             margin=2 * shape.width,
         ).plan
         each = iteration_seconds(costs, plan, shape, mesh, near, settings, factor)
-        each += sum(milliseconds(e, plan, shape.grid, costs) for e in chosen.present()) / 1e3
+        further = sum(milliseconds(e, plan, shape.grid, costs) for e in chosen.present())
+        each += FORECAST.posing * further / 1e3
         found.append(
             LevelForecast(
                 number=number,
@@ -296,7 +297,7 @@ def forecast(
                 accuracy=shape.accuracy,
                 seconds_per_iteration=each,
                 iterations=iterations_of(settings, factors, number, not found, cells),
-                preparation=preparation_seconds(costs, shape, grid, mesh),
+                preparation=preparation_seconds(costs, shape, grid, mesh) + FORECAST.begun * each,
             )
         )
     if sum(level.iterations for level in found) > settings.max_iterations:
