@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 import napari_deltamic as nd
+from napari_deltamic.cli import fit_command
 from napari_deltamic.fitting import fit
+from napari_deltamic.fitting.light_cone import objective_of
 from napari_deltamic.geometry import sphere
 from napari_deltamic.images.stacks import read_image
 from napari_deltamic.results.report import FILES
@@ -63,6 +65,31 @@ def test_run_toml_runs_again_identically(data, tmp_path, run):
     assert settings.fit.accuracy == 1e-2
     assert settings.fit.likelihood == "gaussian"
     assert settings.scene.effects.names == ("pixel_integration",)
+
+
+def test_run_toml_has_the_psf_that_a_fit_went_on_with(data, tmp_path, run, monkeypatch):
+    def states(job, resume=None):
+        few = job.settings.fit.model_copy(update={"max_iterations": 2})
+        given = job.image, job.grid, job.mesh
+        yield next(iter(fit(*given, job.optics, settings=few)))
+        yield from fit(*given, objective_of(job.optics.sigma_um), settings=few)
+
+    monkeypatch.setattr(fit_command, "CHECKPOINT_EVERY", -1.0)
+    monkeypatch.setattr(fit_command, "start", states)
+    arguments = "fit", data / "cell.tif", "--seeds", data / "start.ply", "-o", tmp_path
+    code, _, err = run(*arguments)
+    assert code == 0, err
+    found = RunSettings.from_toml(tmp_path / "run.toml").scene
+    assert found.sigma is None
+    built, started = found.optics.build(), objective_of(given_sigma(err))
+    assert built.parameters().tolist() == pytest.approx(started.parameters().tolist(), rel=1e-3)
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["optics"]["model"] == "ScalarPSF"
+
+
+def given_sigma(err):
+    """um, of the note on where the fit of the PSF starts."""
+    return [float(s) for s in re.search(r"no sigma given: (\S+) (\S+) (\S+) um", err).groups()]
 
 
 def test_options_prevail_over_settings(data, tmp_path, run, seen):

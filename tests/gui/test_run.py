@@ -14,13 +14,17 @@ from napari_deltamic.cli.inputs import gather
 from napari_deltamic.cli.messages import Notes
 from napari_deltamic.errors import DoubtWarning, InputError
 from napari_deltamic.fitting import fit
+from napari_deltamic.fitting.light_cone import objective_of
 from napari_deltamic.gui.running import worker
 from napari_deltamic.measure import measure_cells
+from napari_deltamic.optics import ScalarPSF
+from napari_deltamic.results.session_file import load_session
 from napari_deltamic.runs.command import command
 from napari_deltamic.runs.run_files import with_files
 
 from .conftest import CENTER, SIZE
 from .interacting import pause, went_on
+from .sessions import save
 
 VOLUME = 4 / 3 * np.pi * 1.2 * 1.1 * 1.1
 
@@ -327,3 +331,25 @@ def test_the_verdict_is_one_line_with_a_list_behind(seeded, spin, monkeypatch):
     assert panel.remarks.isHidden()
     panel._show_verdict(*verdict)  # as a session does
     assert panel.remarks.title == "3 remarks"
+
+
+def test_a_fit_that_begins_anew_with_another_psf(seeded, spin, monkeypatch, tmp_path):
+    """Settings, forecast and session follow the kind of PSF."""
+
+    def states(job, resume=None):
+        few = job.settings.fit.model_copy(update={"max_iterations": 3})
+        given = job.image, job.grid, job.mesh
+        yield from list(fit(*given, job.optics, settings=few))[:2]
+        yield from fit(*given, objective_of(job.optics.sigma_um), settings=few)
+
+    monkeypatch.setattr(worker, "start", states)
+    seeded.start()
+    spin(lambda: not running(seeded))
+    record = seeded.doc.result
+    assert isinstance(record.state.optics, ScalarPSF)
+    assert isinstance(record.job.optics, ScalarPSF)
+    assert record.job.settings.scene.optics.kind == "microscope"
+    spin(lambda: not seeded.judging.background.busy)
+    save(seeded, tmp_path / "a.deltamic", spin)
+    result = load_session(tmp_path / "a.deltamic").result
+    assert repr(result.state.optics) == repr(record.state.optics)
