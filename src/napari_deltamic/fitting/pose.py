@@ -84,22 +84,31 @@ class Posed:
 
     def shown(self, state: FitState) -> FloatArray:
         """(N,) the image of a state where voxels count, of amplitude 1."""
-        level, view = self.posterior.level, self.posterior.views[0]
+        return as_floats(self.posterior.views[0].voxels.of(self._image(state)))
+
+    def left_by(self, state: FitState) -> tuple[float, float]:
+        """What another state would leave of the first image, as :attr:`left`, and noise of that.
+
+        Noise is what differs from voxel to voxel along X.
+        """
+        level, voxels = self.posterior.level, self.posterior.views[0].voxels
+        image, weights = self._image(state), voxels.weights
+        shown = voxels.of(image).to(weights)
+        measured = torch.from_numpy(self.posterior.measured(self.at)[0]).to(weights)
+        a, b, _ = solve_scale(shown, measured, weights)
+        rest = voxels.of(differences(level.target - a * image.to(level.target)))
+        squares = ((measured - a * shown - b) ** 2, rest.to(weights) ** 2)
+        left, noise = (float(total(weights * one) / total(weights)) for one in squares)
+        return left, noise
+
+    def _image(self, state: FitState) -> Tensor:
+        """(Z, Y, X) of a state, of amplitude 1."""
+        level = self.posterior.level
         renderer = level.renderer(state.mesh, state.optics, state.effects, insides=True)
         with torch.no_grad():
             density = torch.from_numpy(state.density)
             spectrum = renderer.transform(density=density, light=state.light)
-            shown = level.rendered(renderer, spectrum, renderer.otf(state.optics))
-            return as_floats(view.voxels.of(shown))
-
-    def left_by(self, state: FitState) -> float:
-        """What another state would leave of the first image: as :attr:`left`."""
-        voxels = self.posterior.views[0].voxels
-        shown = torch.from_numpy(self.shown(state)).to(voxels.weights)
-        measured = torch.from_numpy(self.posterior.measured(self.at)[0]).to(shown)
-        a, b, _ = solve_scale(shown, measured, voxels.weights)
-        squares = total(voxels.weights * (measured - a * shown - b) ** 2)
-        return float(squares / total(voxels.weights))
+            return level.rendered(renderer, spectrum, renderer.otf(state.optics))
 
 
 def pose(
