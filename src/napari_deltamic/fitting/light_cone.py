@@ -86,9 +86,14 @@ def objective_instead(
     rival = replace(fitted, optics=optics, first_optics=optics, learnt=None)
     rival = rival.with_structure(may_shine(settings.structure, fitted.mesh, optics))
 
+    looked: list[float] = []
+
     def hopeless(posed: Posed) -> bool:
         left, noise = posed.left_by(state)
-        return posed.left - noise > RULES.hopeless * max(left - noise, 0.0)
+        looked.append(posed.left / left)
+        if len(looked) == 1:
+            return posed.left - noise > RULES.hopeless * max(left - noise, 0.0)
+        return 2 * looked[-1] - looked[-2] >= 1  # would not do if it gained as much again
 
     _, posed, taken = gone_on(terms, rival, Preconditioners(), hopeless)
     return optics if posed.left < posed.left_by(state)[0] else None, taken

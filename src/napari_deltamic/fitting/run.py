@@ -45,10 +45,18 @@ class Run:
         Where it starts.
     settings
         With levels and accuracy.
+    stage
+        Where counts go on from; None at the very start.
     """
 
     def __init__(
-        self, problem: Problem, mesh: Mesh, optics: Optics, settings: FitSettings, effects: Effects
+        self,
+        problem: Problem,
+        mesh: Mesh,
+        optics: Optics,
+        settings: FitSettings,
+        effects: Effects,
+        stage: Stage | None = None,
     ) -> None:
         self._problem, self._settings, self._schedule = problem, settings, Schedule()
         self._levels = settings.levels or WIDE_LEVELS
@@ -57,7 +65,7 @@ class Run:
         several = len(self._levels) == 1 and len(mesh.region_ids()) > 1
         model = "interface" if several and settings.density == "smooth" else settings.density
         self._fitted = Fitted.begun(mesh, optics, effects, model, settings.structure)
-        self._stage = Stage(0, self._fitted.optics)
+        self._stage = stage or Stage(0, self._fitted.optics)
         self._topology = TopologyTrials(problem)
         self._remeshing = Remeshing(mesh, min(optics.sigma_um))
         self._reporter = Reporter(mesh)
@@ -151,9 +159,7 @@ class Run:
     def followed_by(self, optics: Optics) -> Run:
         """A run from the same start with another PSF."""
         given = self._begun.mesh, optics, self._settings, self._fitted.first_effects
-        run = Run(self._problem, *given)
-        run._stage = self._stage.begun_anew(run._stage.blurred_for)
-        return run
+        return Run(self._problem, *given, self._stage.begun_anew(optics))
 
     @property
     def _choice(self) -> ModelChoice:
