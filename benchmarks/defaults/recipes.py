@@ -240,6 +240,7 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
     ),
     "widefield": lambda rng: _flat_voxels(rng, "widefield"),
     "widefield-nucleus": lambda rng: _flat_voxels(rng, "widefield", membrane=0.0, interior=1.0),
+    "widefield-haze": lambda rng: _flat_voxels(rng, "widefield", haze=rng.uniform(0.2, 0.6)),
     "widefield-tissue": lambda rng: replace(_labelled_tissue(rng), microscope="widefield"),
     "confocal": lambda rng: _flat_voxels(rng, "confocal"),
     "confocal-nuclei": lambda rng: _crowd(

@@ -41,7 +41,7 @@ def states_of(optics):
 
 
 def off(state):
-    """um, of the surface along Z at most."""
+    """um, root mean square over the true surface."""
     away = distance_to_surface(TRUE.vertices_numpy(), state.mesh)
     return float(np.sqrt((np.asarray(away) ** 2).mean()))
 

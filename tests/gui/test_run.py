@@ -349,6 +349,7 @@ def test_a_fit_that_begins_anew_with_another_psf(seeded, spin, monkeypatch, tmp_
     assert isinstance(record.state.optics, ScalarPSF)
     assert isinstance(record.job.optics, ScalarPSF)
     assert record.job.settings.scene.optics.kind == "microscope"
+    assert seeded.doc.run.forecast.iterations == 2  # counted from the new beginning on
     spin(lambda: not seeded.judging.background.busy)
     save(seeded, tmp_path / "a.deltamic", spin)
     result = load_session(tmp_path / "a.deltamic").result

@@ -45,9 +45,9 @@ class LightConeRules:
         How far off the spectrum's first widths may be: it tells them to 10 or 20 %.
     hopeless
         Of the squares beyond noise that the Gaussian leaves: an objective that leaves more is
-        dropped. Measured (one cell, 6 to 10,000 photons, light inside or around), before the first
-        step: 0.1 to 7.6 times as many in widefield stacks, 13 to 55 in plain confocal ones, more
-        with Gaussian PSFs as long.
+        dropped. Measured before the first step: 0.1 to 7.6 times as many in widefield stacks (6 to
+        10,000 photons, some with light inside or around), 13 to 55 in confocal ones of 30 photons
+        and more without a haze, more with Gaussian PSFs as long.
     """
 
     told: float = 1.2
@@ -78,7 +78,7 @@ def objective_instead(
     given = _is_plain(fitted.optics) and _is_plain(first)
     if not given or not settings.fit_psf or terms.second is not None:
         return None, 0
-    roundest = _half_angle(_WIDEST)
+    roundest = _tangent_of_half(_WIDEST)
     before, after = _roundness(first.sigma_um), _roundness(fitted.optics.sigma_um)
     if before > RULES.told * roundest and after > roundest:
         return None, 0
@@ -104,7 +104,7 @@ def objective_of(sigma: Sequence[float]) -> ScalarPSF:
 
     As wide as light makes one.
     """
-    tangent = min(_roundness(sigma), _half_angle(_WIDEST))
+    tangent = min(_roundness(sigma), _tangent_of_half(_WIDEST))
     sine = 2 * tangent / (1 + tangent**2)
     wavelength = sqrt(sigma[1] * sigma[2]) * sine * _INDEX / _ACROSS
     wavelength = float(np.clip(wavelength, *WAVELENGTH.typical))
@@ -123,6 +123,6 @@ def _roundness(sigma: Sequence[float]) -> float:
     return _ALONG / _HALVES / _ACROSS * sqrt(sigma[1] * sigma[2]) / sigma[0]
 
 
-def _half_angle(sine: float) -> float:
-    """The tangent of half an angle."""
+def _tangent_of_half(sine: float) -> float:
+    """The tangent of half the angle of this sine."""
     return sine / (1 + sqrt(1 - sine**2))
