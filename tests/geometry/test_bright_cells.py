@@ -162,9 +162,10 @@ def net():
 def test_a_net_of_walls_that_encloses_nothing_is_not_cut_into_cells(monkeypatch):
     with pytest.raises(InputError, match="no cells"):
         cells_of(net(), (1.0, 0.2, 0.2))
-    any_holes = replace(bright_cells.RULES, holes=np.inf)
-    monkeypatch.setattr(bright_cells, "RULES", any_holes)
-    assert cells_of(net(), (1.0, 0.2, 0.2)).bright  # but for the dark places that it surrounds
+    whatever = replace(bright_cells.RULES, holes=np.inf, whole=0.0)
+    monkeypatch.setattr(bright_cells, "RULES", whatever)
+    # But for the dark places that it surrounds, and as its pieces are not solid.
+    assert cells_of(net(), (1.0, 0.2, 0.2)).bright
 
 
 @pytest.mark.parametrize(("kind", "draw"), [("packed-hazy", 2), ("tissue-insides", 0)])
@@ -261,3 +262,25 @@ def test_cells_with_bright_rims_are_found_whole_where_walls_enclose_none(monkeyp
     found = cells_of(image, (1.0, 1.0, 1.0))
     assert found.labels.max() == 9
     assert matched(found.labels, labels) == 1
+
+
+def test_one_nucleus_with_a_bright_rim_and_dark_nucleoli_do_not_hide_the_others(monkeypatch):
+    """Nucleoli are found where cells with walls are sought; and the rim of one is a wall."""
+    at = np.stack(np.indices((24, 90, 120)), -1).astype(float)
+    centres = np.array([[12.0, y, x] for y in (16, 45, 74) for x in (16, 45, 74, 103)])
+    away = np.stack([np.linalg.norm((at - c) / (8, 11, 11), axis=-1) for c in centres], -1)
+    labels = np.where(away.min(-1) < 1, away.argmin(-1) + 1, 0)
+    light = np.append(0.0, np.linspace(0.8, 1.2, 12))[labels]
+    rimmed = away[..., 5]
+    light[rimmed < 1] = np.where(rimmed[rimmed < 1] > 0.8, 2.5, 0.7)
+    nucleoli = np.zeros(labels.shape, np.int32)
+    for k in (0, 10):
+        nucleoli[np.linalg.norm(at - centres[k], axis=-1) < 4] = nucleoli.max() + 1
+    light[nucleoli > 0] = 0.2
+    rng = np.random.default_rng(3)
+    image = rng.poisson(4 + 60 * gaussian_filter(light, (1.6, 1.0, 1.0))).astype(np.float32)
+    monkeypatch.setattr(bright_cells, "find_cells", lambda *given: nucleoli)
+    found = cells_of(image, (1.0, 1.0, 1.0))
+    assert found.bright
+    assert matched(found.labels, labels) == 1
+    assert found.labels.max() == 12
