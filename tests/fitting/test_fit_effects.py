@@ -218,7 +218,7 @@ def test_a_second_view_of_which_much_is_missing_waits_until_it_can_be_told():
     given = {"effects": Effects.of(SecondView(sigma=(0.13,) * 3)), "settings": settings}
     last = fitted(measured(noise=0), near(), second=second, **given)
     assert last.level == 2
-    few = np.where(np.arange(second.size).reshape(second.shape) < 50, 1.0 * measured(), np.nan)
+    few = np.where(np.arange(second.size).reshape(second.shape) < 50, measured(noise=1), np.nan)
     with pytest.raises(InputError, match="second view: only 50 voxels count"):
         fitted(measured(), second=few, **given)
 
