@@ -8,7 +8,7 @@ from napari_deltamic import render
 from napari_deltamic.fitting.state import FitState
 from napari_deltamic.geometry import Mesh
 from napari_deltamic.tracking.alarms import alarms, gone, looks
-from napari_deltamic.tracking.divisions import Residual, explains, proposals
+from napari_deltamic.tracking.divisions import Residual, explains, has_folded, proposals
 from napari_deltamic.tracking.frames import Quality
 from napari_deltamic.tracking.motion import Start, shifted, starts
 from napari_deltamic.tracking.result import Event, FrameResult, lineage
@@ -106,6 +106,22 @@ def test_a_wall_inside_a_cell_is_proposed_where_it_is():
     after = Residual(image, KNOWN, GRID, state(pair(6.0)))
     assert explains(before, after, 1)
     assert not explains(before, before, 1)
+
+
+def test_a_cell_has_folded_where_its_surface_lies_along_the_wall():
+    image, one = photographed(pair(6.0)), whole(pair(6.0))
+    start = Residual(image, KNOWN, GRID, state(one, pair(6.0)))
+    (wall,) = proposals(start, one)
+    assert not has_folded(start, start, wall), "its surface is where it was"
+    thinner = Mesh(MIDDLE + 0.85 * (one.vertices_numpy() - MIDDLE), one.faces, one.regions)
+    assert not has_folded(start, Residual(image, KNOWN, GRID, state(thinner)), wall)
+    places = one.vertices_numpy()
+    along = (places - wall.point) @ wall.normal
+    size = np.abs(along).max()
+    waist = 1 - 0.8 * np.exp(-0.5 * (along / (0.25 * size)) ** 2)
+    flat = wall.point + np.outer(along, wall.normal)
+    folded = Mesh(flat + waist[:, None] * (places - flat), one.faces, one.regions)
+    assert has_folded(start, Residual(image, KNOWN, GRID, state(folded)), wall)
 
 
 @pytest.mark.parametrize("seed", range(4))

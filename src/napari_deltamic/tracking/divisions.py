@@ -51,6 +51,14 @@ class Residual:
         # Of a flat wall between two cells, where it is seen best.
         self.wall = 2 * state.amplitude * volume / (sqrt(2 * pi) * float(self.sigma.max()))
 
+    def deep(self, cell: int, box: tuple[slice, ...]) -> NDArray[np.bool_]:
+        """Whether each voxel of a box is in a cell, beyond the blur of its surface."""
+        inside = np.pad(self.labels[box] == cell, 1)
+        widths = np.asarray(self.grid.voxel_size) / self.sigma
+        depth = distance_transform_edt(inside, widths)[1:-1, 1:-1, 1:-1]
+        found: NDArray[np.bool_] = depth > _RULES.interior
+        return found
+
     def squared(self, own: NDArray[np.bool_]) -> float:
         """Sum of the squared residual over some voxels."""
         return float((self.values[own & self.known] ** 2).sum())
@@ -66,13 +74,28 @@ def explains(before: Residual, after: Residual, cell: int, folded: bool = False)
     """Whether a wall that was put into a cell explains enough of what was there.
 
     The gain in squared residual must be beyond chance, and a fair share of the whole. A single cell
-    that has folded in along the wall has the same image as two: then about as much is enough.
+    that has folded in along the wall (:func:`has_folded`) has the same image as two: then about as
+    much is enough.
     """
     own = before.labels == cell
     old, new = before.squared(own), after.squared(own)
     if folded:
         return new < (1 + _RULES.folded) * old
     return old - new > max(_RULES.gain * old, _RULES.sure**2 * before.noise**2)
+
+
+def has_folded(start: Residual, end: Residual, wall: Proposal) -> bool:
+    """Whether a cell that was whole at the start of a fit has its surface along a wall at the end.
+
+    A gradient in a cell looks like a wall to a start that is off, but the cell does not fold.
+    """
+    grid, box = start.grid, _box(np.argwhere(start.labels == wall.cell))
+    inner = np.argwhere(start.deep(wall.cell, box))
+    um = (inner + [s.start for s in box]) * grid.voxel_size + grid.origin
+    away = (um - wall.point) @ wall.normal
+    near = inner[np.abs(away) < np.sqrt(((start.sigma * wall.normal) ** 2).sum())]
+    still = end.deep(wall.cell, box)[tuple(near.T)]
+    return bool(len(near)) and float(still.mean()) < 1 - _RULES.along
 
 
 def are_daughters(mesh: Mesh, pair: tuple[int, int]) -> bool:
@@ -86,19 +109,14 @@ def are_daughters(mesh: Mesh, pair: tuple[int, int]) -> bool:
 
 def _proposal(residual: Residual, cell: int) -> Proposal | None:
     grid = residual.grid
-    own = residual.labels == cell
-    if not own.any():
+    places = np.argwhere(residual.labels == cell)
+    if not len(places):
         return None
-    places = np.argwhere(own)
-    low, high = np.maximum(places.min(0) - 1, 0), places.max(0) + 2
-    box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
-    depth = distance_transform_edt(
-        np.pad(own[box], 1), np.asarray(grid.voxel_size) / residual.sigma
-    )
-    inner = (depth[1:-1, 1:-1, 1:-1] > _RULES.interior) & residual.known[box]
+    box = _box(places)
+    inner = residual.deep(cell, box) & residual.known[box]
     if int(inner.sum()) < _RULES.fewest:
         return None
-    um = (np.argwhere(inner) + low) * grid.voxel_size + grid.origin
+    um = (np.argwhere(inner) + [s.start for s in box]) * grid.voxel_size + grid.origin
     values = residual.values[box][inner]
     center = ((places * grid.voxel_size) + grid.origin).mean(0)
     whole = (places * grid.voxel_size) + grid.origin - center
@@ -115,6 +133,12 @@ def _proposal(residual: Residual, cell: int) -> Proposal | None:
     if not _all_around(um - center, values, residual, normal, offset, height):
         return None
     return Proposal(cell, center + offset * normal, normal, brightness, evidence)
+
+
+def _box(places: NDArray[np.signedinteger]) -> tuple[slice, ...]:
+    """Voxels around some, and one more on each side within the image."""
+    low, high = np.maximum(places.min(0) - 1, 0), places.max(0) + 2
+    return tuple(slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
 
 
 def _best_plane(

@@ -25,7 +25,7 @@ from ..scene import Grid
 from ..scene.effects import Effects, as_effects
 from .alarms import alarms, gone
 from .between_frames import BetweenFrames
-from .divisions import Residual, are_daughters, explains, proposals
+from .divisions import Residual, are_daughters, explains, has_folded, proposals
 from .frames import Frame, check_series, numbered
 from .motion import Start, starts
 from .result import Event, FrameResult, TrackState
@@ -259,8 +259,8 @@ class _Tracker:
             folded = not calls and rounds == 0 and _alike(early, state)
             if folded:
                 assert early is not None
-                mesh = early.mesh
-                calls = proposals(Residual(frame.image, frame.known, self.grid, early), mesh)
+                mesh, start = early.mesh, Residual(frame.image, frame.known, self.grid, early)
+                calls = [w for w in proposals(start, mesh) if has_folded(start, before, w)]
             for found in calls:
                 if found.cell in refused:
                     continue
@@ -274,8 +274,7 @@ class _Tracker:
                 divided[found.cell] = (pair, found)
             if not divided:
                 break
-            start = Start("division", mesh, 0.0, float("nan"))
-            new, _ = yield from self._fit(frame, start)
+            new, _ = yield from self._fit(frame, Start("division", mesh, 0.0, float("nan")))
             after = Residual(frame.image, frame.known, self.grid, new)
             good = {
                 c

@@ -121,6 +121,9 @@ class DivisionRules:
     gain
         Share of the squared residual in the cell that a wall must explain: the best of hundreds of
         planes has about 12 variances of the noise by chance, which is as much of 300 voxels.
+    along
+        Share of a wall along which the surface of a cell that has folded in must lie: with less, a
+        part of it is still one cell.
     folded
         Share by which two daughters may explain a cell worse than a single one that has folded in
         along the wall: its brightness has become uneven for that, by 0.73 to 1.96 where 3 % were
@@ -138,6 +141,7 @@ class DivisionRules:
     least_sector: float = 0.25
     smallest: float = 0.15
     gain: float = 0.04
+    along: float = 0.5
     folded: float = 0.1
     rounds: int = 3
 
