@@ -9,7 +9,7 @@ import napari_deltamic as nd
 from napari_deltamic.evidence.predicted_error import predicted_error
 from napari_deltamic.evidence.verdict import CellFacts, Facts, judged
 from napari_deltamic.fitting.job import FitInput, following, optics_of
-from napari_deltamic.fitting.light_cone import ANEW, objective_of
+from napari_deltamic.fitting.light_cone import ANEW, confocal_of, widefield_of
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure.surface_distance import distance_to_surface
 from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
@@ -20,6 +20,7 @@ TRUE = sphere((2.1, 1.55, 1.55), 0.95, edge_length=0.13)
 START = sphere((2.1, 1.55, 1.55), 0.85, edge_length=0.28)
 GRID = nd.Grid(SHAPE, SIZE)
 OBJECTIVE, GAUSSIAN = nd.ScalarPSF(1.2, 0.6, 1.33), nd.GaussianPSF(ABOUT)
+CONFOCAL = nd.ConfocalPSF(nd.ScalarPSF(1.2, 0.6, 1.33), 0.6)
 
 
 @cache
@@ -46,12 +47,13 @@ def off(state):
     return float(np.sqrt((np.asarray(away) ** 2).mean()))
 
 
-def test_a_fit_goes_on_with_the_psf_of_an_objective():
-    states = states_of(OBJECTIVE)
+@pytest.mark.parametrize("optics", [OBJECTIVE, CONFOCAL])
+def test_a_fit_goes_on_with_the_psf_of_an_objective(optics):
+    states = states_of(optics)
     kinds = [type(state.optics) for state in states]
-    first = kinds.index(nd.ScalarPSF)
+    first = kinds.index(type(optics))
     assert set(kinds[:first]) == {nd.GaussianPSF}
-    assert set(kinds[first:]) == {nd.ScalarPSF}
+    assert set(kinds[first:]) == {type(optics)}
     assert [ANEW in state.message for state in states].index(True) == first - 1
     assert [state.iteration for state in states] == list(range(1, len(states) + 1))
     assert states[first].level < states[first - 1].level
@@ -60,7 +62,8 @@ def test_a_fit_goes_on_with_the_psf_of_an_objective():
     found = {p.name: p.value for p in states[-1].optics.described()}
     assert found["na"] == pytest.approx(1.2, rel=0.05)
     assert found["wavelength"] == pytest.approx(0.6, rel=0.05)
-    assert off(states[-1]) < 0.5 * off(states[first - 1])
+    assert states[-1].optics.sigma_um == pytest.approx(optics.sigma_um, rel=0.03)
+    assert off(states[-1]) < 0.6 * off(states[first - 1])
 
 
 def test_a_gaussian_stays():
@@ -91,29 +94,32 @@ def test_what_a_user_has_changed_is_not_begun_anew():
     assert predicted_error(FitInput(*given), last).cone
 
 
-def test_a_checkpoint_goes_on_with_the_psf_that_was_found(tmp_path):
-    states = states_of(OBJECTIVE)
-    first = [type(state.optics) for state in states].index(nd.ScalarPSF)
+@pytest.mark.parametrize("optics", [OBJECTIVE, CONFOCAL])
+def test_a_checkpoint_goes_on_with_the_psf_that_was_found(tmp_path, optics):
+    states = states_of(optics)
+    first = [type(state.optics) for state in states].index(type(optics))
     kept = tmp_path / "state.npz"
     states[first + 20].save(kept)
-    *_, resumed = begun(OBJECTIVE, resume=kept)
-    assert isinstance(resumed.optics, nd.ScalarPSF)
+    *_, resumed = begun(optics, resume=kept)
+    assert type(resumed.optics) is type(optics)
     assert resumed.iteration == states[-1].iteration
     np.testing.assert_allclose(
         resumed.mesh.vertices_numpy(), states[-1].mesh.vertices_numpy(), atol=1e-6
     )
 
 
-def test_settings_of_the_job_follow():
+@pytest.mark.parametrize("optics", [OBJECTIVE, CONFOCAL])
+def test_settings_of_the_job_follow(optics):
     settings = RunSettings(image="", seeds="", scene=SceneSettings(voxel_size=SIZE, sigma=ABOUT))
-    job = FitInput(settings, image_through(OBJECTIVE), GRID, START, GAUSSIAN, None)
-    states = states_of(OBJECTIVE)
+    job = FitInput(settings, image_through(optics), GRID, START, GAUSSIAN, None)
+    states = states_of(optics)
     assert following(job, states[0]) is job
     found = following(job, states[-1])
     assert found.optics is states[-1].optics
     assert following(found, states[-1]) is found
     again = optics_of(RunSettings.model_validate(found.settings.model_dump()).scene)
-    assert again.fitted == ("na", "wavelength")
+    assert type(again) is type(optics)
+    assert again.fitted == states[-1].optics.fitted
     assert again.parameters().tolist() == pytest.approx(states[-1].optics.parameters().tolist())
 
 
@@ -132,11 +138,12 @@ def test_the_objective_is_about_as_wide(aperture):
     # Widths by the formulas that the module names, so that only their inverse is tested here.
     across = 0.22 * 0.5 / aperture
     along = 0.88 * 0.5 / (1.33 - np.sqrt(1.33**2 - aperture**2)) / 2.3548
-    found = {p.name: p.value for p in objective_of((along, across, across)).described()}
-    assert found["na"] == pytest.approx(aperture, rel=1e-9)
-    assert found["wavelength"] == pytest.approx(0.5, rel=1e-9)
+    for made in (widefield_of, confocal_of):
+        found = {p.name: p.value for p in made((along, across, across)).described()}
+        assert found["na"] == pytest.approx(aperture, rel=1e-9)
+        assert found["wavelength"] == pytest.approx(0.5, rel=1e-9)
 
 
 def test_no_wavelength_is_longer_than_that_of_light():
-    found = {p.name: p.value for p in objective_of((30, 10, 10)).described()}
+    found = {p.name: p.value for p in widefield_of((30, 10, 10)).described()}
     assert found["wavelength"] == 2.0

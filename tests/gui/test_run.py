@@ -14,7 +14,7 @@ from napari_deltamic.cli.inputs import gather
 from napari_deltamic.cli.messages import Notes
 from napari_deltamic.errors import DoubtWarning, InputError
 from napari_deltamic.fitting import fit
-from napari_deltamic.fitting.light_cone import objective_of
+from napari_deltamic.fitting.light_cone import widefield_of
 from napari_deltamic.gui.running import worker
 from napari_deltamic.measure import measure_cells
 from napari_deltamic.optics import ScalarPSF
@@ -340,7 +340,7 @@ def test_a_fit_that_begins_anew_with_another_psf(seeded, spin, monkeypatch, tmp_
         few = job.settings.fit.model_copy(update={"max_iterations": 3})
         given = job.image, job.grid, job.mesh
         yield from list(fit(*given, job.optics, settings=few))[:2]
-        yield from fit(*given, objective_of(job.optics.sigma_um), settings=few)
+        yield from fit(*given, widefield_of(job.optics.sigma_um), settings=few)
 
     monkeypatch.setattr(worker, "start", states)
     seeded.start()

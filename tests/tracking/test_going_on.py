@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from movies import GRID, MIDDLE, NEAR, OPTICS, VOXEL, ball, drifting, tracked
 
-from napari_deltamic.fitting.light_cone import objective_of
+from napari_deltamic import GaussianPSF
+from napari_deltamic.fitting.light_cone import confocal_of, widefield_of
 from napari_deltamic.geometry import Mesh
 from napari_deltamic.scene.effects import Effects
 from napari_deltamic.tracking import TrackSettings, track
@@ -96,13 +97,16 @@ def test_padding_of_a_frame_is_not_known():
     assert frame.known[:, 4:].all()
 
 
-def test_going_on_knows_the_psf_that_a_fit_found():
-    """A frame whose fit went on with the PSF of an objective, two numbers, is followed by it."""
+@pytest.mark.parametrize("made", [widefield_of, confocal_of, GaussianPSF])
+def test_going_on_knows_the_psf_that_a_fit_found(made):
+    """A frame whose fit went on with the PSF of an objective is followed by it."""
     done = tracked(drifting(2))[:1]
-    found = objective_of((0.3, 0.11, 0.11))
+    found = made((0.3, 0.11, 0.11))
     past = BetweenFrames(GRID, ball(), OPTICS, first=0)
-    past.resume([replace(done[0], psf=tuple(found.parameters().tolist()))], NEAR)
-    assert repr(past.optics) == repr(found)
+    numbers = tuple(found.parameters().tolist())
+    past.resume([replace(done[0], psf=numbers, sigma_um=found.sigma_um)], NEAR)
+    assert past.optics.parameters().tolist() == pytest.approx(numbers)
+    assert type(past.optics) is type(found)
     past = BetweenFrames(GRID, ball(), OPTICS, first=0)
     past.resume([replace(done[0], psf=(0.1,))], NEAR)
     assert past.optics is OPTICS

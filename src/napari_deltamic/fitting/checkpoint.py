@@ -12,10 +12,10 @@ import torch
 from ..common.choices import DensityModel, Structure
 from ..common.reading import json_values, one_reason
 from ..errors import InputError
-from ..optics import Optics, ScalarPSF
 from ..scene.earlier_files import without_inside
 from ..scene.effects import Effects
 from .fitted import Arrays, Fitted, other_settings
+from .light_cone import ThroughObjective, objective_from, values_of
 from .stage import Stage
 from .topology import TopologyPolicy
 
@@ -59,7 +59,7 @@ class Checkpoint:
             "density_now": shape.model,
             "structure": self.fitted.structure,
             "density_known": shape.log_density is not None,
-            "objective": _objective(self.fitted.first_optics),
+            "objective": values_of(self.fitted.first_optics),
         }
         return {
             "seed": self.start,
@@ -95,7 +95,7 @@ class Checkpoint:
         if "run" not in found:  # of an earlier version: its optimiser starts anew
             return replace(self, fitted=self.fitted.surface_loaded(found))
         plain: dict[str, Any] = json_values(str(found["run"]))
-        if plain.get("objective") != _objective(self.fitted.first_optics):
+        if plain.get("objective") != values_of(self.fitted.first_optics):
             raise other_settings()
         if plain["density"] != self.density:
             raise other_settings()
@@ -121,18 +121,10 @@ class Checkpoint:
         )
 
 
-def objective_in(found: Arrays) -> ScalarPSF | None:
+def objective_in(found: Arrays) -> ThroughObjective | None:
     """The objective's PSF that a fit had begun with; None where it was another one."""
     try:
         values = json_values(str(found["run"]))["objective"]
-        return None if values is None else ScalarPSF(**values)
+        return None if values is None else objective_from(values)
     except (KeyError, TypeError, ValueError, InputError):  # of an earlier version, or damaged
         return None
-
-
-def _objective(optics: Optics) -> dict[str, Any] | None:
-    """What makes such a PSF."""
-    if not isinstance(optics, ScalarPSF):
-        return None
-    values = {name: float(value.detach()) for name, value in optics.values.items()}
-    return {**values, "fitted": list(optics.fitted)}

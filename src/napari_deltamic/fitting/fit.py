@@ -59,7 +59,8 @@ def fit(
         Where to start; closed surfaces near the membranes, um.
     optics
         The PSF; held, unless the settings say to fit it. A Gaussian that is fitted gives way to a
-        :class:`ScalarPSF` where the image shows the light cone of an objective.
+        :class:`ScalarPSF` or a :class:`ConfocalPSF` where the image shows the light cone of an
+        objective.
     accuracy
         Overrides that of the settings.
     settings

@@ -20,6 +20,7 @@ from ..scene.effects import Effects
 from ..scene.render import offset
 from . import FitState, counted_voxels, fit
 from .default_accuracy import image_noise
+from .light_cone import values_of
 from .shape_dial import Situation, dialled, with_edges
 from .voxel_ownership import counted_around
 
@@ -97,15 +98,17 @@ def scene_with(scene: SceneSettings, optics: Optics) -> SceneSettings:
 
 def _with_objective(scene: SceneSettings, optics: Optics) -> SceneSettings:
     """The settings of a scene where a fit has found an objective's PSF."""
-    if not isinstance(optics, ScalarPSF):
+    found = values_of(optics)
+    if found is None:
         return scene
-    found = {p.name: p.value for p in optics.described()}
     objective = MicroscopeOptics(
+        modality="widefield" if isinstance(optics, ScalarPSF) else "confocal",
         na=found["na"],
         wavelength=found["wavelength"],
         immersion=found["index"],
+        excitation=found.get("excitation"),
         model="scalar",
-        fitted=optics.fitted,
+        fitted=tuple(found["fitted"]),
     )
     return scene.model_copy(update={"sigma": None, "optics": objective})
 

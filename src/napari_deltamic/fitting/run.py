@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..geometry.mesh import Mesh
-from ..optics import GaussianPSF, Optics, ScalarPSF
+from ..optics import GaussianPSF, Optics
 from ..runs.settings import WIDE_LEVELS, FitSettings
 from ..scene import expected_image
 from ..scene.effects import Effects
@@ -19,7 +19,7 @@ from .convergence import Remaining
 from .fit_objective import Objective, Terms
 from .fitted import Arrays, Fitted, fingerprint
 from .level import Level
-from .light_cone import ANEW, objective_instead
+from .light_cone import ANEW, ThroughObjective, objective_instead
 from .model_choice import ModelChoice
 from .preconditioner import Preconditioners
 from .prediction import View
@@ -143,13 +143,13 @@ class Run:
             elif ends or finished:
                 return following
 
-    def _objective_instead(self, state: FitState) -> ScalarPSF | None:
+    def _objective_instead(self, state: FitState) -> ThroughObjective | None:
         """An objective's PSF, where the image shows the light cone that a Gaussian lacks."""
         found, taken = objective_instead(self._terms, self._fitted, state)
         self._stage = replace(self._stage, evaluations=self._stage.evaluations + taken)
         return found
 
-    def _with_objective(self, optics: Optics) -> Run | None:
+    def _with_objective(self, optics: ThroughObjective) -> Run | None:
         """The run that begins anew with this PSF; None once a user has changed something."""
         if self._stage.edited:
             return None

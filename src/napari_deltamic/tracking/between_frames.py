@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from ..errors import InputError
 from ..fitting.fit import fit
-from ..fitting.light_cone import objective_of
+from ..fitting.light_cone import confocal_of, widefield_of
 from ..fitting.state import FitState
 from ..geometry.mesh import Mesh
 from ..optics import GaussianPSF, Optics
@@ -90,11 +92,16 @@ class BetweenFrames:
     def _left_by(self, result: FrameResult) -> Optics:
         """The PSF that the fit of a frame ended with, where that is known."""
         numbers = torch.tensor(result.psf, dtype=self.optics.parameters().dtype)
-        known = [self.optics]
+        known: list[Optics] = [self.optics]
         if isinstance(self.optics, GaussianPSF):  # a fit may have found that of an objective
-            known.append(objective_of(self.optics.sigma_um))
-        same = (one for one in known if len(numbers) == one.parameters().numel())
-        return next((one.with_parameters(numbers) for one in same), self.optics)
+            known += [widefield_of(self.optics.sigma_um), confocal_of(self.optics.sigma_um)]
+        same = []
+        for optics in known:
+            with suppress(InputError):  # where the numbers are of another kind
+                if len(numbers) == len(optics.parameters()):
+                    same.append(optics.with_parameters(numbers))
+        told = np.log(result.sigma_um)
+        return min(same, key=lambda p: abs(np.log(p.sigma_um) - told).max(), default=self.optics)
 
     def recall(self, frame: Frame, settings: FitSettings, effects: Effects) -> None:
         """What a frame of an earlier run left behind for those to come."""
