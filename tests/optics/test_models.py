@@ -147,3 +147,13 @@ def test_sharpened_is_sharper_where_it_is_fitted():
     assert float(pupil(fitted=("z5",)).sharpened(0.9).otf(far).abs()) == float(
         pupil(fitted=("z5",)).otf(far).abs()
     )
+
+
+@pytest.mark.parametrize("kind", ["scalar", "confocal"])
+def test_a_fit_may_find_a_wavelength_longer_than_light(kind):
+    longer = {"na": 1.1, "wavelength": 2.7} | ({"excitation": 2.5} if kind == "confocal" else {})
+    begun = MODELS[kind](na=0.3, wavelength=1.9)
+    moved = {name: torch.tensor(v, dtype=torch.float64) for name, v in longer.items()}
+    found = begun._with_values({**begun.values, **moved})  # so sharp that nodes are placed anew
+    made = MODELS[kind](**longer)  # as settings that are read again
+    assert_allclose(found.otf(axes()).numpy(), made.otf(axes()).numpy(), atol=1e-4)

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from ..optics import ConfocalPSF, GaussianPSF, Optics, ScalarPSF, microscope
-from ..optics.objective import WAVELENGTH
 from .amplitudes import may_shine
 from .fit_objective import Terms
 from .fitted import Fitted
@@ -33,6 +32,7 @@ _HALVES = 2.3548  # by definition: that width of a Gaussian, over its standard d
 _INDEX = 1.33  # of water; chosen: wavelength and NA stand in for any other
 # NA over index; chosen: few objectives gather more, and a fit may go on from there.
 _WIDEST = 0.92
+_OF_LIGHT = (0.2, 2.0)  # um; wavelengths that microscopes use, near enough for a start
 _FITTED = ("na", "wavelength")
 ThroughObjective = ScalarPSF | ConfocalPSF
 ANEW = "the image shows the light cone of an objective: the fit begins anew with such a PSF"
@@ -166,7 +166,7 @@ def _as_wide(sigma: Sequence[float]) -> tuple[float, float]:
     tangent = min(_roundness(sigma), _tangent_of_half(_WIDEST))
     sine = 2 * tangent / (1 + tangent**2)
     wavelength = sqrt(sigma[1] * sigma[2]) * sine * _INDEX / _ACROSS
-    return sine * _INDEX, float(np.clip(wavelength, *WAVELENGTH.typical))
+    return sine * _INDEX, float(np.clip(wavelength, *_OF_LIGHT))
 
 
 def _is_plain(optics: Optics) -> bool:

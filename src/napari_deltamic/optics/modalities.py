@@ -10,13 +10,15 @@ from torch import Tensor
 
 from ..errors import InputError
 from .bessel import j0, jinc
-from .objective import ObjectivePSF
+from .objective import WAVELENGTHS, ObjectivePSF
 from .otf_table import TAPER, Extent, RadialPSF, TablePSF, gauss_legendre, nodes_for
 from .parameters import Spec, plain
 
 AIRY = 0.61  # radius of the Airy disc, in wavelength / NA
 _FWHM = 2.3548200450309493  # of a Gaussian, in sigma
-EXCITATION = Spec("excitation", "um", "wavelength of the light that excites", 0.0, None, (0.2, 2.0))
+EXCITATION = Spec(
+    "excitation", "um", "wavelength of the light that excites", 0.0, None, WAVELENGTHS
+)
 PINHOLE = Spec(
     "pinhole", "Airy units", "diameter of the pinhole, seen in the sample", 0.0, None, (0.01, 100.0)
 )

@@ -22,7 +22,10 @@ from .parameters import Spec, plain
 _FOCAL_SHIFT = "its main effect is the scale of z, which no image can tell from the shape"
 _MICROSCOPE = "it is known from the objective; fit the depth or the coverslip instead"
 NA = Spec("na", "", "numerical aperture", 0.0, "index", (0.05, 1.7))
-WAVELENGTH = Spec("wavelength", "um", "of the emitted light, in vacuum", 0.0, None, (0.2, 2.0))
+# um; by definition not nm. Light is shorter than 2, but a fit may find 4 times as much (RANGE)
+# where more than diffraction makes a PSF wide, and its settings are read again.
+WAVELENGTHS = (0.2, 8.0)
+WAVELENGTH = Spec("wavelength", "um", "of the emitted light, in vacuum", 0.0, None, WAVELENGTHS)
 INDEX = Spec("index", "", "refractive index of the immersion", None, None, (1.0, 2.0))
 APODISATION = Spec("apodisation", "", "amplitude across the pupil falls as exp(-apodisation rho^2)")
 LAYERS = (
@@ -66,7 +69,10 @@ class ObjectivePSF(RadialPSF):
 
     def with_extent(self, extent: Extent) -> ObjectivePSF:
         """The same PSF, kept within another extent (um along Z and across)."""
-        return type(self)(**self._values, fitted=self._fitted, extent=extent)  # type: ignore[arg-type]
+        other = self._with_values(self._values)
+        with torch.no_grad():
+            other._keep_within(extent)
+        return other
 
     def with_wavelength(self, wavelength: Tensor) -> ObjectivePSF:
         """The same objective at another wavelength, on the same nodes."""

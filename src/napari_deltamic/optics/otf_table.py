@@ -73,11 +73,14 @@ class TablePSF(ParametricPSF):
             z, r = self._default_extent() if extent is None else extent
             if not (z > 0 and r > 0):
                 raise InputError(f"the extent of a PSF must be positive (um), not {(z, r)}")
-            self._flat: Extent = (float(z), float(r))
-            kz, _, kr = self._needed()
-            self._resolved = (_GROWTH * kz, _GROWTH * kr)
-            self._place_planes()
-            self._place_nodes()
+            self._keep_within((float(z), float(r)))
+
+    def _keep_within(self, extent: Extent) -> None:
+        self._flat: Extent = extent
+        kz, _, kr = self._needed()
+        self._resolved = (_GROWTH * kz, _GROWTH * kr)
+        self._place_planes()
+        self._place_nodes()
 
     # ------------------------------------------------------------------------- for subclasses
 
