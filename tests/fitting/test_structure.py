@@ -11,6 +11,7 @@ from napari_deltamic.errors import InputError
 from napari_deltamic.fitting import structure_choice
 from napari_deltamic.fitting.amplitudes import mixture
 from napari_deltamic.fitting.errors_of_measures import posed_at
+from napari_deltamic.fitting.fit_objective import Objective
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene.light import INSIDES, MEMBRANES, Light, structure_of
@@ -110,3 +111,16 @@ def test_mixtures_are_those_of_least_squares() -> None:
     assert found.interior == pytest.approx(-1.5)
     # Membranes are not negative.
     assert mixture(*columns, measured - 4 * columns[0], weights) == Light(0.0, -1.0)
+
+
+def test_insides_that_left_at_the_start_come_back(monkeypatch):
+    """Walls that labels drew wrongly hide them at first; a fit of one level asks once more."""
+    answers = iter([structure_choice.Chosen("membrane", False)])
+    asked = Objective.structure
+    monkeypatch.setattr(Objective, "structure", lambda o: next(answers, None) or asked(o))
+    given = {"structure": "auto", "levels": (1.0,)}
+    both = fitted(image_of(Light(1.0, 1.5)), **given)
+    assert structure_of(both.light) == "both"
+    assert next(answers, None) is None
+    answers = iter([structure_choice.Chosen("membrane", False)])
+    assert structure_of(fitted(image_of(MEMBRANES), **given).light) == "membrane"

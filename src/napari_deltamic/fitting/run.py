@@ -290,12 +290,16 @@ class Run:
 
     def _other_structure(self) -> bool:
         """Whether, at rest, something else shines than what had been clear on the way."""
-        found = self._choice.at_rest(self._objective, self._fitted, self._stage)
-        if found is self._fitted:
-            return False
+        found, progress = self._fitted, self._stage.progress
+        if self._choice.asked_again(found, self._stage):
+            found = self._choice.with_insides_again(self._terms, found, self._factored)
+            progress = replace(progress, again=True)
+        else:
+            found = self._choice.at_rest(self._objective, found, self._stage)
+        other = found is not self._fitted
         self._fitted = found
-        self._stage = replace(self._stage, progress=self._stage.progress.released())
-        return True
+        self._stage = replace(self._stage, progress=progress.released() if other else progress)
+        return other
 
     @property
     def _tolerance(self) -> float:

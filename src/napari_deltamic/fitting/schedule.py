@@ -118,6 +118,8 @@ class Progress:
         How often in a row hardly anything was left to gain.
     sure
         Whether it is clear what shines.
+    again
+        Whether insides that had left were asked for again.
     """
 
     iterations: int = 0
@@ -130,6 +132,7 @@ class Progress:
     stuck: int = 0
     rests: int = 0
     sure: bool = False
+    again: bool = False
 
     def posed(
         self,
