@@ -119,7 +119,7 @@ def test_insides_that_left_at_the_start_come_back(monkeypatch):
     asked = Objective.structure
     monkeypatch.setattr(Objective, "structure", lambda o: next(answers, None) or asked(o))
     given = {"structure": "auto", "levels": (1.0,)}
-    both = fitted(image_of(Light(1.0, 1.5)), **given)
+    both = fitted(image_of(Light(1.0, 0.3)), **given)
     assert structure_of(both.light) == "both"
     assert next(answers, None) is None
     answers = iter([structure_choice.Chosen("membrane", False)])
