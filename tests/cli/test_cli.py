@@ -11,7 +11,7 @@ import pytest
 import napari_deltamic as nd
 from napari_deltamic.cli import fit_command
 from napari_deltamic.fitting import fit
-from napari_deltamic.fitting.light_cone import widefield_of
+from napari_deltamic.fitting.light_cone import confocal_of, widefield_of
 from napari_deltamic.geometry import sphere
 from napari_deltamic.images.stacks import read_image
 from napari_deltamic.results.report import FILES
@@ -67,12 +67,13 @@ def test_run_toml_runs_again_identically(data, tmp_path, run):
     assert settings.scene.effects.names == ("pixel_integration",)
 
 
-def test_run_toml_has_the_psf_that_a_fit_went_on_with(data, tmp_path, run, monkeypatch):
+@pytest.mark.parametrize("made", [widefield_of, confocal_of])
+def test_run_toml_has_the_psf_that_a_fit_went_on_with(data, tmp_path, run, monkeypatch, made):
     def states(job, resume=None):
         few = job.settings.fit.model_copy(update={"max_iterations": 2})
         given = job.image, job.grid, job.mesh
         yield next(iter(fit(*given, job.optics, settings=few)))
-        yield from fit(*given, widefield_of(job.optics.sigma_um), settings=few)
+        yield from fit(*given, made(job.optics.sigma_um), settings=few)
 
     monkeypatch.setattr(fit_command, "CHECKPOINT_EVERY", -1.0)
     monkeypatch.setattr(fit_command, "start", states)
@@ -81,10 +82,10 @@ def test_run_toml_has_the_psf_that_a_fit_went_on_with(data, tmp_path, run, monke
     assert code == 0, err
     found = RunSettings.from_toml(tmp_path / "run.toml").scene
     assert found.sigma is None
-    built, started = found.optics.build(), widefield_of(given_sigma(err))
+    built, started = found.optics.build(), made(given_sigma(err))
     assert built.parameters().tolist() == pytest.approx(started.parameters().tolist(), rel=1e-3)
     report = json.loads((tmp_path / "report.json").read_text())
-    assert report["optics"]["model"] == "ScalarPSF"
+    assert report["optics"]["model"] == type(started).__name__
 
 
 def given_sigma(err):

@@ -14,10 +14,9 @@ from napari_deltamic.cli.inputs import gather
 from napari_deltamic.cli.messages import Notes
 from napari_deltamic.errors import DoubtWarning, InputError
 from napari_deltamic.fitting import fit
-from napari_deltamic.fitting.light_cone import widefield_of
+from napari_deltamic.fitting.light_cone import confocal_of, widefield_of
 from napari_deltamic.gui.running import worker
 from napari_deltamic.measure import measure_cells
-from napari_deltamic.optics import ScalarPSF
 from napari_deltamic.results.session_file import load_session
 from napari_deltamic.runs.command import command
 from napari_deltamic.runs.run_files import with_files
@@ -333,21 +332,23 @@ def test_the_verdict_is_one_line_with_a_list_behind(seeded, spin, monkeypatch):
     assert panel.remarks.title == "3 remarks"
 
 
-def test_a_fit_that_begins_anew_with_another_psf(seeded, spin, monkeypatch, tmp_path):
+@pytest.mark.parametrize("made", [widefield_of, confocal_of])
+def test_a_fit_that_begins_anew_with_another_psf(seeded, spin, monkeypatch, tmp_path, made):
     """Settings, forecast and session follow the kind of PSF."""
 
     def states(job, resume=None):
         few = job.settings.fit.model_copy(update={"max_iterations": 3})
         given = job.image, job.grid, job.mesh
         yield from list(fit(*given, job.optics, settings=few))[:2]
-        yield from fit(*given, widefield_of(job.optics.sigma_um), settings=few)
+        yield from fit(*given, made(job.optics.sigma_um), settings=few)
 
     monkeypatch.setattr(worker, "start", states)
     seeded.start()
     spin(lambda: not running(seeded))
     record = seeded.doc.result
-    assert isinstance(record.state.optics, ScalarPSF)
-    assert isinstance(record.job.optics, ScalarPSF)
+    kind = type(made((0.3, 0.11, 0.11)))
+    assert isinstance(record.state.optics, kind)
+    assert isinstance(record.job.optics, kind)
     assert record.job.settings.scene.optics.kind == "microscope"
     assert seeded.doc.run.forecast.iterations == 2  # counted from the new beginning on
     spin(lambda: not seeded.judging.background.busy)
