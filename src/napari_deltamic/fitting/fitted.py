@@ -74,6 +74,10 @@ class Fitted:
         light = replace(light, cells=self.light.cells)
         return replace(self, structure=structure, light=light, learnt=None)
 
+    def seen_through(self, optics: Optics) -> Fitted:
+        """Through another kind of PSF: what was learnt is of other unknowns."""
+        return replace(self, optics=optics, first_optics=optics, learnt=None)
+
     @property
     def mesh(self) -> Mesh:
         """The surface."""

@@ -3,13 +3,14 @@
 Out of focus, light spreads over a cone (all of it in a widefield microscope, what a pinhole passes
 in a confocal one). With a Gaussian PSF, a fit makes up for it with surfaces and light inside, and
 cells come out too high, or are lost. So at its end a few steps are taken with the PSF of an
-objective about as wide; where that leaves less unexplained, the fit begins anew with it.
+objective about as wide; where that leaves less unexplained, the fit begins anew with it, or, of a
+confocal one, whose cone is faint, goes on with it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import sqrt
 from typing import Any
 
@@ -36,6 +37,7 @@ _OF_LIGHT = (0.2, 2.0)  # um; wavelengths that microscopes use, near enough for 
 _FITTED = ("na", "wavelength")
 ThroughObjective = ScalarPSF | ConfocalPSF
 ANEW = "the image shows the light cone of an objective: the fit begins anew with such a PSF"
+GOES_ON = "the image shows the light cone of a confocal microscope: the fit goes on with such a PSF"
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,7 @@ def _left_by(
     optics: ThroughObjective, terms: Terms, fitted: Fitted, state: FitState
 ) -> tuple[float, int]:
     """What a PSF leaves after a few steps, over what the fit has left; and evaluations taken."""
-    rival = replace(fitted, optics=optics, first_optics=optics, learnt=None)
+    rival = fitted.seen_through(optics)
     rival = rival.with_structure(may_shine(terms.settings.structure, fitted.mesh, optics))
     looked: list[float] = []
 

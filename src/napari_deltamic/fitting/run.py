@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..geometry.mesh import Mesh
-from ..optics import GaussianPSF, Optics
+from ..optics import GaussianPSF, Optics, ScalarPSF
 from ..runs.settings import WIDE_LEVELS, FitSettings
 from ..scene import expected_image
 from ..scene.effects import Effects
@@ -19,7 +19,7 @@ from .convergence import Remaining
 from .fit_objective import Objective, Terms
 from .fitted import Arrays, Fitted, fingerprint
 from .level import Level
-from .light_cone import ANEW, ThroughObjective, objective_instead
+from .light_cone import ANEW, GOES_ON, ThroughObjective, objective_instead
 from .model_choice import ModelChoice
 from .preconditioner import Preconditioners
 from .prediction import View
@@ -150,11 +150,21 @@ class Run:
         return found
 
     def _with_objective(self, optics: ThroughObjective) -> Run | None:
-        """The run that begins anew with this PSF; None once a user has changed something."""
+        """The run that follows with this PSF; None once a user has changed something."""
         if self._stage.edited:
             return None
-        self._reporter.say(ANEW)
-        return self.followed_by(optics)
+        following = self.followed_by(optics)
+        if isinstance(optics, ScalarPSF):
+            self._reporter.say(ANEW)
+            return following
+        self._reporter.say(GOES_ON)
+        return following._going_on_from(self._fitted)
+
+    def _going_on_from(self, fitted: Fitted) -> Run:
+        """This run at its last level, where the fit with another PSF has ended."""
+        self._fitted = self._choice.anew(fitted.seen_through(self._fitted.optics))
+        self._stage = replace(self._stage, level_number=len(self._levels) - 1)
+        return self
 
     def followed_by(self, optics: Optics) -> Run:
         """A run from the same start with another PSF."""
