@@ -63,7 +63,8 @@ def test_a_fit_goes_on_with_the_psf_of_an_objective(optics, told):
     assert found["na"] == pytest.approx(1.2, rel=0.05)
     assert found["wavelength"] == pytest.approx(0.6, rel=0.05)
     assert states[-1].optics.sigma_um == pytest.approx(optics.sigma_um, rel=0.03)
-    assert off(states[-1]) < 0.6 * off(states[first - 1])
+    # A confocal cone is fainter, and a Gaussian is less wrong without it.
+    assert off(states[-1]) < (0.5 if told == ANEW else 0.6) * off(states[first - 1])
 
 
 def test_a_gaussian_stays():
