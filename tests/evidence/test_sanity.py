@@ -63,6 +63,20 @@ def test_nothing_but_noise():
     assert kinds(np.random.default_rng(0).poisson(9.0, SHAPE), seeds=SEEDS) == ["empty"]
 
 
+@pytest.mark.parametrize("value", [1, 7])
+def test_labels_in_place_of_an_image(value):
+    inner, other = distance() < 0, distance((2.4, 1.4, 5.0), 1.2) < 0
+    image = np.where(inner, value, np.where(other, 12 if value > 1 else 1, 0)).astype(np.float32)
+    assert kinds(image, seeds=SEEDS) == ["labels"]
+    assert kinds(gaussian_filter(image, 1.0)) != ["labels"]
+
+
+def test_a_stack_of_few_grey_levels_is_no_label_image():
+    smooth = np.rint(gaussian_filter(membrane(), 2.0) / 4)
+    assert len(np.unique(smooth)) == 12
+    assert "labels" not in kinds(smooth)
+
+
 def test_seeds_of_another_image():
     elsewhere = gaussian_filter(np.random.default_rng(0).normal(size=SHAPE), 2.5)
     image = np.random.default_rng(1).poisson(40 + 200 * elsewhere.clip(-0.1))

@@ -8,16 +8,17 @@ from scipy.ndimage import gaussian_filter
 
 import napari_deltamic as nd
 from napari_deltamic.evidence import analyse_residual
+from napari_deltamic.evidence.facts import CellFacts, Facts
 from napari_deltamic.evidence.fit_facts import facts_of
 from napari_deltamic.evidence.predicted_error import PredictedError, ShapeDeviation
-from napari_deltamic.evidence.verdict import CellFacts, Facts, judged
+from napari_deltamic.evidence.verdict import judged
 from napari_deltamic.fitting import fit
 from napari_deltamic.fitting.job import FitInput
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.labels.voxels import voxel_labels
 from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
 
-FINE = Facts(True, 0.95, 1.0, False, (CellFacts(1, 0.95, 0.01, 1.3),))
+FINE = Facts(True, 0.95, {"across": 1.0}, False, (CellFacts(1, 0.95, 0.01, 1.3),))
 
 
 def test_a_fit_without_fault_is_good():
@@ -34,8 +35,10 @@ def test_a_fit_without_fault_is_good():
         ({"explained": 0.2}, "poor", "20% of the signal"),
         ({"explained": -1.7}, "poor", "none of the signal"),
         ({"explained": None}, "poor", "noise"),
-        ({"width": 2.4}, "fair", "2.4 times as wide"),
-        ({"width": 0.5}, "fair", "2 times as sharp"),
+        ({"widths": {"across": 2.4}}, "fair", "2.4 times as wide"),
+        ({"widths": {"across": 0.5}}, "fair", "2 times as sharp across as the PSF"),
+        ({"widths": {"across": 1.0, "along Z": 0.4}}, "fair", "2.5 times as sharp along Z"),
+        ({"widths": {"across": 1.0, "along Z": 2.4}}, "good", "good"),
         ({"narrow": True}, "fair", "narrower than voxels"),
         ({"cut": 0.6}, "fair", "60% of the bright voxels are cut off"),
         ({"cut": 0.3}, "good", "good"),
@@ -55,6 +58,7 @@ def test_what_concerns_all(change, grade, word):
         ({"stray": 0.4}, "fair", "light inside"),
         ({"growth": 5.0}, "fair", "swallowed"),
         ({"growth": 0.05}, "poor", "shrunk"),
+        ({"point": True}, "poor", "shrunk to a point"),
         ({"cut": True}, "fair", "border"),
         ({"inside": 0.4}, "fair", "light inside"),
         ({"inside": -0.4}, "fair", "light around"),
@@ -144,7 +148,7 @@ def test_facts_of_a_fit():
     facts = facts_of(job, state, analyse_residual(image, grid, state))
     assert facts.finished
     assert facts.explained > 0.95
-    assert facts.width == pytest.approx(1, abs=0.2)
+    assert facts.widths["across"] == pytest.approx(1, abs=0.2)
     (cell,) = facts.cells
     assert cell.growth == pytest.approx((1.5 / 1.2) ** 3, rel=0.1)
     assert not cell.cut
@@ -164,7 +168,7 @@ def test_facts_of_a_fit():
     # Of 200 photons and a surface of 0.2 um voxels: a few nm, and nothing that it lacks.
     assert 0.0005 < facts.error.whole.total < 0.02
     smoothed = replace(job, image=gaussian_filter(image, 1.0))
-    assert facts_of(smoothed, state, analyse_residual(image, grid, state)).width is None
+    assert facts_of(smoothed, state, analyse_residual(image, grid, state)).widths == {}
     hazy = image + 80 * (voxel_labels(truth, shape, size) == 0)
     hazy_job = replace(job, image=hazy.astype(np.float32))
     hazy_facts = facts_of(hazy_job, state, analyse_residual(image, grid, state))

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import napari_deltamic as nd
+from napari_deltamic.evidence.facts import CellFacts, Facts
 from napari_deltamic.evidence.predicted_error import predicted_error
-from napari_deltamic.evidence.verdict import CellFacts, Facts, judged
+from napari_deltamic.evidence.verdict import judged
 from napari_deltamic.fitting.job import FitInput, following, optics_of
 from napari_deltamic.fitting.light_cone import ANEW, GOES_ON, confocal_of, widefield_of
 from napari_deltamic.geometry import sphere

@@ -9,21 +9,24 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from ..fitting.amplitudes import hardly_wider
+from ..fitting.growth_alarm import shrunken
 from ..fitting.job import FitInput, levelled
 from ..fitting.saturation import filled_in, share_cut
 from ..fitting.state import FitState
 from ..fitting.voxel_ownership import surface_voxels
 from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import Mesh
+from ..optics import GaussianPSF
 from ..scene import Grid
 from .compressed_brightness import compressed
+from .facts import CellFacts, Facts
 from .first_sigma import first_sigma
 from .outgrowths import outgrowths
 from .predicted_error import predicted_error
 from .residual import Residual
 from .uneven_insides import uneven_insides
 from .verdict import RULES as VERDICT
-from .verdict import CellFacts, Facts, Verdict, judged
+from .verdict import Verdict, judged
 
 
 @dataclass(frozen=True)
@@ -97,6 +100,7 @@ def facts_of(
         light[spot.region] = max(light.get(spot.region, 0.0), abs(spot.light))
     uneven, lit = uneven_insides(job, state, image), _lit(state)
     medium, there = _medium(job, state, seen, shown), _seen(job, state.mesh)
+    points = shrunken(state.mesh, min(state.optics.sigma_um))
     cells = tuple(
         CellFacts(
             region,
@@ -112,27 +116,32 @@ def facts_of(
             lit.get(region, 1.0),
             medium.get(region, 1.0),
             there.get(region, 1.0),
+            region in points,
         )
         for region, area in areas.items()
     )
     sigma, size = np.asarray(state.optics.sigma_um), np.asarray(job.grid.voxel_size)
     fitted = job.settings.fit.fit_psf
     narrow = fitted and bool((sigma < VERDICT.psf_voxels * size).any())
-    # The spectrum of insides falls faster than that of membranes: it looks blurred.
-    width = None if modelled else _width(seen, job.grid, sigma)
-    if width is not None and width < 1 and not _white(seen - shown):
-        width = None  # noise that was smoothed looks like light that is sharper
+    widths = _widths(seen, job.grid, sigma)
+    if not isinstance(state.optics, GaussianPSF):  # of a light cone, the spectrum tells less
+        widths.pop("along Z", None)
+    if not _white(seen - shown):  # noise that was smoothed looks like light that is sharper
+        widths = {axis: width for axis, width in widths.items() if width > 1}
+    if modelled:  # the spectrum of insides falls faster than that of membranes: it looks blurred
+        widths = {axis: width for axis, width in widths.items() if width < 1}
     voxel = float(size.prod() ** (1 / 3))
     error = predicted_error(job, state)
     pixels = np.asarray(job.image)
     spoilt = share_cut(pixels), compressed(pixels)
-    return Facts(state.converged, left.explained, width, narrow, cells, error, voxel, *spoilt)
+    return Facts(state.converged, left.explained, widths, narrow, cells, error, voxel, *spoilt)
 
 
-def _width(image: np.ndarray, grid: Grid, sigma: np.ndarray) -> float | None:
-    """Of the blur in the plane, over that of the PSF; voxels blur, too."""
-    told = first_sigma(image, grid.voxel_size).yx.value
-    return None if told is None else told / float(max(sigma[1:]))
+def _widths(image: np.ndarray, grid: Grid, sigma: np.ndarray) -> dict[str, float]:
+    """Of the blur across and along Z, over that of the PSF, as far as told; voxels blur, too."""
+    told = first_sigma(image, grid.voxel_size)
+    found = {"across": (told.yx.value, max(sigma[1:])), "along Z": (told.z.value, sigma[0])}
+    return {axis: float(value / of) for axis, (value, of) in found.items() if value is not None}
 
 
 def _white(left: np.ndarray) -> bool:

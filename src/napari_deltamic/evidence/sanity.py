@@ -1,9 +1,9 @@
 """Whether an image can be what it is said to be: a look of a second before a fit.
 
 A wrong voxel size, a stack whose slices lean, cut brightness or its logarithm, an image without
-structure or of something else than the seeds, and time taken for depth all end in fits that mean
-nothing. None of them can be proved from one image; each leaves a mark that images in order hardly
-show.
+structure or of something else than the seeds, labels in its place, and time taken for depth all end
+in fits that mean nothing. None of them can be proved from one image; each leaves a mark that images
+in order hardly show.
 """
 
 from __future__ import annotations
@@ -62,6 +62,10 @@ class SanityRules:
         Share of the image's variance around the seeds that distance to them explains: 0.18 or more
         in scenes whose seeds were half a radius off or had six bright neighbours, 0.07 at most with
         seeds of another image.
+    flat
+        Of the voxels that have another than the commonest value, share that have a neighbour of
+        their own value along each axis. Measured: 0.98 in label images, 0.07 at most in ten stacks,
+        also with 16 grey levels; a smooth one needs less than ten levels to have more than 0.6.
     """
 
     voxel_sides: tuple[float, float] = (0.015, 5.0)
@@ -73,6 +77,7 @@ class SanityRules:
     structure: float = 1.5
     lasting: float = 0.5
     followed: float = 0.08
+    flat: float = 0.8
 
 
 @dataclass(frozen=True)
@@ -129,6 +134,12 @@ def doubts(
             "was meant?"
         )
         return (Doubt("empty", sentence),)
+    if flat(middle):
+        sentence = (
+            "each thing in the image has one value, as in labels or a mask: these serve as seeds; "
+            "the image is the one that they were drawn on"
+        )
+        return (Doubt("labels", sentence),)
     found = [
         _time(middle),
         _sides(voxel_size),
@@ -192,6 +203,20 @@ def lasting(pixels: Pixels) -> float:
     ends = max(1, len(size) // 8)
     steady = min(size[:ends].mean(), size[-ends:].mean()) / max(float(np.median(size)), 1e-30)
     return float(far.mean() * min(1.0, steady))
+
+
+def flat(pixels: Pixels) -> bool:
+    """Whether the image consists of pieces of one value each, as labels and masks do."""
+    values, counts = np.unique(pixels, return_counts=True)
+    other = pixels != values[counts.argmax()]
+    alike = other.copy()
+    for axis in range(3):
+        same = np.pad(
+            np.diff(pixels, axis=axis) == 0, [(1, 1) if a == axis else (0, 0) for a in range(3)]
+        )
+        ends = np.moveaxis(same, axis, 0)
+        alike &= np.moveaxis(ends[1:] | ends[:-1], 0, axis)
+    return bool(alike.sum() > RULES.flat * other.sum())
 
 
 def elongation(pixels: Pixels, voxel_size: tuple[float, float, float], seeds: Mesh | None) -> float:

@@ -50,14 +50,14 @@ class LightConeRules:
         How far off the spectrum's first widths may be: it tells them to 10 or 20 %.
     hopeless
         Of the squares beyond noise that the Gaussian leaves: an objective that leaves more is
-        dropped. Measured before the first step, with a widefield PSF: 0.1 to 7.6 times as many in
+        dropped. Measured before the first step, with a widefield PSF: 0.1 to 11 times as many in
         widefield stacks (6 to 10,000 photons, some with light inside or around), 13 to 55 in
         confocal ones of 30 photons and more without a haze, more with Gaussian PSFs as long. With a
         confocal one: 0.9 to 1.6 times in four confocal stacks.
     """
 
     told: float = 1.2
-    hopeless: float = 10.0
+    hopeless: float = 30.0
 
 
 RULES = LightConeRules()

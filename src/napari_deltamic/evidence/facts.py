@@ -1,0 +1,102 @@
+"""What is known of a fit when it has ended: plain numbers, from which its verdict follows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from .predicted_error import PredictedError
+
+
+@dataclass(frozen=True)
+class CellFacts:
+    """One cell.
+
+    Attributes
+    ----------
+    region
+        The cell.
+    explained
+        Share of the signal around it; None where nothing varies beyond noise.
+    stray
+        Light of the clearest place of the residual near it, over the light of the cell.
+    growth
+        Volume over that of the start; None where the start had no such cell.
+    cut
+        Whether it reaches the border of the image.
+    inside
+        Brightness deep inside less that outside, over that of the surface; None where the cell is
+        too small to have a deep inside.
+    compact
+        How round it is, over how round its start was; None where the start had no such cell.
+    small
+        Whether nobody said what shines, and it is too small for the image to tell.
+    outgrowth
+        Where a thin one ends, um, Z Y X (:func:`~.outgrowths.outgrowths`); None without one.
+    uneven
+        Standard deviation of the relative brightness deep inside
+        (:func:`~.uneven_insides.uneven_insides`).
+    lit
+        Share of its surface that shines; 1 where only insides do.
+    medium
+        Of the difference by which the model has its inside darker than the medium around, the share
+        that the image shows; 1 where the model has none.
+    seen
+        Share of its surface where the image is not missing.
+    point
+        Whether it is no more than a point beside the PSF (:func:`~.growth_alarm.shrunken`).
+    """
+
+    region: int
+    explained: float | None
+    stray: float = 0.0
+    growth: float | None = None
+    cut: bool = False
+    inside: float | None = None
+    compact: float | None = None
+    small: bool = False
+    outgrowth: tuple[float, float, float] | None = None
+    uneven: float = 0.0
+    lit: float = 1.0
+    medium: float = 1.0
+    seen: float = 1.0
+    point: bool = False
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What is known when a fit has ended.
+
+    Attributes
+    ----------
+    finished
+        Whether its iterations came to an end, and it was not stuck.
+    explained
+        Of the whole.
+    widths
+        Of the blur that the image tells over that of the PSF used, "across" and "along Z", as far
+        as it tells: only what is less than 1 where insides shine, and along Z only where the PSF is
+        a Gaussian.
+    narrow
+        Whether a PSF that was fitted became narrower than an image can tell.
+    cells
+        One for each.
+    error
+        What is predicted of the shapes.
+    voxel
+        um: geometric mean of the sides of a voxel.
+    cut
+        Share of the bright voxels that are cut off at the largest value.
+    compressed
+        Whether intensities look like logarithms.
+    """
+
+    finished: bool
+    explained: float | None
+    widths: Mapping[str, float] = field(default_factory=dict)
+    narrow: bool = False
+    cells: tuple[CellFacts, ...] = ()
+    error: PredictedError = field(default_factory=PredictedError)
+    voxel: float = 1.0
+    cut: float = 0.0
+    compressed: bool = False
