@@ -114,3 +114,8 @@ def test_without_noise_nothing_is_said_of_brightness():
     light = gaussian_filter(np.exp(-((distance() / 0.15) ** 2)), (2.0, 1.2, 1.2))
     for image in (light, np.log1p(100 * light)):
         assert "brightness" not in kinds(image.astype(np.float32), seeds=SEEDS)
+
+
+def test_background_that_rises_across_is_no_film():
+    rising = np.random.default_rng(1).poisson(np.broadcast_to(np.linspace(0, 120, 32), SHAPE))
+    assert "time" not in kinds(membrane() + rising.astype(np.float32))

@@ -56,8 +56,9 @@ class SanityRules:
         Standard deviation of the smoothed image over that of noise alone. Measured: 7 or more in
         order, 1.0 where there is only noise.
     lasting
-        Correlation of slices half a stack or more apart: of depth about 0, of time near 1.
-        Measured: 0.26 at most, and 0.98 in films.
+        Correlation of the detail of slices half a stack or more apart: of depth about 0, of time
+        near 1. Measured: 0.42 at most in 34 stacks (light cones, backgrounds that rise along X),
+        0.87 or more in 14 films.
     followed
         Share of the image's variance around the seeds that distance to them explains: 0.18 or more
         in scenes whose seeds were half a radius off or had six bright neighbours, 0.07 at most with
@@ -75,7 +76,7 @@ class SanityRules:
     doubtful_elongations: tuple[float, float] = (0.6, 1.6)
     lean: float = 0.45
     structure: float = 1.5
-    lasting: float = 0.5
+    lasting: float = 0.6
     followed: float = 0.08
     flat: float = 0.8
 
@@ -91,6 +92,7 @@ class Doubt:
 RULES = SanityRules()
 _AROUND = 2.0  # radii of the seeds: the ground that is to follow them
 _VOXELS = 4_000_000  # of the middle of the image: more would take longer than a second
+_DETAIL = 2.0, 6.0  # voxels; chosen: finer is noise, coarser is light out of focus
 _SMOOTHED = 1.5  # voxels: about as wide as a PSF, so that it stands out best
 
 
@@ -193,8 +195,13 @@ def structured(pixels: Pixels) -> float:
 
 def lasting(pixels: Pixels) -> float:
     """Mean correlation of slices that are half a stack or more apart; the least that the first and
-    last quarter of the stack hold of the contrast of all counts too."""
-    smooth = gaussian_filter(pixels, (0, 2, 2))[:, ::2, ::2].reshape(len(pixels), -1)
+    last quarter of the stack hold of the contrast of all counts too.
+
+    Of detail alone: what is smooth in the plane lasts through the depth of a widefield stack, too.
+    """
+    smooth = gaussian_filter(pixels, (0, _DETAIL[0], _DETAIL[0]))
+    smooth -= gaussian_filter(smooth, (0, _DETAIL[1], _DETAIL[1]))
+    smooth = smooth[:, ::2, ::2].reshape(len(pixels), -1)
     flat = smooth - smooth.mean(1, keepdims=True)
     size = np.linalg.norm(flat, axis=1)
     related = (flat @ flat.T) / np.maximum(np.outer(size, size), 1e-30)
