@@ -117,5 +117,5 @@ def test_without_noise_nothing_is_said_of_brightness():
 
 
 def test_background_that_rises_across_is_no_film():
-    rising = np.random.default_rng(1).poisson(np.broadcast_to(np.linspace(0, 120, 32), SHAPE))
+    rising = np.random.default_rng(1).poisson(np.broadcast_to(np.linspace(0, 60, 32), SHAPE))
     assert "time" not in kinds(membrane() + rising.astype(np.float32))
