@@ -17,6 +17,7 @@ from ..fitting.voxel_ownership import surface_voxels
 from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import Mesh
 from ..optics import GaussianPSF
+from ..optics.narrow import narrower_than_told
 from ..scene import Grid
 from .compressed_brightness import compressed
 from .facts import CellFacts, Facts
@@ -25,7 +26,6 @@ from .outgrowths import outgrowths
 from .predicted_error import predicted_error
 from .residual import Residual
 from .uneven_insides import uneven_insides
-from .verdict import RULES as VERDICT
 from .verdict import Verdict, judged
 
 
@@ -122,7 +122,7 @@ def facts_of(
     )
     sigma, size = np.asarray(state.optics.sigma_um), np.asarray(job.grid.voxel_size)
     fitted = job.settings.fit.fit_psf
-    narrow = fitted and bool((sigma < VERDICT.psf_voxels * size).any())
+    narrow = fitted and narrower_than_told(state.optics.sigma_um, job.grid.voxel_size)
     widths = _widths(seen, job.grid, sigma)
     if not isinstance(state.optics, GaussianPSF):  # of a light cone, the spectrum tells less
         widths.pop("along Z", None)

@@ -61,9 +61,6 @@ class VerdictRules:
     seen, unseen
         Least share of the surface of a cell that lies where the image is not missing, below which
         it is fair, and poor. Chosen, not measured: a dead slice of 20 hides a twentieth.
-    psf_voxels
-        Narrowest PSF that an image can tell, in voxels: at the largest wavenumber of voxels its
-        OTF is 0.17 still, so that most of the fall of a narrower one lies beyond.
     uneven
         Of the brightness deep inside a cell, standard deviation without noise: insides of one
         brightness had none, chromatin of 0.2 to 0.5 had 0.1 to 0.2, and borders were 0.2 to 0.6
@@ -91,7 +88,6 @@ class VerdictRules:
     dark: float = 0.3
     seen: float = 0.9
     unseen: float = 0.5
-    psf_voxels: float = 0.6
     uneven: float = 0.1
     cut: float = 0.4
     error_good: float = 0.3

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from ..optics import ConfocalPSF, GaussianPSF, Optics, ScalarPSF, microscope
+from ..optics.narrow import narrower_than_told
 from .amplitudes import may_shine
 from .fit_objective import Terms
 from .fitted import Fitted
@@ -71,7 +72,8 @@ def objective_instead(
     Widefield or confocal, as wide as that was at the start; whichever leaves least of the same
     voxels after a few steps from the end of the fit. Asked where the Gaussian was, or has become,
     as long as the roundest PSF of an objective: in a haze it ends rounder, else a cone makes it
-    longer.
+    longer. Not where the Gaussian became narrower than voxels tell: it stands in for light that the
+    model lacks, and so would any other.
 
     Returns that PSF as it was before the steps, None where the Gaussian is held or explains as
     much; and evaluations that finding out took.
@@ -84,6 +86,8 @@ def objective_instead(
     settings, first = terms.settings, fitted.first_optics
     given = _is_plain(fitted.optics) and _is_plain(first)
     if not given or not settings.fit_psf or terms.second is not None:
+        return None, 0
+    if narrower_than_told(fitted.optics.sigma_um, terms.level.grid.voxel_size):
         return None, 0
     roundest = _tangent_of_half(_WIDEST)
     before, after = _roundness(first.sigma_um), _roundness(fitted.optics.sigma_um)

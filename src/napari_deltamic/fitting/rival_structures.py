@@ -110,6 +110,8 @@ def gone_on(
         if since == 0 and hopeless(objective.posed):
             return objective.fitted, objective.posed, taken + objective.evaluations()
         moved, since = objective.step(), since + 1
+        if not moved and since == 1:  # posed anew here, it would not move either
+            break
         if since >= RULES.renewed_every or objective.strayed() or not moved:
             taken += objective.evaluations()
             objective, since = Objective(terms, objective.fitted, guard, factored), 0
