@@ -10,7 +10,6 @@ import numpy as np
 from ..geometry.mesh import Mesh
 from ..optics import GaussianPSF, Optics, ScalarPSF
 from ..runs.settings import WIDE_LEVELS, FitSettings
-from ..scene import expected_image
 from ..scene.effects import Effects
 from .change import Change
 from .checkpoint import Checkpoint, objective_in
@@ -28,6 +27,7 @@ from .reporting import Reporter, verdict
 from .schedule import Progress, Schedule
 from .stage import Stage
 from .state import FitState
+from .state_of import state_of
 from .topology_trials import TopologyTrials
 from .triangle_quality import Remeshing
 
@@ -395,34 +395,14 @@ class Run:
         return replace(state, message=message, events=events, converged=ends and finished)
 
     def _state(self) -> FitState:
-        fitted, stage, found = self._fitted, self._stage, self._objective.now.match
-        density, grid, kept = self._face_densities(), self._problem.grid, self._kept
-        accuracy = self._settings.image_accuracy
-
-        def rendered() -> np.ndarray:
-            given = fitted.mesh, grid, fitted.optics, accuracy, found.amplitude, found.background
-            return expected_image(
-                *given, density=density, effects=fitted.effects, light=fitted.light
-            )
-
-        return FitState(
-            iteration=stage.iteration,
-            level=stage.level_number + 1,
-            levels=len(self._levels),
-            mesh=fitted.mesh,
-            optics=fitted.optics,
-            density=density,
-            loss=found.loss,
-            amplitude=found.amplitude,
-            background=found.background,
-            blur=self._level.factor,
-            effects=fitted.effects,
-            light=fitted.light,
-            pinned=fitted.shape.pinned if fitted.shape.pinned.any() else None,
-            evaluations=stage.evaluations,
-            _render=rendered,
-            _checkpoint=lambda: kept,
+        found, level, accuracy = (
+            self._objective.now.match,
+            self._level,
+            self._settings.image_accuracy,
         )
+        place = self._problem.grid, len(self._levels), level.factor, accuracy
+        given = self._fitted, self._stage, found, self._face_densities()
+        return state_of(*given, *place, self._kept)
 
     # -------------------------------------------------------------------------- checkpoints
 
