@@ -82,66 +82,92 @@ def facts_of(
         (Z, Y, X) image of the state, where it is known already.
     """
     image = np.asarray(state.rendered() if rendered is None else rendered)
-    measured = filled_in(np.asarray(job.image), image)
+    pixels, size = np.asarray(job.image), job.grid.voxel_size
+    measured = filled_in(pixels, image)
     seen, shown = (levelled(i, job.grid, state.effects) for i in (measured, image))
-    total = float(np.abs(shown - state.background).sum())
-    areas = _areas(state.mesh)
-    whole = sum(areas.values()) or 1.0
-    growth = _growth(job.mesh, state.mesh)
-    cut = _cut(state.mesh, job.grid)
-    inside, compact = _inside(job, state, seen), _compactness(job.mesh, state.mesh)
-    modelled = state.light.interior != 0
-    unsure = job.settings.fit.structure == "auto" and not modelled
-    volumes = state.mesh.volumes()
-    grown_out = outgrowths(state.mesh, job.grid, state.optics)
-    explained = {cell.region: cell.explained for cell in left.cells}
-    light: dict[int, float] = {}
-    for spot in left.spots:
-        light[spot.region] = max(light.get(spot.region, 0.0), abs(spot.light))
-    uneven, lit = uneven_insides(job, state, image), _lit(state)
-    medium, there = _medium(job, state, seen, shown), _seen(job, state.mesh)
-    points = shrunken(state.mesh, min(state.optics.sigma_um))
-    cells = tuple(
-        CellFacts(
-            region,
-            explained.get(region),
-            light.get(region, 0.0) / max(total * area / whole, 1e-30),
-            growth.get(region),
-            region in cut,
-            None if modelled else inside.get(region),
-            compact.get(region),
-            unsure and hardly_wider(volumes[region], job.optics),
-            None if region not in grown_out else tuple(grown_out[region].tolist()),
-            uneven.get(region, 0.0),
-            lit.get(region, 1.0),
-            medium.get(region, 1.0),
-            there.get(region, 1.0),
-            region in points,
-        )
-        for region, area in areas.items()
+    narrow = narrower_than_told(state.optics.sigma_um, size)
+    return Facts(
+        finished=state.converged,
+        explained=left.explained,
+        widths=_widths(job, state, seen, shown),
+        narrow=job.settings.fit.fit_psf and narrow,
+        cells=_cells(job, state, left, _Images(image, seen, shown)),
+        error=predicted_error(job, state),
+        voxel=float(np.prod(size) ** (1 / 3)),
+        cut=share_cut(pixels),
+        compressed=compressed(pixels),
     )
-    sigma, size = np.asarray(state.optics.sigma_um), np.asarray(job.grid.voxel_size)
-    fitted = job.settings.fit.fit_psf
-    narrow = fitted and narrower_than_told(state.optics.sigma_um, job.grid.voxel_size)
-    widths = _widths(seen, job.grid, sigma)
-    if not isinstance(state.optics, GaussianPSF):  # of a light cone, the spectrum tells less
-        widths.pop("along Z", None)
-    if not _white(seen - shown):  # noise that was smoothed looks like light that is sharper
-        widths = {axis: width for axis, width in widths.items() if width > 1}
-    if modelled:  # the spectrum of insides falls faster than that of membranes: it looks blurred
-        widths = {axis: width for axis, width in widths.items() if width < 1}
-    voxel = float(size.prod() ** (1 / 3))
-    error = predicted_error(job, state)
-    pixels = np.asarray(job.image)
-    spoilt = share_cut(pixels), compressed(pixels)
-    return Facts(state.converged, left.explained, widths, narrow, cells, error, voxel, *spoilt)
 
 
-def _widths(image: np.ndarray, grid: Grid, sigma: np.ndarray) -> dict[str, float]:
+@dataclass(frozen=True, eq=False)
+class _Images:
+    """What a fit renders, and what was measured and is shown with the ground taken off."""
+
+    rendered: np.ndarray
+    seen: np.ndarray
+    shown: np.ndarray
+
+
+def _cells(
+    job: FitInput, state: FitState, left: Residual, images: _Images
+) -> tuple[CellFacts, ...]:
+    mesh, modelled = state.mesh, state.light.interior != 0
+    unsure = job.settings.fit.structure == "auto" and not modelled
+    explained = {cell.region: cell.explained for cell in left.cells}
+    stray = _stray(left, state, images.shown)
+    growth, compact = _growth(job.mesh, mesh), _compactness(job.mesh, mesh)
+    inside = {} if modelled else _inside(job, state, images.seen)
+    medium = _medium(job, state, images.seen, images.shown)
+    volumes, uneven = mesh.volumes(), uneven_insides(job, state, images.rendered)
+    lit, seen, cut = _lit(state), _seen(job, mesh), _cut(mesh, job.grid)
+    points = shrunken(mesh, min(state.optics.sigma_um))
+    grown_out = outgrowths(mesh, job.grid, state.optics)
+    return tuple(
+        CellFacts(
+            region=region,
+            explained=explained.get(region),
+            stray=stray.get(region, 0.0),
+            growth=growth.get(region),
+            cut=region in cut,
+            inside=inside.get(region),
+            compact=compact.get(region),
+            small=unsure and hardly_wider(volumes[region], job.optics),
+            outgrowth=grown_out.get(region),
+            uneven=uneven.get(region, 0.0),
+            lit=lit.get(region, 1.0),
+            medium=medium.get(region, 1.0),
+            seen=seen.get(region, 1.0),
+            point=region in points,
+        )
+        for region in _areas(mesh)
+    )
+
+
+def _stray(left: Residual, state: FitState, shown: np.ndarray) -> dict[int, float]:
+    """Light of the clearest place of the residual near each region, over that of the region."""
+    areas = _areas(state.mesh)
+    total = float(np.abs(shown - state.background).sum()) / (sum(areas.values()) or 1.0)
+    found: dict[int, float] = {}
+    for spot in left.spots:
+        own = max(total * areas.get(spot.region, 0.0), 1e-30)
+        found[spot.region] = max(found.get(spot.region, 0.0), abs(spot.light) / own)
+    return found
+
+
+def _widths(
+    job: FitInput, state: FitState, seen: np.ndarray, shown: np.ndarray
+) -> dict[str, float]:
     """Of the blur across and along Z, over that of the PSF, as far as told; voxels blur, too."""
-    told = first_sigma(image, grid.voxel_size)
-    found = {"across": (told.yx.value, max(sigma[1:])), "along Z": (told.z.value, sigma[0])}
-    return {axis: float(value / of) for axis, (value, of) in found.items() if value is not None}
+    sigma, told = state.optics.sigma_um, first_sigma(seen, job.grid.voxel_size)
+    widths = {"across": (told.yx.value, max(sigma[1:]))}
+    if isinstance(state.optics, GaussianPSF):  # of a light cone, the spectrum tells less
+        widths["along Z"] = told.z.value, sigma[0]
+    found = {axis: float(value / of) for axis, (value, of) in widths.items() if value is not None}
+    if not _white(seen - shown):  # noise that was smoothed looks like light that is sharper
+        found = {axis: width for axis, width in found.items() if width > 1}
+    if state.light.interior:  # the spectrum of insides falls faster than that of membranes
+        found = {axis: width for axis, width in found.items() if width < 1}
+    return found
 
 
 def _white(left: np.ndarray) -> bool:

@@ -9,7 +9,7 @@ from scipy.ndimage import distance_transform_edt
 
 from ..geometry.labels.label_repair import label_boxes
 from ..geometry.labels.voxels import voxel_labels
-from ..geometry.mesh import FloatArray, Mesh
+from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..scene import Grid
 
@@ -38,14 +38,14 @@ class OutgrowthRules:
 RULES = OutgrowthRules()
 
 
-def outgrowths(mesh: Mesh, grid: Grid, optics: Optics) -> dict[int, FloatArray]:
-    """Where the longest thin outgrowth of each cell ends, um, (3,); cells without one are left out.
+def outgrowths(mesh: Mesh, grid: Grid, optics: Optics) -> dict[int, tuple[float, float, float]]:
+    """Where the longest thin outgrowth of each cell ends, um, Z Y X; cells without are left out.
 
     Cells that are thin as a whole have none.
     """
     labels = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
     spacing = np.asarray(grid.voxel_size) / np.asarray(optics.sigma_um)
-    found: dict[int, FloatArray] = {}
+    found: dict[int, tuple[float, float, float]] = {}
     for region, box in label_boxes(labels):
         own = np.pad(labels[box] == region, 1)
         thick = distance_transform_edt(own, sampling=spacing) > RULES.thin
@@ -58,5 +58,6 @@ def outgrowths(mesh: Mesh, grid: Grid, optics: Optics) -> dict[int, FloatArray]:
         at = np.unravel_index(int(out.argmax()), own.shape)
         first = np.array([s.start for s in box]) - 1
         place = (np.asarray(at) + first) * np.asarray(grid.voxel_size) + np.asarray(grid.origin)
-        found[region] = place
+        z, y, x = place.tolist()
+        found[region] = z, y, x
     return found
