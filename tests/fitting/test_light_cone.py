@@ -9,11 +9,15 @@ import napari_deltamic as nd
 from napari_deltamic.evidence.facts import CellFacts, Facts
 from napari_deltamic.evidence.predicted_error import predicted_error
 from napari_deltamic.evidence.verdict import judged
+from napari_deltamic.fitting.fit_objective import Terms
+from napari_deltamic.fitting.fitted import Fitted
 from napari_deltamic.fitting.job import FitInput, following, optics_of
 from napari_deltamic.fitting.light_cone import ANEW, GOES_ON, confocal_of, widefield_of
+from napari_deltamic.fitting.rival_structures import gone_on
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure.surface_distance import distance_to_surface
 from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
+from napari_deltamic.scene.effects import Effects
 
 SIZE, SHAPE = (0.2, 0.1, 0.1), (22, 32, 32)
 ABOUT = (0.3, 0.11, 0.11)  # um; widths of the PSF of NA 1.2 in water at 0.6 um
@@ -78,6 +82,47 @@ def test_a_psf_that_is_held_is_not_asked():
     *_, state = begun(OBJECTIVE, fit_psf=False)
     assert isinstance(state.optics, nd.GaussianPSF)
     assert not state.cone
+
+
+def test_a_gaussian_narrower_than_voxels_tell_stays(monkeypatch):
+    asked = []
+
+    def narrow(sigma_um, voxel_size):
+        asked.append((sigma_um, voxel_size))
+        return True
+
+    monkeypatch.setattr("napari_deltamic.fitting.light_cone.narrower_than_told", narrow)
+    *_, state = begun(OBJECTIVE)
+    assert isinstance(state.optics, nd.GaussianPSF)
+    assert not state.cone
+    ((sigma_um, voxel_size),) = asked
+    assert sigma_um == pytest.approx(state.optics.sigma_um, rel=1e-6)
+    assert tuple(voxel_size) == SIZE
+
+
+def test_a_rival_that_does_not_move_is_left(monkeypatch):
+    posed = []
+
+    class Stuck:
+        fitted, posed = None, None
+
+        def __init__(self, *given):
+            posed.append(given)
+
+        def step(self):
+            return False
+
+        def strayed(self):
+            return False
+
+        def evaluations(self):
+            return 1
+
+    monkeypatch.setattr("napari_deltamic.fitting.rival_structures.Objective", Stuck)
+    settings = FitSettings()
+    terms = Terms(None, None, settings, None, True, True, True)
+    *_, taken = gone_on(terms, Fitted.begun(START, GAUSSIAN, Effects(), "uniform"), None)
+    assert (taken, len(posed)) == (1, 2)  # begun, and posed once more for what it leaves
 
 
 def test_what_a_user_has_changed_is_not_begun_anew():
