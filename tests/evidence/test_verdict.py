@@ -148,7 +148,8 @@ def test_facts_of_a_fit():
     facts = facts_of(job, state, analyse_residual(image, grid, state))
     assert facts.finished
     assert facts.explained > 0.95
-    assert facts.widths["across"] == pytest.approx(1, abs=0.2)
+    assert set(facts.widths) == {"across", "along Z"}
+    assert list(facts.widths.values()) == pytest.approx([1, 1], abs=0.2)
     (cell,) = facts.cells
     assert cell.growth == pytest.approx((1.5 / 1.2) ** 3, rel=0.1)
     assert not cell.cut
@@ -160,6 +161,10 @@ def test_facts_of_a_fit():
     assert capped.cells[0].lit == pytest.approx(high.mean(), abs=0.05)
     assert judged(capped).grade == "poor"
     assert judged(facts).grade == "good"
+    assert not cell.point
+    middle, places = np.full(3, 2.3), state.mesh.vertices_numpy()
+    small = replace(state, mesh=state.mesh.with_vertices(middle + 0.1 * (places - middle)))
+    assert facts_of(job, small, analyse_residual(image, grid, state)).cells[0].point
     hidden = image.copy()
     hidden[:, :, 12:] = np.nan
     half = facts_of(replace(job, image=hidden), state, analyse_residual(hidden, grid, state))
