@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from napari_deltamic.optics.narrow import NARROWEST, narrower_than_told
+from napari_deltamic.optics.narrow import RULES, narrower_than_told
 
 VOXEL = (0.4, 0.2, 0.2)
 
@@ -17,4 +17,4 @@ def test_each_axis_counts(sigma, narrow):
 
 
 def test_what_its_otf_is_at_the_largest_wavenumber():
-    assert np.exp(-((np.pi * NARROWEST) ** 2) / 2) == pytest.approx(0.17, abs=0.005)
+    assert np.exp(-((np.pi * RULES.voxels) ** 2) / 2) == pytest.approx(0.17, abs=0.005)

@@ -3,11 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
-NARROWEST = 0.6
-"""Voxels; standard deviation of the narrowest PSF that an image can tell. By definition: at the
-largest wavenumber of voxels its OTF is 0.17 still, so that most of the fall of a narrower one lies
-beyond."""
+
+@dataclass(frozen=True)
+class NarrowRules:
+    """Which PSFs are too narrow.
+
+    Attributes
+    ----------
+    voxels
+        Standard deviation of the narrowest PSF that an image can tell. By definition: at the
+        largest wavenumber of voxels its OTF is 0.17 still, so that most of the fall of a narrower
+        one lies beyond.
+    """
+
+    voxels: float = 0.6
+
+
+RULES = NarrowRules()
 
 
 def narrower_than_told(sigma_um: Sequence[float], voxel_size: Sequence[float]) -> bool:
@@ -18,4 +32,4 @@ def narrower_than_told(sigma_um: Sequence[float], voxel_size: Sequence[float]) -
     sigma_um, voxel_size
         um, Z Y X.
     """
-    return any(s < NARROWEST * d for s, d in zip(sigma_um, voxel_size, strict=True))
+    return any(s < RULES.voxels * d for s, d in zip(sigma_um, voxel_size, strict=True))

@@ -42,6 +42,7 @@ from ..fitting import (
 )
 from ..fitting.schedule import Schedule
 from ..geometry.labels.cell_rules import FINDING
+from ..optics import narrow
 
 RULES_OF_A_FIT: dict[str, dict[str, Any]] = {
     "cells": asdict(FINDING),
@@ -62,6 +63,7 @@ RULES_OF_A_FIT: dict[str, dict[str, Any]] = {
     "unequal insides": asdict(unequal_insides.RULES),
     "uneven insides": asdict(evening.RULES),
     "rivals": asdict(rival_structures.RULES),
+    "narrow PSFs": asdict(narrow.RULES),
     "light cone": asdict(light_cone.RULES),
     "topology": asdict(topology.RULES),
     "camera": asdict(CAMERA),
