@@ -42,10 +42,25 @@ def test_transfer_in_focus_ends_at_twice_the_na():
     cut = 2 * 2 * np.pi * 0.3 / 0.52
     k = torch.linspace(0, 1.2 * cut, 49, dtype=torch.float64)
     planes = model.intensity_at(FOCUS, model._r)
-    found = model._lateral(planes, torch.zeros(1, dtype=torch.float64), k)[0, 0]
+    plane = torch.zeros(1, dtype=torch.float64), k
+    found = model._on_plane(model._lateral(planes, *plane), *plane)[0, 0]
     share = (k / cut).clamp(max=1).numpy()
     expected = 2 / np.pi * (np.arccos(share) - share * np.sqrt(1 - share**2))
     assert_allclose(found / found[0], expected, atol=8e-3)
+
+
+@pytest.mark.parametrize("extent", [(1.5, 1.5), (30.0, 40.0)])
+def test_a_plane_of_wavevectors_is_summed_over_the_radius(extent):
+    model = scalar(extent=extent)
+    ky, kx = (torch.linspace(low, 40, 23, dtype=torch.float64) for low in (-30, 0))
+    planes = model.intensity_at(FOCUS, model._r)
+    found = model._on_plane(model._lateral(planes, ky, kx), ky, kx)
+    length = torch.hypot(ky[:, None], kx)
+    weighted = (planes[0] * model._r_weight).numpy()
+    summed = scipy.special.j0(length.numpy()[..., None] * model._r.numpy()) @ weighted
+    resolved = length.numpy() <= model._resolved[1]
+    assert 0 < resolved.sum() < resolved.size
+    assert_allclose(found[0], np.where(resolved, summed, 0.0), atol=1e-11 * summed.max())
 
 
 def test_two_ways_to_the_same_pupil():

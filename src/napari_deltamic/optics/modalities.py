@@ -185,6 +185,9 @@ class LightSheetPSF(TablePSF):
     def _lateral(self, planes: Tensor, ky: Tensor, kx: Tensor) -> Tensor:
         return self._detection._lateral(planes, ky, kx)
 
+    def _on_plane(self, across: Tensor, ky: Tensor, kx: Tensor) -> Tensor:
+        return self._detection._on_plane(across, ky, kx)
+
     def _totals(self, planes: Tensor) -> Tensor:
         return self._detection._totals(planes)
 

@@ -11,10 +11,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from math import ceil, pi, sqrt
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 import torch
+from scipy.special import roots_legendre
 from torch import Tensor
 
 from ..common.kept import Kept
@@ -46,7 +47,8 @@ def gauss_legendre(low: float, high: float, count: int) -> tuple[Tensor, Tensor]
 
 @lru_cache(64)
 def _legendre(count: int) -> tuple[np.ndarray, np.ndarray]:
-    return np.polynomial.legendre.leggauss(count)
+    nodes, weights = roots_legendre(count)
+    return nodes, weights
 
 
 def nodes_for(phase: float) -> int:
@@ -58,7 +60,7 @@ class TablePSF(ParametricPSF):
     """A PSF given by its intensity on planes.
 
     Subclasses give the intensity (:meth:`_intensity`) and the transform across the axis
-    (:meth:`_lateral`).
+    (:meth:`_lateral`), of as few numbers as tell it (:meth:`_on_plane`).
     """
 
     def __init__(
@@ -99,7 +101,11 @@ class TablePSF(ParametricPSF):
         raise NotImplementedError
 
     def _lateral(self, planes: Tensor, ky: Tensor, kx: Tensor) -> Tensor:
-        """(Nz, Ky, Kx): transform of (windowed) planes across the axis; exact where resolved."""
+        """(Nz, M): transform of (windowed) planes across the axis; exact where resolved."""
+        raise NotImplementedError
+
+    def _on_plane(self, across: Tensor, ky: Tensor, kx: Tensor) -> Tensor:
+        """(N, Ky, Kx): what is told by N rows as :meth:`_lateral` makes them; linear."""
         raise NotImplementedError
 
     def _totals(self, planes: Tensor) -> Tensor:
@@ -167,14 +173,11 @@ class TablePSF(ParametricPSF):
         planes = self._planes()
         across = self._lateral(planes, ky, kx)
         phase = kz[:, None] * self._z
-        # A real transform where the PSF is symmetric would be half the work, of very little.
-        along = torch.complex(torch.cos(phase), -torch.sin(phase)) * self._z_weight
-        along = torch.where(
-            (kz.abs() <= self._resolved[0])[:, None], along, torch.zeros_like(along)
-        )
+        weight = self._z_weight * (kz.abs() <= self._resolved[0])[:, None]
         total = (self._totals(planes) * self._z_weight).sum()
-        flat = along @ across.reshape(len(self._z), -1).to(along.dtype)
-        otf = (flat / total).reshape(len(kz), len(ky), len(kx))
+        waves = ((weight * wave).to(across.dtype) for wave in (torch.cos(phase), -torch.sin(phase)))
+        real, imag = (self._on_plane(wave @ across / total, ky, kx) for wave in waves)
+        otf = real + 1j * imag if real.is_complex() else torch.complex(real, imag)
         single = axes[0].dtype == torch.float32
         return otf.to(torch.complex64) if single else otf
 
@@ -228,9 +231,15 @@ class RadialPSF(TablePSF):
         return planes @ self._r_weight
 
     def _lateral(self, planes: Tensor, ky: Tensor, kx: Tensor) -> Tensor:
-        matrix, where = _hankel(tuple(ky.tolist()), tuple(kx.tolist()), self._r, self._resolved[1])
-        found = (planes * self._r_weight) @ matrix
-        return found[:, where].reshape(len(planes), len(ky), len(kx))
+        return (planes * self._r_weight) @ self._hankel(ky, kx).to_coefficients
+
+    def _on_plane(self, across: Tensor, ky: Tensor, kx: Tensor) -> Tensor:
+        hankel = self._hankel(ky, kx)
+        found = (across @ hankel.polynomials).index_select(1, hankel.where)
+        return found.reshape(len(across), len(ky), len(kx))
+
+    def _hankel(self, ky: Tensor, kx: Tensor) -> _Hankel:
+        return _hankel(tuple(ky.tolist()), tuple(kx.tolist()), self._r, self._resolved[1])
 
     def _sections(self, plane: Tensor) -> tuple[float, float]:
         # Both halves of the line.
@@ -238,18 +247,35 @@ class RadialPSF(TablePSF):
         return width, width
 
 
-_hankels: Kept[tuple[Tensor, Tensor]] = Kept(6)  # planes: of a fit's levels, and of what is shown
+class _Hankel(NamedTuple):
+    """A transform of order 0, from a radius r <= R to a plane of wavevectors, in two steps.
 
+    Of a function within R, it is an entire function of k^2: as many Chebyshev polynomials tell it
+    as there are half waves of J0(k R) (L. N. Trefethen, "Approximation Theory and Approximation
+    Practice", 2013), and there are far fewer of them than lengths k in a plane.
 
-def _hankel(
-    ky: tuple[float, ...], kx: tuple[float, ...], r: Tensor, resolved: float
-) -> tuple[Tensor, Tensor]:
-    """J0(k r) (Nr, N) at the distinct lengths k of a plane of wavevectors; where each is.
-
-    Kept: it depends on the grid alone, so that iterations of a fit need no Bessel functions.
+    Attributes
+    ----------
+    to_coefficients
+        (Nr, M) from values at the nodes along r to coefficients of the polynomials.
+    polynomials
+        (M, N) at the distinct lengths k; 0 where they are not resolved.
+    where
+        (Ky * Kx,) which of them each wavevector has.
     """
 
-    def make() -> tuple[Tensor, Tensor]:
+    to_coefficients: Tensor
+    polynomials: Tensor
+    where: Tensor
+
+
+_hankels: Kept[_Hankel] = Kept(6)  # planes: of a fit's levels, and of what is shown
+
+
+def _hankel(ky: tuple[float, ...], kx: tuple[float, ...], r: Tensor, resolved: float) -> _Hankel:
+    """Kept: it depends on the grid alone, so that iterations of a fit need no Bessel functions."""
+
+    def make() -> _Hankel:
         y, x = torch.tensor(ky, dtype=torch.float64), torch.tensor(kx, dtype=torch.float64)
         squared = (y**2)[:, None] + x**2
         scale = float(squared.max()) or 1.0
@@ -257,6 +283,16 @@ def _hankel(
         rounded = torch.round(squared.reshape(-1) / scale * 1e12)
         lengths, where = torch.unique(rounded, return_inverse=True)
         k = torch.sqrt(lengths * (scale / 1e12))
-        return j0(r[:, None] * k) * (k <= resolved), where
+        longest = min(resolved, float(k.max())) or 1.0
+        degree = torch.arange(nodes_for(longest * float(r[-1])), dtype=torch.float64)
+        angles = (degree + 0.5) * (
+            pi / len(degree)
+        )  # of Chebyshev's nodes in 2 (k / longest)^2 - 1
+        at_nodes = j0(r[:, None] * (longest * torch.cos(angles / 2)))
+        to_coefficients = torch.cos(angles[:, None] * degree) * (2 / len(degree))
+        to_coefficients[:, 0] /= 2
+        angle = 2 * torch.arccos((k / longest).clamp(max=1.0))
+        polynomials = torch.cos(degree[:, None] * angle) * (k <= resolved)
+        return _Hankel(at_nodes @ to_coefficients, polynomials, where)
 
     return _hankels.get((ky, kx, len(r), float(r[0]), float(r[-1]), resolved), make)

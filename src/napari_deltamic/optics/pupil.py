@@ -145,7 +145,10 @@ class PupilPSF(TablePSF):
         y = _wave(-self._x[:, None] * ky) * (ky.abs() <= resolved)
         x = _wave(-self._x[:, None] * kx) * (kx.abs() <= resolved)
         held = (planes * self._area).to(x.dtype)
-        return torch.matmul(y.T, torch.matmul(held, x))
+        return torch.matmul(y.T, torch.matmul(held, x)).flatten(1)
+
+    def _on_plane(self, across: Tensor, ky: Tensor, kx: Tensor) -> Tensor:
+        return across.reshape(len(across), len(ky), len(kx))
 
     def _sections(self, plane: Tensor) -> tuple[float, float]:
         row, column = divmod(int(plane.argmax()), plane.shape[1])
