@@ -8,16 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 import torch
-from scipy.sparse.linalg import lsqr
 from scipy.spatial import cKDTree
 from torch import Tensor
 
 from ..common.choices import DensityModel
 from ..geometry.mesh import FloatArray, IntArray, Mesh
+from .factors import on_host
 from .lbfgs import dot
 from .preconditioner import Preconditioner, adjacency
 
-_SOLVED = 1e-9  # of the right-hand side: as exact as densities in a file
+_SOLVED = 1e-9  # of a row: what no face sees stays 0; as exact as densities in a file
 
 
 @dataclass(frozen=True)
@@ -127,9 +127,11 @@ class Density:
             return np.zeros(0)
         corners = self._faces.numpy()
         rows = np.repeat(np.arange(len(corners)), 3)
-        mean = sp.coo_matrix((np.full(corners.size, 1 / 3), (rows, corners.ravel())))
-        found: FloatArray = lsqr(mean.tocsr(), each, atol=_SOLVED, btol=_SOLVED)[0]
-        return found
+        shape = len(corners), len(self._pieces)
+        mean = sp.coo_matrix((np.full(corners.size, 1 / 3), (rows, corners.ravel())), shape).tocsr()
+        # Factored, as iterations would end with other last digits on another number of threads.
+        normal = (mean.T @ mean + _SOLVED * sp.eye(shape[1])).tocoo()
+        return on_host(normal)(torch.from_numpy(mean.T @ each)[:, None])[:, 0].numpy()
 
     def prior(self, log: FloatArray, independent: float = 1.0) -> tuple[float, FloatArray]:
         """Nats, and their gradient (D,).

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..common.one_thread import in_one_thread
 from .real_fft import RealFFT
 
 
@@ -143,7 +144,7 @@ class Band:
         if shape not in self._inverse:
             self._inverse[shape] = self._inverse_to(shape)
         if otf is not None and (otf.requires_grad or otf.is_complex() or otf.shape != box.shape):
-            box, otf = box * otf, None
+            box, otf = in_one_thread(torch.mul, box, otf), None
         return _Image.apply(box, otf, self._inverse[shape])
 
     def _inverse_to(self, shape: tuple[int, int, int]) -> RealFFT:

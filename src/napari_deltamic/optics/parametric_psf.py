@@ -9,6 +9,7 @@ from typing import Self
 import torch
 from torch import Tensor
 
+from ..common.one_thread import in_one_thread, one_thread
 from ..common.triple import Triple
 from ..fourier.plan import Cutoff
 from .parameters import Parameter, Spec, as_value, bound, check_fitted, decode, encode, free_range
@@ -131,16 +132,20 @@ class ParametricPSF:
         """Optical transfer function at wavevector components that broadcast over a box (rad/um).
 
         ``axes`` have the shapes (Kz, 1, 1), (1, Ky, 1) and (1, 1, Kx). The last result is kept
-        while no parameter asks for a gradient.
+        while no parameter asks for a gradient. The bits are the same for any number of threads.
         """
         if self._differentiable():
-            return self._otf(axes)
+            return in_one_thread(lambda *v: self._of(v)._otf(axes), *self._values.values())
         kept = self._kept
         if kept is not None and all(a is b for a, b in zip(kept[0], axes, strict=True)):
             return kept[1]
-        otf = self._otf(axes)
+        with one_thread():
+            otf = self._otf(axes)
         self._kept = (axes, otf)
         return otf
+
+    def _of(self, values: Sequence[Tensor]) -> Self:
+        return self._with_values(dict(zip(self._values, values, strict=True)))
 
     def _differentiable(self) -> bool:
         return any(v.requires_grad for v in self._values.values())
@@ -164,7 +169,7 @@ class ParametricPSF:
     def reach(self, accuracy: float) -> tuple[float, float, float]:
         """um along Z, Y, X: what lies beyond adds less than the accuracy to an image."""
         if accuracy not in self._reach:
-            with torch.no_grad():
+            with torch.no_grad(), one_thread():
                 self._reach[accuracy] = reach(self, accuracy)
         return self._reach[accuracy]
 
@@ -177,7 +182,7 @@ class ParametricPSF:
         def found(error: float, area: float, thin: bool) -> tuple[Triple, float]:
             key = (blur, error, area, thin)
             if key not in self._bands:
-                with torch.no_grad():
+                with torch.no_grad(), one_thread():
                     self._bands[key] = band_radius(self, blur, error, area, thin)
             return self._bands[key]
 
@@ -187,7 +192,7 @@ class ParametricPSF:
     def sigma_um(self) -> tuple[float, float, float]:
         """Effective widths in space along Z, Y, X (um)."""
         if self._sigma is None:
-            with torch.no_grad():
+            with torch.no_grad(), one_thread():
                 self._sigma = self._widths()
         return self._sigma
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any
@@ -13,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from ..common.choices import Bits
+from ..common.one_thread import one_thread
 from ..errors import InputError
 from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import Mesh
@@ -153,17 +152,6 @@ def true_mesh(scene: Scene) -> Mesh | None:
     if not meshes:
         return None
     return meshes[0] if len(meshes) == 1 else Mesh.merge(meshes)
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """With several threads the last digits depend on which is first."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def _generator(seed: int) -> np.random.Generator:

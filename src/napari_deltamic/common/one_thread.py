@@ -1,0 +1,53 @@
+"""The same bits for any number of threads, of operations that torch divides among them.
+
+Products of matrices are: their last digits depend on where they are divided.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Operations of torch in this thread of Python take no other one."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def in_one_thread(function: Callable[..., Tensor], *given: Tensor) -> Tensor:
+    """What a function makes of tensors, and its gradients, in one thread; differentiable once."""
+    found: Tensor = _InOneThread.apply(function, *given)
+    return found
+
+
+class _InOneThread(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, function: Callable[..., Tensor], *given: Tensor) -> Tensor:
+        ctx.leaves = [one.detach().requires_grad_(one.requires_grad) for one in given]
+        with torch.enable_grad(), one_thread():
+            ctx.found = function(*ctx.leaves)
+        found: Tensor = ctx.found.detach()
+        return found
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *pull: Any) -> tuple[Tensor | None, ...]:
+        asked = [one for one in ctx.leaves if one.requires_grad]
+        with one_thread():
+            # A caller may ask again, and what is kept is freed with ctx.
+            given = torch.autograd.grad(
+                ctx.found, asked, pull[0], retain_graph=True, allow_unused=True
+            )
+        found = iter(given)
+        return (None, *(next(found) if one.requires_grad else None for one in ctx.leaves))
