@@ -284,3 +284,18 @@ def test_the_next_point_in_the_same_image_is_quick(monkeypatch: pytest.MonkeyPat
     assert np.array_equal(both == 1, first == 1)
     labels_from_points(image + 50 * (image > 900), SIZE, [one])
     assert len(made) == 2
+
+
+def test_a_tree_tells_of_each_dark_part_how_large_it_is_and_where_it_is_cut():
+    ranked = np.random.default_rng(2).integers(0, 6, (5, 6, 7)).astype(np.uint16)
+    size = np.array([0.4, 0.2, 0.1])
+    tree = basins._new_tree(ranked, size)
+    border = basins.border_area(ranked.shape, size)
+    nodes = np.flatnonzero(ranked.ravel()[tree.parent] != ranked.ravel())
+    assert len(nodes) > 20
+    for node in nodes:
+        parts, _ = ndimage.label(ranked <= ranked.flat[node])
+        part = parts == parts.flat[node]
+        assert tree.volume[node] == part.sum()
+        assert tree.border[node] == pytest.approx(border[part].sum())
+        assert tree.lowest[node] == ranked[part].min()

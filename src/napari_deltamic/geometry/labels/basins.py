@@ -144,15 +144,27 @@ def _new_tree(ranked: Ranks, size: FloatArray) -> _Tree:
     parents, order = max_tree(65535 - ranked, connectivity=1)
     level = ranked.ravel().astype(np.int64)
     parent = parents.ravel().astype(np.int64)
-    # Plain lists: one pass over the voxels is several times faster than with array elements.
-    up, low = parent.tolist(), level.tolist()
-    volume, border = [1.0] * level.size, border_area(ranked.shape, size).ravel().tolist()
-    for child in order[:0:-1].tolist():
+    # Most voxels are leaves at the level of their parent, and join it at once.
+    leaf = level[parent] == level
+    leaf[order[0]] = False  # its own parent
+    n, border = level.size, border_area(ranked.shape, size).ravel()
+    volume = np.ones(n)
+    volume += np.bincount(parent[leaf], minlength=n)
+    border += np.bincount(parent[leaf], border[leaf], minlength=n)
+    nodes = order[~leaf[order]]
+    row = np.empty(n, np.int64)
+    row[nodes] = np.arange(len(nodes))
+    # Plain lists: one pass over them is several times faster than with array elements.
+    up, low = row[parent[nodes]].tolist(), level[nodes].tolist()
+    voxels, faces = volume[nodes].tolist(), border[nodes].tolist()
+    for child in range(len(nodes) - 1, 0, -1):
         above = up[child]
-        volume[above] += volume[child]
-        border[above] += border[child]
+        voxels[above] += voxels[child]
+        faces[above] += faces[child]
         low[above] = min(low[above], low[child])
-    return _Tree(level, parent, np.array(volume), np.array(border), np.array(low))
+    lowest = level.copy()
+    volume[nodes], border[nodes], lowest[nodes] = voxels, faces, low
+    return _Tree(level, parent, volume, border, lowest)
 
 
 def _descend(ranked: Ranks, voxel: IntArray) -> int:
