@@ -122,7 +122,7 @@ def test_a_rival_that_does_not_move_is_left(monkeypatch):
     settings = FitSettings()
     terms = Terms(None, None, settings, None, True, True, True)
     *_, taken = gone_on(terms, Fitted.begun(START, GAUSSIAN, Effects(), "uniform"), None)
-    assert (taken, len(posed)) == (1, 2)  # begun, and posed once more for what it leaves
+    assert (taken, len(posed)) == (1, 1)  # not posed anew
 
 
 def test_what_a_user_has_changed_is_not_begun_anew():
@@ -194,3 +194,35 @@ def test_the_objective_is_about_as_wide(aperture):
 def test_no_wavelength_is_longer_than_that_of_light():
     found = {p.name: p.value for p in widefield_of((30, 10, 10)).described()}
     assert found["wavelength"] == 2.0
+
+
+def test_a_rival_is_dropped_before_it_is_posed_anew(monkeypatch):
+    posed, looks = [], []
+
+    class Slow:
+        fitted = None
+
+        def __init__(self, *given):
+            posed.append(self)
+
+        def step(self):
+            return True
+
+        def strayed(self):
+            return False
+
+        def evaluations(self):
+            return 6
+
+    def hopeless(objective):
+        looks.append(objective)
+        return len(looks) > 1
+
+    monkeypatch.setattr("napari_deltamic.fitting.rival_structures.Objective", Slow)
+    terms = Terms(None, None, FitSettings(), None, True, True, True)
+    fitted = Fitted.begun(START, GAUSSIAN, Effects(), "uniform")
+    objective, taken = gone_on(terms, fitted, None, hopeless)
+    assert (objective, looks) == (posed[0], [posed[0], posed[0]])
+    assert (taken, len(posed)) == (6, 1)
+    objective, taken = gone_on(terms, fitted, None)  # to the end, where it is posed anew
+    assert (objective, taken, len(posed)) == (posed[-1], 18, 4)

@@ -102,3 +102,10 @@ def test_a_variance_has_settled_when_it_hardly_changes():
     assert not progress.settled
     assert progress.posed(1.0, 4.2, S).settled
     assert not progress.posed(1.0, 2.0, S).settled
+
+
+def test_what_shines_is_asked_again_once_the_surface_goes_elsewhere():
+    progress = Progress(sure=True, answered=True)
+    assert progress.posed(1.0, 4.0, S).stepped(0.9, True, S).answered
+    assert progress.released().sure
+    assert not progress.released().answered

@@ -20,7 +20,7 @@ from .fitted import Fitted
 from .imaging import Imaging
 from .level import Level
 from .metric import Metric
-from .pose import pose
+from .pose import pose, squares_left
 from .posterior import Evaluation
 from .preconditioner import NEAR_JUNCTIONS, Preconditioners
 from .prediction import View
@@ -155,6 +155,11 @@ class Objective:
     def now(self) -> Evaluation:
         """Where the descent is."""
         return self._descent.now
+
+    @property
+    def left(self) -> float:
+        """As :attr:`Posed.left`, where the descent is."""
+        return squares_left(self.now.match, self.posed.posterior.views[0].voxels)
 
     @property
     def face_densities(self) -> np.ndarray:

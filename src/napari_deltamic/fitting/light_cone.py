@@ -15,16 +15,15 @@ from math import sqrt
 from typing import Any
 
 import numpy as np
+from torch import Tensor
 
 from ..optics import ConfocalPSF, GaussianPSF, Optics, ScalarPSF, microscope
 from ..optics.narrow import narrower_than_told
 from .amplitudes import may_shine
-from .fit_objective import Terms
+from .fit_objective import Objective, Terms
 from .fitted import Fitted
-from .pose import Posed
 from .preconditioner import Preconditioners
 from .rival_structures import gone_on
-from .state import FitState
 
 # Of a widefield PSF, by definition: standard deviation across, in wavelengths over NA (B. Zhang et
 # al., Appl. Opt. 46, 2007), and full width at half maximum along, in wavelengths over
@@ -65,7 +64,7 @@ RULES = LightConeRules()
 
 
 def objective_instead(
-    terms: Terms, fitted: Fitted, state: FitState
+    terms: Terms, fitted: Fitted, image: Tensor
 ) -> tuple[ThroughObjective | None, int]:
     """The PSF of an objective that explains an image better than the Gaussian that was fitted.
 
@@ -80,8 +79,10 @@ def objective_instead(
 
     Parameters
     ----------
-    terms, fitted, state
+    terms, fitted
         Of the fit at its end, before its last level is left.
+    image
+        (Z, Y, X) as it renders that, of any amplitude.
     """
     settings, first = terms.settings, fitted.first_optics
     given = _is_plain(fitted.optics) and _is_plain(first)
@@ -96,7 +97,7 @@ def objective_instead(
     best: ThroughObjective | None = None
     least, evaluations = 1.0, 0
     for optics in (widefield_of(first.sigma_um), confocal_of(first.sigma_um)):
-        share, taken = _left_by(optics, terms, fitted, state)
+        share, taken = _left_by(optics, terms, fitted, image)
         evaluations += taken
         if share < least:
             best, least = optics, share
@@ -104,22 +105,22 @@ def objective_instead(
 
 
 def _left_by(
-    optics: ThroughObjective, terms: Terms, fitted: Fitted, state: FitState
+    optics: ThroughObjective, terms: Terms, fitted: Fitted, image: Tensor
 ) -> tuple[float, int]:
     """What a PSF leaves after a few steps, over what the fit has left; and evaluations taken."""
     rival = fitted.seen_through(optics)
     rival = rival.with_structure(may_shine(terms.settings.structure, fitted.mesh, optics))
     looked: list[float] = []
 
-    def hopeless(posed: Posed) -> bool:
-        left, noise = posed.left_by(state)
-        looked.append(posed.left / left)
+    def hopeless(objective: Objective) -> bool:
+        left, noise = objective.posed.left_by(image)
+        looked.append(objective.left / left)
         if len(looked) == 1:
-            return posed.left - noise > RULES.hopeless * max(left - noise, 0.0)
+            return objective.left - noise > RULES.hopeless * max(left - noise, 0.0)
         return 2 * looked[-1] - looked[-2] >= 1  # would not do if it gained as much again
 
-    _, posed, taken = gone_on(terms, rival, Preconditioners(), hopeless)
-    return posed.left / posed.left_by(state)[0], taken
+    objective, taken = gone_on(terms, rival, Preconditioners(), hopeless)
+    return objective.left / objective.posed.left_by(image)[0], taken
 
 
 def widefield_of(sigma: Sequence[float]) -> ScalarPSF:

@@ -73,10 +73,15 @@ class ModelChoice:
             return fitted, 0
         return best_of(terms, fitted, start)
 
-    def at_rest(self, objective: Objective, fitted: Fitted, stage: Stage) -> Fitted:
-        """With what shines at rest, where that differs from what had been clear on the way."""
-        if not (stage.progress.sure and fitted.structure == "both"):
-            return fitted
+    @staticmethod
+    def asked_at_rest(fitted: Fitted, stage: Stage) -> bool:
+        """Whether to ask, at rest, what had been clear on the way: once for each surface."""
+        progress = stage.progress
+        return progress.sure and not progress.answered and fitted.structure == "both"
+
+    @staticmethod
+    def at_rest(objective: Objective, fitted: Fitted) -> Fitted:
+        """With what shines at rest; itself where that is what had been clear on the way."""
         found = objective.structure().structure
         return fitted if found == "both" else fitted.with_structure(found)
 

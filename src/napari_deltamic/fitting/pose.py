@@ -86,13 +86,13 @@ class Posed:
         """(N,) the image of a state where voxels count, of amplitude 1."""
         return as_floats(self.posterior.views[0].voxels.of(self._image(state)))
 
-    def left_by(self, state: FitState) -> tuple[float, float]:
-        """What another state would leave of the first image, as :attr:`left`, and noise of that.
+    def left_by(self, image: Tensor) -> tuple[float, float]:
+        """What another image would leave of the first one, as :attr:`left`, and noise of that.
 
-        Noise is what differs from voxel to voxel along X.
+        Noise is what differs from voxel to voxel along X. image : (Z, Y, X), of any amplitude.
         """
         level, voxels = self.posterior.level, self.posterior.views[0].voxels
-        image, weights = self._image(state), voxels.weights
+        weights = voxels.weights
         shown = voxels.of(image).to(weights)
         measured = torch.from_numpy(self.posterior.measured(self.at)[0]).to(weights)
         a, b, _ = solve_scale(shown, measured, weights)
@@ -195,7 +195,7 @@ def pose(
         at = _with_insides(posterior_of(replace(insides, held=False)), at)
     posterior = posterior_of(insides)
     firmness = look.firmness(voxels, rendered, found, light) / variance
-    left = found.squares / max(float(total(voxels.weights)), 1e-300)
+    left = squares_left(found, voxels)
     return Posed(posterior, at, renderer, variance, left, bool(held), firmness)
 
 
@@ -206,6 +206,11 @@ def _with_insides(posterior: Posterior, at: Variables) -> Variables:
         step = now.gradient.insides / posterior.insides_curvature(at, now)
         at = replace(at, insides=posterior.prior.insides.bounded(at.insides - step))
     return at
+
+
+def squares_left(found: Match, voxels: Voxels) -> float:
+    """Weighted squares that are left of an image, over their weights."""
+    return found.squares / max(float(total(voxels.weights)), 1e-300)
 
 
 def _left_out(now: Voxels, before: Voxels, shape: tuple[int, int, int]) -> float:

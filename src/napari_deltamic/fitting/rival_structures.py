@@ -18,7 +18,6 @@ from ..common.choices import Structure
 from .collisions import CollisionGuard
 from .fit_objective import Objective, Terms
 from .fitted import Fitted
-from .pose import Posed
 from .preconditioner import Preconditioners
 from .shape import Shape
 
@@ -69,11 +68,11 @@ def best_of(terms: Terms, fitted: Fitted, start: Shape | None) -> tuple[Fitted, 
     begin = [fitted.with_structure(s) for s in structures]
     if start is not None:
         begin.append(fitted.retriangulated(start).with_structure("membrane"))
-    (_, both, _), *alone = ends = [gone_on(terms, one, factored) for one in begin]
-    rival, posed, _ = min(alone, key=lambda end: end[1].left)
-    taken = sum(end[2] for end in ends)
-    stuck = posed.left < (1 - RULES.less) * both.left
-    return (rival.with_structure("both") if stuck else fitted), taken
+    (both, _), *alone = ends = [gone_on(terms, one, factored) for one in begin]
+    rival, _ = min(alone, key=lambda end: end[0].left)
+    taken = sum(end[1] for end in ends)
+    stuck = rival.left < (1 - RULES.less) * both.left
+    return (rival.fitted.with_structure("both") if stuck else fitted), taken
 
 
 def nearer_of(terms: Terms, fitted: Fitted) -> Structure:
@@ -97,24 +96,26 @@ def gone_on(
     terms: Terms,
     fitted: Fitted,
     factored: Preconditioners,
-    hopeless: Callable[[Posed], bool] = lambda posed: False,
-) -> tuple[Fitted, Posed, int]:
+    hopeless: Callable[[Objective], bool] = lambda objective: False,
+) -> tuple[Objective, int]:
     """A few steps down; the objective as it is posed there, and evaluations.
 
-    hopeless : of an objective that is posed: whether to go no further.
+    hopeless : whether to go no further; asked where it begins, and before it is posed anew.
     """
     terms = replace(terms, density_fitted=terms.density_fitted and fitted.structure != "interior")
     guard, taken, since = CollisionGuard(terms.settings.collisions), 0, 0
     objective = Objective(terms, fitted, guard, factored)
-    for _ in range(RULES.steps):
-        if since == 0 and hopeless(objective.posed):
-            return objective.fitted, objective.posed, taken + objective.evaluations()
+    if hopeless(objective):
+        return objective, objective.evaluations()
+    for step in range(1, RULES.steps + 1):
         moved, since = objective.step(), since + 1
         if not moved and since == 1:  # posed anew here, it would not move either
             break
-        if since >= RULES.renewed_every or objective.strayed() or not moved:
-            taken += objective.evaluations()
-            objective, since = Objective(terms, objective.fitted, guard, factored), 0
-    taken += objective.evaluations()
-    end = Objective(terms, objective.fitted, guard, factored)
-    return objective.fitted, end.posed, taken
+        last, strayed = step == RULES.steps, objective.strayed()
+        if moved and since < RULES.renewed_every and not strayed and not last:
+            continue
+        taken += objective.evaluations()
+        if not last and hopeless(objective):
+            return objective, taken
+        objective, since = Objective(terms, objective.fitted, guard, factored), 0
+    return objective, taken + objective.evaluations()

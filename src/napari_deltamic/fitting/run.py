@@ -133,7 +133,7 @@ class Run:
                 self._advance()
             self._stage = replace(self._stage, iteration=self._stage.iteration + 1)
             finished, state = self._finished(), self._state()
-            instead = self._objective_instead(state) if finished and self._last else None
+            instead = self._objective_instead() if finished and self._last else None
             following = None if instead is None else self._with_objective(instead)
             ends = following is None and ((finished and self._last) or self._over)
             told = replace(state, cone=instead is not None)
@@ -143,9 +143,9 @@ class Run:
             elif ends or finished:
                 return following
 
-    def _objective_instead(self, state: FitState) -> ThroughObjective | None:
+    def _objective_instead(self) -> ThroughObjective | None:
         """An objective's PSF, where the image shows the light cone that a Gaussian lacks."""
-        found, taken = objective_instead(self._terms, self._fitted, state)
+        found, taken = objective_instead(self._terms, self._fitted, self._objective.now.rendered)
         self._stage = replace(self._stage, evaluations=self._stage.evaluations + taken)
         return found
 
@@ -283,12 +283,15 @@ class Run:
         self._stage = replace(self._stage, remaining=remaining, progress=progress)
         if not progress.at_rest(schedule):
             return False
-        if self._choice.density_waits(self._fitted) or self._other_structure():
+        if self._choice.density_waits(self._fitted):
             self._due = True
             return False
         late = progress.iterations >= schedule.patience
         if not (progress.settled or late) and progress.stuck <= 1:
             self._due = True  # its variance is still that of a surface further off
+            return False
+        if self._other_structure():
+            self._due = True
             return False
         if self._topology.too_soon(self._stage.iteration) and progress.stuck <= 1:
             return False
@@ -304,8 +307,9 @@ class Run:
         if self._choice.asked_again(found, self._stage):
             found = self._choice.with_insides_again(self._terms, found, self._factored)
             progress = replace(progress, again=True)
-        else:
-            found = self._choice.at_rest(self._objective, found, self._stage)
+        elif self._choice.asked_at_rest(found, self._stage):
+            found = self._choice.at_rest(self._objective, found)
+            progress = replace(progress, answered=True)
         other = found is not self._fitted
         self._fitted = found
         self._stage = replace(self._stage, progress=progress.released() if other else progress)

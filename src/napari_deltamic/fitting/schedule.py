@@ -118,6 +118,8 @@ class Progress:
         How often in a row hardly anything was left to gain.
     sure
         Whether it is clear what shines.
+    answered
+        Whether that was asked at rest since the surface last went elsewhere.
     again
         Whether insides that had left were asked for again.
     """
@@ -132,6 +134,7 @@ class Progress:
     stuck: int = 0
     rests: int = 0
     sure: bool = False
+    answered: bool = False
     again: bool = False
 
     def posed(
@@ -163,7 +166,7 @@ class Progress:
 
     def released(self) -> Progress:
         """The surface goes elsewhere: voxels and weights have to follow."""
-        return replace(self, held=False, left=0.0)
+        return replace(self, held=False, left=0.0, answered=False)
 
     def stepped(self, value: float, moved: bool, schedule: Schedule) -> Progress:
         """One iteration more; whether it found a way down.
