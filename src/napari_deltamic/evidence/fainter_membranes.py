@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..fitting.pose import Posed
+from ..fitting.posed import Posed
 from ..fitting.refits import Alternative
 from ..fitting.responses import Responses
 from ..fitting.state import FitState

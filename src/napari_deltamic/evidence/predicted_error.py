@@ -12,7 +12,7 @@ from ..errors import InputError
 from ..fitting.convergence import Patches, vertex_normals
 from ..fitting.errors_of_measures import posed_at
 from ..fitting.job import FitInput
-from ..fitting.pose import Posed
+from ..fitting.posed import Posed
 from ..fitting.prediction import as_floats
 from ..fitting.refits import RULES as REFITS
 from ..fitting.responses import Responses, noise_of, responses_of

@@ -13,7 +13,8 @@ from .default_accuracy import accuracy_for_image
 from .density import Density
 from .imaging import Imaging
 from .level import Level
-from .pose import Posed, pose
+from .pose import pose
+from .posed import Posed
 from .problem import Problem
 from .shape import Shape
 from .state import FitState

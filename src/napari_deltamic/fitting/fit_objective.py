@@ -20,7 +20,8 @@ from .fitted import Fitted
 from .imaging import Imaging
 from .level import Level
 from .metric import Metric
-from .pose import pose, squares_left
+from .pose import pose
+from .posed import squares_left
 from .posterior import Evaluation
 from .preconditioner import NEAR_JUNCTIONS, Preconditioners
 from .prediction import View

@@ -14,7 +14,6 @@ from ..fourier.devices import for_objects
 from ..geometry.bending import BendingEnergy
 from ..geometry.cell_bending import CellBending
 from ..geometry.junction_bending import JunctionBending
-from ..geometry.mesh import FloatArray
 from ..scene import Renderer
 from ..scene.effects import Effects
 from ..scene.light import INSIDES, MEMBRANES, Light
@@ -24,13 +23,13 @@ from .evening import RULES as EVENING
 from .evening import unevenness
 from .imaging import Imaging
 from .level import Level, Voxels, differences
-from .likelihood import Match, explained, solve_scale, total
+from .likelihood import Match, explained, total
+from .posed import Posed, squares_left
 from .posterior import Posterior, Prior
 from .preconditioner import Preconditioner
 from .prediction import View, as_floats
 from .saturation import censored
 from .shape import Shape
-from .state import FitState
 from .tempering import tempered_variance
 from .unequal_insides import RULES as UNEQUAL
 from .unequal_insides import Insides
@@ -49,66 +48,6 @@ _HARDLY = 0.05
 # Rounds to the brightness that cut voxels tell while the shape stays, at most, and when it is
 # found, of itself. Chosen: each round is a Newton step, and few take more than ten.
 _BRIGHTER, _ALIKE = 20, 1e-3
-
-
-@dataclass(frozen=True, eq=False)
-class Posed:
-    """An objective, and what a descent has to know of it.
-
-    Attributes
-    ----------
-    posterior
-        The objective.
-    at
-        Where the fit is.
-    renderer
-        Planned for the surface there.
-    variance
-        Of the first image's residuals, see :class:`View`.
-    left
-        Weighted squares that are left of the first image where the fit is, over their weights.
-    held
-        Whether voxels, weights and variances are those of before.
-    firmness
-        Second derivative of its misfit by a displacement of a piece of surface along its normal,
-        for each um^2 of it: nats / um^4.
-    """
-
-    posterior: Posterior
-    at: Variables
-    renderer: Renderer
-    variance: float
-    left: float
-    held: bool
-    firmness: float
-
-    def shown(self, state: FitState) -> FloatArray:
-        """(N,) the image of a state where voxels count, of amplitude 1."""
-        return as_floats(self.posterior.views[0].voxels.of(self._image(state)))
-
-    def left_by(self, image: Tensor) -> tuple[float, float]:
-        """What another image would leave of the first one, as :attr:`left`, and noise of that.
-
-        Noise is what differs from voxel to voxel along X. image : (Z, Y, X), of any amplitude.
-        """
-        level, voxels = self.posterior.level, self.posterior.views[0].voxels
-        weights = voxels.weights
-        shown = voxels.of(image).to(weights)
-        measured = torch.from_numpy(self.posterior.measured(self.at)[0]).to(weights)
-        a, b, _ = solve_scale(shown, measured, weights)
-        rest = voxels.of(differences(level.target - a * image.to(level.target)))
-        squares = ((measured - a * shown - b) ** 2, rest.to(weights) ** 2)
-        left, noise = (float(total(weights * one) / total(weights)) for one in squares)
-        return left, noise
-
-    def _image(self, state: FitState) -> Tensor:
-        """(Z, Y, X) of a state, of amplitude 1."""
-        level = self.posterior.level
-        renderer = level.renderer(state.mesh, state.optics, state.effects, insides=True)
-        with torch.no_grad():
-            density = torch.from_numpy(state.density)
-            spectrum = renderer.transform(density=density, light=state.light)
-            return level.rendered(renderer, spectrum, renderer.otf(state.optics))
 
 
 def pose(
@@ -206,11 +145,6 @@ def _with_insides(posterior: Posterior, at: Variables) -> Variables:
         step = now.gradient.insides / posterior.insides_curvature(at, now)
         at = replace(at, insides=posterior.prior.insides.bounded(at.insides - step))
     return at
-
-
-def squares_left(found: Match, voxels: Voxels) -> float:
-    """Weighted squares that are left of an image, over their weights."""
-    return found.squares / max(float(total(voxels.weights)), 1e-300)
 
 
 def _left_out(now: Voxels, before: Voxels, shape: tuple[int, int, int]) -> float:

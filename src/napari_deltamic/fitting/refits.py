@@ -20,7 +20,7 @@ from ..runs.settings import FitSettings
 from .descent import Descent
 from .lbfgs import Learnt
 from .metric import Metric
-from .pose import Posed
+from .posed import Posed
 from .preconditioner import NEAR_JUNCTIONS, Preconditioners
 from .prediction import as_floats
 from .shape import Shape

@@ -7,7 +7,7 @@ import numpy as np
 from ..geometry.mesh import FloatArray, Mesh
 from ..geometry.replicas import Replicas
 from ..geometry.subdivision import Subdivided, subdivided
-from .pose import Posed
+from .posed import Posed
 from .responses import Responses, noise_of
 
 _WORK = 50_000  # vertices in all draws: large surfaces have fewer; chosen, not measured

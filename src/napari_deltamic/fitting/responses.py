@@ -11,7 +11,7 @@ from ..errors import InputError
 from ..geometry.mesh import FloatArray
 from ..runs.settings import FitSettings
 from .curvature import Curvature
-from .pose import Posed
+from .posed import Posed
 from .refits import Alternative, Refits
 from .shape import Shape
 from .state import FitState

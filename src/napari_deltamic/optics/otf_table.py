@@ -285,9 +285,8 @@ def _hankel(ky: tuple[float, ...], kx: tuple[float, ...], r: Tensor, resolved: f
         k = torch.sqrt(lengths * (scale / 1e12))
         longest = min(resolved, float(k.max())) or 1.0
         degree = torch.arange(nodes_for(longest * float(r[-1])), dtype=torch.float64)
-        angles = (degree + 0.5) * (
-            pi / len(degree)
-        )  # of Chebyshev's nodes in 2 (k / longest)^2 - 1
+        # Chebyshev's nodes in 2 (k / longest)^2 - 1 are the cosines of these.
+        angles = (degree + 0.5) * (pi / len(degree))
         at_nodes = j0(r[:, None] * (longest * torch.cos(angles / 2)))
         to_coefficients = torch.cos(angles[:, None] * degree) * (2 / len(degree))
         to_coefficients[:, 0] /= 2
