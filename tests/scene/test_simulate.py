@@ -34,6 +34,14 @@ def test_photons_can_be_given_by_density():
     assert made.parameters["photons"] == pytest.approx(300 * plain.max(), rel=1e-4)
 
 
+def test_insides_take_no_more_light_than_the_background_has():
+    dark = Scene((Surface(BALL), Solid(BALL, -1.0)), OPTICS)
+    with pytest.raises(nd.InputError, match="darker than nothing: -"):
+        simulate(dark, GRID, photons=80, background=10)
+    made = simulate(dark, GRID, photons=80, background=200)
+    assert 0 < made.noise_free.min() < 190
+
+
 def test_noise_is_that_of_photons():
     images = [simulate(SCENE, GRID, photons=60, seed=s) for s in range(30)]
     mean = images[0].noise_free
