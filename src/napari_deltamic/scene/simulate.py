@@ -23,7 +23,7 @@ from .scene import Scene
 from .structures import Solid, Surface
 
 BACKGROUND_SHARE = 0.1  # of the photons at the peak, where no background is given
-_RINGS = 0.1  # of the peak; chosen: PSFs narrower than voxels ring below zero, but by less
+_RINGS = 0.1  # of the peak; chosen: images of PSFs narrower than voxels ring below zero, too
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +95,7 @@ def simulate(
     ------
     InputError
         If a number is out of range, both kinds of photons are given, nothing of the scene is seen,
-        insides are darker than the background allows, or the image does not fit into the bits.
+        there would be less than no light, or the image does not fit into the bits.
     """
     view = scene.effects.view
     if view is not None:
@@ -121,7 +121,7 @@ def simulate(
         light = light + added.numpy() / (camera.gain if camera else 1.0)
     if light.min() < -_RINGS * amplitude * peak:
         raise InputError(
-            f"insides darker than nothing: {light.min():.3g} photons at the least; give more "
+            f"less than no light: {light.min():.3g} photons in the darkest voxel; give more "
             "background, or insides that take less from it"
         )
     noisy = detected(light, camera, _generator(seed), bits)
