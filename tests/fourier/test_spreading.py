@@ -9,6 +9,7 @@ import torch
 from numpy.testing import assert_allclose
 
 from napari_deltamic.fourier import Band
+from napari_deltamic.fourier.falloff import POINT_LIKE, Falloff
 from napari_deltamic.fourier.kernel import AxisWeights, alias_error, fitted, window_transform
 from napari_deltamic.fourier.particle_mesh import elements_ft
 from napari_deltamic.fourier.points import Points
@@ -148,9 +149,9 @@ def error_of(name, which, error):
     band, otf = OTFS[which]
     single = error > 6e-6
     thin = name in ("speck",)
-    turn = np.inf if thin else 0.5
+    falloff = POINT_LIKE if thin else Falloff(2, 0.5)
     width = (0.35, 0.16, 0.15)
-    spreading = choose_spreading(band.half, band.spacing, otf, error, 1000, single, turn, width)
+    spreading = choose_spreading(band.half, band.spacing, otf, error, 1000, single, falloff, width)
     weight = otf(band.axes())
     seen, right = (
         band.to_image(u.to(torch.complex128) * weight, SHAPE)

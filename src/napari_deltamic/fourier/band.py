@@ -7,8 +7,8 @@ image is real, so half of them suffice.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, cached_property
-from math import exp, floor, log, pi, sqrt
+from functools import cached_property
+from math import floor, pi
 from typing import Any
 
 import numpy as np
@@ -174,40 +174,3 @@ class _Image(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None]:
         return ctx.fft.to_box(grad, ctx.otf), None, None
-
-
-def band_error(threshold: float, area: float, thin: bool) -> float:
-    """Relative L2 error of an image when |OTF| < threshold is left out, for a Gaussian OTF.
-
-    Averaged over directions, the power of a surface is ``min(1, 2 pi / (area xi^2))`` of its total
-    squared, that of a point 1; with lengths in widths of the PSF. Something thin (a speck, a
-    thread, a flake) lies in between, and the point's law is an upper bound for it.
-    """
-    from scipy.integrate import quad
-    from scipy.special import erfc
-
-    reach = sqrt(2 * log(1 / threshold))
-    if thin:
-        return sqrt(float(erfc(reach)) + 2 / sqrt(pi) * reach * exp(-(reach**2)))
-    turn = sqrt(2 * pi / area)  # below it the surface is seen as one piece
-
-    def power(k: float) -> float:
-        return exp(-(k**2)) * min(k**2, turn**2)
-
-    def integral(first: float) -> float:
-        beyond = max(first, turn)
-        near = quad(power, first, turn, epsabs=0, epsrel=1e-6)[0] if first < turn else 0.0
-        return near + turn**2 * sqrt(pi) / 2 * float(erfc(beyond))
-
-    return sqrt(integral(reach) / integral(0.0))
-
-
-@cache
-def threshold_for(error: float, area: float, thin: bool) -> float:
-    """The threshold whose :func:`band_error` is ``error``."""
-    from scipy.optimize import brentq
-
-    def excess(log_threshold: float) -> float:
-        return log(band_error(exp(log_threshold), area, thin)) - log(error)
-
-    return float(exp(brentq(excess, -150.0, log(0.9), xtol=1e-4))) if error < 0.5 else 0.5

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
-from math import ceil, inf, pi
+from math import ceil, pi
 
 import numpy as np
 import torch
@@ -21,6 +21,7 @@ from ..errors import InputError
 from .band import Band
 from .closed_form import row_wavevectors
 from .cost import Work, count_work
+from .falloff import POINT_LIKE
 from .particle_mesh import elements_ft
 from .plan import (
     EXACT_BELOW,
@@ -195,13 +196,13 @@ def make_line_plan(
         return LinePlan(
             "closed form", Band.full(fft_shape, voxel_size), accuracy, False, None, [], Work()
         )
-    c = choose_band(1.0, True, fft_shape, voxel_size, width, accuracy, aligned, cutoff)
+    c = choose_band(POINT_LIKE, fft_shape, voxel_size, width, accuracy, aligned, cutoff)
     rules: list[tuple[Rule, np.ndarray]] = [(_POINT, np.arange(len(elements)))]
     if elements.shape[1] == 2:
         along = np.abs(vertices[elements[:, 1]] - vertices[elements[:, 0]]) * np.asarray(c.held)
         phases = margin * (np.linalg.norm(along, axis=1) if c.round else along.sum(1))
         rules = _choose_line_rules(phases, c.at_edge, c.quadrature)
-    spreading = spreading_for(c, rules, width, transfer or gaussian(width), inf)
+    spreading = spreading_for(c, rules, width, transfer or gaussian(width), POINT_LIKE)
     work = count_work("particle-mesh", c.band, 0, np.zeros(0), rules, spreading)
     if method == "closed form":
         return LinePlan(method, c.band, accuracy, c.single, None, [], work)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from math import floor, inf, log, log2, pi, sqrt
+from math import floor, log, log2, pi, sqrt
 from typing import Literal
 
 import numpy as np
@@ -14,18 +14,19 @@ from torch import Tensor
 
 from ..common.accuracy_bounds import check_accuracy
 from ..errors import InputError
-from .band import Band, band_error, threshold_for
+from .band import Band
 from .closed_form import band_ft
 from .cost import Work, built_in, count_work
+from .falloff import Falloff, band_error, of_solid, of_surface, threshold_for
 from .particle_mesh import elements_ft
 from .points import Points
 from .quadrature import Rule, choose_rules
 from .spreading import Spreading, Transfer, choose_spreading, gaussian
 
 Method = Literal["closed form", "particle-mesh"]
-# Error, area and thinness (as of :func:`band_error`) -> half axes of the band (rad/um), and the
-# largest |OTF| beyond.
-Cutoff = Callable[[float, float, bool], tuple[tuple[float, float, float], float]]
+# Error and falloff (as of :func:`band_error`) -> half axes of the band (rad/um), and the largest
+# |OTF| beyond.
+Cutoff = Callable[[float, Falloff], tuple[tuple[float, float, float], float]]
 METHODS: tuple[Method, ...] = ("closed form", "particle-mesh")
 _OLD_NAMES: dict[str, Method] = {"non-uniform": "particle-mesh"}  # in files of earlier versions
 
@@ -136,6 +137,7 @@ def make_plan(
     cutoff: Cutoff | None = None,
     device: str = "cpu",
     transfer: Transfer | None = None,
+    contrast: np.ndarray | None = None,
 ) -> Plan:
     """Choose band, method, rules and kernels for an accuracy.
 
@@ -163,6 +165,9 @@ def make_plan(
     transfer
         |OTF| with everything that acts on it, whose aliases choose grid and kernels; by default
         that of a Gaussian of this width.
+    contrast
+        (F,) what shines behind each face more than in front of it, where that is what is seen,
+        rather than the faces; on any scale. Its power falls faster, so that less of it is computed.
 
     Raises
     ------
@@ -176,11 +181,11 @@ def make_plan(
         phases = edge_phases(vertices, faces, tuple(pi / d for d in voxel_size), aligned=False)
         work = count_work("closed form", band, len(faces), phases, [], None)
         return Plan("closed form", band, accuracy, 0.0, False, None, [], 0.0, work, device)
-    area, thin = _size(vertices / np.asarray(width), faces)
-    c = choose_band(area, thin, fft_shape, voxel_size, width, accuracy, aligned, cutoff)
+    falloff = _falloff(vertices / np.asarray(width), faces, contrast)
+    c = choose_band(falloff, fft_shape, voxel_size, width, accuracy, aligned, cutoff)
     phases = edge_phases(vertices, faces, c.held, c.round)
-    rules = choose_rules(margin * phases, c.at_edge, c.quadrature)
-    spreading = spreading_for(c, rules, width, transfer or gaussian(width), inf if thin else area)
+    rules = choose_rules(margin * phases, c.at_edge, c.quadrature, falloff.order > 2)
+    spreading = spreading_for(c, rules, width, transfer or gaussian(width), falloff)
     works: dict[Method, Work] = {
         m: count_work(m, c.band, len(faces), phases, rules, spreading) for m in METHODS
     }
@@ -209,13 +214,12 @@ def spreading_for(
     rules: list[tuple[Rule, np.ndarray]],
     width: tuple[float, float, float],
     transfer: Transfer,
-    area: float,
+    falloff: Falloff,
 ) -> Spreading:
-    """Grid and kernels for a band; ``area`` in squared widths, infinite for something thin."""
+    """Grid and kernels for a band."""
     points = sum(len(r.weights) * len(of) for r, of in rules)
-    turn = inf if area == inf else sqrt(2 * pi / area)
     given = c.band.half, c.band.spacing, transfer, c.tolerance, points, c.single
-    return choose_spreading(*given, turn, width)
+    return choose_spreading(*given, falloff, width)
 
 
 @dataclass(frozen=True)
@@ -240,8 +244,7 @@ class BandChoice:
 
 
 def choose_band(
-    area: float,
-    thin: bool,
+    falloff: Falloff,
     fft_shape: tuple[int, int, int],
     voxel_size: tuple[float, float, float],
     width: tuple[float, float, float],
@@ -249,14 +252,14 @@ def choose_band(
     aligned: bool = True,
     cutoff: Cutoff | None = None,
 ) -> BandChoice:
-    """The band and precision for an accuracy; ``area``, ``thin`` as in :func:`band_error`."""
+    """The band and precision for an accuracy."""
     error = _BAND_SHARE * accuracy
     if cutoff is not None:
-        radius, threshold = cutoff(error, area, thin)
+        radius, threshold = cutoff(error, falloff)
     else:
-        threshold = threshold_for(error, area, thin)
+        threshold = threshold_for(error, falloff)
         radius = tuple(sqrt(2 * log(1 / threshold)) / w for w in width)  # type: ignore[assignment]
-        error = band_error(threshold, area, thin)
+        error = band_error(threshold, falloff)
     band = Band.within(fft_shape, voxel_size, radius, aligned)
     single = accuracy >= _SINGLE_ABOVE
     whole = all(2 * (k + 1) > n for k, n in zip(band.half, fft_shape, strict=True))
@@ -273,16 +276,18 @@ def choose_band(
     )
 
 
-def _size(vertices: np.ndarray, faces: np.ndarray) -> tuple[float, bool]:
-    """Area, and whether the mesh is thin (2 volume / area), in widths of the PSF."""
+def _falloff(vertices: np.ndarray, faces: np.ndarray, contrast: np.ndarray | None) -> Falloff:
+    """Of faces, or of what they hold; vertices in widths of the PSF."""
     corners = vertices[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = float(np.linalg.norm(normal, axis=1).sum() / 2)
     centred = corners[:, 0] - vertices.mean(0)
-    volume = abs(float(np.einsum("fi,fi->", centred, normal)) / 6)
-    # Rounded down, to the safe side, so that the tables of one mesh serve its neighbours.
-    steps = floor(2 * log2(max(area, 1e-6)))
-    return 2.0 ** (steps / 2), 2 * volume <= 1.5 * area
+    if contrast is None:
+        return of_surface(area, abs(float(np.einsum("fi,fi->", centred, normal)) / 6))
+    # Every wall counts, as insides that are alike may come to differ.
+    most = max(float(np.abs(contrast).max(initial=0.0)), 1e-300)
+    volume = abs(float(np.einsum("fi,fi,f->", centred, normal, contrast / most)) / 6)
+    return of_solid(area, volume)
 
 
 def _held(

@@ -127,11 +127,12 @@ def _error_tables() -> tuple[np.ndarray, np.ndarray]:
 
 
 @cache
-def _largest_phases(threshold: float, error: float) -> tuple[float, ...]:
+def _largest_phases(threshold: float, error: float, filled: bool) -> tuple[float, ...]:
     """For each degree, the longest edge (rad at the edge of the band) that keeps to ``error``."""
     table, power = _error_tables()
     s = np.linspace(0.01, 1.0, 100)  # fraction of the band's radius
-    weight = s**2 * threshold ** (2 * s**2)  # shell, and |OTF|^2 of a Gaussian
+    shell = 1.0 if filled else s**2  # of a solid, the flux over the wavevector
+    weight = shell * threshold ** (2 * s**2)  # and |OTF|^2 of a Gaussian
     out = []
     for i in range(len(DEGREES)):
         best = 0.0
@@ -146,7 +147,7 @@ def _largest_phases(threshold: float, error: float) -> tuple[float, ...]:
 
 
 def choose_rules(
-    reach: np.ndarray, threshold: float, error: float
+    reach: np.ndarray, threshold: float, error: float, filled: bool = False
 ) -> list[tuple[Rule, np.ndarray]]:
     """The cheapest rule for every face that keeps the image within ``error``.
 
@@ -158,12 +159,14 @@ def choose_rules(
         |OTF| at the edge of the band.
     error
         Relative L2 error of the image that quadrature may cause.
+    filled
+        Whether what shines is inside the faces, rather than on them.
 
     Returns
     -------
     Rules, each with the indices of its faces.
     """
-    limits = _largest_phases(threshold, error)
+    limits = _largest_phases(threshold, error, filled)
     sizes = np.array([len(rule(d).weights) for d in DEGREES])
     usable = [i for i, limit in enumerate(limits) if limit > 0]
     divisions = np.ceil(np.maximum(reach, 1e-300)[:, None] / np.array(limits)[None, usable])

@@ -6,12 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from itertools import product
-from math import ceil, inf, log2, pi, sqrt
+from math import ceil, log2, pi, sqrt
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from .falloff import POINT_LIKE, Falloff
 from .kernel import AxisWeights, Kernel, kernel_for, narrowest_for, packed
 from .points import placed
 from .real_fft import RealFFT
@@ -122,7 +123,7 @@ def choose_spreading(
     error: float,
     points: int,
     single: bool,
-    turn: float = inf,
+    falloff: Falloff = POINT_LIKE,
     width: Sequence[float] = (1.0, 1.0, 1.0),
 ) -> Spreading:
     """The cheapest grid and kernels that keep an image within ``error``.
@@ -139,15 +140,14 @@ def choose_spreading(
         How many there are, about.
     single
         Whether the grid is in single precision.
-    turn
-        Wavenumber from which on the power of what shines falls as its square, in units of 1/width;
-        infinite for something thin, whose power does not fall.
+    falloff
+        How the power of what shines falls, in widths.
     width
         um along Z, Y, X.
     """
     # A Gaussian and its neighbours share what is kept.
     each = error / sqrt(3)
-    families = _families(half, spacing, transfer, turn, width)
+    families = _families(half, spacing, transfer, falloff, width)
     keys = [packed(f) for f in families]
     about, unit = 2 ** ceil(log2(max(points, 1))), _UNIT[single]
     shape, chosen = _cheapest(tuple(half), tuple(keys), each, about, unit)
@@ -165,15 +165,14 @@ def _families(
     half: tuple[int, int, int],
     spacing: tuple[float, float, float],
     transfer: Transfer,
-    turn: float,
+    falloff: Falloff,
     width: Sequence[float],
 ) -> list[list[AxisWeights]]:
     """For each axis, shares of the power along it: of images of round scenes, of those of walls
     across it, and of the gradient.
 
-    The power of a surface, averaged over directions, falls as the square of the wavevector; that of
-    a flat wall stays along its normal. What lies beyond the band is taken to be as strong as at its
-    edge.
+    The power of a flat wall falls less along its normal. What lies beyond the band is taken to be
+    as strong as at its edge.
     """
     index = [_samples(k) for k in half]
     whole = [np.concatenate([-i[:0:-1], i]) for i in index[:2]] + [index[2]]
@@ -187,8 +186,8 @@ def _families(
     power = np.broadcast_to(otf, [len(w) for w in whole]) ** 2
     if not np.isfinite(power).all() or not power.any():
         power = np.ones_like(power)
-    squared = sum((w * a) ** 2 for w, a in zip(width, k, strict=True))
-    falling = power / np.maximum(1.0, squared / turn**2)
+    squared = np.asarray(sum((w * a) ** 2 for w, a in zip(width, k, strict=True)))
+    falling = power * falloff.of(squared)
     steps = [_steps(w) for w in whole]
     steps[2][1:] *= 2  # those left out are their mirror images
     volume = falling * steps[0][:, None, None] * steps[1][:, None] * steps[2]
@@ -200,7 +199,7 @@ def _families(
         middle = [half_index(w) if a < 2 else 0 for a, w in enumerate(whole)]
         along: list = list(middle)
         along[axis] = slice(None)
-        wall = power[tuple(along)]
+        wall = (power * falloff.of_a_wall().of(squared))[tuple(along)]
         scene, flat_wall = (
             _folded(line * steps[axis], whole[axis], index[axis]) for line in (round_scene, wall)
         )

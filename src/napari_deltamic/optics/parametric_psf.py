@@ -11,6 +11,7 @@ from torch import Tensor
 
 from ..common.one_thread import in_one_thread, one_thread
 from ..common.triple import Triple
+from ..fourier.falloff import Falloff
 from ..fourier.plan import Cutoff
 from .parameters import Parameter, Spec, as_value, bound, check_fitted, decode, encode, free_range
 from .spectrum import band_radius, reach
@@ -179,11 +180,11 @@ class ParametricPSF:
         The function of :func:`napari_deltamic.optics.spectrum.band_radius`.
         """
 
-        def found(error: float, area: float, thin: bool) -> tuple[Triple, float]:
-            key = (blur, error, area, thin)
+        def found(error: float, falloff: Falloff) -> tuple[Triple, float]:
+            key = (blur, error, falloff)
             if key not in self._bands:
                 with torch.no_grad(), one_thread():
-                    self._bands[key] = band_radius(self, blur, error, area, thin)
+                    self._bands[key] = band_radius(self, blur, error, falloff)
             return self._bands[key]
 
         return found

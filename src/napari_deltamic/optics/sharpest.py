@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from ..common.triple import Triple, triple
+from ..fourier.falloff import Falloff
 from ..fourier.plan import Cutoff
 from .gaussian import GaussianPSF
 
@@ -48,8 +49,8 @@ class Sharpest:
         if first is None:
             return None
 
-        def found(error: float, area: float, thin: bool) -> tuple[Triple, float]:
-            radius, at_edge = first(error, area, thin)
+        def found(error: float, falloff: Falloff) -> tuple[Triple, float]:
+            radius, at_edge = first(error, falloff)
             second = sqrt(2 * log(1 / at_edge)) / np.hypot(self._second.width(), blur)
             return triple(np.maximum(radius, second)), at_edge
 

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from ..common.triple import Triple
+from ..fourier.falloff import Falloff
 
 # An OTF that is not round meets the directions of a surface unevenly; seen to cost up to 1.8.
 _DIRECTIONS = 0.5
@@ -27,21 +28,19 @@ class _HasOTF(Protocol):
 
 
 def band_radius(
-    optics: _HasOTF, blur: Triple, error: float, area: float, thin: bool
+    optics: _HasOTF, blur: Triple, error: float, falloff: Falloff
 ) -> tuple[Triple, float]:
     """The ellipsoid that holds all of an image but ``error`` (relative, L2).
 
-    Averaged over directions, the power of a surface is ``min(1, 2 pi / (area xi^2))`` of its total
-    squared, that of something thin 1, as for the bands of Gaussian PSFs; but the OTF is summed as
-    it is, where it need not fall as a Gaussian does.
+    As :func:`napari_deltamic.fourier.falloff.band_error`; but the OTF is summed as it is, where it
+    need not fall as a Gaussian does.
 
     Parameters
     ----------
     blur
         um along Z, Y, X: a further Gaussian on top.
-    error, area, thin
-        Of the image; area in squared widths of the blurred PSF. See
-        :func:`napari_deltamic.fourier.band.band_error`.
+    error, falloff
+        Of the image; in widths of the blurred PSF.
 
     Returns
     -------
@@ -67,8 +66,7 @@ def band_radius(
     squared = sum((w * c) ** 2 for w, c in zip(widths, k, strict=True))
     weights = [w.reshape(s) for w, s in zip((whole_weight,) * 2 + (half_weight,), shapes)]  # noqa: B905
     power = otf**2 * weights[0] * weights[1] * weights[2]
-    if not thin:
-        power = power * np.minimum(1, 2 * pi / (area * squared))
+    power = power * falloff.of(np.asarray(squared))
     scale = np.sqrt(sum((c / e) ** 2 for c, e in zip(k, ends, strict=True))).reshape(-1)
     order = np.argsort(scale)[::-1]
     beyond = np.sqrt(np.cumsum(power.reshape(-1)[order]) / power.sum())

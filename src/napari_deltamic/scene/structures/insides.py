@@ -86,7 +86,9 @@ class Solid:
 
     def planned(self, site: Site) -> Planned:
         """See ``Structure``."""
-        return _PlannedSolid(self, site, mesh_plan(self.mesh, site))
+        ids, own = self.mesh.region_ids(), self.densities().detach().to(torch.float64)
+        contrast = contrasts(self.mesh.regions, ids, own).numpy()
+        return _PlannedSolid(self, site, mesh_plan(self.mesh, site, contrast))
 
 
 class _PlannedSolid:

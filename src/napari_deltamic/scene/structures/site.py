@@ -92,8 +92,8 @@ class Structure(Protocol):
         """Ready to be transformed for a site; a :class:`~..render.Renderer` asks for it."""
 
 
-def mesh_plan(mesh: Mesh, site: Site) -> Plan:
-    """The plan for the triangles of a mesh."""
+def mesh_plan(mesh: Mesh, site: Site, contrast: np.ndarray | None = None) -> Plan:
+    """The plan for the triangles of a mesh, or with contrasts for what they hold."""
     return site.plan or make_plan(
         mesh.vertices_numpy() - np.asarray(site.grid.origin),
         mesh.faces,
@@ -107,4 +107,5 @@ def mesh_plan(mesh: Mesh, site: Site) -> Plan:
         cutoff=site.cutoff,
         device=site.device.type,
         transfer=site.transfer,
+        contrast=contrast,
     )
