@@ -22,4 +22,4 @@ def test_the_inner_side_of_a_thick_layer_is_not_called_good(tmp_path):
     scene = scenes.made("thick", 1, COMMIT)
     verdict = fitted(scene, tmp_path, False, 200).report["verdict"]
     assert verdict["grade"] != "good"
-    assert any("thick layer of light" in reason for reason in verdict["reasons"])
+    assert any("thick bright layer" in reason for reason in verdict["reasons"])

@@ -143,7 +143,7 @@ def test_a_fit_is_made_where_none_is_given(plain):
 def test_an_unknown_candidate_is_refused(plain):
     with pytest.raises(InputError, match="choose from"):
         ask(*plain, ["ghosts"])
-    with pytest.raises(InputError, match="no effect that an image can call for"):
+    with pytest.raises(InputError, match="not an effect that an image can show"):
         ask(*plain, ["camera"])
     with pytest.raises(InputError, match="name its file"):
         ask(*plain, ["second_view"])

@@ -30,7 +30,7 @@ def test_a_fit_without_fault_is_good():
 @pytest.mark.parametrize(
     ("change", "grade", "word"),
     [
-        ({"finished": False}, "poor", "come to an end"),
+        ({"finished": False}, "poor", "has not converged"),
         ({"explained": 0.6}, "fair", "60% of the signal"),
         ({"explained": 0.2}, "poor", "20% of the signal"),
         ({"explained": -1.7}, "poor", "none of the signal"),
@@ -40,9 +40,9 @@ def test_a_fit_without_fault_is_good():
         ({"widths": {"across": 1.0, "along Z": 0.4}}, "fair", "2.5 times as sharp along Z"),
         ({"widths": {"across": 1.0, "along Z": 2.4}}, "good", "good"),
         ({"narrow": True}, "fair", "narrower than voxels"),
-        ({"cut": 0.6}, "fair", "60% of the bright voxels are cut off"),
+        ({"cut": 0.6}, "fair", "60% of the bright voxels are saturated"),
         ({"cut": 0.3}, "good", "good"),
-        ({"compressed": True}, "fair", "look like logarithms"),
+        ({"compressed": True}, "fair", "look log-scaled"),
     ],
 )
 def test_what_concerns_all(change, grade, word):
@@ -62,10 +62,10 @@ def test_what_concerns_all(change, grade, word):
         ({"cut": True}, "fair", "border"),
         ({"inside": 0.4}, "fair", "light inside"),
         ({"inside": -0.4}, "fair", "light around"),
-        ({"medium": 0.05}, "fair", "not darker than the medium around, as the model has it: is"),
+        ({"medium": 0.05}, "fair", "not darker than the medium around it, as the model assumes: is"),
         ({"medium": 0.97}, "good", "good"),
         ({"compact": 0.4}, "fair", "crumpled"),
-        ({"uneven": 0.2}, "fair", "its inside is uneven, by 20% in the mean"),
+        ({"uneven": 0.2}, "fair", "its inside is uneven, by 20% on average"),
         ({"seen": 0.7}, "fair", "the image is missing at 30% of its surface"),
         ({"seen": 0.2}, "poor", "the image is missing at 80% of its surface"),
         ({"seen": 0.92}, "good", "good"),
@@ -83,8 +83,8 @@ def test_what_concerns_one_cell(change, grade, word):
     ("parts", "grade", "word"),
     [
         ((0.02, 0.0, 0.01), "good", "off by about 4 nm"),
-        ((0.5, 0.1, 0.1), "fair", "0.52 voxels, most of it by the noise"),
-        ((0.1, 0.6, 0.1), "fair", "iterations that are missing"),
+        ((0.5, 0.1, 0.1), "fair", "0.52 voxels, mostly from the noise"),
+        ((0.1, 0.6, 0.1), "fair", "too few iterations"),
         ((0.1, 0.1, 0.1, 2.0), "poor", "what the model lacks (light inside)"),
     ],
 )
@@ -120,10 +120,10 @@ def test_cells_that_are_no_better_have_the_usual_reason_with_them():
     cut = CellFacts(1, 0.9, cut=True)
     cells = (cut, *(CellFacts(k, 0.9, cut=True, lit=0.1 + 0.05 * k) for k in (2, 3)))
     (reason,) = judged(replace(FINE, cells=cells)).reasons[1:]
-    told = "as cell 2: only 20% of its surface shines: the rest is a guess"
+    told = "like cell 2: only 20% of its surface shines: the rest is a guess"
     assert reason == f"poor: cells 2, 3 ({told})"
     some = judged(replace(FINE, cells=(cut, CellFacts(2, 0.6), CellFacts(3, 0.7)))).reasons
-    told = "most often as cell 2: 60% of the signal around it is explained"
+    told = "most often like cell 2: 60% of the signal around it is explained"
     assert some == (f"fair: cells 1, 2, 3 ({told})",)
 
 

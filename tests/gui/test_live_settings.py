@@ -77,7 +77,7 @@ def test_what_cannot_be_used_is_told_and_the_fit_goes_on(begun, spin):
 def test_the_voxel_size_is_for_the_next_run(begun, spin):
     sigma = begun.doc.run.state.optics.sigma_um
     begun.image.voxel_size._boxes[0].setValue(0.4)
-    assert "voxel size: from the next run on" in begun.running.note.text()
+    assert "voxel size: used from the next run on" in begun.running.note.text()
     n = len(begun.doc.run.history.loss)
     spin(lambda: len(begun.doc.run.history.loss) > n + 3)
     assert begun.doc.run.state.optics.sigma_um == sigma
@@ -134,7 +134,7 @@ def test_a_fit_goes_on_though_the_panels_show_what_cannot_be_used(ended, with_im
     with_image.layers["cell"].scale = SIZE
     ended.settings.fit_psf.setChecked(True)
     spin(lambda: ended.doc.run.job.settings.fit.fit_psf)
-    assert "from the next run on" not in ended.running.note.text()
+    assert "used from the next run on" not in ended.running.note.text()
 
 
 @pytest.mark.usefixtures("raised")

@@ -102,7 +102,7 @@ def test_a_fit_under_way_keeps_the_second_view_that_it_has(seeded, second, spin,
     seeded.start()
     spin(lambda: seeded.doc.link is not None and seeded.doc.link.mesh is not None)
     second.chooser.setCurrentIndex(0)
-    assert "second view: from the next run on" in seeded.running.note.text()
+    assert "second view: used from the next run on" in seeded.running.note.text()
     seeded.settings.effects.table.tick("attenuation")
     spin(lambda: "attenuation" in seeded.doc.run.state.effects.names)
     assert seeded.doc.run.state.effects.second_view is not None

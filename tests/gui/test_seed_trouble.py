@@ -32,9 +32,9 @@ def test_a_point_without_a_place_is_named(panel, with_image, spin, kind, monkeyp
     panel.shape.setCurrentIndex(kind)
     seeds = add_points(panel, with_image, CENTER, (1.5, 1.2, 1.2))
     seeds.data = [CENTER, (1.5, np.nan, 1.2)]
-    spin(lambda: any("has no place" in text for text in texts(panel)))
+    spin(lambda: any("has no position" in text for text in texts(panel)))
     assert any("Point 2 " in text for text in texts(panel))
-    with pytest.raises(InputError, match="point 2 has no place"):
+    with pytest.raises(InputError, match="point 2 has no position"):
         taken(panel)
     seeds.data = [CENTER]
     spin(lambda: not texts(panel))

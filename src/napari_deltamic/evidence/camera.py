@@ -106,7 +106,9 @@ def camera_from_image(image: np.ndarray, known: np.ndarray | None = None) -> Cam
         gain = unknown(why)
         return Camera(gain, gain, _level(values, finite[middle], low), high, None)
     if _rescaled(pixels, finite):
-        gain = unknown("the values run from 0 to 1: they were rescaled and are no counts")
+        gain = unknown(
+            "the values run from 0 to 1: they were rescaled, so they are not photon counts"
+        )
         return Camera(gain, gain, unknown(gain.reason), unknown(gain.reason), line)
     gain = Finding(line.slope, line.slope_error, "slope of the variance against the mean")
     if low is not None:
@@ -176,8 +178,8 @@ def _line(values: np.ndarray, usable: np.ndarray) -> tuple[NoiseLine | None, str
     related = [_neighbours(noise, whole, axis) for axis in range(3)]
     if max(abs(c - _WHITE) for c in related) > CAMERA.coloured:
         return None, (
-            "the noise of neighbouring voxels is related: the image was filtered, resampled or "
-            "deconvolved"
+            "the noise of neighbouring voxels is correlated: the image was filtered, resampled "
+            "or deconvolved"
         )
     # Sorted by what lies around, whose noise is not that of the mean: sorted by the mean itself,
     # read noise would spread the bins and flatten the line.

@@ -35,7 +35,7 @@ def chosen_candidates(names: Sequence[str] | None, present: Effects) -> tuple[st
             )
         if name not in CONSIDERED:
             raise InputError(
-                f"'{name}' is no effect that an image can call for: choose from "
+                f"'{name}' is not an effect that an image can show the need for: choose from "
                 f"{', '.join(CONSIDERED)}"
             )
     wanted = CONSIDERED if names is None else names

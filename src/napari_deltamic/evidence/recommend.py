@@ -280,8 +280,8 @@ def _remarks(search: Search, voxel: float) -> tuple[str, ...]:
         bias = search.refit.modes.size(density.shape)
         if bias >= JUDGING.negligible * voxel:
             found.append(
-                f"the density varies over the surface (z = {density.z:.1f}): fitted as uniform it "
-                f"moves the surface by {_nm(bias)}; the density 'smooth' would fit it"
+                f"the density varies over the surface (z = {density.z:.1f}): fitted as uniform, "
+                f"the surface moves by {_nm(bias)}; use the density 'smooth'"
             )
     return tuple(found)
 
@@ -305,7 +305,7 @@ def _reason(judged: Judged, bias: float, voxel: float, search: Search) -> str:
     if abs(score.z) > search.threshold and effect.name in search.dropped:
         return f"{seen}, but {search.dropped[effect.name]}"
     if abs(score.z) > search.threshold and not points_inwards(effect, score.estimate):
-        return f"{seen}, but for less than nothing of it"
+        return f"{seen}, but with a negative amount"
     if abs(score.z) > search.threshold:
         return f"{seen}, as far as the others leave anything to explain"
     return f"{seen}: no more than chance (the threshold is {search.threshold:.1f})"

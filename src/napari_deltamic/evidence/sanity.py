@@ -138,8 +138,8 @@ def doubts(
         return (Doubt("empty", sentence),)
     if flat(middle):
         sentence = (
-            "each thing in the image has one value, as in labels or a mask: these serve as seeds; "
-            "the image is the one that they were drawn on"
+            "each object in the image has one value, as in labels or a mask: use this as seeds, "
+            "and as the image the stack that it was drawn on"
         )
         return (Doubt("labels", sentence),)
     found = [
@@ -320,8 +320,8 @@ def _sides(voxel_size: tuple[float, float, float]) -> Doubt | None:
     shown = " ".join(f"{v:g}" for v in voxel_size)
     return Doubt(
         "voxel size",
-        f"voxels of {shown} um (Z Y X) are none of a light microscope: is the voxel size in um, "
-        "and in the order Z Y X?",
+        f"voxels of {shown} um (Z Y X) are unusual for a light microscope: is the voxel size in "
+        "um, and in the order Z Y X?",
     )
 
 
@@ -342,8 +342,8 @@ def _compressed(pixels: Pixels) -> Doubt | None:
         return None
     return Doubt(
         "brightness",
-        "the noise is smaller where the image is brighter: its intensities look like logarithms, "
-        "which move every surface; give the image as the camera took it",
+        "the noise is smaller where the image is brighter: its intensities look log-scaled, which "
+        "shifts every surface; use the image as the camera took it",
     )
 
 
@@ -353,8 +353,8 @@ def _lean(pixels: Pixels, voxel_size: tuple[float, float, float]) -> Doubt | Non
         return None
     return Doubt(
         "lean",
-        f"each slice lies {lean.value:.2g} um further on per um of depth: this looks like the raw "
-        "stack of a tilted light sheet or of a drifting stage; deskew or register it first",
+        f"the slices shift sideways by {lean.value:.2g} um per um of depth: this looks like the "
+        "raw stack of a tilted light sheet or of a drifting stage; deskew or register it first",
     )
 
 
@@ -392,6 +392,6 @@ def _seeds(pixels: np.ndarray, grid: Grid, seeds: Mesh) -> Doubt | None:
         return None
     return Doubt(
         "seeds",
-        f"the image does not follow the seeds (their place explains {share:.1%} of it around "
-        "them): do both belong to the same channel, time and voxel size?",
+        f"the image does not match the seeds (they explain {share:.1%} of it around them): do "
+        "both belong to the same channel, time and voxel size?",
     )

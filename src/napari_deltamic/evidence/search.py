@@ -24,7 +24,7 @@ from .voxel_variance import Variance
 
 _EXPLAINED = "the others explain it"
 _UNCLEAR = "not clear beside the misfit that is left"
-_AT_BOUND = "only a number at its bound would explain it: it passes for something else"
+_AT_BOUND = "it fits only with a number at its bound, so something else looks like it"
 
 
 @dataclass(frozen=True)

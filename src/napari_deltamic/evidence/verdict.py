@@ -180,7 +180,7 @@ def judged(facts: Facts) -> Verdict:
 def _of_whole(facts: Facts) -> list[tuple[Grade, str]]:
     found: list[tuple[Grade, str]] = []
     if not facts.finished:
-        found.append(("poor", "the fit did not come to an end: go on, or start nearer"))
+        found.append(("poor", "the fit has not converged: continue it, or start from better seeds"))
     if facts.explained is None:
         found.append(("poor", "nothing around the surfaces is brighter or darker than noise"))
     elif facts.explained < RULES.good:
@@ -195,11 +195,11 @@ def _of_whole(facts: Facts) -> list[tuple[Grade, str]]:
     if facts.narrow:
         found.append(("fair", "the fitted PSF is narrower than voxels can tell: hold it"))
     if facts.cut > RULES.cut:
-        text = f"{facts.cut:.0%} of the bright voxels are cut off: what was there is a guess"
+        text = f"{facts.cut:.0%} of the bright voxels are saturated: what was there is a guess"
         found.append(("fair", f"{text} (a shorter exposure)"))
     if facts.compressed:
-        text = "intensities look like logarithms, which move every surface"
-        found.append(("fair", f"{text} (the image as the camera took it)"))
+        text = "the intensities look log-scaled, which shifts every surface"
+        found.append(("fair", f"{text} (use the image as the camera took it)"))
     return found
 
 
@@ -216,7 +216,7 @@ def _of_widths(widths: Mapping[str, float]) -> list[tuple[Grade, str]]:
     if not sharper:
         return []
     told = " and ".join(f"{times:.2g} times as sharp {axis}" for axis, times in sharper.items())
-    return [("fair", f"the image is {told} as the PSF: give its width")]
+    return [("fair", f"the image is {told} as the PSF: give the PSF's width")]
 
 
 def _of_cell(cell: CellFacts, usual: float, facts: Facts) -> CellVerdict:
@@ -232,8 +232,8 @@ def _of_cell(cell: CellFacts, usual: float, facts: Facts) -> CellVerdict:
         word = "fair" if cell.explained >= RULES.fair else "poor"
         found.append((word, f"{_share(cell.explained)} of the signal around it is explained"))
     if cell.stray > RULES.stray:
-        much = f"{cell.stray:.0%} of that" if cell.stray < 1 else "more than that"
-        text = f"light that no surface explains, {much} of the cell, lies at it"
+        much = f"{cell.stray:.0%} of its own" if cell.stray < 1 else "more than its own"
+        text = f"unexplained light lies next to it, {much}"
         found.append(("fair", text + ": light inside, haze or a neighbour (--effects auto)"))
     if cell.inside is not None and abs(cell.inside) > RULES.inside:
         where = "inside it" if cell.inside > 0 else "around it"
@@ -242,10 +242,10 @@ def _of_cell(cell: CellFacts, usual: float, facts: Facts) -> CellVerdict:
         )
         found.append(("fair", f"{text} (--structure both)"))
     if cell.medium < RULES.medium:
-        text = "its inside is not darker than the medium around, as the model has it"
-        found.append(("fair", text + ": is this a thick layer of light?"))
+        text = "its inside is not darker than the medium around it, as the model assumes"
+        found.append(("fair", text + ": is this a thick bright layer?"))
     if cell.compact is not None and cell.compact < RULES.compact:
-        text = "its surface has crumpled, or leaked into a neighbour: smooth it, or start anew"
+        text = "its surface has crumpled, or leaked into a neighbour: smooth it, or start over"
         found.append(("fair", text))
     if cell.growth is not None:
         growth = cell.growth / usual
@@ -255,16 +255,16 @@ def _of_cell(cell: CellFacts, usual: float, facts: Facts) -> CellVerdict:
         elif growth < RULES.shrunk:
             found.append(("poor", f"it has shrunk to {growth:.0%} of its volume"))
     if cell.point:
-        found.append(("poor", "it has shrunk to a point: place it anew, or leave it out"))
+        found.append(("poor", "it has shrunk to a point: place it again, or leave it out"))
     if cell.small:
         text = "it is so small beside the PSF that a membrane looks like an inside"
         found.append(("fair", f"{text}: say which of them shines (--structure)"))
     if cell.outgrowth is not None:
         z, y, x = cell.outgrowth
         text = f"a thin outgrowth reaches to ({z:.1f}, {y:.1f}, {x:.1f}) um"
-        found.append(("fair", f"{text}: is it of the cell, or something bright beside it?"))
+        found.append(("fair", f"{text}: is it part of the cell, or something bright beside it?"))
     if cell.uneven > RULES.uneven:
-        text = f"its inside is uneven, by {cell.uneven:.0%} in the mean"
+        text = f"its inside is uneven, by {cell.uneven:.0%} on average"
         found.append(("fair", f"{text}: the border may be off where it is dim or bright"))
     if cell.lit < RULES.lit:
         word = "fair" if cell.lit >= RULES.dark else "poor"
@@ -284,12 +284,12 @@ def _of_error(predicted: ShapeDeviation, facts: Facts) -> list[tuple[Grade, str]
     word: Grade = "fair" if off <= RULES.error_fair else "poor"
     parts = {
         "the noise": predicted.noise,
-        "iterations that are missing": predicted.settling,
+        "too few iterations": predicted.settling,
         "the prior on its shape": predicted.prior,
         f"what the model lacks ({facts.error.lacks})": predicted.alternative,
     }
     most = max(parts, key=lambda name: parts[name])
-    return [(word, f"its surface is off by about {off:.2g} voxels, most of it by {most}")]
+    return [(word, f"its surface is off by about {off:.2g} voxels, mostly from {most}")]
 
 
 def _usual_growth(cells: Iterable[CellFacts]) -> float:
@@ -317,7 +317,7 @@ def _usual_reason(cells: list[CellVerdict]) -> str:
     if len(cells) == 1:
         return first.reasons[0]
     often = "" if len(alike) == 1 else "most often "
-    return f"{often}as cell {first.region}: {first.reasons[0]}"
+    return f"{often}like cell {first.region}: {first.reasons[0]}"
 
 
 def _cells(regions: list[int]) -> str:

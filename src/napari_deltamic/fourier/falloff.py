@@ -45,7 +45,7 @@ POINT_LIKE = Falloff()
 
 
 def of_surface(area: float, volume: float) -> Falloff:
-    """Of a surface of this area around this volume: ``2 pi / (area xi^2)``; in widths of the PSF."""
+    """Of a surface around a volume: ``2 pi / (area xi^2)``; all in widths of the PSF."""
     if 2 * volume <= 1.5 * area:
         return POINT_LIKE
     # Rounded, to the safe side, so that the tables of one mesh serve its neighbours.

@@ -23,15 +23,15 @@ class ImagePanel(QGroupBox):
         super().__init__("1  Image", parent)
         self._doc, self._image = doc, doc.image
         self.chooser = LayerChooser(doc.image, self)
-        self.chooser.setToolTip("The 3D image of membranes to fit. Of a 4D one, the time shown.")
+        self.chooser.setToolTip("The 3D image to fit. In 4D, the time point shown.")
         tip = (
             "The channel that shows the membranes. It becomes a layer of its own, which is fitted."
         )
         self.channels = narrow_box(self, "channel", tip)
         tip = (
-            "What of the image is fitted. Bright things that are no cells of yours are best left "
-            "out: draw a rectangle around the cells in a Shapes layer, and choose it here. All "
-            "slices across it count."
+            "Which part of the image is fitted. To leave out bright objects that are not your "
+            "cells, draw a rectangle around the cells in a Shapes layer and choose it here. It "
+            "applies to all slices."
         )
         self.region = narrow_box(self, "region", tip, (WHOLE, BOX))
         self.voxel_size = TripleField("Voxel size, um. It is the scale of the image layer.", self)
@@ -95,7 +95,7 @@ class ImagePanel(QGroupBox):
             text += " of the image"
         if channel_axes(layer):
             times, planes = data_of(layer).shape[:2]
-            text += f", taken for {times} times of {planes} planes; if it has channels, choose one"
+            text += f", read as {times} times of {planes} planes; if it has channels, choose one"
         if unknown:
             text += "; the voxel size is not known: enter it, or all lengths are in voxels"
         return text

@@ -59,8 +59,8 @@ class FitSettings(Settings):
     shape_error: str = setting(
         "normal",
         title="shape",
-        tip="how near to the true shape: quick, normal, careful, or a length such as 20nm; it "
-        "chooses edges, accuracy and tolerance, where these are not given",
+        tip="how close to the true shape: quick, normal, careful, or a length such as 20nm; "
+        "sets edges, accuracy and tolerance unless these are given",
         known=SHAPE_CHOICES,
         metavar="E",
         advanced=True,
@@ -78,22 +78,22 @@ class FitSettings(Settings):
     fit_psf: bool = setting(
         True,
         title="estimate the PSF from the image",
-        tip="also fit the PSF, from what is known of it; else it stays",
+        tip="fit the PSF as well, starting from what is known of it; if not, it is kept fixed",
         live=True,
     )
     density: DensityModel = setting(
         "smooth",
         title="brightness",
-        tip="fluorophores per um^2: the same everywhere, one per interface, or smooth over "
-        "the surface, as uneven as the image says",
+        tip="fluorophores per um^2: uniform, one value per interface, or varying smoothly "
+        "over the surface, as much as the image shows",
         words={"interface": "one for each wall"},
         live=True,
     )
     structure: StructureChoice = setting(
         "auto",
         title="what shines",
-        tip="membranes, the interior of cells (nuclei, cytoplasm), or both; auto: what the image "
-        "says, also where a medium brighter than the cells lies around them",
+        tip="what is labelled: membranes, the interior of cells (nuclei, cytoplasm), or both; "
+        "auto decides from the image, and recognises dark cells in a brighter medium, too",
         words={"auto": "automatic"},
     )
     likelihood: Likelihood = setting(
@@ -111,9 +111,8 @@ class FitSettings(Settings):
     levels: tuple[Annotated[float, Field(ge=1)], ...] | None = setting(
         None,
         title="levels",
-        tip="blur of both images at each level, in widths of the PSF; the last is 1; "
-        "where not given: wide for seeds of any kind, near for seeds taken from the image or from "
-        "labels",
+        tip="blur of both images at each level, in widths of the PSF; the last is 1; default: "
+        "near for seeds found in the image or made from labels, wide for all others",
         advanced=True,
         metavar="B",
     )
@@ -121,7 +120,7 @@ class FitSettings(Settings):
         1.0,
         title="smoothing of the steps",
         tip="lambda of the metric (I + lambda L)^-2 of the steps at the last level; grows "
-        "with the blur; it changes how fast a fit is, not where it ends",
+        "with the blur; it affects how long a fit takes, not its result",
         advanced=True,
         live=True,
         ge=0,
@@ -136,8 +135,8 @@ class FitSettings(Settings):
     bending: float = setting(
         9.0,
         title="weight of bending",
-        tip="weight of the bending energy, a prior on shape without unit; of 6, 7.5, 9 "
-        "and 12, 9 was near the best on cow, fish and foams; an embryo wants 6; 0 is none",
+        tip="weight of the bending energy, a prior on shape without unit; of 6, 7.5, 9 and 12, "
+        "9 was near the best on test shapes and simulated foams, 6 on an embryo; 0: no prior",
         advanced=True,
         live=True,
         ge=0,
@@ -145,7 +144,7 @@ class FitSettings(Settings):
     reach: float = setting(
         3.5,
         title="reach",
-        tip="voxels count up to this many widths of the PSF from the surface",
+        tip="only voxels within this many widths of the PSF from the surface are used",
         unit="widths",
         advanced=True,
         live=True,

@@ -70,7 +70,7 @@ class MicroscopeOptics(_Optics):
     """A PSF from the numbers on the objective; see :func:`napari_deltamic.microscope`."""
 
     kind: Literal["microscope"] = "microscope"
-    modality: Modality = setting("widefield", title="modality", tip="how light is seen")
+    modality: Modality = setting("widefield", title="modality", tip="type of microscope")
     na: float = setting(title="NA", tip="numerical aperture", metavar="NA", start=1.2, step=0.05)
     wavelength: float = setting(
         title="emission",

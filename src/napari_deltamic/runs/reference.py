@@ -23,12 +23,13 @@ SECTIONS: tuple[tuple[str, str, type[Any]], ...] = (
 )
 _HEAD = """# Settings
 
-Made by `python -m napari_deltamic.runs.reference docs/settings.md` of what the settings say of
-themselves; do not edit it by hand. The same words are the help of the command line and the tooltips
-of the window.
+Made by `python -m napari_deltamic.runs.reference docs/settings.md` from the descriptions of the
+settings; do not edit it by hand. The help of the command line and the tooltips of the window show
+the same text.
 
-*Live* settings are taken over by a fit that runs. Settings *for experts* are folded away in the
-window, or only in `run.toml` and on the command line. The first column is the name in `run.toml`.
+*Live* settings can be changed while a fit runs; it uses them from its next step on. Settings *for
+experts* are folded away in the window, or only in `run.toml` and on the command line. The first
+column is the name in `run.toml`.
 """
 
 

@@ -17,7 +17,7 @@ class SceneFields(Settings):
     """How the image was formed, but for the effects, which need the engine."""
 
     voxel_size: Triple = setting(
-        title="voxel size", tip="size of a voxel, Z Y X; else from the image file", unit="um"
+        title="voxel size", tip="size of a voxel, Z Y X; default: from the image file", unit="um"
     )
     origin: Triple = setting(
         (0.0, 0.0, 0.0),
@@ -30,8 +30,8 @@ class SceneFields(Settings):
     sigma: Triple | None = setting(
         None,
         title="widths of the PSF",
-        tip="standard deviations of the PSF, Z Y X; where not given: as the command reads them "
-        "from the image, else 1.2 voxels",
+        tip="standard deviations of the PSF, Z Y X; default: estimated from the image where "
+        "the command does so, else 1.2 voxels",
         unit="um",
         live=True,
     )
@@ -89,8 +89,8 @@ class RunFields(Settings):
     channel: str | None = setting(
         None,
         title="channel",
-        tip="which channel of the image: its number, the first is 1, or its name in the file; "
-        "where not given, the image must have one only",
+        tip="which channel to use: its number, counting from 1, or its name in the file; "
+        "needed only if the image has more than one",
         metavar="N",
         automatic="the only one",
     )

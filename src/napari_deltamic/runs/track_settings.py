@@ -40,8 +40,8 @@ class TrackSettings(Settings):
     velocity: float = setting(
         0.8,
         title="share of the last displacement",
-        tip="share of a cell's last displacement that the next one is expected to have; it "
-        "is used only where it explains the image better than no displacement",
+        tip="share of a cell's last displacement expected from this frame to the next; used "
+        "only where it explains the image better than no displacement",
         advanced=True,
         ge=0,
         le=1,

@@ -84,8 +84,8 @@ class SessionBar(QObject):
         )
         self.open_action = action(_OPEN[0], tip, self._ask_open, self)
         tip = (
-            "Save image, cells, settings, meshes and history in one file. Of a 4D image, the time "
-            "that is fitted; all of it where cells were tracked."
+            "Save image, cells, settings, meshes and history in one file. Of a 4D image, only the "
+            "time point that is fitted, or all of them where cells were tracked."
         )
         self.save_action = action(_SAVE[0], tip, self._ask_save, self)
         self._saving, self._opening = (doc.background(self._failed) for _ in range(2))

@@ -50,7 +50,7 @@ def capture(parts: Parts) -> tuple[Session, str]:
     point = tuple(float(p) for p in dims.point)
     tracks = parts.tracking.saved()
     if tracks is None and parts.tracking.results:
-        others = "the tracks are of another image or region: they are not in this session"
+        others = "the tracks are of another image or region and were not saved in this session"
         left_out = "; ".join(filter(None, (left_out, others)))
     session = Session(
         settings=settings,

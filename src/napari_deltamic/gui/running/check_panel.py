@@ -282,8 +282,8 @@ class ExplainedCurve(QWidget):
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         self.setToolTip(
             "<qt>Share of the signal near the surfaces that the cells explain, noise included, "
-            "over the iterations. Each line is a level: the image gets sharper, and its noise "
-            "counts more, so that a new line begins lower.</qt>"
+            "over the iterations. Each line is a level: as the image gets sharper it also gets "
+            "noisier, so each new line starts lower.</qt>"
         )
 
     def show_losses(self, loss: Sequence[float], level: Sequence[int], first: int = 1) -> None:

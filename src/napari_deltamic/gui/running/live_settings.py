@@ -96,7 +96,7 @@ class LiveSettings(QObject):
         later = [_FIT[name].title for name in other if not _FIT[name].live]
         if later:
             self._shown = fit
-            self._doc.noted.emit(f"{' and '.join(later)}: from the next run on")
+            self._doc.noted.emit(f"{' and '.join(later)}: used from the next run on")
         changed = {name: getattr(fit, name) for name in other if _FIT[name].live}
         if "accuracy" in changed:
             changed["accuracy"] = settings.number()  # also where the noise decides
@@ -145,13 +145,15 @@ class LiveSettings(QObject):
         other = [title for name, title in _SCENE.items() if now[name] != self._scene.get(name)]
         if other:
             self._scene = now
-            self._doc.noted.emit(f"{' and '.join(other)}: from the next run on")
+            self._doc.noted.emit(f"{' and '.join(other)}: used from the next run on")
 
     def _undone(self, back: Change) -> None:
         try:
             self._show(back)
         except InputError as error:  # of an image or a second view that have changed since
-            self._doc.noted.emit(f"{error}; the panels do not show what was undone")
+            self._doc.noted.emit(
+                f"{error}; the change is undone in the fit, but the panels still show it"
+            )
 
     def _show(self, back: Change) -> None:
         settings = self._doc.settings

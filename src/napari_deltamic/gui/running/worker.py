@@ -68,7 +68,7 @@ class FitRun(Task):
     """
 
     title = "a fit is running"
-    kept = "A fit is running. Its meshes stay in the viewer, but its table and history go."
+    kept = "A fit is running. Its meshes stay in the viewer; its table and history are lost."
 
     def __init__(
         self,

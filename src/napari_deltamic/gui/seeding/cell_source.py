@@ -126,7 +126,7 @@ def _points(layer: Any, frame: Frame, point: tuple[float, ...], *, spheres: bool
     placeless = without_place(layer, point)
     if len(placeless):
         named = ", ".join(str(row + 1) for row in placeless[:6].tolist())
-        raise InputError(f"layer '{layer.name}': point {named} has no place (nan): delete it")
+        raise InputError(f"layer '{layer.name}': point {named} has no position (nan): delete it")
     scale, shift = frame.data_to_um(layer)
     points = data[:, -3:] * scale + shift
     if frame.shape is not None:  # points beside the region belong to other cells
@@ -246,7 +246,7 @@ class CellSource(LayerTicks):
             rows = without_place(layer, self._point()).tolist()
             if rows:
                 named = ", ".join(str(row + 1) for row in rows[:6])
-                found.append(Remark(f"Point {named} of '{layer.name}' has no place: delete it"))
+                found.append(Remark(f"Point {named} of '{layer.name}' has no position: delete it"))
         return found
 
     def _point_sets(self, frame: Frame, spheres: bool) -> list[PointSet]:

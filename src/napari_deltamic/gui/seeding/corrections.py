@@ -30,12 +30,12 @@ from .cell_source import seeds_from_layer
 _TOOLS: dict[str, tuple[str, str, Action]] = {
     "split": (
         "Split / add",
-        "Click in the middle of a cell: one that is part of a larger label is cut off, one that "
-        "was missed is added.",
+        "Click in the middle of a cell: if it is part of a larger label it is split off; if it "
+        "was missed it is added.",
         "cell",
     ),
     "merge": ("Merge", "Click both halves of a cell, one after the other, to merge them.", "merge"),
-    "remove": ("Remove", "Click on what is no cell.", "remove"),
+    "remove": ("Remove", "Click on what is not a cell.", "remove"),
 }
 _IN_3D = "Cells that were missed are added on slices only."
 _BESIDE = "In 3D, click on a cell; what was missed is added on the slices."

@@ -45,7 +45,7 @@ class FindCells(QPushButton):
             "<qt>Finds the cells of a membrane image by itself and adds them as a Labels layer, "
             "which can be corrected by clicks, or with napari's brush, eraser and bucket. Takes "
             "seconds to minutes in the background, by the size of the image. Pressing again starts "
-            "anew and replaces what was found, corrections too.</qt>"
+            "over and replaces what was found, your corrections included.</qt>"
         )
         tip = (
             "Diameter of a typical cell, um. Until you move it, it is estimated from the image. "

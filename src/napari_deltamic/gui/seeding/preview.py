@@ -22,8 +22,8 @@ _LOOK = {"opacity": 0.5, "blending": "translucent_no_depth"}
 WAIT = 400  # ms without a click before the preview is computed
 _TIP = (
     "<qt>Shows, shortly after each click, the membrane that was found around each point: contours "
-    "on the slices, surfaces in 3D. Takes about a second or two in the background, for which the "
-    f"image is made coarser by up to {COARSEST} voxels in each direction. Off at first for images "
+    "on the slices, surfaces in 3D. Takes a second or two in the background, on a copy of the "
+    f"image made up to {COARSEST} times coarser along each axis. Off at first for images "
     "of more than about {most:.1f} million voxels, which take longer.</qt>"
 )
 

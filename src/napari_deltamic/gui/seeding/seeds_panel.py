@@ -136,9 +136,9 @@ class SeedsPanel(QGroupBox):
         self.find_cells = FindCells(self._doc, self)
         tip = (
             "'The membrane' finds the dark region around each click, up to its bright membrane: "
-            "needs membranes that close, and takes seconds for a million voxels when the fit "
-            "starts. 'A sphere' starts as large as drawn: at once, but farther from the membrane, "
-            "so the fit takes longer."
+            "needs membranes without gaps, and takes seconds per million voxels when the fit "
+            "starts. 'A sphere' starts as large as drawn: immediately, but farther from the "
+            "membrane, so the fit takes longer."
         )
         self.shape = narrow_box(self, "start from", tip, (_FOLLOW, _SPHERES), 8)
         tip = "Radius of the spheres, um: of the selected points, or of all; and of the next click."

@@ -32,19 +32,19 @@ from ..widgets import Signal, be_narrow
 
 WAIT = 300  # ms without a change before the forecast is computed
 _TIPS: dict[Preset, str] = {
-    "quick": "Longer edges, images five times coarser than normal, an earlier end. The fastest, "
-    "but the shape may be off by more than the noise makes it: for a first look.",
-    "normal": "As accurate as the noise of this image can tell: finer renderings take longer and "
-    "do not improve the shape.",
-    "careful": "Edges so short that flat triangles add nothing beside the noise, images ten times "
-    "finer than normal, a later end.",
+    "quick": "Longer edges, images five times less accurate than normal, an earlier end. The "
+    "fastest, but the shape may be off by more than noise alone would cause: for a first look.",
+    "normal": "As accurate as the noise of this image warrants: more accurate renderings take "
+    "longer and do not improve the shape.",
+    "careful": "Edges so short that flat triangles add no error that matters beside the noise, "
+    "images ten times more accurate than normal, a later end.",
     "exact": "The closed form at every wavevector of the grid: no approximation at all, and often "
     "hundreds of times slower. To check the others with.",
 }
 _TIP = (
-    "How near to the true shape the fit is to come, and so how long it takes. Choose a name, or "
-    "type how far the shape may be off, such as 20nm, or the relative error that rendered images "
-    "may have, such as 3e-3."
+    "How close the fit should come to the true shape, and so how long it takes. Choose a name, "
+    "or type the error that the shape may have, such as 20nm, or the relative error that rendered "
+    "images may have, such as 3e-3."
 )
 
 

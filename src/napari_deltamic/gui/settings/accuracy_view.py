@@ -21,9 +21,9 @@ from .accuracy_forecast import scene_key, scene_now
 
 _TITLES = "Measure on this scene", "Stop measuring"
 _TIP = (
-    "Renders this scene in every way there is and times each: what accuracy costs here. Takes "
-    "about a minute in the background, and as much of the processor as a fit. Click on a line to "
-    "ask for that accuracy."
+    "Renders this scene by every method and times each, to show what accuracy costs here. Takes "
+    "about a minute in the background, and as much of the processor as a fit. Click a line to "
+    "use that accuracy."
 )
 _STALE = "this is of another image or PSF: measure again"
 BUDGET = 2.0  # s: ways that take longer are left out; one under way cannot be interrupted

@@ -36,9 +36,9 @@ from .effects_table import EffectsTable, spoken
 
 _TITLES = "Check this image", "Stop checking"
 _TIP = (
-    "Asks the image: fits it (or takes the present fit), and tells for each effect how clearly "
-    "it is seen, by how much the surface is off without it, and what it costs. Takes as long as a "
-    "fit, often longer, in the background. Nothing is added before you tick it."
+    "Tests which effects the image shows: fits it (or uses the current fit), and says for each "
+    "effect how clearly it is seen, how far off the surface is without it, and what it costs. "
+    "Takes at least as long as a fit, in the background. Nothing is added until you tick it."
 )
 _STALE = "this was of another image or PSF: check again"
 

@@ -20,10 +20,10 @@ from ...scene.effects import KINDS
 from ..widgets import Signal, be_table_of_rows
 
 _COLUMNS = (
-    ("correction", "Tick one to compute it: in a fit that runs at once, else in the next one."),
-    ("how\nsure", "Standard deviations by which the image asks for it."),
-    ("shift\nnm", "By how much the surface is off without it, as predicted."),
-    ("slower\nms", "What an iteration takes longer with it, as predicted."),
+    ("correction", "Tick to include it: in a running fit from now on, otherwise in the next one."),
+    ("how\nsure", "How clearly the image shows it, in standard deviations."),
+    ("shift\nnm", "How far off the surface is without it, as predicted."),
+    ("slower\nms", "How much longer an iteration takes with it, as predicted."),
 )
 _BOXES = (
     "QTableWidget::indicator { border: 1px solid #8d99a6; background: transparent; }"

@@ -72,7 +72,7 @@ class TrackWork(Task):
     """
 
     title = "cells are being tracked"
-    kept = "Cells are being tracked. The frames done stay in the viewer, but their table goes."
+    kept = "Cells are being tracked. Finished frames stay in the viewer; their table is lost."
 
     def __init__(
         self,
