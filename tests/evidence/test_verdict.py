@@ -62,7 +62,7 @@ def test_what_concerns_all(change, grade, word):
         ({"cut": True}, "fair", "border"),
         ({"inside": 0.4}, "fair", "light inside"),
         ({"inside": -0.4}, "fair", "light around"),
-        ({"medium": 0.05}, "fair", "not darker than the medium around it, as the model assumes: is"),
+        ({"medium": 0.05}, "fair", "not darker than the medium around it, as the model assumes"),
         ({"medium": 0.97}, "good", "good"),
         ({"compact": 0.4}, "fair", "crumpled"),
         ({"uneven": 0.2}, "fair", "its inside is uneven, by 20% on average"),
