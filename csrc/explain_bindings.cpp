@@ -1,5 +1,6 @@
 // How well a rendered image explains a measured one: amplitude and background of the least squares,
-// the squares that are left, and their gradient by the image, in two passes over the voxels.
+// the squares that are left, and their gradient by the image, in two passes over the voxels. And
+// weighted products of columns over voxels, for least squares of more than one image.
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/vector.h>
 
@@ -24,6 +25,7 @@ using deltamic_checks::Array;
 
 // Blocks do not depend on the threads; their sums are added up in their order.
 constexpr size_t block = 4096;
+constexpr size_t lanes = 4;
 // Of the squares of an image, their part that varies: less is rounding.
 constexpr double flat = 1e-14;
 
@@ -114,9 +116,59 @@ nb::tuple explain(Array<const T> image, Array<const std::int64_t> index, Array<c
                           background + shift, bounded);
 }
 
+constexpr size_t most_columns = 64;  // of products; what is solved for at a time is far less
+
+// Weighted products of columns, each with each, in double precision.
+template <class T>
+nb::ndarray<nb::numpy, double> products(const std::vector<Array<const T>>& columns, Array<const T> weights,
+                                        int threads) {
+    using namespace deltamic_checks;
+    const size_t k = columns.size(), n = weights.size();
+    require(k >= 1 && k <= most_columns, "1 to 64 columns are needed");
+    require(weights.ndim() == 1, "weights: (N,)");
+    for (const auto& column : columns) has_shape(column, "a column", {n});
+    thread_count(threads);
+    const size_t blocks = (n + block - 1) / block;
+    std::vector<double> parts(blocks * k * k);
+    double* found = new double[k * k]();
+    nb::capsule owner(found, [](void* p) noexcept { delete[] static_cast<double*>(p); });
+    {
+        nb::gil_scoped_release others_may_run;
+        Team team(static_cast<int>(std::min<size_t>(static_cast<size_t>(threads), std::max<size_t>(blocks, 1))));
+        team.run([&](int) {
+            std::vector<double> weighted(block);
+            team.each(blocks, [&](size_t b) {
+                const size_t first = b * block, count = std::min(n - first, block);
+                double* own = parts.data() + b * k * k;
+                for (size_t i = 0; i < k; ++i) {
+                    const T *one = columns[i].data() + first, *w = weights.data() + first;
+                    for (size_t at = 0; at < count; ++at) weighted[at] = static_cast<double>(w[at]) * one[at];
+                    for (size_t j = i; j < k; ++j) {
+                        const T* other = columns[j].data() + first;
+                        double sum[lanes] = {};  // side by side, or each addition waits for the one before
+                        size_t at = 0;
+                        for (; at + lanes <= count; at += lanes)
+                            for (size_t l = 0; l < lanes; ++l) sum[l] += weighted[at + l] * other[at + l];
+                        for (; at < count; ++at) sum[0] += weighted[at] * other[at];
+                        own[i * k + j] = (sum[0] + sum[1]) + (sum[2] + sum[3]);
+                    }
+                }
+            });
+        });
+    }
+    for (size_t b = 0; b < blocks; ++b)
+        for (size_t i = 0; i < k; ++i)
+            for (size_t j = i; j < k; ++j) found[i * k + j] += parts[(b * k + i) * k + j];
+    for (size_t i = 0; i < k; ++i)
+        for (size_t j = 0; j < i; ++j) found[i * k + j] = found[j * k + i];
+    return nb::ndarray<nb::numpy, double>(found, {k, k}, owner);
+}
+
 }  // namespace
 
 void bind_explain(nb::module_& m) {
+    m.def("products_f32", &products<float>);
+    m.def("products_f64", &products<double>);
     m.def("explain_f32", &explain<float>);
     m.def("explain_f64", &explain<double>);
 }

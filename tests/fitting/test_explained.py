@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from napari_deltamic.fitting.likelihood import explained, match
+from napari_deltamic.fitting.likelihood import centred_products, explained, match, products
 
 loops = pytest.importorskip("napari_deltamic.fourier._mesh_ft")
 RNG = np.random.default_rng(4)
@@ -64,3 +64,46 @@ def test_voxels_that_cannot_be_are_refused():
     for wrong in (index.flip(0), index * 0, index - 1_000_000, index + 1_000_000):
         with pytest.raises(ValueError, match="once, in their order"):
             explained(image, wrong, measured, weights)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("count", [1, 3, 4096, 9001])  # also less than a lane, and blocks
+def test_products_are_those_of_numpy(dtype, count):
+    columns = RNG.normal(5, 1, (3, count))
+    weights = RNG.uniform(0, 1, count)
+    given = [torch.tensor(c, dtype=dtype) for c in (*columns, weights)]
+    *own, w = (t.double().numpy() for t in given)
+    wanted = np.einsum("in,jn,n->ij", own, own, w)
+    np.testing.assert_allclose(products(given[:-1], given[-1]), wanted, rtol=1e-12)
+
+
+@pytest.mark.parametrize("level", [0.0, 1e2])  # deviations
+def test_centred_products_are_those_of_numpy(level, monkeypatch):
+    columns, weights = RNG.normal(level, 1, (2, 9001)), RNG.uniform(0, 1, 9001)
+    given = [torch.tensor(c, dtype=torch.float64) for c in (*columns, weights)]
+    away = columns - np.average(columns, axis=1, weights=weights)[:, None]
+    wanted = np.einsum("in,jn,n->ij", away, away, weights)
+    scale = wanted.max()
+    found = centred_products(given[:-1], given[-1])
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9 * scale)
+    monkeypatch.setattr("napari_deltamic.fitting.likelihood.compiled", lambda device: False)
+    found = centred_products(given[:-1], given[-1])
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9 * scale)
+
+
+def test_products_of_any_number_of_threads_have_the_same_bits():
+    columns = [torch.tensor(RNG.normal(0, 1, 50_001), dtype=torch.float32) for _ in range(3)]
+    before = torch.get_num_threads()
+    found = set()
+    for threads in (1, 2, 3):
+        torch.set_num_threads(threads)
+        found.add(products(columns[:2], columns[2]).tobytes())
+    torch.set_num_threads(before)
+    assert len(found) == 1
+
+
+def test_products_refuse_what_does_not_fit():
+    some = np.ones(5)
+    for columns, words in (([], "1 to 64"), ([np.ones(4)], "shape"), ([some] * 65, "1 to 64")):
+        with pytest.raises(ValueError, match=words):
+            loops.products_f64(columns, some, 1)

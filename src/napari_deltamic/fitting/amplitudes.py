@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from ..common.choices import Structure, StructureChoice
@@ -20,7 +19,7 @@ from ..fourier.devices import widest
 from ..geometry.mesh import FloatArray, Mesh
 from ..optics import Optics
 from ..scene.light import INSIDES, MEMBRANES, Light
-from .likelihood import total
+from .likelihood import centred_products, total
 
 
 @dataclass(frozen=True)
@@ -72,12 +71,8 @@ def mixture(membranes: Tensor, insides: Tensor, measured: Tensor, weights: Tenso
 
     Scaled so that an amplitude above 0 goes with it.
     """
-    wide = widest(membranes.device)
-    w, s, v, y = (t.to(wide) for t in (weights, membranes, insides, measured))
-    whole = total(w).clamp(min=1e-30)
-    s, v, y = (t - total(w * t) / whole for t in (s, v, y))
-    told = [total(w * p * q) for p, q in ((s, s), (s, v), (v, v), (s, y), (v, y))]
-    ss, sv, vv, sy, vy = torch.stack(told).tolist()
+    found = centred_products([membranes, insides, measured], weights)
+    (ss, sv, sy), (_, vv, vy), _ = found.tolist()
     if vv <= 0 or ss <= 0:
         return MEMBRANES if vv <= 0 else INSIDES
     free = ss * vv - sv * sv

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import sqrt
 
@@ -13,7 +14,9 @@ from ..common.choices import Likelihood
 from ..common.normal import MEDIAN_SQUARE, SIGMA_PER_MEDIAN_DEVIATION
 from ..fourier.devices import widest
 from ..fourier.explain import explain
+from ..fourier.explain import products as compiled_products
 from ..fourier.real_fft import compiled
+from ..geometry.mesh import FloatArray
 from ..scene.effects import DetectorEffect
 
 _BLOCK = 4096  # values that are added up in one go, so that each sum stays in the cache
@@ -160,6 +163,35 @@ def total(values: Tensor) -> Tensor:
     if not whole:
         return values.sum()
     return total(values[:whole].view(-1, _BLOCK).sum(1)) + values[whole:].sum()
+
+
+def products(columns: Sequence[Tensor], weights: Tensor) -> FloatArray:
+    """(K, K) weighted products of columns, each with each; all (N,).
+
+    To the same bits on every number of threads; compiled where that can be had.
+    """
+    if len(weights) and compiled(weights.device):
+        found: FloatArray = compiled_products(columns, weights)
+        return found
+    wide = widest(weights.device)
+    each = [column.to(wide) for column in columns]
+    weighted = [weights.to(wide) * column for column in each]
+    rows = [torch.stack([total(w * column) for column in each]) for w in weighted]
+    return torch.stack(rows).cpu().numpy().astype(np.float64)
+
+
+def centred_products(columns: Sequence[Tensor], weights: Tensor) -> FloatArray:
+    """As :func:`products`, of columns less their weighted means."""
+    if len(weights) and compiled(weights.device):
+        # In double precision, a mean of a thousand deviations costs six of sixteen digits.
+        found: FloatArray = compiled_products([*columns, torch.ones_like(weights)], weights)
+        sums = found[-1, :-1]
+        return found[:-1, :-1] - np.outer(sums, sums) / max(found[-1, -1], 1e-30)
+    wide = widest(weights.device)
+    w = weights.to(wide)
+    whole = total(w).clamp(min=1e-30)
+    each = [column.to(wide) for column in columns]
+    return products([column - total(w * column) / whole for column in each], w)
 
 
 def solve_scale(rendered: Tensor, measured: Tensor, weights: Tensor) -> tuple[float, float, bool]:

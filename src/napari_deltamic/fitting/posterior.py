@@ -22,7 +22,7 @@ from ..scene.light import INSIDES, Light
 from .density import Density
 from .imaging import Imaging
 from .level import Level
-from .likelihood import Match, explained, total
+from .likelihood import Match, explained, products, total
 from .prediction import Prediction, Unknowns, View, as_floats
 from .unequal_insides import Insides
 from .variables import Variables
@@ -248,25 +248,23 @@ class Posterior(Prediction):
             now = self._now(at)
             columns = self._imaging_columns(now, at)
             rows = [now.image, torch.ones_like(now.image[:1]).expand(len(now.image)), *columns]
-            products = _products(view.voxels.weights, rows)
+            found = _products(view.voxels.weights, rows)
         # Of norm 1: the brightness of a rendering depends on the unit of length.
-        scale = np.sqrt(np.maximum(np.diag(products), 1e-300))
+        scale = np.sqrt(np.maximum(np.diag(found), 1e-300))
         scale[2:] = 1.0
-        products = products / scale / scale[:, None]
-        own, mixed, free = products[:2, :2], products[:2, 2:], products[2:, 2:]
+        found = found / scale / scale[:, None]
+        own, mixed, free = found[:2, :2], found[:2, 2:], found[2:, 2:]
         free = free - mixed.T @ np.linalg.pinv(own) @ mixed
         return free / view.variance + self._imaging.prior_curvature()
 
 
 def _products(weights: Tensor, rows: Sequence[Tensor]) -> FloatArray:
-    """(i, i) weighted products of rows (N,), to the same bits on every number of threads.
+    """(i, i) weighted products of rows (N,).
 
     Piece by piece: in large images, copies of all rows in double precision are gigabytes.
     """
     found = np.zeros((len(rows), len(rows)))
     for first in range(0, len(weights), _PIECE):
         piece = slice(first, first + _PIECE)
-        some = np.stack([as_floats(row[piece]) for row in rows])
-        weighted = some * as_floats(weights[piece])
-        found += [[np.add.reduce(one * other) for other in weighted] for one in some]
+        found += products([row[piece] for row in rows], weights[piece])
     return found

@@ -12,11 +12,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 
 from ..common.choices import Structure
 from ..geometry.mesh import FloatArray, Mesh
 from ..scene.light import INSIDES, MEMBRANES
 from .lbfgs import dot
+from .likelihood import products
 from .posterior import Evaluation, Posterior
 from .prediction import as_floats
 from .variables import Variables
@@ -185,7 +187,8 @@ def _patches(
 
 
 def _products(columns: FloatArray) -> FloatArray:
-    return np.array([[dot(a, b) for b in columns] for a in columns])
+    given = [torch.from_numpy(column) for column in columns]
+    return products(given, torch.ones_like(given[0]))
 
 
 def _displaced(at: Variables, mesh: Mesh, by: float) -> Variables:

@@ -2,14 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from .native import native, threads
 
 Told = tuple[float, float, float, float, bool]
+
+
+def products(columns: Sequence[Tensor], weights: Tensor) -> NDArray[np.float64]:
+    """(K, K) weighted products of columns, each with each, in double precision.
+
+    The same bits for every number of threads.
+
+    Parameters
+    ----------
+    columns
+        1 to 64 of (N,), on the CPU.
+    weights
+        (N,).
+    """
+    given = (*columns, weights)
+    single = all(t.dtype == torch.float32 for t in given)
+    real = torch.float32 if single else torch.float64
+    *own, w = (t.detach().to(real).contiguous().numpy() for t in given)
+    name = "products_f32" if single else "products_f64"
+    found: NDArray[np.float64] = getattr(native(), name)(own, w, threads())
+    return found
 
 
 def explain(
