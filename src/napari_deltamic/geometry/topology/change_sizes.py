@@ -13,9 +13,11 @@ class ChangeSizes:
 
     Attributes
     ----------
-    around
+    around, around_known
         Cut out around a place: the part made anew (``free``), and beyond it more than what its
-        pieces are compared with, so that a change looks at no other vertex.
+        pieces are compared with, so that a change looks at no other vertex. Walls, junctions and
+        pieces are known face by face and compared with nothing: beyond ``free`` only the edge by
+        which its vertices may move is looked at, and the longest face that may reach in there.
     free, passes
         Around a place in which triangles are made anew, and how often: less leaves slivers at the
         rim.
@@ -55,6 +57,7 @@ class ChangeSizes:
     """
 
     around: float = 5.0
+    around_known: float = 3.5
     free: float = 2.0
     passes: int = 2
     most_walls: int = 3

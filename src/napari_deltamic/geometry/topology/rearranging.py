@@ -108,8 +108,9 @@ def _round(state: _State, waiting: list[ThinPlace], edge: float) -> list[ThinPla
     later: list[ThinPlace] = []
     done: list[tuple[Submesh, Change]] = []
     for place in waiting:
-        low, high = place.points.min(0), place.points.max(0)
-        rows = cutter.faces_in(low - SIZES.around * edge, high + SIZES.around * edge)
+        reach = (SIZES.around if place.is_thin else SIZES.around_known) * edge
+        low, high = place.points.min(0) - reach, place.points.max(0) + reach
+        rows = cutter.faces_in(low, high)
         if taken[rows].any():
             later.append(place)
             continue
