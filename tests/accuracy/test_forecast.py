@@ -27,6 +27,15 @@ def expected(settings=WIDE, mesh=None, grid=GRID, costs=BUILT_IN, **options):
     return forecast(image, grid, mesh or start(), OPTICS, settings, costs=costs, **options)
 
 
+def test_fewer_iterations_are_expected_where_no_other_neighbours_are_tried():
+    tried, not_tried = (
+        expected(NEAR.model_copy(update={"trials": trials}), touching=True)
+        for trials in (True, False)
+    )
+    assert not_tried.seconds < tried.seconds
+    assert not_tried.kind != tried.kind, "one teaches nothing about the other"
+
+
 @dataclass(frozen=True)
 class At:
     """Where a fit is."""

@@ -49,6 +49,7 @@ def test_names_go_from_coarse_to_fine():
     assert quick.edge > normal.edge == NOW.edge > careful.edge
     assert quick.accuracy > normal.accuracy == accuracy_for(0.046) > careful.accuracy
     assert quick.tolerance > normal.tolerance == FitSettings().tolerance > careful.tolerance
+    assert (quick.trials, normal.trials, careful.trials) == (False, True, True)
     assert quick.predicted > normal.predicted > careful.predicted > NOW.floor()
     assert careful.predicted < 1.1 * NOW.floor()
 
@@ -73,7 +74,7 @@ def test_what_is_no_choice_is_refused_in_a_sentence(wrong):
         FitSettings(shape_error=wrong)
 
 
-def test_a_run_takes_edges_accuracy_and_tolerance_from_it():
+def test_a_run_takes_edges_accuracy_tolerance_and_trials_from_it():
     image = nd.render(BALL, GRID, nd.GaussianPSF(0.26)).numpy()
     image = np.random.default_rng(0).poisson(4 + 40 * image / image.max()).astype(np.float32)
     scene = SceneSettings(voxel_size=SIZE, sigma=(0.26,) * 3)
@@ -88,6 +89,9 @@ def test_a_run_takes_edges_accuracy_and_tolerance_from_it():
     assert careful.settings.fit.accuracy < normal.settings.fit.accuracy
     assert careful.settings.fit.tolerance < normal.settings.fit.tolerance
     assert quick.predicted > normal.predicted > careful.predicted
+    each = (quick, normal, careful)
+    assert [one.settings.fit.trials for one in each] == [False, True, True]
+    assert not job(trials=False).settings.fit.trials
     given = job(shape_error="careful", accuracy=0.05, tolerance=0.03).settings.fit
     assert (given.accuracy, given.tolerance) == (0.05, 0.03)
 

@@ -65,6 +65,16 @@ def test_a_wrong_neighbour_is_exchanged():
     assert all(len(state.density) == len(state.mesh.faces) for state in states)
 
 
+def test_nothing_is_tried_where_that_is_switched_off():
+    truth = five(0.5)
+    image, grid = photographed(truth, voxel=VOXEL, optics=OPTICS, photons=40)
+    settings = SETTINGS.model_copy(update={"trials": False})
+    states = list(fit(image, grid, flip_of(truth), OPTICS, settings=settings))
+    assert states[-1].converged
+    assert contacts(states[-1].mesh) ^ contacts(truth) == {(1, 2)}
+    assert not events_of(states)
+
+
 # Where the junction has collapsed to nothing first, the tube that is opened there is so narrow that
 # it has not relaxed when it is judged: with none of four draws of the noise is it found.
 COLLAPSES = pytest.param(0.6, 2000, marks=pytest.mark.xfail(strict=True, reason="judged too soon"))

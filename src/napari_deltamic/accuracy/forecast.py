@@ -268,7 +268,7 @@ def forecast(
     factors = settings.levels or WIDE_LEVELS
     share = 1.0 if counted is None else float(np.mean(np.asarray(counted, dtype=bool)))
     found: list[LevelForecast] = []
-    tried = settings.topology and settings.collisions
+    tried = settings.topology and settings.collisions and settings.trials
     tried = tried and (bool(contacts(mesh)) if touching is None else touching)
     cells = len(mesh.region_ids()) if tried else 0
     for number, factor in enumerate(factors, 1):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..fitting.default_accuracy import accuracy_of, image_noise
 from ..fitting.job import FitInput, optics_of
+from ..fitting.shape_dial import with_trials
 from ..geometry import Mesh
 from ..optics import Optics
 from ..runs.seeds import Seeds
@@ -72,7 +73,8 @@ def outlook(scene: SceneNow) -> Outlook:
     pixels = scene.pixels()
     noise = image_noise(pixels)
     accuracy = accuracy_of(scene.choice, noise)
-    found: dict[str, Any] = {"accuracy": accuracy}
+    trials = scene.settings.trials and with_trials(scene.settings.shape_error)
+    found: dict[str, Any] = {"accuracy": accuracy, "trials": trials}
     if scene.seeds.kind != "rough" and scene.settings.levels is None:
         found["levels"] = NEAR_LEVELS
     settings = scene.settings.model_copy(update=found)

@@ -141,7 +141,7 @@ def shape_errors(
         wanted = dialled(choice, now)
         begun = with_edges(start, wanted.edge)
         given = settings.model_copy(
-            update={"accuracy": wanted.accuracy, "tolerance": wanted.tolerance}
+            update={name: getattr(wanted, name) for name in ("accuracy", "tolerance", "trials")}
         )
         errors, iterations, seconds = [], [], []
         for image in images:

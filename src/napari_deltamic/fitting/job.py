@@ -142,6 +142,8 @@ def assemble(
         found["accuracy"] = wanted.accuracy
     if settings.fit.tolerance == FitSettings().tolerance:
         found["tolerance"] = wanted.tolerance
+    if settings.fit.trials:
+        found["trials"] = wanted.trials
     settings = settings.model_copy(update={"fit": settings.fit.model_copy(update=found)})
     ground = counted_around if kind == "rough" else counted_voxels
     counted = ground(level, grid, mesh, optics)

@@ -69,7 +69,7 @@ class TopologyTrials:
 
     def tried(self, fitted: Fitted, settings: FitSettings, factor: float, iteration: int) -> Fitted:
         """Change what only a trial can tell."""
-        if not _may_change(fitted, settings, factor):
+        if not (settings.trials and _may_change(fitted, settings, factor)):
             return fitted
         width = max(fitted.optics.sigma_um)
         self.policy = self.policy.unlimited()

@@ -60,7 +60,7 @@ class FitSettings(Settings):
         "normal",
         title="shape",
         tip="how close to the true shape: quick, normal, careful, or a length such as 20nm; "
-        "sets edges, accuracy and tolerance unless these are given",
+        "sets edges, accuracy, tolerance and trials unless these are given",
         known=SHAPE_CHOICES,
         metavar="E",
         advanced=True,
@@ -179,6 +179,15 @@ class FitSettings(Settings):
         title="cells may change neighbours",
         tip="cells may come to touch, part and exchange neighbours while the fit runs, and "
         "surfaces that cross at the start are repaired; needs collisions",
+        advanced=True,
+        live=True,
+    )
+    trials: bool = setting(
+        True,
+        title="try other neighbours at the end",
+        tip="when the fit has come to rest, try other neighbours where walls are small, gaps "
+        "narrow or pieces tiny, and keep what explains the image better; fits of many cells take "
+        "twice as long",
         advanced=True,
         live=True,
     )
