@@ -9,15 +9,12 @@ import napari_deltamic as nd
 from napari_deltamic.evidence.facts import CellFacts, Facts
 from napari_deltamic.evidence.predicted_error import predicted_error
 from napari_deltamic.evidence.verdict import judged
-from napari_deltamic.fitting.fit_objective import Terms
-from napari_deltamic.fitting.fitted import Fitted
 from napari_deltamic.fitting.job import FitInput, following, optics_of
 from napari_deltamic.fitting.light_cone import ANEW, GOES_ON, confocal_of, widefield_of
 from napari_deltamic.fitting.rival_structures import gone_on
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure.surface_distance import distance_to_surface
 from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
-from napari_deltamic.scene.effects import Effects
 
 SIZE, SHAPE = (0.2, 0.1, 0.1), (22, 32, 32)
 ABOUT = (0.3, 0.11, 0.11)  # um; widths of the PSF of NA 1.2 in water at 0.6 um
@@ -100,14 +97,15 @@ def test_a_gaussian_narrower_than_voxels_tell_stays(monkeypatch):
     assert tuple(voxel_size) == SIZE
 
 
-def test_a_rival_that_does_not_move_is_left(monkeypatch):
+def test_a_rival_that_does_not_move_is_left():
     posed = []
 
     class Stuck:
-        fitted, posed = None, None
+        def __init__(self):
+            posed.append(self)
 
-        def __init__(self, *given):
-            posed.append(given)
+        def anew(self):
+            return Stuck()
 
         def step(self):
             return False
@@ -118,10 +116,7 @@ def test_a_rival_that_does_not_move_is_left(monkeypatch):
         def evaluations(self):
             return 1
 
-    monkeypatch.setattr("napari_deltamic.fitting.rival_structures.Objective", Stuck)
-    settings = FitSettings()
-    terms = Terms(None, None, settings, None, True, True, True)
-    *_, taken = gone_on(terms, Fitted.begun(START, GAUSSIAN, Effects(), "uniform"), None)
+    *_, taken = gone_on(Stuck())
     assert (taken, len(posed)) == (1, 1)  # not posed anew
 
 
@@ -196,14 +191,15 @@ def test_no_wavelength_is_longer_than_that_of_light():
     assert found["wavelength"] == 2.0
 
 
-def test_a_rival_is_dropped_before_it_is_posed_anew(monkeypatch):
+def test_a_rival_is_dropped_before_it_is_posed_anew():
     posed, looks = [], []
 
     class Slow:
-        fitted = None
-
-        def __init__(self, *given):
+        def __init__(self):
             posed.append(self)
+
+        def anew(self):
+            return Slow()
 
         def step(self):
             return True
@@ -218,11 +214,8 @@ def test_a_rival_is_dropped_before_it_is_posed_anew(monkeypatch):
         looks.append(objective)
         return len(looks) > 1
 
-    monkeypatch.setattr("napari_deltamic.fitting.rival_structures.Objective", Slow)
-    terms = Terms(None, None, FitSettings(), None, True, True, True)
-    fitted = Fitted.begun(START, GAUSSIAN, Effects(), "uniform")
-    objective, taken = gone_on(terms, fitted, None, hopeless)
+    objective, taken = gone_on(Slow(), hopeless)
     assert (objective, looks) == (posed[0], [posed[0], posed[0]])
     assert (taken, len(posed)) == (6, 1)
-    objective, taken = gone_on(terms, fitted, None)  # to the end, where it is posed anew
+    objective, taken = gone_on(Slow())  # to the end, where it is posed anew
     assert (objective, taken, len(posed)) == (posed[-1], 18, 4)

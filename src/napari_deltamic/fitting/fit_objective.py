@@ -86,7 +86,7 @@ class Objective:
         factored: Preconditioners,
         held: Sequence[View] = (),
     ) -> None:
-        self.terms, self._guard = terms, guard
+        self.terms, self._guard, self._factored = terms, guard, factored
         level, settings, width = terms.level, terms.settings, min(fitted.optics.sigma_um)
         free = terms.imaging_fitted and level.factor <= terms.schedule.imaging_below
         shining = inside_over_membrane(fitted.light, fitted.optics.sigma_um)
@@ -180,6 +180,10 @@ class Objective:
         found = self.fitted.moved(self._descent.at, self._imaging, self.terms.density_fitted)
         self.fitted = found.shining(self.now.light).taught(self._descent.learnt())
         return moved
+
+    def anew(self) -> Objective:
+        """Posed anew where the descent is."""
+        return Objective(self.terms, self.fitted, self._guard, self._factored)
 
     def strayed(self) -> bool:
         """Whether many vertices are as far as they may go."""

@@ -68,7 +68,7 @@ def best_of(terms: Terms, fitted: Fitted, start: Shape | None) -> tuple[Fitted, 
     begin = [fitted.with_structure(s) for s in structures]
     if start is not None:
         begin.append(fitted.retriangulated(start).with_structure("membrane"))
-    (both, _), *alone = ends = [gone_on(terms, one, factored) for one in begin]
+    (both, _), *alone = ends = [gone_on(begun(terms, one, factored)) for one in begin]
     rival, _ = min(alone, key=lambda end: end[0].left)
     taken = sum(end[1] for end in ends)
     stuck = rival.left < (1 - RULES.less) * both.left
@@ -86,25 +86,25 @@ def nearer_of(terms: Terms, fitted: Fitted) -> Structure:
     alone: tuple[Structure, ...] = ("membrane", "interior")
     left = []
     for structure in alone:
-        guard = CollisionGuard(terms.settings.collisions)
-        posed = Objective(terms, plain.with_structure(structure), guard, factored).posed
-        left.append(posed.left)
+        left.append(begun(terms, plain.with_structure(structure), factored).posed.left)
     return alone[int(np.argmin(left))]
 
 
+def begun(terms: Terms, fitted: Fitted, factored: Preconditioners) -> Objective:
+    """The objective of a rival, where it begins."""
+    terms = replace(terms, density_fitted=terms.density_fitted and fitted.structure != "interior")
+    return Objective(terms, fitted, CollisionGuard(terms.settings.collisions), factored)
+
+
 def gone_on(
-    terms: Terms,
-    fitted: Fitted,
-    factored: Preconditioners,
+    objective: Objective,
     hopeless: Callable[[Objective], bool] = lambda objective: False,
 ) -> tuple[Objective, int]:
     """A few steps down; the objective as it is posed there, and evaluations.
 
     hopeless : whether to go no further; asked where it begins, and before it is posed anew.
     """
-    terms = replace(terms, density_fitted=terms.density_fitted and fitted.structure != "interior")
-    guard, taken, since = CollisionGuard(terms.settings.collisions), 0, 0
-    objective = Objective(terms, fitted, guard, factored)
+    taken = since = 0
     if hopeless(objective):
         return objective, objective.evaluations()
     for step in range(1, RULES.steps + 1):
@@ -117,5 +117,5 @@ def gone_on(
         taken += objective.evaluations()
         if not last and hopeless(objective):
             return objective, taken
-        objective, since = Objective(terms, objective.fitted, guard, factored), 0
+        objective, since = objective.anew(), 0
     return objective, taken + objective.evaluations()
