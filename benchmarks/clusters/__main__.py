@@ -10,12 +10,12 @@ from pathlib import Path
 from ..__main__ import measure
 from ..figure import Figure, Options, Row, default_data_folder
 from ..page import put_between, table
-from . import embryo, foams, glands, known, random_motion, tracking
+from . import embryo, foams, glands, known, random_motion, tracking, trials
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "clusters.md"
 FIGURES: dict[str, Figure] = {
     name: figure
-    for module in (known, foams, embryo, glands, tracking, random_motion)
+    for module in (known, foams, trials, embryo, glands, tracking, random_motion)
     for name, figure in module.FIGURES.items()
 }
 
