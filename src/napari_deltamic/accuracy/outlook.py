@@ -73,7 +73,7 @@ def outlook(scene: SceneNow) -> Outlook:
     pixels = scene.pixels()
     noise = image_noise(pixels)
     accuracy = accuracy_of(scene.choice, noise)
-    trials = scene.settings.trials and with_trials(scene.settings.shape_error)
+    trials = scene.settings.trials and with_trials(scene.choice)
     found: dict[str, Any] = {"accuracy": accuracy, "trials": trials}
     if scene.seeds.kind != "rough" and scene.settings.levels is None:
         found["levels"] = NEAR_LEVELS
