@@ -43,12 +43,20 @@ def grade_of(report: dict[str, Any]) -> str:
     return "good" if report.get("converged") else "poor"
 
 
-def measured(kind: str, draw: int, commit: str, folder: Path, both: bool, patience: float) -> Any:
-    """One scene, as a row of plain values."""
+def measured(
+    kind: str,
+    draw: int,
+    commit: str,
+    folder: Path,
+    both: bool,
+    patience: float,
+    further: Sequence[str],
+) -> Any:
+    """One scene, as a row of plain values; further : words of the command."""
     scene = made(kind, draw, commit)
     results: dict[str, tuple[Outcome, Score]] = {}
     for told in (False, True) if both else (False,):
-        outcome = fitted(scene, folder / scene.name, told, patience)
+        outcome = fitted(scene, folder / scene.name, told, patience, further)
         mesh = None if outcome.mesh is None else outcome.mesh
         if mesh is not None and not (told and scene.strangers):
             mesh = renumbered(scene, mesh)
@@ -98,6 +106,7 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--draws", type=int, default=3, help="scenes of each kind")
     parser.add_argument("--first", type=int, default=0, help="number of the first draw")
     parser.add_argument("--no-told", action="store_true", help="leave out the fit told everything")
+    parser.add_argument("--shape-error", metavar="E", help="a choice of the dial; default: normal")
     parser.add_argument("--patience", type=float, default=600, help="seconds for one fit")
     parser.add_argument("--folder", type=Path, help="where images and results stay")
     parser.add_argument("--json", type=Path, metavar="FILE")
@@ -117,6 +126,7 @@ def main(argv: Sequence[str]) -> int:
         if unknown:
             parser.error(f"no {', '.join(unknown)}; there are {', '.join(PROCESSINGS)}")
         names = [f"{name}~{how}" for how in chosen.processed or PROCESSINGS for name in names]
+    further = ["--shape-error", chosen.shape_error] if chosen.shape_error else []
     measured_commit, rows = commit(), []
     print(f"commit {measured_commit}, {time.strftime('%Y-%m-%d %H:%M')}, {os.cpu_count()} cores")
     print(HEAD, flush=True)
@@ -124,7 +134,7 @@ def main(argv: Sequence[str]) -> int:
         folder = chosen.folder or Path(temporary)
         for draw in range(chosen.first, chosen.first + chosen.draws):
             for name in names:
-                given = folder, not chosen.no_told, chosen.patience
+                given = folder, not chosen.no_told, chosen.patience, further
                 rows.append(measured(name, draw, measured_commit, *given))
                 print(line(rows[-1]), flush=True)
                 if chosen.json:

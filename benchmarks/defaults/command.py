@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -41,8 +42,13 @@ def known_options() -> str:
     ).stdout
 
 
-def fitted(scene: Scene, folder: Path, told: bool, patience: float) -> Outcome:
-    """Image, voxel size, seeds and nothing else; or told everything, neighbours included."""
+def fitted(
+    scene: Scene, folder: Path, told: bool, patience: float, further: Sequence[str] = ()
+) -> Outcome:
+    """Image, voxel size, seeds and nothing else; or told everything, neighbours included.
+
+    further : words of the command for either.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     image = folder / "image.tif"
     tifffile.imwrite(image, scene.image, imagej=True, metadata={"axes": "ZYX"})
@@ -51,7 +57,7 @@ def fitted(scene: Scene, folder: Path, told: bool, patience: float) -> Outcome:
     if told:
         words += [*_psf(scene), *_possible(scene.recipe.told)]
     out = folder / ("told" if told else "default")
-    words += ["-o", str(out), "--overwrite"]
+    words += [*further, "-o", str(out), "--overwrite"]
     began = time.monotonic()
     try:
         done = subprocess.run([*PROGRAM, *words], capture_output=True, text=True, timeout=patience)
