@@ -43,6 +43,8 @@ def test_a_fit_without_fault_is_good():
         ({"cut": 0.6}, "fair", "60% of the bright voxels are saturated"),
         ({"cut": 0.3}, "good", "good"),
         ({"compressed": True}, "fair", "look log-scaled"),
+        ({"accuracy": 0.1}, "fair", "rendered to 10% only"),
+        ({"accuracy": 0.02}, "good", "good"),
     ],
 )
 def test_what_concerns_all(change, grade, word):

@@ -37,10 +37,10 @@ def test_the_law_keeps_below_a_third_of_the_noise():
 
 
 def test_names_on_the_dial():
-    accuracies = [preset_accuracy(name, 0.011) for name in PRESETS]
-    assert accuracies == [5e-2, 1e-2, 1e-3, 0]
+    accuracies = [preset_accuracy(name, 0.003) for name in PRESETS]
+    assert accuracies == [1.5e-2, 3e-3, 3e-4, 0]
     assert preset_accuracy("normal", 0.0) == FINEST
-    assert preset_accuracy("quick", 0.5) == pytest.approx(5 * COARSEST)
+    assert preset_accuracy("quick", 0.5) == preset_accuracy("quick", 0.01) == COARSEST
     with pytest.raises(InputError, match="quick, normal, careful, exact"):
         preset_accuracy("best", 0.01)
 

@@ -89,6 +89,8 @@ class Facts:
         Share of the bright voxels that are cut off at the largest value.
     compressed
         Whether intensities look like logarithms.
+    accuracy
+        Relative error that the rendered images might have.
     """
 
     finished: bool
@@ -100,3 +102,4 @@ class Facts:
     voxel: float = 1.0
     cut: float = 0.0
     compressed: bool = False
+    accuracy: float = 0.0

@@ -96,6 +96,7 @@ def facts_of(
         voxel=float(np.prod(size) ** (1 / 3)),
         cut=share_cut(pixels),
         compressed=compressed(pixels),
+        accuracy=job.settings.fit.image_accuracy,
     )
 
 

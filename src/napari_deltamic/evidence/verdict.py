@@ -69,6 +69,10 @@ class VerdictRules:
         Largest share of the bright voxels that may be cut off at the largest value. Measured in
         five scenes cut at three heights each: with about 0.4, 0.04 to 0.18 voxel off; with 0.45 to
         0.6, 0.05 to 0.32; with 0.5 to 0.8, 0.13 to 2.4.
+    accuracy
+        Largest relative error that rendered images may have. Chosen: half as much again as the
+        coarsest that is ever chosen for a user; with 0.1, nuclei ended 0.6 and 1.0 voxel off where
+        0.1 was predicted.
     error_good, error_fair
         Largest predicted error of the shape, in voxels (the geometric mean of their sides).
         Chosen: what a reader takes for right, and for a voxel off; not measured.
@@ -90,6 +94,7 @@ class VerdictRules:
     unseen: float = 0.5
     uneven: float = 0.1
     cut: float = 0.4
+    accuracy: float = 0.03
     error_good: float = 0.3
     error_fair: float = 1.0
 
@@ -200,6 +205,9 @@ def _of_whole(facts: Facts) -> list[tuple[Grade, str]]:
     if facts.compressed:
         text = "the intensities look log-scaled, which shifts every surface"
         found.append(("fair", f"{text} (use the image as the camera took it)"))
+    if facts.accuracy > RULES.accuracy:
+        text = f"images are rendered to {facts.accuracy:.0%} only, too coarsely to tell what shines"
+        found.append(("fair", f"{text} (--accuracy)"))
     return found
 
 

@@ -21,7 +21,7 @@ from ..geometry.mesh import Mesh
 from ..geometry.remeshing import can_remesh, remesh
 from ..runs.fit_settings import FitSettings, asked_error
 from ..scene import Grid
-from .default_accuracy import accuracy_for, preset_accuracy
+from .default_accuracy import COARSEST, FINEST, preset_accuracy
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class DialRules:
 
 
 RULES = DialRules()
-_ACCURACIES, _TOLERANCES = (1e-3, 1e-1), (0.005, 0.1)  # bounds; chosen, not measured
+_TOLERANCES = 0.005, 0.1  # bounds; chosen, not measured
 _RENDERED_AT = 0.1  # accuracy at which ``rendered`` was measured
 _SAME_EDGES = 0.1  # chosen: triangles of one mesh differ by more
 
@@ -202,11 +202,11 @@ def _for_length(asked: float, now: Situation) -> tuple[float, float, float]:
     rest = sqrt(max(asked**2 - fixed**2, (s.careful_share * fixed) ** 2, 1e-18))
     triangles, rendering, settling = (share * rest for share in s.shares)
     accuracy = _RENDERED_AT * (rendering / (s.rendered * now.voxel)) ** (1 / s.power)
-    accuracy = min(max(accuracy, _ACCURACIES[0]), max(_ACCURACIES[1], accuracy_for(now.noise)))
+    accuracy = min(max(accuracy, FINEST), COARSEST)
     tolerance = settling / (s.unsettled * now.width)
     return (
         now.edge_for(triangles),
-        float(f"{min(accuracy, _ACCURACIES[1]):.2g}"),
+        float(f"{accuracy:.2g}"),
         float(f"{min(max(tolerance, _TOLERANCES[0]), _TOLERANCES[1]):.2g}"),
     )
 

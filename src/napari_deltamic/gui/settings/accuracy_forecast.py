@@ -32,9 +32,9 @@ from ..widgets import Signal, be_narrow
 
 WAIT = 300  # ms without a change before the forecast is computed
 _TIPS: dict[Preset, str] = {
-    "quick": "Longer edges, images five times less accurate than normal, an earlier end, and no "
-    "other neighbours tried there. For a first look: the shape may be off by more than noise alone "
-    "would cause, and more small contacts between cells are wrong.",
+    "quick": "Longer edges, an earlier end, no other neighbours tried there, and images that are "
+    "less accurate than normal where that is safe. For a first look: the shape may be off by more "
+    "than noise alone would cause, and more small contacts between cells are wrong.",
     "normal": "As accurate as the noise of this image warrants: more accurate renderings take "
     "longer and do not improve the shape.",
     "careful": "Edges so short that flat triangles add no error that matters beside the noise, "
