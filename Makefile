@@ -29,7 +29,7 @@ effects: $(STAMP)
 	$(BIN)/python -m benchmarks.effects --write
 
 benchmark: $(STAMP)
-	$(BIN)/python -m benchmarks --markdown docs/benchmarks.md
+	$(BIN)/python -m benchmarks --page docs/benchmarks.md
 	$(BIN)/python -m benchmarks.accuracy
 
 lint: $(STAMP)

@@ -20,7 +20,7 @@ from typing import Any
 from napari_deltamic.accuracy.machine_costs import processor
 
 from .figure import Figure, MissingData, Options, Row, default_data_folder
-from .page import HEADINGS, cells, table
+from .page import HEADINGS, cells, put_between, table
 from .tree import commit
 
 # Each exposes FIGURES: dict[str, Callable[[Options], list[Row]]].
@@ -81,28 +81,6 @@ def as_table(rows: list[Row]) -> str:
     return "\n".join(lines)
 
 
-INTRODUCTION = """# Benchmarks
-
-Written by `make benchmark`, that is `python -m benchmarks --markdown docs/benchmarks.md`. Times
-are medians on a machine that others use too; ratios are measured in one run. Two remarks on
-reading the table:
-
-- *Closed form over paper's scheme.* The comparator is a vectorised torch version of the paper's
-  equations at its best chunk size. It is several times faster than what was measured when the bar
-  was set, so the bar is missed although the closed form itself is above its own.
-- *Adversarial triangles in float64* leave the bar where rounding of the input alone exceeds it: up
-  to 9e-11 on slivers of aspect 1e6 and 4e-11 at centroid phases of 1e6 rad. The test file says how
-  the allowance is computed.
-
-"""
-
-
-def as_markdown(rows: list[Row], where: dict[str, str]) -> str:
-    """The table and where it was measured, for the documentation."""
-    lines = [f"- {name}: `{value}`" for name, value in where.items()]
-    return INTRODUCTION + "\n".join([*lines, "", table(rows)]) + "\n"
-
-
 def _for_json(row: Row) -> dict[str, Any]:
     entry = asdict(row)
     if math.isnan(row.measured):
@@ -120,7 +98,7 @@ def main(argv: Sequence[str]) -> int:
         "--data", type=Path, default=default_data_folder(), help="meshes and images"
     )
     parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--markdown", type=Path, metavar="FILE")
+    parser.add_argument("--page", type=Path, metavar="FILE", help="whose figures are replaced")
     chosen = parser.parse_args(argv)
     names = chosen.only or list(figures)
     unknown = [name for name in names if name not in figures]
@@ -140,11 +118,8 @@ def main(argv: Sequence[str]) -> int:
     if chosen.json:
         entry = {"where": where, "seconds": taken, "rows": [_for_json(row) for row in rows]}
         chosen.json.write_text(json.dumps(entry, indent=1) + "\n")
-    if chosen.markdown:
-        # Further sections of the page are measured by other means.
-        page = chosen.markdown.read_text() if chosen.markdown.is_file() else ""
-        _, further, sections = page.partition("\n## ")
-        chosen.markdown.write_text(as_markdown(rows, where) + further + sections)
+    if chosen.page:
+        put_between(chosen.page, "figures", table(rows))
     return 1 if any(row.passed is False for row in rows) else 0
 
 

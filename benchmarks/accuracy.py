@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from napari_deltamic import GaussianPSF, Grid, Mesh, fit, render
 from napari_deltamic.accuracy.accuracy_chart import (
@@ -35,15 +34,14 @@ from napari_deltamic.accuracy.tradeoff import Way, measure_ways, with_front
 from napari_deltamic.common.words import duration
 from napari_deltamic.fitting.default_accuracy import accuracy_for_image, image_noise
 from napari_deltamic.fourier.cost import Costs
-from napari_deltamic.fourier.cuda import missing
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import NEAR_LEVELS, FitSettings
 from napari_deltamic.scene import samples
 
-from .__main__ import machine
 from .figure import SIGMA, MissingData, Options, cow, default_data_folder
 from .growth_curves import by_size, by_triangles
 from .page import put_between
+from .tree import measured_on
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "accuracy.md"
 SAMPLES = (samples.vesicle_sample, samples.two_cell_sample, samples.dividing_cell_sample)
@@ -199,15 +197,6 @@ def _fits(setting: Setting) -> list[tuple[str, np.ndarray, Grid, Mesh, GaussianP
 # ------------------------------------------------------------------------------------- the page
 
 
-def where(quick: bool) -> str:
-    """The machine, as a list."""
-    found = machine(None, quick)
-    found["command"] = "python -m benchmarks.accuracy" + (" --quick" if quick else "")
-    found["threads"] = str(torch.get_num_threads())
-    found["GPU"] = missing() or torch.cuda.get_device_name()
-    return "\n".join(f"- {name}: `{value}`" for name, value in found.items())
-
-
 def main(argv: Sequence[str]) -> int:
     """Measure, and write the page."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.accuracy", description=__doc__)
@@ -218,7 +207,7 @@ def main(argv: Sequence[str]) -> int:
     chosen = parser.parse_args(argv)
     setting = Setting(chosen.quick, chosen.page.parent / "images", chosen.data)
     facts: dict[str, Any] = {}
-    text = {"machine": where(chosen.quick)}
+    text: dict[str, str] = {}
     costs = calibrate()
     parts: dict[str, Callable[[dict[str, Any]], str]] = {
         "scenes": lambda found: scenes(setting, costs, found),
@@ -235,7 +224,7 @@ def main(argv: Sequence[str]) -> int:
     for name, found in text.items():
         put_between(chosen.page, name, found)
     if chosen.json:
-        chosen.json.write_text(json.dumps({"where": text["machine"], **facts}, indent=1) + "\n")
+        chosen.json.write_text(json.dumps({"where": measured_on(), **facts}, indent=1) + "\n")
     return 0
 
 

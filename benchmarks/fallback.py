@@ -1,81 +1,100 @@
-"""What is paid where the compiled extension, or cholespy, is missing, on this machine.
+"""What is paid where the compiled extension could not be built: ``python -m benchmarks.fallback``.
 
-    python -m benchmarks.fallback
-
-Each column is measured in a process of its own: the closed form of a mesh on a band, the fit of the
-demonstration, and the smoothing of gradients on a mesh of 10,000 vertices. CPU seconds.
+An image with its gradient, by both methods, of the samples that come with the plugin, on one core,
+with the compiled loops and without them. Each side is a process of its own; processor seconds.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import subprocess
 import sys
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
 
-_HIDE = "import sys; sys.modules.update({m: None for m in %r}); "
-_MISSING = {
-    "the extension": ("napari_deltamic.fourier._mesh_ft", "napari_deltamic.geometry._remesh"),
-    "cholespy": ("cholespy",),
-}
-_CODE = """
-import json, time, warnings
-warnings.simplefilter("ignore")
-import numpy as np, torch
-import napari_deltamic as nd
-from napari_deltamic.cli import demonstration as demo
-from napari_deltamic.scene.samples import dividing_cell_sample
-from napari_deltamic.geometry import sphere
-from napari_deltamic.fitting.preconditioner import Preconditioner
+import torch
 
-mesh = sphere((0, 0, 0), 3.0, subdivisions=3)
-xi = torch.from_numpy(np.random.default_rng(0).normal(0, 3, (2_000, 3)))
-times = []
-for _ in range(3):
-    began = time.process_time()
-    nd.fourier.mesh_ft(mesh.vertices, mesh.faces, xi)
-    times.append(time.process_time() - began)
-sample = dividing_cell_sample()
-settings = demo.demo_settings(sample, demo.Path("."))
-began, iterations = time.process_time(), 0
-psf = nd.GaussianPSF(settings.scene.sigma)
-for state in nd.fit(sample.image, sample.grid, demo.start_mesh(sample), psf, settings=settings.fit):
-    iterations = state.iteration
-took = time.process_time() - began
-fine = sphere((0, 0, 0), 3.0, subdivisions=5)
-began = time.process_time()
-smooth = Preconditioner(fine, 20.0)
-factored = time.process_time() - began
-b = torch.ones((len(fine.vertices), 3), dtype=torch.float64)
-began = time.process_time()
-for _ in range(20):
-    smooth.solve(b)
-solved = (time.process_time() - began) / 20
-print(json.dumps({
-    "closed form": min(times), "fit": took, "iteration": took / iterations,
-    "factorisation": factored, "smoothing": solved,
-}))
-"""
+from napari_deltamic.fourier.plan import METHODS, Method
+
+from .figure import Row
+from .page import put_between, table
+
+_HIDDEN = ("napari_deltamic.fourier._mesh_ft", "napari_deltamic.geometry._remesh")
+ACCURACY = 1e-2
 
 
-def measured(code: str) -> dict[str, float]:
-    """CPU seconds of each row, in a process of its own."""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+def seconds_of(function: Callable[[], object], repeats: int) -> float:
+    """The least of a few, after one that warms up where it is not the only one."""
+    times = []
+    for _ in range(repeats):
+        began = time.process_time()
+        function()
+        times.append(time.process_time() - began)
+    return min(times)
+
+
+def measured() -> dict[str, float]:
+    """Seconds of every figure, with what this process finds."""
+    from napari_deltamic.fourier.native import native
+    from napari_deltamic.scene import Renderer, Scene
+    from napari_deltamic.scene.samples import Sample, dividing_cell_sample, vesicle_sample
+
+    torch.set_num_threads(1)
+    warnings.simplefilter("ignore")
+
+    def rendered(sample: Sample, method: Method) -> Callable[[], object]:
+        scene = Scene.of(sample.truth, sample.optics)
+        renderer = Renderer(scene, sample.grid, ACCURACY, method=method)
+
+        def once() -> None:
+            vertices = torch.tensor(sample.truth.vertices_numpy(), requires_grad=True)
+            image = renderer.image(renderer.transform(vertices), renderer.otf(sample.optics))
+            image.square().sum().backward()
+
+        return once
+
+    found = {"compiled": float(native() is not None)}
+    for sample in (vesicle_sample(), dividing_cell_sample()):
+        for method in METHODS:
+            repeats = 1 if method == "closed form" else 5
+            once = rendered(sample, method)
+            found[f"{sample.name}, {method}"] = seconds_of(once, repeats)
+    return found
+
+
+def in_a_process(hidden: Sequence[str]) -> dict[str, float]:
+    """The same where some modules cannot be imported."""
+    code = (
+        f"import sys, json; sys.modules.update(dict.fromkeys({list(hidden)!r})); "
+        "from benchmarks.fallback import measured; print(json.dumps(measured()))"
+    )
+    root = Path(__file__).parents[1]
+    done = subprocess.run(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, check=True, cwd=root
+    )
     return dict(json.loads(done.stdout.splitlines()[-1]))
 
 
-def main() -> None:
+def main(argv: Sequence[str]) -> int:
     """Print the table."""
-    from napari_deltamic.accuracy.machine_costs import processor
-    from napari_deltamic.fourier.native import threads
-
-    print(f"{processor()}, {threads()} threads")
-    whole = measured(_CODE)
-    for what, parts in _MISSING.items():
-        without = measured(_HIDE % (parts,) + _CODE)
-        for name, seconds in whole.items():
-            ratio = without[name] / seconds
-            print(f"{name}: {seconds:.3g} s, without {what} {without[name]:.3g} s ({ratio:.2g} x)")
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.fallback", description=__doc__)
+    parser.add_argument("--page", type=Path, metavar="FILE", help="whose figures are replaced")
+    chosen = parser.parse_args(argv)
+    whole, without = in_a_process(()), in_a_process(_HIDDEN)
+    assert whole.pop("compiled"), "the compiled extension is missing"
+    assert not without.pop("compiled"), "the compiled extension could not be hidden"
+    rows = []
+    for name, seconds in whole.items():
+        note = f"{1e3 * seconds:.3g} ms compiled, {1e3 * without[name]:.3g} ms without"
+        rows.append(Row(name, "", without[name] / seconds, "times", None, note))
+    print(table(rows))
+    if chosen.page:
+        put_between(chosen.page, "fallback", table(rows))
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main(sys.argv[1:]))

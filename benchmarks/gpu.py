@@ -289,7 +289,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--only", nargs="+", choices=FIGURES, help="some figures")
     parser.add_argument("--quick", action="store_true", help="fewer repeats")
     parser.add_argument("--data", type=Path, help="folder of meshes (DELTAMIC_DATA)")
-    parser.add_argument("--markdown", type=Path, help=f"put the table into this page ({PAGE.name})")
+    parser.add_argument("--page", type=Path, help=f"put the table into this page ({PAGE.name})")
     parser.add_argument("--dry", action="store_true", help="on the CPU, to see whether it runs")
     given = parser.parse_args(arguments)
     if not given.dry and (reason := missing()):
@@ -307,8 +307,8 @@ def main(arguments: list[str] | None = None) -> int:
             found = [replace(row, passed=None) for row in found]
         rows += found
         print(f"{name}: {time.perf_counter() - begun:.0f} s\n{as_table(found)}\n", flush=True)
-        if given.markdown and not given.dry:
-            put_between(given.markdown, MARK, f"{said}\n\n{table(rows)}")
+        if given.page and not given.dry:
+            put_between(given.page, MARK, f"{said}\n\n{table(rows)}")
     print(f"{said}\n{as_table(rows)}")
     return int(any(row.passed is False for row in rows))
 

@@ -7,18 +7,22 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from .figure import Row
+from .tree import measured_on
 
 HEADINGS = ("figure", "asked", "measured", "unit", "", "note")
 
 
 def put_between(page: Path, name: str, text: str) -> None:
-    """Replace what stands between ``<!-- name:begin -->`` and ``<!-- name:end -->``."""
+    """Replace what stands between ``<!-- name:begin -->`` and ``<!-- name:end -->``.
+
+    Below it stands which tree was measured, when and where.
+    """
     begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
     before, found, rest = page.read_text(encoding="utf-8").partition(begin)
     _, closed, after = rest.partition(end)
     if not (found and closed):
         raise SystemExit(f"{page} has no marks for '{name}'")
-    page.write_text(f"{before}{begin}\n{text}\n{end}{after}", encoding="utf-8")
+    page.write_text(f"{before}{begin}\n{text}\n\n{measured_on()}\n{end}{after}", encoding="utf-8")
 
 
 def cells(row: Row) -> tuple[str, ...]:

@@ -19,7 +19,6 @@ import torch
 from numpy.typing import NDArray
 
 from . import paper_scheme
-from .__main__ import machine
 from .figure import default_data_folder
 from .page import put_between
 
@@ -323,11 +322,6 @@ def main(argv: Sequence[str]) -> int:
             draw(chosen.picture)
         else:
             put_between(chosen.page, name, parts[name]())
-    where = machine(None, False)
-    kept = ("date", "processor", "cores", "system", "torch", "numpy")
-    lines = "\n".join(f"- {key}: `{where[key]}`" for key in kept)
-    if chosen.only is None:
-        put_between(chosen.page, "machine", lines)
     return 0
 
 

@@ -41,9 +41,10 @@ def tiny(bench):
 def test_a_case_is_measured_on_both_sides_and_kept(monkeypatch, tmp_path, capsys):
     monkeypatch.setitem(speed.CASES, "tiny", tiny)
     results, page = tmp_path / "speed.json", tmp_path / "speed.md"
+    page.write_text("<!-- speed:begin -->\n<!-- speed:end -->\n")
     results.write_text(json.dumps({"robustness": {"lines": [], "seconds": 0, **RUN}}))
     words = ["--only", "tiny", "--seed", "1", "--threads", "1", "--json", str(results)]
-    assert speed.main([*words, "--baseline", sys.executable, "--markdown", str(page)]) == 1
+    assert speed.main([*words, "--baseline", sys.executable, "--page", str(page)]) == 1
     kept = json.loads(results.read_text())
     assert set(kept) == {"robustness", "tiny"}  # what was measured before stays
     first, second = kept["tiny"]["lines"]

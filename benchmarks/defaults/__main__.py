@@ -20,13 +20,15 @@ from typing import Any
 
 import numpy as np
 
+from ..page import put_between
+from ..page import table as table_of
 from ..tree import commit
 from .command import Outcome, fitted, renumbered
 from .processing import BASES, PROCESSINGS
 from .scenes import KINDS, made
 from .scoring import Score, score
+from .tables import figures, whole
 
-OFF, NEAR = 0.5, 0.2  # voxels: more must not be called good, less not poor
 HEAD = (
     f"{'scene':<26}{'error':>7}{'lat':>6}{'ax':>6}{'told':>7}{'volume':>8}{'swal':>5}{'lost':>5}"
     f"{'s':>6}{'told s':>7}  verdict"
@@ -82,23 +84,6 @@ def line(row: dict[str, Any]) -> str:
     )
 
 
-def summary(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """The figures that are asked for."""
-    ratio = np.array([r["surface"] / r["told"] for r in rows if r.get("told")])
-    lines = []
-    if len(ratio):
-        lines.append(
-            f"error over told: median {np.median(ratio):.2f}, 95 % {np.percentile(ratio, 95):.2f}"
-        )
-    good = [r["scene"] for r in rows if r["grade"] == "good" and r["surface"] > OFF]
-    poor = [r["scene"] for r in rows if r["grade"] == "poor" and r["surface"] < NEAR]
-    lines.append(f"off by > {OFF} voxel and good: {len(good)} {' '.join(good)}")
-    lines.append(f"within {NEAR} voxel and poor: {len(poor)} {' '.join(poor)}")
-    swallowed, lost = sum(r["swallowed"] for r in rows), sum(r["lost"] for r in rows)
-    lines.append(f"swallowed neighbours {swallowed}, lost cells {lost}, of {len(rows)} scenes")
-    return lines
-
-
 def main(argv: Sequence[str]) -> int:
     """Measure the scenes chosen; print the table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.defaults", description=__doc__)
@@ -110,6 +95,7 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--patience", type=float, default=600, help="seconds for one fit")
     parser.add_argument("--folder", type=Path, help="where images and results stay")
     parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument("--page", type=Path, metavar="FILE", help="whose tables are replaced")
     parser.add_argument(
         "--processed",
         nargs="*",
@@ -140,8 +126,11 @@ def main(argv: Sequence[str]) -> int:
                 if chosen.json:
                     facts = {"commit": measured_commit, "rows": rows}
                     chosen.json.write_text(json.dumps(facts, indent=1) + "\n")
-    print("\n" + "\n".join(summary(rows)))
-    return 0
+    found, processed = figures(rows), chosen.processed is not None
+    print("\n" + table_of(found))
+    if chosen.page:
+        put_between(chosen.page, "processed" if processed else "defaults", whole(rows, processed))
+    return int(any(row.passed is False for row in found))
 
 
 if __name__ == "__main__":

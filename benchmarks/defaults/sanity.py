@@ -10,8 +10,9 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import gaussian_filter, shift
@@ -30,6 +31,8 @@ from napari_deltamic.geometry import mesh_from_labels, sphere
 from napari_deltamic.geometry.labels.voxels import voxel_labels
 from napari_deltamic.scene import Grid
 
+from ..figure import Row, at_least, at_most
+from ..page import put_between, table
 from ..tree import commit
 from .scenes import KINDS, Scene, made, rng_of
 
@@ -179,8 +182,8 @@ def measured(case: Case) -> str:
     )
 
 
-def main(verbose: Callable[[Case], str] | None = None) -> int:
-    """Returns 1 where the bars (all but one caught, 2 in order doubted) are missed."""
+def looked_at(verbose: bool) -> list[Row]:
+    """The doubts of every case."""
     code = commit()
     cases = {}
     for draw in range(DRAWS):
@@ -199,23 +202,32 @@ def main(verbose: Callable[[Case], str] | None = None) -> int:
         if case.expected and not found:
             missed.append(f"{case.name} ({case.expected})")
         elif case.expected and case.expected not in kinds:
-            wrong.append(f"{case.name} ({case.expected} taken for {kinds})")
+            wrong.append(f"{case.name} ({case.expected} taken for {', '.join(kinds)})")
         elif found and not case.expected:
             false.append(f"{case.name} ({', '.join(kinds)})")
-        if verbose is not None:
-            print(f"{case.name:22}{case.expected:12}{verbose(case)} {kinds}", flush=True)
-    print(f"spoilt: {count - len(missed)} of {count} caught; missed: {missed}; {wrong}")
-    print(f"in order: {len(false)} of {len(cases)} doubted: {false}")
-    print(f"seconds: median {np.median(seconds):.2f}, most {max(seconds):.2f}")
-    return int(len(missed) > 1 or len(false) > 2)
+        if verbose:
+            print(f"{case.name:22}{case.expected:12}{measured(case)} {kinds}", flush=True)
+    note = "; ".join([f"missed: {', '.join(missed)}"] * bool(missed) + wrong)
+    of = f"of {count}"
+    return [
+        at_least("spoilt images doubted", count - 1, count - len(missed), of, note),
+        at_most("images in order doubted", 2, len(false), f"of {len(cases)}", "; ".join(false)),
+        at_most("time, median", 1, float(np.median(seconds)), "s", f"most {max(seconds):.2f}"),
+    ]
 
 
-def run(argv: Sequence[str]) -> int:
-    """Returns what ``main`` does."""
+def main(argv: Sequence[str]) -> int:
+    """Returns 1 where a bar is missed."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.defaults.sanity")
     parser.add_argument("-v", "--verbose", action="store_true", help="the numbers of every case")
-    return main(measured if parser.parse_args(argv).verbose else None)
+    parser.add_argument("--page", type=Path, metavar="FILE", help="whose table is replaced")
+    chosen = parser.parse_args(argv)
+    rows = looked_at(chosen.verbose)
+    print(table(rows))
+    if chosen.page:
+        put_between(chosen.page, "sanity", table(rows))
+    return int(any(row.passed is False for row in rows))
 
 
 if __name__ == "__main__":
-    sys.exit(run(sys.argv[1:]))
+    sys.exit(main(sys.argv[1:]))

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from ..figure import MissingData, default_data_folder
+from ..page import put_between
 from ..tree import commit
 from . import (
     clusters,
@@ -105,8 +106,8 @@ def main(argv: Sequence[str]) -> int:
             print(table(lines), flush=True)
             chosen.json.parent.mkdir(parents=True, exist_ok=True)
             chosen.json.write_text(json.dumps(kept, indent=1) + "\n")
-    if chosen.markdown:
-        chosen.markdown.write_text(page(kept), encoding="utf-8")
+    if chosen.page:
+        put_between(chosen.page, "speed", page(kept))
     now = [each for name in chosen.only for each in kept[name]["lines"]]
     return int(any(each["passed"] is False for each in now))
 
@@ -125,11 +126,7 @@ def page(kept: dict[str, Any]) -> str:
         for (head, seed, quick, threads), names in runs.items()
     ]
     lines = [_line(each) for names in runs.values() for n in names for each in kept[n]["lines"]]
-    intro = (
-        "Measured by `python -m benchmarks.speed --baseline PYTHON`. *Ratio* is the baseline's "
-        "figure over the present one; both were measured in turn, in one run."
-    )
-    return "\n".join([intro, "", *told, "", table(lines), ""])
+    return "\n".join([*told, "", table(lines)])
 
 
 def _parsed(argv: Sequence[str]) -> argparse.Namespace:
@@ -156,7 +153,7 @@ def _parsed(argv: Sequence[str]) -> argparse.Namespace:
     )
     add("--data", type=Path, default=default_data_folder(), help="meshes and images")
     add("--json", type=Path, default=ROOT / "build" / "speed.json", help="results, case by case")
-    add("--markdown", type=Path, metavar="FILE", help="write the table of all results there")
+    add("--page", type=Path, metavar="FILE", help="whose table of all results is replaced")
     chosen = parser.parse_args(argv)
     if chosen.list:
         parser.exit(message="\n".join(CASES) + "\n")
