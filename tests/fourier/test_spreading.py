@@ -52,7 +52,7 @@ def test_the_formula_of_the_window_is_smooth_where_it_changes():
 
 
 def test_wider_kernels_and_finer_grids_leave_fewer_aliases():
-    weights = AxisWeights(np.arange(21.0), np.full(21, 1 / 21))
+    weights = AxisWeights(np.arange(21.0), np.full((1, 21), 1 / 21), np.zeros(1))
 
     def error(width, nodes):
         kernel = fitted(width, 0.95 * np.pi * width * (1 - 20 / nodes), 14)

@@ -14,7 +14,7 @@ transform, not the window's, is divided by afterwards.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from math import pi
@@ -27,6 +27,7 @@ WIDEST = 16  # nodes; csrc/particle_mesh.h has the same
 _HIGHEST = 20  # degree of a polynomial
 _ALIASES = np.array([1, -1, 2, -2, 3, -3])  # later ones fall as the third power
 _NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(20)  # on an interval: exact to 3.5 cycles
+_NO_KERNEL = 1e300  # square of the error where a kernel's transform vanishes within the band
 # Shapes that are tried, times ``pi W (1 - 1 / 2s)``, with s the wavenumber of the grid over that of
 # the band. What is best falls from 1.07 to 0.6 between an OTF that has decayed at the edge of the
 # band and a flat one.
@@ -35,22 +36,22 @@ _SHAPES = np.array([0.6, 0.7, 0.8, 0.88, 0.95, 1.0, 1.07])
 
 @dataclass(frozen=True, eq=False)
 class AxisWeights:
-    """What there is along an axis of wavevectors, in one kind of scene.
+    """What there is along an axis of wavevectors, in several kinds of scenes.
 
     Attributes
     ----------
     index
-        From 0 to the edge of the band.
+        (n,) from 0 to the edge of the band.
     power
-        Shares of the power at each.
+        (kinds, n) shares of the power at each.
     slope
-        0 for an image. For a gradient, in which an alias weighs as much more as its wavevector is
-        longer: 1 over the root mean square of all wavevectors, in steps of the index.
+        (kinds,) 0 for an image. For a gradient, in which an alias weighs as much more as its
+        wavevector is longer: 1 over the root mean square of all wavevectors, in steps of the index.
     """
 
     index: np.ndarray
     power: np.ndarray
-    slope: float = 0.0
+    slope: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +148,7 @@ def window_transform(cycles: np.ndarray, width: int, beta: np.ndarray | float) -
 def alias_error(
     transform: Callable[[np.ndarray], np.ndarray], nodes: int, weights: AxisWeights
 ) -> np.ndarray:
-    """Relative L2 error of an image that aliases along one axis cause.
+    """Relative L2 error of an image that aliases along one axis cause, in the worst kind of scene.
 
     At each wavevector of the band the grid also holds what lies multiples of its ``nodes`` beyond,
     times the ratio of the kernel's transforms there and here; the OTF then weighs it as it weighs
@@ -156,16 +157,21 @@ def alias_error(
     Parameters
     ----------
     transform
-        Of the kernel, at cycles per node; may have further axes in front.
+        Of the kernel, at cycles per node; may have further axes in front, and so has what comes
+        back.
     nodes
         Of the grid along the axis.
     """
     here = transform(weights.index / nodes)
     places = weights.index + nodes * _ALIASES[:, None]
     ratio = (transform(places / nodes) / here[..., None, :]) ** 2
-    if weights.slope:
-        ratio = ratio * (weights.slope * places) ** 2
-    return np.sqrt(np.nan_to_num(ratio.sum(-2), nan=np.inf) @ weights.power)
+    summed = ratio.sum(-2)[..., None, :]
+    if weights.slope.any():
+        steep = (ratio * places**2).sum(-2)[..., None, :]
+        slope = weights.slope[:, None]
+        summed = np.where(slope > 0, slope**2 * steep, summed)
+    summed = np.nan_to_num(summed, nan=_NO_KERNEL, posinf=_NO_KERNEL)
+    return np.asarray(np.sqrt((summed * weights.power).sum(-1)).max(-1))
 
 
 def rounding_error(
@@ -173,46 +179,42 @@ def rounding_error(
 ) -> np.ndarray:
     """Relative L2 error of an image from rounding on the grid, if all three axes are alike.
 
-    It is as strong at the edge of the band as in its middle, where the kernel's transform, by which
-    all is divided, may be thousands of times larger.
+    Of the first kind of scene. It is as strong at the edge of the band as in its middle, where the
+    kernel's transform, by which all is divided, may be thousands of times larger.
     """
     here = transform(weights.index / nodes) ** 2
-    grown = ((1 / here) @ weights.power) * here.mean(-1)
+    grown = ((1 / here) @ weights.power[0]) * here.mean(-1)
     return np.asarray(unit * grown**1.5)
 
 
-def narrowest(
-    nodes: int, families: Sequence[AxisWeights], error: float, unit: float
-) -> tuple[int, float] | None:
-    """The smallest width, with its beta, that keeps to ``error``; None where no width does.
+def beta_for(
+    width: int, nodes: int, weights: AxisWeights, error: float, unit: float
+) -> float | None:
+    """Of the kernel of this width that leaves least; None where it leaves more than ``error``.
 
-    ``families`` are kinds of scenes, each with its weights: the worst of them counts. ``unit`` is
-    the rounding error of a number.
+    ``unit`` is the rounding error of a number.
     """
-    edge = max(float(w.index.max()) for w in families)
-    bandwidth = 1 - edge / nodes  # of the gap between the band and its first alias: 1 - 1 / 2s
-    for width in range(2, min(WIDEST, nodes) + 1):
-        betas = _SHAPES * pi * width * bandwidth
+    bandwidth = 1 - weights.index.max() / nodes  # to the first alias, in nodes: 1 - 1 / 2s
+    betas = _SHAPES * pi * width * bandwidth
 
-        def transform(k: np.ndarray, w: int = width, b: np.ndarray = betas) -> np.ndarray:
-            return window_transform(k, w, b.reshape((-1,) + (1,) * k.ndim))
+    def transform(k: np.ndarray) -> np.ndarray:
+        return window_transform(k, width, betas.reshape((-1,) + (1,) * k.ndim))
 
-        worst = np.max([alias_error(transform, nodes, w) for w in families], axis=0)
-        worst = np.maximum(worst, rounding_error(transform, nodes, families[0], unit))
-        best = int(np.argmin(worst))
-        if worst[best] <= error:
-            return width, float(betas[best])
-    return None
+    worst = alias_error(transform, nodes, weights)
+    if worst.min() <= error:
+        worst = np.maximum(worst, rounding_error(transform, nodes, weights, unit))
+    best = int(np.argmin(worst))
+    return float(betas[best]) if worst[best] <= error else None
 
 
 def polynomials_for(
-    width: int, beta: float, nodes: int, families: Sequence[AxisWeights], error: float
+    width: int, beta: float, nodes: int, weights: AxisWeights, error: float
 ) -> Kernel:
     """Those of the lowest degree that keep to ``error``, aliases of the fit included."""
     best: tuple[float, Kernel] | None = None
     for degree in range(3, _HIGHEST + 1):
         kernel = fitted(width, beta, degree)
-        found = max(float(alias_error(kernel.transform, nodes, w)) for w in families)
+        found = float(alias_error(kernel.transform, nodes, weights))
         if found <= error:
             return kernel
         if best is None or found < best[0]:
@@ -227,20 +229,14 @@ def kernel_for(width: int, beta: float, nodes: int, key: bytes, error: float) ->
     return polynomials_for(width, beta, nodes, unpacked(key), error)
 
 
-@lru_cache(maxsize=1024)
-def narrowest_for(nodes: int, key: bytes, error: float, unit: float) -> tuple[int, float] | None:
-    """:func:`narrowest`, kept; ``key`` as :func:`packed` makes it."""
-    return narrowest(nodes, unpacked(key), error, unit)
-
-
-def packed(families: Sequence[AxisWeights]) -> bytes:
+def packed(weights: AxisWeights) -> bytes:
     """Weights as a key, rounded so that a mesh that moves a little finds what was kept."""
-    rows = [np.concatenate([w.index, w.power, [w.slope]]) for w in families]
-    return np.stack(rows).astype(np.float32).tobytes() + bytes([len(families)])
+    rows = np.vstack([weights.index, weights.power])
+    slope = np.concatenate([[0.0], weights.slope])
+    return np.column_stack([rows, slope]).astype(np.float32).tobytes() + bytes([len(rows)])
 
 
-def unpacked(key: bytes) -> list[AxisWeights]:
+def unpacked(key: bytes) -> AxisWeights:
     """The inverse of :func:`packed`."""
-    stored = np.frombuffer(key[:-1], np.float32).astype(np.float64).reshape(key[-1], -1)
-    n = stored.shape[1] // 2
-    return [AxisWeights(row[:n], row[n : 2 * n], float(row[-1])) for row in stored]
+    rows = np.frombuffer(key[:-1], np.float32).astype(np.float64).reshape(key[-1], -1)
+    return AxisWeights(rows[0, :-1], rows[1:, :-1], rows[1:, -1])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from itertools import product
 from math import ceil, log2, pi, sqrt
@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from .falloff import POINT_LIKE, Falloff
-from .kernel import AxisWeights, Kernel, kernel_for, narrowest_for, packed
+from .kernel import WIDEST, AxisWeights, Kernel, beta_for, kernel_for, packed, unpacked
 from .points import placed
 from .real_fft import RealFFT
 
@@ -147,8 +147,7 @@ def choose_spreading(
     """
     # A Gaussian and its neighbours share what is kept.
     each = error / sqrt(3)
-    families = _families(half, spacing, transfer, falloff, width)
-    keys = [packed(f) for f in families]
+    keys = [packed(w) for w in _weights(half, spacing, transfer, falloff, width)]
     about, unit = 2 ** ceil(log2(max(points, 1))), _UNIT[single]
     shape, chosen = _cheapest(tuple(half), tuple(keys), each, about, unit)
     kernels = [
@@ -161,13 +160,13 @@ def choose_spreading(
 # --------------------------------------------------------------------------------------- the OTF
 
 
-def _families(
+def _weights(
     half: tuple[int, int, int],
     spacing: tuple[float, float, float],
     transfer: Transfer,
     falloff: Falloff,
     width: Sequence[float],
-) -> list[list[AxisWeights]]:
+) -> list[AxisWeights]:
     """For each axis, shares of the power along it: of images of round scenes, of those of walls
     across it, and of the gradient.
 
@@ -192,7 +191,7 @@ def _families(
     steps[2][1:] *= 2  # those left out are their mirror images
     volume = falling * steps[0][:, None, None] * steps[1][:, None] * steps[2]
     mean = sqrt(float((volume * sum(a**2 for a in k)).sum() / volume.sum()))
-    found: list[list[AxisWeights]] = []
+    found = []
     for axis in range(3):
         others = [a for a in range(3) if a != axis]
         round_scene = volume.sum(tuple(others)) / steps[axis]
@@ -204,7 +203,8 @@ def _families(
             _folded(line * steps[axis], whole[axis], index[axis]) for line in (round_scene, wall)
         )
         slope = _GRADIENT_SHARE * spacing[axis] / mean if mean > 0 else 0.0
-        found.append([scene, flat_wall, replace(scene, slope=slope)])
+        powers = np.stack([scene, flat_wall, scene])
+        found.append(AxisWeights(index[axis], powers, np.array([0.0, 0.0, slope])))
     return found
 
 
@@ -229,11 +229,11 @@ def _steps(index: np.ndarray) -> np.ndarray:
     return ends[0] + ends[1]
 
 
-def _folded(line: np.ndarray, whole: np.ndarray, index: np.ndarray) -> AxisWeights:
+def _folded(line: np.ndarray, whole: np.ndarray, index: np.ndarray) -> np.ndarray:
     """Both signs of an index as one, and shares that sum to 1."""
     total = np.zeros(len(index))
     np.add.at(total, np.searchsorted(index, np.abs(whole)), line)
-    return AxisWeights(index, total / max(total.sum(), 1e-300))
+    return total / max(total.sum(), 1e-300)
 
 
 # ---------------------------------------------------------------------------------------- choices
@@ -250,15 +250,28 @@ def _cheapest(
     return (z, y, x), [kernel for _, kernel in best]
 
 
+@lru_cache(maxsize=256)
 def _options(
     half: int, key: bytes, error: float, unit: float
 ) -> list[tuple[int, tuple[int, float]]]:
-    """Numbers of nodes, each with its narrowest kernel; finer ones only where it is narrower."""
+    """Numbers of nodes, each with its narrowest kernel; finer ones only where it is narrower.
+
+    Of a grid, the error falls as kernels grow wider: where one is too narrow, so are narrower ones.
+    """
+    weights = unpacked(key)
     found: list[tuple[int, tuple[int, float]]] = []
     n = grid_size(2 * half + 2)
     while n <= max(_FINEST * (2 * half + 1), 40) or not found:
-        kernel = narrowest_for(n, key, error, unit)
-        if kernel is not None and (not found or kernel[0] < found[-1][1][0]):
+        # Upwards until one will do; on finer grids downwards from there.
+        widths = range(found[-1][1][0] - 1, 1, -1) if found else range(2, min(WIDEST, n) + 1)
+        upwards, kernel = not found, None
+        for width in widths:
+            beta = beta_for(width, n, weights, error, unit)
+            if beta is not None:
+                kernel = width, beta
+            if (beta is not None) == upwards:
+                break
+        if kernel is not None:
             found.append((n, kernel))
         n = grid_size(n + 1)
     return found
