@@ -1,7 +1,7 @@
 """What the default command makes of many kinds of images: ``python -m benchmarks.defaults``.
 
 Every scene is rendered by a way of its own (`imaging`), written to a file, and fitted by the
-command line with image, voxel size and seeds, and again told everything there is to tell. Half of
+command line with image, voxel size and seeds, and again with everything given that is true. Half of
 the seeds of the scenes follow from the commit that is measured, so nothing can be tuned to them.
 """
 
@@ -90,7 +90,7 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--only", nargs="+", metavar="KIND", help=f"of {', '.join(KINDS)}")
     parser.add_argument("--draws", type=int, default=3, help="scenes of each kind")
     parser.add_argument("--first", type=int, default=0, help="number of the first draw")
-    parser.add_argument("--no-told", action="store_true", help="leave out the fit told everything")
+    parser.add_argument("--no-told", action="store_true", help="leave out the fit given the truth")
     parser.add_argument("--shape-error", metavar="E", help="a choice of the dial; default: normal")
     parser.add_argument("--patience", type=float, default=600, help="seconds for one fit")
     parser.add_argument("--folder", type=Path, help="where images and results stay")

@@ -45,7 +45,7 @@ def known_options() -> str:
 def fitted(
     scene: Scene, folder: Path, told: bool, patience: float, further: Sequence[str] = ()
 ) -> Outcome:
-    """Image, voxel size, seeds and nothing else; or told everything, neighbours included.
+    """Image, voxel size and seeds alone; or all that is true, neighbours included.
 
     further : words of the command for either.
     """
