@@ -120,13 +120,13 @@ class Posterior(Prediction):
     def __call__(self, at: Variables) -> Evaluation:
         """Value and gradient."""
         unknowns = self._unknowns(at)
-        optics = self._imaging.optics_of(unknowns.optics)
+        optics = self._optics(unknowns)
         effects = self._imaging.effects_of(at.effects)
         renderer = self._with(effects)
-        spectrum, light = self._shining(renderer, unknowns, optics)
+        otfs = [self._otf(view, renderer, optics) for view in self._views]
+        spectrum, light = self._shining(renderer, unknowns, otfs[0].detach())
         nats, told, first = torch.zeros(()), None, None
-        for view in self._views:
-            otf = renderer.otf(optics if view.optics is None else view.optics)
+        for view, otf in zip(self._views, otfs, strict=True):
             image = self._level.rendered(renderer, spectrum, otf)
             voxels = view.voxels
             measured = self._measured(view, effects)
@@ -227,7 +227,7 @@ class Posterior(Prediction):
         unknowns, view = self._unknowns(at), self._views[0]
         renderer = self._with(self._imaging.effects_of(at.effects))
         with torch.no_grad():
-            optics = self._imaging.optics_of(unknowns.optics)
+            optics = self._optics(unknowns)
         alike = torch.ones_like(unknowns.insides, requires_grad=True)
         spectrum = renderer.transform(unknowns.vertices.detach(), None, INSIDES, alike)
         shown = view.voxels.of(self._image(view, renderer, spectrum, optics))

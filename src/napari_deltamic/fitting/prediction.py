@@ -91,6 +91,7 @@ class Prediction:
         self._density, self._insides, self._imaging = density, insides, imaging
         self._structure, self._density_fitted = structure, density_fitted
         self._faces_on = for_objects(level.device)
+        self._kept: tuple[FloatArray, Optics] | None = None
 
     @property
     def views(self) -> tuple[View, ...]:
@@ -107,7 +108,8 @@ class Prediction:
         with torch.no_grad():
             unknowns = self._unknowns(at)
             renderer = self._with(self._imaging.effects_of(at.effects))
-            return self._shining(renderer, unknowns, self._imaging.optics_of(unknowns.optics))[1]
+            otf = self._otf(self._views[0], renderer, self._optics(unknowns))
+            return self._shining(renderer, unknowns, otf)[1]
 
     def shown(self, at: Variables, light: Light) -> FloatArray:
         """(N,) the first image of a light where voxels count, of amplitude 1; no gradients."""
@@ -115,7 +117,7 @@ class Prediction:
             unknowns = self._unknowns(at)
             view, renderer = self._views[0], self._with(self._imaging.effects_of(at.effects))
             spectrum = self._transform(renderer, unknowns, light)
-            optics = self._imaging.optics_of(unknowns.optics)
+            optics = self._optics(unknowns)
             return as_floats(view.voxels.of(self._image(view, renderer, spectrum, optics)))
 
     def _transform(self, renderer: Renderer, at: Unknowns, light: Light) -> Tensor:
@@ -124,15 +126,31 @@ class Prediction:
         cells = self._insides.factors(at.insides) if light.interior else None
         return renderer.transform(at.vertices, weights, light, cells)
 
-    def _shining(self, renderer: Renderer, at: Unknowns, optics: Optics) -> tuple[Tensor, Light]:
+    def _optics(self, at: Unknowns) -> Optics:
+        """The PSF, differentiable where gradients are asked for.
+
+        Else the same object for the same numbers: it keeps its OTF, and makes it once.
+        """
+        if torch.is_grad_enabled():
+            return self._imaging.optics_of(at.optics)
+        numbers = as_floats(at.optics)
+        if self._kept is None or not np.array_equal(self._kept[0], numbers):
+            self._kept = numbers.copy(), self._imaging.optics_of(at.optics)
+        return self._kept[1]
+
+    def _otf(self, view: View, renderer: Renderer, optics: Optics) -> Tensor:
+        """Of the view's own PSF, or of the fit's."""
+        return renderer.otf(optics if view.optics is None else view.optics)
+
+    def _shining(self, renderer: Renderer, at: Unknowns, otf: Tensor) -> tuple[Tensor, Light]:
         """Spectrum of what shines, and how much of each does, by the first image.
 
         Membranes and insides are transformed once each: what shines is a sum of the two.
+        otf : of the first image, without gradient.
         """
         view = self._views[0]
         parts: dict[Light, Tensor] = {}
         with torch.no_grad():
-            otf = renderer.otf(optics if view.optics is None else view.optics)
             measured = self._measured(view, renderer.effects)
 
         def part(light: Light) -> Tensor:
@@ -157,10 +175,11 @@ class Prediction:
         """
         with torch.no_grad():
             unknowns = self._unknowns(at)
-            optics = self._imaging.optics_of(unknowns.optics)
+            optics = self._optics(unknowns)
             renderer = self._with(self._imaging.effects_of(at.effects))
             if light is None:
-                spectrum, _ = self._shining(renderer, unknowns, optics)
+                otf = self._otf(self._views[0], renderer, optics)
+                spectrum, _ = self._shining(renderer, unknowns, otf)
             else:
                 weights = self._density.faces(unknowns.density)
                 spectrum = renderer.transform(unknowns.vertices, weights, light)
@@ -180,7 +199,7 @@ class Prediction:
         """
         with torch.no_grad():
             unknowns = self._unknowns(at)
-            optics = self._imaging.optics_of(unknowns.optics)
+            optics = self._optics(unknowns)
             effects = self._imaging.effects_of(at.effects)
             light = self.light(at)
             insides = light.interior != 0
@@ -201,8 +220,7 @@ class Prediction:
 
     def _image(self, view: View, renderer: Renderer, spectrum: Tensor, optics: Optics) -> Tensor:
         """(Z, Y, X) through the view's own PSF, or the fit's."""
-        otf = renderer.otf(optics if view.optics is None else view.optics)
-        return self._level.rendered(renderer, spectrum, otf)
+        return self._level.rendered(renderer, spectrum, self._otf(view, renderer, optics))
 
     def measured(self, at: Variables) -> list[FloatArray]:
         """(N,) of each view: what was measured, without what effects add."""
@@ -274,12 +292,12 @@ class Prediction:
     def _now(self, at: Variables, further: Effect | None = None) -> Now:
         view = self._views[0]
         unknowns = self._unknowns(at)
-        optics = self._imaging.optics_of(unknowns.optics)
+        optics = self._optics(unknowns)
         effects = self._imaging.effects_of(at.effects)
         effects = effects if further is None else effects.adding(further)
         renderer = self._with(effects)
-        spectrum, light = self._shining(renderer, unknowns, optics)
         otf = renderer.otf(optics)
+        spectrum, light = self._shining(renderer, unknowns, otf)
         image = view.voxels.of(self._level.rendered(renderer, spectrum, otf))
         _, found = match(image, self._measured(view, effects), view.voxels.weights)
         return Now(
