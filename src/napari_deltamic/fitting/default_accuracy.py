@@ -2,11 +2,11 @@
 
 A rendering that is not exact moves the fitted surface, noise scatters it, and only the larger of
 the two is worth paying for. Measured on fits of a furrowed cell and the paper's cow (PSF 1.5 voxels
-wide, 10 to 1000 photons at the peak; the table is in docs/accuracy.md): on the cell, in voxels,
-noise scatters the surface by 1.2 times the noise ratio n or more, and an accuracy A moves it by
-about 0.03 (A / 0.1)^1.25; on the cow, which has thin parts, both are several times larger. With
-A = n the second is about a third of the first or less, for n from 1 % to 8 %, so that the error of
-the surface is at most a twentieth above the best that the image allows.
+wide, 10 to 1000 photons at the peak): on the cell, in voxels, noise scatters the surface by 1.2
+times the noise ratio n or more, and an accuracy A moves it by about 0.03 (A / 0.1)^1.25; on the
+cow, which has thin parts, both are several times larger. With A = n the second is about a third of
+the first or less, for n from 1 % to 8 %, so that the error of the surface is at most a twentieth
+above the best that the image allows.
 """
 
 from __future__ import annotations
