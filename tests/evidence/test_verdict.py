@@ -35,7 +35,7 @@ def test_a_fit_without_fault_is_good():
         ({"explained": 0.2}, "poor", "20% of the signal"),
         ({"explained": -1.7}, "poor", "none of the signal"),
         ({"explained": None}, "poor", "noise"),
-        ({"widths": {"across": 2.4}}, "fair", "2.4 times as wide"),
+        ({"widths": {"across": 2.4}}, "fair", "2.4 times as much"),
         ({"widths": {"across": 0.5}}, "fair", "2 times as sharp across as the PSF"),
         ({"widths": {"across": 1.0, "along Z": 0.4}}, "fair", "2.5 times as sharp along Z"),
         ({"widths": {"across": 1.0, "along Z": 2.4}}, "good", "good"),
@@ -43,7 +43,7 @@ def test_a_fit_without_fault_is_good():
         ({"cut": 0.6}, "fair", "60% of the bright voxels are saturated"),
         ({"cut": 0.3}, "good", "good"),
         ({"compressed": True}, "fair", "look log-scaled"),
-        ({"accuracy": 0.1}, "fair", "rendered to 10% only"),
+        ({"accuracy": 0.1}, "fair", "rendered with an error of 10%"),
         ({"accuracy": 0.02}, "good", "good"),
     ],
 )
@@ -71,8 +71,8 @@ def test_what_concerns_all(change, grade, word):
         ({"seen": 0.7}, "fair", "the image is missing at 30% of its surface"),
         ({"seen": 0.2}, "poor", "the image is missing at 80% of its surface"),
         ({"seen": 0.92}, "good", "good"),
-        ({"lit": 0.35}, "fair", "only 35% of its surface shines"),
-        ({"lit": 0.2}, "poor", "only 20% of its surface shines"),
+        ({"lit": 0.35}, "fair", "only 35% of its surface is bright"),
+        ({"lit": 0.2}, "poor", "only 20% of its surface is bright"),
     ],
 )
 def test_what_concerns_one_cell(change, grade, word):
@@ -122,7 +122,7 @@ def test_cells_that_are_no_better_have_the_usual_reason_with_them():
     cut = CellFacts(1, 0.9, cut=True)
     cells = (cut, *(CellFacts(k, 0.9, cut=True, lit=0.1 + 0.05 * k) for k in (2, 3)))
     (reason,) = judged(replace(FINE, cells=cells)).reasons[1:]
-    told = "like cell 2: only 20% of its surface shines: the rest is a guess"
+    told = "like cell 2: only 20% of its surface is bright: the rest is a guess"
     assert reason == f"poor: cells 2, 3 ({told})"
     some = judged(replace(FINE, cells=(cut, CellFacts(2, 0.6), CellFacts(3, 0.7)))).reasons
     told = "most often like cell 2: 60% of the signal around it is explained"

@@ -25,7 +25,7 @@ def test_it_finds_the_psf():
 
 def test_it_takes_neither_effects_nor_changes():
     image = measured()
-    with pytest.raises(InputError, match="knows no effects"):
+    with pytest.raises(InputError, match="has no effects"):
         fitted(image, start(2), settings=PAPER, effects=("halo",))
     states = fit(image, GRID, start(2), OPTICS, settings=PAPER)
     state = next(states)

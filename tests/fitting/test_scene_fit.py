@@ -193,7 +193,7 @@ def test_what_does_not_suffice_is_said():
     found = nd.fit_scene(measured(nd.Points(SPOTS)), GRID, start, max_iterations=2)
     assert not found.converged
     assert found.iterations == 2
-    assert found.message == "2 iterations did not suffice: something is still moving"
+    assert found.message == "2 iterations were not enough: something is still moving"
 
 
 @pytest.mark.parametrize("kind", ["noise", "dark"])

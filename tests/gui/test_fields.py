@@ -81,7 +81,7 @@ def test_a_number_that_may_be_open_is_open_at_zero(app):
 
 def test_what_a_fit_cannot_take_over_is_for_the_next_run(begun, spin):
     fields_of(begun)["device"].setCurrentText("CPU")
-    assert begun.running.note.text() == "computed on: used from the next run on"
+    assert begun.running.note.text() == "device: used from the next run on"
     fields_of(begun)["bending"].setValue(6)
     spin(lambda: begun.doc.run.job.settings.fit.bending == 6)
     assert begun.doc.run.job.settings.fit.device == "auto"

@@ -104,5 +104,5 @@ def test_what_cannot_be(mesh):
         channel_amounts(seen(mesh), GRID, mesh, OPTICS, ChannelSettings(most_parts=2))
     with pytest.raises(InputError, match="nothing of the mesh"):
         channel_amounts(seen(mesh), GRID, mesh.translated((0, 0, 60)), OPTICS)
-    with pytest.raises(InputError, match="on walls, inside cells, or both"):
+    with pytest.raises(InputError, match="walls, insides, or both"):
         ChannelSettings(walls=False, insides=False)

@@ -67,7 +67,7 @@ BAD = [
     ({"modality": "sted"}, "unknown modality 'sted'"),
     ({"depth": -1.0}, "depth must lie between"),
     ({"depth": 5000.0}, "depth 5000 um: did you mean 5"),
-    ({"model": "scalar", "sample_index": 1.4, "depth": 5.0}, "knows no layers"),
+    ({"model": "scalar", "sample_index": 1.4, "depth": 5.0}, "has no layers"),
     ({"na": "high"}, "takes one number"),
 ]
 

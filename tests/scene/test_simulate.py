@@ -36,7 +36,7 @@ def test_photons_can_be_given_by_density():
 
 def test_insides_take_no_more_light_than_the_background_has():
     dark = Scene((Surface(BALL), Solid(BALL, -1.0)), OPTICS)
-    with pytest.raises(nd.InputError, match="less than no light: -"):
+    with pytest.raises(nd.InputError, match="negative light: -"):
         simulate(dark, GRID, photons=80, background=10)
     made = simulate(dark, GRID, photons=80, background=200)
     assert 0 < made.noise_free.min() < 190

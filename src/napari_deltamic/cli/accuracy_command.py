@@ -203,7 +203,7 @@ def _say(scene: _Scene, ways: list[Way], expected: Forecast | None) -> None:
         )
     print(f"\n{ways_table(ways)}")
     if all(way.memory is None for way in ways):
-        print("\nmemory: this system does not say how much a piece of work takes at its peak")
+        print("\nmemory: this system does not report the peak of a computation")
     if not any(way.device == "cuda" for way in ways):
         why = missing() or "fits use the GPU, whose times are not measured here"
         print(f"\nmeasured on the CPU: {why}")

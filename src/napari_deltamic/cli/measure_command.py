@@ -140,7 +140,7 @@ def _other(arguments: argparse.Namespace, source: Measurable, notes: Notes) -> t
         raise InputError(f"{asked}: {error}") from None
     shift, widths = (" ".join(f"{v:.3f}" for v in t) for t in (found.shift, found.sigma))
     notes.add(
-        f"the channel lies {shift} um (Z Y X) beside the mesh, its PSF is {widths} um wide, and "
+        f"the channel is shifted by {shift} um (Z Y X), its PSF is {widths} um wide, and "
         f"{100 * found.explained:.0f} % of it are explained"
     )
     return channel_tables(source.mesh, found)

@@ -38,7 +38,7 @@ def read_text(path: str | Path) -> str:
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise InputError(f"{path}: cannot be read: it is no text (UTF-8)") from None
+        raise InputError(f"{path}: cannot be read: it is not text (UTF-8)") from None
 
 
 @contextmanager

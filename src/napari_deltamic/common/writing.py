@@ -45,7 +45,7 @@ def write_atomically(path: str | os.PathLike[str], data: bytes) -> None:
     try:
         target = Path(os.path.realpath(path))
         if target.exists() and not target.is_file():
-            raise InputError(f"{path}: cannot be written: it is no file")
+            raise InputError(f"{path}: cannot be written: it is not a file")
         temporary = _written(target, data)
         batch = _together.get()
         if batch is not None:

@@ -170,7 +170,7 @@ def _line(values: np.ndarray, usable: np.ndarray) -> tuple[NoiseLine | None, str
     noise, mean = _filtered(values)
     whole = minimum_filter(usable, size=3, mode="constant", cval=0)
     if whole.sum() < 4096:
-        return None, "too few voxels are neither missing nor cut"
+        return None, "too few voxels are neither missing nor saturated"
     m, r = mean[whole], noise[whole]
     spread = SIGMA_PER_MEDIAN_DEVIATION * float(np.median(np.abs(r)))
     if spread <= CAMERA.noiseless * float(np.abs(m).max()):
@@ -304,7 +304,7 @@ def _dark(values: np.ndarray, usable: np.ndarray, line: NoiseLine) -> tuple[Find
     read = variance - line.slope**2 * photons
     read_error = line.slope**2 * photons_error
     if read_error > 0.5 * variance:
-        why = "light that is everywhere cannot be told from an offset: too few dark voxels"
+        why = "light that is everywhere cannot be distinguished from an offset: too few dark voxels"
         return unknown(why), unknown(why)
     sigma = sqrt(max(read, 0.0))
     sigma_error = read_error / (2 * sigma) if read > read_error else sqrt(read_error)

@@ -273,7 +273,7 @@ def _remarks(search: Search, voxel: float) -> tuple[str, ...]:
     misfit = search.misfit()
     if misfit > JUDGING.misfit:
         found.append(
-            f"what is left varies {misfit:.1f} times as much as noise: scores are relative to it"
+            f"the residual varies {misfit:.1f} times as much as noise: scores are relative to it"
         )
     density = search.density()
     if density is not None and abs(density.z) > search.threshold:
@@ -290,14 +290,14 @@ def _reason(judged: Judged, bias: float, voxel: float, search: Search) -> str:
     score, effect = judged.score, judged.effect
     seen = f"z = {score.z:.1f}"
     if score.hidden:
-        return "nothing of it is left beside shape, brightness and PSF"
+        return "shape, brightness and PSF explain all of it"
     if judged.chosen:
         numbers = ", ".join(f"{v.name} {v.value:.3g} {v.unit}".strip() for v in effect.values())
         shown = f"{seen}" + (f" ({numbers})" if numbers else "")
         if abs(score.z) <= search.threshold:
-            return f"{shown}: no longer clear beside the others"
+            return f"{shown}: no longer significant with the others"
         if bias < JUDGING.negligible * voxel:
-            return f"seen, {shown}, but leaving it out would move the surface by {_nm(bias)} only"
+            return f"seen, {shown}, but leaving it out would move the surface by only {_nm(bias)}"
         return f"{shown}; leaving it out would move the surface by {_nm(bias)}"
     others = [n for n in effect.contradicts if n in search.scene.effects.names]
     if others and abs(score.z) > search.threshold:

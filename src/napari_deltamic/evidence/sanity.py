@@ -132,14 +132,13 @@ def doubts(
         return ()
     if not structured(middle) > RULES.structure:
         sentence = (
-            "the image shows nothing but noise: is it the right channel, and is it the stack that "
-            "was meant?"
+            "the image shows nothing but noise: is it the right stack, and the right channel?"
         )
         return (Doubt("empty", sentence),)
     if flat(middle):
         sentence = (
-            "each object in the image has one value, as in labels or a mask: use this as seeds, "
-            "and as the image the stack that it was drawn on"
+            "each object in the image has one value, as in labels or a mask: use it as seeds, and "
+            "the stack that it was drawn on as the image"
         )
         return (Doubt("labels", sentence),)
     found = [
@@ -307,8 +306,8 @@ def _time(pixels: Pixels) -> Doubt | None:
         return None
     return Doubt(
         "time",
-        "all slices show nearly the same scene: is this a film, with time taken for depth? "
-        "Open one time point, or put the axes right",
+        "all slices show nearly the same scene: is this a time series, with time taken for depth? "
+        "Open one time point, or correct the axes",
     )
 
 
@@ -332,8 +331,8 @@ def _cut(pixels: np.ndarray) -> Doubt | None:
     share = float((pixels >= cut).mean())
     return Doubt(
         "saturation",
-        f"{share:.1%} of the voxels are cut at {cut:g}: they count as at least that "
-        "bright; a shorter exposure would tell more",
+        f"{share:.1%} of the voxels are saturated at {cut:g}: they count as at least that "
+        "bright; a shorter exposure would show more",
     )
 
 

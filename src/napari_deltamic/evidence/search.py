@@ -23,8 +23,8 @@ from .score import Score, block_sizes, score
 from .voxel_variance import Variance
 
 _EXPLAINED = "the others explain it"
-_UNCLEAR = "not clear beside the misfit that is left"
-_AT_BOUND = "it fits only with a number at its bound, so something else looks like it"
+_UNCLEAR = "not significant compared with the remaining misfit"
+_AT_BOUND = "it fits only with a parameter at its bound, so something else resembles it"
 
 
 @dataclass(frozen=True)

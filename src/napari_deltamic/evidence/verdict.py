@@ -198,15 +198,15 @@ def _of_whole(facts: Facts) -> list[tuple[Grade, str]]:
         text = "the image shows the light cone of an objective, which a Gaussian PSF lacks"
         found.append(("fair", f"{text}: describe it (--modality, --na, --wavelength)"))
     if facts.narrow:
-        found.append(("fair", "the fitted PSF is narrower than voxels can tell: hold it"))
+        found.append(("fair", "the fitted PSF is narrower than voxels can resolve: hold it"))
     if facts.cut > RULES.cut:
-        text = f"{facts.cut:.0%} of the bright voxels are saturated: what was there is a guess"
-        found.append(("fair", f"{text} (a shorter exposure)"))
+        text = f"{facts.cut:.0%} of the bright voxels are saturated: their brightness is a guess"
+        found.append(("fair", f"{text} (use a shorter exposure)"))
     if facts.compressed:
         text = "the intensities look log-scaled, which shifts every surface"
         found.append(("fair", f"{text} (use the image as the camera took it)"))
     if facts.accuracy > RULES.accuracy:
-        text = f"images are rendered to {facts.accuracy:.0%} only, too coarsely to tell what shines"
+        text = f"images are rendered with an error of {facts.accuracy:.0%}, too coarse to judge by"
         found.append(("fair", f"{text} (--accuracy)"))
     return found
 
@@ -215,8 +215,8 @@ def _of_widths(widths: Mapping[str, float]) -> list[tuple[Grade, str]]:
     """Of the blur that the image tells beside that of the PSF."""
     if widths.get("across", 1.0) > RULES.widths[1]:
         text = (
-            f"what shines is blurred {widths['across']:.2g} times as wide as the PSF: a layer that "
-            "is thick, light inside, or a PSF that is too narrow (--structure auto, --fit-psf)"
+            f"the image is blurred {widths['across']:.2g} times as much as by the PSF: a thick "
+            "layer, light inside, or too narrow a PSF (--structure auto, --fit-psf)"
         )
         return [("fair", text)]
     least = {"across": RULES.widths[0], "along Z": RULES.along}
@@ -224,7 +224,7 @@ def _of_widths(widths: Mapping[str, float]) -> list[tuple[Grade, str]]:
     if not sharper:
         return []
     told = " and ".join(f"{times:.2g} times as sharp {axis}" for axis, times in sharper.items())
-    return [("fair", f"the image is {told} as the PSF: give the PSF's width")]
+    return [("fair", f"the image is {told} as the PSF allows: give the PSF's width")]
 
 
 def _of_cell(cell: CellFacts, usual: float, facts: Facts) -> CellVerdict:
@@ -265,8 +265,8 @@ def _of_cell(cell: CellFacts, usual: float, facts: Facts) -> CellVerdict:
     if cell.point:
         found.append(("poor", "it has shrunk to a point: place it again, or leave it out"))
     if cell.small:
-        text = "it is so small beside the PSF that a membrane looks like an inside"
-        found.append(("fair", f"{text}: say which of them shines (--structure)"))
+        text = "it is so small compared with the PSF that a membrane looks like an inside"
+        found.append(("fair", f"{text}: say which is labelled (--structure)"))
     if cell.outgrowth is not None:
         z, y, x = cell.outgrowth
         text = f"a thin outgrowth reaches to ({z:.1f}, {y:.1f}, {x:.1f}) um"
@@ -276,7 +276,7 @@ def _of_cell(cell: CellFacts, usual: float, facts: Facts) -> CellVerdict:
         found.append(("fair", f"{text}: the border may be off where it is dim or bright"))
     if cell.lit < RULES.lit:
         word = "fair" if cell.lit >= RULES.dark else "poor"
-        found.append((word, f"only {cell.lit:.0%} of its surface shines: the rest is a guess"))
+        found.append((word, f"only {cell.lit:.0%} of its surface is bright: the rest is a guess"))
     if cell.cut:
         found.append(("fair", "the border of the image cuts it: what lies beyond is a guess"))
     found.sort(key=lambda one: -_ORDER.index(one[0]))  # what weighs most comes first

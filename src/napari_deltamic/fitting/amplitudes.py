@@ -110,7 +110,7 @@ def may_shine(asked: StructureChoice, mesh: Mesh, optics: Optics) -> Structure:
     """
     if not mesh.is_closed():
         if asked in ("interior", "both"):
-            raise InputError("the surfaces are not closed: they have no interior that could shine")
+            raise InputError("the surfaces are not closed: they have no interior to be labelled")
         return "membrane"
     if asked != "auto":
         return asked

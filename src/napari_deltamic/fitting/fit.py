@@ -132,7 +132,7 @@ def _states(run: Run) -> Generator[FitState, Change | None, None]:
         except torch.OutOfMemoryError:
             if not run.leave_device():
                 raise
-            run.say("the memory of the GPU does not suffice: the fit goes on on the CPU")
+            run.say("the GPU has too little memory: the fit continues on the CPU")
 
 
 def _apart(mesh: Mesh, settings: FitSettings) -> tuple[Mesh, tuple[str, ...]]:

@@ -43,7 +43,7 @@ def as_in_the_paper(
         If effects are to be fitted, or a change is sent in.
     """
     if effects.present():
-        raise InputError("a fit as in the paper knows no effects")
+        raise InputError("a fit as in the paper has no effects")
     smoother = Preconditioner(mesh, LAMBDA)
     adam = AdamUniform(components(mesh), 3)
     measured = torch.from_numpy(problem.image[problem.counted]).double()

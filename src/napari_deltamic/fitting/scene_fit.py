@@ -140,9 +140,9 @@ def fit_scene(
     x, rest, iterations, last = _settled(level, unknowns, settings.max_iterations)
     said, found = "", last.found
     if last.explains_nothing():
-        said = "stuck: noise alone would be explained as well; does the start lie near what shines?"
+        said = "stuck: noise alone would be explained as well; does the start lie near the signal?"
     elif not rest:
-        said = f"{iterations} iterations did not suffice: something is still moving"
+        said = f"{iterations} iterations were not enough: something is still moving"
     solved = found.amplitude, found.background, found.loss
     return SceneFit(unknowns.scene(x), *solved, iterations, not said, said)
 

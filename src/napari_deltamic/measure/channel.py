@@ -58,7 +58,7 @@ class ChannelSettings:
 
     def __post_init__(self) -> None:
         if not (self.walls or self.insides):
-            raise InputError("a channel shines on walls, inside cells, or both")
+            raise InputError("a channel labels walls, insides, or both")
 
 
 @dataclass(frozen=True, eq=False)

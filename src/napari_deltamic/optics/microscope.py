@@ -135,7 +135,7 @@ def _objective(
     matched = depth == 0 or abs(sample_index - index) < 1e-9
     if model in ("scalar", "pupil") and not matched:
         raise InputError(
-            f"the model '{model}' knows no layers: choose 'gibson-lanni' or 'vectorial' for a "
+            f"the model '{model}' has no layers: choose 'gibson-lanni' or 'vectorial' for a "
             "sample of another index"
         )
     if model == "scalar":

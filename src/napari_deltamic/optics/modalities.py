@@ -16,9 +16,7 @@ from .parameters import Spec, plain
 
 AIRY = 0.61  # radius of the Airy disc, in wavelength / NA
 _FWHM = 2.3548200450309493  # of a Gaussian, in sigma
-EXCITATION = Spec(
-    "excitation", "um", "wavelength of the light that excites", 0.0, None, WAVELENGTHS
-)
+EXCITATION = Spec("excitation", "um", "wavelength of the excitation light", 0.0, None, WAVELENGTHS)
 PINHOLE = Spec(
     "pinhole", "Airy units", "diameter of the pinhole, seen in the sample", 0.0, None, (0.01, 100.0)
 )

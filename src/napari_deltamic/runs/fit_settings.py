@@ -69,8 +69,8 @@ class FitSettings(Settings):
         None,
         title="accuracy",
         tip="requested relative L2 error of the rendered image; 0 is the closed form; "
-        "where not given, it follows from the noise of the image",
-        automatic="by the noise",
+        "default: from the noise of the image",
+        automatic="from the noise",
         live=True,
         ge=0,
         lt=1,
@@ -78,28 +78,28 @@ class FitSettings(Settings):
     fit_psf: bool = setting(
         True,
         title="estimate the PSF from the image",
-        tip="fit the PSF as well, starting from what is known of it; if not, it is kept fixed",
+        tip="fit the PSF together with the shape; otherwise it is kept fixed",
         live=True,
     )
     density: DensityModel = setting(
         "smooth",
         title="brightness",
         tip="fluorophores per um^2: uniform, one value per interface, or varying smoothly "
-        "over the surface, as much as the image shows",
+        "over the surface, as far as the image supports it",
         words={"interface": "one for each wall"},
         live=True,
     )
     structure: StructureChoice = setting(
         "auto",
-        title="what shines",
-        tip="what is labelled: membranes, the interior of cells (nuclei, cytoplasm), or both; "
-        "auto decides from the image, and recognises dark cells in a brighter medium, too",
+        title="what is labelled",
+        tip="membranes, the interior of cells (nuclei, cytoplasm), or both; auto decides from the "
+        "image, and also recognises dark cells in a brighter medium",
         words={"auto": "automatic"},
     )
     likelihood: Likelihood = setting(
         "poisson",
         title="noise",
-        tip="how voxels are weighted",
+        tip="noise model, by which voxels are weighted",
         words={
             "poisson": "photon noise",
             "gaussian": "the same everywhere",
@@ -129,14 +129,14 @@ class FitSettings(Settings):
         False,
         title="as in the paper",
         tip="fit as the paper does: AdamUniform with lambda 50, plain least squares at one "
-        "scale without a prior, the PSF by Adam; to compare with",
+        "scale without a prior, the PSF by Adam; for comparison",
         advanced=True,
     )
     bending: float = setting(
         9.0,
         title="weight of bending",
-        tip="weight of the bending energy, a prior on shape without unit; of 6, 7.5, 9 and 12, "
-        "9 was near the best on test shapes and simulated foams, 6 on an embryo; 0: no prior",
+        tip="weight of the bending energy, the prior on shape (no unit); 0 switches it off; of 6, "
+        "7.5, 9 and 12, 9 was near the best on test shapes and simulated foams, 6 on an embryo",
         advanced=True,
         live=True,
         ge=0,
@@ -153,7 +153,7 @@ class FitSettings(Settings):
     tolerance: float = setting(
         0.02,
         title="tolerance",
-        tip="the fit ends when no place of the surface would still move by more than this, "
+        tip="the fit ends when no part of the surface would still move by more than this, "
         "in widths of the PSF",
         unit="widths",
         advanced=True,
@@ -163,14 +163,14 @@ class FitSettings(Settings):
     remesh: bool = setting(
         True,
         title="keep triangles regular",
-        tip="remesh where triangles become slivers, at the edge length of the start",
+        tip="remesh when triangles become slivers, at the edge length of the start",
         advanced=True,
         live=True,
     )
     collisions: bool = setting(
         True,
         title="surfaces never cross",
-        tip="no surface comes to cross itself or another: vertices stop before that",
+        tip="surfaces never cross themselves or each other: vertices stop before they would",
         advanced=True,
         live=True,
     )
@@ -185,7 +185,7 @@ class FitSettings(Settings):
     trials: bool = setting(
         True,
         title="try other neighbours at the end",
-        tip="when the fit has come to rest, try other neighbours where walls are small, gaps "
+        tip="once the fit is at rest, try other neighbours where walls are small, gaps "
         "narrow or pieces tiny, and keep what explains the image better; fits of many cells take "
         "twice as long",
         advanced=True,
@@ -193,7 +193,7 @@ class FitSettings(Settings):
     )
     max_iterations: int = setting(
         3000,
-        title="most iterations",
+        title="maximum iterations",
         tip="the fit gives up after this many iterations",
         advanced=True,
         live=True,
@@ -202,9 +202,9 @@ class FitSettings(Settings):
     )
     device: DeviceChoice = setting(
         "auto",
-        title="computed on",
-        tip="what computes: cpu, cuda (an NVIDIA GPU), mps (the GPU of a Mac); auto: an "
-        "NVIDIA GPU that can be used, else the CPU",
+        title="device",
+        tip="where to compute: cpu, cuda (an NVIDIA GPU), or mps (the GPU of a Mac); auto takes "
+        "an NVIDIA GPU if one can be used, else the CPU",
         words={"auto": "automatic", "cpu": "CPU", "cuda": "NVIDIA GPU", "mps": "GPU of a Mac"},
         advanced=True,
     )

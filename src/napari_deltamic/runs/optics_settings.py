@@ -89,7 +89,7 @@ class MicroscopeOptics(_Optics):
     excitation: float | None = setting(
         None,
         title="excitation",
-        tip="wavelength of the light that excites",
+        tip="wavelength of the excitation light",
         unit="um",
         step=0.01,
     )
@@ -161,7 +161,7 @@ class MeasuredOptics(_Optics):
     voxel_size: Triple | None = setting(
         None,
         title="voxel size",
-        tip="voxel size of the image of the bead, Z Y X; where not given: as its file says",
+        tip="voxel size of the image of the bead, Z Y X; default: from its file",
         unit="um",
         flag="--psf-voxel-size",
     )

@@ -68,7 +68,7 @@ def _values(found: Described) -> str:
         "number": "a number",
         "triple": "three numbers, Z Y X",
         "numbers": "numbers",
-        "text": "a number or a name" if found.choices else "a text",
+        "text": "a number or a name" if found.choices else "text",
         "part": "a table",
     }[found.kind]
     return f"{words}, {found.bounds}" if found.bounds else words

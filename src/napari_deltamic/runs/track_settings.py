@@ -19,14 +19,14 @@ class TrackSettings(Settings):
     first: int = setting(
         0,
         title="first frame",
-        tip="frame to start from, to which the seeds belong; the first is 0",
+        tip="frame to start from, to which the seeds belong; counted from 0",
         flag=None,
         ge=0,
     )
     stop: int | None = setting(
         None,
         title="stop before frame",
-        tip="frame to stop before; where not given: the end of the series",
+        tip="frame to stop before; default: the end of the series",
         flag=None,
         automatic="the end",
         ge=1,

@@ -121,7 +121,7 @@ def simulate(
         light = light + added.numpy() / (camera.gain if camera else 1.0)
     if light.min() < -_RINGS * amplitude * peak:
         raise InputError(
-            f"less than no light: {light.min():.3g} photons in the darkest voxel; give more "
+            f"negative light: {light.min():.3g} photons in the darkest voxel; give more "
             "background, or insides that take less from it"
         )
     noisy = detected(light, camera, _generator(seed), bits)

@@ -56,7 +56,7 @@ def add_parser(commands: Any) -> None:
         "--other-channel-on",
         choices=("both", "walls", "insides"),
         default="both",
-        help="what shines in it (default: %(default)s)",
+        help="what is labelled in it (default: %(default)s)",
     )
     add(
         "--other-channel-sigma",

@@ -50,7 +50,7 @@ KINDS: dict[str, type[Effect]] = {
 }
 # What is no effect, and where it belongs instead.
 REFUSED = {
-    "bulk": "what shines is the structure: --structure both fits light inside the cells, too",
+    "bulk": "light inside cells is part of what is labelled: use --structure both",
     "z_scale": "a factor on z is the same as another shape: correct the voxel size instead",
     "drift": "a drift from slice to slice is the same as another shape: register the stack before",
     "membrane_thickness": "a thick membrane is the same as a wider PSF: add it to sigma",
