@@ -195,7 +195,7 @@ def _width(log_width: float, error: float, size: float, axis: str) -> Finding:
     low, high = SPECTRUM.log_widths
     inside = low + SPECTRUM.at_bound < log_width < high - SPECTRUM.at_bound
     if error > SPECTRUM.largest_error or not inside:
-        return unknown(f"the spectrum does not tell the width along {axis}")
+        return unknown(f"the spectrum does not determine the width along {axis}")
     sigma = float(np.exp(log_width)) * size
     error = hypot(error, SPECTRUM.shape_error)
     return Finding(sigma, error * sigma, "where the spectrum sinks into the noise")

@@ -30,15 +30,15 @@ class SceneFields(Settings):
     sigma: Triple | None = setting(
         None,
         title="widths of the PSF",
-        tip="standard deviations of the PSF, Z Y X; default: estimated from the image where "
-        "the command does so, else 1.2 voxels",
+        tip="standard deviations of the PSF, Z Y X; default: estimated from the image by a fit, "
+        "if possible, else 1.2 voxels",
         unit="um",
         live=True,
     )
     optics: OpticsSettings | None = setting(
         None,
         title="PSF",
-        tip="the PSF, where it is not the Gaussian of sigma: a microscope, a measured PSF, "
+        tip="the PSF, if it is not the Gaussian of sigma: a microscope, a measured PSF or "
         "a mixture; a table with its kind",
         metavar="FILE.toml",
         live=True,
@@ -46,7 +46,7 @@ class SceneFields(Settings):
     effects: Any = setting(
         None,
         title="corrections",
-        tip="effects, optional parts of image formation; names, or a table each",
+        tip="imaging effects, optional parts of image formation: names, or a table for each",
         live=True,
     )
 
