@@ -97,6 +97,18 @@ def test_a_gaussian_narrower_than_voxels_tell_stays(monkeypatch):
     assert tuple(voxel_size) == SIZE
 
 
+def test_the_default_width_of_tall_voxels_asks_nothing(monkeypatch):
+    # 1.2 voxels of 4 to 1 are as long as the PSF of an objective, and nobody has told them.
+    tall = nd.Grid((12, 32, 32), (0.4, 0.1, 0.1))
+    image = nd.render(TRUE, tall, nd.GaussianPSF((0.2, 0.12, 0.12))).numpy()
+    asked = []
+    monkeypatch.setattr("napari_deltamic.fitting.light_cone._posed", lambda *a: asked.append(a))
+    start = nd.GaussianPSF([1.2 * d for d in tall.voxel_size])
+    *_, state = nd.fit(image, tall, START, start, settings=FitSettings())
+    assert state.optics.sigma_um[0] < 2.6 * state.optics.sigma_um[1]
+    assert not asked
+
+
 def test_a_rival_that_does_not_move_is_left():
     posed = []
 

@@ -15,12 +15,13 @@ from ..common.description import described
 from ..errors import InputError
 from ..evidence.put_together import put_together, start_of
 from ..fitting.checks import check_image
-from ..fitting.job import SIGMA_IN_VOXELS, FitInput
+from ..fitting.job import FitInput
 from ..geometry import Mesh
 from ..images.missing import finite_or_nan
 from ..images.padding import without_padding
 from ..images.stacks import SIZES_AGREE, read_image
 from ..images.stored import VoxelSize
+from ..runs.scene_settings import SIGMA_IN_VOXELS
 from ..runs.seeds import SeedKind, seeds_of
 from ..runs.settings import FitSettings, RunSettings, SceneSettings, validated
 from ..scene import Grid

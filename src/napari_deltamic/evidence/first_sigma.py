@@ -15,7 +15,7 @@ import numpy as np
 from scipy.fft import rfftn
 from scipy.optimize import minimize
 
-from ..fitting.job import SIGMA_IN_VOXELS
+from ..runs.scene_settings import SIGMA_IN_VOXELS
 from ..runs.settings import SceneSettings
 from .estimate import Finding, unknown
 from .evidence_rules import SPECTRUM

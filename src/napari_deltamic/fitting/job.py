@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..geometry import Mesh
 from ..optics import GaussianPSF, Optics, ScalarPSF
 from ..runs.optics_settings import MicroscopeOptics, optics_from_values
+from ..runs.scene_settings import SIGMA_IN_VOXELS
 from ..runs.seeds import SeedKind as SeedKind
 from ..runs.settings import NEAR_LEVELS, FitSettings, RunSettings, SceneSettings
 from ..scene import Grid
@@ -23,10 +24,6 @@ from .default_accuracy import image_noise
 from .light_cone import values_of
 from .shape_dial import Situation, dialled, with_edges
 from .voxel_ownership import counted_around
-
-# Where neither user nor image tell: a PSF is then 2.8 voxels wide at half its maximum; chosen, as
-# microscopes are set to two to three (Nyquist's rule).
-SIGMA_IN_VOXELS = 1.2
 
 
 @dataclass(frozen=True, eq=False)

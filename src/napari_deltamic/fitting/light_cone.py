@@ -19,6 +19,7 @@ from torch import Tensor
 
 from ..optics import ConfocalPSF, GaussianPSF, Optics, ScalarPSF, microscope
 from ..optics.narrow import narrower_than_told
+from ..runs.scene_settings import SIGMA_IN_VOXELS
 from .amplitudes import may_shine
 from .fit_objective import Objective, Terms
 from .fitted import Fitted
@@ -68,7 +69,8 @@ def objective_instead(
 ) -> tuple[ThroughObjective | None, int]:
     """The PSF of an objective that explains an image better than the Gaussian that was fitted.
 
-    Widefield or confocal, as wide as that was at the start: whichever leaves least of the same
+    Widefield or confocal, as wide as that was at the start, or, where nobody told a width and it
+    began at the default, as wide as it has become: whichever leaves least of the same
     voxels at the end of the fit is followed for a few steps from there. (Of 18 simulated widefield
     and confocal stacks of six kinds, it was the one that following both would have chosen in 16,
     and neither was in two; both took a fifth of the time of a fit of 56 cells.) Asked where the
@@ -93,10 +95,12 @@ def objective_instead(
     if narrower_than_told(fitted.optics.sigma_um, terms.level.grid.voxel_size):
         return None, 0
     roundest = _tangent_of_half(_WIDEST)
-    before, after = _roundness(first.sigma_um), _roundness(fitted.optics.sigma_um)
-    if before > RULES.told * roundest and after > roundest:
+    known = not _is_default(first.sigma_um, terms.level.grid.voxel_size)
+    about = first.sigma_um if known else fitted.optics.sigma_um
+    long_at_first = known and _roundness(about) <= RULES.told * roundest
+    if not long_at_first and _roundness(fitted.optics.sigma_um) > roundest:
         return None, 0
-    confocal, widefield = confocal_of(first.sigma_um), widefield_of(first.sigma_um)
+    confocal, widefield = confocal_of(about), widefield_of(about)
     # One is let go before the other is posed, to save memory.
     of_confocal = _share(_posed(confocal, terms, fitted), image)
     nearer: ThroughObjective = widefield
@@ -189,6 +193,11 @@ def _as_wide(sigma: Sequence[float]) -> tuple[float, float]:
 
 def _is_plain(optics: Optics) -> bool:
     return isinstance(optics, GaussianPSF) and optics.diagonal
+
+
+def _is_default(sigma: Sequence[float], voxel_size: Sequence[float]) -> bool:
+    """Whether widths are those that a fit begins with where neither user nor image tell them."""
+    return bool(np.allclose(sigma, SIGMA_IN_VOXELS * np.asarray(voxel_size), rtol=1e-6))
 
 
 def _roundness(sigma: Sequence[float]) -> float:

@@ -19,9 +19,9 @@ from ..fitting.default_accuracy import (
     relative,
     written,
 )
-from ..fitting.job import SIGMA_IN_VOXELS
 from ..runs.fit_settings import SHAPE_CHOICES
 from ..runs.optics_settings import MicroscopeOptics
+from ..runs.scene_settings import SIGMA_IN_VOXELS
 from ..runs.settings import FitSettings, SceneSettings, validated
 from ..scene.effects import Effects, ViewEffect
 from .image_source import ImageSource, SecondSource

@@ -14,7 +14,7 @@ from psygnal import Signal
 
 from ..common.triple import Triple, triple
 from ..errors import InputError
-from ..fitting.job import SIGMA_IN_VOXELS
+from ..runs.scene_settings import SIGMA_IN_VOXELS
 from ..scene.effects import ViewEffect, kind_of
 from .layer_channels import (
     Choice,
