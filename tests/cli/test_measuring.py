@@ -297,7 +297,7 @@ def test_another_channel(bubble, run, fails, tmp_path):
     )
     code, out, err = run(*arguments, "-o", tmp_path / "out")
     assert code == 0, err
-    assert "the channel lies" in err
+    assert "the channel is shifted by" in err
     assert str(tmp_path / "out" / "channel_walls.csv") in out
     found = {
         (row["region_a"], row["region_b"]): float(row["light_per_um2"])
