@@ -198,7 +198,7 @@ def test_what_no_series_is_refused():
         tracked(iter([image]))
     with pytest.raises(InputError, match=r"frame 1 has shape \(22, 26, 20\)"):
         tracked([image, image[:, :, :20]])
-    with pytest.raises(InputError, match="frame 0 is no 3D image"):
+    with pytest.raises(InputError, match="frame 0 is not a 3D image"):
         tracked([image[0], image[0]])
     with pytest.raises(InputError, match="series of 3D images"):
         tracked(7)

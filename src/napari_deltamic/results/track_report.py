@@ -132,7 +132,7 @@ def read_results(folder: str | os.PathLike[str]) -> list[FrameResult]:
     try:
         frames = _FRAMES.validate_python(values["frames"])
     except (LookupError, TypeError, ValueError):
-        raise InputError(f"{path} is no report of tracking") from None
+        raise InputError(f"{path} is not a report of tracking") from None
     return [_result(folder, facts) for facts in frames]
 
 

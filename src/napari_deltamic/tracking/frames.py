@@ -65,7 +65,7 @@ class Frame:
     def of(number: int, image: NDArray[Any], grid: Grid) -> Frame:
         """Of an array. InputError for one that is no image of the grid."""
         if image.ndim != 3:
-            raise InputError(f"frame {number} is no 3D image: its shape is {image.shape}")
+            raise InputError(f"frame {number} is not a 3D image: its shape is {image.shape}")
         if image.shape != grid.shape:
             raise InputError(
                 f"frame {number} has shape {image.shape}, the others {grid.shape}: "
