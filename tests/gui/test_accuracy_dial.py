@@ -51,7 +51,7 @@ def expected(widget, pixels, mesh, costs, **settings):
 
 
 def in_words(found, about=""):
-    return f"takes {about}{duration(found.seconds)}"
+    return f"takes {about}{duration(found.seconds, whole=found.seconds > 2)}"
 
 
 # ---------------------------------------------------------------------------------- the dial
@@ -257,6 +257,22 @@ def test_measured_beside_predicted(seeded, spin, endless, monkeypatch):
     text = seeded.settings.pace.text()
     assert text.startswith("the last fit took ")
     assert text.endswith(f"{duration(Forecast(LEVELS, True).seconds)} predicted")
+
+
+def test_a_run_that_takes_another_psf_on_the_way_teaches_too(seeded, spin, monkeypatch):
+    whole = Forecast(tuple(replace(one, seconds_per_iteration=1e4) for one in LEVELS), True)
+    monkeypatch.setattr(run_control, "expected", lambda job: whole)
+    # As where the image shows a light cone: the job is another one from the tenth state on.
+    monkeypatch.setattr(
+        worker, "following", lambda job, state: replace(job) if state.iteration == 10 else job
+    )
+    seeded.settings.max_iterations.setValue(30)
+    seeded.start()
+    spin(lambda: not running(seeded))
+    run = seeded.doc.run
+    assert isinstance(run.forecast, RenewedForecast)
+    assert seeded.doc.learned.about(whole.kind).seconds < 0.1
+    assert seeded.settings.pace.text().endswith(f"{duration(whole.seconds)} predicted")
 
 
 def test_the_next_run_is_predicted_by_what_the_last_one_took(seeded, spin, monkeypatch):

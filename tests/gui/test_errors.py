@@ -8,9 +8,10 @@ import pytest
 from napari_deltamic.errors import InputError
 from napari_deltamic.gui.running import worker
 from napari_deltamic.gui.tracking import track_work
-from napari_deltamic.gui.work import Background, attempt
+from napari_deltamic.gui.words import attempt
+from napari_deltamic.gui.work import Background
 
-LOGGER = "napari_deltamic.gui.work"
+LOGGER = "napari_deltamic.gui.words"
 
 
 def broken(*arguments, **options):

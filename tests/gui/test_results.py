@@ -165,6 +165,22 @@ def test_a_row_dims_the_other_cells_and_goes_there(widget, with_image):
     np.testing.assert_array_equal(surface.data[2], plain)
 
 
+def test_what_is_to_be_said_of_the_cell_chosen_is_said(widget):
+    results = widget.results
+    row = dict(results.table.rows[0]) | {"note": "it is dim (--effects auto)", "grade": "fair"}
+    rows = [row, {**results.table.rows[1], "note": ""}]
+    results.table.show_rows(rows)
+    results.table.choose([3])
+    assert results.why.text() == "It is dim (see Corrections)."
+    results.table.choose([7])
+    assert results.why.isHidden()
+    results.table.choose([3, 7])
+    assert results.why.isHidden()
+    header = results.table.horizontalHeader()
+    shown = [COLUMNS[header.logicalIndex(place)].key for place in range(3)]
+    assert shown == ["region", "grade", "explained"], "they are seen in a narrow dock"
+
+
 def test_a_click_chooses_the_row_and_leaves_the_view(widget, with_image):
     with_image.dims.set_point(0, 1 + CENTER[0])
     scene = getattr(with_image, "scene", with_image)

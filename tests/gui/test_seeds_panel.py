@@ -241,8 +241,58 @@ def test_cells_found_are_seeds_that_can_be_corrected(panel, with_image, finder, 
 def test_no_cells_found_is_told_in_words(panel, with_image, finder, spin):
     panel.find_cells.cell_size.setValue(4)
     panel.find_cells.click()
-    spin(lambda: "no cell is as large" in panel.note.text())
+    assert panel.note.text() == "Looking for cells ..."
+    spin(lambda: panel.note.text() == "No cell is as large as that.")
     assert "found cells" not in with_image.layers
+    assert panel._form.isRowVisible(panel.find_cells.cell_size)
+
+
+def test_what_was_found_is_forgotten_with_its_layer(panel, with_image, finder, spin):
+    panel.find_cells.click()
+    spin(lambda: "found cells" in with_image.layers)
+    layer = with_image.layers["found cells"]
+    layer.data[15:18, 15:18, 15:18] = 9
+    panel.corrections.edited.emit()
+    assert panel.note.text().startswith("2 cells.")
+    assert "9 of 1.5 µm" in panel.note.text()
+    with_image.layers.remove(layer)
+    assert panel.note.text() == "Press 'Find cells', or 'Click cells' and click inside each."
+    panel.place.click()
+    assert panel.note.text() == "Click inside each cell."
+
+
+def test_labels_of_other_voxels_are_resampled(panel, with_image):
+    coarse = np.zeros((10, 6, 8), np.uint16)
+    coarse[3:7, 1:4, 2:5] = 500
+    # Twice, four times and three times as large as those of the image; the first voxels cover the
+    # same corner, but along Z, where they begin three voxels of the image below it.
+    scale = np.multiply(SIZE, (2, 4, 3))
+    corner = np.subtract((1, 2, 3), np.divide(SIZE, 2)) - (3 * SIZE[0], 0, 0)
+    place = {"scale": scale, "translate": corner + scale / 2, "units": ("um",) * 3}
+    layer = with_image.add_labels(coarse, name="elsewhere", **place)
+    fine = coarse.repeat(2, 0).repeat(4, 1).repeat(3, 2)
+    expected = np.zeros(SHAPE, int)
+    expected[:17] = fine[3:20, : SHAPE[1], : SHAPE[2]]
+    np.testing.assert_array_equal(taken(panel).labels, expected)
+    layer.scale = (1, 1, 1)
+    layer.units = ("pixel",) * 3
+    with pytest.raises(InputError, match="the same scale"):
+        taken(panel)  # its voxel size is missing
+
+
+def test_labels_of_as_many_voxels_are_meant_to_lie_on_those_of_the_image(panel, with_image):
+    labels = np.ones(SHAPE, int)
+    with_image.add_labels(labels, scale=np.multiply(SIZE, 2), units=("um",) * 3)
+    with pytest.raises(InputError, match="the same scale"):
+        taken(panel)
+
+
+def test_any_labels_make_room_for_the_meshes_of_a_fit(panel, with_image):
+    labels = with_image.add_labels(np.ones(SHAPE, int), name="mine", **PLACE)
+    points = add_points(panel, with_image, CENTER)
+    panel.make_room()
+    assert not labels.visible
+    assert points.visible
 
 
 def test_a_second_press_starts_anew(panel, with_image, spin, monkeypatch):

@@ -206,7 +206,7 @@ def test_a_surface_of_several_times_is_no_mesh_file(tmp_path):
 
 
 def test_the_start_is_not_shown_again_over_what_was_tracked(widget, viewer, spin, soon):
-    widget.seeds.shape.setCurrentText("membrane around the click")
+    widget.seeds.shape.setCurrentText("the membrane")
     spin(lambda: any("start" in layer.name for layer in viewer.layers))
     widget.tracking.start()
     spin(ended(widget), 60)

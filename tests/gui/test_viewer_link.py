@@ -1,9 +1,10 @@
 """The layers that show a fit, when layers of the user go meanwhile."""
 
 import numpy as np
+import pytest
 
 from napari_deltamic.geometry import sphere
-from napari_deltamic.gui.viewing.frame import Frame
+from napari_deltamic.gui.viewing.frame import Frame, camera_of
 from napari_deltamic.gui.viewing.viewer_link import ViewerLink, limits_of
 
 
@@ -37,6 +38,28 @@ def test_a_residual_that_is_large_in_many_places_is_not_saturated_there(viewer):
     shown.contrast_limits = (-2, 2)
     link.take_images(noise, noise - 30)
     assert shown.contrast_limits == [-2, 2], "the user chose them"
+    link.close()
+
+
+def test_both_images_are_seen_side_by_side_and_then_what_was_seen_before(viewer):
+    pixels = np.zeros((6, 70, 80))
+    layer = viewer.add_image(pixels, name="cell")
+    link = ViewerLink(viewer, layer, Frame.of(layer), print)
+    link.take_images(pixels, pixels)
+    camera = camera_of(viewer)
+    camera.center, camera.zoom = (3, 20, 30), 8.0
+    link.look("side by side")
+    both = viewer.layers.extent.world[:, 2]
+    assert camera.center[2] == pytest.approx(both.mean(), abs=1)
+    assert camera.zoom < 8
+    link.look("image")
+    assert camera.center == (3, 20, 30)
+    assert camera.zoom == 8
+    link.look("side by side")
+    viewer.dims.order = (1, 0, 2)
+    wide = camera.zoom
+    link.look("image")
+    assert camera.zoom == wide, "what was seen before is another slice"
     link.close()
 
 

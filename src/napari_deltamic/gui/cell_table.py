@@ -21,9 +21,11 @@ from superqt.utils import signals_blocked
 from ..results.cell_columns import COLUMNS, FIRST, CellColumn, is_number, value_of
 from ..results.colouring import colour_of
 from .widgets import Signal, be_table_of_rows
+from .words import for_window
 
 _REGION = Qt.ItemDataRole.UserRole
 _OPEN = "The surface of this cell is not closed, or inside out."
+_BEFORE = ("explained", "grade")  # come first, as a narrow dock shows few: the last one before all
 _WHY = {"explained": "Nothing near this cell varies by more than noise."}
 
 
@@ -48,6 +50,8 @@ class CellTable(QTableWidget):
             self.setHorizontalHeaderItem(number, item)
         columns = be_table_of_rows(self, 36)
         columns.setStretchLastSection(True)
+        for key in _BEFORE:
+            columns.moveSection([column.key for column in COLUMNS].index(key), 1)
         columns.setContextMenuPolicy(Qt.ContextMenuPolicy.CustomContextMenu)
         columns.customContextMenuRequested.connect(self._ask_columns)
         self.setMinimumHeight(120)
@@ -222,7 +226,7 @@ def _cell(
     row: Mapping[str, Any], column: CellColumn, colours: Mapping[int, int]
 ) -> QTableWidgetItem:
     value = value_of(row, column.key)
-    item = _Item(column.text(value), value)
+    item = _Item(for_window(column.text(value)), value)
     side = Qt.AlignmentFlag.AlignLeft if isinstance(value, str) else Qt.AlignmentFlag.AlignRight
     item.setTextAlignment(side | Qt.AlignmentFlag.AlignVCenter)
     if column.key == "region":
@@ -231,11 +235,16 @@ def _cell(
         item.setData(Qt.ItemDataRole.DecorationRole, QColor(*colour_of(region, colours)))
         item.setData(_REGION, region)
     elif value is None and column.key in row:
-        item.setToolTip(f"<qt>{row.get('note') or _WHY.get(column.key, _OPEN)}</qt>")
+        item.setToolTip(f"<qt>{why_of(row) or _WHY.get(column.key, _OPEN)}</qt>")
     elif isinstance(value, str):
-        why = row.get("note") if column.key == "grade" else ""
-        item.setToolTip(f"<qt>{why or value}</qt>")
+        why = why_of(row) if column.key == "grade" else ""
+        item.setToolTip(f"<qt>{why or for_window(value)}</qt>")
     return item
+
+
+def why_of(row: Mapping[str, Any]) -> str:
+    """What there is to say of a cell; '' for nothing."""
+    return for_window(str(row.get("note") or ""))
 
 
 def _exact(value: Any) -> str:

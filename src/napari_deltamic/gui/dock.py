@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from qtpy.QtCore import QEvent, QObject, Qt, QUrl
+from qtpy.QtCore import QEvent, QObject, Qt, QTimer, QUrl
 from qtpy.QtGui import QDesktopServices
 from qtpy.QtWidgets import (
     QDockWidget,
@@ -56,6 +56,19 @@ class Column(QScrollArea):
         self.setWidgetResizable(True)
         self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.setFrameShape(QFrame.Shape.NoFrame)
+        self._part: QWidget | None = None
+        self._soon = QTimer(self)  # when what was just shown has its place
+        self._soon.setSingleShot(True)
+        self._soon.timeout.connect(self._go)
+
+    def show_part(self, part: QWidget) -> None:
+        """Scroll until a part of what it shows is seen."""
+        self._part = part
+        self._soon.start(0)
+
+    def _go(self) -> None:
+        if self._part is not None:
+            self.ensureWidgetVisible(self._part, 0, 0)
 
     def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
         """Qt's, of what it shows; the theme, which decides how wide things are, may come late."""

@@ -30,23 +30,21 @@ def tip_of(found: Described) -> str:
 
 
 class TripleField(QWidget):
-    """Three positive numbers (um), Z, Y, X; ``edited`` comes only from the user."""
+    """Three positive numbers (µm), Z, Y, X; ``edited`` comes only from the user."""
 
     edited = Signal()
 
     def __init__(self, tooltip: str, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._boxes: list[QDoubleSpinBox] = []
+        self._boxes: list[Number] = []
         for name in "ZYX":
-            box = QDoubleSpinBox(self)
-            box.setDecimals(4)
+            box = Number(self)
             # Wider, napari's sliders could be asked for more steps than it can count.
             box.setRange(0.001, 1000)
             box.setSingleStep(0.01)
             box.setPrefix(f"{name} ")
             box.setToolTip(tooltip)
-            box.setAccessibleName(f"{name}, um")
-            box.setKeyboardTracking(False)
+            box.setAccessibleName(f"{name}, µm")
             # napari's style asks for 90 pixels, with which the dock could not be narrow.
             # Without NoButtons, which in Qt 6.12 and that style leaves no room for the number.
             box.setStyleSheet(

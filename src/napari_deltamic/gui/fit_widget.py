@@ -68,6 +68,7 @@ class FitWidget(QWidget):
         self.destroyed.connect(doc.close)
         self.running.fit_again.connect(self._fit_again)
         doc.began.connect(self._show_check)
+        self.settings.psf_button.clicked.connect(self._show_psf)
         bind_keys(
             doc,
             {
@@ -117,7 +118,10 @@ class FitWidget(QWidget):
 
     def _show_check(self, fresh: bool) -> None:
         """Scroll to what a fit shows, once it begins."""
-        self._column.ensureWidgetVisible(self.running, 0, 0)
+        self._column.show_part(self.running)
+
+    def _show_psf(self) -> None:
+        self._column.show_part(self.settings.psf_fold)
 
     def sizeHint(self) -> QSize:
         """Qt's: as wide as the table wants."""

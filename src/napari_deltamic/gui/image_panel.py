@@ -11,7 +11,7 @@ from .document import Document
 from .fields import TripleField
 from .layer_channels import Choice, channel_axes, channels
 from .viewing.frame import data_of, um_per_unit
-from .widgets import AMBER, LayerChooser, Note, button, narrow_box, row, sentence
+from .widgets import LayerChooser, Note, button, narrow_box, row, sentence
 
 WHOLE, BOX = "whole image", "the rectangle drawn"
 
@@ -86,8 +86,7 @@ class ImagePanel(QGroupBox):
 
     def _tell(self, text: str, *, needed: bool = False) -> None:
         """Say something; in the colour of warnings where the user is needed."""
-        self.note.setStyleSheet("font-size: 11px;" + f" color: {AMBER};" * needed)
-        self.note.say(text)
+        self.note.say(text, "fair" if needed else "")
 
     def _described(self, layer: Any, unknown: bool) -> str:
         text = " x ".join(map(str, self._image.shape())) + " voxels"
@@ -97,7 +96,7 @@ class ImagePanel(QGroupBox):
             times, planes = data_of(layer).shape[:2]
             text += f", read as {times} times of {planes} planes; if it has channels, choose one"
         if unknown:
-            text += "; the voxel size is not known: enter it, or all lengths are in voxels"
+            text += "; the voxel size is not known: enter it in µm, or all lengths are in voxels"
         return text
 
     def _offer_channels(self) -> None:

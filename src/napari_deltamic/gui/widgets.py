@@ -44,10 +44,11 @@ def action(title: str, tip: str, slot: Callable[[], object], parent: Any) -> Any
     return made
 
 
-GREEN, AMBER, RED = "#3fae6b", "#d99a1c", "#e0564f"  # readable on dark and on light
+# On a dark ground, and on a light one: on either each of them has a contrast of 4.5 at least.
+_GREEN, _AMBER, _RED = ("#3fae6b", "#17703c"), ("#d99a1c", "#855600"), ("#f0746d", "#b3271e")
 # How something ended, and how good it is.
-VERDICTS = {"ended": AMBER, "stopped": AMBER, "failed": RED, "done": GREEN}
-VERDICTS |= {"good": GREEN, "fair": AMBER, "poor": RED}
+VERDICTS = {"ended": _AMBER, "stopped": _AMBER, "failed": _RED, "done": _GREEN}
+VERDICTS |= {"good": _GREEN, "fair": _AMBER, "poor": _RED}
 _ARROW = 30  # px of the button of a fold that are not for its text
 
 
@@ -202,6 +203,11 @@ def _bare(layout: Any, parts: Sequence[Any], of: QWidget | None, spacing: int | 
     return filled(layout, *parts)
 
 
+def is_dark(widget: QWidget) -> bool:
+    """Whether the ground of a widget is dark, as the theme has it."""
+    return widget.palette().color(QtGui.QPalette.ColorRole.Window).lightness() < 128
+
+
 def sentence(text: str) -> str:
     """A reason as a sentence."""
     return f"{text[0].upper()}{text[1:]}." if text else ""
@@ -225,20 +231,40 @@ class Note(QLabel):
 
     Parameters
     ----------
-    wrong : whether what it says is that something cannot be used.
+    verdict : one of ``VERDICTS``, which gives it a colour that suits the theme; '' for none.
+    style : Qt's, but for the colour.
     """
 
-    def __init__(self, parent: QWidget | None = None, *, wrong: bool = False) -> None:
+    def __init__(
+        self, parent: QWidget | None = None, verdict: str = "", style: str = "font-size: 11px;"
+    ) -> None:
         super().__init__(parent)
+        self._verdict, self._style = verdict, style
         self.setWordWrap(True)
-        self.setStyleSheet("font-size: 11px;" + f" color: {RED};" * wrong)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Minimum)
+        self._colour()
         self.hide()
 
-    def say(self, text: str) -> None:
+    def say(self, text: str, verdict: str | None = None) -> None:
+        """Show a text, in the colour of a verdict; None: in that of the last one."""
+        if verdict is not None:
+            self._verdict = verdict
+            self._colour()
         if text != self.text():
             self.setText(text)
             self.setVisible(bool(text))
+
+    def changeEvent(self, event: QtCore.QEvent | None) -> None:
+        """Qt's: the theme may be another."""
+        super().changeEvent(event)
+        if event is not None and event.type() == QtCore.QEvent.Type.StyleChange:
+            self._colour()
+
+    def _colour(self) -> None:
+        colours, style = VERDICTS.get(self._verdict), self._style
+        style += f" color: {colours[not is_dark(self)]};" if colours else ""
+        if style != self.styleSheet():
+            self.setStyleSheet(style)
 
 
 class ToolBar(QWidget):

@@ -1,4 +1,4 @@
-"""What runs beside the window: one long task at a time, and short functions; and what may fail.
+"""What runs beside the window: one long task at a time, and short functions.
 
 Nothing in a thread knows of a widget or of Qt, and no thread calls one: the main thread looks a few
 times a second and shows what it finds. A slow viewer gets fewer states, not a queue. The threads
@@ -8,7 +8,6 @@ the process if one of them is still at work when the application goes.
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 import warnings
@@ -21,35 +20,11 @@ from functools import partial
 from typing import Any, Literal
 
 from napari.utils import progress
-from psygnal import EmitLoopError, Signal
+from psygnal import Signal
 from qtpy.QtCore import QObject, QTimer
 
-from ..errors import TOLD, InputError, failure
-
-_log = logging.getLogger(__name__)
-_OF_THE_COMMAND_LINE = " (-v shows where)"
-
-
-def words_of(error: Exception, shape: Sequence[int] | None = None) -> str:
-    """What the user reads of an error, in one line; the log has the traceback of what is a bug.
-
-    shape : of the image, which tells how much memory is needed.
-    """
-    while isinstance(error, EmitLoopError) and isinstance(error.__cause__, Exception):
-        error = error.__cause__  # of what was told of a change
-    if isinstance(error, InputError):
-        return str(error)
-    _log.error("unexpected error", exc_info=error)
-    return str(failure(error, shape)).replace(_OF_THE_COMMAND_LINE, "; the log shows where")
-
-
-def attempt(action: Callable[[], None], warn: Callable[[str], None]) -> None:
-    """Run something that may fail; the user reads why, without a traceback."""
-    try:
-        action()
-    except Exception as error:  # a bug is no reason to frighten a user or to lose the fit
-        warn(words_of(error))
-
+from ..errors import TOLD, InputError
+from .words import for_window, words_of
 
 INTERVAL = 1 / 15  # s between two looks at a task
 LONGEST_REST = 0.5  # s that a slow viewer is left alone, at most
@@ -290,7 +265,7 @@ def _run(task: Task) -> None:
 
     def show(message: Any, category: type[Warning], *where: Any, **more: Any) -> None:
         if issubclass(category, TOLD):
-            task.remarks.append(str(message))
+            task.remarks.append(for_window(str(message)))
 
     with warnings.catch_warnings():
         warnings.filterwarnings("always", category=UserWarning)

@@ -23,7 +23,7 @@ from ...measure.picking import region_behind, region_in_slice
 from ...results.cell_columns import COLUMNS, value_of
 from ...results.mesh_exchange import labels_of
 from ...results.report import write_results
-from ..cell_table import CellTable
+from ..cell_table import CellTable, why_of
 from ..document import Document
 from ..record import Record
 from ..viewing.cell_layers import labels_layer
@@ -31,8 +31,8 @@ from ..viewing.contours import sliced_axis
 from ..viewing.frame import camera_of
 from ..viewing.listening import Presses, is_click, wants_clicks
 from ..viewing.viewer_link import ViewerLink
-from ..widgets import Note, action, button, filled, narrow_box, row
-from ..work import attempt
+from ..widgets import Note, action, button, filled, narrow_box, row, sentence
+from ..words import attempt
 
 IMAGE_FILES = "OME-TIFF (*.ome.tif *.ome.tiff);;ImageJ TIFF (*.tif *.tiff)"
 _NEAR = 6.0  # px: how far from its contour a click may be
@@ -55,9 +55,9 @@ class ResultsPanel(QGroupBox):
         tip = "Save what was found, or add the cells as labels."
         self.export = button("Export", tip, None, self)
         self.export.setMenu(self._export_menu())
-        self.scale = Note(self)
+        self.scale, self.why = Note(self), Note(self)  # of the colours; of the cell chosen
         buttons = row(self.colour, self.columns, self.export)
-        filled(QVBoxLayout(self), self.table, buttons, self.scale)
+        filled(QVBoxLayout(self), self.table, self.why, buttons, self.scale)
         self.table.chosen.connect(self._chosen)
         self.colour.currentIndexChanged.connect(self._colour_cells)
         for signal in (doc.result_changed, doc.judged, doc.image.changed, doc.ended):
@@ -138,6 +138,7 @@ class ResultsPanel(QGroupBox):
         if key != self._shown_of:
             self._shown_of = key
             self.table.show_rows(record.rows, record.link.colours)
+            self._explain()
             self._offer_colours()
             if record.judged is not None:
                 record.link.describe(self.table.rows)
@@ -165,7 +166,7 @@ class ResultsPanel(QGroupBox):
             self.scale.say("")
             return
         low, high = (column.text(limit) for limit in (min(numbers.values()), max(numbers.values())))
-        self.scale.say(f"{column.name}: from {low} (dark blue) to {high} (yellow)")
+        self.scale.say(f"{column.name}: from {low} (blue) to {high} (yellow)")
 
     def _offer_columns(self) -> None:
         menu = self.columns.menu()
@@ -178,8 +179,15 @@ class ResultsPanel(QGroupBox):
             self._doc.link.go_to(self.table.center(regions[-1]))
 
     def _highlight(self) -> None:
+        self._explain()
         if self._doc.link is not None:
             self._doc.link.highlight(self._doc.selection)
+
+    def _explain(self) -> None:
+        """What there is to say of the cell chosen, where it is one."""
+        chosen = self._doc.selection
+        rows = [row for row in self.table.rows if {row["region"]} == chosen]
+        self.why.say(sentence(why_of(rows[0])) if rows else "")
 
     def _export_menu(self) -> QMenu:
         menu = QMenu(self)

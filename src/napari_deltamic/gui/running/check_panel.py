@@ -18,7 +18,8 @@ from ...results.moved_numbers import MovedNumber, moved_numbers
 from ...results.timeline import Moment, explained
 from ..document import VIEWS, Document
 from ..record import Record
-from ..widgets import VERDICTS, Fold, Note, Signal, button, filled, narrow_box, row
+from ..widgets import Fold, Note, Signal, button, filled, is_dark, narrow_box, row
+from ..words import for_window
 from .edits import Edits
 from .history_bar import HistoryBar
 from .sculpt_tool import EditBar
@@ -27,7 +28,7 @@ from .worker import Snapshot
 _SLICES = {"XY": (0, 1, 2), "XZ": (1, 0, 2), "YZ": (2, 0, 1)}
 _MOST_POINTS = 400  # points drawn
 _OVER_CURVE = 18  # px above the plot
-_CURVE = "#ffb000"
+_CURVE = ("#ffb000", "#a35f00")  # on dark, and on light
 
 
 class CheckPanel(QGroupBox):
@@ -44,9 +45,7 @@ class CheckPanel(QGroupBox):
         self._failed = ""  # why the last fit of the image chosen did not start
         self._note_of: Any = None  # the image that the note is about
         self._offset = 0  # iterations of the runs before the present one
-        self.verdict = QLabel(self)
-        self.verdict.setWordWrap(True)
-        self.grade = Note(self)
+        self.verdict, self.grade = Note(self, style=""), Note(self, style="font-weight: bold;")
         tip = "Go to where the image differs most from the rendered one."
         self.worst = button("Worst place", tip, self.go_to_worst, self)
         self.stray = Note(self)
@@ -164,18 +163,15 @@ class CheckPanel(QGroupBox):
     def _show_verdict(self, verdict: str, text: str) -> None:
         """How it ended, in the first line of a text; those after it are remarks, in a list."""
         self.last_verdict = (verdict, text)
-        said, *remarks = text.split("\n")
-        self.verdict.setStyleSheet(f"color: {VERDICTS.get(verdict, '')};")
-        self.verdict.setText(said)
-        self.verdict.setVisible(bool(said))
+        said, *remarks = for_window(text).split("\n")
+        self.verdict.say(said, verdict)
         self.remarks.show_remarks(remarks)
 
     def _show_grade(self, record: Record | None) -> None:
         """How well the shapes explain the image, and what can be done about it."""
         known = None if record is None else record.judged
         grade = "" if known is None else known.verdict.grade
-        self.grade.setStyleSheet(f"color: {VERDICTS.get(grade, '')}; font-weight: bold;")
-        self.grade.say("" if known is None else told(known))
+        self.grade.say("" if known is None else for_window(told(known)), grade)
         self.worst.setVisible(known is not None and bool(known.found.spots))
         fit = None if record is None or record.job is None else record.job.settings.fit
         all_estimated = fit is not None and fit.fit_psf and fit.density == "smooth"
@@ -340,7 +336,7 @@ class ExplainedCurve(QWidget):
         painter.setPen(QPen(faint, 1))
         for line in self.lines[1:]:
             mark(line.x[0])
-        painter.setPen(QPen(QColor(_CURVE), 1.6))
+        painter.setPen(QPen(QColor(_CURVE[not is_dark(self)]), 1.6))
         for line in self.lines:
             points = [place(x, y) for x, y in zip(line.x, line.y, strict=True)]
             painter.drawPolyline(QPolygonF(points))

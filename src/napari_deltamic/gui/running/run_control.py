@@ -24,7 +24,8 @@ from ...results.judged import Compared, Spread, compared, judge
 from ...runs.settings import NEAR_LEVELS
 from ..document import Document
 from ..record import Record
-from ..work import Outcome, attempt
+from ..words import attempt
+from ..work import Outcome
 from .worker import FitRun, Snapshot
 
 

@@ -19,7 +19,8 @@ from ...fitting import Change, FitState
 from ...fitting.job import FitInput, following, scene_with, start
 from ...fitting.pending import Waiting, usable
 from ...results.report import History
-from ..work import Outcome, Task, words_of
+from ..words import words_of
+from ..work import Outcome, Task
 
 RENDER_EVERY = 0.3  # s, at least, between two rendered images
 RENDER_SHARE = 0.1  # of the time of a fit may go into rendered images
@@ -93,6 +94,8 @@ class FitRun(Task):
         # how long that took without pauses, s.
         self.job: FitInput | None = None
         self.forecast: Forecaster | None = None
+        self.first_forecast: Forecaster | None = None  # before anything was changed
+        self.settings_changed = False  # by the user, on the way
         self.state: FitState | None = None
         self.history = History()
         self.seconds = 0.0
@@ -119,7 +122,7 @@ class FitRun(Task):
             self._on_snapshot(newest)
 
     def end(self, outcome: Outcome | None) -> None:
-        text = "stopped by you" if self.state else "stopped before the first iteration"
+        text = "stopped" if self.state else "stopped before the first iteration"
         self._on_end(outcome or Outcome("stopped", text))
 
     def failed(self, error: Exception) -> Outcome:
@@ -133,7 +136,7 @@ class FitRun(Task):
         self.stage = "preparing the seeds"
         job = self.job = self._prepare()
         yield
-        self.forecast = self._forecaster(job)
+        self.forecast = self.first_forecast = self._forecaster(job)
         self.stage = "fitting"
         yield from self._fit(job)
         state = self.state
@@ -231,6 +234,7 @@ class FitRun(Task):
             return None
         # For whoever saves or repeats the fit: as it is done now.
         if change.settings is not None:
+            self.settings_changed = True
             planned = {"levels": job.settings.fit.levels}
             job = job.with_settings(fit=change.settings.model_copy(update=planned))
             self._forecast_anew(job)

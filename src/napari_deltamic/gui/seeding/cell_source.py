@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +19,7 @@ from ...runs.seeds import LabelSeeds, MeshSeeds, PointSeeds, Seeds, mixed
 from ..image_source import ImageSource
 from ..layer_choice import LayerTicks
 from ..viewing.cell_layers import unchanged_file
-from ..viewing.frame import OWN, FloatArray, Frame, stack_of
+from ..viewing.frame import OWN, FloatArray, Frame, stack_of, um_per_unit
 from ..viewing.viewer_link import PINS
 from ..viewing.walls import joined
 
@@ -47,11 +48,13 @@ def seeds_from_layer(
     spheres: bool,
     point: tuple[float, ...] = (),
     copied: bool = True,
+    shape: tuple[int, ...] | None = None,
 ) -> Seeds:
-    """The seeds that a Points, Labels or Surface layer holds.
+    """The seeds that a Points, Labels or Surface layer holds. InputError if it cannot be used.
 
     Parameters
     ----------
+    shape : of the image, (Z, Y, X): labels on other voxels are resampled; None: refused.
     step, point : of the viewer's dims: of layers of a series, the time shown is taken.
     spheres : points are spheres as large as they are drawn.
     copied : so that they stay as they are, whatever becomes of the layer.
@@ -59,7 +62,7 @@ def seeds_from_layer(
     if isinstance(layer, Points):
         return _points(layer, frame, point, spheres=spheres)
     if isinstance(layer, Labels):
-        return _labels(layer, frame, step, copied=copied)
+        return _labels(layer, frame, step, shape, copied=copied)
     if isinstance(layer, Surface):
         surface = mesh_of_surface(layer, frame, point)
         return MeshSeeds(surface, unchanged_file(layer, frame))
@@ -140,17 +143,46 @@ def _points(layer: Any, frame: Frame, point: tuple[float, ...], *, spheres: bool
     return PointSeeds(points, radii)
 
 
-def _labels(layer: Any, frame: Frame, step: tuple[int, ...], *, copied: bool) -> LabelSeeds:
+def _labels(
+    layer: Any,
+    frame: Frame,
+    step: tuple[int, ...],
+    shape: tuple[int, ...] | None,
+    *,
+    copied: bool,
+) -> LabelSeeds:
     labels = stack_of(layer, step)
     if labels.ndim != 3:
         raise InputError(f"layer '{layer.name}' is not 3D")
     region = frame.region(layer, labels.shape)
-    if region is None:
+    if region is not None:
+        return LabelSeeds(labels[region].copy() if copied else labels[region])
+    # Labels of as many voxels are meant to lie on them; and the scale may be missing.
+    unscaled = um_per_unit(layer) is None and np.all(layer.scale[-3:] == 1)
+    if shape is None or labels.shape == shape or unscaled:
         raise InputError(
             f"layer '{layer.name}' does not lie on the voxels of the image: give both layers the "
             "same scale and translation"
         )
-    return LabelSeeds(labels[region].copy() if copied else labels[region])
+    return LabelSeeds(_resampled(labels, *frame.data_to_um(layer), frame.voxel_size, shape))
+
+
+def _resampled(
+    labels: NDArray[Any],
+    scale: FloatArray,
+    shift: FloatArray,
+    size: Sequence[float],
+    shape: tuple[int, ...],
+) -> NDArray[Any]:
+    """The nearest label at each voxel of an image, 0 beside all; scale and shift, size: um."""
+    places = [
+        np.floor((np.arange(n) * d - s) / k + 0.5).astype(int)
+        for n, d, s, k in zip(shape, size, shift, scale, strict=True)
+    ]
+    inside = [(p >= 0) & (p < m) for p, m in zip(places, labels.shape, strict=True)]
+    found = np.zeros(shape, labels.dtype)
+    found[np.ix_(*inside)] = labels[np.ix_(*(p[i] for p, i in zip(places, inside, strict=True)))]
+    return found
 
 
 @dataclass(frozen=True)
@@ -228,13 +260,13 @@ class CellSource(LayerTicks):
         frame, shape = self._frame(), self.shape()
         if frame is None or shape is None:
             return []
-        step = tuple(self._viewer.dims.current_step)
         labels = []
         for layer in self.ticked:
             if isinstance(layer, Labels):
-                voxels = stack_of(layer, step)
-                region = frame.region(layer, voxels.shape) if voxels.ndim == 3 else None
-                labels.append((layer, voxels if region is None else voxels[region]))
+                with suppress(InputError):  # said when the fit starts
+                    seeds = self._of(layer, frame, self.spheres, copied=False)
+                    assert isinstance(seeds, LabelSeeds)
+                    labels.append((layer, seeds.labels))
         sets = self._point_sets(frame, self.spheres)
         known = all_remarks(sets, labels, shape, frame.voxel_size, problems)
         return self._placeless() + known
@@ -265,8 +297,9 @@ class CellSource(LayerTicks):
         return sets
 
     def _of(self, layer: Any, frame: Frame, spheres: bool, *, copied: bool = True) -> Seeds:
-        step, point = tuple(self._viewer.dims.current_step), self._point()
-        return seeds_from_layer(layer, frame, step, spheres=spheres, point=point, copied=copied)
+        step, shape = tuple(self._viewer.dims.current_step), self._image.shape()
+        more: Any = {"point": self._point(), "copied": copied, "shape": shape}
+        return seeds_from_layer(layer, frame, step, spheres=spheres, **more)
 
     def _point(self) -> tuple[float, ...]:
         return tuple(float(p) for p in self._viewer.dims.point)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -54,13 +54,14 @@ class FindCells(QPushButton):
         self.cell_size = slider(tip, parent)
         self.message = ""
         # Sizes that the cells may have instead, with how many would be found, about; 0: not known.
-        self.others: list[tuple[float, int]] = []
+        self.others: Sequence[tuple[float, int]] = ()
         self._sizes: list[tuple[float, int]] = []
         self._moved = False
         self._layer: Any = None
         self._found_in: Any = None  # the image layer that the message and the labels are of
         self.background = doc.background(self._fail)
         doc.at_end(self._let_go)
+        doc.listen(doc.viewer.layers.events.removed, self._layers_changed)
         self.clicked.connect(self.start)
         self.cell_size.valueChanged.connect(self._note_move)
 
@@ -100,16 +101,13 @@ class FindCells(QPushButton):
             self.background.drop()
             self._tell("")
 
-    def colour(self, event: Any = None) -> None:
-        """The labels were edited: cells that touch now differ too."""
+    def edited(self, event: Any = None) -> None:
+        """Labels were edited: cells that touch now differ too, and there may be more or fewer."""
         layer = self._layer
         if layer is not None and layer in self._viewer.layers:
             layer.colormap = label_colormap(np.asarray(layer.data))
-
-    def hide_found(self) -> None:
-        """Make the layer invisible: labels cover what lies in and under them."""
-        if self._layer is not None and self._layer in self._viewer.layers:
-            self._layer.visible = False
+            n = len(np.unique(layer.data[layer.data > 0]))
+            self._tell(f"{counted(n, 'cell')}.", self.others)
 
     def _let_go(self) -> None:
         """The window is closed."""
@@ -133,9 +131,8 @@ class FindCells(QPushButton):
             self._sizes = [(size, 0), *others]
         layer, self._found_in = self._layer_for(frame, labels), image_layer
         n = len(np.unique(labels[labels > 0]))
-        self._tell(f"Found {counted(n, 'cell')} of about {size:.3g} µm.")
-        self.others = [(s, n) for s, n in self._sizes if abs(s / size - 1) > _SAME]
-        self.told.emit()
+        others = [(s, k) for s, k in self._sizes if abs(s / size - 1) > _SAME]
+        self._tell(f"Found {counted(n, 'cell')} of about {size:.3g} µm.", others)
         self.found.emit(layer)
 
     def _layer_for(self, frame: Frame, labels: NDArray[np.int32]) -> Any:
@@ -155,15 +152,21 @@ class FindCells(QPushButton):
             return old
         self._layer = Labels(labels, name=NAME, opacity=0.4, **options)
         self._layer.colormap = label_colormap(labels)
-        self._layer.events.paint.connect(self.colour)
+        self._layer.events.paint.connect(self.edited)
         self._viewer.add_layer(self._layer)
         return self._layer
 
     def _fail(self, message: str) -> None:
-        self._tell(f"No cells found: {message}")
+        self._tell(sentence(message))
 
-    def _tell(self, message: str) -> None:
-        self.message, self.others = message, []
+    def _layers_changed(self, event: Any = None) -> None:
+        """What was found is of no interest once its layer is gone."""
+        if event.value is self._layer:
+            self._layer = None
+            self._tell("")
+
+    def _tell(self, message: str, others: Sequence[tuple[float, int]] = ()) -> None:
+        self.message, self.others = message, others
         self.told.emit()
 
     def _note_move(self, value: float) -> None:

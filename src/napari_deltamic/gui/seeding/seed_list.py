@@ -18,8 +18,7 @@ from .cell_source import seed_kind
 
 _ROWS = 5  # shown at once, at most
 _REMARKS = 4  # the same
-# Readable on dark and on light.
-_WARNING, LINK = "#d9822b", "#4a90e2"
+LINK = "#3d7fd9"  # readable on dark and on light
 _HELP = {
     Points: "A point inside each cell.",
     Labels: "Each label becomes a surface.",
@@ -79,7 +78,7 @@ class Remarks(Note):
     """Sentences in the colour of warnings; 'show' after one selects its points."""
 
     def __init__(self, viewer: Any, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+        super().__init__(parent, "fair")
         self._viewer = viewer
         self.remarks: list[Remark] = []
         self.setTextFormat(Qt.TextFormat.RichText)
@@ -92,12 +91,12 @@ class Remarks(Note):
         lines = []
         for index, remark in enumerate(remarks[:_REMARKS]):
             link = f" <a style='color: {LINK}' href='{index}'>show</a>" if remark.points else ""
-            lines.append(f"<span style='color: {_WARNING}'>{escape(remark.text)}.</span>{link}")
+            lines.append(f"{escape(remark.text)}.{link}")
         if len(remarks) > _REMARKS:
             lines.append(f"... and {len(remarks) - _REMARKS} more")
         if busy:
             lines.append(escape(busy))
-        self.say("<br>".join(lines))
+        self.say("<br>".join(lines), "fair" if remarks else "")
 
     def show_points(self, link: str) -> None:
         """Select the points that a remark is about, and go to the first."""

@@ -28,7 +28,7 @@ from .find_cells_button import FindCells
 from .preview import Preview
 from .seed_list import LINK, Remarks, SeedList
 
-_FOLLOW, _SPHERES = "membrane around the click", "a sphere"
+_FOLLOW, _SPHERES = "the membrane", "a sphere"
 _WAIT = 100  # ms; changes that follow each other faster are looked at together
 
 
@@ -103,9 +103,9 @@ class SeedsPanel(QGroupBox):
         """The meshes of a fit are there: hide what would cover them, until seeds are edited."""
         self._used = True
         self.preview.clear()
-        self.find_cells.hide_found()
-        if self.cells.spheres:  # as large as the cells
-            for layer in self.cells.points_layers():
+        for layer in self.cells.ticked:
+            # A point covers something only as a sphere as large as its cell.
+            if self.cells.spheres or not isinstance(layer, Points):
                 layer.visible = False
 
     def use_file(self, *paths: str) -> None:
@@ -166,7 +166,7 @@ class SeedsPanel(QGroupBox):
         self.find_cells.found.connect(self.cells.choose)
         self.find_cells.gone.connect(partial(self.cells.choose, ticked=False))
         self.cells.chosen.connect(self._layers_chosen)
-        self.corrections.edited.connect(self.find_cells.colour)
+        self.corrections.edited.connect(self.find_cells.edited)
         self.corrections.edited.connect(self._show_soon)
         self.shape.currentTextChanged.connect(self._shape_chosen)
         self.radius.valueChanged.connect(self._resize)
@@ -307,11 +307,13 @@ class SeedsPanel(QGroupBox):
         layers, points = self.cells.ticked, self.cells.points_layers()
         self.corrections.renew()
         shown = bool(points) or not layers
-        self._form.setRowVisible(self.find_cells.cell_size, self.find_cells.tried)
+        sized = self.find_cells.tried and self.cells.shape() is not None
+        self._form.setRowVisible(self.find_cells.cell_size, sized)
         self._form.setRowVisible(self.shape, shown)
         self._form.setRowVisible(self.radius, shown and self.cells.spheres)
         self._form.setRowVisible(self.preview, shown and not self.cells.spheres)
-        texts = [self.find_cells.message]
+        # While labels are corrected, their number stands below the tools.
+        texts = [] if self.corrections.count.text() else [self.find_cells.message]
         others = [
             f"<a style='color: {LINK}' href='{size!r}'>{n or ''} of {size:.3g} µm</a>"
             for size, n in self.find_cells.others
@@ -320,8 +322,8 @@ class SeedsPanel(QGroupBox):
             texts.append(f"Or try: {', '.join(others)}.")
         if points:
             n = sum(len(layer.data) for layer in points)
-            texts.append(f"{counted(n, 'point')}.")
-        elif not layers:
+            texts.append(f"{counted(n, 'point')}." if n else "Click inside each cell.")
+        elif not layers and not any(texts):
             texts.append("Press 'Find cells', or 'Click cells' and click inside each.")
         self.note.say(" ".join(filter(None, texts)))
 

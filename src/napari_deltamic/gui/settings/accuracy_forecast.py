@@ -164,10 +164,12 @@ class AccuracyForecast(QObject):
     def _ended(self) -> None:
         self.noise.hold(False)
         run = self._doc.run
-        if run is not None and isinstance(run.forecast, Forecast):
-            expected = duration(run.forecast.seconds)
+        first = None if run is None else run.first_forecast
+        if isinstance(first, Forecast):
+            expected = duration(first.seconds)
             self.last_run.emit(f"the last fit took {duration(run.seconds)}, {expected} predicted")
-            self._learn(run, run.forecast)
+            if not run.settings_changed:
+                self._learn(run, first)
         self.later()
 
     def _learn(self, run: FitRun, forecast: Forecast) -> None:
@@ -181,7 +183,7 @@ class AccuracyForecast(QObject):
 
 def predicted(forecast: Forecast, guessed: bool = False) -> str:
     """A forecast in words; less certain where the size of the surfaces is a guess."""
-    return f"takes {'about ' * guessed}{duration(forecast.seconds)}"
+    return f"takes {'about ' * guessed}{duration(forecast.seconds, whole=forecast.seconds > 2)}"
 
 
 def scene_key(doc: Document) -> tuple[Any, ...]:

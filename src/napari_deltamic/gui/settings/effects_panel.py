@@ -36,8 +36,8 @@ from .effects_table import EffectsTable, spoken
 
 _TITLES = "Check this image", "Stop checking"
 _TIP = (
-    "Tests which effects the image shows: fits it (or uses the current fit), and says for each "
-    "effect how clearly it is seen, how far off the surface is without it, and what it costs. "
+    "Tests which corrections the image needs: fits it (or uses the current fit), and says for each "
+    "one how clearly it is seen, how far off the surface is without it, and what it costs. "
     "Takes at least as long as a fit, in the background. Nothing is added until you tick it."
 )
 _STALE = "this was of another image or PSF: check again"
@@ -55,7 +55,7 @@ class EffectsPanel(QWidget):
         self._kept: Recommendation | None = None  # what was found, also of another image
         self.found: Recommendation | None = None
         self.button = TaskButton(doc.work, _TITLES, _TIP, self._question, self)
-        tip = "Tick the effects that are recommended."
+        tip = "Tick those that are recommended."
         self.take_button = button("Use recommended", tip, self.take_recommended, self)
         self.progress, self.reason, self.remarks = Note(self), Note(self), Note(self)
         self.table = EffectsTable(CONSIDERED, self)
@@ -254,7 +254,7 @@ class SecondViewFields(QWidget):
             "They are held during a fit.",
             self,
         )
-        self.note = Note(self, wrong=True)
+        self.note = Note(self, "poor")
         self._form = QFormLayout()
         self._form.setContentsMargins(0, 0, 0, 0)
         self._form.addRow("second view", self.chooser)

@@ -162,5 +162,5 @@ def _two_digits(value: float) -> str:
 
 def _tip(name: str, evidence: Evidence | None) -> str:
     helped = KINDS[name].help
-    text = f"{helped[0].upper()}{helped[1:]} (--effects {name})."
+    text = f"{helped[0].upper()}{helped[1:]}."
     return f"<qt>{text}<br><br>{evidence.reason}</qt>" if evidence else f"<qt>{text}</qt>"

@@ -55,7 +55,7 @@ class OpticsPanel(QWidget):
         self.sigma = TripleField(tip_of(described(SceneSettings)["sigma"]), self)
         self.objective = ObjectiveFields(self)
         self.measured = MeasuredFields(self._complain, self)
-        self.width_note, self.trouble = Note(self), Note(self, wrong=True)
+        self.width_note, self.trouble = Note(self), Note(self, "poor")
         self.picture = PsfPicture(doc, self)
         self._pages: dict[str, QWidget] = {
             GAUSSIAN: self.sigma,
@@ -143,7 +143,8 @@ class OpticsPanel(QWidget):
         self._show_page()
         self._width = ""
         self._complain("")
-        self.width_note.say("")
+        gaussian = self._choice.psf is None
+        self.width_note.say("standard deviations along Z, Y and X, µm" if gaussian else "")
         self.background.drop()  # of what was shown before
         self._show_own()
         self.described.emit()

@@ -21,7 +21,8 @@ from ...tracking import FrameResult, TrackSettings
 from ..document import Document
 from ..layer_channels import origin_of
 from ..viewing.frame import Frame, data_of
-from ..work import Outcome, attempt
+from ..words import attempt
+from ..work import Outcome
 from .layers import TrackLayers
 from .panel import TrackPanel
 from .track_work import Frames, TrackJob, TrackWork

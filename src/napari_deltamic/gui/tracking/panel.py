@@ -17,7 +17,7 @@ from ...common.words import counted
 from ...measure import measure_cells
 from ...tracking import FrameResult, TrackSettings
 from ..cell_table import CellTable
-from ..widgets import VERDICTS, Note, Signal, button, filled, row
+from ..widgets import Note, Signal, button, filled, row
 
 
 class TrackPanel(QGroupBox):
@@ -38,7 +38,7 @@ class TrackPanel(QGroupBox):
         self.divisions.setChecked(TrackSettings().divisions)
         described = TrackSettings.model_fields["divisions"].description
         self.divisions.setToolTip(f"<qt>{described}</qt>")
-        self.verdict, self.frame = Note(self), QLabel(self)
+        self.verdict, self.frame = Note(self, style="font-weight: bold;"), QLabel(self)
         self.frame.setWordWrap(True)
         self.table = CellTable(self)
         tip = "A mesh for each frame, tracks.csv, surface.npz, report.json and run.toml."
@@ -57,8 +57,7 @@ class TrackPanel(QGroupBox):
         self.save_button.setEnabled(allowed)
 
     def show_verdict(self, verdict: str, text: str) -> None:
-        self.verdict.setStyleSheet(f"color: {VERDICTS.get(verdict, '')}; font-weight: bold;")
-        self.verdict.say(text)
+        self.verdict.say(text, verdict)
 
     def show_frame(
         self,

@@ -14,7 +14,8 @@ from ...results.timeline import explained
 from ...runs.track_run import TrackRun
 from ...tracking import FrameResult, track
 from ..viewing.frame import Box, finite
-from ..work import Outcome, Task, words_of
+from ..words import words_of
+from ..work import Outcome, Task
 
 
 class Frames:
@@ -102,7 +103,7 @@ class TrackWork(Task):
 
     def end(self, outcome: Outcome | None) -> None:
         self.look()
-        self._on_end(outcome or Outcome("stopped", "stopped by you"))
+        self._on_end(outcome or Outcome("stopped", "stopped"))
 
     def failed(self, error: Exception) -> Outcome:
         return Outcome("failed", words_of(error))

@@ -21,8 +21,8 @@ _DIMMED = np.hstack([(1 - _DIM) * PALETTE_RGBA[:, :3] + _DIM * _GREY, _OPAQUE])
 _BOTH = np.concatenate([PALETTE_RGBA, _DIMMED])
 _GHOSTS = _BOTH.copy()
 _GHOSTS[len(PALETTE_RGBA) :, 3] = 0.2  # in 3D one looks through them at what is chosen
-BY_VALUE = "viridis"
-_BY_VALUE = ensure_colormap(BY_VALUE)
+# Viridis without its darkest third, which could not be seen on a dark image.
+BY_VALUE = Colormap(ensure_colormap("viridis").map(np.linspace(0.35, 1, 64)), name="by value")
 LIMITS = (0.0, float(len(_BOTH)))
 
 
@@ -53,7 +53,7 @@ class ByValue:
         """(n, 4) the colours of regions."""
         low, high = self.limits
         share = (self.at(regions) - low) / (high - low)
-        colours = np.asarray(_BY_VALUE.map(np.nan_to_num(np.atleast_1d(share))), float)
+        colours = np.asarray(BY_VALUE.map(np.nan_to_num(np.atleast_1d(share))), float)
         colours[~np.isfinite(np.atleast_1d(share))] = (_GREY, _GREY, _GREY, 1.0)
         return colours
 

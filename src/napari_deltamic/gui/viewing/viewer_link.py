@@ -46,6 +46,7 @@ class ViewerLink(MeshLayers):
         self._images: tuple[NDArray[Any], NDArray[Any]] | None = None
         self._limits = (0.0, 0.0)  # of the residual, as long as the user chooses no others
         self._view = "image"
+        self._before: Any = None  # order of the axes, centre and zoom, before two images were seen
         self._pins = Pins(self, f"{name}: pinned")
         self._on_lost = on_lost
         self.connections.connect(viewer.layers.events.removed, self._layer_removed)
@@ -161,6 +162,18 @@ class ViewerLink(MeshLayers):
                 shift[displayed] += _GAP * layer.data.shape[displayed] * layer.scale[displayed]
         if not np.allclose(layer.translate, shift):
             layer.translate = shift
+            self._see_both(beside)
+
+    def _see_both(self, beside: bool) -> None:
+        """See two images side by side; after that, what was seen before."""
+        camera, order = camera_of(self.viewer), tuple(self.viewer.dims.order)
+        if beside:
+            self._before = self._before or (order, camera.center, camera.zoom)
+            self.viewer.reset_view()
+        elif self._before is not None:
+            (then, center, zoom), self._before = self._before, None
+            if then == order:
+                camera.center, camera.zoom = center, zoom
 
     def _image(self, data: NDArray[Any], what: str, **options: Any) -> Image:
         layer = Image(

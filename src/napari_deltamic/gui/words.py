@@ -1,0 +1,55 @@
+"""What the user reads in the window: of errors, and of what is written for the command line."""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections.abc import Callable, Sequence
+
+from psygnal import EmitLoopError
+
+from ..errors import InputError, failure
+
+_log = logging.getLogger(__name__)
+_OF_THE_COMMAND_LINE = " (-v shows where)"
+# Where the window has what a flag sets.
+_PLACES = {
+    "--effects": "Corrections",
+    "--structure": "what shines",
+    "--fit-psf": "estimate the PSF",
+    "--modality": "Microscope",
+    "--accuracy": "quick, normal, careful",
+}
+
+
+def for_window(text: str) -> str:
+    """A text as the window says it: with the names of its fields for flags in brackets, and µm."""
+    shown = re.sub(r" \((--[^)]*)\)", _placed, text)
+    return re.sub(r"\bum\b", "µm", shown)
+
+
+def words_of(error: Exception, shape: Sequence[int] | None = None) -> str:
+    """What the user reads of an error, in one line; the log has the traceback of what is a bug.
+
+    shape : of the image, which tells how much memory is needed.
+    """
+    while isinstance(error, EmitLoopError) and isinstance(error.__cause__, Exception):
+        error = error.__cause__  # of what was told of a change
+    if isinstance(error, InputError):
+        return for_window(str(error))
+    _log.error("unexpected error", exc_info=error)
+    text = str(failure(error, shape)).replace(_OF_THE_COMMAND_LINE, "; the log shows where")
+    return for_window(text)
+
+
+def attempt(action: Callable[[], None], warn: Callable[[str], None]) -> None:
+    """Run something that may fail; the user reads why, without a traceback."""
+    try:
+        action()
+    except Exception as error:  # a bug is no reason to frighten a user or to lose the fit
+        warn(words_of(error))
+
+
+def _placed(flags: re.Match[str]) -> str:
+    places = [place for flag, place in _PLACES.items() if flag in flags[1]]
+    return f" (see {', '.join(places)})" if places else ""

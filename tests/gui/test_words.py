@@ -1,0 +1,86 @@
+"""What the window says: in its own words, and in colours that can be read."""
+
+import numpy as np
+import pytest
+from qtpy.QtGui import QColor
+from qtpy.QtWidgets import QLabel, QVBoxLayout, QWidget
+
+from napari_deltamic.errors import InputError
+from napari_deltamic.gui.dock import Column
+from napari_deltamic.gui.viewing.colours import BY_VALUE, ByValue
+from napari_deltamic.gui.widgets import VERDICTS, Note
+from napari_deltamic.gui.words import for_window, words_of
+
+GROUNDS = {"dark": "#23242b", "light": "#ebe7e6"}  # of napari's themes
+
+
+def luminance(colour):
+    parts = np.array(QColor(colour).getRgbF()[:3])
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    return float(linear @ (0.2126, 0.7152, 0.0722))
+
+
+def contrast(one, other):
+    dark, light = sorted((luminance(one), luminance(other)))
+    return (light + 0.05) / (dark + 0.05)
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("light next to it (--effects auto); uneven", "light next to it (see Corrections); uneven"),
+        ("thick (--structure auto, --fit-psf)", "thick (see what shines, estimate the PSF)"),
+        ("no place for it (--nonesuch)", "no place for it"),
+        ("of about 2 um were found, 3 umbrellas", "of about 2 µm were found, 3 umbrellas"),
+        ("one of two (or both)", "one of two (or both)"),
+    ],
+)
+def test_flags_are_named_as_the_fields_of_the_window(text, shown):
+    assert for_window(text) == shown
+    assert words_of(InputError(text)) == shown
+
+
+@pytest.mark.parametrize("verdict", sorted(VERDICTS))
+def test_verdicts_can_be_read_on_dark_and_on_light(app, verdict):
+    window = QWidget()
+    note = Note(window)
+    note.say("so it is", verdict)
+    seen = set()
+    for ground in (*GROUNDS.values(), GROUNDS["dark"]):
+        window.setStyleSheet(f"QWidget {{ background-color: {ground}; }}")
+        note.ensurePolished()
+        app.processEvents()
+        colour = note.styleSheet().rsplit("color: ", 1)[1].strip(" ;")
+        assert contrast(colour, ground) >= 4.5
+        seen.add(colour)
+    assert len(seen) == 2
+    note.say("nothing", "")
+    assert "color" not in note.styleSheet()
+
+
+def test_colours_by_a_number_are_seen_on_a_dark_image():
+    colours = ByValue({1: 0.0, 2: 0.5, 3: 1.0}).rgba([1, 2, 3])
+    for red, green, blue, _ in (*colours, *BY_VALUE.map(np.linspace(0, 1, 9))):
+        assert contrast(QColor.fromRgbF(red, green, blue), "black") > 3
+
+
+def test_a_part_that_was_just_shown_is_scrolled_to(app, spin):
+    inner = QWidget()
+    above, part = QLabel("above", inner), QLabel("part", inner)
+    above.setFixedHeight(600)
+    part.setFixedHeight(100)
+    part.hide()
+    layout = QVBoxLayout(inner)
+    layout.addWidget(above)
+    layout.addWidget(part)
+    outer = QWidget()
+    outer.resize(300, 200)
+    column = Column(inner, outer)
+    column.resize(300, 200)
+    outer.show()
+    app.processEvents()
+    part.show()
+    column.show_part(part)
+    bar = column.verticalScrollBar()
+    spin(lambda: bar.value() >= 500, 5)
+    outer.close()
