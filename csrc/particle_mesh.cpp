@@ -186,27 +186,38 @@ struct Rows {
     }
 };
 
-template <class T, int L>
-void spread_rows(const Point<T>* points, size_t count, const Grid<T>& g, int channels, const double* factors,
-                 T* grids) {
+template <class T, int L, bool dipoles>
+void spread_rows(const Point<T>* points, size_t count, const Grid<T>& g, const double* vectors, T* grid) {
     const int depth = g.kernel[0].width, height = g.kernel[1].width;
-    const std::int64_t size = g.shape[0] * g.shape[1] * g.row;
     for (size_t p = 0; p < count; ++p) {
         const Point<T>& point = points[p];
-        T z[L], y[L];
-        store<T, L>(z, values<T, L>(g.kernel[0], point.f[0]));
-        store<T, L>(y, values<T, L>(g.kernel[1], point.f[1]));
-        const Row<T, L> x = values<T, L>(g.kernel[2], point.f[2]);
+        Row<T, L> k[3], s[3];
+        for (int axis = 0; axis < 3; ++axis) {
+            if constexpr (dipoles) values_and_slopes<T, L>(g.kernel[axis], point.f[axis], k[axis], s[axis]);
+            else k[axis] = values<T, L>(g.kernel[axis], point.f[axis]);
+        }
+        T z[L], y[L], sz[L], sy[L], along[3];
+        store<T, L>(z, k[0]);
+        store<T, L>(y, k[1]);
+        if constexpr (dipoles) {
+            store<T, L>(sz, s[0]);
+            store<T, L>(sy, s[1]);
+            // t rises by 2 from a node to the next
+            for (int i = 0; i < 3; ++i)
+                along[i] = static_cast<T>(2 * g.scale[i] * point.strength * vectors[3 * point.element + i]);
+        }
         const Rows<T> rows(g, point.at[0], point.at[1]);
-        for (int c = 0; c < channels; ++c) {
-            const T own = channels > 1 ? static_cast<T>(point.strength * factors[point.element * channels + c])
-                                       : point.strength;
-            T* grid = grids + c * size + point.at[2];
-            for (int a = 0; a < depth; ++a) {
-                const T share = own * z[a];
-                for (int b = 0; b < height; ++b) {
-                    T* row = grid + rows.z[a] + rows.y[b];
-                    store<T, L>(row, times_plus<T, L>(x, share * y[b], load<T, L>(row)));
+        T* base = grid + point.at[2];
+        for (int a = 0; a < depth; ++a) {
+            const T share = point.strength * z[a];
+            for (int b = 0; b < height; ++b) {
+                T* row = base + rows.z[a] + rows.y[b];
+                if constexpr (dipoles) {
+                    const T across = along[0] * sz[a] * y[b] + along[1] * z[a] * sy[b];
+                    const Row<T, L> sum = times_plus<T, L>(s[2], along[2] * z[a] * y[b], load<T, L>(row));
+                    store<T, L>(row, times_plus<T, L>(k[2], across, sum));
+                } else {
+                    store<T, L>(row, times_plus<T, L>(k[2], share * y[b], load<T, L>(row)));
                 }
             }
         }
@@ -290,13 +301,19 @@ void gather_elements(const Elements& e, const Grid<T>& g, size_t first, size_t l
 
 // ---------------------------------------------------------------------------- for every length
 
-template <class T>
-void spread(const Point<T>* points, size_t count, const Grid<T>& g, int channels, const double* factors, T* grids) {
+template <class T, bool dipoles>
+void spread_lanes(const Point<T>* points, size_t count, const Grid<T>& g, const double* vectors, T* grid) {
     switch (g.lanes) {
-        case 4: return spread_rows<T, 4>(points, count, g, channels, factors, grids);
-        case 8: return spread_rows<T, 8>(points, count, g, channels, factors, grids);
-        default: return spread_rows<T, 16>(points, count, g, channels, factors, grids);
+        case 4: return spread_rows<T, 4, dipoles>(points, count, g, vectors, grid);
+        case 8: return spread_rows<T, 8, dipoles>(points, count, g, vectors, grid);
+        default: return spread_rows<T, 16, dipoles>(points, count, g, vectors, grid);
     }
+}
+
+template <class T>
+void spread(const Point<T>* points, size_t count, const Grid<T>& g, const double* vectors, T* grid) {
+    if (vectors) spread_lanes<T, true>(points, count, g, vectors, grid);
+    else spread_lanes<T, false>(points, count, g, vectors, grid);
 }
 
 template <class T, bool derivatives>

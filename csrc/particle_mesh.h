@@ -54,10 +54,9 @@ template <class T>
 struct MeshLoops {
     // Points of elements first .. last-1, one after the other.
     void (*locate)(const Elements&, const Grid<T>&, std::size_t first, std::size_t last, Point<T>* out);
-    // Adds points to `channels` grids, one after the other in memory. More than one: the strength of a
-    // point is multiplied by factors (elements, channels).
-    void (*spread)(const Point<T>* points, std::size_t count, const Grid<T>&, int channels, const double* factors,
-                   T* grids);
+    // Adds points to a grid; with `vectors` (elements, 3), dipoles: the kernel's gradient (per um) along
+    // the vector.
+    void (*spread)(const Point<T>* points, std::size_t count, const Grid<T>&, const double* vectors, T* grid);
     // For each element and corner, the sum over points of weight times barycentric coordinate times
     // the field (and its three derivatives, per um): sums is (elements, corners, 1 or 4).
     void (*gather)(const Elements&, const Grid<T>&, std::size_t first, std::size_t last, const T* field,

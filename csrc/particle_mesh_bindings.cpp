@@ -120,8 +120,8 @@ struct Kernels {
 };
 
 template <class T>
-void check_size(const Array<T>& given, int channels, const Grid<T>& g) {
-    const double size = static_cast<double>(channels) * g.shape[0] * g.shape[1] * g.row;
+void check_size(const Array<T>& given, const Grid<T>& g) {
+    const double size = static_cast<double>(g.shape[0]) * g.shape[1] * g.row;
     deltamic_checks::require(static_cast<double>(given.size()) == size, "the grid has another size");
 }
 
@@ -162,9 +162,8 @@ struct Sorted {
 template <class T>
 class Spreading {
 public:
-    Spreading(const Elements& e, const Grid<T>& g, const MeshLoops<T>& loops, int channels, const double* factors,
-              T* grids)
-        : e_(e), g_(g), loops_(loops), channels_(channels), factors_(factors), grids_(grids),
+    Spreading(const Elements& e, const Grid<T>& g, const MeshLoops<T>& loops, const double* vectors, T* grid)
+        : e_(e), g_(g), loops_(loops), vectors_(vectors), grid_(grid),
           z_(g.shape[0], g.kernel[0].width), y_(g.shape[1], g.kernel[1].width),
           tiles_(static_cast<size_t>(z_.count) * y_.count), chunks_(chunks_of(e.count)), first_(chunks_ + 1) {
         size_t total = 0;
@@ -182,7 +181,7 @@ public:
     }
 
     void run(Team& team) {
-        const size_t rows = static_cast<size_t>(channels_ * g_.shape[0] * g_.shape[1]);
+        const size_t rows = static_cast<size_t>(g_.shape[0] * g_.shape[1]);
         const size_t slabs = std::min<size_t>(rows, 64);
         team.run([&](int) {
             team.each(slabs, [&](size_t s) { clear(s * rows / slabs, (s + 1) * rows / slabs); });
@@ -208,7 +207,7 @@ private:
         return static_cast<size_t>(z_.of[p.at[0]]) * y_.count + y_.of[p.at[1]];
     }
 
-    void clear(size_t first, size_t last) { std::memset(grids_ + first * g_.row, 0, (last - first) * g_.row * sizeof(T)); }
+    void clear(size_t first, size_t last) { std::memset(grid_ + first * g_.row, 0, (last - first) * g_.row * sizeof(T)); }
 
     void locate(size_t group) {
         const auto [begin, end] = range(group);
@@ -240,14 +239,14 @@ private:
     }
 
     void spread(size_t tile) {
-        loops_.spread(sorted_.get() + start_[tile], start_[tile + 1] - start_[tile], g_, channels_, factors_, grids_);
+        loops_.spread(sorted_.get() + start_[tile], start_[tile + 1] - start_[tile], g_, vectors_, grid_);
     }
 
     // What reached beyond the end of a row belongs to its beginning.
     void fold(size_t first, size_t last) {
         const std::int64_t n = g_.shape[2];
         for (size_t r = first; r < last; ++r) {
-            T* row = grids_ + r * g_.row;
+            T* row = grid_ + r * g_.row;
             for (std::int64_t i = n; i < g_.row; ++i) row[i % n] += row[i];
         }
     }
@@ -255,9 +254,8 @@ private:
     const Elements& e_;
     const Grid<T>& g_;
     const MeshLoops<T>& loops_;
-    int channels_;
-    const double* factors_;
-    T* grids_;
+    const double* vectors_;
+    T* grid_;
     Parts z_, y_;
     size_t tiles_, chunks_, groups_ = 0;
     std::vector<size_t> first_, where_, start_;
@@ -319,30 +317,26 @@ void bind(nb::module_& m, const char* suffix) {
     m.def(("spread_" + s).c_str(),
           [](Array<const double> vertices, Array<const std::int64_t> indices, Array<const double> density,
              const Quadrature& q, const Shape& shape, const std::vector<double>& scale, const Coefficients& kernels,
-             std::optional<Array<const double>> factors, Array<T> out, int threads, const std::string& simd) {
+             std::optional<Array<const double>> vectors, Array<T> out, int threads, const std::string& simd) {
               Elements e = elements_of(vertices, indices, density, q);
               const Kernels<T> k(shape, scale, kernels, vertices);
-              if (factors) {
-                  require(factors->ndim() == 2 && factors->shape(0) == e.count && factors->shape(1) >= 1 &&
-                              factors->shape(1) < 4096,
-                          "factors: one row per element");
-                  within(*factors, "factors", -largest_strength, largest_strength);
+              if (vectors) {
+                  has_shape(*vectors, "vectors", {e.count, 3});
+                  within(*vectors, "vectors", -largest_strength, largest_strength);
               }
-              const int channels = factors ? static_cast<int>(factors->shape(1)) : 1;
               thread_count(threads);
               const MeshLoops<T>& loops = mesh_loops_of<T>(simd);
-              check_size(out, channels, k.grid);
+              check_size(out, k.grid);
               std::vector<double> strengths(density.data(), density.data() + e.count);
-              if (!factors)
+              if (!vectors)
                   for (size_t i = 0; i < e.count; ++i) strengths[i] *= measure_of(e, i).value;
               e.strengths = strengths.data();
               nb::gil_scoped_release release;
               Team team(threads);
-              Spreading<T>(e, k.grid, loops, channels, factors ? factors->data() : nullptr, out.data())
-                  .run(team);
+              Spreading<T>(e, k.grid, loops, vectors ? vectors->data() : nullptr, out.data()).run(team);
           },
           nb::arg("vertices"), nb::arg("indices"), nb::arg("density"), nb::arg("quadrature"), nb::arg("shape"),
-          nb::arg("scale"), nb::arg("kernels"), nb::arg("factors").none(), nb::arg("out").noconvert(), nb::arg("threads"),
+          nb::arg("scale"), nb::arg("kernels"), nb::arg("vectors").none(), nb::arg("out").noconvert(), nb::arg("threads"),
           nb::arg("simd"));
     m.def(("gather_" + s).c_str(),
           [](Array<const double> vertices, Array<const std::int64_t> indices, Array<const double> density,
@@ -350,13 +344,15 @@ void bind(nb::module_& m, const char* suffix) {
              Array<T> field, Array<double> sums, int threads, const std::string& simd) {
               const Elements e = elements_of(vertices, indices, density, q);
               const Kernels<T> k(shape, scale, kernels, vertices);
-              check_size(field, 1, k.grid);
-              require(sums.size() == e.count * e.corners, "one sum per element and corner is needed");
+              check_size(field, k.grid);
+              const size_t all = e.count * e.corners;
+              require(sums.size() == all || sums.size() == 4 * all, "one sum, or four, per element and corner are needed");
+              const bool derivatives = sums.size() > all;
               thread_count(threads);
               const MeshLoops<T>& loops = mesh_loops_of<T>(simd);
               nb::gil_scoped_release release;
               Team team(threads);
-              gather(e, k.grid, loops, field.data(), false, sums.data(), team);
+              gather(e, k.grid, loops, field.data(), derivatives, sums.data(), team);
           },
           nb::arg("vertices"), nb::arg("indices"), nb::arg("density"), nb::arg("quadrature"), nb::arg("shape"),
           nb::arg("scale"), nb::arg("kernels"), nb::arg("field").noconvert(), nb::arg("sums").noconvert(),
@@ -367,7 +363,7 @@ void bind(nb::module_& m, const char* suffix) {
              Array<T> field, Array<double> by_vertex, Array<double> by_density, int threads, const std::string& simd) {
               const Elements e = elements_of(vertices, indices, density, q);
               const Kernels<T> k(shape, scale, kernels, vertices);
-              check_size(field, 1, k.grid);
+              check_size(field, k.grid);
               has_shape(by_vertex, "gradient of the vertices", {vertices.shape(0), 3});
               has_shape(by_density, "gradient of the densities", {e.count});
               thread_count(threads);

@@ -203,9 +203,8 @@ class Calls:
     def spread(self, random: Random) -> Call:
         suffix, kind = self._kind(random)
         mesh, grid, shape, row = self._meshed(random)
-        channels = int(random.integers(1, 3))
-        factors = None if channels == 1 else np.ones((len(mesh[1]), channels))
-        given = [*mesh, *grid, factors, self.out(channels, *shape[:2], row, kind=kind)]
+        vectors = None if random.integers(2) else np.ones((len(mesh[1]), 3))
+        given = [*mesh, *grid, vectors, self.out(*shape[:2], row, kind=kind)]
         return getattr(self.fourier, f"spread_{suffix}"), [*given, *self._end(random)]
 
     def gather(self, random: Random) -> Call:

@@ -43,14 +43,11 @@ def _weights(
     spacing: tuple[float, float, float],
     low: tuple[int, int, int],
     real: torch.dtype,
-) -> list[Tensor]:
-    """``xi / |xi|^2`` along each axis on the box of a band, 0 within the low box."""
-    found = []
+) -> Tensor:
+    """``1 / |xi|^2`` on the box of a band, 0 within the low box."""
     inverse = inverse_square(half, spacing)
     inverse[within(low, half)] = 0
-    for along in box_axes(half, spacing):
-        found.append(torch.from_numpy(along * inverse).to(real))
-    return found
+    return torch.from_numpy(inverse).to(real)
 
 
 def flux_ft(
@@ -92,14 +89,9 @@ class _Flux(torch.autograd.Function):
         ctx.save_for_backward(vertices, contrast)
         ctx.rest = rest
         given = vertices, faces, contrast, points, spreading, single, vertices.device
-        grids = spread(*given, factors=areas)
-        weights = _weights(spreading.half, spreading.spacing, low, grids.dtype)
-        total: Tensor | None = None
-        for grid, weight in zip(grids, weights, strict=True):
-            box = spreading.fft.to_box(grid, weight)
-            total = box if total is None else total.add_(box)
-        assert total is not None
-        return total.mul_(1j)
+        # Dipoles along the areas: the divergence of the flux, i xi . its transform.
+        grid = spread(*given, vectors=areas)
+        return spreading.fft.to_box(grid, _weights_of(spreading, low, grid.dtype))
 
     @staticmethod
     @torch.autograd.function.once_differentiable
@@ -108,25 +100,20 @@ class _Flux(torch.autograd.Function):
         faces, areas, points, spreading, low, single = ctx.rest
         by_vertex = by_contrast = None
 
-        def gathered(box: Tensor) -> Tensor:
-            field = field_of(box, spreading, single)
-            found = gather(vertices, faces, points, spreading, single, field)
-            return found.to(torch.float64)
-
         if ctx.needs_input_grad[0]:
-            swept = gathered(grad)[..., None] * (contrast[:, None] * areas)[:, None]
+            field = field_of(grad, spreading, single)
+            found = gather(vertices, faces, points, spreading, single, field)
+            swept = found.to(torch.float64) * (contrast[:, None] * areas)[:, None]
             by_vertex = torch.zeros_like(vertices, dtype=torch.float64)
             by_vertex.index_add_(0, faces.reshape(-1), swept.reshape(-1, 3))
             by_vertex = by_vertex.to(vertices.dtype)
         if ctx.needs_input_grad[1]:
-            turned = grad * -1j
-            parts = [
-                gathered(turned * weight).sum(1) * area
-                for weight, area in zip(
-                    _weights(spreading.half, spreading.spacing, low, grad.real.dtype),
-                    areas.unbind(1),
-                    strict=True,
-                )
-            ]
-            by_contrast = sum(parts).to(contrast.dtype)
+            weights = _weights_of(spreading, low, grad.real.dtype)
+            field = field_of(grad, spreading, single, weights)
+            slopes = gather(vertices, faces, points, spreading, single, field, slopes=True)
+            by_contrast = -(slopes[..., 1:].sum(1) * areas).sum(1).to(contrast.dtype)
         return by_vertex, by_contrast, None, None, None, None, None, None
+
+
+def _weights_of(spreading: Spreading, low: tuple[int, int, int], real: torch.dtype) -> Tensor:
+    return _weights(spreading.half, spreading.spacing, low, real)

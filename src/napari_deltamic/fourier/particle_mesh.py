@@ -68,8 +68,8 @@ class _Transform(torch.autograd.Function):
         elements, points, spreading, single, device = rest
         ctx.save_for_backward(vertices, density)
         ctx.rest = rest
-        grids = spread(vertices, elements, density, points, spreading, single, device)
-        return spreading.fft.to_box(grids[0])
+        grid = spread(vertices, elements, density, points, spreading, single, device)
+        return spreading.fft.to_box(grid)
 
     @staticmethod
     @torch.autograd.function.once_differentiable
@@ -92,29 +92,29 @@ def spread(
     spreading: Spreading,
     single: bool,
     device: torch.device,
-    factors: Tensor | None = None,
+    vectors: Tensor | None = None,
 ) -> Tensor:
-    """(C, Z, Y, X) grids with the points of all elements on them; rows may be longer than X.
+    """(Z, Y, X) grid with the points of all elements on it; rows may be longer than X.
 
     Each point has the element's density times its measure (area, length, 1) times the rule's
-    weight; with ``factors`` (E, C) density times factor times weight, on C grids.
+    weight. With ``vectors`` (E, 3), um of it, points are dipoles: density times weight times the
+    kernel's gradient along the vector, per um.
     """
     if not compiled(device):
         given = vertices, elements, density, points, spreading, single
-        return torch_mesh.spread(*given, device, factors)
-    channels = 1 if factors is None else factors.shape[1]
+        return torch_mesh.spread(*given, device, vectors)
     z, y, x = spreading.shape
     real = torch.float32 if single else torch.float64
-    grids = torch.empty(channels, z, y, x + spreading.lanes, dtype=real)
+    grid = torch.empty(z, y, x + spreading.lanes, dtype=real)
     _function("spread", single)(
         *_arrays(vertices, elements, density),
         *_grid(points, spreading),
-        None if factors is None else _double(factors),
-        grids.numpy(),
+        None if vectors is None else _double(vectors),
+        grid.numpy(),
         threads(),
         simd_level(),
     )
-    return grids
+    return grid
 
 
 def gather(
@@ -124,12 +124,13 @@ def gather(
     spreading: Spreading,
     single: bool,
     field: Tensor,
+    slopes: bool = False,
 ) -> Tensor:
-    """(E, corners): sums over each element's points of weight times barycentric coordinate times
-    a field (:func:`field_of`)."""
+    """(E, corners, 1): sums over each element's points of weight times barycentric coordinate times
+    a field (:func:`field_of`); (E, corners, 4) with its derivatives per um."""
     if not compiled(field.device):
-        return torch_mesh.gather(vertices, elements, points, spreading, single, field)[..., 0]
-    sums = torch.zeros(elements.shape, dtype=torch.float64)
+        return torch_mesh.gather(vertices, elements, points, spreading, single, field, slopes)
+    sums = torch.zeros(*elements.shape, 4 if slopes else 1, dtype=torch.float64)
     _function("gather", single)(
         *_arrays(vertices, elements, torch.ones(len(elements), dtype=torch.float64)),
         *_grid(points, spreading),
@@ -167,11 +168,16 @@ def pull(
     return by_vertex.to(vertices.dtype), by_density.to(density.dtype)
 
 
-def field_of(box: Tensor, spreading: Spreading, single: bool) -> Tensor:
-    """The adjoint of a grid's way to its box, on the grid, with rows as the loops take them."""
+def field_of(
+    box: Tensor, spreading: Spreading, single: bool, weights: Tensor | None = None
+) -> Tensor:
+    """The adjoint of a grid's way to its box, on the grid, with rows as the loops take them.
+
+    weights : real numbers by which the box is multiplied.
+    """
     box = box.detach().to(torch.complex64 if single else torch.complex128)
     row = spreading.shape[2] + (spreading.lanes if compiled(box.device) else 0)
-    return spreading.fft.to_real(box, row=row)
+    return spreading.fft.to_real(box, weights, row)
 
 
 def _function(name: str, single: bool) -> Any:

@@ -185,7 +185,8 @@ def make_plan(
     c = choose_band(falloff, fft_shape, voxel_size, width, accuracy, aligned, cutoff)
     phases = edge_phases(vertices, faces, c.held, c.round)
     rules = choose_rules(margin * phases, c.at_edge, c.quadrature, falloff.order > 2)
-    spreading = spreading_for(c, rules, width, transfer or gaussian(width), falloff)
+    seen = transfer or gaussian(width)
+    spreading = spreading_for(c, rules, width, seen, falloff, contrast is not None)
     works: dict[Method, Work] = {
         m: count_work(m, c.band, len(faces), phases, rules, spreading) for m in METHODS
     }
@@ -215,11 +216,12 @@ def spreading_for(
     width: tuple[float, float, float],
     transfer: Transfer,
     falloff: Falloff,
+    dipoles: bool = False,
 ) -> Spreading:
-    """Grid and kernels for a band."""
+    """Grid and kernels for a band; of dipoles where insides shine."""
     points = sum(len(r.weights) * len(of) for r, of in rules)
     given = c.band.half, c.band.spacing, transfer, c.tolerance, points, c.single
-    return choose_spreading(*given, falloff, width)
+    return choose_spreading(*given, falloff, width, dipoles)
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,8 @@ Transfer = Callable[[tuple[Tensor, Tensor, Tensor]], Tensor]
 _SAMPLES = 12  # of the OTF, along half an axis of the band
 # Of the error of a gradient that counts: it may be three times that of the image.
 _GRADIENT_SHARE = 0.35
+# Against the sums over aliases; measured: walls one PSF apart exceed them by a hundredth.
+_DIPOLES = 1.1
 _UNIT = {True: 6e-8, False: 1.1e-16}  # rounding error of a number in single precision, in double
 _FINEST = 2.2  # grids that are tried, times the band
 # Seconds of a rendering with its gradient, in single precision on one core of 2024: for a point,
@@ -125,6 +127,7 @@ def choose_spreading(
     single: bool,
     falloff: Falloff = POINT_LIKE,
     width: Sequence[float] = (1.0, 1.0, 1.0),
+    dipoles: bool = False,
 ) -> Spreading:
     """The cheapest grid and kernels that keep an image within ``error``.
 
@@ -144,10 +147,12 @@ def choose_spreading(
         How the power of what shines falls, in widths.
     width
         um along Z, Y, X.
+    dipoles
+        Whether kernels' gradients are spread, of which ``1 / |xi|^2`` is taken (:mod:`.flux`).
     """
     # A Gaussian and its neighbours share what is kept.
     each = error / sqrt(3)
-    keys = [packed(w) for w in _weights(half, spacing, transfer, falloff, width)]
+    keys = [packed(w) for w in _weights(half, spacing, transfer, falloff, width, dipoles)]
     about, unit = 2 ** ceil(log2(max(points, 1))), _UNIT[single]
     shape, chosen = _cheapest(tuple(half), tuple(keys), each, about, unit)
     kernels = [
@@ -166,46 +171,63 @@ def _weights(
     transfer: Transfer,
     falloff: Falloff,
     width: Sequence[float],
+    dipoles: bool,
 ) -> list[AxisWeights]:
     """For each axis, shares of the power along it: of images of round scenes, of those of walls
-    across it, and of the gradient.
+    across it, and of the gradient; of dipoles, of the first two once more.
 
     The power of a flat wall falls less along its normal. What lies beyond the band is taken to be
-    as strong as at its edge.
+    as strong as at its edge. An alias of dipoles is as many times stronger as its wavevector is
+    longer; zero is not theirs (:mod:`.solid`).
     """
     index = [_samples(k) for k in half]
     whole = [np.concatenate([-i[:0:-1], i]) for i in index[:2]] + [index[2]]
     shapes = ((-1, 1, 1), (1, -1, 1), (1, 1, -1))
     k = [(i * s).reshape(at) for i, s, at in zip(whole, spacing, shapes, strict=True)]
+    power = _power(k, transfer)
+    in_widths = np.asarray(sum((w * a) ** 2 for w, a in zip(width, k, strict=True)))
+    steps = [_steps(w) for w in whole]
+    steps[2][1:] *= 2  # those left out are their mirror images
+    every = steps[0][:, None, None] * steps[1][:, None] * steps[2]
+    volume = power * falloff.of(in_widths) * every
+    volume = volume / volume.sum()
+    squared = np.asarray(sum(a**2 for a in k))
+    mean = sqrt(float((volume * squared).sum()))
+    divided = _over(volume, squared)
+    found = []
+    for axis in range(3):
+        others = tuple(a for a in range(3) if a != axis)
+        along: list = [half_index(w) for w in whole]
+        along[axis] = slice(None)
+        wall = (power * falloff.of_a_wall().of(in_widths))[tuple(along)] * steps[axis]
+
+        def folded(line: np.ndarray, axis: int = axis) -> np.ndarray:
+            return _folded(line, whole[axis], index[axis])
+
+        scene, flat_wall = folded(volume.sum(others)), folded(wall / max(wall.sum(), 1e-300))
+        powers = [scene, flat_wall, scene]
+        slopes = [0.0, 0.0, _GRADIENT_SHARE * spacing[axis] / mean if mean > 0 else 0.0]
+        if dipoles:
+            powers += [folded(divided.sum(others)), _over(flat_wall, index[axis] ** 2)]
+            slopes += [_DIPOLES * spacing[axis], _DIPOLES]
+        found.append(AxisWeights(index[axis], np.stack(powers), np.array(slopes)))
+    return found
+
+
+def _power(k: Sequence[np.ndarray], transfer: Transfer) -> np.ndarray:
+    """|OTF|^2 at components of wavevectors that broadcast over a box; 1 where it is not known."""
     z, y, x = (torch.from_numpy(a) for a in k)
     with torch.no_grad():
         otf = transfer((z, y, x)).abs().to(torch.float64).cpu().numpy()
     while otf.ndim > 3:  # a PSF that changes with depth
         otf = otf.max(0)
-    power = np.broadcast_to(otf, [len(w) for w in whole]) ** 2
-    if not np.isfinite(power).all() or not power.any():
-        power = np.ones_like(power)
-    squared = np.asarray(sum((w * a) ** 2 for w, a in zip(width, k, strict=True)))
-    falling = power * falloff.of(squared)
-    steps = [_steps(w) for w in whole]
-    steps[2][1:] *= 2  # those left out are their mirror images
-    volume = falling * steps[0][:, None, None] * steps[1][:, None] * steps[2]
-    mean = sqrt(float((volume * sum(a**2 for a in k)).sum() / volume.sum()))
-    found = []
-    for axis in range(3):
-        others = [a for a in range(3) if a != axis]
-        round_scene = volume.sum(tuple(others)) / steps[axis]
-        middle = [half_index(w) if a < 2 else 0 for a, w in enumerate(whole)]
-        along: list = list(middle)
-        along[axis] = slice(None)
-        wall = (power * falloff.of_a_wall().of(squared))[tuple(along)]
-        scene, flat_wall = (
-            _folded(line * steps[axis], whole[axis], index[axis]) for line in (round_scene, wall)
-        )
-        slope = _GRADIENT_SHARE * spacing[axis] / mean if mean > 0 else 0.0
-        powers = np.stack([scene, flat_wall, scene])
-        found.append(AxisWeights(index[axis], powers, np.array([0.0, 0.0, slope])))
-    return found
+    power = np.broadcast_to(otf, np.broadcast_shapes(*(a.shape for a in k))) ** 2
+    return power if np.isfinite(power).all() and power.any() else np.ones_like(power)
+
+
+def _over(power: np.ndarray, by: np.ndarray) -> np.ndarray:
+    """The quotient; 0 over 0."""
+    return np.divide(power, by, out=np.zeros_like(power), where=by > 0)
 
 
 def _samples(half: int) -> np.ndarray:
@@ -230,10 +252,10 @@ def _steps(index: np.ndarray) -> np.ndarray:
 
 
 def _folded(line: np.ndarray, whole: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Both signs of an index as one, and shares that sum to 1."""
+    """Both signs of an index as one."""
     total = np.zeros(len(index))
     np.add.at(total, np.searchsorted(index, np.abs(whole)), line)
-    return total / max(total.sum(), 1e-300)
+    return total
 
 
 # ---------------------------------------------------------------------------------------- choices

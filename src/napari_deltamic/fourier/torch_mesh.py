@@ -27,23 +27,34 @@ def spread(
     spreading: Spreading,
     single: bool,
     device: torch.device,
-    factors: Tensor | None = None,
+    vectors: Tensor | None = None,
 ) -> Tensor:
-    """(C, Z, Y, X) grids; see :func:`napari_deltamic.fourier.particle_mesh.spread`."""
-    if factors is None:
-        factors = measure(vertices[elements])[0][:, None]
-    strengths = (density[:, None] * factors).to(_real(single)).to(device)
+    """(Z, Y, X) grid; see :func:`napari_deltamic.fourier.particle_mesh.spread`."""
+    real = _real(single)
+    if vectors is None:
+        strengths = (density * measure(vertices[elements])[0])[:, None].to(real).to(device)
+    else:
+        strengths = (density[:, None] * vectors).to(real).to(device)
     z, y, x = spreading.shape
-    channels = strengths.shape[1]
-    grids = strengths.new_zeros(channels, z * y * x)
-    for some in _pieces(vertices, elements, points, spreading, single, device):
-        kz, ky, kx = some.values
-        values = (kz[:, :, None] * ky[:, None, :])[..., None] * kx[:, None, None, :]
-        own = (strengths[some.of][:, None] * some.weights[:, None]).reshape(-1, channels)
-        where = some.nodes(spreading.shape).reshape(-1)
-        for c in range(channels):
-            grids[c].index_add_(0, where, (values * own[:, c, None, None, None]).reshape(-1))
-    return grids.reshape(channels, z, y, x)
+    grid = strengths.new_zeros(z * y * x)
+    scale = spreading.scale_on(real, device)
+    pieces = _pieces(vertices, elements, points, spreading, single, device, vectors is not None)
+    for some in pieces:
+        own = (strengths[some.of][:, None] * some.weights[:, None]).flatten(0, 1)
+        if vectors is None:
+            values = _outer(own[:, 0, None] * some.values[0], *some.values[1:])
+        else:
+            (kz, ky, kx), (sz, sy, sx) = some.values, some.slopes
+            # Slopes are per node, by the place of the point; the kernel is seen from the grid.
+            az, ay, ax = (-own * scale).unsqueeze(-1).unbind(1)
+            values = _outer(az * sz, ky, kx) + _outer(ay * kz, sy, kx) + _outer(ax * kz, ky, sx)
+        grid.index_add_(0, some.nodes(spreading.shape).reshape(-1), values.reshape(-1))
+    return grid.reshape(z, y, x)
+
+
+def _outer(z: Tensor, y: Tensor, x: Tensor) -> Tensor:
+    """(points, Wz, Wy, Wx) products of rows (points, W)."""
+    return (z[:, :, None] * y[:, None, :])[..., None] * x[:, None, None, :]
 
 
 def gather(
