@@ -78,7 +78,7 @@ def test_the_widths_of_the_psf_are_told(panel, spin):
 @pytest.mark.parametrize(
     ("field", "value", "says"),
     [
-        ("wavelength", 520, "wavelength 520 um: did you mean 0.52?"),
+        ("wavelength", 520, "wavelength 520 µm: did you mean 0.52?"),
         ("na", 1.4, "NA 1.4 must be below the refractive index of the immersion, 1.333"),
     ],
 )

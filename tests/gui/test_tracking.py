@@ -97,7 +97,7 @@ def test_stop_keeps_the_frames_that_are_done_and_go_on_tracks_the_rest(
     assert "of 4" in widget.footer.message.text()
     widget.footer.stop_button.click()
     spin(ended(widget))
-    assert widget.track_panel.verdict.text().startswith("stopped by you (2 frames are kept")
+    assert widget.track_panel.verdict.text().startswith("stopped (2 frames are kept")
     assert set(viewer.layers["movie: tracked surfaces"].data[0][:, 0]) == {0, 1}
     assert widget.footer.run_button.isEnabled()
     slow += [1] * 4

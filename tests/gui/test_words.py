@@ -5,11 +5,10 @@ import pytest
 from qtpy.QtGui import QColor
 from qtpy.QtWidgets import QLabel, QVBoxLayout, QWidget
 
-from napari_deltamic.errors import InputError
 from napari_deltamic.gui.dock import Column
 from napari_deltamic.gui.viewing.colours import BY_VALUE, ByValue
 from napari_deltamic.gui.widgets import VERDICTS, Note
-from napari_deltamic.gui.words import for_window, words_of
+from napari_deltamic.gui.words import for_window
 
 GROUNDS = {"dark": "#23242b", "light": "#ebe7e6"}  # of napari's themes
 
@@ -35,9 +34,11 @@ def contrast(one, other):
         ("one of two (or both)", "one of two (or both)"),
     ],
 )
-def test_flags_are_named_as_the_fields_of_the_window(text, shown):
+def test_flags_are_named_as_the_fields_of_the_window(app, text, shown):
     assert for_window(text) == shown
-    assert words_of(InputError(text)) == shown
+    note = Note()
+    note.say(text)
+    assert note.text() == shown
 
 
 @pytest.mark.parametrize("verdict", sorted(VERDICTS))

@@ -30,6 +30,7 @@ from .tracking.control import TrackControl
 from .tracking.panel import TrackPanel
 from .viewing.frame import unwrapped
 from .widgets import action, column
+from .words import for_window
 
 _WIDTH = 390  # px
 
@@ -41,8 +42,8 @@ class FitWidget(QWidget):
         super().__init__(parent)  # napari knows the parameter by this name
         self._docked = False
         self.doc = doc = Document(unwrapped(napari_viewer))
-        doc.told.connect(lambda text: show_info(text))
-        doc.warned.connect(lambda text: show_warning(text))
+        doc.told.connect(lambda text: show_info(for_window(text)))
+        doc.warned.connect(lambda text: show_warning(for_window(text)))
         self.image = ImagePanel(doc, self)
         self.seeds = SeedsPanel(doc, self)
         self.settings = SettingsPanel(doc, OpticsPanel(doc, self), EffectsPanel(doc, self), self)
@@ -109,8 +110,8 @@ class FitWidget(QWidget):
     # ----------------------------------------------------------------------------------- inside
 
     def _simulate(self) -> None:
-        """Open the other widget of this plugin, in a dock of its own."""
-        self.doc.viewer.window.add_plugin_dock_widget(PLUGIN, "Simulate cells")
+        """Open the other widget of this plugin, in a tab: below, it would leave no room here."""
+        self.doc.viewer.window.add_plugin_dock_widget(PLUGIN, "Simulate cells", tabify=True)
 
     def _fit_again(self) -> None:
         self.settings.estimate_all()

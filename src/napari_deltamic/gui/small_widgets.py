@@ -78,21 +78,23 @@ def simulate_cells(
     kind: Literal["foam", "vesicles"] = "foam",
     shape: tuple[int, int, int] = (40, 64, 64),
     voxel_size: Annotated[
-        Lengths, {"label": "voxel, um", "options": {"step": 0.01, "min": 0.001}}
+        Lengths, {"label": "voxel, µm", "options": {"step": 0.01, "min": 0.001}}
     ] = (0.3, 0.2, 0.2),
-    psf: Literal["Gaussian", "widefield", "confocal", "spinning disk"] = "Gaussian",
-    sigma: Annotated[Lengths, {"label": "sigma, um", "options": {"step": 0.01, "min": 0.001}}] = (
+    psf: Annotated[
+        Literal["Gaussian", "widefield", "confocal", "spinning disk"], {"label": "PSF"}
+    ] = "Gaussian",
+    sigma: Annotated[Lengths, {"label": "sigma, µm", "options": {"step": 0.01, "min": 0.001}}] = (
         0.4,
         0.24,
         0.24,
     ),
     na: Annotated[float, {"label": "NA", "step": 0.05, "min": 0.0}] = 0.8,
     wavelength: Annotated[
-        float, {"label": "emission, um", "step": 0.01, "min": 0.0, "max": 1e5}
+        float, {"label": "emission, µm", "step": 0.01, "min": 0.0, "max": 1e5}
     ] = 0.52,
     immersion: Literal["air", "water", "silicone", "glycerol", "oil"] = "water",
     interior: Annotated[
-        float, {"label": "light inside, 1/um", "step": 0.05, "min": 0.0, "max": 100.0}
+        float, {"label": "light inside, 1/µm", "step": 0.05, "min": 0.0, "max": 100.0}
     ] = 0.0,
     effects: str = "none",
     photons: Annotated[float, {"min": 0.1, "max": 60_000.0}] = 100.0,

@@ -29,6 +29,7 @@ from superqt.utils import signals_blocked
 from ..errors import InputError
 from .document import Document
 from .layer_choice import LayerChoice
+from .words import for_window
 from .work import Question, Work
 
 # The bindings' type stubs do not agree on these two.
@@ -250,9 +251,10 @@ class Note(QLabel):
         if verdict is not None:
             self._verdict = verdict
             self._colour()
-        if text != self.text():
-            self.setText(text)
-            self.setVisible(bool(text))
+        shown = for_window(text)
+        if shown != self.text():
+            self.setText(shown)
+            self.setVisible(bool(shown))
 
     def changeEvent(self, event: QtCore.QEvent | None) -> None:
         """Qt's: the theme may be another."""

@@ -36,10 +36,9 @@ def words_of(error: Exception, shape: Sequence[int] | None = None) -> str:
     while isinstance(error, EmitLoopError) and isinstance(error.__cause__, Exception):
         error = error.__cause__  # of what was told of a change
     if isinstance(error, InputError):
-        return for_window(str(error))
+        return str(error)
     _log.error("unexpected error", exc_info=error)
-    text = str(failure(error, shape)).replace(_OF_THE_COMMAND_LINE, "; the log shows where")
-    return for_window(text)
+    return str(failure(error, shape)).replace(_OF_THE_COMMAND_LINE, "; the log shows where")
 
 
 def attempt(action: Callable[[], None], warn: Callable[[str], None]) -> None:

@@ -24,7 +24,7 @@ from psygnal import Signal
 from qtpy.QtCore import QObject, QTimer
 
 from ..errors import TOLD, InputError
-from .words import for_window, words_of
+from .words import words_of
 
 INTERVAL = 1 / 15  # s between two looks at a task
 LONGEST_REST = 0.5  # s that a slow viewer is left alone, at most
@@ -265,7 +265,7 @@ def _run(task: Task) -> None:
 
     def show(message: Any, category: type[Warning], *where: Any, **more: Any) -> None:
         if issubclass(category, TOLD):
-            task.remarks.append(for_window(str(message)))
+            task.remarks.append(str(message))
 
     with warnings.catch_warnings():
         warnings.filterwarnings("always", category=UserWarning)

@@ -19,7 +19,6 @@ from ...results.timeline import Moment, explained
 from ..document import VIEWS, Document
 from ..record import Record
 from ..widgets import Fold, Note, Signal, button, filled, is_dark, narrow_box, row
-from ..words import for_window
 from .edits import Edits
 from .history_bar import HistoryBar
 from .sculpt_tool import EditBar
@@ -163,7 +162,7 @@ class CheckPanel(QGroupBox):
     def _show_verdict(self, verdict: str, text: str) -> None:
         """How it ended, in the first line of a text; those after it are remarks, in a list."""
         self.last_verdict = (verdict, text)
-        said, *remarks = for_window(text).split("\n")
+        said, *remarks = text.split("\n")
         self.verdict.say(said, verdict)
         self.remarks.show_remarks(remarks)
 
@@ -171,7 +170,7 @@ class CheckPanel(QGroupBox):
         """How well the shapes explain the image, and what can be done about it."""
         known = None if record is None else record.judged
         grade = "" if known is None else known.verdict.grade
-        self.grade.say("" if known is None else for_window(told(known)), grade)
+        self.grade.say("" if known is None else told(known), grade)
         self.worst.setVisible(known is not None and bool(known.found.spots))
         fit = None if record is None or record.job is None else record.job.settings.fit
         all_estimated = fit is not None and fit.fit_psf and fit.density == "smooth"
