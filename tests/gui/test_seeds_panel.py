@@ -224,7 +224,7 @@ def test_cells_found_are_seeds_that_can_be_corrected(panel, with_image, finder, 
     assert finder == [2.5]
     assert panel.find_cells.cell_size.value() == pytest.approx(2.5, abs=0.01)
     assert "Found 1 cell of about 2.5 µm" in panel.note.text()
-    assert "9 of 1.5 µm" in panel.note.text()
+    assert "9 cells of 1.5 µm" in panel.note.text()
     assert taken(panel).make(None, grid_of(panel)).region_ids().tolist() == [1]
     panel.find_cells.cell_size.setValue(1.25)
     panel.cells.choose(layer, False)
@@ -254,7 +254,7 @@ def test_what_was_found_is_forgotten_with_its_layer(panel, with_image, finder, s
     layer.data[15:18, 15:18, 15:18] = 9
     panel.corrections.edited.emit()
     assert panel.note.text().startswith("2 cells.")
-    assert "9 of 1.5 µm" in panel.note.text()
+    assert "9 cells of 1.5 µm" in panel.note.text()
     with_image.layers.remove(layer)
     assert panel.note.text() == "Press 'Find cells', or 'Click cells' and click inside each."
     panel.place.click()
@@ -285,6 +285,34 @@ def test_labels_of_as_many_voxels_are_meant_to_lie_on_those_of_the_image(panel, 
     with_image.add_labels(labels, scale=np.multiply(SIZE, 2), units=("um",) * 3)
     with pytest.raises(InputError, match="the same scale"):
         taken(panel)
+
+
+def test_labels_that_say_no_place_lie_on_the_voxels_of_the_image(panel, with_image):
+    labels = np.zeros(SHAPE, int)
+    labels[5:9, 6:12, 7:13] = 1
+    layer = with_image.add_labels(labels)
+    np.testing.assert_array_equal(taken(panel).labels, labels)
+    assert tuple(layer.translate) == (1, 2, 3)
+    other = with_image.add_labels(labels[:, 1:], name="other")
+    assert tuple(other.scale) == (1, 1, 1), "it may lie anywhere"
+
+
+def test_what_lies_on_the_image_goes_along_with_another_voxel_size(panel, with_image):
+    with_image.layers.clear()
+    image = with_image.add_image(np.zeros(SHAPE))
+    labels = with_image.add_labels(np.ones(SHAPE, int), name="labels")
+    clicks = add_points(panel, with_image, (4, 6, 8))
+    theirs = with_image.add_points([(2, 3, 4)], name="theirs")
+    apart = with_image.add_points([(2, 3, 4)], name="apart", scale=(0.5, 0.5, 0.5))
+    for size in ((0.3, 0.2, 0.2), (0.6, 0.1, 0.2)):
+        panel._image.rescale(size)
+        frame = panel._image.frame()
+        assert frame.voxel_size == pytest.approx(size)
+        for layer, voxel in ((clicks, (4, 6, 8)), (theirs, (2, 3, 4))):
+            scale, shift = frame.data_to_um(layer)
+            np.testing.assert_allclose(layer.data[0] * scale + shift, np.multiply(voxel, size))
+        assert tuple(labels.scale) == tuple(image.scale) == pytest.approx(size)
+        assert tuple(apart.scale) == (0.5, 0.5, 0.5)
 
 
 def test_any_labels_make_room_for_the_meshes_of_a_fit(panel, with_image):

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from napari.layers import Shapes
+from napari.layers import Image, Labels, Points, Shapes
 from numpy.typing import ArrayLike, NDArray
 from psygnal import Signal
 
@@ -35,12 +35,14 @@ from .viewing.frame import (
     data_of,
     finite,
     is_stack,
+    made_by_fit,
     rescale,
     shape_of,
     um_per_unit,
     unread_stack_of,
     voxel_size,
 )
+from .viewing.own_layers import Points as Clicks
 
 _SMALLEST = 4  # voxels along each side of a region
 
@@ -185,9 +187,7 @@ class ImageSource(LayerChoice):
         """Give the layer another voxel size, um."""
         layer = self.layer
         if layer is not None:
-            scale = np.array(layer.scale, float)
-            scale[-3:] = np.asarray(size) / np.asarray(um_per_unit(layer) or (1.0, 1.0, 1.0))
-            rescale(self._viewer, layer, scale)
+            self._rescale(np.asarray(size) / np.asarray(um_per_unit(layer) or (1.0, 1.0, 1.0)))
             self.changed.emit()
 
     def close_links(self) -> None:
@@ -210,13 +210,17 @@ class ImageSource(LayerChoice):
         self.looked.emit()
 
     def _place_meshes(self, event: Any = None) -> None:
-        """Put layers of mesh files, which count from the first voxel, into the image's frame."""
+        """Put layers of mesh files, and labels without a scale, into the image's frame."""
         try:
             frame = self.frame()
         except InputError:
             return  # there is no image yet, or one that cannot be used
+        whole = Frame.of(self.layer).image_options()
         for layer in self._viewer.layers:
             own = layer.metadata.get(OWN, {})
+            if self._has_no_place(layer):
+                for name, value in whole.items():
+                    setattr(layer, name, value)
             if ORIGIN not in own or own[ORIGIN] is not None or layer.ndim != 3:
                 continue
             own[ORIGIN] = frame.translate
@@ -224,6 +228,16 @@ class ImageSource(LayerChoice):
             if not moved:  # by the user, who knows better
                 for name, value in frame.layer_options().items():
                     setattr(layer, name, value)
+
+    def _has_no_place(self, layer: Any) -> bool:
+        """Whether labels of as many voxels as the image say nothing of where they lie."""
+        return (
+            isinstance(layer, Labels)
+            and layer.ndim == 3
+            and shape_of(layer) == shape_of(self.layer)
+            and um_per_unit(layer) is None
+            and bool(np.all(layer.scale == 1) and np.all(layer.translate == 0))
+        )
 
     def _take_size_of_file(self, layer: Any) -> None:
         """The voxel size that a TIFF file notes, where the layer has none."""
@@ -233,7 +247,35 @@ class ImageSource(LayerChoice):
             self._asked.add(asked)
             size = noted_size(layer)
             if size is not None:
-                rescale(self._viewer, layer, (*layer.scale[:-3], *size))
+                self._rescale(size)
+
+    def _rescale(self, scale: ArrayLike) -> None:
+        """Give the layer another scale along Z, Y, X; what lies on its voxels stays on them."""
+        layer, others = self.layer, [x for x in self._viewer.layers if self._goes_along(x)]
+        ratio = np.asarray(scale, float) / layer.scale[-3:]
+        rescale(self._viewer, layer, (*layer.scale[:-3], *np.asarray(scale, float)))
+        for other in others:
+            first = layer.translate[-3:]
+            other.translate = (
+                *other.translate[:-3],
+                *(first + (other.translate[-3:] - first) * ratio),
+            )
+            other.scale = (*other.scale[:-3], *(other.scale[-3:] * ratio))
+
+    def _goes_along(self, other: Any) -> bool:
+        """Whether a layer of the user is of the voxels of the image: clicked there, or like it."""
+        layer = self.layer
+        if other is layer or other.ndim < 3 or made_by_fit(other):
+            return False
+        if isinstance(other, Clicks):
+            return True
+        known = isinstance(other, Points) or (
+            isinstance(other, Image | Labels) and shape_of(other) == shape_of(layer)
+        )
+        return known and all(
+            np.array_equal(getattr(other, name)[-3:], getattr(layer, name)[-3:])
+            for name in ("scale", "translate", "units")
+        )
 
     def _listen_to(self, layer: Any) -> None:
         if self._scaled is not None:

@@ -315,7 +315,8 @@ class SeedsPanel(QGroupBox):
         # While labels are corrected, their number stands below the tools.
         texts = [] if self.corrections.count.text() else [self.find_cells.message]
         others = [
-            f"<a style='color: {LINK}' href='{size!r}'>{n or ''} of {size:.3g} µm</a>"
+            f"<a style='color: {LINK}' href='{size!r}'>"
+            f"{counted(n, 'cell') + ' of ' if n else ''}{size:.3g} µm</a>"
             for size, n in self.find_cells.others
         ]
         if others:
