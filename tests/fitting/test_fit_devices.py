@@ -44,7 +44,7 @@ def test_where_memory_is_short_the_cpu_takes_over_and_says_so(monkeypatch):
     expected = [s.mesh.vertices_numpy() for s in states(device="cpu")]
     monkeypatch.setattr(Renderer, "transform", short)
     found = list(states(device="auto"))
-    assert "the fit goes on on the CPU" in found[0].message
+    assert "the fit continues on the CPU" in found[0].message
     assert all((s.mesh.vertices_numpy() == e).all() for s, e in zip(found, expected, strict=True))
     refused.clear()
     with pytest.raises(torch.OutOfMemoryError):
