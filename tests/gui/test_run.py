@@ -157,6 +157,9 @@ def test_removing_a_layer_that_the_fit_needs_ends_it(seeded, with_image, spin, e
     spin(lambda: not running(seeded))
     assert "removed" in told[-1]
     assert seeded.results.isEnabled()
+    words = seeded.running.verdict.text()
+    assert words.startswith("stopped (")
+    assert "by you" not in words
 
 
 @pytest.mark.parametrize("name", ["cell: contours", "seeds", "cell: rendered", "cell: residual"])

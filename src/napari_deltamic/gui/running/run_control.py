@@ -14,6 +14,7 @@ from qtpy.QtCore import QObject
 from ...accuracy.experience import Learned
 from ...accuracy.forecast import Forecast
 from ...accuracy.outlook import Forecaster, expected
+from ...common.words import duration
 from ...errors import InputError
 from ...fitting import Change, FitState
 from ...fitting.by_hand import changed_by_hand
@@ -171,7 +172,7 @@ class RunControl(QObject):
         text, *remarks = outcome.message.split("\n")
         if state is not None:
             done = "" if "iterations" in text else f"{state.iteration} iterations, "
-            text += f" ({done}{run.seconds:.1f}\N{NO-BREAK SPACE}s)"
+            text += f" ({done}{duration(run.seconds)})"
         record.end(outcome.verdict, "\n".join([text, *remarks]))
         if outcome.verdict == "failed":
             doc.warned.emit(outcome.message)

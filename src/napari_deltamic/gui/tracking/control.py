@@ -8,6 +8,7 @@ from typing import Any
 
 from qtpy.QtCore import QObject
 
+from ...common.words import duration
 from ...errors import InputError
 from ...evidence.put_together import put_together, start_of
 from ...fitting.job import FitInput, optics_of
@@ -188,7 +189,7 @@ class TrackControl(QObject):
         self._work_changed()
         if work is not None and work.results:
             kept = "" if verdict == "done" else f"{len(work.results)} frames are kept, "
-            text += f" ({kept}{work.seconds:.1f} s)"
+            text += f" ({kept}{duration(work.seconds)})"
         self.panel.show_verdict(verdict, text)
         self._show_frame()
 
