@@ -104,7 +104,7 @@ def test_one_bad_cell_spoils_no_other_and_is_named():
     cells = (*(CellFacts(k, 0.9, 0.0, 1.0) for k in range(1, 6)), CellFacts(6, 0.2))
     found = judged(replace(FINE, cells=cells))
     assert found.grade == "good"
-    assert "poor: cell 6 (20% of the signal around it is explained)" in found.reasons
+    assert "cell 6 is poor (20% of the signal around it is explained)" in found.reasons
     assert [cell.grade for cell in found.cells] == ["good"] * 5 + ["poor"]
 
 
@@ -113,7 +113,7 @@ def test_the_error_told_is_that_of_the_cell_in_the_middle_as_the_grade_is():
     error = PredictedError(large, {1: small, 2: small, 3: large})
     cells = tuple(CellFacts(k, 0.9) for k in (1, 2, 3))
     found = judged(replace(FINE, cells=cells, error=error))
-    assert found.sentence().startswith("good, off by about 10 nm: poor: cell 3")
+    assert found.sentence().startswith("good, off by about 10 nm: cell 3 is poor (")
     both = judged(replace(FINE, cells=cells[1:], error=error))
     assert both.sentence().startswith("poor, off by about 5000 nm")
 
@@ -123,10 +123,10 @@ def test_cells_that_are_no_better_have_the_usual_reason_with_them():
     cells = (cut, *(CellFacts(k, 0.9, cut=True, lit=0.1 + 0.05 * k) for k in (2, 3)))
     (reason,) = judged(replace(FINE, cells=cells)).reasons[1:]
     told = "like cell 2: only 20% of its surface is bright: the rest is a guess"
-    assert reason == f"poor: cells 2, 3 ({told})"
+    assert reason == f"cells 2, 3 are poor ({told})"
     some = judged(replace(FINE, cells=(cut, CellFacts(2, 0.6), CellFacts(3, 0.7)))).reasons
     told = "most often like cell 2: 60% of the signal around it is explained"
-    assert some == (f"fair: cells 1, 2, 3 ({told})",)
+    assert some == (f"cells 1, 2, 3 are fair ({told})",)
 
 
 def test_growth_is_compared_with_the_other_cells():

@@ -57,7 +57,7 @@ def source():
         "iterations": 12,
         "warnings": ["the image is <dim>"],
         "settings": {"image": "a & b.tif"},
-        "verdict": {"grade": "fair", "reasons": ["fair: cell <2>"]},
+        "verdict": {"grade": "fair", "reasons": ["cell <2> is fair"]},
     }
     known = Known(grid=GRID, explained={1: 0.75, 2: 0.85})
     return Measurable("cells <1>", mesh, known, GRID, image, image, None, facts, ("mind this",))
@@ -68,7 +68,7 @@ def test_it_says_all_that_matters(source):
     words = words_of(page)
     for part in (
         "Measurements of cells <1>", "2 cells, 3 walls, 1 junctions", "converged (12 iterations)",
-        "explains 80 %", "shapes: fair: fair: cell <2>", "mind this",
+        "explains 80 %", "shapes: fair: cell <2> is fair", "mind this",
         "the image is <dim>", "a & b.tif", "volume, µm³", "angles at junctions", "tension",
         "Versions", "torch", "How to cite", "Ichbiah",
     ):  # fmt: skip

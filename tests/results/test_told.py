@@ -19,10 +19,10 @@ def judged(grades, reasons=()):
     ("grades", "reasons", "said"),
     [
         (["good"] * 3, (), "."),
-        (["fair", "good"], ("fair: cell 1",), ". Cell 1 is fair: the table says why."),
+        (["fair", "good"], ("cell 1 is fair (uneven)",), ". Cell 1 is fair: the table says why."),
         (
             ["fair"] * 8 + ["poor", "poor", "good"],
-            ("the PSF is not that of the image", "fair: cells 1", "poor: cells 9, 10"),
+            ("the PSF is not that of the image", "cells 1, 2 are fair", "poor: cells 9, 10"),
             ". The PSF is not that of the image."
             " 8 of 11 cells are fair, cells 9, 10 are poor: the table says why.",
         ),

@@ -178,8 +178,13 @@ def judged(facts: Facts) -> Verdict:
             reasons += [text for text in cells[0].reasons if text not in reasons]
         else:
             why = _usual_reason([cell for cell in cells if cell.grade == word])
-            reasons.append(f"{word}: {_cells(bad)} ({why})")
+            reasons.append(f"{_cells(bad)} {'are' if len(bad) > 1 else 'is'} {word} ({why})")
     return Verdict(grade, tuple(reasons), cells, facts.error)
+
+
+def names_cells(reason: str) -> bool:
+    """Whether a reason is the list of cells of a grade; earlier versions began it with that."""
+    return re.match(r"(fair: |poor: )?cells? \d", reason) is not None
 
 
 def _of_whole(facts: Facts) -> list[tuple[Grade, str]]:

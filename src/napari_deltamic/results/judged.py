@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..evidence.fit_facts import verdict_of
 from ..evidence.residual import Residual, analyse_residual
 from ..evidence.unseeded_objects import Stray, strays
-from ..evidence.verdict import Verdict
+from ..evidence.verdict import Verdict, names_cells
 from ..evidence.voxel_variance import Variance, voxel_variance
 from ..fitting import FitState
 from ..fitting.checks import check_image
@@ -112,9 +112,9 @@ def told(known: Judged) -> str:
     )
     off = verdict.usual_error_um
     text += "." if off is None else f"; they are off by about {1000 * off:.0f} nm."
-    named = ("fair: cell", "poor: cell")  # each of them has reasons of its own
-    reasons = [r for r in verdict.reasons if "is explained" not in r and not r.startswith(named)]
-    if any(reason.startswith(named) for reason in verdict.reasons):
+    # The cells have reasons of their own.
+    reasons = [r for r in verdict.reasons if "is explained" not in r and not names_cells(r)]
+    if any(names_cells(reason) for reason in verdict.reasons):
         reasons.append(f"{_of_cells(verdict)}: the table says why")
     text += "".join(f" {reason[0].upper()}{reason[1:]}." for reason in reasons)
     if verdict.grade == "poor":
