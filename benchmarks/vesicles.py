@@ -2,41 +2,26 @@
 
 from __future__ import annotations
 
-import csv
-import json
-import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
 
-from napari_deltamic import Mesh, load_mesh
-from napari_deltamic.cli import main
+from napari_deltamic import Mesh
 from napari_deltamic.geometry import labels_from_points, read_points_csv
 from napari_deltamic.images.stacks import read_image
 from napari_deltamic.measure import ridge_distance, surface_distance
 
+from .default_command import fitted
 from .figure import Figure, MissingData, Options, Row, at_least, at_most
 
 CENTRES = Path(__file__).parent / "data_points" / "vesicles_GUV.csv"
 VOXEL_SIZE = (0.34, 0.133, 0.133)
-WORDS = ["--overwrite"]
 
 
 def words(image: Path, centres: Path) -> list[str]:
     """The command, but for where the results go."""
     size = [str(d) for d in VOXEL_SIZE]
-    return ["fit", str(image), "--voxel-size", *size, "--seeds", str(centres), *WORDS]
-
-
-def run(image: Path, centres: Path, folder: Path) -> tuple[Mesh, float, dict]:
-    """Mesh, seconds of the whole command, and its report."""
-    started = time.perf_counter()
-    code = main([*words(image, centres), "-o", str(folder)])
-    seconds = time.perf_counter() - started
-    if code != 0:
-        raise RuntimeError(f"the fit ended with code {code}")
-    return load_mesh(folder / "mesh.rec"), seconds, json.loads((folder / "report.json").read_text())
+    return ["fit", str(image), "--voxel-size", *size, "--seeds", str(centres)]
 
 
 def shifted(image: np.ndarray, points: np.ndarray) -> tuple[list[np.ndarray], int, int]:
@@ -64,15 +49,6 @@ def shifted(image: np.ndarray, points: np.ndarray) -> tuple[list[np.ndarray], in
     return sets, inside, tried
 
 
-def write(path: Path, points: np.ndarray) -> Path:
-    """Points as the command line takes them."""
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow("zyx")
-        writer.writerows(points.tolist())
-    return path
-
-
 def stack(options: Options) -> Path:
     """The image; MissingData where it is not at hand."""
     path = options.data / "images" / "vesicles_GUV.tif"
@@ -86,27 +62,21 @@ def vesicles(options: Options) -> list[Row]:
     path = stack(options)
     image = read_image(path)[0].astype(np.float32)
     points, _ = read_points_csv(CENTRES)
-    with tempfile.TemporaryDirectory() as folder:
-        mesh, seconds, report = run(path, CENTRES, Path(folder) / "centres")
-        rows = [at_most("vesicles, whole command", 60, seconds, "s")]
-        rendered = read_image(Path(folder) / "centres" / "rendered.tif")[0].astype(np.float32)
-        rows += _ridge_rows(mesh, image, rendered)
-        alarms = [w for w in report["warnings"] if "leaked" in w]
-        rows.append(at_most("vesicles, leaks reported", 0, len(alarms), ""))
-        sets, inside, tried = shifted(image, points)
-        worst, note = 0.0, f"{inside} of {tried} moves stay inside their vesicle"
-        for k, moved in enumerate(sets[:1] if options.quick else sets):
-            centres = write(Path(folder) / f"moved{k}.csv", moved)
-            other, _, _ = run(path, centres, Path(folder) / "moved")
-            for region in mesh.region_ids():
-                one, two = mesh.region_surface(region), other.region_surface(region)
-                worst = max(worst, surface_distance(one, two, samples=4000).mean / VOXEL_SIZE[1])
-        rows.append(
-            at_most(
-                "vesicles, centres moved by a quarter, mean distance", 0.2, worst, "voxel", note
-            )
-        )
-    return rows
+    found = fitted(path, VOXEL_SIZE, CENTRES)
+    mesh = found.mesh
+    rows = [at_most("vesicles, whole command", 60, found.seconds, "s", found.note)]
+    rows += _ridge_rows(mesh, image, found.rendered)
+    alarms = [w for w in found.report["warnings"] if "leaked" in w]
+    rows.append(at_most("vesicles, leaks reported", 0, len(alarms), ""))
+    sets, inside, tried = shifted(image, points)
+    worst, note = 0.0, f"{inside} of {tried} moves stay inside their vesicle"
+    for moved in sets[:1] if options.quick else sets:
+        other = fitted(path, VOXEL_SIZE, moved).mesh
+        for region in mesh.region_ids():
+            one, two = mesh.region_surface(region), other.region_surface(region)
+            worst = max(worst, surface_distance(one, two, samples=4000).mean / VOXEL_SIZE[1])
+    what = "vesicles, centres moved by a quarter, mean distance"
+    return [*rows, at_most(what, 0.2, worst, "voxel", note)]
 
 
 def _ridge_rows(mesh: Mesh, image: np.ndarray, rendered: np.ndarray) -> list[Row]:

@@ -7,13 +7,12 @@ shows no membrane.
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_deltamic import GaussianPSF, Grid, Mesh, fit, load_mesh, render
+from napari_deltamic import GaussianPSF, Grid, Mesh, load_mesh, render
 from napari_deltamic.geometry import find_cells, mesh_from_labels
 from napari_deltamic.geometry.labels.label_edits import correct_labels, read_clicks_csv
 from napari_deltamic.geometry.labels.voxels import voxel_labels
@@ -21,17 +20,16 @@ from napari_deltamic.images.stacks import read_image
 from napari_deltamic.measure import ridge_distance
 from napari_deltamic.measure.image_similarity import image_similarity
 from napari_deltamic.results.picture import picture
-from napari_deltamic.runs.settings import NEAR_LEVELS, FitSettings
 
+from ..default_command import fitted
 from ..figure import Figure, MissingData, Options, Row, at_least, at_most
 
 CLICKS = Path(__file__).parent / "data" / "celegans_clicks.csv"
 MOST_CLICKS = 10
 # The scale of the stack is not known: lengths are in voxels within planes.
 VOXEL_SIZE = (4.0, 1.0, 1.0)
-SIGMA = (4.0, 1.4, 1.4)
-CELL, EDGE, GAP, REACH = 55.0, 5.0, 4.0, 8.0
-SETTINGS = FitSettings(levels=NEAR_LEVELS)  # as the command line fits labels
+SIGMA = (4.0, 1.4, 1.4)  # through which our meshes and LimeSeg's are rendered
+CELL, REACH = 55.0, 8.0
 BAR_DISTANCE, BAR_SECONDS = 0.5, 180.0
 
 
@@ -39,34 +37,33 @@ def embryo(options: Options) -> list[Row]:
     """Cells matched, distance to the membranes, time, and the same for LimeSeg's meshes."""
     image, others = stack(options), limeseg(options)
     grid = Grid(image.shape, VOXEL_SIZE)
-    found = cells(image)
+    first = cells(image)
     clicks = read_clicks_csv(CLICKS)
-    labels = corrected(image, found)
+    labels = corrected(image, first)
     theirs = as_labels(others, grid)
     rows = [
-        Row("embryo, cells found", "", matched(found, theirs), f"of {len(others)}", None),
+        Row("embryo, cells found", "", matched(first, theirs), f"of {len(others)}", None),
         at_most("embryo, clicks", MOST_CLICKS, len(clicks), ""),
         at_least("embryo, LimeSeg's cells matched", len(others), matched(labels, theirs), ""),
     ]
-    start = mesh_from_labels(labels, VOXEL_SIZE, edge_length=EDGE, gap=GAP)
+    start = mesh_from_labels(labels, VOXEL_SIZE)
     rows.append(_distance("embryo, seeds", start, image, bar=None))
-    begun = time.perf_counter()
-    *_, last = fit(image, grid, start, GaussianPSF(SIGMA), settings=SETTINGS)
-    seconds = time.perf_counter() - begun
+    found = fitted(image, VOXEL_SIZE, labels)
     if options.pictures is not None:
-        drawn = picture(image, last.rendered(), last.mesh, grid)
+        drawn = picture(image, found.rendered, found.mesh, grid)
         drawn.savefig(options.pictures / "clusters_embryo.png")
     rows += [
-        _distance("embryo, fit", last.mesh, image, bar=BAR_DISTANCE),
-        at_most("embryo, fit", BAR_SECONDS, seconds, "s", last.message),
+        _distance("embryo, fit", found.mesh, image, bar=BAR_DISTANCE),
+        at_most("embryo, fit", BAR_SECONDS, found.report["seconds"], "s", found.note),
+        Row("embryo, whole command", "", found.seconds, "s", None),
         at_least(
             "embryo, LimeSeg's cells matched after the fit",
             len(others),
-            matched(voxel_labels(last.mesh, grid.shape, grid.voxel_size), theirs),
+            matched(voxel_labels(found.mesh, grid.shape, grid.voxel_size), theirs),
             "",
         ),
     ]
-    return rows + against_limeseg(last.mesh, Mesh.merge(others), image, grid)
+    return rows + against_limeseg(found.mesh, Mesh.merge(others), image, grid)
 
 
 def against_limeseg(ours: Mesh, theirs: Mesh, image: NDArray, grid: Grid) -> list[Row]:

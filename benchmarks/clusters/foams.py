@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_deltamic import GaussianPSF, Grid, Mesh, fit, render
+from napari_deltamic import GaussianPSF, Grid, Mesh, render
 from napari_deltamic.geometry.contacts import wall_areas
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.labels.voxels import voxel_labels
 from napari_deltamic.measure import surface_distance
 from napari_deltamic.results.picture import picture
-from napari_deltamic.runs.settings import FitSettings
 
+from ..default_command import fitted
 from ..figure import Figure, Options, Row, at_least, at_most
 
 CELLS = (4, 8, 16, 32)
@@ -24,17 +23,21 @@ SIDES = {4: 56, 8: 64, 16: 88, 32: 104}  # voxels of 1 um
 RADIUS, SIGMA, PHOTONS = 11.0, 1.5, 40.0
 SHIFT = 1.0  # um, standard deviation of the centres' shift along each axis
 TRUE_EDGE, EDGE = 2.0, 2.5
-SETTINGS = FitSettings(levels=(2.0, 1.35, 1.0))
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What is known, what is seen, and where the fit starts."""
+    """What is known, what is seen, and where the fit starts: spheres (cells, 4), z y x radius."""
 
     truth: Mesh
     image: NDArray[np.float64]
     grid: Grid
-    start: Mesh
+    spheres: NDArray[np.float64]
+
+    @property
+    def start(self) -> Mesh:
+        """The cells that spheres make where they overlap."""
+        return foam(self.spheres[:, :3], self.spheres[:, 3], EDGE)
 
 
 def scene(cells: int, seed: int = 0) -> Scene:
@@ -47,7 +50,7 @@ def scene(cells: int, seed: int = 0) -> Scene:
     photons = 2 + PHOTONS * image / image.max()
     noisy = np.random.default_rng(seed + 1).poisson(photons).astype(np.float64)
     moved = centers + np.random.default_rng(seed + 2).normal(0, SHIFT, centers.shape)
-    return Scene(truth, noisy, grid, foam(moved, np.full(cells, RADIUS - 1), EDGE))
+    return Scene(truth, noisy, grid, np.column_stack([moved, np.full(cells, RADIUS - 1)]))
 
 
 def clump(cells: int, side: int, seed: int) -> NDArray[np.float64]:
@@ -66,12 +69,10 @@ def clump(cells: int, side: int, seed: int) -> NDArray[np.float64]:
 def foam_rows(cells: int, options: Options) -> list[Row]:
     """Cells found, error of the surface, contacts and overlap."""
     known = scene(cells)
-    begun = time.perf_counter()
-    *_, last = fit(known.image, known.grid, known.start, GaussianPSF(SIGMA), settings=SETTINGS)
-    seconds = time.perf_counter() - begun
-    found = last.mesh
+    outcome = fitted(known.image, known.grid.voxel_size, known.spheres)
+    found = outcome.mesh
     if options.pictures is not None and cells == SHOWN:
-        drawn = picture(known.image, last.rendered(), found, known.grid)
+        drawn = picture(known.image, outcome.rendered, found, known.grid)
         drawn.savefig(options.pictures / "clusters_foam.png")
     here, there = (
         voxel_labels(mesh, known.grid.shape, known.grid.voxel_size) for mesh in (known.truth, found)
@@ -84,7 +85,7 @@ def foam_rows(cells: int, options: Options) -> list[Row]:
     ]
     areas, own = wall_areas(known.truth), wall_areas(found)
     missing, extra = areas.keys() - own.keys(), own.keys() - areas.keys()
-    name, note = f"foam of {cells}", f"{last.iteration} iterations, {seconds:.0f} s; {last.message}"
+    name = f"foam of {cells}"
     small = ", ".join(f"{areas[pair]:.0f}" for pair in sorted(missing)) or "none"
     return [
         at_least(f"{name}, cells found", cells, int((np.array(dice) > 0.5).sum()), ""),
@@ -93,7 +94,7 @@ def foam_rows(cells: int, options: Options) -> list[Row]:
             0.15,
             surface_distance(found, known.truth).mean,
             "voxel",
-            note,
+            outcome.note,
         ),
         at_most(
             f"{name}, contacts wrong",

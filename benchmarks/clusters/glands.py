@@ -5,27 +5,22 @@ The labels are a person's corrections of a segmentation, so their borders are go
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.segmentation import watershed
 
-from napari_deltamic import GaussianPSF, Grid, fit
+from napari_deltamic import Grid
 from napari_deltamic.geometry import mesh_from_labels
 from napari_deltamic.geometry.labels.voxels import voxel_labels
 from napari_deltamic.images.stacks import read_image
-from napari_deltamic.runs.settings import NEAR_LEVELS, FitSettings
 
+from ..default_command import fitted
 from ..figure import Figure, MissingData, Options, Row, at_most
 
 STACKS = ("gland_WT_2017-12-04_1a", "gland_WT_2018-04-10_2a")
 VOXEL_SIZE = (1.0, 2.0, 2.0)  # relative
-SIGMA = (1.6, 1.6, 1.6)  # membranes are about a voxel thin
-EDGE = 4.0
 ERODED = 2  # voxels
-SETTINGS = FitSettings(levels=NEAR_LEVELS)  # as the command line fits labels
 
 
 def boundary_error(found: NDArray, truth: NDArray) -> float:
@@ -79,23 +74,19 @@ def gland(options: Options, name: str) -> list[Row]:
     grid = Grid(image.shape, VOXEL_SIZE)
     # Seeds two voxels inside thin cells are nearer to a neighbour's membrane than to their own:
     # the fit starts where they have grown to.
-    start = mesh_from_labels(flooded, VOXEL_SIZE, edge_length=EDGE, gap=0)
-    optics = GaussianPSF(SIGMA)
-    begun = time.perf_counter()
-    *_, last = fit(image, grid, start, optics, settings=SETTINGS)
-    seconds = time.perf_counter() - begun
-    fitted = voxel_labels(last.mesh, grid.shape, grid.voxel_size)
+    start = mesh_from_labels(flooded, VOXEL_SIZE)
+    outcome = fitted(image, VOXEL_SIZE, flooded)
+    found = voxel_labels(outcome.mesh, grid.shape, grid.voxel_size)
     begun_at = voxel_labels(start, grid.shape, grid.voxel_size)
     errors = {
         "seeds": boundary_error(seeds, truth),
         "watershed from them": boundary_error(flooded, truth),
         "its mesh": boundary_error(begun_at, truth),
     }
-    note = f"{last.iteration} iterations, {seconds:.0f} s; {last.message}"
-    error = boundary_error(fitted, truth)
+    error = boundary_error(found, truth)
     rows = [Row(f"{name}, {k}, boundary error", "", v, "um", None) for k, v in errors.items()]
     bar = min(errors.values())
-    return [*rows, at_most(f"{name}, fit, boundary error", bar, error, "um", note)]
+    return [*rows, at_most(f"{name}, fit, boundary error", bar, error, "um", outcome.note)]
 
 
 def stack(options: Options, name: str) -> tuple[NDArray[np.float32], NDArray[np.int32]]:

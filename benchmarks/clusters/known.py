@@ -2,42 +2,22 @@
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.joined_spheres import joined_spheres
-from napari_deltamic import FitState, GaussianPSF, Grid, Mesh, fit, load_mesh, render
+from napari_deltamic import GaussianPSF, Grid, Mesh, load_mesh, render
 from napari_deltamic.geometry.contacts import contacts
-from napari_deltamic.geometry.foam import foam
 from napari_deltamic.measure import junction_angles, surface_distance
-from napari_deltamic.runs.settings import FitSettings
 
+from ..default_command import fitted
 from ..figure import Figure, MissingData, Options, Row, at_most
 
-LEVELS = (2.0, 1.35, 1.0)
 PHOTONS = 40.0  # at the peak, where there is noise
 
 # The double bubble: voxels of 1 um.
 GRID, SIGMA = Grid((48, 48, 64), (1.0, 1.0, 1.0)), 1.5
-RADIUS, CENTER, EDGE = 15.0, np.array([23.5, 23.7, 31.3]), 2.0
-
-
-@dataclass(frozen=True)
-class Fitted:
-    """The end of a fit, and how long it took."""
-
-    state: FitState
-    seconds: float
-
-
-def run(image: NDArray[np.float64], grid: Grid, start: Mesh, sigma: float) -> Fitted:
-    """A fit from a start near the truth."""
-    begun = time.perf_counter()
-    *_, last = fit(image, grid, start, GaussianPSF(sigma), settings=FitSettings(levels=LEVELS))
-    return Fitted(last, time.perf_counter() - begun)
+RADIUS, CENTER = 15.0, np.array([23.5, 23.7, 31.3])
 
 
 def measured(truth: Mesh, grid: Grid, sigma: float, photons: float, seed: int) -> NDArray:
@@ -49,12 +29,13 @@ def measured(truth: Mesh, grid: Grid, sigma: float, photons: float, seed: int) -
     return np.random.default_rng(seed).poisson(photons * image).astype(float)
 
 
-def bubble(seed: int = 0) -> tuple[Mesh, Mesh]:
-    """The double bubble, and two smaller spheres a little elsewhere."""
+def bubble(seed: int = 0) -> tuple[Mesh, NDArray[np.float64]]:
+    """The double bubble, and two smaller spheres (2, 4) a little elsewhere: z y x radius."""
     half = np.array([0, 0, RADIUS / 2])
     moved = np.random.default_rng(seed).normal(0, 1.5, (2, 3))
-    start = foam(np.stack([CENTER - half, CENTER + half]) + moved, np.full(2, 14.0), EDGE)
-    return joined_spheres(CENTER, (RADIUS, RADIUS), RADIUS, 1.2), start
+    centers = np.stack([CENTER - half, CENTER + half]) + moved
+    spheres = np.column_stack([centers, np.full(2, 14.0)])
+    return joined_spheres(CENTER, (RADIUS, RADIUS), RADIUS, 1.2), spheres
 
 
 def double_bubble(options: Options) -> list[Row]:
@@ -62,10 +43,10 @@ def double_bubble(options: Options) -> list[Row]:
     truth, start = bubble()
     rows = []
     for photons in (np.inf, PHOTONS):
-        fitted = run(measured(truth, GRID, SIGMA, photons, 0), GRID, start, SIGMA)
-        (junction,) = junction_angles(fitted.state.mesh)
+        found = fitted(measured(truth, GRID, SIGMA, photons, 0), GRID.voxel_size, start).mesh
+        (junction,) = junction_angles(found)
         angles = ", ".join(f"{a:.1f}" for a in junction.angles)
-        error = surface_distance(fitted.state.mesh, truth).mean
+        error = surface_distance(found, truth).mean
         case = "no noise" if np.isinf(photons) else f"{photons:g} photons at the peak"
         rows.append(
             at_most(
@@ -94,18 +75,15 @@ def cell4(options: Options) -> list[Row]:
     centers = np.array([_centroid(truth, int(r)) for r in regions])
     radii = np.cbrt([3 * truth.region_volume(int(r)) / (4 * np.pi) for r in regions])
     # Spheres of a cell's volume leave gaps: a tenth more makes neighbours share a wall.
-    start = foam(centers, 1.1 * radii, 3.0)
+    spheres = np.column_stack([centers, 1.1 * radii])
     rows = []
     for photons in (np.inf, PHOTONS):
-        fitted = run(measured(truth, grid, sigma, photons, 0), grid, start, sigma)
+        outcome = fitted(measured(truth, grid, sigma, photons, 0), grid.voxel_size, spheres)
         case = "no noise" if np.isinf(photons) else f"{photons:g} photons at the peak"
-        right = contacts(fitted.state.mesh) == contacts(truth)
+        right = contacts(outcome.mesh) == contacts(truth)
         name = f"cell4.rec at sigma of 2 voxels, mean surface error, {case}"
-        error = surface_distance(fitted.state.mesh, truth).mean
-        note = (
-            f"{'every contact right' if right else 'contacts differ'}, "
-            f"{fitted.seconds:.1f} s, {fitted.state.iteration} iterations"
-        )
+        error = surface_distance(outcome.mesh, truth).mean
+        note = f"{'every contact right' if right else 'contacts differ'}, {outcome.note}"
         if np.isinf(photons):
             rows.append(at_most(name, 0.1, error, "voxel", note))
         else:

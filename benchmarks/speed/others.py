@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from napari_deltamic.geometry.foam import foam
 from napari_deltamic.measure import junction_angles, surface_distance
 
 from ..clusters import known, random_motion, tracking
@@ -22,7 +23,8 @@ from .stacks import timed
 
 def double_bubble(bench: Bench) -> list[Line]:
     """Junction angles, without noise and with it."""
-    truth, start = known.bubble(bench.seed)
+    truth, spheres = known.bubble(bench.seed)
+    start = foam(spheres[:, :3], spheres[:, 3], 2.0)
     lines = []
     for photons in (math.inf, known.PHOTONS):
         noise = "no noise" if math.isinf(photons) else f"{photons:g} photons"
