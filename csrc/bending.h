@@ -38,9 +38,17 @@ inline Face face_of(const double* vertices, const std::int64_t* corner) {
     return f;
 }
 
+// Walls that have a mean curvature of their own.
+struct Walls {
+    std::int64_t count;
+    const std::int64_t* of;  // (V,) number of the wall that a vertex lies within, or -1
+    const double* side;      // (F,) 1 or -1: which way faces look, the same throughout a wall
+    double own;              // um^2
+};
+
 // smooth: (V,) 1 where a vertex counts. gradient: (V, 3), overwritten.
 inline double bending(const double* vertices, std::int64_t n_vertices, const std::int64_t* faces, std::int64_t n_faces,
-                      const double* smooth, double* gradient) {
+                      const double* smooth, const Walls& walls, double* gradient) {
     std::vector<Face> face(n_faces);
     double total = 0;
     for (std::int64_t f = 0; f < n_faces; ++f) {
@@ -51,6 +59,7 @@ inline double bending(const double* vertices, std::int64_t n_vertices, const std
     if (!(total > kPoint)) return 0.0;
     const double least = kNoArea * total / static_cast<double>(n_faces);
     std::vector<double> area(n_vertices, 0.0), bend(3 * n_vertices, 0.0);
+    std::vector<double> vector(walls.count ? 3 * n_vertices : 0, 0.0);  // a third of the area vectors around
     for (std::int64_t f = 0; f < n_faces; ++f) {
         Face& t = face[f];
         t.doubled = std::max(t.doubled, least);
@@ -61,17 +70,40 @@ inline double bending(const double* vertices, std::int64_t n_vertices, const std
             for (int i = 0; i < 3; ++i) {
                 bend[3 * c[(p + 2) % 3] + i] += half * t.edge[p][i];
                 bend[3 * c[(p + 1) % 3] + i] -= half * t.edge[p][i];
+                if (walls.count) vector[3 * c[p] + i] += walls.side[f] / 6 * t.normal[i];
             }
         }
     }
+    std::vector<double> mean(walls.count, 0.0), held(walls.count, walls.own);
+    for (std::int64_t v = 0; v < n_vertices && walls.count; ++v) {
+        if (walls.of[v] < 0 || !(area[v] > 0)) continue;
+        mean[walls.of[v]] += smooth[v] / area[v] * dot3(&bend[3 * v], &vector[3 * v]);
+        held[walls.of[v]] += smooth[v] * area[v];
+    }
     double energy = 0;
+    for (std::int64_t w = 0; w < walls.count; ++w) {
+        const double whole = mean[w];
+        mean[w] /= std::max(held[w], kPoint);
+        energy -= 0.5 * whole * mean[w];
+    }
     std::vector<double> density(n_vertices);
     for (std::int64_t v = 0; v < n_vertices; ++v) {
         const double a = area[v] > 0 ? area[v] : 1.0, weight = smooth[v] / a;
         const double squared = dot3(&bend[3 * v], &bend[3 * v]);
         energy += 0.5 * weight * squared;
         density[v] = 0.5 * weight / a * squared;
-        for (int i = 0; i < 3; ++i) bend[3 * v + i] *= weight;  // from here on the pull on K
+        const bool within = walls.count && walls.of[v] >= 0 && area[v] > 0;
+        const double c = within ? mean[walls.of[v]] : 0.0;
+        if (within)
+            density[v] -= smooth[v] * (c * dot3(&bend[3 * v], &vector[3 * v]) / (a * a) + 0.5 * c * c);
+        // From here on the pull on K, and on the area vectors.
+        for (int i = 0; i < 3; ++i) {
+            const double k = bend[3 * v + i];
+            bend[3 * v + i] = weight * k;
+            if (!walls.count) continue;
+            bend[3 * v + i] -= weight * c * vector[3 * v + i];
+            vector[3 * v + i] = -weight * c * k;
+        }
     }
     for (std::int64_t f = 0; f < n_faces; ++f) {
         const Face& t = face[f];
@@ -98,12 +130,17 @@ inline double bending(const double* vertices, std::int64_t n_vertices, const std
                 of_edge[r][i] -= by_dot[p] * t.edge[q][i];
             }
         }
+        double pull[3] = {0, 0, 0};
+        for (int i = 0; i < 3 && walls.count; ++i)
+            pull[i] = walls.side[f] / 6 * (vector[3 * c[0] + i] + vector[3 * c[1] + i] + vector[3 * c[2] + i]);
         for (int p = 0; p < 3; ++p) {
+            double twisted[3];
+            cross3(pull, t.edge[p], twisted);
             double turned[3];  // d |N| by a corner is the edge opposite it, turned about the normal
             cross3(t.normal, t.edge[p], turned);
             for (int i = 0; i < 3; ++i)
                 gradient[3 * c[p] + i] +=
-                    of_edge[(p + 1) % 3][i] - of_edge[(p + 2) % 3][i] + by_area * turned[i] / t.doubled;
+                    of_edge[(p + 1) % 3][i] - of_edge[(p + 2) % 3][i] + by_area * turned[i] / t.doubled + twisted[i];
         }
     }
     return energy;

@@ -184,16 +184,25 @@ NB_MODULE(_remesh, m) {
         return nb::make_tuple(copied<std::int64_t>(pairs.empty() ? nullptr : pairs.data()->data(), pairs.size(), 2),
                               copied<double>(points.empty() ? nullptr : &points.data()->z, points.size(), 3));
     });
-    m.def("bending", [](Given<double> vertices, Given<std::int64_t> faces, Given<double> smooth) {
+    m.def("bending", [](Given<double> vertices, Given<std::int64_t> faces, Given<double> smooth,
+                        Given<std::int64_t> wall, Given<double> side, std::int64_t walls, double own) {
         const auto n = static_cast<std::int64_t>(places_in(vertices));
         const auto f = static_cast<std::int64_t>(joined_in(faces, "faces", 3, vertices.shape(0)));
         has_shape(smooth, "smooth", {vertices.shape(0)});
         within(smooth, "smooth", 0, 1);
+        has_shape(wall, "wall", {vertices.shape(0)});
+        has_shape(side, "side", {faces.shape(0)});
+        within(side, "side", -1, 1);
+        require(walls >= 0 && walls <= f, "there are more walls than faces");
+        require(own >= 0 && own < 1e30, "own must be an area");
+        for (std::int64_t v = 0; v < n; ++v)
+            require(wall.data()[v] >= -1 && wall.data()[v] < walls, "a vertex names a wall that is not there");
+        const deltamic_bending::Walls of{walls, wall.data(), side.data(), own};
         std::vector<double> gradient(3 * n);
         double energy = 0;
         {
             nb::gil_scoped_release others_may_run;
-            energy = deltamic_bending::bending(vertices.data(), n, faces.data(), f, smooth.data(), gradient.data());
+            energy = deltamic_bending::bending(vertices.data(), n, faces.data(), f, smooth.data(), of, gradient.data());
         }
         return nb::make_tuple(energy, copied<double>(gradient.data(), n, 3));
     });

@@ -93,7 +93,9 @@ class Calls:
 
     def bending(self, random: Random) -> Call:
         v, f, _ = self.mesh(random)
-        return self.remeshing.bending, [v, f, np.ones(len(v))]
+        walls = int(random.integers(0, 3))
+        wall, side = random.integers(-1, max(walls, 1), len(v)), np.ones(len(f))
+        return self.remeshing.bending, [v, f, np.ones(len(v)), wall, side, walls, 0.1]
 
     def region_pieces(self, random: Random) -> Call:
         _, f, r = self.mesh(random)

@@ -123,8 +123,8 @@ def pose(
     variance = views[0].variance
     stiffness = level.settings.bending
     width = float(np.prod(imaging.optics.sigma_um)) ** (1 / 3)
-    body = CellBending if structure == "interior" else BendingEnergy
-    bending = body(shape.mesh), JunctionBending(shape.mesh, width)
+    walls = CellBending(shape.mesh) if structure == "interior" else BendingEnergy(shape.mesh, width)
+    bending = walls, JunctionBending(shape.mesh, width)
 
     def posterior_of(insides: Insides) -> Posterior:
         prior = Prior(*bending, stiffness, density, insides, imaging)

@@ -6,6 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from .compiled import native
+from .connected import connected
 from .mesh import FloatArray, IntArray, Mesh
 
 # Cotangents beyond these are of slivers, whose curvature says nothing of the surface.
@@ -13,6 +14,9 @@ _LEAST, _LARGEST = -2.0, 4.0
 # Of the mean area of a vertex. The energy divides by that area: without a bound, vertices among
 # slivers would be held hardest, just where the curvature tells least about the surface.
 _SMALL = 0.25
+# Squares of the PSF's width that a wall must have for its own mean curvature to count half; chosen:
+# the area within two widths, as less of a surface cannot be told from its blur.
+_OWN = 4 * np.pi
 _POINT = 1e-100  # um^2: a surface without area has no curvature
 _NO_AREA = 1e-12  # of the mean area: a face without area has no cotangents
 
@@ -25,14 +29,22 @@ class BendingEnergy:
     vertex it is ``1/2 sum over vertices of |K_i|^2 / A_i`` (M. Meyer et al., "Discrete
     differential-geometry operators for triangulated 2-manifolds", 2003).
 
+    Of a wall that ends at junctions, only what its curvature differs by from its own mean counts:
+    ``1/2 integral of |2 H - c|^2 dA + 1/2 own c^2``, at the c that makes it least, is the energy
+    less ``1/2 M^2 / (S + own)``, with M the integral of 2 H and S the area. Tension and pressure
+    make walls of even curvature; held against that itself, a cap would grow at the cost of its rim.
+
     Parameters
     ----------
     mesh
         Its connectivity. Vertices count whose edges all belong to exactly two faces, less where
         they have hardly any area.
+    width
+        um, of the PSF: walls much smaller than that have no mean curvature of their own. None: no
+        wall has.
     """
 
-    def __init__(self, mesh: Mesh) -> None:
+    def __init__(self, mesh: Mesh, width: float | None = None) -> None:
         self._faces: IntArray = np.ascontiguousarray(mesh.faces)
         self._count = len(mesh.vertices)
         uses = np.bincount(mesh.face_edges().ravel(), minlength=len(mesh.edges()))
@@ -42,6 +54,27 @@ class BendingEnergy:
         share = self._at_vertices(np.repeat(mesh.areas() / 3, 3).reshape(-1, 3))
         least = _SMALL * float(mesh.areas().sum()) / max(int(np.count_nonzero(share)), 1)
         self._smooth = smooth * np.minimum(1.0, share / max(least, 1e-300)) ** 2
+        self._own = 0.0 if width is None else _OWN * width**2
+        self._wall, self._side, self._walls = self._bounded_walls(mesh, uses, width is not None)
+
+    def _bounded_walls(
+        self, mesh: Mesh, uses: IntArray, asked: bool
+    ) -> tuple[IntArray, FloatArray, int]:
+        """(V,) number of the wall that a vertex lies within, -1 for none and for those that close;
+        (F,) which way faces look, the same throughout a wall; and how many there are.
+        """
+        none: IntArray = np.full(self._count, -1, np.int64)
+        side = np.where(mesh.regions[:, 0] <= mesh.regions[:, 1], 1.0, -1.0)
+        if not asked or (uses == 2).all():
+            return none, side, 0
+        by_edge, count = mesh.face_edges(), len(self._faces)
+        links = np.stack([np.repeat(np.arange(count), 3), count + by_edge.ravel()], 1)
+        group = connected(links[uses[by_edge.ravel()] == 2], count + len(uses))[:count]
+        bounded, number = np.unique(group[(uses[by_edge] != 2).any(1)]), none
+        rank = np.searchsorted(bounded, group).clip(0, len(bounded) - 1)
+        number[self._faces.ravel()] = np.where(bounded[rank] == group, rank, -1).repeat(3)
+        number[self._smooth == 0] = -1
+        return number, side, len(bounded)
 
     def __call__(self, vertices: FloatArray) -> tuple[float, FloatArray]:
         """The energy and its gradient (V, 3) 1/um, at vertices (V, 3) um."""
@@ -49,7 +82,8 @@ class BendingEnergy:
         if library is None:
             return self._in_numpy(vertices)
         given = np.ascontiguousarray(vertices, dtype=np.float64)
-        energy, gradient = library.bending(given, self._faces, self._smooth)
+        of = self._wall, self._side, self._walls, self._own
+        energy, gradient = library.bending(given, self._faces, self._smooth, *of)
         return energy, gradient
 
     def _in_numpy(self, vertices: FloatArray) -> tuple[float, FloatArray]:
@@ -77,6 +111,23 @@ class BendingEnergy:
 
         pull = weight[:, None] * bend
         density = 0.5 * weight / area * (bend**2).sum(1)
+        # A third of the area vectors around each vertex, and the mean curvature of its wall.
+        vectors = (self._side / 6)[:, None] * normal
+        vectors = np.stack(
+            [self._at_vertices(np.repeat(v, 3).reshape(-1, 3)) for v in vectors.T], 1
+        )
+        along = (bend * vectors).sum(1)
+        within = self._wall >= 0
+        of = self._wall[within]
+        whole = np.bincount(of, (weight * along)[within], self._walls)
+        held = self._own + np.bincount(of, (self._smooth * area)[within], self._walls)
+        mean = whole / np.maximum(held, _POINT)
+        energy -= 0.5 * float((whole * mean).sum())
+        curved = np.zeros(self._count)
+        curved[within] = mean[of]
+        pull -= (weight * curved)[:, None] * vectors
+        density -= self._smooth * (curved * along / area**2 + 0.5 * curved**2)
+        by_vector = -(weight * curved)[:, None] * bend
         at = pull[self._faces]
         # Towards the second end of each edge minus the first, as ``edges`` themselves.
         difference = np.roll(at, 1, axis=1) - np.roll(at, -1, axis=1)
@@ -89,6 +140,8 @@ class BendingEnergy:
         # d |N| by a corner is the edge opposite it, turned about the normal.
         turned = np.cross((normal / doubled[:, None])[:, None], edges)
         gradient += by_area[:, None, None] * turned
+        by_normal = (self._side / 6)[:, None] * by_vector[self._faces].sum(1)
+        gradient += np.cross(by_normal[:, None], edges)
         return energy, np.stack([self._at_vertices(gradient[:, :, i]) for i in range(3)], 1)
 
     def curvature(self, vertices: FloatArray, directions: FloatArray) -> sp.csr_matrix:

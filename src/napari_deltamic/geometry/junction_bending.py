@@ -14,13 +14,16 @@ _SHORT = 0.5
 
 
 class JunctionBending:
-    """``1/2 width integral of k^2 ds`` along the junctions of a mesh, k being their curvature.
+    """``1/2 width integral of k^2 ds`` along the junctions of a mesh, k being how much more they
+    bend at a vertex than at its neighbours.
 
     That is the bending energy of a strip of wall as wide as ``width`` around each line, which that
     of walls leaves out: walls may meet at any angle, but a line that zigzags between its vertices
     is no shape of cells. At a vertex between edges of lengths l and m and directions t and u,
-    k is ``2 |u - t| / (l + m)`` over a length of (l + m) / 2 (M. Bergou et al., "Discrete elastic
-    rods", 2008, to the first order in the angle). No unit.
+    a line bends by ``2 |u - t| / (l + m)`` over a length of (l + m) / 2 (M. Bergou et al.,
+    "Discrete elastic rods", 2008, to the first order in the angle). k is half the difference of
+    that vector to the mean of both neighbours: all of it in a zigzag, none on a circle, as rims of
+    bubbles are. Where a vertex has no neighbour on its line, k is all that it bends. No unit.
 
     Parameters
     ----------
@@ -47,17 +50,32 @@ class JunctionBending:
             _, _, first, second = self._directions(mesh.vertices_numpy())
             mean = float(np.concatenate([first, second]).mean())
             self._weight *= np.minimum(1.0, np.minimum(first, second) / (_SHORT * mean)) ** 2
+        self._unlike = self._differences()
+
+    def _differences(self) -> sp.csr_matrix:
+        """(n, n) from how much each vertex turns to how much more than its neighbours, halved."""
+        n = len(self._middle)
+        row = np.full(self._count, -1)
+        row[self._middle] = np.arange(n)
+        pairs = np.concatenate(
+            [[row[self._before], row[self._middle]], [row[self._after], row[self._middle]]], 1
+        )
+        other, own = pairs[:, pairs[0] >= 0]
+        near = np.bincount(own, minlength=n)
+        values = np.concatenate([np.where(near > 0, 0.5, 1.0), -0.5 / near[own]])
+        columns = np.concatenate([np.arange(n), other])
+        return sp.csr_matrix((values, (np.concatenate([np.arange(n), own]), columns)), (n, n))
 
     def __call__(self, vertices: FloatArray) -> tuple[float, FloatArray]:
         """The energy and its gradient (V, 3) 1/um, at vertices (V, 3) um."""
         t, u, first, second = self._directions(vertices)
         whole = first + second
-        turn = u - t
+        turn = self._unlike @ (u - t)
         energies = self._weight * (turn**2).sum(1) / whole
         by_length = -(energies / whole)[:, None]
-        scale = 2 * self._weight / whole
-        by_first = _across(-turn * scale[:, None], t) / first[:, None] + by_length * t
-        by_second = _across(turn * scale[:, None], u) / second[:, None] + by_length * u
+        by_turn = self._unlike.T @ ((2 * self._weight / whole)[:, None] * turn)
+        by_first = _across(-by_turn, t) / first[:, None] + by_length * t
+        by_second = _across(by_turn, u) / second[:, None] + by_length * u
         gradient = np.zeros((self._count, 3))
         np.add.at(gradient, self._before, -by_first)
         np.add.at(gradient, self._middle, by_first - by_second)
@@ -72,10 +90,11 @@ class JunctionBending:
         _, _, first, second = self._directions(vertices)
         root = np.sqrt(2 * self._weight / (first + second))
         rows = np.arange(len(self._middle))
-        values = np.concatenate([root / first, -root / first - root / second, root / second])
+        values = np.concatenate([1 / first, -1 / first - 1 / second, 1 / second])
         columns = np.concatenate([self._before, self._middle, self._after])
         shape = len(rows), self._count
         turn = sp.coo_matrix((values, (np.tile(rows, 3), columns)), shape).tocsr()
+        turn = sp.diags(root) @ self._unlike @ turn
         bend = (turn.T @ turn).tocoo()
         along = (directions[bend.row] * directions[bend.col]).sum(1)
         square = self._count, self._count
