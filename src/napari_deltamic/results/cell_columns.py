@@ -13,6 +13,7 @@ from ..measure.all_cells import CELL_COLUMNS
 _SUFFIX = {"um^3": "_um3", "um^2": "_um2", "um": "_um", "1/um": "_per_um"}
 _TITLES = {"region": "cell", "residual_z": "misfit", "cut_by_border": "cut"}
 _SHARES = ("explained",)
+_ERROR_DIGITS = 2  # an error is not known better
 # Those that are shown until the user chooses others.
 FIRST = (
     "region",
@@ -55,7 +56,13 @@ class CellColumn:
             return "-"
         if self.key == "region" or isinstance(value, int):
             return f"{value:.0f}"
-        return f"{value:.1%}" if self.key in _SHARES else f"{value:.4g}"
+        if self.key in _SHARES:
+            return f"{value:.1%}"
+        return f"{value:.{_ERROR_DIGITS if self._is_error else 4}g}"
+
+    @property
+    def _is_error(self) -> bool:
+        return "error" in self.key or "_se" in self.key
 
 
 def is_number(value: Any) -> bool:

@@ -1,0 +1,22 @@
+"""How values of the table of cells are shown."""
+
+import pytest
+
+from napari_deltamic.results.cell_columns import COLUMNS
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "shown"),
+    [
+        ("volume_um3", 12.34567, "12.35"),
+        ("shape_error_um", 0.0055289, "0.0055"),
+        ("explained", 0.8765, "87.7%"),
+        ("region", 3, "3"),
+        ("grade", "fair", "fair"),
+        ("volume_um3", float("nan"), "-"),
+        ("volume_um3", None, "-"),
+    ],
+)
+def test_errors_have_two_digits_and_others_four(key, value, shown):
+    (column,) = [c for c in COLUMNS if c.key == key]
+    assert column.text(value) == shown
