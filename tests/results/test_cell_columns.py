@@ -10,7 +10,7 @@ from napari_deltamic.results.cell_columns import COLUMNS
     [
         ("volume_um3", 12.34567, "12.35"),
         ("shape_error_um", 0.0055289, "0.0055"),
-        ("explained", 0.8765, "87.7%"),
+        ("explained", 0.8776, "87.8%"),
         ("region", 3, "3"),
         ("grade", "fair", "fair"),
         ("volume_um3", float("nan"), "-"),
