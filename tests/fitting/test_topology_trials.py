@@ -61,7 +61,7 @@ def test_a_wrong_neighbour_is_exchanged():
     truth = five(0.45)  # of six draws of noise five are decided; of 0.5 one to three
     states, told = fitted(truth, flip_of(truth))
     assert contacts(states[-1].mesh) == contacts(truth)
-    assert told == "cell 1 touches cell 2"
+    assert told.endswith("cell 1 touches cell 2")  # may have been undecided at first
     assert all(len(state.density) == len(state.mesh.faces) for state in states)
 
 

@@ -8,10 +8,10 @@ import pytest
 from napari_deltamic.errors import InputError
 from napari_deltamic.gui.running import worker
 from napari_deltamic.gui.tracking import track_work
-from napari_deltamic.gui.words import attempt
+from napari_deltamic.gui.window_words import attempt
 from napari_deltamic.gui.work import Background
 
-LOGGER = "napari_deltamic.gui.words"
+LOGGER = "napari_deltamic.gui.window_words"
 
 
 def broken(*arguments, **options):

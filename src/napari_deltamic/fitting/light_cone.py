@@ -197,7 +197,7 @@ def _is_plain(optics: Optics) -> bool:
 
 def _is_default(sigma: Sequence[float], voxel_size: Sequence[float]) -> bool:
     """Whether widths are those that a fit begins with where neither user nor image tell them."""
-    return bool(np.allclose(sigma, SIGMA_IN_VOXELS * np.asarray(voxel_size), rtol=1e-6))
+    return bool(np.allclose(sigma, SIGMA_IN_VOXELS * np.asarray(voxel_size)))
 
 
 def _roundness(sigma: Sequence[float]) -> float:

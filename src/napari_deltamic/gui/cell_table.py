@@ -21,7 +21,7 @@ from superqt.utils import signals_blocked
 from ..results.cell_columns import COLUMNS, FIRST, CellColumn, is_number, value_of
 from ..results.colouring import colour_of
 from .widgets import Signal, be_table_of_rows
-from .words import for_window
+from .window_words import for_window
 
 _REGION = Qt.ItemDataRole.UserRole
 _OPEN = "The surface of this cell is not closed, or inside out."

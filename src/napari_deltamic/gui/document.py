@@ -31,7 +31,7 @@ from .seeding.cell_source import CellSource
 from .viewing.frame import Frame
 from .viewing.listening import Connections
 from .viewing.viewer_link import ViewerLink
-from .words import attempt
+from .window_words import attempt
 from .work import Background, Work
 
 View = Literal["image", "rendered", "residual", "side by side"]

@@ -30,7 +30,7 @@ from .tracking.control import TrackControl
 from .tracking.panel import TrackPanel
 from .viewing.frame import unwrapped
 from .widgets import action, column
-from .words import for_window
+from .window_words import for_window
 
 _WIDTH = 390  # px
 

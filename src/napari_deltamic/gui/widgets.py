@@ -29,7 +29,7 @@ from superqt.utils import signals_blocked
 from ..errors import InputError
 from .document import Document
 from .layer_choice import LayerChoice
-from .words import for_window
+from .window_words import for_window
 from .work import Question, Work
 
 # The bindings' type stubs do not agree on these two.

@@ -24,7 +24,7 @@ from psygnal import Signal
 from qtpy.QtCore import QObject, QTimer
 
 from ..errors import TOLD, InputError
-from .words import words_of
+from .window_words import words_of
 
 INTERVAL = 1 / 15  # s between two looks at a task
 LONGEST_REST = 0.5  # s that a slow viewer is left alone, at most

@@ -16,7 +16,7 @@ from ...runs.batch import write_batch
 from ...runs.run_files import Chosen, needs_folder
 from ..document import Document
 from ..widgets import action
-from ..words import attempt
+from ..window_words import attempt
 from .session import Parts, capture, restore
 
 

@@ -32,7 +32,7 @@ from ..viewing.frame import camera_of
 from ..viewing.listening import Presses, is_click, wants_clicks
 from ..viewing.viewer_link import ViewerLink
 from ..widgets import Note, action, button, filled, narrow_box, row, sentence
-from ..words import attempt
+from ..window_words import attempt
 
 IMAGE_FILES = "OME-TIFF (*.ome.tif *.ome.tiff);;ImageJ TIFF (*.tif *.tiff)"
 _NEAR = 6.0  # px: how far from its contour a click may be

@@ -25,7 +25,7 @@ from ...results.judged import Compared, Spread, compared, judge
 from ...runs.settings import NEAR_LEVELS
 from ..document import Document
 from ..record import Record
-from ..words import attempt
+from ..window_words import attempt
 from ..work import Outcome
 from .worker import FitRun, Snapshot
 

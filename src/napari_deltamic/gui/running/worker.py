@@ -19,7 +19,7 @@ from ...fitting import Change, FitState
 from ...fitting.job import FitInput, following, scene_with, start
 from ...fitting.pending import Waiting, usable
 from ...results.report import History
-from ..words import words_of
+from ..window_words import words_of
 from ..work import Outcome, Task
 
 RENDER_EVERY = 0.3  # s, at least, between two rendered images

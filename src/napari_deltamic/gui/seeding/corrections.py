@@ -23,7 +23,7 @@ from ..document import Document
 from ..viewing.frame import FloatArray, Frame, chosen_of
 from ..viewing.listening import Presses, is_click, lay_down, wants_clicks
 from ..widgets import Note, Signal, ToolBar, button, small
-from ..words import attempt
+from ..window_words import attempt
 from .cell_source import seeds_from_layer
 
 # Title, what it does, and its name among the edits of labels.

@@ -15,7 +15,7 @@ from ..document import Document
 from ..viewing.frame import Frame
 from ..viewing.mesh_layers import MeshLayers
 from ..widgets import Signal
-from ..words import attempt
+from ..window_words import attempt
 from .cell_source import Wanted
 
 _LOOK = {"opacity": 0.5, "blending": "translucent_no_depth"}

@@ -16,7 +16,7 @@ from ...images.stacks import read_voxel_size
 from ...runs.optics_settings import MeasuredOptics, MicroscopeOptics, optics_from_values
 from ..fields import Form
 from ..widgets import Signal, button, column
-from ..words import attempt
+from ..window_words import attempt
 
 _FILES = f"images ({' '.join(f'*{kind}' for kind in IMAGE_FILES if kind != ZARR)})"
 _LIT = ("confocal", "spinning disk")

@@ -22,7 +22,7 @@ from ...tracking import FrameResult, TrackSettings
 from ..document import Document
 from ..layer_channels import origin_of
 from ..viewing.frame import Frame, data_of
-from ..words import attempt
+from ..window_words import attempt
 from ..work import Outcome
 from .layers import TrackLayers
 from .panel import TrackPanel

@@ -14,7 +14,7 @@ from ...results.timeline import explained
 from ...runs.track_run import TrackRun
 from ...tracking import FrameResult, track
 from ..viewing.frame import Box, finite
-from ..words import words_of
+from ..window_words import words_of
 from ..work import Outcome, Task
 
 

@@ -8,7 +8,7 @@ from qtpy.QtWidgets import QLabel, QVBoxLayout, QWidget
 from napari_deltamic.gui.dock import Column
 from napari_deltamic.gui.viewing.colours import BY_VALUE, ByValue
 from napari_deltamic.gui.widgets import VERDICTS, Note
-from napari_deltamic.gui.words import for_window
+from napari_deltamic.gui.window_words import for_window
 
 GROUNDS = {"dark": "#23242b", "light": "#ebe7e6"}  # of napari's themes
 
