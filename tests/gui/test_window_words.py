@@ -28,7 +28,10 @@ def contrast(one, other):
     ("text", "shown"),
     [
         ("light next to it (--effects auto); uneven", "light next to it (see Corrections); uneven"),
-        ("thick (--structure auto, --fit-psf)", "thick (see what shines, estimate the PSF)"),
+        (
+            "thick (--structure auto, --fit-psf)",
+            "thick (see what is labelled, estimate the PSF from the image)",
+        ),
         ("no place for it (--nonesuch)", "no place for it"),
         ("of about 2 um were found, 3 umbrellas", "of about 2 µm were found, 3 umbrellas"),
         ("one of two (or both)", "one of two (or both)"),

@@ -8,15 +8,18 @@ from collections.abc import Callable, Sequence
 
 from psygnal import EmitLoopError
 
+from ..common.description import described
 from ..errors import InputError, failure
+from ..runs.settings import FitSettings
 
 _log = logging.getLogger(__name__)
 _OF_THE_COMMAND_LINE = " (-v shows where)"
-# Where the window has what a flag sets.
+_FIELDS = described(FitSettings)
+# Where the window has what a flag sets: sections, and fields by their titles.
 _PLACES = {
     "--effects": "Corrections",
-    "--structure": "what shines",
-    "--fit-psf": "estimate the PSF",
+    "--structure": _FIELDS["structure"].title,
+    "--fit-psf": _FIELDS["fit_psf"].title,
     "--modality": "Microscope",
     "--accuracy": "quick, normal, careful",
 }
