@@ -69,9 +69,9 @@ def objective_instead(
 ) -> tuple[ThroughObjective | None, int]:
     """The PSF of an objective that explains an image better than the Gaussian that was fitted.
 
-    Widefield or confocal, as wide as that was at the start, or, where nobody told a width and it
-    began at the default, as wide as it has become: whichever leaves least of the same
-    voxels at the end of the fit is followed for a few steps from there. (Of 18 simulated widefield
+    Widefield or confocal, as wide as that was at the start (or, where it began at the default
+    width, as it has become): whichever leaves least of the same voxels at the end of the fit is
+    followed for a few steps from there. (Of 18 simulated widefield
     and confocal stacks of six kinds, it was the one that following both would have chosen in 16,
     and neither was in two; both took a fifth of the time of a fit of 56 cells.) Asked where the
     Gaussian was, or has become, as long as the roundest PSF of an objective: in a haze it ends
