@@ -9,6 +9,7 @@ from benchmarks.joined_spheres import joined_spheres
 from napari_deltamic import GaussianPSF, Grid, Mesh, load_mesh, render
 from napari_deltamic.geometry.contacts import contacts
 from napari_deltamic.measure import junction_angles, surface_distance
+from napari_deltamic.tracking.alarms import looks
 
 from ..default_command import fitted
 from ..figure import Figure, MissingData, Options, Row, at_most
@@ -71,11 +72,9 @@ def cell4(options: Options) -> list[Row]:
     truth = truth.translated(-(low + high) / 2).scaled(60 / float((high - low).max()))
     truth = truth.translated((39.5,) * 3)
     grid, sigma = Grid((80, 80, 80), (1.0, 1.0, 1.0)), 2.0
-    regions = truth.region_ids()
-    centers = np.array([_centroid(truth, int(r)) for r in regions])
-    radii = np.cbrt([3 * truth.region_volume(int(r)) / (4 * np.pi) for r in regions])
+    cells = looks(truth).values()
     # Spheres of a cell's volume leave gaps: a tenth more makes neighbours share a wall.
-    spheres = np.column_stack([centers, 1.1 * radii])
+    spheres = np.array([[*cell.center, 1.1 * cell.radius] for cell in cells])
     rows = []
     for photons in (np.inf, PHOTONS):
         outcome = fitted(measured(truth, grid, sigma, photons, 0), grid.voxel_size, spheres)
@@ -89,13 +88,6 @@ def cell4(options: Options) -> list[Row]:
         else:
             rows.append(Row(name, "", error, "voxel", None, note))
     return rows
-
-
-def _centroid(mesh: Mesh, region: int) -> NDArray[np.float64]:
-    surface = mesh.region_surface(region)
-    corners = surface.vertices_numpy()[surface.faces]
-    weight = surface.signed_volumes()
-    return weight @ corners.sum(1) / (4 * weight.sum())
 
 
 FIGURES: dict[str, Figure] = {"double bubble": double_bubble, "cell4": cell4}
