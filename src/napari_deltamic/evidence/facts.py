@@ -43,6 +43,8 @@ class CellFacts:
         that the image shows; 1 where the model has none.
     seen
         Share of its surface where the image is not missing.
+    counted
+        Share of its surface where the image counted: not missing, nor left to other light.
     point
         Whether it is no more than a point beside the PSF (:func:`~.growth_alarm.shrunken`).
     """
@@ -60,6 +62,7 @@ class CellFacts:
     lit: float = 1.0
     medium: float = 1.0
     seen: float = 1.0
+    counted: float = 1.0
     point: bool = False
 
 

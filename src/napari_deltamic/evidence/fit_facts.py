@@ -120,7 +120,9 @@ def _cells(
     inside = {} if modelled else _inside(job, state, images.seen)
     medium = _medium(job, state, images.seen, images.shown)
     volumes, uneven = mesh.volumes(), uneven_insides(job, state, images.rendered)
-    lit, seen, cut = _lit(state), _seen(job, mesh), _cut(mesh, job.grid)
+    known, lit, cut = np.isfinite(np.asarray(job.image)), _lit(state), _cut(mesh, job.grid)
+    seen = _share(known, job, mesh)
+    counted = seen if job.counted is None else _share(known & job.counted, job, mesh)
     points = shrunken(mesh, min(state.optics.sigma_um))
     grown_out = outgrowths(mesh, job.grid, state.optics)
     return tuple(
@@ -138,6 +140,7 @@ def _cells(
             lit=lit.get(region, 1.0),
             medium=medium.get(region, 1.0),
             seen=seen.get(region, 1.0),
+            counted=counted.get(region, 1.0),
             point=region in points,
         )
         for region in _areas(mesh)
@@ -279,9 +282,9 @@ def _inside(
     return found
 
 
-def _seen(job: FitInput, mesh: Mesh) -> dict[int, float]:
-    """Share of the surface of each region where the image is not missing."""
-    known, grid = np.isfinite(np.asarray(job.image)), job.grid
+def _share(known: np.ndarray, job: FitInput, mesh: Mesh) -> dict[int, float]:
+    """Share of the surface of each region that lies in such voxels (Z, Y, X); none where all do."""
+    grid = job.grid
     if known.all():
         return {}
     middles = mesh.vertices_numpy()[mesh.faces].mean(1)

@@ -60,7 +60,8 @@ class VerdictRules:
         but these was wrong, 0.26 in the median.
     seen, unseen
         Least share of the surface of a cell that lies where the image is not missing, below which
-        it is fair, and poor. Chosen, not measured: a dead slice of 20 hides a twentieth.
+        it is fair, and poor; the same where it did not count. Chosen, not measured: a dead slice of
+        20 hides a twentieth.
     uneven
         Of the brightness deep inside a cell, standard deviation without noise: insides of one
         brightness had none, chromatin of 0.2 to 0.5 had 0.1 to 0.2, and borders were 0.2 to 0.6
@@ -239,6 +240,10 @@ def _of_cell(cell: CellFacts, usual: float, facts: Facts) -> CellVerdict:
         word: Grade = "fair" if cell.seen >= RULES.unseen else "poor"
         much = f"{1 - cell.seen:.0%} of its surface"
         found.append((word, f"the image is missing at {much}: what lies there is a guess"))
+    elif cell.counted < RULES.seen:
+        word = "fair" if cell.counted >= RULES.unseen else "poor"
+        text = f"{1 - cell.counted:.0%} of its surface lies in light taken for something else's"
+        found.append((word, f"{text}: does it start where the cell is?"))
     if predicted is not None:
         found += _of_error(predicted, facts)
     if cell.explained is not None and cell.explained < RULES.good:
