@@ -211,7 +211,7 @@ def test_a_remark_on_the_way_stands_behind_the_verdict(seeded, spin, monkeypatch
     seeded.footer.run_button.click()
     spin(lambda: not running(seeded))
     assert seeded.running.verdict.text().startswith("converged")
-    assert seeded.running.remarks.label.text() == "it leaks"
+    assert seeded.running.remarks.content.text() == "it leaks"
 
 
 def test_an_error_before_the_first_iteration(seeded, with_image, spin, told):
@@ -327,7 +327,7 @@ def test_the_verdict_is_one_line_with_a_list_behind(seeded, spin, monkeypatch):
     assert "8 iterations" in panel.verdict.text()
     assert panel.remarks.title == "3 remarks"
     assert panel.remarks.content.isHidden()
-    assert panel.remarks.label.text().split("\n") == [f"cells {k} and 9 meet" for k in (2, 3, 4)]
+    assert panel.remarks.content.text().split("\n") == [f"cells {k} and 9 meet" for k in (2, 3, 4)]
     verdict = panel.last_verdict
     panel._show_verdict("", "")
     assert panel.remarks.isHidden()

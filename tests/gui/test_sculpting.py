@@ -76,7 +76,7 @@ def test_without_a_tool_nothing_listens(ended, with_image):
     assert len(with_image.mouse_drag_callbacks) == n
     use(ended, "pin")
     ended.close_links()
-    assert ended.sculptor.presses.callback not in with_image.mouse_drag_callbacks
+    assert ended.running.edit.presses.callback not in with_image.mouse_drag_callbacks
 
 
 def test_the_fit_goes_on_from_a_nudge(begun, spin):

@@ -43,7 +43,7 @@ def test_closing_the_dock_ends_and_releases_everything(window, pixels, spin, end
     widget.running.edit.use("push")
     spin(lambda doc=widget.doc: len(doc.timeline.moments) > 3)
     widget.running.history.slider.setValue(1)
-    parts = (widget.image, widget.seeds, widget.control, widget.edits, widget.sculptor)
+    parts = (widget.image, widget.seeds, widget.control, widget.edits, widget.running.edit)
     refs = [weakref.ref(x) for x in (widget, run, widget.doc.link, widget.doc.timeline, *parts)]
     n = len(refs)
     window.window.remove_dock_widget(widget)

@@ -20,7 +20,6 @@ from .running.edits import Edits
 from .running.footer import Footer
 from .running.live_settings import LiveSettings
 from .running.run_control import Judging, RunControl
-from .running.sculpt_tool import Sculptor
 from .seeding.seeds_panel import SeedsPanel
 from .settings.effects_panel import EffectsPanel
 from .settings.optics_panel import OpticsPanel
@@ -47,15 +46,14 @@ class FitWidget(QWidget):
         self.image = ImagePanel(doc, self)
         self.seeds = SeedsPanel(doc, self)
         self.settings = SettingsPanel(doc, OpticsPanel(doc, self), EffectsPanel(doc, self), self)
-        self.control = RunControl(doc, self)
+        self.control = RunControl(doc)
         self.edits = Edits(doc, self.control, self)
-        self.live_settings = LiveSettings(doc, self.edits, self)
-        self.judging = Judging(doc, self)
+        self.live_settings = LiveSettings(doc, self.edits)
+        self.judging = Judging(doc)
         self.footer = Footer(doc, self.control, self)
         self.running = CheckPanel(doc, self.edits, self.control, self)
-        self.sculptor = Sculptor(doc, self.control, self.edits, self.running.edit, self)
         self.track_panel = TrackPanel(self)
-        self.tracking = TrackControl(doc, self.track_panel, self)
+        self.tracking = TrackControl(doc, self.track_panel)
         self.results = ResultsPanel(doc, self)
         clicks = self.seeds.corrections.bar
         # A click that corrects labels chooses no cell.

@@ -340,7 +340,7 @@ class Fold(QWidget):
     A title that is longer than the panel is wide is cut; its tooltip has all of it.
     """
 
-    def __init__(self, title: str, content: QWidget, parent: QWidget | None = None) -> None:
+    def __init__(self, title: str, content: Any, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.title = ""
         self.button = QToolButton(self)

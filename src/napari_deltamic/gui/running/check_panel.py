@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import groupby
 from math import isfinite
 from typing import Any
 
@@ -13,7 +13,7 @@ from qtpy.QtGui import QColor, QPainter, QPaintEvent, QPalette, QPen, QPolygonF
 from qtpy.QtWidgets import QGroupBox, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from ...common.words import counted
-from ...results.judged import told
+from ...results.judged import Judged, told
 from ...results.moved_numbers import MovedNumber, moved_numbers
 from ...results.timeline import Moment, explained
 from ..document import VIEWS, Document
@@ -59,9 +59,9 @@ class CheckPanel(QGroupBox):
         )
         title = "Fit again: estimate PSF and brightness"
         self.again = button(title, tip, self.fit_again, self)
-        self.remarks = RemarkList(self)
+        self.remarks = Fold("", Note(), self)
         self.note = Note(self)
-        self.edit = EditBar(doc, self)
+        self.edit = EditBar(doc, control, edits, self)
         self.history = HistoryBar(doc, edits, control, self)
         self.curve = ExplainedCurve(self)
         self.numbers = LiveNumbers(self)
@@ -80,8 +80,11 @@ class CheckPanel(QGroupBox):
     @property
     def strays(self) -> Sequence[Any]:
         """The bright things of the image that no cell explains."""
-        result = self._doc.result
-        return () if result is None or result.judged is None else result.judged.strays
+        return () if self._judged is None else self._judged.strays
+
+    @property
+    def _judged(self) -> Judged | None:
+        return None if self._doc.result is None else self._doc.result.judged
 
     def tell(self, text: str) -> None:
         """What came of something that the user did, in a line."""
@@ -91,10 +94,9 @@ class CheckPanel(QGroupBox):
 
     def go_to_worst(self) -> None:
         """Move the view to where the image differs most from the rendered one."""
-        result = self._doc.result
-        spots = () if result is None or result.judged is None else result.judged.found.spots
-        if result is not None and spots:
-            result.link.go_to(spots[0].position)
+        spots, link = () if self._judged is None else self._judged.found.spots, self._doc.link
+        if spots and link is not None:
+            link.go_to(spots[0].position)
             kind = "brighter" if spots[0].z > 0 else "darker"
             self.tell(
                 f"In the middle of the view the image is {kind} than rendered, by "
@@ -164,7 +166,10 @@ class CheckPanel(QGroupBox):
         self.last_verdict = (verdict, text)
         said, *remarks = text.split("\n")
         self.verdict.say(said, verdict)
-        self.remarks.show_remarks(remarks)
+        self.remarks.set_title(counted(len(remarks), "remark"))
+        self.remarks.content.say("\n".join(remarks))
+        self.remarks.unfold(False)
+        self.remarks.setVisible(bool(remarks))
 
     def _show_grade(self, record: Record | None) -> None:
         """How well the shapes explain the image, and what can be done about it."""
@@ -222,22 +227,6 @@ class CheckPanel(QGroupBox):
         filled(QVBoxLayout(self), *said, *shown)
 
 
-class RemarkList(Fold):
-    """What was remarked on the way: how much in its title, all of it when unfolded."""
-
-    def __init__(self, parent: QWidget | None = None) -> None:
-        self.label = Note()
-        super().__init__("", self.label, parent)
-        self.hide()
-
-    def show_remarks(self, remarks: Sequence[str]) -> None:
-        """Show remarks; hidden where there are none."""
-        self.set_title(counted(len(remarks), "remark"))
-        self.label.say("\n".join(remarks))
-        self.unfold(False)
-        self.setVisible(bool(remarks))
-
-
 class LiveNumbers(Fold):
     """The numbers of PSF and effects that a fit moves: at its start, and now."""
 
@@ -284,15 +273,11 @@ class ExplainedCurve(QWidget):
     def show_losses(self, loss: Sequence[float], level: Sequence[int], first: int = 1) -> None:
         """Show the course of a fit, from its iteration ``first`` on."""
         n = min(len(loss), len(level))
-        kept = _spread(n)
-        starts = [k for a, k in pairwise(kept) if level[a] != level[k]]
-        parts = [[k for k in kept if a <= k < b] for a, b in pairwise([0, *starts, n])] if n else []
         self.text = f"{explained(loss[n - 1]):.1f}%" if n else ""
-        finite = [[k for k in part if isfinite(loss[k])] for part in parts]
+        kept = [k for k in _spread(n) if isfinite(loss[k])]
+        parts = [list(part) for _, part in groupby(kept, lambda k: level[k])]
         self.lines = [
-            Line([first + k for k in part], [explained(loss[k]) for k in part])
-            for part in finite
-            if part
+            Line([first + k for k in part], [explained(loss[k]) for k in part]) for part in parts
         ]
         self.update()
 

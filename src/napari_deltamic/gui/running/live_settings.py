@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
-from qtpy.QtCore import QObject
 
 from ...common.description import described
 from ...errors import InputError
@@ -21,11 +22,10 @@ _SCENE = {"voxel_size": "voxel size", "view": kind_of(ViewEffect).title}
 _FIT = described(FitSettings)
 
 
-class LiveSettings(QObject):
+class LiveSettings:
     """Hands what the user edits to the fit that is under way."""
 
-    def __init__(self, doc: Document, edits: Edits, parent: QObject | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, doc: Document, edits: Edits) -> None:
         self._doc, self._edits = doc, edits
         self._run = 0  # identity of the fit whose settings these are
         self._fit: FitSettings | None = None  # of the fit, as it was last told
@@ -66,25 +66,25 @@ class LiveSettings(QObject):
 
     def _edited(self, by_user: bool) -> None:
         if by_user and self._running:
-            try:
-                self._hand_over()
-                self._tell_fixed()
-            except InputError as error:
-                self._doc.noted.emit(f"{error}; the fit goes on as it was")
+            self._attempt(self._hand_over, "the fit goes on as it was")
+
+    def _attempt(self, action: Callable[[], None], otherwise: str) -> None:
+        """Do something, or tell why it cannot be done, and what then happens."""
+        try:
+            action()
+        except InputError as error:
+            self._doc.noted.emit(f"{error}; {otherwise}")
 
     def _image_changed(self) -> None:
         if self._running:
             # A PSF that is only guessed follows the voxel size, but not in a fit.
             self._psf = self._doc.settings.psf_key()
             link, chosen = self._doc.link, self._doc.image.layer
-            try:
-                if link is None or chosen is link.image_layer:
-                    self._tell_fixed()
-                elif chosen is not None:
-                    text = f"the fit goes on with '{link.image_layer.name}'"
-                    self._doc.noted.emit(f"{text}; the next run takes '{chosen.name}'")
-            except InputError as error:
-                self._doc.noted.emit(f"{error}; the fit goes on with the image it has")
+            if link is None or chosen is link.image_layer:
+                self._attempt(self._tell_fixed, "the fit goes on with the image it has")
+            elif chosen is not None:
+                text = f"the fit goes on with '{link.image_layer.name}'"
+                self._doc.noted.emit(f"{text}; the next run takes '{chosen.name}'")
 
     def _hand_over(self) -> None:
         settings = self._doc.settings
@@ -115,6 +115,7 @@ class LiveSettings(QObject):
             if optics is not None:
                 self._edits.change(Change(optics=optics), f"PSF {settings.psf_in_words()}")
             self._psf = psf  # one that was refused is shown still, and told again
+        self._tell_fixed()
 
     def _other_optics(self, scene: SceneSettings) -> Optics | None:
         """The PSF shown; None where the fit cannot take it, which is told."""
@@ -148,12 +149,9 @@ class LiveSettings(QObject):
             self._doc.noted.emit(f"{' and '.join(other)}: used from the next run on")
 
     def _undone(self, back: Change) -> None:
-        try:
-            self._show(back)
-        except InputError as error:  # of an image or a second view that have changed since
-            self._doc.noted.emit(
-                f"{error}; the change is undone in the fit, but the panels still show it"
-            )
+        # It fails where the image or the second view have changed since.
+        otherwise = "the change is undone in the fit, but the panels still show it"
+        self._attempt(partial(self._show, back), otherwise)
 
     def _show(self, back: Change) -> None:
         settings = self._doc.settings

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from qtpy.QtCore import QObject
 
 from ...accuracy.experience import Learned
 from ...accuracy.forecast import Forecast
@@ -30,11 +29,10 @@ from ..work import Outcome
 from .worker import FitRun, Snapshot
 
 
-class RunControl(QObject):
+class RunControl:
     """Fits, one at a time, from the document to the viewer."""
 
-    def __init__(self, doc: Document, parent: QObject | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, doc: Document) -> None:
         self._doc = doc
         self._asked: list[tuple[int, str]] = []  # changes by number, until the fit has them
         self._lets_go = False
@@ -200,11 +198,10 @@ def _after(learned: Learned, job: FitInput) -> Forecaster | None:
     return found.after(learned.about(found.kind)) if isinstance(found, Forecast) else found
 
 
-class Judging(QObject):
+class Judging:
     """Judges results in the background, and shows what is rendered where it is wanted."""
 
-    def __init__(self, doc: Document, parent: QObject | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, doc: Document) -> None:
         self._doc = doc
         self.background = doc.background(doc.warned.emit)
         self._spread = Spread()

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from qtpy.QtCore import QObject
 from qtpy.QtWidgets import QLabel, QWidget
 from superqt.utils import signals_blocked
 
@@ -38,81 +37,59 @@ _PINNED = 0.25  # weight from which on a vertex is pinned
 
 
 class EditBar(ToolBar):
-    """Tools that change the surface by hand, and the size of the brush, while one is in use."""
+    """Tools that change the surface by hand, and the size of the brush, while one is in use.
 
-    def __init__(self, doc: Document, parent: QWidget | None = None) -> None:
+    What misses the surface moves the view.
+    """
+
+    def __init__(
+        self, doc: Document, control: Any, edits: Edits, parent: QWidget | None = None
+    ) -> None:
         tools = {tool: (tool.capitalize(), tip) for tool, tip in _TIPS.items()}
         super().__init__(tools, _start, doc, parent)
-        self.pins = button("", "Free all pinned vertices.", None, self)
+        self._control, self._edits = control, edits
+        self.pins = button("", "Free all pinned vertices.", self._free_all, self)
         self.radius = slider("Radius of the brush, µm; the effect fades towards its rim.", self)
         self.row.insertWidget(0, QLabel("edit", self))
         self.column.insertWidget(1, self.radius)
         self.column.addWidget(self.pins)
         self.radius.hide()
-        self.show_pins(0)
+        self.presses = Presses(doc.viewer, self._pressed)
+        self.tool_chosen.connect(self._tool_chosen)
+        doc.began.connect(self._began)
+        doc.image.changed.connect(self._show_pins)
+        edits.changed.connect(self._show_pins)
+        doc.at_end(partial(self.presses.listen, False))
+        self._show_pins()
 
     def explain(self) -> None:
         """What the tool in use does, with its brush."""
         super().explain()
         self.radius.setVisible(self.tool is not None)
 
-    def set_scale(self, size: float) -> None:
-        """Fit the brush to a mesh of a size, um."""
-        with signals_blocked(self.radius):
-            self.radius.setRange(size / 100, size / 2)
-            self.radius.setValue(size / 8)
-
-    def show_pins(self, n: int) -> None:
-        """How many vertices are pinned."""
-        self.pins.setText(f"Free {n} pinned {'vertex' if n == 1 else 'vertices'}")
-        self.pins.setVisible(n > 0)
-
-
-def _start(tool: str, ndisplay: int) -> str:
-    place = "on a surface" if ndisplay == 3 else "near a contour"
-    return f"Start {place}; elsewhere the mouse moves the view."
-
-
-class Sculptor(QObject):
-    """Listens to the mouse while a tool is in use; what misses the surface moves the view."""
-
-    def __init__(
-        self,
-        doc: Document,
-        control: Any,
-        edits: Edits,
-        bar: EditBar,
-        parent: QObject | None = None,
-    ) -> None:
-        super().__init__(parent)
-        self._doc, self._viewer = doc, doc.viewer
-        self._control, self._edits, self._bar = control, edits, bar
-        self.presses = Presses(doc.viewer, self._pressed)
-        bar.tool_chosen.connect(self._tool_chosen)
-        bar.pins.clicked.connect(self._free_all)
-        doc.began.connect(self._began)
-        doc.image.changed.connect(self._show_pins)
-        edits.changed.connect(self._show_pins)
-        doc.at_end(partial(self.presses.listen, False))
-
     def _tool_chosen(self, tool: str | None) -> None:
         self.presses.listen(tool is not None, first=True)  # others only look at a click
         if tool is not None:
             # Points that are placed, or labels that are painted, would be in the way.
             self._doc.finish_placing.emit(False)
-            lay_down(self._viewer.layers.selection.active)
+            lay_down(self._doc.viewer.layers.selection.active)
 
     def _began(self, fresh: bool) -> None:
         present, link = self._doc.present(), self._doc.link
         if fresh and present is not None:
             low, high = present.state.mesh.bounds()
-            self._bar.set_scale(float((high - low).max()))
+            size = float((high - low).max())
+            with signals_blocked(self.radius):  # a brush that suits the mesh
+                self.radius.setRange(size / 100, size / 2)
+                self.radius.setValue(size / 8)
         if not fresh and link is not None:
             self._show_pins()
 
     def _show_pins(self) -> None:
         pinned, link = self._edits.pinned, self._doc.link
-        self._bar.show_pins(0 if pinned is None else int(pinned.sum()))
+        n = 0 if pinned is None else int(pinned.sum())
+        self.pins.setText(f"Free {n} pinned {'vertex' if n == 1 else 'vertices'}")
+        self.pins.setVisible(n > 0)
         if link is not None:
             # The fit may be ahead of what is shown, with other triangles.
             mesh = link.mesh
@@ -124,23 +101,24 @@ class Sculptor(QObject):
     # ------------------------------------------------------------------------------------ mouse
 
     def _pressed(self, viewer: Any, event: Any) -> Iterator[None]:
-        tool, link = self._bar.tool, self._doc.link
+        tool, link = self.tool, self._doc.link
         if event.button != 1 or tool is None:
             return
         if self._doc.earlier:
-            self._bar.hint.say(_EARLIER)
+            self.hint.say(_EARLIER)
             return
         if link is None or link.shown is None or self._doc.present() is None:
-            self._bar.hint.say("There is no surface yet: run a fit first.")
+            self.hint.say("There is no surface yet: run a fit first.")
             return
         if not _to_be_seen(link):
-            self._bar.hint.say(_HIDDEN if link.at_time else _OTHER_TIME)
+            self.hint.say(_HIDDEN if link.at_time else _OTHER_TIME)
             return
-        touch = touch_at(link, link.shown, event, self._bar.radius.value())
+        radius = float(self.radius.value())
+        touch = touch_at(link, link.shown, event, radius)
         if touch is None:
             return  # the view is moved
         event.handled = True  # the view stays where it is
-        stroke = _Stroke(tool, link, link.shown, touch, event, float(self._bar.radius.value()))
+        stroke = _Stroke(tool, link, link.shown, touch, event, radius)
         self._show(link, stroke)
         yield
         while event.type == "mouse_move":
@@ -170,6 +148,11 @@ class Sculptor(QObject):
                 moved = stroke.shift, stroke.tool, stroke.start
                 self._doc.guarded(partial(self._edits.shift, *moved))
             self._control.let_go()
+
+
+def _start(tool: str, ndisplay: int) -> str:
+    place = "on a surface" if ndisplay == 3 else "near a contour"
+    return f"Start {place}; elsewhere the mouse moves the view."
 
 
 class _Stroke:

@@ -6,8 +6,6 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
-from qtpy.QtCore import QObject
-
 from ...common.words import duration
 from ...errors import InputError
 from ...evidence.put_together import put_together, start_of
@@ -29,7 +27,7 @@ from .panel import TrackPanel
 from .track_work import Frames, TrackJob, TrackWork
 
 
-class TrackControl(QObject):
+class TrackControl:
     """Tracks the series that is chosen, and shows it in the viewer.
 
     Parameters
@@ -37,8 +35,7 @@ class TrackControl(QObject):
     panel : shown where the image chosen has a time axis.
     """
 
-    def __init__(self, doc: Document, panel: TrackPanel, parent: QObject | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, doc: Document, panel: TrackPanel) -> None:
         self._doc, self.panel = doc, panel
         self.work: TrackWork | None = None  # the last run, or that of a session
         self.layers: TrackLayers | None = None
