@@ -2,8 +2,9 @@
 
 import pytest
 
+from napari_deltamic.gui.document import Document
 from napari_deltamic.gui.running.check_panel import ExplainedCurve
-from napari_deltamic.results.timeline import Moment
+from napari_deltamic.results.timeline import Moment, Timeline
 
 
 def test_each_level_is_a_line_of_what_is_explained(app):
@@ -20,8 +21,12 @@ def test_each_level_is_a_line_of_what_is_explained(app):
         curve.grab()
 
 
-def test_the_history_tells_it_too(make_widget):
-    bar = make_widget().running.history
-    bar.show_moments([Moment(k, 0.4 - 0.1 * k, None, None) for k in (1, 2)])
+def test_the_history_tells_it_too(make_widget, monkeypatch):
+    bar, moments = (
+        make_widget().running.history,
+        [Moment(k, 0.4 - 0.1 * k, None, None) for k in (1, 2)],
+    )
+    monkeypatch.setattr(Document, "timeline", Timeline(moments))
+    bar.update_moments()
     bar.slider.setValue(0)
     assert bar.note.text() == "iteration 1, 70.0% explained"

@@ -83,7 +83,7 @@ class FitState:
     def save(self, path: str | Path) -> None:
         """Write a checkpoint that ``fit(..., resume=path)`` goes on from."""
         buffer = io.BytesIO()
-        np.savez_compressed(buffer, **self._checkpoint())  # type: ignore[arg-type]
+        np.savez(buffer, **self._checkpoint())  # type: ignore[arg-type]
         write_atomically(path, buffer.getvalue())
 
 

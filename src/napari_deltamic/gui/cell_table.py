@@ -62,7 +62,7 @@ class CellTable(QTableWidget):
             "<qt>Choose a row to go to the cell, several with Ctrl or Shift; or click on cells in "
             "the viewer. Ctrl+C copies the rows chosen, or all.</qt>"
         )
-        self.itemSelectionChanged.connect(self._selection_changed)
+        self.itemSelectionChanged.connect(self._tell)
         self._hide_columns()
 
     @property
@@ -200,10 +200,7 @@ class CellTable(QTableWidget):
         if model.selectedRows():
             self.scrollTo(model.selectedRows()[-1])
 
-    def _selection_changed(self) -> None:
-        self._tell(by_hand=True)
-
-    def _tell(self, *, by_hand: bool) -> None:
+    def _tell(self, *, by_hand: bool = True) -> None:
         regions = self.chosen_regions()
         if regions != self._told:
             self._told = regions

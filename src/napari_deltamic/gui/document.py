@@ -1,4 +1,4 @@
-"""What the window is about. Panels and tools observe it, and change it by its methods alone.
+"""What the window is about. Panels and tools observe it, and change it.
 
 The image, the cells, the settings, the work under way, what fits of each image have reached, and
 the cells chosen.
@@ -121,10 +121,7 @@ class Document:
             if not self.begun or run.state is None or run.job is None:
                 return None  # all that is known belongs to another mesh
             return Present(run.state, run.job, True)
-        result = self.result
-        if result is None or result.state is None or result.job is None:
-            return None
-        return Present(result.state, result.job, False)
+        return None if self.result is None else Present(*self.result.of_fit(), False)
 
     def run_settings(self, seeds: Seeds | None = None) -> RunSettings:
         """The whole run as it is chosen, the same object that the command line makes."""
@@ -221,10 +218,6 @@ class Document:
         self.began.emit(True)
         self.ended.emit()
 
-    def look_back(self, earlier: bool) -> None:
-        """Whether an earlier moment of a fit is looked at."""
-        self.earlier = earlier
-
     def select(self, regions: Sequence[int] | frozenset[int]) -> None:
         chosen = frozenset(regions)
         if chosen != self.selection:
@@ -242,6 +235,12 @@ class Document:
     def look_further(self) -> None:
         """At the image, the rendered one, the residual, or both images, in turn."""
         self.look(VIEWS[(VIEWS.index(self.view) + 1) % len(VIEWS)])
+
+    def busy(self) -> bool:
+        """Whether something runs that must be stopped first; the user is told so."""
+        if self.work.occupied:
+            self.told.emit(self.work.occupied)
+        return bool(self.work.occupied)
 
     def guarded(self, action: Callable[[], None]) -> None:
         """Run something that may fail; the user reads why, without a traceback."""

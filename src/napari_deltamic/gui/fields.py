@@ -30,9 +30,9 @@ def tip_of(found: Described) -> str:
 
 
 class TripleField(QWidget):
-    """Three positive numbers (µm), Z, Y, X; ``edited`` comes only from the user."""
+    """Three positive numbers (µm), Z, Y, X; ``edited`` brings them, and only from the user."""
 
-    edited = Signal()
+    edited = Signal(tuple)
 
     def __init__(self, tooltip: str, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -67,7 +67,7 @@ class TripleField(QWidget):
                 box.setValue(float(value))
 
     def _emit(self, value: float) -> None:
-        self.edited.emit()
+        self.edited.emit(self.value())
 
 
 class Number(QDoubleSpinBox):

@@ -52,7 +52,7 @@ class ImagePanel(QGroupBox):
         doc.image.changed.connect(self._show)
         self.channels.activated.connect(self._take_channel)
         self.region.activated.connect(self._take_region)
-        self.voxel_size.edited.connect(self._rescale)
+        self.voxel_size.edited.connect(doc.image.rescale)
         self.edit_size.toggled.connect(self.voxel_size.setVisible)
         self.voxel_size.hide()
         self._show()
@@ -122,6 +122,3 @@ class ImagePanel(QGroupBox):
         except InputError as error:
             self._show()
             self._tell(sentence(str(error)), needed=True)
-
-    def _rescale(self) -> None:
-        self._image.rescale(self.voxel_size.value())

@@ -156,7 +156,7 @@ class Work(QObject):
 
     def __init__(self, parent: QObject | None = None) -> None:
         super().__init__(parent)
-        self.interval = INTERVAL
+        self.interval = INTERVAL  # s between two looks
         self.task: Task | None = None
         self._activity: Any = None  # in napari's activity dock
         self._timer = QTimer(self)
@@ -194,10 +194,6 @@ class Work(QObject):
     def pause(self, paused: bool) -> None:
         if self.task is not None:
             self.task.paused = paused
-
-    def look_at_most(self, often: float) -> None:
-        """So many times a second."""
-        self.interval = 1 / often
 
     def close(self) -> None:
         """End the task, and tell nobody."""

@@ -129,8 +129,7 @@ def junction_angles(
     for triple in np.unique(triples, axis=0):
         line = ends[edges[(triples == triple).all(1)]]
         along = _directions(line, RULES.line * edge)
-        pairs = zip(line.mean(1), along, strict=True)
-        openings = np.array([_openings(walls, p, d, triple) for p, d in pairs])
+        openings = _openings(walls, line.mean(1), along, triple)
         known = np.isfinite(openings).all(1)
         length = np.linalg.norm(line[known, 1] - line[known, 0], axis=1)
         if not known.any():
@@ -156,7 +155,8 @@ def _directions(line: FloatArray, reach: float) -> FloatArray:
     # Edges have no sense of direction; their outer products need none.
     products = step[:, :, None] * step[:, None, :]
     near = cKDTree(middles).query_ball_point(middles, reach)
-    return np.array([np.linalg.eigh(products[k].sum(0))[1][:, -1] for k in near])
+    directions: FloatArray = np.linalg.eigh([products[k].sum(0) for k in near])[1][..., -1]
+    return directions
 
 
 def _junction_edges(mesh: Mesh) -> tuple[IntArray, IntArray]:
@@ -189,57 +189,75 @@ class _Walls:
         }
         self._trees = {pair: cKDTree(points) for pair, points in self._points.items()}
 
-    def near(self, pair: tuple[int, int], point: FloatArray) -> FloatArray:
-        """(N, 3) points of the wall between two regions within reach of a point."""
-        return self._points[pair][self._trees[pair].query_ball_point(point, self.reach)]
+    def near(self, pair: tuple[int, int], places: FloatArray) -> tuple[FloatArray, IntArray]:
+        """(N, 3) points of the wall between two regions within reach of a place (E, 3), and which
+        place (N,) that is; those of a place together."""
+        rows = self._trees[pair].query_ball_point(places, self.reach)
+        count = [len(each) for each in rows]
+        found = np.concatenate(rows).astype(np.int64)
+        return self._points[pair][found], np.repeat(np.arange(len(places)), count)
 
 
-def _openings(walls: _Walls, middle: FloatArray, along: FloatArray, triple: IntArray) -> FloatArray:
-    """(3,) degrees: the angle of each region at a point; NaN where a wall is too small."""
-    across = np.linalg.svd(along[None])[2][1:]  # two directions at right angles to the junction
-    angle = np.empty(3)  # of the wall opposite each region, in the plane across
+def _openings(
+    walls: _Walls, middles: FloatArray, along: FloatArray, triple: IntArray
+) -> FloatArray:
+    """(E, 3) degrees: the angle of each region at each edge; NaN where a wall is too small.
+
+    middles, along : (E, 3) of the edges of a junction, and the directions of it there.
+    """
+    across = np.linalg.svd(along[:, None])[2][:, 1:]  # two directions at right angles to it
+    angle = np.empty_like(middles)  # of the wall opposite each region, in the plane across
     for k in range(3):
         low, high = (int(triple[j]) for j in range(3) if j != k)
-        p = walls.near((low, high), middle) - middle
-        p = p[np.abs(p @ along) < walls.strip] @ across.T
-        tangent = _tangent(p) if len(p) >= RULES.fewest else None
-        if tangent is None:
-            return np.full(3, np.nan)
-        angle[k] = np.degrees(np.arctan2(tangent[1], tangent[0]))
+        p, edge = walls.near((low, high), middles)
+        p -= middles[edge]
+        beside = np.abs((p * along[edge]).sum(1)) < walls.strip
+        p, edge = p[beside], edge[beside]
+        tangents = _tangents((across[edge] @ p[:, :, None])[..., 0], edge, len(middles))
+        angle[:, k] = np.degrees(np.arctan2(tangents[:, 1], tangents[:, 0]))
     # A region lies between the walls opposite the two others.
-    gap = np.abs(angle[[1, 2, 0]] - angle[[2, 0, 1]]) % 360
+    gap = np.abs(angle[:, [1, 2, 0]] - angle[:, [2, 0, 1]]) % 360
     gap = np.minimum(gap, 360 - gap)
     # Where one region opens by more than half a turn, the two others add up to its smaller side.
-    widest = int(np.argmax(gap))
-    if gap.sum() < 359.9:  # rounding: the smaller sides of all three make a full turn otherwise
-        gap[widest] = 360 - gap[widest]
+    wide = gap.sum(1) < 359.9  # rounding: the smaller sides of all three make a full turn otherwise
+    widest = gap[wide].argmax(1)
+    gap[wide, widest] = 360 - gap[wide, widest]
+    gap[~np.isfinite(angle).all(1)] = np.nan
     return gap
 
 
-def _tangent(points: FloatArray) -> FloatArray | None:
-    """Direction in which a circle or a line through points (N, 2) leaves the origin, towards them.
+def _tangents(points: FloatArray, arc: IntArray, count: int) -> FloatArray:
+    """(count, 2) directions in which circles or lines leave the origin, towards their points.
+
+    NaN where they are too few, or in one place. points : (N, 2); arc : (N,) which of them each
+    point is of.
 
     The circle ``A (x^2 + y^2) + B x + C y + D = 0`` of least squares with ``B^2 + C^2 - 4 A D = 1``
     (V. Pratt, "Direct least-squares fitting of algebraic surfaces", 1987), which may be a line
     and hardly bends with noise on short arcs. Its gradient at the origin is (B, C), whether the
     origin lies on it or beside it.
     """
-    scale = float(np.sqrt((points**2).sum(1).mean()))
-    if not scale > 0:
-        return None
-    p = points / scale
+    tangents = np.full((count, 2), np.nan)
+    many = np.bincount(arc, minlength=count)
+    scale = np.sqrt(np.bincount(arc, (points**2).sum(1), count) / np.maximum(many, 1))
+    known = (many >= RULES.fewest) & (scale > 0)
+    p = points / np.where(known, scale, 1.0)[arc, None]
     table = np.column_stack([(p**2).sum(1), p, np.ones(len(p))])
-    moments = table.T @ table / len(p)
+    moments = np.empty((count, 4, 4))
+    for i, j in np.ndindex(4, 4):
+        moments[:, i, j] = np.bincount(arc, table[:, i] * table[:, j], count)
+    moments = moments[known] / many[known, None, None]
+    middle = moments[:, 1:3, 3]
     values, vectors = np.linalg.eigh(moments)
-    if values[1] <= _FLAT * values[3]:
-        return None  # points on a point: no direction
     # The least of Z'Z under the constraint: an eigenvector of its inverse times the constraint's.
-    root = vectors * np.sqrt(np.maximum(values, _FLAT * values[3]))
-    inner = root.T @ _PRATT @ root
-    least, found = np.linalg.eigh((inner + inner.T) / 2)
-    if not (least > 0).any():
-        return None
-    chosen = found[:, int(np.flatnonzero(least > 0)[0])]
-    _, b, c, _ = _PRATT @ root @ chosen
-    tangent: FloatArray = np.array([-c, b]) / max(float(np.hypot(b, c)), _FLAT)
-    return tangent * (1.0 if tangent @ p.mean(0) > 0 else -1.0)
+    root = vectors * np.sqrt(np.maximum(values, _FLAT * values[:, 3:]))[:, None]
+    inner = root.transpose(0, 2, 1) @ _PRATT @ root
+    least, found = np.linalg.eigh((inner + inner.transpose(0, 2, 1)) / 2)
+    chosen = found[np.arange(len(found)), :, (least > 0).argmax(1)]
+    b, c = ((_PRATT @ root @ chosen[:, :, None])[:, k, 0] for k in (1, 2))
+    tangent = np.stack([-c, b], 1) / np.maximum(np.hypot(b, c), _FLAT)[:, None]
+    tangent *= np.where((tangent * middle).sum(1) > 0, 1.0, -1.0)[:, None]
+    # Points in one point have no direction.
+    tangent[(values[:, 1] <= _FLAT * values[:, 3]) | ~(least > 0).any(1)] = np.nan
+    tangents[known] = tangent
+    return tangents

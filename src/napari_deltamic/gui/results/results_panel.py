@@ -50,7 +50,7 @@ class ResultsPanel(QGroupBox):
         self.colour = narrow_box(self, "colour cells by", tip, characters=8)
         self.columns = button("Columns", "Choose what the table shows.", None, self)
         shown = QMenu(self.columns)
-        shown.aboutToShow.connect(self._offer_columns)
+        shown.aboutToShow.connect(partial(self.table.fill_menu, shown))
         self.columns.setMenu(shown)
         tip = "Save what was found, or add the cells as labels."
         self.export = button("Export", tip, None, self)
@@ -167,11 +167,6 @@ class ResultsPanel(QGroupBox):
             return
         low, high = (column.text(limit) for limit in (min(numbers.values()), max(numbers.values())))
         self.scale.say(f"{column.name}: from {low} (blue) to {high} (yellow)")
-
-    def _offer_columns(self) -> None:
-        menu = self.columns.menu()
-        if menu is not None:
-            self.table.fill_menu(menu)
 
     def _chosen(self, regions: tuple[int, ...], by_hand: bool) -> None:
         self._doc.select(regions)

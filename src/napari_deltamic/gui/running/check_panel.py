@@ -35,9 +35,7 @@ class CheckPanel(QGroupBox):
 
     fit_again = Signal()  # with all that a fit can estimate
 
-    def __init__(
-        self, doc: Document, edits: Edits, control: Any, parent: QWidget | None = None
-    ) -> None:
+    def __init__(self, doc: Document, edits: Edits, control: Any, parent: QWidget) -> None:
         super().__init__("4  Check", parent)
         self._doc = doc
         self.last_verdict = ("", "")

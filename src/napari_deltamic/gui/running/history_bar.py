@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 from qtpy.QtCore import Qt
@@ -28,9 +28,7 @@ class HistoryBar(QWidget):
 
     moment_chosen = Signal(object)  # a Moment, or None for the newest
 
-    def __init__(
-        self, doc: Document, edits: Edits, control: Any, parent: QWidget | None = None
-    ) -> None:
+    def __init__(self, doc: Document, edits: Edits, control: Any, parent: QWidget) -> None:
         super().__init__(parent)
         self._doc, self._edits, self._control = doc, edits, control
         self._next = 0.0
@@ -55,20 +53,17 @@ class HistoryBar(QWidget):
         doc.image.changed.connect(self._image_changed)
         edits.changed.connect(self._show_undo)
         self._show_undo()
-        self.show_moments(())
+        self.update_moments()
 
-    def show_moments(self, moments: Sequence[Moment]) -> None:
+    def update_moments(self) -> None:
         """Which there are; the one that is looked at stays, or the nearest to it."""
-        self._moments = tuple(moments)
+        self._moments = tuple(self._doc.timeline.moments)
         last = max(len(self._moments) - 1, 0)
         with signals_blocked(self.slider):
             self.slider.setRange(0, last)
             self.slider.setEnabled(last > 0)
             self.slider.setValue(last if self.chosen is None else self._index(self.chosen))
         self._show()
-
-    def update_moments(self) -> None:
-        self.show_moments(self._doc.timeline.moments)
 
     def undo(self) -> None:
         self._take_back(self._edits.undo)
@@ -88,10 +83,9 @@ class HistoryBar(QWidget):
 
     def _image_changed(self) -> None:
         if not self._doc.running:  # the moments are those of another fit
-            self.to_live()
-            self.update_moments()
+            self._began()
 
-    def _began(self, fresh: bool) -> None:
+    def _began(self, fresh: bool = True) -> None:
         self.to_live()
         self.update_moments()
 
@@ -130,7 +124,7 @@ class HistoryBar(QWidget):
     def _choose(self, moment: Moment | None) -> None:
         if moment is not self.chosen:
             self.chosen = moment
-            self._doc.look_back(moment is not None)
+            self._doc.earlier = moment is not None
             self._show()
             if moment is None:
                 self._control.let_go()

@@ -39,10 +39,7 @@ class RunControl:
 
     def start(self) -> None:
         """Start a fit of what is chosen; says in plain words what is missing."""
-        occupied = self._doc.work.occupied
-        if occupied:
-            self._doc.told.emit(occupied)
-        else:
+        if not self._doc.busy():
             attempt(self._start, self.complain)
 
     def complain(self, message: str) -> None:
@@ -171,7 +168,7 @@ class RunControl:
         if state is not None:
             done = "" if "iterations" in text else f"{state.iteration} iterations, "
             text += f" ({done}{duration(run.seconds)})"
-        record.end(outcome.verdict, "\n".join([text, *remarks]))
+        record.words = outcome.verdict, "\n".join([text, *remarks])
         if outcome.verdict == "failed":
             doc.warned.emit(outcome.message)
         if state is None or job is None:

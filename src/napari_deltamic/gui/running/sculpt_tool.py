@@ -42,9 +42,7 @@ class EditBar(ToolBar):
     What misses the surface moves the view.
     """
 
-    def __init__(
-        self, doc: Document, control: Any, edits: Edits, parent: QWidget | None = None
-    ) -> None:
+    def __init__(self, doc: Document, control: Any, edits: Edits, parent: QWidget) -> None:
         tools = {tool: (tool.capitalize(), tip) for tool, tip in _TIPS.items()}
         super().__init__(tools, _start, doc, parent)
         self._control, self._edits = control, edits

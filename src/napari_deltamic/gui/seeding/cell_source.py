@@ -216,14 +216,6 @@ class CellSource(LayerTicks):
         self.preview_mesh: Mesh | None = None
         super().__init__(viewer, is_seeds)
 
-    def take_preview(self, mesh: Mesh | None) -> None:
-        """Other surfaces are shown of the cells."""
-        self.preview_mesh = mesh
-
-    def be_spheres(self, on: bool) -> None:
-        """Whether points are to be spheres."""
-        self.spheres = on
-
     def seeds(self, frame: Frame, *, copied: bool = True) -> Seeds:
         """The seeds. InputError where there are none, or they cannot be used."""
         if not self.ticked:
@@ -234,7 +226,7 @@ class CellSource(LayerTicks):
         filled = [layer for layer in self.ticked if not is_empty(layer, point)]
         # Where all are empty, the first of them says so itself.
         chosen = filled or self.ticked[:1]
-        return mixed([self._of(layer, frame, self.spheres, copied=copied) for layer in chosen])
+        return mixed([self._of(layer, frame, copied=copied) for layer in chosen])
 
     def points_layers(self) -> list[Any]:
         return [layer for layer in self.ticked if isinstance(layer, Points)]
@@ -247,8 +239,8 @@ class CellSource(LayerTicks):
 
     def wanted(self) -> Wanted | None:
         """What a preview of the points is made of; None where there is nothing to show."""
-        frame = self._frame()
-        sets = self._point_sets(frame, spheres=False) if frame is not None else []
+        frame = None if self.spheres else self._frame()
+        sets = self._point_sets(frame) if frame is not None else []
         if frame is None or not sets:
             return None
         points = np.concatenate([one.points for one in sets])
@@ -264,11 +256,10 @@ class CellSource(LayerTicks):
         for layer in self.ticked:
             if isinstance(layer, Labels):
                 with suppress(InputError):  # said when the fit starts
-                    seeds = self._of(layer, frame, self.spheres, copied=False)
+                    seeds = self._of(layer, frame, copied=False)
                     assert isinstance(seeds, LabelSeeds)
                     labels.append((layer, seeds.labels))
-        sets = self._point_sets(frame, self.spheres)
-        known = all_remarks(sets, labels, shape, frame.voxel_size, problems)
+        known = all_remarks(self._point_sets(frame), labels, shape, frame.voxel_size, problems)
         return self._placeless() + known
 
     def _placeless(self) -> list[Remark]:
@@ -281,14 +272,14 @@ class CellSource(LayerTicks):
                 found.append(Remark(f"Point {named} of '{layer.name}' has no position: delete it"))
         return found
 
-    def _point_sets(self, frame: Frame, spheres: bool) -> list[PointSet]:
+    def _point_sets(self, frame: Frame) -> list[PointSet]:
         """The points of each layer; layers that cannot be used are told when a fit starts."""
         point = self._point()
         layers = [layer for layer in self.points_layers() if not is_empty(layer, point)]
         sets = []
         for layer in layers:
             try:
-                seeds = self._of(layer, frame, spheres)
+                seeds = self._of(layer, frame)
             except InputError:
                 continue
             assert isinstance(seeds, PointSeeds)
@@ -296,10 +287,10 @@ class CellSource(LayerTicks):
             sets.append(PointSet(layer, seeds.points, seeds.radii, rows, len(layers) > 1))
         return sets
 
-    def _of(self, layer: Any, frame: Frame, spheres: bool, *, copied: bool = True) -> Seeds:
+    def _of(self, layer: Any, frame: Frame, *, copied: bool = True) -> Seeds:
         step, shape = tuple(self._viewer.dims.current_step), self._image.shape()
         more: Any = {"point": self._point(), "copied": copied, "shape": shape}
-        return seeds_from_layer(layer, frame, step, spheres=spheres, **more)
+        return seeds_from_layer(layer, frame, step, spheres=self.spheres, **more)
 
     def _point(self) -> tuple[float, ...]:
         return tuple(float(p) for p in self._viewer.dims.point)

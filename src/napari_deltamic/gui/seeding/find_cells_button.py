@@ -29,18 +29,13 @@ _SAME = 0.1  # by which two sizes differ that are the same
 
 
 class FindCells(QPushButton):
-    """The button, its slider, and what they find; ``found`` brings the layer.
+    """The button, its slider, and what they find; ``told`` says that ``message`` is another."""
 
-    ``told`` says that ``message`` is another.
-    """
-
-    found = Signal(object)
-    gone = Signal(object)  # the layer of what was found in another image
     told = Signal()
 
     def __init__(self, doc: Document, parent: QWidget | None = None) -> None:
         super().__init__("Find cells", parent)
-        self._viewer, self._image = doc.viewer, doc.image
+        self._viewer, self._image, self._cells = doc.viewer, doc.image, doc.cells
         self.setToolTip(
             "<qt>Finds the cells of a membrane image by itself and adds them as a Labels layer, "
             "which can be corrected by clicks, or with napari's brush, eraser and bucket. Takes "
@@ -60,7 +55,6 @@ class FindCells(QPushButton):
         self._layer: Any = None
         self._found_in: Any = None  # the image layer that the message and the labels are of
         self.background = doc.background(self._fail)
-        doc.at_end(self._let_go)
         doc.listen(doc.viewer.layers.events.removed, self._layers_changed)
         self.clicked.connect(self.start)
         self.cell_size.valueChanged.connect(self._note_move)
@@ -89,7 +83,7 @@ class FindCells(QPushButton):
             self._found_in = None
             self._tell("")
             if self._layer is not None:
-                self.gone.emit(self._layer)
+                self._cells.choose(self._layer, ticked=False)
         sides = np.multiply(shape, voxel_size)
         least = 4 * float(np.cbrt(np.prod(voxel_size)))  # less is refused
         self._set_size(float(sides.min()) / 3, least, float(sides.max()))
@@ -109,12 +103,8 @@ class FindCells(QPushButton):
             n = len(np.unique(layer.data[layer.data > 0]))
             self._tell(f"{counted(n, 'cell')}.", self.others)
 
-    def _let_go(self) -> None:
-        """The window is closed."""
-        self._layer = self._found_in = None
-
-    def find_with(self, size: float) -> None:
-        self._set_size(size)
+    def find_with(self, size: float | str) -> None:
+        self._set_size(float(size))
         self._moved = True
         self.start()
 
@@ -133,7 +123,7 @@ class FindCells(QPushButton):
         n = len(np.unique(labels[labels > 0]))
         others = [(s, k) for s, k in self._sizes if abs(s / size - 1) > _SAME]
         self._tell(f"Found {counted(n, 'cell')} of about {size:.3g} µm.", others)
-        self.found.emit(layer)
+        self._cells.choose(layer)
 
     def _layer_for(self, frame: Frame, labels: NDArray[np.int32]) -> Any:
         """The layer of the last time if it still lies on the image, else a new one."""

@@ -33,13 +33,11 @@ class Preview(QCheckBox):
 
     changed = Signal()
 
-    def __init__(
-        self, doc: Document, wanted: Callable[[], Wanted | None], parent: QWidget | None = None
-    ) -> None:
+    def __init__(self, doc: Document, parent: QWidget | None = None) -> None:
         super().__init__("preview", parent)
         self.setToolTip(_TIP.format(most=SMALL * COARSEST**3 / 1e6))
         self.problems: tuple[Problem, ...] = ()
-        self._wanted = wanted
+        self._wanted = doc.cells.wanted
         self._user_chose = False
         self._preferred = True
         self._key: tuple[Any, ...] | None = None
@@ -48,7 +46,7 @@ class Preview(QCheckBox):
         self.background = doc.background(self._fail)
         doc.at_end(self._let_go)
         self.clicked.connect(self._note_choice)
-        self.toggled.connect(self._toggled)
+        self.toggled.connect(self.later)
 
     @property
     def mesh(self) -> Mesh | None:
@@ -91,10 +89,9 @@ class Preview(QCheckBox):
 
     def _ask(self) -> None:
         asked = self._wanted() if self.isChecked() else None
-        if asked is None:
-            return
-        attempt(partial(self._look_for, asked), self._fail)
-        self.changed.emit()
+        if asked is not None:
+            attempt(partial(self._look_for, asked), self._fail)
+            self.changed.emit()
 
     def _look_for(self, asked: Wanted) -> None:
         image = asked.image()
@@ -128,9 +125,6 @@ class Preview(QCheckBox):
 
     def _note_choice(self, checked: bool) -> None:
         self._user_chose = True
-
-    def _toggled(self, checked: bool) -> None:
-        self.later()
 
     def _removed(self, by_user: bool) -> None:
         self._take_away()

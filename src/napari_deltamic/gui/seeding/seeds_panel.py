@@ -22,7 +22,6 @@ from ..viewing.listening import Connections
 from ..viewing.own_layers import Points as SeedPoints
 from ..viewing.own_layers import cut_by_slices
 from ..widgets import Note, button, narrow_box, row, sentence, slider
-from .cell_source import Wanted
 from .corrections import Corrections
 from .find_cells_button import FindCells
 from .preview import Preview
@@ -110,7 +109,10 @@ class SeedsPanel(QGroupBox):
 
     def use_file(self, *paths: str) -> None:
         """Add mesh files as Surface layers, which are seeds like others, once they are read."""
-        self._reading.ask(partial(load_meshes, list(paths)), self._add_meshes)
+        self._reading.ask(
+            partial(load_meshes, list(paths)),
+            lambda meshes: self._doc.guarded(partial(self._place_meshes, meshes)),
+        )
 
     def _close(self) -> None:
         self._open = False
@@ -143,9 +145,9 @@ class SeedsPanel(QGroupBox):
         self.shape = narrow_box(self, "start from", tip, (_FOLLOW, _SPHERES), 8)
         tip = "Radius of the spheres, um: of the selected points, or of all; and of the next click."
         self.radius = slider(tip, self)
-        self.preview = Preview(self._doc, self._preview_wanted, self)
+        self.preview = Preview(self._doc, self)
         self.note = Note(self)
-        self.note.linkActivated.connect(self._try_size)
+        self.note.linkActivated.connect(self.find_cells.find_with)
         self.remarks = Remarks(self._viewer, self)
 
     def _lay_out(self) -> None:
@@ -163,8 +165,6 @@ class SeedsPanel(QGroupBox):
 
     def _connect(self) -> None:
         self.find_cells.told.connect(self._show)
-        self.find_cells.found.connect(self.cells.choose)
-        self.find_cells.gone.connect(partial(self.cells.choose, ticked=False))
         self.cells.chosen.connect(self._layers_chosen)
         self.corrections.edited.connect(self.find_cells.edited)
         self.corrections.edited.connect(self._show_soon)
@@ -234,7 +234,7 @@ class SeedsPanel(QGroupBox):
                 self._later.start()
 
     def _shape_chosen(self, text: str) -> None:
-        self.cells.be_spheres(text == _SPHERES)
+        self.cells.spheres = text == _SPHERES
         self._resize(everything=True)  # not only the point that was added last
         self._show()
         self._show_soon()
@@ -254,12 +254,9 @@ class SeedsPanel(QGroupBox):
         self._doc.cells_changed.emit()
 
     def _previewed(self) -> None:
-        self.cells.take_preview(self.preview.mesh if self.preview.isChecked() else None)
+        self.cells.preview_mesh = self.preview.mesh if self.preview.isChecked() else None
         self._show_remarks()
         self._doc.cells_changed.emit()
-
-    def _try_size(self, link: str) -> None:
-        self.find_cells.find_with(float(link))
 
     def _resize(self, value: float = 0, *, everything: bool = False) -> None:
         for layer in self.cells.points_layers():
@@ -279,9 +276,6 @@ class SeedsPanel(QGroupBox):
         paths, _ = QFileDialog.getOpenFileNames(self, "Surfaces to start from", "", MESH_FILTER)
         if paths:
             self.use_file(*paths)
-
-    def _add_meshes(self, meshes: list[LoadedMesh]) -> None:
-        self._doc.guarded(partial(self._place_meshes, meshes))
 
     def _place_meshes(self, meshes: list[LoadedMesh]) -> None:
         frame = self._image.frame()
@@ -332,6 +326,3 @@ class SeedsPanel(QGroupBox):
         remarks = self.cells.remarks(self.preview.problems) if self._open else []
         busy = "Looking for the membranes ..." if self.preview.background.busy else ""
         self.remarks.show_remarks(remarks, busy)
-
-    def _preview_wanted(self) -> Wanted | None:
-        return None if self.cells.spheres else self.cells.wanted()

@@ -263,11 +263,8 @@ class SecondViewFields(QWidget):
         self._of_layers = Connections()  # where the two layers lie
         doc.second.shown.connect(self._show)
         doc.at_end(self._of_layers.undo)
-        self.sigma.edited.connect(self._sized)
+        self.sigma.edited.connect(doc.second.resize)
         self._show()
-
-    def _sized(self) -> None:
-        self.source.resize(self.sigma.value())
 
     def _show(self) -> None:
         self._of_layers.undo()

@@ -70,7 +70,7 @@ class OpticsPanel(QWidget):
         self.kind.currentTextChanged.connect(self._edited)
         for fields in (self.objective, self.measured):
             fields.edited.connect(self._edited)
-        self.sigma.edited.connect(self._sigma_edited)
+        self.sigma.edited.connect(self._choice.edit_sigma)
         self._choice.changed.connect(self._show)
         doc.shown.connect(self._show_of_fit)
         for signal in (doc.image.changed, doc.result_changed, doc.ended):
@@ -107,9 +107,6 @@ class OpticsPanel(QWidget):
     def _edited(self, value: Any = None) -> None:
         self._choice.edit_psf(self._settings)
 
-    def _sigma_edited(self) -> None:
-        self._choice.edit_sigma(self.sigma.value())
-
     def _settings(self) -> Any:
         """Settings of the PSF; None for the Gaussian. InputError names what is missing."""
         if self.kind.currentText() == GIVEN:
@@ -140,7 +137,8 @@ class OpticsPanel(QWidget):
         self.sigma.set_value(self._choice.sigma)
 
     def _renew(self) -> None:
-        self._show_page()
+        for kind, page in self._pages.items():
+            page.setVisible(kind == self.kind.currentText())
         self._width = ""
         self._complain("")
         gaussian = self._choice.psf is None
@@ -154,10 +152,6 @@ class OpticsPanel(QWidget):
             self.picture.show_optics(GaussianPSF(self._choice.sigma))
         else:
             self.background.soon(self._compute, _WAIT)
-
-    def _show_page(self) -> None:
-        for kind, page in self._pages.items():
-            page.setVisible(kind == self.kind.currentText())
 
     def _compute(self) -> None:
         psf = self._choice.psf

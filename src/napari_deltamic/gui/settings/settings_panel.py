@@ -34,9 +34,7 @@ class SettingsPanel(QGroupBox):
     optics, effects : the parts that hold the PSF and the corrections.
     """
 
-    def __init__(
-        self, doc: Document, optics: Any, effects: Any, parent: QWidget | None = None
-    ) -> None:
+    def __init__(self, doc: Document, optics: Any, effects: Any, parent: QWidget) -> None:
         super().__init__("3  Fit", parent)
         self._choice = doc.settings
         self.optics, self.effects = optics, effects

@@ -54,13 +54,12 @@ class TrackControl:
 
     def start(self) -> None:
         """Track from the frame shown; says in plain words what is missing."""
-        if self._busy():
-            return
-        attempt(self._start, self._complain)
+        if not self._doc.busy():
+            attempt(self._start, self._complain)
 
     def go_on(self) -> None:
         """Track the frames after those that are done."""
-        if not self._busy() and self.work is not None:
+        if not self._doc.busy() and self.work is not None:
             self._launch(self.work.prepare, self.work.frames, self.results)
 
     def save(self, folder: str) -> None:
@@ -105,12 +104,6 @@ class TrackControl:
             self.layers.close()
 
     # ------------------------------------------------------------------------------------- runs
-
-    def _busy(self) -> bool:
-        occupied = self._doc.work.occupied
-        if occupied:
-            self._doc.told.emit(occupied)
-        return bool(occupied)
 
     def _start(self) -> None:
         image = self._doc.image
