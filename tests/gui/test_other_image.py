@@ -59,13 +59,13 @@ def test_a_fit_that_fails_does_not_take_over_the_last_result(seeded, with_image,
     seeded.seeds.shape.setCurrentIndex(0)
     seeded.start()
     spin(done(seeded))
-    assert seeded.running.last_verdict[0] == "failed"
+    assert seeded.running.verdict.verdict == "failed"
     assert not seeded.running.verdict.isHidden()
     assert seeded.results.isHidden()
     assert seeded.doc.present() is None
     choose(seeded, "cell")
     assert not seeded.results.isHidden()
-    assert seeded.running.last_verdict[0] != "failed"  # that is of the other image
+    assert seeded.running.verdict.verdict != "failed"  # that is of the other image
 
 
 def test_found_cells_are_of_their_image(make_widget, with_image, spin, other, monkeypatch):

@@ -19,6 +19,7 @@ from napari_deltamic.gui.results import more_actions
 from napari_deltamic.images.stacks import read_image, write_image
 from napari_deltamic.results.cell_columns import COLUMNS
 from napari_deltamic.results.report import History
+from napari_deltamic.results.session_parts import SavedResult
 from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
 
 from .conftest import CENTER, SIZE
@@ -55,7 +56,8 @@ def widget(make_widget, with_image):
         _render=lambda: image * 0.5,
     )
     job = FitInput(settings, image, grid, mesh, optics, None)
-    widget.doc.reopen(state, job, History([1.0, 0.7, 0.5], [1] * 3, [1.0] * 3), 1.0, ())
+    history = History([1.0, 0.7, 0.5], [1] * 3, [1.0] * 3)
+    widget.doc.reopen(SavedResult(settings, state, history, 1.0), job)
     return widget
 
 

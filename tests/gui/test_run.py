@@ -328,7 +328,7 @@ def test_the_verdict_is_one_line_with_a_list_behind(seeded, spin, monkeypatch):
     assert panel.remarks.title == "3 remarks"
     assert panel.remarks.content.isHidden()
     assert panel.remarks.content.text().split("\n") == [f"cells {k} and 9 meet" for k in (2, 3, 4)]
-    verdict = panel.last_verdict
+    verdict = seeded.doc.record.words
     panel._show_verdict("", "")
     assert panel.remarks.isHidden()
     panel._show_verdict(*verdict)  # as a session does

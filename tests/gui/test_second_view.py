@@ -75,7 +75,7 @@ def test_its_image_reaches_the_fit(seeded, second, spin, monkeypatch, pixels):
     spin(done(seeded))
     np.testing.assert_array_equal(jobs[0].second, pixels[:, ::-1])
     assert seeded.doc.run.state.effects.second_view is not None
-    assert "failed" not in seeded.running.last_verdict
+    assert seeded.running.verdict.verdict != "failed"
 
 
 @pytest.mark.parametrize(

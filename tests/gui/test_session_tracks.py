@@ -61,8 +61,8 @@ def test_frames_come_back_as_they_were(widget, viewer, series, spin, reopened_he
         np.testing.assert_array_equal(part, again)
     np.testing.assert_array_equal(viewer.layers["movie: tracks"].data, paths)
     assert viewer.dims.current_step[0] == 1
-    assert other.track_panel.frame.text().startswith("time 1: 1 cell")
-    assert "4 frames tracked" in other.track_panel.verdict.text()
+    assert other.tracking.frame.text().startswith("time 1: 1 cell")
+    assert "4 frames tracked" in other.tracking.verdict.text()
     other.tracking.save(str(tmp_path))
     assert [r.frame for r in read_results(tmp_path)] == [0, 1, 2, 3]
 
@@ -74,12 +74,12 @@ def test_what_was_stopped_goes_on_after_reopening(widget, spin, slow, reopened_h
     widget.footer.stop_button.click()
     spin(ended(widget))
     other = reopened_here(widget)
-    assert other.track_panel.go_on_button.isVisibleTo(other.track_panel)
+    assert other.tracking.go_on_button.isVisibleTo(other.tracking)
     slow += [1] * 4
-    other.track_panel.go_on_button.click()
+    other.tracking.go_on_button.click()
     spin(ended(other), 60)
     assert [r.frame for r in other.tracking.results] == [0, 1, 2, 3]
-    assert other.track_panel.verdict.text().startswith("4 frames tracked")
+    assert other.tracking.verdict.text().startswith("4 frames tracked")
 
 
 def test_a_fit_of_one_time_comes_back_at_its_time(widget, viewer, spin, reopened_here):

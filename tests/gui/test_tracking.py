@@ -9,7 +9,7 @@ from vispy.color import Colormap
 
 from napari_deltamic._writer import write_surface
 from napari_deltamic.errors import InputError
-from napari_deltamic.gui.tracking import control, track_work
+from napari_deltamic.gui.tracking import panel, track_work
 from napari_deltamic.gui.viewing.colours import region_colours
 from napari_deltamic.gui.viewing.frame import OWN
 from napari_deltamic.results.track_report import read_results
@@ -34,17 +34,17 @@ def ended(widget):
 
 def test_the_panel_is_there_for_images_over_time_only(make_widget, with_image, series):
     widget = make_widget()
-    assert widget.track_panel.isHidden()
+    assert widget.tracking.isHidden()
     with_image.add_image(series, scale=(1, *SIZE), name="movie")
     chooser = widget.image.chooser
     chooser.setCurrentIndex(chooser.findText("movie"))
-    assert not widget.track_panel.isHidden()
+    assert not widget.tracking.isHidden()
 
 
 def test_one_click_gives_a_surface_over_time(widget, viewer, series, spin):
-    widget.track_panel.track_button.click()
+    widget.tracking.track_button.click()
     spin(ended(widget), 60)
-    assert "4 frames tracked" in widget.track_panel.verdict.text()
+    assert "4 frames tracked" in widget.tracking.verdict.text()
     surface = viewer.layers["movie: tracked surfaces"]
     vertices, _, values = surface.data
     assert tuple(surface.scale) == (5, 1, 1, 1)
@@ -60,8 +60,8 @@ def test_one_click_gives_a_surface_over_time(widget, viewer, series, spin):
     tracks = viewer.layers["movie: tracks"]
     assert tracks.data.shape == (4, 5)
     assert viewer.dims.current_step[0] == 3, "what is looked at moves on with the frames"
-    assert widget.track_panel.frame.text().startswith("time 3: 1 cell")
-    assert widget.track_panel.table.rowCount() == 1
+    assert widget.tracking.frame.text().startswith("time 3: 1 cell")
+    assert widget.tracking.table.rowCount() == 1
 
 
 def test_contours_and_table_follow_the_slider(widget, viewer, spin):
@@ -73,7 +73,7 @@ def test_contours_and_table_follow_the_slider(widget, viewer, spin):
         contours = viewer.layers["movie: tracked contours"].data
         assert len(contours) > 10
         middle[t] = contours[:, 0].mean(axis=0)
-        assert widget.track_panel.frame.text().startswith(f"time {t}")
+        assert widget.tracking.frame.text().startswith(f"time {t}")
     np.testing.assert_allclose((middle[3] - middle[0])[1:], 3 * STEP[1:], atol=0.1)
 
 
@@ -83,7 +83,7 @@ def test_tracking_starts_at_the_frame_shown(widget, viewer, spin):
     spin(ended(widget), 60)
     assert [r.frame for r in widget.tracking.results] == [2, 3]
     viewer.dims.set_current_step(0, 0)
-    assert widget.track_panel.frame.text() == "not tracked at this time"
+    assert widget.tracking.frame.text() == "not tracked at this time"
     assert len(viewer.layers["movie: tracked contours"].data) == 0
 
 
@@ -97,12 +97,12 @@ def test_stop_keeps_the_frames_that_are_done_and_go_on_tracks_the_rest(
     assert "of 4" in widget.footer.message.text()
     widget.footer.stop_button.click()
     spin(ended(widget))
-    assert widget.track_panel.verdict.text().startswith("stopped (2 frames are kept")
+    assert widget.tracking.verdict.text().startswith("stopped (2 frames are kept")
     assert set(viewer.layers["movie: tracked surfaces"].data[0][:, 0]) == {0, 1}
     assert widget.footer.run_button.isEnabled()
     slow += [1] * 4
-    assert widget.track_panel.go_on_button.isVisibleTo(widget.track_panel)
-    widget.track_panel.go_on_button.click()
+    assert widget.tracking.go_on_button.isVisibleTo(widget.tracking)
+    widget.tracking.go_on_button.click()
     spin(ended(widget), 60)
     assert [r.frame for r in widget.tracking.results] == [0, 1, 2, 3]
     widget.tracking.save(str(tmp_path))
@@ -115,9 +115,9 @@ def test_a_bad_frame_is_told_and_left_out(widget, viewer, spin, told):
     widget.tracking.start()
     spin(ended(widget), 60)
     assert any("frame 1 is left out: every voxel is missing" in text for text in told)
-    assert "1 of them left out" in widget.track_panel.verdict.text()
+    assert "1 of them left out" in widget.tracking.verdict.text()
     viewer.dims.set_current_step(0, 1)
-    assert "left out" in widget.track_panel.frame.text()
+    assert "left out" in widget.tracking.frame.text()
 
 
 def test_what_is_missing_is_said(widget, viewer, told):
@@ -140,12 +140,12 @@ def test_an_error_of_the_engine_is_told_in_words(widget, spin, monkeypatch, told
     widget.tracking.start()
     spin(ended(widget))
     assert told[-1] == "it cannot be"
-    assert widget.track_panel.track_button.isEnabled()
+    assert widget.tracking.track_button.isEnabled()
 
 
 def test_a_region_is_not_taken_for_all_of_its_file(widget, spin, monkeypatch):
     """Or run.toml would track something else."""
-    monkeypatch.setattr(control, "origin_of", lambda layer: ("/data/movie.tif", None))
+    monkeypatch.setattr(panel, "origin_of", lambda layer: ("/data/movie.tif", None))
     for box, path in ((None, "/data/movie.tif"), (((0, 20), (2, 23), (1, 24)), "")):
         widget.doc.image.take_region(box)
         widget.tracking.start()

@@ -118,8 +118,7 @@ class CellTable(QTableWidget):
 
     def chosen_regions(self) -> tuple[int, ...]:
         """The regions of the rows selected, in the order in which they were."""
-        model: Any = self.selectionModel()
-        now = [self._region(row) for row in sorted(i.row() for i in model.selectedRows())]
+        now = [self._region(row) for row in self._selected()]
         before = [region for region in self._told if region in now]
         return (*before, *(region for region in now if region not in before))
 
@@ -136,8 +135,7 @@ class CellTable(QTableWidget):
 
     def as_text(self) -> str:
         """The rows selected, or all, as they are sorted: tab-separated, with a header."""
-        model: Any = self.selectionModel()
-        rows = sorted(i.row() for i in model.selectedRows()) or range(self.rowCount())
+        rows = self._selected() or range(self.rowCount())
         shown = [column for c, column in enumerate(COLUMNS) if not self.isColumnHidden(c)]
         lines = [[column.name for column in shown]]
         for r in rows:
@@ -170,8 +168,6 @@ class CellTable(QTableWidget):
         else:
             super().keyPressEvent(event)
 
-    # ----------------------------------------------------------------------------------- inside
-
     def _hide_columns(self) -> None:
         known = {column.key for column in self.known_columns()} if self._rows else set(FIRST)
         for number, column in enumerate(COLUMNS):
@@ -187,6 +183,11 @@ class CellTable(QTableWidget):
     def _region(self, row: int) -> int:
         item: Any = self.item(row, 0)
         return int(item.data(_REGION))
+
+    def _selected(self) -> list[int]:
+        """The rows that are selected, from the top."""
+        model: Any = self.selectionModel()
+        return sorted(index.row() for index in model.selectedRows())
 
     def _select(self, regions: Collection[int]) -> None:
         self.clearSelection()

@@ -10,19 +10,13 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from qtpy.QtCore import QEvent, QObject, Qt, QTimer, QUrl
+from qtpy.QtCore import QEvent, QObject, Qt, QUrl
 from qtpy.QtGui import QDesktopServices
-from qtpy.QtWidgets import (
-    QDockWidget,
-    QFrame,
-    QMenu,
-    QMessageBox,
-    QScrollArea,
-    QWidget,
-)
+from qtpy.QtWidgets import QDockWidget, QFrame, QMenu, QMessageBox, QScrollArea, QWidget
 
 from .document import Document
 from .widgets import button, row
+from .work import one_shot
 
 DOCS = "https://github.com/napari-deltamic/napari-deltamic/blob/main/docs/napari.md"
 
@@ -57,14 +51,12 @@ class Column(QScrollArea):
         self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.setFrameShape(QFrame.Shape.NoFrame)
         self._part: QWidget | None = None
-        self._soon = QTimer(self)  # when what was just shown has its place
-        self._soon.setSingleShot(True)
-        self._soon.timeout.connect(self._go)
+        self._soon = one_shot(self, self._go)  # when what was just shown has its place
 
     def show_part(self, part: QWidget) -> None:
         """Scroll until a part of what it shows is seen."""
         self._part = part
-        self._soon.start(0)
+        self._soon.start()
 
     def _go(self) -> None:
         if self._part is not None:
@@ -73,14 +65,10 @@ class Column(QScrollArea):
     def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
         """Qt's, of what it shows; the theme, which decides how wide things are, may come late."""
         kinds = (QEvent.Type.LayoutRequest, QEvent.Type.Resize)
-        if event is not None and event.type() in kinds:
-            self._fit_width()
-        return bool(super().eventFilter(watched, event))
-
-    def _fit_width(self) -> None:
         shown, bar = self.widget(), self.verticalScrollBar()
-        if shown is not None and bar is not None:
+        if shown is not None and bar is not None and event is not None and event.type() in kinds:
             self.setMinimumWidth(shown.minimumSizeHint().width() + bar.sizeHint().width() + 2)
+        return bool(super().eventFilter(watched, event))
 
 
 def bind_keys(doc: Document, actions: Mapping[str, Callable[[], Any]]) -> None:

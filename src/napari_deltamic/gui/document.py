@@ -1,4 +1,4 @@
-"""What the window is about. Panels and tools observe it, and change it.
+"""What the window is about. Panels and tools observe it, and change it by its methods alone.
 
 The image, the cells, the settings, the work under way, what fits of each image have reached, and
 the cells chosen.
@@ -7,7 +7,7 @@ the cells chosen.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, Literal, get_args
 
@@ -17,11 +17,10 @@ from ..accuracy.experience import Learned
 from ..errors import DoubtWarning
 from ..evidence.put_together import put_together, start_of
 from ..evidence.sanity import tell_doubts
-from ..fitting import FitState
 from ..fitting.checks import check_image
 from ..fitting.job import FitInput
-from ..results.report import History
-from ..results.timeline import Moment, Timeline
+from ..results.session_parts import SavedResult
+from ..results.timeline import Timeline
 from ..runs.seeds import Seeds
 from ..runs.settings import RunSettings, SceneSettings
 from .fit_choice import FitChoice
@@ -198,25 +197,21 @@ class Document:
                 record.timeline.go_on()
             self.began.emit(self._fresh)
 
-    def reopen(
-        self,
-        state: FitState,
-        job: FitInput,
-        history: History,
-        seconds: float,
-        moments: Iterable[Moment],
-        words: tuple[str, str] = ("", ""),
-    ) -> None:
+    def reopen(self, result: SavedResult, job: FitInput) -> None:
         """Take over the result of an earlier fit of the image chosen, with its history."""
         record = self.record_for(self.image.frame())
-        record.timeline, record.words = Timeline(moments), words
+        record.timeline, record.words = Timeline(result.moments), (result.verdict, result.message)
         self.meshes_came.emit()
         self._place_link(record)
-        record.link.show_mesh(state.mesh)
-        record.take(state, job, history, seconds)
+        record.link.show_mesh(result.state.mesh)
+        record.take(result.state, job, result.history, result.seconds)
         self.result_changed.emit()
         self.began.emit(True)
         self.ended.emit()
+
+    def look_back(self, earlier: bool) -> None:
+        """Whether an earlier moment of a fit is looked at."""
+        self.earlier = earlier
 
     def select(self, regions: Sequence[int] | frozenset[int]) -> None:
         chosen = frozenset(regions)

@@ -104,10 +104,7 @@ class Form(QWidget):
     edited = Signal()
 
     def __init__(
-        self,
-        model: type[Any],
-        names: Collection[str] | None = None,
-        parent: QWidget | None = None,
+        self, model: type[Any], names: Collection[str] | None = None, parent: QWidget | None = None
     ) -> None:
         super().__init__(parent)
         self.described = {
@@ -120,10 +117,10 @@ class Form(QWidget):
         self.fields: dict[str, Any] = {}
         self._exact: dict[str, Any] = {}  # what is shown, until it is edited
         for name, found in self.described.items():
-            field = _field(found, self)
+            field, by_user = _field(found, self)
             field.setToolTip(tip_of(found))
             field.setAccessibleName(found.label)
-            _edits(field).connect(partial(self._edited, name))
+            by_user.connect(partial(self._edited, name))
             self.fields[name] = field
             if found.kind == "switch":  # across both columns: a narrow dock has no room
                 self.form.addRow(field)
@@ -153,23 +150,26 @@ class Form(QWidget):
         self.edited.emit()
 
 
-def _field(found: Described, parent: QWidget) -> QWidget:
+def _field(found: Described, parent: QWidget) -> tuple[Any, Any]:
+    """A field, and the signal by which it tells that the user has edited it."""
     if found.kind == "switch":
-        return QCheckBox(found.title, parent)
+        switch = QCheckBox(found.title, parent)
+        return switch, switch.toggled
     if found.kind == "whole":
         whole = QSpinBox(parent)
         whole.setRange(int(found.low or 0), int(found.high or _MOST))
         whole.setKeyboardTracking(False)
-        return whole
+        return whole, whole.valueChanged
     if found.kind == "number":
         number = Number(parent)
         number.setSingleStep(found.step or 0.1)
         if found.optional and found.start is None:
             number.setSpecialValueText(found.automatic)
         number.setValue(float(found.default or found.start or 0.0))
-        return number
+        return number, number.valueChanged
     if found.kind == "triple":
-        return TripleField(tip_of(found), parent)
+        triple = TripleField(tip_of(found), parent)
+        return triple, triple.edited
     if found.kind == "choice" or found.choices:
         box = QComboBox(parent)
         box.setEditable(found.kind == "text")
@@ -177,23 +177,10 @@ def _field(found: Described, parent: QWidget) -> QWidget:
             box.addItem(found.words.get(choice, choice), choice)
         _show(box, found.default)
         be_narrow(box, 8)
-        return box
+        return box, box.currentTextChanged
     line = QLineEdit(parent)
     line.setPlaceholderText(found.automatic)
-    return line
-
-
-def _edits(field: Any) -> Any:
-    """The signal by which a field tells that the user has edited it."""
-    for kind, signal in (
-        (QCheckBox, "toggled"),
-        (QComboBox, "currentTextChanged"),
-        (TripleField, "edited"),
-        (QLineEdit, "editingFinished"),
-    ):
-        if isinstance(field, kind):
-            return getattr(field, signal)
-    return field.valueChanged
+    return line, line.editingFinished
 
 
 def _value(field: Any) -> Any:

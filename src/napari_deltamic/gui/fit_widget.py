@@ -25,7 +25,6 @@ from .settings.effects_panel import EffectsPanel
 from .settings.optics_panel import OpticsPanel
 from .settings.preferences import PLUGIN, read_preferences
 from .settings.settings_panel import SettingsPanel
-from .tracking.control import TrackControl
 from .tracking.panel import TrackPanel
 from .viewing.frame import unwrapped
 from .widgets import action, column
@@ -52,8 +51,7 @@ class FitWidget(QWidget):
         self.judging = Judging(doc)
         self.footer = Footer(doc, self.control, self)
         self.running = CheckPanel(doc, self.edits, self.control, self)
-        self.track_panel = TrackPanel(self)
-        self.tracking = TrackControl(doc, self.track_panel)
+        self.tracking = TrackPanel(doc, self)
         self.results = ResultsPanel(doc, self)
         clicks = self.seeds.corrections.bar
         # A click that corrects labels chooses no cell.
@@ -105,8 +103,6 @@ class FitWidget(QWidget):
         self.seeds.preview.clear()
         self.doc.close()
 
-    # ----------------------------------------------------------------------------------- inside
-
     def _simulate(self) -> None:
         """Open the other widget of this plugin, in a tab: below, it would leave no room here."""
         self.doc.viewer.window.add_plugin_dock_widget(PLUGIN, "Simulate cells", tabify=True)
@@ -141,7 +137,7 @@ class FitWidget(QWidget):
         own = (commands.copy_action, commands.folder_action, simulate)
         self.header = Header(((sessions.open_action, sessions.save_action), own), self)
         inner = QWidget(self)
-        panels = (self.image, self.seeds, self.settings, self.track_panel, self.running)
+        panels = (self.image, self.seeds, self.settings, self.tracking, self.running)
         shown = column(*panels, self.results, self.settings.advanced, of=inner)
         shown.setContentsMargins(2, 2, 2, 2)
         shown.addStretch()

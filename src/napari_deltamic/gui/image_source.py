@@ -42,6 +42,7 @@ from .viewing.frame import (
     unread_stack_of,
     voxel_size,
 )
+from .viewing.listening import Connections
 from .viewing.own_layers import Points as Clicks
 
 _SMALLEST = 4  # voxels along each side of a region
@@ -56,7 +57,7 @@ class ImageSource(LayerChoice):
         self.box: Box | None = None  # the region of the layer that is fitted; None: all of it
         # Files, and channels in them, that were asked for their voxel size.
         self._asked: set[tuple[str, str | None]] = set()
-        self._scaled: Any = None
+        self._of_layer = Connections()
         super().__init__(viewer, is_one_channel)
         events = viewer.layers.events
         self._connections.connect(events.inserted, self._place_meshes)
@@ -193,14 +194,15 @@ class ImageSource(LayerChoice):
     def close_links(self) -> None:
         """Listen to the viewer no more, and let its layers go."""
         super().close_links()
-        self._listen_to(None)
+        self._of_layer.undo()
 
     # ---- what follows from it -----------------------------------------------------------------
 
     def _layer_changed(self) -> None:
         layer, self.box = self.layer, None
-        self._listen_to(layer)
+        self._of_layer.undo()
         if layer is not None:
+            self._of_layer.connect(layer.events.scale, self._look)
             self._take_size_of_file(layer)
             self._place_meshes()
         self.looked.emit()
@@ -217,17 +219,15 @@ class ImageSource(LayerChoice):
             return  # there is no image yet, or one that cannot be used
         whole = Frame.of(self.layer).image_options()
         for layer in self._viewer.layers:
-            own = layer.metadata.get(OWN, {})
+            own, options = layer.metadata.get(OWN, {}), {}
             if self._has_no_place(layer):
-                for name, value in whole.items():
-                    setattr(layer, name, value)
-            if ORIGIN not in own or own[ORIGIN] is not None or layer.ndim != 3:
-                continue
-            own[ORIGIN] = frame.translate
-            moved = np.any(layer.translate != 0) or np.any(layer.scale != 1)
-            if not moved:  # by the user, who knows better
-                for name, value in frame.layer_options().items():
-                    setattr(layer, name, value)
+                options = whole
+            elif ORIGIN in own and own[ORIGIN] is None and layer.ndim == 3:
+                own[ORIGIN] = frame.translate
+                if _unmoved(layer):  # by the user, who knows better
+                    options = frame.layer_options()
+            for name, value in options.items():
+                setattr(layer, name, value)
 
     def _has_no_place(self, layer: Any) -> bool:
         """Whether labels of as many voxels as the image say nothing of where they lie."""
@@ -236,7 +236,7 @@ class ImageSource(LayerChoice):
             and layer.ndim == 3
             and shape_of(layer) == shape_of(self.layer)
             and um_per_unit(layer) is None
-            and bool(np.all(layer.scale == 1) and np.all(layer.translate == 0))
+            and _unmoved(layer)
         )
 
     def _take_size_of_file(self, layer: Any) -> None:
@@ -256,10 +256,8 @@ class ImageSource(LayerChoice):
         rescale(self._viewer, layer, (*layer.scale[:-3], *np.asarray(scale, float)))
         for other in others:
             first = layer.translate[-3:]
-            other.translate = (
-                *other.translate[:-3],
-                *(first + (other.translate[-3:] - first) * ratio),
-            )
+            moved = first + (other.translate[-3:] - first) * ratio
+            other.translate = (*other.translate[:-3], *moved)
             other.scale = (*other.scale[:-3], *(other.scale[-3:] * ratio))
 
     def _goes_along(self, other: Any) -> bool:
@@ -276,13 +274,6 @@ class ImageSource(LayerChoice):
             np.array_equal(getattr(other, name)[-3:], getattr(layer, name)[-3:])
             for name in ("scale", "translate", "units")
         )
-
-    def _listen_to(self, layer: Any) -> None:
-        if self._scaled is not None:
-            self._scaled.events.scale.disconnect(self._look)
-        self._scaled = layer
-        if layer is not None:
-            layer.events.scale.connect(self._look)
 
 
 class SecondSource(LayerChoice):
@@ -350,6 +341,10 @@ class SecondSource(LayerChoice):
         self.shown.emit()
         if not self._quiet:
             self.edited.emit()
+
+
+def _unmoved(layer: Any) -> bool:
+    return bool(np.all(layer.scale == 1) and np.all(layer.translate == 0))
 
 
 def _check_on_voxels(layer: Any, image: Any) -> None:

@@ -6,8 +6,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import pint
 from napari.layers import Image
 
 from ..common.choices import IMAGE_FILES, TIFF
@@ -15,7 +13,7 @@ from ..errors import InputError
 from ..images.channels import channel_axis, listed_channels
 from ..images.stacks import stored_shape
 from ..images.stored import Stored, VoxelSize, naming, open_stored
-from .viewing.frame import OWN, data_of, is_stack, made_by_fit
+from .viewing.frame import OWN, data_of, in_units, is_stack, made_by_fit
 
 _FILE = "file"  # under OWN: path and channel of a layer that was made of another
 _MOST = 5  # an axis of more than so many steps is no axis of stains, unless it is named so
@@ -41,7 +39,9 @@ def channel_axes(layer: Any) -> tuple[int, ...]:
     return tuple(
         axis
         for axis in range(layer.ndim - 2)
-        if 1 < shape[axis] <= _MOST and names[axis] not in _OTHER and not _is_time(layer, axis)
+        if 1 < shape[axis] <= _MOST
+        and names[axis] not in _OTHER
+        and in_units(layer.units[axis], "second") is None
     )
 
 
@@ -172,10 +172,3 @@ def _opened(file: Path) -> Stored | None:
 def _stored(path: str, changed: int, size: int) -> Stored:
     with naming(path):
         return open_stored(path)
-
-
-def _is_time(layer: Any, axis: int) -> bool:
-    try:
-        return bool(np.isfinite(float((1 * layer.units[axis]).to("second").magnitude)))
-    except (pint.DimensionalityError, pint.UndefinedUnitError):
-        return False

@@ -22,24 +22,17 @@ def open_demo(
     viewer: napari.Viewer, sample: Sample, start: Mesh, settings: RunSettings
 ) -> FitWidget:
     """Put the sample and the widget in a viewer, and start."""
-    units, axes = ("um",) * 3, ("z", "y", "x")
-    image = viewer.add_image(
-        sample.image,
-        name=sample.name,
-        scale=sample.grid.voxel_size,
-        units=units,
-        axis_labels=axes,
-    )
+    um = {"units": ("um",) * 3, "axis_labels": ("z", "y", "x")}
+    image = viewer.add_image(sample.image, name=sample.name, scale=sample.grid.voxel_size, **um)
     image.contrast_limits = (float(sample.image.min()), float(sample.image.max()))
     widget = FitWidget(viewer)
     viewer.window.add_dock_widget(widget, name="deltaMic")
     seeds = viewer.add_surface(
         (start.vertices_numpy(), start.faces, vertex_values(start)),
         name="start",
-        **surface_look(),
-        units=units,
-        axis_labels=axes,
         visible=False,
+        **surface_look(),
+        **um,
     )
     widget.doc.cells.choose(seeds)
     widget.doc.settings.show_scene(settings.scene)

@@ -45,6 +45,9 @@ class Record:
             raise InputError("there is no result yet: run a fit first")
         return self.state, self.job
 
+    def end(self, verdict: str, text: str) -> None:
+        self.words = verdict, text
+
     def show(self, state: FitState, note: str = "", *, passing: bool = False) -> None:
         """The fit has come to a state, by what the user changed where there is a note."""
         self.timeline.add(state, note)

@@ -12,7 +12,6 @@ from napari.types import LayerDataTuple
 
 from ..common.writing import own_folder
 from ..errors import InputError
-from ..geometry import Mesh
 from ..measure import Known, measure
 from ..optics import GaussianPSF, Optics, microscope
 from ..results.measured_files import write_measurements
@@ -163,37 +162,20 @@ def _tend(widget: Any) -> None:
     show(widget.psf.value)
 
 
-AXES = ("z", "y", "x")
 simulate_widget = magic_factory(simulate_cells, widget_init=_tend, call_button="Simulate")
 
 
 def layers_of(made: Simulation, name: str) -> list[Any]:
     """The image, the true surfaces and the true labels as layers."""
-    options = {
-        "scale": made.grid.voxel_size,
-        "translate": made.grid.origin,
-        "units": ("um",) * 3,
-        "axis_labels": AXES,
-    }
-    labels = {**options, "name": f"{name}: true labels", "opacity": 0.3, "visible": False}
-    labels["metadata"] = {OWN: {TRUTH: True}}
-    layers: list[Any] = [
-        (made.image, {**options, "name": name}, "image"),
-        (made.labels, labels, "labels"),
-    ]
-    if made.mesh is not None:
-        layers.insert(1, _true_surface(made.mesh, f"{name}: true surfaces"))
-    return layers
-
-
-def _true_surface(mesh: Mesh, name: str) -> Any:
-    """The layer of a mesh, um; hidden, so that nobody sees the answer first."""
-    options = {
-        "name": name,
-        "units": ("um",) * 3,
-        "axis_labels": AXES,
-        **surface_look(),
-        "visible": False,
-        "metadata": {OWN: {"regions": mesh.regions, TRUTH: True}},
-    }
-    return (mesh.vertices_numpy(), mesh.faces, vertex_values(mesh)), options, "surface"
+    um: dict[str, Any] = {"units": ("um",) * 3, "axis_labels": ("z", "y", "x")}
+    voxels = {**um, "scale": made.grid.voxel_size, "translate": made.grid.origin}
+    layers: list[Any] = [(made.image, {**voxels, "name": name}, "image")]
+    mesh, hidden = made.mesh, {"visible": False}  # so that nobody sees the answer first
+    if mesh is not None:
+        surface = mesh.vertices_numpy(), mesh.faces, vertex_values(mesh)
+        known = {"metadata": {OWN: {"regions": mesh.regions, TRUTH: True}}}
+        look = {**um, **surface_look(), **hidden, **known, "name": f"{name}: true surfaces"}
+        layers.append((surface, look, "surface"))
+    known = {"metadata": {OWN: {TRUTH: True}}}
+    look = {**voxels, **hidden, **known, "name": f"{name}: true labels", "opacity": 0.3}
+    return [*layers, (made.labels, look, "labels")]

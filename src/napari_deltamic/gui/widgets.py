@@ -240,7 +240,7 @@ class Note(QLabel):
         self, parent: QWidget | None = None, verdict: str = "", style: str = "font-size: 11px;"
     ) -> None:
         super().__init__(parent)
-        self._verdict, self._style = verdict, style
+        self.verdict, self._style = verdict, style
         self.setWordWrap(True)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Minimum)
         self._colour()
@@ -249,7 +249,7 @@ class Note(QLabel):
     def say(self, text: str, verdict: str | None = None) -> None:
         """Show a text, in the colour of a verdict; None: in that of the last one."""
         if verdict is not None:
-            self._verdict = verdict
+            self.verdict = verdict
             self._colour()
         shown = for_window(text)
         if shown != self.text():
@@ -263,7 +263,7 @@ class Note(QLabel):
             self._colour()
 
     def _colour(self) -> None:
-        colours, style = VERDICTS.get(self._verdict), self._style
+        colours, style = VERDICTS.get(self.verdict), self._style
         style += f" color: {colours[not is_dark(self)]};" if colours else ""
         if style != self.styleSheet():
             self.setStyleSheet(style)
@@ -299,7 +299,7 @@ class ToolBar(QWidget):
             self.buttons[tool] = one
             self.row.addWidget(one, 1)
         doc.finish_tools.connect(self._other_tool)
-        doc.listen(doc.viewer.dims.events.ndisplay, self._view_changed)
+        doc.listen(doc.viewer.dims.events.ndisplay, self.explain)
 
     @property
     def tool(self) -> Any:
@@ -329,9 +329,6 @@ class ToolBar(QWidget):
         """The mouse is wanted by another one."""
         if tool is not self:
             self.use(None)
-
-    def _view_changed(self, event: Any = None) -> None:
-        self.explain()
 
 
 class Fold(QWidget):

@@ -159,9 +159,7 @@ class Work(QObject):
         self.interval = INTERVAL  # s between two looks
         self.task: Task | None = None
         self._activity: Any = None  # in napari's activity dock
-        self._timer = QTimer(self)
-        self._timer.setSingleShot(True)
-        self._timer.timeout.connect(self._tick)
+        self._timer = one_shot(self, self._tick)
 
     @property
     def occupied(self) -> str:
@@ -194,6 +192,10 @@ class Work(QObject):
     def pause(self, paused: bool) -> None:
         if self.task is not None:
             self.task.paused = paused
+
+    def look_at_most(self, often: float) -> None:
+        """So many times a second."""
+        self.interval = 1 / often
 
     def close(self) -> None:
         """End the task, and tell nobody."""
@@ -243,6 +245,15 @@ class Work(QObject):
         activity, self._activity = self._activity, None
         if activity is not None:
             activity.close()
+
+
+def one_shot(parent: QObject, slot: Callable[[], None], wait: int = 0) -> QTimer:
+    """A timer that calls a slot once, ``wait`` ms after it was last started."""
+    timer = QTimer(parent)
+    timer.setSingleShot(True)
+    timer.setInterval(wait)
+    timer.timeout.connect(slot)
+    return timer
 
 
 def _nobody(*news: Any) -> None:
@@ -297,9 +308,7 @@ class Background(QObject):
         self._then: Callable[[Any], None] | None = None  # None: nobody awaits what runs
         self._next: tuple[Callable[[], Any], Callable[[Any], None]] | None = None
         self._soon: Callable[[], None] | None = None
-        self._waiting = QTimer(self)
-        self._waiting.setSingleShot(True)
-        self._waiting.timeout.connect(self._waited)
+        self._waiting = one_shot(self, self._waited)
         self._timer = QTimer(self)
         self._timer.setInterval(_LOOK_EVERY)
         self._timer.timeout.connect(self._look)

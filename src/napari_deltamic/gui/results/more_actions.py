@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from qtpy.QtCore import QObject, QTimer
+from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QApplication, QFileDialog, QWidget
 
 from ...errors import InputError
@@ -70,11 +70,10 @@ _OPEN, _SAVE = ("Open session...", "Opening ..."), ("Save session...", "Saving .
 _KIND = f"deltaMic session (*{EXTENSION})"
 
 
-class SessionBar(QObject):
+class SessionBar:
     """*Open session...* and *Save session...*."""
 
     def __init__(self, parts: Parts, parent: QWidget) -> None:
-        super().__init__(parent)
         self._parts, self._shown_in = parts, parent
         self._doc = doc = parts.doc
         doc.at_end(self._forget)
@@ -82,12 +81,12 @@ class SessionBar(QObject):
             "Open a .deltamic file: image, cells, settings, meshes, table and history come back "
             "as they were."
         )
-        self.open_action = action(_OPEN[0], tip, self._ask_open, self)
+        self.open_action = action(_OPEN[0], tip, self._ask_open, parent)
         tip = (
             "Save image, cells, settings, meshes and history in one file. Of a 4D image, only the "
             "time point that is fitted, or all of them where cells were tracked."
         )
-        self.save_action = action(_SAVE[0], tip, self._ask_save, self)
+        self.save_action = action(_SAVE[0], tip, self._ask_save, parent)
         self._saving, self._opening = (doc.background(self._failed) for _ in range(2))
         self._steps: Generator[None] | None = None  # that are left of showing a session
 

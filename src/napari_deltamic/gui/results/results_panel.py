@@ -115,8 +115,6 @@ class ResultsPanel(QGroupBox):
         labels = labels_of(state.mesh, job.grid)
         self._doc.viewer.add_layer(labels_layer(labels, self.table.rows, link.frame, name))
 
-    # ----------------------------------------------------------------------------------- inside
-
     def _result(self) -> Record:
         record = self._doc.result
         if record is None:

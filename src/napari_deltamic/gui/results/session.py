@@ -14,8 +14,8 @@ from ...results.session_file import SavedImage, SavedResult, Session
 from ...runs.settings import RunSettings
 from ..document import VIEWS, Document
 from ..record import Record
-from ..tracking.control import TrackControl
-from ..viewing.frame import Frame
+from ..tracking.panel import TrackPanel
+from ..viewing.frame import Frame, go_to
 from ..viewing.own_layers import lie_on
 from .session_layers import image_layer, save_image, save_layer, seed_layer
 
@@ -26,7 +26,7 @@ class Parts:
 
     doc: Document
     seeds: Any  # the panel of the cells
-    tracking: TrackControl
+    tracking: TrackPanel
 
 
 def capture(parts: Parts) -> tuple[Session, str]:
@@ -37,7 +37,7 @@ def capture(parts: Parts) -> tuple[Session, str]:
     """
     doc = parts.doc
     dims, frame = doc.viewer.dims, doc.image.frame()
-    result, left_out = _result(parts, frame)
+    result, left_out = _result(doc, frame)
     pixels = result[1].image if result else doc.image.stack()
     settings = RunSettings(
         image=doc.image.path(),
@@ -60,7 +60,7 @@ def capture(parts: Parts) -> tuple[Session, str]:
         panels={
             "seeds": _seeds_shown(parts.seeds),
             "shown": {"view": doc.view},
-            "view": _view(dims),
+            "view": {"ndisplay": dims.ndisplay, "point": point[-3:], "time": point[:-3]},
             "accuracy": doc.settings.accuracy,
             "result_time": doc.link.time if result and doc.link else [],
         },
@@ -110,7 +110,7 @@ def restore(parts: Parts, session: Session) -> Generator[None]:
         for axis, step in enumerate(session.panels.get("result_time", ())):
             viewer.dims.set_current_step(axis, int(step))
     if session.result is not None:
-        _show_result(parts, session.result, session)
+        _show_result(doc, session.result, session)
         yield
         if _left(doc, image):
             return
@@ -142,9 +142,8 @@ def _layers(session: Session) -> tuple[Any, list[Any], Any]:
 # ---- results -------------------------------------------------------------------------------------
 
 
-def _result(parts: Parts, frame: Frame) -> tuple[tuple[SavedResult, FitInput] | None, str]:
+def _result(doc: Document, frame: Frame) -> tuple[tuple[SavedResult, FitInput] | None, str]:
     """The newest state of the fit of the image chosen, with its job; else why there is none."""
-    doc = parts.doc
     record, run, present = doc.record, doc.run, doc.present()
     if present is None or record is None:
         others = [other for other in doc.records.values() if other.state is not None]
@@ -200,22 +199,20 @@ def _show_second(doc: Document, session: Session, layer: Any) -> None:
         doc.second.show(None)
 
 
-def _show_result(parts: Parts, result: SavedResult, session: Session) -> None:
-    state, history = result.state, result.history
+def _show_result(doc: Document, result: SavedResult, session: Session) -> None:
     image, second = session.image, session.second
     has_second = result.settings.scene.effects.view is not None
     job = FitInput(
         settings=result.settings,
         image=image.pixels,
         grid=image.grid,
-        mesh=result.start or state.mesh,
+        mesh=result.start or result.state.mesh,
         optics=optics_of(result.settings.scene),
         counted=result.counted,
         second=second.pixels if second is not None and has_second else None,
     )
-    parts.doc.select(())
-    words = (result.verdict, result.message)
-    parts.doc.reopen(state, job, history, result.seconds, result.moments, words)
+    doc.select(())
+    doc.reopen(result, job)
 
 
 # ---- panels --------------------------------------------------------------------------------------
@@ -250,20 +247,11 @@ def _show_accuracy(doc: Document, choice: Any) -> None:
         return  # an earlier session, which has none: the number is shown
 
 
-def _view(dims: Any) -> dict[str, Any]:
-    return {
-        "ndisplay": int(dims.ndisplay),
-        "point": [float(p) for p in dims.point[-3:]],
-        "time": [float(p) for p in dims.point[:-3]],
-    }
-
-
 def _show_view(viewer: Any, shown: dict[str, Any], *, fit_camera: bool) -> None:
     if "ndisplay" in shown:
         viewer.dims.ndisplay = int(shown["ndisplay"])
     if "point" in shown:
-        n = viewer.dims.ndim
-        viewer.dims.set_point(range(n - 3, n), [float(p) for p in shown["point"]])
+        go_to(viewer, shown["point"])
     if len(shown.get("time", ())) == viewer.dims.ndim - 3 > 0:
         viewer.dims.set_point(range(viewer.dims.ndim - 3), [float(p) for p in shown["time"]])
     if fit_camera:

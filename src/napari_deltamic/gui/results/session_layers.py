@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import numpy as np
@@ -15,11 +14,12 @@ from ...errors import InputError
 from ...geometry import Mesh
 from ...results.colouring import colour_indices
 from ...results.session_file import SavedImage, SavedLayer, SavedTracks
-from ..seeding.cell_source import at_time
+from ..seeding.cell_source import at_time, shown_surface
 from ..viewing import own_layers
+from ..viewing.cell_layers import FILE
 from ..viewing.colours import side_values, surface_look
-from ..viewing.frame import OWN, Frame, stack_of
-from ..viewing.walls import COPIES, Apart, joined
+from ..viewing.frame import ORIGIN, OWN, TRUTH, Frame, stack_of
+from ..viewing.walls import COPIES, Apart
 
 _SHOWN = ("opacity", "blending", "visible")
 _IMAGE = (*_SHOWN, "gamma", "rendering", "interpolation2d", "interpolation3d")
@@ -29,8 +29,7 @@ _OTHERS = {
     "surface": (*_SHOWN, "shading", "gamma"),
 }
 _OF_POINTS = ("size", "face_color", "border_color")
-# Of what the plugin notes: arrays; and seeds are no fit any more.
-_DROPPED = ("regions", COPIES, "fit")
+_NOTED = (FILE, ORIGIN, TRUTH)  # under OWN: what is still so when it is opened
 
 
 def save_image(layer: Any, pixels: NDArray[Any], frame: Frame) -> SavedImage:
@@ -80,12 +79,12 @@ def save_layer(
     if kind == "surface":
         options["contrast_limits"] = [float(limit) for limit in layer.contrast_limits]
         options["colormap"] = _save_colormap(layer.colormap)
-    own = {k: v for k, v in layer.metadata.get(OWN, {}).items() if k not in _DROPPED}
+    known = {k: v for k, v in layer.metadata.get(OWN, {}).items() if k in _NOTED}
     return SavedLayer(
         kind=kind,
         name=layer.name,
         arrays={name: np.array(array) for name, array in found.items()},
-        options={**options, "known": _jsonable(own)},
+        options={**options, "known": known},
         **place,
     )
 
@@ -135,18 +134,9 @@ def _labels(layer: Any, step: tuple[int, ...], point: tuple[float, ...]) -> dict
 def _surface(
     layer: Any, step: tuple[int, ...], point: tuple[float, ...]
 ) -> dict[str, NDArray[Any]]:
-    vertices, faces, values = (np.asarray(part) for part in layer.data[:3])
-    vertices, faces = joined(vertices, faces, layer.metadata)
-    values = values[: len(vertices)]
-    regions = layer.metadata.get(OWN, {}).get("regions")
-    kept = at_time(layer, vertices, point)[faces].all(axis=1)
-    if not kept.all():
-        used, inverse = np.unique(faces[kept], return_inverse=True)
-        vertices, values, faces = vertices[used], values[used], inverse.reshape(-1, 3)
-    arrays = {"vertices": vertices[:, -3:], "faces": faces, "values": values}
-    if regions is not None and len(regions) == len(kept):
-        arrays["regions"] = np.asarray(regions)[kept]
-    return arrays
+    vertices, faces, regions, used = shown_surface(layer, point)
+    arrays = {"vertices": vertices, "faces": faces, "values": np.asarray(layer.data[2])[used]}
+    return arrays if regions is None else {**arrays, "regions": regions}
 
 
 def _place(layer: Any) -> dict[str, Any]:
@@ -191,16 +181,3 @@ def _colormap(saved: dict[str, Any]) -> Any:
 def _plain(value: Any) -> Any:
     """A number, or the name of one of napari's choices."""
     return value if isinstance(value, (bool, int, float)) else str(getattr(value, "value", value))
-
-
-def _jsonable(values: dict[str, Any]) -> dict[str, Any]:
-    """The entries of a dict whose values JSON can hold."""
-
-    def fits(value: Any) -> bool:
-        try:
-            json.dumps(value)
-        except (TypeError, ValueError):
-            return False
-        return True
-
-    return {str(key): value for key, value in values.items() if fits(value)}

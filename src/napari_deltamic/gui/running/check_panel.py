@@ -38,7 +38,6 @@ class CheckPanel(QGroupBox):
     def __init__(self, doc: Document, edits: Edits, control: Any, parent: QWidget) -> None:
         super().__init__("4  Check", parent)
         self._doc = doc
-        self.last_verdict = ("", "")
         self._failed = ""  # why the last fit of the image chosen did not start
         self._note_of: Any = None  # the image that the note is about
         self._offset = 0  # iterations of the runs before the present one
@@ -101,8 +100,6 @@ class CheckPanel(QGroupBox):
                 f"{abs(spots[0].z):.0f} standard deviations of the noise."
             )
 
-    # ----------------------------------------------------------------------------------- inside
-
     def _connect(self) -> None:
         doc = self._doc
         self.view.currentTextChanged.connect(doc.look)
@@ -161,7 +158,6 @@ class CheckPanel(QGroupBox):
 
     def _show_verdict(self, verdict: str, text: str) -> None:
         """How it ended, in the first line of a text; those after it are remarks, in a list."""
-        self.last_verdict = (verdict, text)
         said, *remarks = text.split("\n")
         self.verdict.say(said, verdict)
         self.remarks.set_title(counted(len(remarks), "remark"))

@@ -138,8 +138,6 @@ class Edits(QObject):
         """Do again what was undone last."""
         self._take(self._undone, self._done, "redo")
 
-    # ----------------------------------------------------------------------------------- inside
-
     def _began(self, fresh: bool) -> None:
         if fresh:  # another mesh
             self._asked = self._told = None

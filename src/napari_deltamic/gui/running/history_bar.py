@@ -124,7 +124,7 @@ class HistoryBar(QWidget):
     def _choose(self, moment: Moment | None) -> None:
         if moment is not self.chosen:
             self.chosen = moment
-            self._doc.earlier = moment is not None
+            self._doc.look_back(moment is not None)
             self._show()
             if moment is None:
                 self._control.let_go()

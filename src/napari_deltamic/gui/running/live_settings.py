@@ -18,7 +18,6 @@ from ...scene.effects import Effects, ViewEffect, kind_of
 from ..document import Document
 from .edits import Edits
 
-_SCENE = {"voxel_size": "voxel size", "view": kind_of(ViewEffect).title}
 _FIT = described(FitSettings)
 
 
@@ -31,7 +30,7 @@ class LiveSettings:
         self._fit: FitSettings | None = None  # of the fit, as it was last told
         self._shown: FitSettings | None = None  # what was chosen then
         self._psf = ""  # that was chosen then
-        self._scene: dict[str, Any] = {}
+        self._fixed: dict[str, Any] = {}  # what cannot change, by its title
         self._effects = Effects()  # those that were chosen then
         doc.work.changed.connect(self._started)
         doc.began.connect(self._began)
@@ -50,9 +49,9 @@ class LiveSettings:
         except InputError:
             # A fit that goes on from the history has its own image and second view, whatever has
             # become of those in the panels.
-            self._scene, self._effects = {}, settings.effects
+            self._fixed, self._effects = {}, settings.effects
         else:
-            self._scene, self._effects = _scene(scene), scene.effects
+            self._fixed, self._effects = _fixed(scene), scene.effects
 
     def _began(self, fresh: bool) -> None:
         present = self._doc.present()
@@ -141,11 +140,9 @@ class LiveSettings:
 
     def _tell_fixed(self) -> None:
         """What cannot change on the way is told once."""
-        now = _scene(self._doc.settings.scene_settings())
-        self._scene = self._scene or now
-        other = [title for name, title in _SCENE.items() if now[name] != self._scene.get(name)]
+        before, self._fixed = self._fixed, _fixed(self._doc.settings.scene_settings())
+        other = [title for title, value in self._fixed.items() if before.get(title, value) != value]
         if other:
-            self._scene = now
             self._doc.noted.emit(f"{' and '.join(other)}: used from the next run on")
 
     def _undone(self, back: Change) -> None:
@@ -166,8 +163,8 @@ class LiveSettings:
             self._effects = settings.scene_settings().effects
 
 
-def _scene(settings: SceneSettings) -> dict[str, Any]:
-    return {"voxel_size": settings.voxel_size, "view": settings.effects.view}
+def _fixed(scene: SceneSettings) -> dict[str, Any]:
+    return {"voxel size": scene.voxel_size, kind_of(ViewEffect).title: scene.effects.view}
 
 
 def _words(name: str, value: Any) -> str:

@@ -88,9 +88,8 @@ class RunControl:
         # The seeds of that fit would not repeat this one.
         job = record.job.with_settings(fit=fit, scene=scene, seeds="")
         job = replace(job, mesh=mesh, optics=optics)
-        first = None
-        if pinned is not None and pinned.any():
-            first = Change(mesh=mesh, pinned=pinned)
+        some = pinned is not None and pinned.any()
+        first = Change(mesh=mesh, pinned=pinned) if some else None
         doc.mend_link(record)
         self._launch(record, lambda: job, fresh=False, first=first)
 
@@ -168,7 +167,7 @@ class RunControl:
         if state is not None:
             done = "" if "iterations" in text else f"{state.iteration} iterations, "
             text += f" ({done}{duration(run.seconds)})"
-        record.words = outcome.verdict, "\n".join([text, *remarks])
+        record.end(outcome.verdict, "\n".join([text, *remarks]))
         if outcome.verdict == "failed":
             doc.warned.emit(outcome.message)
         if state is None or job is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from napari.layers import Labels, Points, Surface
 from numpy.typing import NDArray
+from scipy.ndimage import affine_transform
 
 from ...errors import InputError
 from ...geometry import Mesh
@@ -86,35 +87,43 @@ def at_time(layer: Any, data: NDArray[Any], point: tuple[float, ...]) -> NDArray
     return kept
 
 
-def without_place(layer: Any, point: tuple[float, ...] = ()) -> NDArray[np.int64]:
-    """Rows of a Points layer (at the time shown) whose coordinates are not all numbers."""
+def without_place(layer: Any, point: tuple[float, ...] = ()) -> str:
+    """Numbers of points (at the time shown) whose coordinates are not all numbers; '' for none."""
     data = np.asarray(layer.data, float)
-    return np.flatnonzero(at_time(layer, data, point) & ~np.isfinite(data[:, -3:]).all(axis=1))
+    rows = np.flatnonzero(at_time(layer, data, point) & ~np.isfinite(data[:, -3:]).all(axis=1))
+    return ", ".join(str(row + 1) for row in rows[:6].tolist())
 
 
 def mesh_of_surface(layer: Any, frame: Frame, point: tuple[float, ...] = ()) -> Mesh:
     """A Surface layer as a mesh, um in a frame; with the regions that a fit has noted in it."""
-    vertices, faces = np.asarray(layer.data[0], float), np.asarray(layer.data[1])
-    if vertices.ndim != 2 or vertices.shape[1] < 3 or not len(faces):
+    if np.shape(layer.data[0])[1] < 3 or not len(layer.data[1]):
         raise InputError(f"layer '{layer.name}' holds no surface")
-    vertices, faces = joined(vertices, faces, layer.metadata)
+    vertices, faces, regions, _ = shown_surface(layer, point)
+    if not len(faces):
+        raise InputError(f"layer '{layer.name}' holds no surface at this time point")
     scale, shift = frame.data_to_um(layer)
     if np.prod(scale) < 0:  # a mirrored layer, in which what was outside is inside
         faces = faces[:, ::-1]
-    regions = layer.metadata.get(OWN, {}).get("regions")
-    if regions is not None and len(regions) != len(faces):
-        regions = None
-    shown = at_time(layer, vertices, point)[faces].all(axis=1)
-    if not shown.any():
-        raise InputError(f"layer '{layer.name}' holds no surface at this time point")
-    if not shown.all():
-        faces, regions = faces[shown], None if regions is None else regions[shown]
-        used, faces = np.unique(faces, return_inverse=True)
-        vertices, faces = vertices[used], faces.reshape(-1, 3)
-    mesh = Mesh(vertices[:, -3:] * scale + shift, faces, regions)
+    mesh = Mesh(vertices.astype(float) * scale + shift, faces, regions)
     if mesh.is_closed() and regions is None and mesh.region_volume(1) < 0:
         return Mesh(mesh.vertices, mesh.faces[:, ::-1])  # wound the other way
     return mesh
+
+
+def shown_surface(layer: Any, point: tuple[float, ...]) -> tuple[Any, Any, Any, Any]:
+    """Of a Surface layer, at the time shown: vertices (V, 3), faces, and the regions noted, if any.
+
+    Last, which of the layer's vertices these are.
+    """
+    vertices, faces = joined(np.asarray(layer.data[0]), np.asarray(layer.data[1]), layer.metadata)
+    used, regions = np.arange(len(vertices)), layer.metadata.get(OWN, {}).get("regions")
+    if regions is not None and len(regions) != len(faces):
+        regions = None
+    shown = at_time(layer, vertices, point)[faces].all(axis=1)
+    if not shown.all():
+        faces, regions = faces[shown], None if regions is None else np.asarray(regions)[shown]
+        used, faces = np.unique(faces, return_inverse=True)
+    return vertices[used, -3:], faces.reshape(-1, 3), regions, used
 
 
 def _points(layer: Any, frame: Frame, point: tuple[float, ...], *, spheres: bool) -> PointSeeds:
@@ -126,10 +135,9 @@ def _points(layer: Any, frame: Frame, point: tuple[float, ...], *, spheres: bool
     shown = at_time(layer, data, point)
     if not shown.any():
         raise InputError(f"layer '{layer.name}' has no points at this time point")
-    placeless = without_place(layer, point)
-    if len(placeless):
-        named = ", ".join(str(row + 1) for row in placeless[:6].tolist())
-        raise InputError(f"layer '{layer.name}': point {named} has no position (nan): delete it")
+    lost = without_place(layer, point)
+    if lost:
+        raise InputError(f"layer '{layer.name}': point {lost} has no position (nan): delete it")
     scale, shift = frame.data_to_um(layer)
     points = data[:, -3:] * scale + shift
     if frame.shape is not None:  # points beside the region belong to other cells
@@ -144,12 +152,7 @@ def _points(layer: Any, frame: Frame, point: tuple[float, ...], *, spheres: bool
 
 
 def _labels(
-    layer: Any,
-    frame: Frame,
-    step: tuple[int, ...],
-    shape: tuple[int, ...] | None,
-    *,
-    copied: bool,
+    layer: Any, frame: Frame, step: tuple[int, ...], shape: tuple[int, ...] | None, *, copied: bool
 ) -> LabelSeeds:
     labels = stack_of(layer, step)
     if labels.ndim != 3:
@@ -164,25 +167,11 @@ def _labels(
             f"layer '{layer.name}' does not lie on the voxels of the image: give both layers the "
             "same scale and translation"
         )
-    return LabelSeeds(_resampled(labels, *frame.data_to_um(layer), frame.voxel_size, shape))
-
-
-def _resampled(
-    labels: NDArray[Any],
-    scale: FloatArray,
-    shift: FloatArray,
-    size: Sequence[float],
-    shape: tuple[int, ...],
-) -> NDArray[Any]:
-    """The nearest label at each voxel of an image, 0 beside all; scale and shift, size: um."""
-    places = [
-        np.floor((np.arange(n) * d - s) / k + 0.5).astype(int)
-        for n, d, s, k in zip(shape, size, shift, scale, strict=True)
-    ]
-    inside = [(p >= 0) & (p < m) for p, m in zip(places, labels.shape, strict=True)]
-    found = np.zeros(shape, labels.dtype)
-    found[np.ix_(*inside)] = labels[np.ix_(*(p[i] for p, i in zip(places, inside, strict=True)))]
-    return found
+    # The nearest label at each voxel of the image, 0 beside all.
+    scale, shift = frame.data_to_um(layer)
+    places = np.diag(np.divide(frame.voxel_size, scale)), -shift / scale
+    how: Any = {"output": labels.dtype, "order": 0, "mode": "grid-constant"}
+    return LabelSeeds(affine_transform(labels, *places, output_shape=shape, **how))
 
 
 @dataclass(frozen=True)
@@ -215,6 +204,14 @@ class CellSource(LayerTicks):
         self.spheres = False
         self.preview_mesh: Mesh | None = None
         super().__init__(viewer, is_seeds)
+
+    def take_preview(self, mesh: Mesh | None) -> None:
+        """Other surfaces are shown of the cells."""
+        self.preview_mesh = mesh
+
+    def be_spheres(self, on: bool) -> None:
+        """Whether points are to be spheres."""
+        self.spheres = on
 
     def seeds(self, frame: Frame, *, copied: bool = True) -> Seeds:
         """The seeds. InputError where there are none, or they cannot be used."""
@@ -264,13 +261,10 @@ class CellSource(LayerTicks):
 
     def _placeless(self) -> list[Remark]:
         """Points that lie nowhere; their layers cannot be used before these are gone."""
-        found = []
-        for layer in self.points_layers():
-            rows = without_place(layer, self._point()).tolist()
-            if rows:
-                named = ", ".join(str(row + 1) for row in rows[:6])
-                found.append(Remark(f"Point {named} of '{layer.name}' has no position: delete it"))
-        return found
+        layers, point = self.points_layers(), self._point()
+        found = [(layer.name, without_place(layer, point)) for layer in layers]
+        text = "Point {} of '{}' has no position: delete it"
+        return [Remark(text.format(lost, name)) for name, lost in found if lost]
 
     def _point_sets(self, frame: Frame) -> list[PointSet]:
         """The points of each layer; layers that cannot be used are told when a fit starts."""

@@ -69,8 +69,8 @@ class Corrections(QObject):
         self._corrector_data: Any = None
         self._clicked_in: Any = None  # the layer whose cells the tool corrects
         self._background = doc.background(self._fail)
-        doc.at_end(self._let_go)
         self._presses = Presses(doc.viewer, self._pressed)
+        doc.at_end(partial(self._listen, None))
         bar.tool_chosen.connect(self._tool_chosen)
 
     @property
@@ -92,7 +92,7 @@ class Corrections(QObject):
             self._listen(layer)
             self.bar.explain()
         in_use = self.bar.tool is not None
-        self.count.say(counted(_cells(np.asarray(layer.data)), "cell") if in_use else "")
+        self.count.say(counted(cells_in(np.asarray(layer.data)), "cell") if in_use else "")
 
     def click(self, place: FloatArray) -> None:
         """Use the tool at a place, um in the image's frame."""
@@ -132,11 +132,6 @@ class Corrections(QObject):
         self._waiting, self._corrector, self._first = [], None, None
         self._background.drop()
         self.bar.explain()
-
-    def _let_go(self) -> None:
-        """The window is closed."""
-        self._listen(None)
-        self._waiting, self._corrector = [], None
 
     # ------------------------------------------------------------------------------------ mouse
 
@@ -256,7 +251,7 @@ def _can_be_corrected(layer: Any) -> bool:
     return isinstance(layer, Labels) and layer.ndim == 3 and not layer.multiscale
 
 
-def _cells(labels: NDArray[Any]) -> int:
+def cells_in(labels: NDArray[Any]) -> int:
     """How many labels there are, however large their numbers."""
     if labels.max(initial=0) > labels.size:
         return int((np.unique(labels) > 0).sum())

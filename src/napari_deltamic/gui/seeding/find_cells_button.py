@@ -22,6 +22,7 @@ from ..document import Document
 from ..viewing.colours import label_colormap
 from ..viewing.frame import Frame
 from ..widgets import Signal, sentence, slider
+from .corrections import cells_in
 
 NAME = "found cells"
 _OTHERS = 3  # sizes that are offered besides the one used, at most
@@ -99,9 +100,8 @@ class FindCells(QPushButton):
         """Labels were edited: cells that touch now differ too, and there may be more or fewer."""
         layer = self._layer
         if layer is not None and layer in self._viewer.layers:
-            layer.colormap = label_colormap(np.asarray(layer.data))
-            n = len(np.unique(layer.data[layer.data > 0]))
-            self._tell(f"{counted(n, 'cell')}.", self.others)
+            layer.colormap = label_colormap(layer.data)
+            self._tell(f"{counted(cells_in(layer.data), 'cell')}.", self.others)
 
     def find_with(self, size: float | str) -> None:
         self._set_size(float(size))
@@ -120,9 +120,9 @@ class FindCells(QPushButton):
             others = [(one.size, one.cells) for one in result.others[:_OTHERS]]
             self._sizes = [(size, 0), *others]
         layer, self._found_in = self._layer_for(frame, labels), image_layer
-        n = len(np.unique(labels[labels > 0]))
         others = [(s, k) for s, k in self._sizes if abs(s / size - 1) > _SAME]
-        self._tell(f"Found {counted(n, 'cell')} of about {size:.3g} µm.", others)
+        found = counted(cells_in(labels), "cell")
+        self._tell(f"Found {found} of about {size:.3g} µm.", others)
         self._cells.choose(layer)
 
     def _layer_for(self, frame: Frame, labels: NDArray[np.int32]) -> Any:

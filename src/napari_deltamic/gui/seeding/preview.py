@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from qtpy.QtWidgets import QCheckBox, QWidget
@@ -12,13 +12,12 @@ from qtpy.QtWidgets import QCheckBox, QWidget
 from ...geometry import Mesh
 from ...runs.seed_preview import COARSEST, SMALL, Found, Problem, coarsening, find
 from ..document import Document
-from ..viewing.frame import Frame
+from ..viewing.frame import MADE_BY_FIT, Frame
 from ..viewing.mesh_layers import MeshLayers
 from ..widgets import Signal
 from ..window_words import attempt
-from .cell_source import Wanted
+from .cell_source import PREVIEW, Wanted
 
-_LOOK = {"opacity": 0.5, "blending": "translucent_no_depth"}
 WAIT = 400  # ms without a click before the preview is computed
 _TIP = (
     "<qt>Shows, shortly after each click, the membrane that was found around each point: contours "
@@ -143,13 +142,18 @@ class StartLayers(MeshLayers):
     on_removed : called when one of the layers, or the image, is removed: whether by a user.
     """
 
+    names = ("start", "start contours")
+    low = True
+    known: ClassVar[Mapping[str, Any]] = {**MADE_BY_FIT, PREVIEW: True}
+    surface_options: ClassVar[Mapping[str, Any]] = {
+        "opacity": 0.5,
+        "blending": "translucent_no_depth",
+    }
+
     def __init__(
         self, viewer: Any, image_layer: Any, frame: Frame, on_removed: Callable[[bool], None]
     ) -> None:
-        name = image_layer.name
-        names = (f"{name}: start", f"{name}: start contours")
-        known = {"fit": True, "preview": True}
-        super().__init__(viewer, image_layer, frame, names, known, _LOOK)
+        super().__init__(viewer, image_layer, frame)
         self.mesh: Mesh | None = None
         self._on_removed = on_removed
         self.connections.connect(viewer.layers.events.removed, self._removed)
@@ -163,11 +167,6 @@ class StartLayers(MeshLayers):
         self.take_time()
         self.mesh = mesh
         self.draw(mesh)
-
-    def add_layers(self, *layers: Any) -> None:
-        """Just above the image: under what else is shown of it."""
-        for layer in layers:
-            self.add(layer, above=True)
 
     def _removed(self, event: Any) -> None:
         if event.value in (self.surface, self.contours.layer, self.image_layer):

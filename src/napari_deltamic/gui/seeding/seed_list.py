@@ -5,7 +5,6 @@ from __future__ import annotations
 from html import escape
 from typing import Any
 
-import numpy as np
 from napari.layers import Labels, Points, Surface
 from qtpy.QtCore import QSize, Qt
 from qtpy.QtWidgets import QAbstractItemView, QListWidget, QListWidgetItem, QSizePolicy, QWidget
@@ -13,6 +12,7 @@ from superqt.utils import signals_blocked
 
 from ...runs.seed_checks import Remark
 from ..layer_choice import LayerTicks
+from ..viewing.frame import go_to
 from ..widgets import Note
 from .cell_source import seed_kind
 
@@ -102,21 +102,18 @@ class Remarks(Note):
         """Select the points that a remark is about, and go to the first."""
         if int(link) >= len(self.remarks):
             return
-        rows: dict[int, tuple[Any, set[int]]] = {}
+        rows: dict[Any, set[int]] = {}  # by layer
         for layer, row in self.remarks[int(link)].points:
             if layer in self._viewer.layers and row < len(layer.data):
-                rows.setdefault(id(layer), (layer, set()))[1].add(row)
+                rows.setdefault(layer, set()).add(row)
         if not rows:
             return
-        viewer = self._viewer
-        viewer.layers.selection = {layer for layer, _ in rows.values()}
-        for layer, chosen in rows.values():
+        self._viewer.layers.selection = set(rows)
+        for layer, chosen in rows.items():
             layer.mode = "select"
             layer.selected_data = chosen
-        layer, chosen = next(iter(rows.values()))
-        world = np.asarray(layer.data_to_world(layer.data[min(chosen)]))
-        n = viewer.dims.ndim
-        viewer.dims.set_point(range(n - 3, n), [float(w) for w in world[-3:]])
+        layer, chosen = next(iter(rows.items()))
+        go_to(self._viewer, layer.data_to_world(layer.data[min(chosen)])[-3:])
 
     def forget(self) -> None:
         """Let the layers go."""

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from napari.layers import Points
-from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QFileDialog, QFormLayout, QGroupBox, QWidget
 
 from ...common.words import counted
@@ -22,6 +21,7 @@ from ..viewing.listening import Connections
 from ..viewing.own_layers import Points as SeedPoints
 from ..viewing.own_layers import cut_by_slices
 from ..widgets import Note, button, narrow_box, row, sentence, slider
+from ..work import one_shot
 from .corrections import Corrections
 from .find_cells_button import FindCells
 from .preview import Preview
@@ -46,9 +46,7 @@ class SeedsPanel(QGroupBox):
         self._used = False  # whether a result that started from them is shown
         self._make_fields()
         self._lay_out()
-        self._later = QTimer(self)
-        self._later.setSingleShot(True)
-        self._later.setInterval(_WAIT)
+        self._later = one_shot(self, self._look, _WAIT)
         self._connect()
         self._image_changed()
         self._layers_chosen()
@@ -175,7 +173,6 @@ class SeedsPanel(QGroupBox):
         doc.finish_placing.connect(self.finish_placing)
         doc.meshes_came.connect(self.make_room)
         doc.clicks_wanted.connect(self.add_clicks)
-        self._later.timeout.connect(self._look)
         self._image.changed.connect(self._image_changed)
         doc.listen(self._viewer.dims.events.current_step, self._step_changed)
 
@@ -234,7 +231,7 @@ class SeedsPanel(QGroupBox):
                 self._later.start()
 
     def _shape_chosen(self, text: str) -> None:
-        self.cells.spheres = text == _SPHERES
+        self.cells.be_spheres(text == _SPHERES)
         self._resize(everything=True)  # not only the point that was added last
         self._show()
         self._show_soon()
@@ -254,7 +251,7 @@ class SeedsPanel(QGroupBox):
         self._doc.cells_changed.emit()
 
     def _previewed(self) -> None:
-        self.cells.preview_mesh = self.preview.mesh if self.preview.isChecked() else None
+        self.cells.take_preview(self.preview.mesh if self.preview.isChecked() else None)
         self._show_remarks()
         self._doc.cells_changed.emit()
 

@@ -17,13 +17,7 @@ from ...accuracy.renewed_forecast import RenewedForecast
 from ...accuracy.rough_surfaces import points_of
 from ...common.words import duration
 from ...errors import InputError
-from ...fitting.default_accuracy import (
-    PRESETS,
-    Preset,
-    accuracy_of,
-    chosen,
-    relative,
-)
+from ...fitting.default_accuracy import PRESETS, Preset, accuracy_of, chosen, relative
 from ...geometry import Mesh
 from ..document import Document
 from ..fit_choice import NORMAL
@@ -212,11 +206,8 @@ def _known_surfaces(doc: Document, points: int) -> Mesh | None:
     """What the preview shows, else what the fit of this image has or found."""
     if doc.cells.preview_mesh is not None:
         return doc.cells.preview_mesh
-    record = doc.record
-    if record is None or record.link.image_layer is not doc.image.layer:
+    present, link = doc.present(), doc.link
+    if present is None or link is None or link.image_layer is not doc.image.layer:
         return None
-    state = doc.run.state if doc.running else record.state
-    if state is None:
-        return None
-    mesh: Mesh = state.mesh
+    mesh = present.state.mesh
     return mesh if len(np.unique(mesh.regions[mesh.regions > 0])) == points else None

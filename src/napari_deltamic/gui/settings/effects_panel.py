@@ -20,16 +20,7 @@ from ...scene.effects import KINDS, Effects, ViewEffect, kind_of
 from ..document import Document
 from ..fields import TripleField
 from ..viewing.listening import Connections
-from ..widgets import (
-    LayerChooser,
-    Note,
-    Signal,
-    TaskButton,
-    button,
-    column,
-    row,
-    sentence,
-)
+from ..widgets import LayerChooser, Note, Signal, TaskButton, button, column, row, sentence
 from ..work import Question
 from .accuracy_forecast import scene_key
 from .effects_table import EffectsTable, spoken
@@ -116,8 +107,10 @@ class EffectsPanel(QWidget):
         if same:
             return (lambda: job), state
         fit = job.settings.fit.model_copy(update={"levels": NEAR_LEVELS})
-        job = replace(job.with_settings(scene=scene, fit=fit), second=doc.second.pixels())
-        return partial(_from_there, job, state), None
+        job = job.with_settings(scene=scene, fit=fit)
+        # It starts where the earlier one ended; its PSF is computed in the thread.
+        start_there = partial(replace, job, mesh=state.mesh, second=doc.second.pixels())
+        return (lambda: start_there(optics=optics_of(scene))), None
 
     def show_found(self, found: Recommendation | None) -> None:
         """Show what the image calls for; None: nothing is known."""
@@ -127,8 +120,6 @@ class EffectsPanel(QWidget):
         self.remarks.say("; ".join(lines))
         self._explain("")
         self._show_outcome()
-
-    # ----------------------------------------------------------------------------------- inside
 
     def _question(self) -> Question:
         return Question(
@@ -208,11 +199,6 @@ class EffectsPanel(QWidget):
             return
         known = {e.name: e.reason for e in (self.found.evidence if self.found else ())}
         self.reason.say(f"{spoken(name)}: {known.get(name) or KINDS[name].help}")
-
-
-def _from_there(job: FitInput, state: FitState) -> FitInput:
-    """A fit that starts where an earlier one ended."""
-    return replace(job, mesh=state.mesh, optics=optics_of(job.settings.scene))
 
 
 def _check(

@@ -7,13 +7,7 @@ from typing import Any
 
 from qtpy.QtCore import QSignalBlocker, Qt
 from qtpy.QtGui import QShowEvent
-from qtpy.QtWidgets import (
-    QAbstractItemView,
-    QHeaderView,
-    QTableWidget,
-    QTableWidgetItem,
-    QWidget,
-)
+from qtpy.QtWidgets import QAbstractItemView, QHeaderView, QTableWidget, QTableWidgetItem, QWidget
 
 from ...evidence import Evidence
 from ...scene.effects import KINDS
@@ -82,8 +76,6 @@ class EffectsTable(QTableWidget):
         """Qt's; before it is shown, the theme has not decided how high a row is."""
         super().showEvent(event)
         self._fit_height()
-
-    # ----------------------------------------------------------------------------------- inside
 
     def _fill(self) -> None:
         blocker = QSignalBlocker(self)

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from qtpy.QtCore import QTimer
 from qtpy.QtGui import QImage, QPixmap, QShowEvent
 from qtpy.QtWidgets import QComboBox, QFormLayout, QLabel, QWidget
 from skimage.transform import resize
@@ -23,6 +22,7 @@ from ..document import Document
 from ..fields import TripleField, tip_of
 from ..fit_choice import widths_in_words
 from ..widgets import Note, Signal, column
+from ..work import one_shot
 from .psf_fields import MeasuredFields, ObjectiveFields
 
 GAUSSIAN, OBJECTIVE, MEASURED, GIVEN = "Gaussian", "from the objective", "measured", "as given"
@@ -72,8 +72,7 @@ class OpticsPanel(QWidget):
             fields.edited.connect(self._edited)
         self.sigma.edited.connect(self._choice.edit_sigma)
         self._choice.changed.connect(self._show)
-        doc.shown.connect(self._show_of_fit)
-        for signal in (doc.image.changed, doc.result_changed, doc.ended):
+        for signal in (doc.shown, doc.image.changed, doc.result_changed, doc.ended):
             signal.connect(self._show_own_or_found)
         self._show()
 
@@ -91,9 +90,6 @@ class OpticsPanel(QWidget):
         more = "cannot be used" if self.trouble.text() else self._width
         return f"{name}, {more}" if more else name
 
-    def _show_of_fit(self, snapshot: Any) -> None:
-        self.picture.show_optics(snapshot.state.optics)
-
     def _show_own_or_found(self) -> None:
         """In the picture: what the fit of the image found, else the PSF of these fields."""
         present = self._doc.present()
@@ -101,8 +97,6 @@ class OpticsPanel(QWidget):
             self.picture.show_optics(present.state.optics)
         else:
             self._show_own()
-
-    # ----------------------------------------------------------------------------------- inside
 
     def _edited(self, value: Any = None) -> None:
         self._choice.edit_psf(self._settings)
@@ -193,10 +187,7 @@ class PsfPicture(QLabel):
         self.sections: Sections | None = None
         self._wanted: Optics | None = None  # not yet shown
         self._background = doc.background(self._drop)
-        self._timer = QTimer(self)
-        self._timer.setSingleShot(True)
-        self._timer.setInterval(_EVERY)
-        self._timer.timeout.connect(self._look)
+        self._timer = one_shot(self, self._look, _EVERY)
         self.setFixedHeight(_SIDE + 2)
         self._tip = (
             "<qt>The PSF, cut along the optical axis (left) and across it, both to one scale; that "

@@ -75,7 +75,7 @@ class Preferences(BaseModel):
         optics.begin_with(self.objective, self.psf)
         preview.prefer(self.preview_seeds)
         doc.look("rendered" if self.show_rendered else "image")
-        doc.work.interval = 1 / self.updates_per_second
+        doc.work.look_at_most(self.updates_per_second)
 
 
 def read_preferences() -> tuple[Preferences, str]:

@@ -19,8 +19,16 @@ from ..widgets import Signal, button, column
 from ..window_words import attempt
 
 _FILES = f"images ({' '.join(f'*{kind}' for kind in IMAGE_FILES if kind != ZARR)})"
-_LIT = ("confocal", "spinning disk")
-_LAYERED = ("vectorial", "gibson-lanni")
+_LIT = "modality", ("confocal", "spinning disk")
+_LAYERED = "model", ("vectorial", "gibson-lanni")
+# What is only shown where another field has one of some choices.
+_SHOWN_FOR = {
+    "excitation": _LIT,
+    "pinhole": _LIT,
+    "sheet": ("modality", ("light sheet",)),
+    "sample_index": _LAYERED,
+    "depth": _LAYERED,
+}
 
 
 class ObjectiveFields(Form):
@@ -53,19 +61,11 @@ class ObjectiveFields(Form):
             self.show_values(settings)
         self._show_rows()
 
-    # ----------------------------------------------------------------------------------- inside
-
     def _needs(self, name: str) -> bool:
-        modality, model = self.modality.currentText(), self.model.currentText()
-        if name in ("excitation", "pinhole"):
-            return bool(modality in _LIT)
-        if name == "sheet":
-            return bool(modality == "light sheet")
-        if name == "sample_index":
-            return bool(model in _LAYERED)
-        if name == "depth":
-            return model in _LAYERED and self.numbers["sample_index"].value() > 0
-        return True
+        other, choices = _SHOWN_FOR.get(name, ("", ()))
+        if other and self.fields[other].currentText() not in choices:
+            return False
+        return name != "depth" or bool(self.numbers["sample_index"].value() > 0)
 
     def _show_rows(self) -> None:
         for name in self.fields:
@@ -123,8 +123,6 @@ class MeasuredFields(QWidget):
         if size is not None:
             self.form.show_value("voxel_size", size)
         self.edited.emit()
-
-    # ----------------------------------------------------------------------------------- inside
 
     def _show_file(self, path: str) -> None:
         self.file = path

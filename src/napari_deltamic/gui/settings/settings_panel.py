@@ -72,8 +72,6 @@ class SettingsPanel(QGroupBox):
         self.fit_psf.setChecked(True)
         self.density.setCurrentText("smooth")
 
-    # ----------------------------------------------------------------------------------- inside
-
     def _lay_out(self) -> Fold:
         # napari's style would draw it as one of its square icons.
         self.psf_button.setStyleSheet(

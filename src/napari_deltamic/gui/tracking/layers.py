@@ -15,7 +15,7 @@ from ...tracking import FrameResult, lineage, surface_4d
 from ..viewing.colours import PALETTE_RGBA, in_steps, region_colours
 from ..viewing.frame import MADE_BY_FIT, OWN, Frame
 from ..viewing.mesh_layers import MeshLayers
-from ..viewing.own_layers import Surface, Tracks
+from ..viewing.own_layers import Tracks
 
 _COLOUR = "colour"  # the feature by which paths have the colours of their cells
 
@@ -30,14 +30,13 @@ class TrackLayers(MeshLayers):
     on_time : called when another time, or slice, is shown.
     """
 
+    names = ("tracked surfaces", "tracked contours")
     at_time = True  # whatever is shown
 
     def __init__(
         self, viewer: Any, image_layer: Any, frame: Frame, on_time: Callable[[], None]
     ) -> None:
-        name = image_layer.name
-        names = (f"{name}: tracked surfaces", f"{name}: tracked contours")
-        super().__init__(viewer, image_layer, frame, names)
+        super().__init__(viewer, image_layer, frame)
         self.results: dict[int, FrameResult] = {}
         self.tracks: Tracks | None = None
         self._coloured: Mapping[int, int] = {}  # colours that the surface has
@@ -85,16 +84,9 @@ class TrackLayers(MeshLayers):
         last = int(cells.max())
         layer = self.surface
         if layer is None:
-            layer = self.surface = Surface(
-                data,
-                name=self._name,
-                shading="smooth",
-                visible=self._belongs(),
-                metadata={OWN: dict(MADE_BY_FIT)},
-                **self._options(),
-            ).lie_on(self.image_layer)
-            self._placed = self._belongs()
-            self.add_layers(layer, self.contours.layer)
+            layer = self._make_surface(data, shading="smooth", **self._options())
+            self.add(layer)
+            self.add(self.contours.layer)
         elif layer in self.viewer.layers:
             layer.data = data
         if layer.contrast_limits[1] != last + 0.5 or self._coloured != self.contours.colours:

@@ -1,39 +1,52 @@
-"""Track and save; the cells of the frame that is shown."""
+"""Track and save a series, and the cells of the frame that is shown."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
 
-from qtpy.QtWidgets import (
-    QCheckBox,
-    QFileDialog,
-    QGroupBox,
-    QLabel,
-    QVBoxLayout,
-    QWidget,
-)
+from qtpy.QtWidgets import QCheckBox, QFileDialog, QGroupBox, QLabel, QVBoxLayout, QWidget
 
-from ...common.words import counted
+from ...common.words import counted, duration
+from ...errors import InputError
+from ...evidence.put_together import put_together, start_of
+from ...fitting.job import FitInput, optics_of
 from ...measure import measure_cells
+from ...results.session_file import SavedTracks
+from ...results.track_report import write_frame, write_tracks
+from ...runs.seeds import SeedKind, Seeds
+from ...runs.settings import validated
+from ...runs.track_run import TrackRun
+from ...scene import Grid
 from ...tracking import FrameResult, TrackSettings
 from ..cell_table import CellTable
-from ..widgets import Note, Signal, button, filled, row
+from ..document import Document
+from ..layer_channels import origin_of
+from ..viewing.frame import Frame, data_of
+from ..widgets import Note, button, filled, row
+from ..window_words import attempt
+from ..work import Outcome
+from .layers import TrackLayers
+from .track_work import Frames, TrackJob, TrackWork
 
 
 class TrackPanel(QGroupBox):
-    """Shown for an image over time; ``save`` brings the folder that was chosen."""
+    """Tracks the series that is chosen, and shows it in the viewer; there for images over time."""
 
-    save = Signal(str)
-
-    def __init__(self, parent: QWidget | None = None) -> None:
+    def __init__(self, doc: Document, parent: QWidget | None = None) -> None:
         super().__init__("Track", parent)
+        self._doc = doc
+        self.work: TrackWork | None = None  # the last run, or that of a session
+        self.layers: TrackLayers | None = None
+        self._seeds: list[Any] = []  # layers that the run started from
         tip = (
             "Fit the frame shown from the seeds, and every later frame from the one before. Cells "
             "keep their numbers."
         )
-        self.track_button = button("Track", tip, None, self)
+        self.track_button = button("Track", tip, self.start, self)
         tip = "Go on after the last frame that was tracked."
-        self.go_on_button = button("Go on", tip, None, self)
+        self.go_on_button = button("Go on", tip, self.go_on, self)
         self.divisions = QCheckBox("cells may divide", self)
         self.divisions.setChecked(TrackSettings().divisions)
         described = TrackSettings.model_fields["divisions"].description
@@ -42,54 +55,226 @@ class TrackPanel(QGroupBox):
         self.frame.setWordWrap(True)
         self.table = CellTable(self)
         tip = "A mesh for each frame, tracks.csv, surface.npz, report.json and run.toml."
-        self.save_button = button("Save all frames...", tip, self._ask, self)
+        self.save_button = button("Save all frames...", tip, self._ask_folder, self)
         buttons = row(self.track_button, self.go_on_button, self.divisions)
         shown = self.verdict, self.frame, self.table, self.save_button
         filled(QVBoxLayout(self), buttons, *shown)
-        self.allow(True, can_go_on=False)
-        self.show_frame(None)
+        doc.image.changed.connect(self._image_changed)
+        doc.work.changed.connect(self._work_changed)
+        doc.at_end(self._let_go)
+        self._image_changed()
+        self._show_frame()
 
-    def allow(self, allowed: bool, *, can_go_on: bool) -> None:
-        """Which buttons can be pressed."""
-        self.track_button.setEnabled(allowed)
-        self.go_on_button.setVisible(can_go_on and allowed)
-        self.divisions.setEnabled(allowed)
-        self.save_button.setEnabled(allowed)
+    @property
+    def results(self) -> list[FrameResult]:
+        return [] if self.work is None else list(self.work.results)
 
-    def show_verdict(self, verdict: str, text: str) -> None:
-        self.verdict.say(text, verdict)
+    def start(self) -> None:
+        """Track from the frame shown; says in plain words what is missing."""
+        if not self._doc.busy():
+            attempt(self._start, self._complain)
 
-    def show_frame(
-        self,
-        result: FrameResult | None,
-        *,
-        tracked: bool = False,
-        colours: Mapping[int, int] | None = None,
+    def go_on(self) -> None:
+        """Track the frames after those that are done."""
+        if not self._doc.busy() and self.work is not None:
+            self._launch(self.work.prepare, self.work.frames, self.results)
+
+    def save(self, folder: str) -> None:
+        """Write what the command line would."""
+        attempt(partial(self._save, folder), self._doc.warned.emit)
+
+    def saved(self) -> SavedTracks | None:
+        """What a session keeps of the series, as it is chosen; None if that was not tracked."""
+        work, layers = self.work, self.layers
+        if layers is None or work is None or work.job is None or not work.results:
+            return None
+        layer, frame = self._doc.image.layer, self._doc.image.frame()
+        if layers.image_layer is not layer or layers.frame != frame:
+            return None
+        pixels, box = data_of(layer), frame.box
+        return SavedTracks(
+            pixels=pixels if box is None else pixels[(..., *(slice(a, b) for a, b in box))],
+            time=(float(layer.scale[-4]), float(layer.translate[-4]), str(layer.units[-4])),
+            results=tuple(work.results),
+            settings=work.job.settings,
+            seconds=work.seconds,
+            shared_ground=work.job.shared_ground,
+        )
+
+    def reopen(self, tracks: SavedTracks) -> None:
+        """Show what a session kept, of the image chosen, as if it had just been tracked."""
+        image = self._doc.image
+        frame, frames = image.frame(), Frames(tracks.pixels)
+        job = _reopened(tracks, frame, frames)
+        left = range(tracks.settings.track.first, len(frames))
+        work = self.work = self._made(partial(_same, job), left, tracks.results)
+        work.job, work.seconds, work.running = job, tracks.seconds, False
+        self._show_in(image.layer, frame)
+        self.divisions.setChecked(tracks.settings.track.divisions)
+        if self.layers is not None:
+            self.layers.show(tracks.results)
+        self._end("done", f"{len(tracks.results)} frames tracked")
+
+    def _let_go(self) -> None:
+        """The window is closed."""
+        if self.layers is not None:
+            self.layers.close()
+
+    # ------------------------------------------------------------------------------------- runs
+
+    def _start(self) -> None:
+        image = self._doc.image
+        layer, frame = image.layer, image.frame()
+        if layer is None or layer.ndim != 4:
+            raise InputError("tracking needs an image over time (T, Z, Y, X)")
+        data = data_of(layer)
+        first, stop = int(self._doc.viewer.dims.current_step[-4]), len(data)
+        if stop < 2:
+            raise InputError("tracking needs two frames or more; the image has one")
+        if stop - first < 2:
+            raise InputError("this is the last frame: move to an earlier one, or run a fit")
+        seeds = self._doc.cells.seeds(frame)
+        settings = self._settings(seeds, first, float(layer.scale[-4]))
+        frames, grid = Frames(data, frame.box), frame.grid(image.shape())
+        self._show_in(layer, frame)
+        self._doc.finish_placing.emit(True)
+        self._seeds = self._doc.cells.ticked
+        prepare = partial(_prepared, settings, frames, grid, seeds)
+        self._launch(prepare, range(first, stop), ())
+
+    def _settings(self, seeds: Seeds, first: int, scale: float) -> TrackRun:
+        run = self._doc.run_settings(seeds)
+        tracking = TrackSettings(
+            first=first,
+            divisions=self.divisions.isChecked(),
+            time_step=scale if scale > 0 else 1.0,
+        )
+        image = self._doc.image
+        # No file holds a region alone.
+        path, channel = origin_of(image.layer) if image.box is None else ("", None)
+        values = {**dict(run), "image": path, "channel": channel, "track": tracking}
+        settings: TrackRun = validated(TrackRun, values)
+        return settings
+
+    def _launch(
+        self, prepare: Callable[[], TrackJob], frames: range, done: Sequence[FrameResult]
     ) -> None:
-        """The cells of a frame, and what happened in it; None for one that was not tracked.
+        self.work = self._made(prepare, frames, done)
+        self.verdict.say("", "")
+        self._doc.work.start(self.work)
 
-        tracked : whether there are other frames to look at.
-        colours : of the cells, see ``colour_indices``.
-        """
+    def _made(
+        self, prepare: Callable[[], TrackJob], frames: range, done: Sequence[FrameResult]
+    ) -> TrackWork:
+        return TrackWork(prepare, frames, done, self._frame_done, self._ended)
+
+    def _show_in(self, image_layer: Any, frame: Frame) -> None:
+        """Layers of an earlier run give way, or two surfaces would lie on each other."""
+        if self.layers is not None:
+            self.layers.remove()
+        self.layers = TrackLayers(self._doc.viewer, image_layer, frame, self._show_frame)
+
+    def _frame_done(self, results: Sequence[FrameResult]) -> None:
+        if len(results) == 1:
+            self._doc.meshes_came.emit()
+            for layer in self._seeds:  # they are of one time, and would cover the cells
+                layer.visible = False
+        if self.layers is not None:
+            self.layers.show(results)
+        if results[-1].mesh is None:
+            self._doc.warned.emit(results[-1].message)
+        self._show_frame()
+
+    def _ended(self, outcome: Outcome) -> None:
+        self._end(outcome.verdict, outcome.message)
+        if outcome.verdict == "failed":
+            self._doc.warned.emit(outcome.message)
+
+    def _end(self, verdict: str, text: str) -> None:
+        """Show how it ended, and whether it can go on."""
+        work = self.work
+        self._work_changed()
+        if work is not None and work.results:
+            kept = "" if verdict == "done" else f"{len(work.results)} frames are kept, "
+            text += f" ({kept}{duration(work.seconds)})"
+        self.verdict.say(text, verdict)
+        self._show_frame()
+
+    def _save(self, folder: str) -> None:
+        work, results = self.work, self.results
+        if work is None or work.job is None or not results:
+            raise InputError("there are no frames to save")
+        for result in results:
+            write_frame(folder, result)
+        write_tracks(folder, results, work.job.first.grid, work.job.settings, work.seconds)
+        self._doc.told.emit(f"saved {folder}")
+
+    # ---------------------------------------------------------------------------- what is shown
+
+    def _image_changed(self) -> None:
+        layer = self._doc.image.layer
+        self.setVisible(layer is not None and layer.ndim == 4)
+        self._work_changed()
+
+    def _work_changed(self) -> None:
+        work, layers, can_go_on = self.work, self.layers, False
+        if work is not None and work.results and layers is not None:
+            left = work.results[-1].frame < work.frames.stop - 1
+            can_go_on = left and layers.image_layer is self._doc.image.layer
+        allowed = not self._doc.work.occupied
+        for one in (self.track_button, self.divisions, self.save_button):
+            one.setEnabled(allowed)
+        self.go_on_button.setVisible(can_go_on and allowed)
+
+    def _show_frame(self) -> None:
+        """The cells of the frame that is shown, and what happened in it."""
+        layers = self.layers
+        result = None if layers is None else layers.result
         for widget in (self.frame, self.save_button):
-            widget.setVisible(tracked)
+            widget.setVisible(layers is not None and bool(layers.results))
         self.table.setVisible(result is not None and result.mesh is not None)
-        if result is None:
+        if layers is None or result is None:
             self.frame.setText("not tracked at this time")
-            return
-        if result.mesh is None:
+        elif result.mesh is None:
             self.frame.setText(result.message)
-            return
-        self.table.show_rows(measure_cells(result.mesh), colours)
-        cells = counted(len(result.cells), "cell")
-        words = [f"time {result.frame}: {cells}", *_told(result)]
-        self.frame.setText("; ".join(words))
+        else:
+            self.table.show_rows(measure_cells(result.mesh), layers.colours)
+            told = [*(event.text for event in result.events), result.message]
+            text = f"time {result.frame}: {counted(len(result.cells), 'cell')}"
+            self.frame.setText("; ".join([text, *filter(None, told)]))
 
-    def _ask(self) -> None:
+    def _ask_folder(self) -> None:
         folder = QFileDialog.getExistingDirectory(self, "Folder for the frames")
         if folder:
-            self.save.emit(folder)
+            self.save(folder)
+
+    def _complain(self, message: str) -> None:
+        self.verdict.say(message, "failed")
+        self._doc.warned.emit(message)
 
 
-def _told(result: FrameResult) -> Sequence[str]:
-    return [event.text for event in result.events] + [result.message] * bool(result.message)
+def _same(job: TrackJob | None) -> TrackJob:
+    """The job of a session, which needs no preparation."""
+    if job is None:
+        raise InputError("no frame of it has a mesh to go on from")
+    return job
+
+
+def _reopened(tracks: SavedTracks, frame: Frame, frames: Frames) -> TrackJob | None:
+    """The job of a session; None if no frame has a mesh."""
+    mesh = next((r.mesh for r in tracks.results if r.mesh is not None), None)
+    if mesh is None:
+        return None
+    settings = tracks.settings
+    image = frames[settings.track.first]
+    optics = optics_of(settings.scene)
+    kind: SeedKind = "image" if tracks.shared_ground else "rough"
+    first = FitInput(settings, image, frame.grid(image.shape), mesh, optics, None, kind=kind)
+    return TrackJob(first, frames)
+
+
+def _prepared(settings: TrackRun, frames: Frames, grid: Grid, seeds: Seeds) -> TrackJob:
+    """The job, put together in the thread."""
+    pixels = frames[settings.track.first]
+    job = put_together(settings, pixels, grid, partial(start_of, seeds), ground=False)
+    return TrackJob(job, frames)

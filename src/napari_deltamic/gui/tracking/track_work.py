@@ -97,10 +97,6 @@ class TrackWork(Task):
             self._shown += 1
             self._on_frame(self.results[: self._shown])
 
-    def reopen(self, job: TrackJob | None, seconds: float) -> None:
-        """Be a run of a session, which is over; it took so many s."""
-        self.job, self.seconds, self.running = job, seconds, False
-
     def end(self, outcome: Outcome | None) -> None:
         self.look()
         self._on_end(outcome or Outcome("stopped", "stopped"))

@@ -21,7 +21,7 @@ from .frame import MADE_BY_FIT, ORIGIN, OWN, Frame
 from .own_layers import Surface
 
 _AXES = ("z", "y", "x")
-_FILE = "file"  # key under OWN
+FILE = "file"  # key under OWN
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def surface_layer(loaded: LoadedMesh, frame: Frame) -> Surface:
         metadata={
             OWN: {
                 "regions": mesh.regions,
-                _FILE: {"path": loaded.path, "mark": loaded.mark},
+                FILE: {"path": loaded.path, "mark": loaded.mark},
                 ORIGIN: frame.translate,
             }
         },
@@ -69,7 +69,7 @@ def unchanged_file(layer: Any, frame: Frame) -> str:
     The layer may have been edited or moved since, and so may the file.
     """
     known = layer.metadata.get(OWN, {})
-    file = known.get(_FILE)
+    file = known.get(FILE)
     if not isinstance(file, dict) or layer.ndim != 3:
         return ""
     scale, shift = frame.data_to_um(layer)

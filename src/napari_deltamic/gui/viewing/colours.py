@@ -110,9 +110,7 @@ def vertex_values(mesh: Mesh) -> NDArray[np.float32]:
 
 
 def side_values(
-    sides: NDArray[np.int64],
-    chosen: Collection[int] = (),
-    indices: Mapping[int, int] | None = None,
+    sides: NDArray[np.int64], chosen: Collection[int] = (), indices: Mapping[int, int] | None = None
 ) -> NDArray[np.float32]:
     """(n,) a value for vertices that lie between some regions each, (n, k): of the largest one.
 

@@ -59,7 +59,10 @@ class Contours:
                 self.layer.data = np.zeros((0, 2, 3), np.float32)
                 self._empty = True
             return
-        self._keep_width(viewer)
+        width = self._width(viewer)
+        if _is_off(width, self.layer):
+            with self.layer.events.edge_width.blocker(self._width_chosen):
+                self.layer.edge_width = width
         position = self.position(dims, axis)
         segments, faces = section(mesh, axis, position)
         vectors = np.zeros((len(segments), 2, 3), np.float32)
@@ -73,19 +76,12 @@ class Contours:
 
     def off_width(self, viewer: Any) -> bool:
         """Whether lines are shown that are no longer as wide on the screen as they should be."""
-        ratio = self._width(viewer) / float(self.layer.edge_width)
-        return not self._empty and not 1 / _OFF < ratio < _OFF
+        return not self._empty and _is_off(self._width(viewer), self.layer)
 
     def _width(self, viewer: Any) -> float:
         """um that a line has to be wide in a viewer."""
         self._um_of_pixel = float(np.mean(self.frame.um)) / float(camera_of(viewer).zoom)
         return self._pixels * self._um_of_pixel
-
-    def _keep_width(self, viewer: Any) -> None:
-        width = self._width(viewer)
-        if not 1 / _OFF < width / float(self.layer.edge_width) < _OFF:
-            with self.layer.events.edge_width.blocker(self._width_chosen):
-                self.layer.edge_width = width
 
     def _width_chosen(self, event: Any = None) -> None:
         """The user has chosen a width, which is kept from now on."""
@@ -139,6 +135,10 @@ class Contours:
             else:
                 layer.edge_color = region_colours(shown, self.chosen, self.colours)
         self._empty = not len(vectors)
+
+
+def _is_off(width: float, layer: Vectors) -> bool:
+    return not 1 / _OFF < width / float(layer.edge_width) < _OFF
 
 
 def _no_thumbnail() -> None:

@@ -55,10 +55,7 @@ class Frame:
                 "or give it a positive scale"
             )
         return cls(
-            triple(size),
-            um,
-            triple(layer.translate[-3:]),
-            tuple(str(u) for u in layer.units[-3:]),
+            triple(size), um, triple(layer.translate[-3:]), tuple(str(u) for u in layer.units[-3:])
         )
 
     def within(self, box: Box) -> Frame:
@@ -152,6 +149,12 @@ def camera_of(viewer: Any) -> Any:
     return getattr(viewer, "scene", viewer).camera
 
 
+def go_to(viewer: Any, world: ArrayLike) -> None:
+    """Move the sliders of the last axes to a place."""
+    places, n = np.asarray(world, float).tolist(), viewer.dims.ndim
+    viewer.dims.set_point(range(n - len(places), n), places)
+
+
 def chosen_of(viewer: Any, layers: list[Any]) -> Any:
     """Of some layers the one that is selected, else the highest; None where there are none."""
     active = viewer.layers.selection.active
@@ -160,8 +163,14 @@ def chosen_of(viewer: Any, layers: list[Any]) -> Any:
 
 def um_per_unit(layer: Any) -> Triple | None:
     """um in one unit of a layer's last three axes; None if they are no lengths (pixels)."""
+    found = [in_units(unit, "micrometer") for unit in layer.units[-3:]]
+    return None if None in found else triple(found)
+
+
+def in_units(unit: Any, other: str) -> float | None:
+    """How many of another unit one is; None where they are of different kinds."""
     try:
-        return triple([float((1 * unit).to("micrometer").magnitude) for unit in layer.units[-3:]])
+        return float((1 * unit).to(other).magnitude)
     except (pint.DimensionalityError, pint.UndefinedUnitError):
         return None
 

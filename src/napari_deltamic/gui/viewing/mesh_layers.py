@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,25 +28,26 @@ class MeshLayers:
     ----------
     image_layer : the image that the mesh is of.
     frame : of the image layer.
-    names : of the surface, and of the contours.
+
+    Attributes
+    ----------
+    names : of the surface, and of the contours, behind that of the image.
     known : what the layers' metadata say of them.
-    look : further options of the surface.
+    surface_options : further ones, of the surface.
+    low : whether they lie just above the image, under what else is shown of it.
     """
 
-    def __init__(
-        self,
-        viewer: Any,
-        image_layer: Any,
-        frame: Frame,
-        names: tuple[str, str],
-        known: Mapping[str, Any] = MADE_BY_FIT,
-        look: Mapping[str, Any] | None = None,
-    ) -> None:
+    names = ("surfaces", "contours")
+    known: ClassVar[Mapping[str, Any]] = MADE_BY_FIT
+    surface_options: ClassVar[Mapping[str, Any]] = {}
+    low = False
+
+    def __init__(self, viewer: Any, image_layer: Any, frame: Frame) -> None:
         self.viewer, self.image_layer, self.frame = viewer, image_layer, frame
-        self._name, self._known, self._look = names[0], dict(known), dict(look or {})
+        self._name, contours = (f"{image_layer.name}: {name}" for name in self.names)
         self.surface: Surface | None = None
-        self.contours = Contours(frame, names[1], image_layer)
-        self.contours.layer.metadata[OWN] = dict(known)
+        self.contours = Contours(frame, contours, image_layer)
+        self.contours.layer.metadata[OWN] = dict(self.known)
         self._seen_in_3d = True
         self._placed = True  # whether the surface belongs to what is shown: 3D, at its time
         self._late = False  # whether the hidden surface is another than what is to be seen
@@ -163,8 +164,6 @@ class MeshLayers:
             viewer.layers.move(len(viewer.layers) - 1, index + 1)
         viewer.layers.selection = selected or {layer}
 
-    # ----------------------------------------------------------------------------------- inside
-
     def _colour(self, mesh: Mesh, *, passing: bool) -> None:
         """Other colours where regions have other neighbours; boxes are only looked at anew now."""
         if passing and self._colours_of is not None and _same(self._colours_of, mesh):
@@ -213,25 +212,20 @@ class MeshLayers:
         layer.metadata[OWN].update({"regions": regions, COPIES: self._apart.copies})
 
     def _add_surface(self, mesh: Mesh) -> None:
-        self._placed = self._belongs()
-        self.surface = Surface(
-            self._drawn(mesh),
-            name=self._name,
-            visible=self._placed,
-            metadata={OWN: dict(self._known)},
-            **surface_look(),
-            **self._look,
-            **self.frame.layer_options(),
-        ).lie_on(self.image_layer)
-        self._note(self.surface, mesh)
-        self.connections.connect(self.surface.events.visible, self._surface_shown)
+        look = {**surface_look(), **self.surface_options, **self.frame.layer_options()}
+        surface = self._make_surface(self._drawn(mesh), **look)
+        self._note(surface, mesh)
+        self.connections.connect(surface.events.visible, self._surface_shown)
         # Last: the layer that is added last is selected, and its controls are shown.
-        self.add_layers(self.surface, self.contours.layer)
+        for layer in (surface, self.contours.layer):
+            self.add(layer, above=self.low)
 
-    def add_layers(self, *layers: Any) -> None:
-        """Put the layers that were made into the viewer."""
-        for layer in layers:
-            self.add(layer)
+    def _make_surface(self, data: Any, **options: Any) -> Surface:
+        self._placed = self._belongs()
+        metadata = {OWN: dict(self.known)}
+        made = Surface(data, name=self._name, visible=self._placed, metadata=metadata, **options)
+        self.surface = made.lie_on(self.image_layer)
+        return made
 
     def _surface_shown(self, event: Any = None) -> None:
         if self._late and self.surface is not None and self.shown is not None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...geometry import Mesh
 from ...results.features import features_at
-from .frame import MADE_BY_FIT, OWN, Frame, camera_of
+from .frame import MADE_BY_FIT, OWN, Frame, camera_of, go_to
 from .mesh_layers import MeshLayers
 from .own_layers import Points, cut_by_slices
 
@@ -36,9 +36,7 @@ class ViewerLink(MeshLayers):
     def __init__(
         self, viewer: Any, image_layer: Any, frame: Frame, on_lost: Callable[[str], None]
     ) -> None:
-        name = image_layer.name
-        names = (f"{name}: surfaces", f"{name}: contours")
-        super().__init__(viewer, image_layer, frame, names)
+        super().__init__(viewer, image_layer, frame)
         self.mesh: Mesh | None = None  # the newest; ``shown`` may be another
         self._held: Mesh | None = None
         self.rendered: Image | None = None
@@ -47,7 +45,7 @@ class ViewerLink(MeshLayers):
         self._limits = (0.0, 0.0)  # of the residual, as long as the user chooses no others
         self._view = "image"
         self._before: Any = None  # order of the axes, centre and zoom, before two images were seen
-        self._pins = Pins(self, f"{name}: pinned")
+        self._pins = Pins(self, f"{image_layer.name}: pinned")
         self._on_lost = on_lost
         self.connections.connect(viewer.layers.events.removed, self._layer_removed)
 
@@ -122,16 +120,13 @@ class ViewerLink(MeshLayers):
         """Move slices and camera to a place, um in the frame."""
         if not np.isfinite(center).all():
             return
-        world = [float(w) for w in self.frame.to_world(center)]
-        n = self.viewer.dims.ndim
-        self.viewer.dims.set_point(range(n - 3, n), world)
+        world = self.frame.to_world(center).tolist()
+        go_to(self.viewer, world)
         camera_of(self.viewer).center = tuple(world)
 
     def slice_changed(self, event: Any = None) -> None:
         super().slice_changed(event)
         self._place_images()
-
-    # ----------------------------------------------------------------------------------- inside
 
     def _place_images(self) -> None:
         """Show the image that is looked at, at the time that it belongs to, and nowhere else."""
