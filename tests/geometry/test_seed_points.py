@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from membranes import (
     coordinates,
     membrane,
     noisy,
+    overlap,
 )
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -299,3 +301,22 @@ def test_a_tree_tells_of_each_dark_part_how_large_it_is_and_where_it_is_cut():
         assert tree.volume[node] == part.sum()
         assert tree.border[node] == pytest.approx(border[part].sum())
         assert tree.lowest[node] == ranked[part].min()
+
+
+@pytest.mark.parametrize("radius", [1.7, 0.6])
+def test_blocks_find_the_same_regions(monkeypatch: pytest.MonkeyPatch, radius: float) -> None:
+    """Of the smaller ball, blocks are so few that all voxels are flooded after them."""
+    made: list[tuple[int, ...]] = []
+    make = basins._new_tree
+    monkeypatch.setattr(basins, "_new_tree", lambda *a: made.append(a[0].shape) or make(*a))
+    image = noisy(membrane(ball((5.0, 4.7, 2.7), radius)) + membrane(ball((5.0, 4.7, 6.7), 1.7)))
+    points = [(5.0, 4.7, 2.7), (5.0, 4.7, 6.7)]
+    found, trees = {}, {}
+    for many in (0, 10**9):
+        monkeypatch.setattr(basins, "BASINS", replace(basins.BASINS, many=many))
+        found[many] = labels_from_points(image, SIZE, points)
+        trees[many] = len(made)
+    assert made == [(34, 32, 32), (34, 64, 64)]
+    assert trees == {0: 1 if radius > 1 else 2, 10**9: 2}
+    for k in (1, 2):
+        assert overlap(found[0] == k, found[10**9] == k) > 0.97

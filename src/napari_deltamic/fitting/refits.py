@@ -49,6 +49,9 @@ class ChangedImageRules:
         Nats: by definition three standard deviations; what gains less is no alternative.
     tried
         Alternatives at most: each takes a refit; chosen, not measured.
+    patches, most_draws
+        Of the noise, so many draws at most: with so many patches of two PSF widths for each cell,
+        all draws together, its error is right to 1 / sqrt(2 patches), a tenth, by definition.
     """
 
     steps: int = 10
@@ -56,6 +59,8 @@ class ChangedImageRules:
     seen: float = 10.0
     sure: float = 4.5
     tried: int = 3
+    patches: float = 50.0
+    most_draws: int = 3
 
 
 RULES = ChangedImageRules()
@@ -100,14 +105,15 @@ class Refits:
         Of the fit there.
     """
 
-    # Of the noise: large surfaces have many patches, and each draw takes a refit. Chosen so that
-    # errors take less time than a fit of 150 evaluations.
-    draws, draws_of_one = 3, (6, 6)
+    draws_of_one = (6, 6)  # chosen so that errors take less time than a fit of 150 evaluations
 
     def __init__(self, posed: Posed, shape: Shape, settings: FitSettings) -> None:
         self._posterior, self._at = posed.posterior, posed.at
         view, level = posed.posterior.views[0], posed.posterior.level
         self._width = level.width
+        each = float(shape.mesh.areas().sum()) / len(shape.mesh.region_ids())
+        wanted = RULES.patches * (2 * level.width) ** 2 / each
+        self.draws = int(np.clip(np.ceil(wanted), 1, RULES.most_draws))
         given = shape, level.smoothing, settings.bending, posed.firmness, level.width
         self._metric = Metric(Preconditioners(), *given, NEAR_JUNCTIONS, False)
         self._learnt: Learnt | None = None

@@ -63,6 +63,10 @@ class TopologyRules:
         Times that trials of which nothing came put off the end of a fit; each costs ``patience``
         iterations. Measured: two and three found no contact more in ten foams of 16 and 32 cells,
         and took a fifth and a third longer.
+    rounds
+        Of trials in a fit, also of those of which something came. Measured: of 771 contacts in
+        nine foams, 35 were wrong with two, 34 without a bound, with errors alike; an embryo's fit
+        takes a tenth less.
     """
 
     thin: float = 0.25
@@ -82,6 +86,7 @@ class TopologyRules:
     sharp: float = 2.0
     often: int = 3
     late: int = 1
+    rounds: int = 2
 
     def patience_for(self, trial: Trial) -> int:
         """Iterations until a change is judged."""
@@ -155,8 +160,8 @@ class TopologyPolicy:
     hopeless, futile
         Places that could not be changed as they were: of those that press, until the level ends,
         and of trials, until a trial is made.
-    late
-        How often the end was put off.
+    late, rounds
+        How often trials put off the end in vain, and at all.
     most
         Places that are changed at a time.
     """
@@ -167,6 +172,7 @@ class TopologyPolicy:
     hopeless: tuple[ThinPlace, ...] = ()
     futile: tuple[ThinPlace, ...] = ()
     late: int = 0
+    rounds: int = 0
     most: int = _ALL
 
     def pressing(self, shape: Shape) -> tuple[TopologyPolicy, list[ThinPlace]]:
@@ -184,7 +190,7 @@ class TopologyPolicy:
 
     def candidates(self, shape: Shape, width: float) -> list[ThinPlace]:
         """Where another shape might explain the image; width : um, largest of the PSF."""
-        if self.late >= RULES.late:
+        if self.late >= RULES.late or self.rounds >= RULES.rounds:
             return []
         mesh, edge = shape.mesh, shape.mesh.median_edge()
         size = max(RULES.small_at_end * edge, width)
@@ -212,9 +218,9 @@ class TopologyPolicy:
 
     def changed(self, places: Sequence[ThinPlace], tried: bool) -> TopologyPolicy:
         """Go on after a change."""
-        late = self.late + tried
-        futile = () if tried else self.futile
-        return replace(self, past=(*self.past, *places), futile=futile, most=_ALL, late=late)
+        past, futile = (*self.past, *places), () if tried else self.futile
+        late, rounds = self.late + tried, self.rounds + tried
+        return replace(self, past=past, futile=futile, most=_ALL, late=late, rounds=rounds)
 
     def unlimited(self) -> TopologyPolicy:
         """Go on with other places: that some of those before could not be changed together says
@@ -270,13 +276,15 @@ class TopologyPolicy:
     def to_dict(self) -> dict[str, Any]:
         """Plain values."""
         lists = {name: _lists(getattr(self, name)) for name in _KEPT}
-        return {**lists, "late": self.late, "most": self.most}
+        counts = {"late": self.late, "rounds": self.rounds, "most": self.most}
+        return {**lists, **counts}
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> TopologyPolicy:
         """What :meth:`to_dict` gave."""
         lists = {name: _places(values.get(name, [])) for name in _KEPT}
-        return cls(**lists, late=int(values["late"]), most=int(values["most"]))
+        late, rounds, most = (int(values[name]) for name in ("late", "rounds", "most"))
+        return cls(**lists, late=late, rounds=rounds, most=most)
 
 
 def may_change(mesh: Mesh) -> bool:

@@ -117,7 +117,6 @@ def flat(axes: tuple[Tensor, Tensor, Tensor]) -> Tensor:
     return torch.ones(torch.broadcast_shapes(*(a.shape for a in axes)), dtype=axes[0].dtype)
 
 
-@torch.compiler.disable  # type: ignore[untyped-decorator]  # torch cannot trace how it is kept
 def choose_spreading(
     half: tuple[int, int, int],
     spacing: tuple[float, float, float],

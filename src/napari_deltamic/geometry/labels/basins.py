@@ -11,10 +11,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from hashlib import sha1
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from skimage.measure import block_reduce
 from skimage.morphology import max_tree
 from skimage.segmentation import watershed
 
@@ -58,22 +60,69 @@ def label_basins(
     # Steps of a fraction of the noise lose nothing and make the tree faster.
     step = max(float(np.ptp(smooth)) / 65535, noise / 4)
     ranked = np.round((smooth - smooth.min()) / step).astype(np.uint16)
-    tree = _component_tree(ranked, size)
-    lows = [_descend(ranked, voxel) for voxel in voxels]
     least = BASINS.noise_rise * noise / step
+    for block in _blocks(ranked, size):
+        heights = _highest(ranked, block)
+        tree = _component_tree(heights, size * block)
+        found, refused = _basins(tree, heights, voxels // block, names, size * block, least)
+        basins, same = _separate(tree, found)
+        if not refused and not same and _large(tree, basins):
+            break
+    cores = {name: _each(_core(heights, tree, b), block, ranked) for name, b in basins.items()}
+    levels = {name: int(tree.level[b.path[b.node]]) for name, b in basins.items()}
+    labels, cut = _grow(ranked, _each(heights, block, ranked), levels, cores, size)
+    return labels, refused + same + cut
+
+
+def _blocks(ranked: Ranks, size: FloatArray) -> list[IntArray]:
+    """(3,) voxels of the blocks whose highest values are flooded first, and of those after them.
+
+    Between such blocks nothing leaks that does not between voxels; small regions may be lost.
+    """
+    one = np.ones(3, np.int64)
+    if ranked.size < BASINS.many:
+        return [one]
+    return [np.where(size < 2 * size.min(), 2, 1), one]
+
+
+def _highest(ranked: Ranks, block: IntArray) -> Ranks:
+    """The highest value of each block; those at the far borders are smaller."""
+    if (block == 1).all():
+        return ranked
+    room = [(0, -n % b) for n, b in zip(ranked.shape, block.tolist(), strict=True)]
+    return block_reduce(np.pad(ranked, room, mode="edge"), tuple(block.tolist()), np.max)
+
+
+def _each(blocks: NDArray[Any], block: IntArray, image: Ranks) -> NDArray[Any]:
+    """The value of its block for each voxel of an image."""
+    for axis, n in enumerate(block.tolist()):
+        blocks = blocks if n == 1 else blocks.repeat(n, axis=axis)
+    return blocks[tuple(slice(n) for n in image.shape)]
+
+
+def _large(tree: _Tree, basins: dict[int, _Basin]) -> bool:
+    """Whether no basin is so small that blocks may have changed it."""
+    return all(tree.volume[b.path[b.node]] >= BASINS.blocks for b in basins.values())
+
+
+def _basins(
+    tree: _Tree,
+    ranked: Ranks,
+    voxels: IntArray,
+    names: list[int],
+    size: FloatArray,
+    least: float,
+) -> tuple[dict[int, _Basin], list[Refused]]:
+    """The basin of each point, and the points that have none."""
     found: dict[int, _Basin] = {}
     refused = []
-    for low, name in zip(lows, names, strict=True):
-        basin = _find_basin(tree, low, size, least)
+    for voxel, name in zip(voxels, names, strict=True):
+        basin = _find_basin(tree, _descend(ranked, voxel), size, least)
         if isinstance(basin, str):
             refused.append(Refused(f"point {name} {basin}", (name,)))
         else:
             found[name] = basin
-    basins, same = _separate(tree, found)
-    cores = {name: _core(ranked, tree, basin) for name, basin in basins.items()}
-    levels = {name: int(tree.level[b.path[b.node]]) for name, b in basins.items()}
-    labels, cut = _grow(ranked, levels, cores, size)
-    return labels, refused + same + cut
+    return found, refused
 
 
 def noise_after(data: FloatArray, sigma: FloatArray, known: Mask | None = None) -> float:
@@ -123,8 +172,8 @@ def border_area(shape: tuple[int, ...], size: FloatArray, known: Mask | None = N
     return area
 
 
-# The tree of the image that was looked at last: it takes nearly all of the time, and every click
-# of a user asks for it again.
+# The trees of the image that was looked at last, of its blocks and of its voxels: they take nearly
+# all of the time, and every click of a user asks for them again.
 _kept: list[tuple[bytes, _Tree]] = []
 
 
@@ -136,7 +185,7 @@ def _component_tree(ranked: Ranks, size: FloatArray) -> _Tree:
         if known == key:
             return tree
     tree = _new_tree(ranked, size)
-    _kept[:] = [(key, tree)]
+    _kept[:] = [*_kept[-1:], (key, tree)]
     return tree
 
 
@@ -264,16 +313,23 @@ def _core(ranked: Ranks, tree: _Tree, basin: _Basin) -> Mask:
 
 
 def _grow(
-    ranked: Ranks, levels: dict[int, int], cores: dict[int, Mask], size: FloatArray
+    ranked: Ranks,
+    heights: Ranks,
+    levels: dict[int, int],
+    cores: dict[int, Mask],
+    size: FloatArray,
 ) -> tuple[NDArray[np.int32], list[Refused]]:
-    """Flood from each core up to the crest, against whatever else is dark at its own level."""
+    """Flood from each core up to the crest, against whatever else is dark at its own level.
+
+    heights : of the blocks that cores and levels were found in.
+    """
     labels = np.zeros(ranked.shape, np.int32)
     refused = []
     every_core = np.logical_or.reduce([np.zeros(ranked.shape, bool), *cores.values()])
     for k, core in cores.items():
         box = _box_around(core)
         inside = core[box]
-        markers = np.where(inside, 1, 2 * ((ranked[box] <= levels[k]) | every_core[box]))
+        markers = np.where(inside, 1, 2 * ((heights[box] <= levels[k]) | every_core[box]))
         _mark_cuts(markers, box, ranked.shape)
         region = ndimage.binary_fill_holes(watershed(ranked[box], markers) == 1)
         region &= inside | (~every_core[box] & (labels[box] == 0))

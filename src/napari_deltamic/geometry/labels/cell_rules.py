@@ -153,6 +153,12 @@ class BasinRules:
         the noise: dark puddles of noise, which the minimum of many voxels deepens, are no objects.
     fewest
         Voxels: three along each axis, since fewer have no inside.
+    many
+        Voxels of an image from which on blocks of two along each axis are flooded first: takes
+        four seconds of 700,000 voxels otherwise.
+    blocks
+        Of a basin, so many at least. Measured in 30 foams with cells of 4 to 11 voxels in radius:
+        from 27 on, what is found with blocks and without has a Dice coefficient of 0.998 or more.
     """
 
     border: float = 0.7
@@ -160,6 +166,8 @@ class BasinRules:
     lower_leap: float = 0.25
     noise_rise: float = 8.0
     fewest: int = 27
+    many: int = 200_000
+    blocks: int = 27
 
 
 @dataclass(frozen=True)
