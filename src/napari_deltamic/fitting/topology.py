@@ -283,8 +283,8 @@ class TopologyPolicy:
     def from_dict(cls, values: dict[str, Any]) -> TopologyPolicy:
         """What :meth:`to_dict` gave."""
         lists = {name: _places(values.get(name, [])) for name in _KEPT}
-        late, rounds, most = (int(values[name]) for name in ("late", "rounds", "most"))
-        return cls(**lists, late=late, rounds=rounds, most=most)
+        late, most = int(values["late"]), int(values["most"])
+        return cls(**lists, late=late, rounds=int(values.get("rounds", 0)), most=most)
 
 
 def may_change(mesh: Mesh) -> bool:
