@@ -10,7 +10,7 @@ from napari_deltamic.accuracy.tradeoff import Way
 from napari_deltamic.errors import InputError
 from napari_deltamic.fitting.default_accuracy import image_noise, preset_accuracy
 from napari_deltamic.gui import fit_widget
-from napari_deltamic.gui.settings import accuracy_view
+from napari_deltamic.gui.settings import accuracy_forecast
 
 from .conftest import CENTER, SHAPE
 from .dialing import running, settled
@@ -57,7 +57,7 @@ def measuring(seeded, monkeypatch, ways, spin):
             progress(k, len(ways))
             yield one
 
-    monkeypatch.setattr(accuracy_view, "measure_ways", measure)
+    monkeypatch.setattr(accuracy_forecast, "measure_ways", measure)
     spin(settled(seeded))
     yield seeded, gate, asked
     gate.release(99)
@@ -146,7 +146,7 @@ def test_what_goes_wrong_is_told_in_words(seeded, make_widget, monkeypatch, spin
     def fail(*arguments, **more):
         raise InputError("the image of the mesh is empty")
 
-    monkeypatch.setattr(accuracy_view, "measure_ways", fail)
+    monkeypatch.setattr(accuracy_forecast, "measure_ways", fail)
     view = seeded.settings.tradeoff
     view.button.click()
     spin(lambda: not seeded.settings.tradeoff.button.busy)
@@ -196,7 +196,7 @@ def test_closing_while_it_measures_releases_everything(measuring, with_image, sp
 
 
 def test_a_small_scene_is_really_measured(seeded, spin, monkeypatch):
-    monkeypatch.setattr(accuracy_view, "BUDGET", 0.02)
+    monkeypatch.setattr(accuracy_forecast, "BUDGET", 0.02)
     spin(settled(seeded))
     view = seeded.settings.tradeoff
     view.button.click()

@@ -8,8 +8,8 @@ import pytest
 
 import napari_deltamic
 from napari_deltamic.errors import InputError
+from napari_deltamic.gui.cell_source import seeds_from_layer
 from napari_deltamic.gui.document import Document
-from napari_deltamic.gui.seeding.cell_source import seeds_from_layer
 from napari_deltamic.gui.work import Task, Work
 from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene.effects import Effects

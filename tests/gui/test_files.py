@@ -8,8 +8,8 @@ import napari_deltamic as nd
 from napari_deltamic import _reader, _writer
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import sphere
+from napari_deltamic.gui.cell_source import mesh_of_surface
 from napari_deltamic.gui.image_source import ImageSource
-from napari_deltamic.gui.seeding.cell_source import mesh_of_surface
 from napari_deltamic.scene import samples as _sample_data
 
 

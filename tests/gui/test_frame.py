@@ -6,7 +6,7 @@ from napari.layers import Image, Labels, Points, Surface
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import sphere
-from napari_deltamic.gui.seeding.cell_source import mesh_of_surface, seeds_from_layer
+from napari_deltamic.gui.cell_source import mesh_of_surface, seeds_from_layer
 from napari_deltamic.gui.viewing.contours import Contours, sliced_axis
 from napari_deltamic.gui.viewing.frame import OWN, Frame, camera_of, is_stack, stack_of
 from napari_deltamic.gui.viewing.viewer_link import ViewerLink

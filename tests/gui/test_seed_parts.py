@@ -11,7 +11,7 @@ from napari.layers import Image, Points
 from napari_deltamic import Grid, save_mesh
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import read_points_csv, sphere
-from napari_deltamic.gui.seeding.cell_source import seeds_from_layer
+from napari_deltamic.gui.cell_source import seeds_from_layer
 from napari_deltamic.gui.viewing.cell_layers import load_meshes, surface_layer, unchanged_file
 from napari_deltamic.gui.viewing.frame import Frame
 from napari_deltamic.gui.work import Background

@@ -6,7 +6,7 @@ from napari.layers import Image, Points, Surface
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import sphere
-from napari_deltamic.gui.seeding.cell_source import mesh_of_surface, seeds_from_layer
+from napari_deltamic.gui.cell_source import mesh_of_surface, seeds_from_layer
 from napari_deltamic.gui.viewing.frame import OWN, Frame
 
 from .conftest import CENTER, SIZE

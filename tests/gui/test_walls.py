@@ -6,8 +6,8 @@ import pytest
 import napari_deltamic as nd
 from napari_deltamic import _writer
 from napari_deltamic.geometry import load_mesh, mesh_from_labels
+from napari_deltamic.gui.cell_source import mesh_of_surface
 from napari_deltamic.gui.results.session_layers import mesh_layer, save_layer
-from napari_deltamic.gui.seeding.cell_source import mesh_of_surface
 from napari_deltamic.gui.viewing.colours import LIMITS, region_colormap, region_colours, side_values
 from napari_deltamic.gui.viewing.frame import Frame
 from napari_deltamic.gui.viewing.viewer_link import ViewerLink

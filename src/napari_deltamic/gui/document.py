@@ -23,10 +23,10 @@ from ..results.session_parts import SavedResult
 from ..results.timeline import Timeline
 from ..runs.seeds import Seeds
 from ..runs.settings import RunSettings, SceneSettings
+from .cell_source import CellSource
 from .fit_choice import FitChoice
 from .image_source import ImageSource, SecondSource
 from .record import Present, Record
-from .seeding.cell_source import CellSource
 from .viewing.frame import Frame
 from .viewing.listening import Connections
 from .viewing.viewer_link import ViewerLink

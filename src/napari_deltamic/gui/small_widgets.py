@@ -19,7 +19,7 @@ from ..results.mesh_exchange import labels_of
 from ..scene import Grid, Scene, Simulation, random_cells, simulate
 from ..scene.effects import Effects
 from ..scene.structures import membranes_and_insides
-from .seeding.cell_source import mesh_of_surface
+from .cell_source import mesh_of_surface
 from .viewing.cell_layers import labels_options
 from .viewing.colours import surface_look, vertex_values
 from .viewing.frame import OWN, TRUTH, WORLD, Frame, shape_of

@@ -122,10 +122,11 @@ class TaskButton(QPushButton):
     ----------
     titles : while it can be started, and while it runs.
     make : makes it. InputError where something is missing.
+    about : tells what it would be about now; equal as long as what it finds holds.
+    refused : called with the reason why it did not start.
     """
 
     began = Signal()
-    refused = Signal(str)  # why it did not
 
     def __init__(
         self,
@@ -133,11 +134,15 @@ class TaskButton(QPushButton):
         titles: tuple[str, str],
         tip: str,
         make: Callable[[], Question],
+        about: Callable[[], Any],
+        refused: Callable[[str], None],
         parent: QWidget,
     ) -> None:
         super().__init__(titles[0], parent)
         self.setToolTip(f"<qt>{tip}</qt>")
-        self._work, self._titles, self._make = work, titles, make
+        self._work, self._titles = work, titles
+        self._make, self._about, self._refused = make, about, refused
+        self._of: Any = None  # what the last task was about
         self.task: Question | None = None  # the last one
         self.clicked.connect(self._pressed)
         work.changed.connect(self._show)
@@ -146,15 +151,20 @@ class TaskButton(QPushButton):
     def busy(self) -> bool:
         return self.task is not None and self.task.running
 
+    @property
+    def stale(self) -> bool:
+        """Whether the last task was about something else."""
+        return self._of != self._about()
+
     def start(self) -> None:
         """Start a task, if nothing runs that does not give way."""
         try:
-            task = self._make()
+            task, of = self._make(), self._about()
             self._work.start(task)
         except InputError as error:
-            self.refused.emit(str(error))
+            self._refused(str(error))
             return
-        self.task = task
+        self.task, self._of = task, of
         self._show()
         self.began.emit()
 

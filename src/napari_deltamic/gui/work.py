@@ -108,7 +108,6 @@ class Question(Task):
     steps : called with the question, for its steps; see :meth:`Task.steps`.
     on_look : called a few times a second.
     on_end : called with the answer, or with why there is none; with None where it was stopped.
-    of : what it is about; equal for two questions about the same.
     shape : of the image, which tells how much memory is needed.
 
     Attributes
@@ -124,12 +123,11 @@ class Question(Task):
         steps: Callable[[Question], Generator[None, None, Any]],
         on_look: Callable[[], None],
         on_end: Callable[[Any], None],
-        of: Any = None,
         shape: Sequence[int] | None = None,
     ) -> None:
         super().__init__()
         self.title, self.stage = title, "preparing"
-        self._steps, self.of, self._shape = steps, of, shape
+        self._steps, self._shape = steps, shape
         self.found: list[Any] = []
         self._on_look, self._on_end = on_look, on_end
 

@@ -14,7 +14,7 @@ from ...errors import InputError
 from ...geometry import Mesh
 from ...results.colouring import colour_indices
 from ...results.session_file import SavedImage, SavedLayer, SavedTracks
-from ..seeding.cell_source import at_time, shown_surface
+from ..cell_source import at_time, shown_surface
 from ..viewing import own_layers
 from ..viewing.cell_layers import FILE
 from ..viewing.colours import side_values, surface_look

@@ -19,12 +19,12 @@ from ...errors import InputError
 from ...geometry import Click
 from ...geometry.labels.label_edits import Action, Corrector
 from ...runs.seeds import LabelSeeds
+from ..cell_source import seeds_from_layer
 from ..document import Document
 from ..viewing.frame import FloatArray, Frame, chosen_of
 from ..viewing.listening import Presses, is_click, lay_down, wants_clicks
 from ..widgets import Note, Signal, ToolBar, button, small
 from ..window_words import attempt
-from .cell_source import seeds_from_layer
 
 # Title, what it does, and its name among the edits of labels.
 _TOOLS: dict[str, tuple[str, str, Action]] = {

@@ -11,12 +11,12 @@ from qtpy.QtWidgets import QCheckBox, QWidget
 
 from ...geometry import Mesh
 from ...runs.seed_preview import COARSEST, SMALL, Found, Problem, coarsening, find
+from ..cell_source import PREVIEW, Wanted
 from ..document import Document
 from ..viewing.frame import MADE_BY_FIT, Frame
 from ..viewing.mesh_layers import MeshLayers
 from ..widgets import Signal
 from ..window_words import attempt
-from .cell_source import PREVIEW, Wanted
 
 WAIT = 400  # ms without a click before the preview is computed
 _TIP = (

@@ -11,10 +11,10 @@ from qtpy.QtWidgets import QAbstractItemView, QListWidget, QListWidgetItem, QSiz
 from superqt.utils import signals_blocked
 
 from ...runs.seed_checks import Remark
+from ..cell_source import seed_kind
 from ..layer_choice import LayerTicks
 from ..viewing.frame import go_to
 from ..widgets import Note
-from .cell_source import seed_kind
 
 _ROWS = 5  # shown at once, at most
 _REMARKS = 4  # the same

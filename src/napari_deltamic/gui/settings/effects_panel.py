@@ -45,16 +45,16 @@ class EffectsPanel(QWidget):
         self._shown: Effects | None = None
         self._kept: Recommendation | None = None  # what was found, also of another image
         self.found: Recommendation | None = None
-        self.button = TaskButton(doc.work, _TITLES, _TIP, self._question, self)
+        self.progress, self.reason, self.remarks = Note(self), Note(self), Note(self)
+        about, refused = partial(scene_key, doc), self.progress.say
+        self.button = TaskButton(doc.work, _TITLES, _TIP, self._question, about, refused, self)
         tip = "Tick those that are recommended."
         self.take_button = button("Use recommended", tip, self.take_recommended, self)
-        self.progress, self.reason, self.remarks = Note(self), Note(self), Note(self)
         self.table = EffectsTable(CONSIDERED, self)
         self.second = SecondViewFields(doc, self)
         said = self.progress, self.table, self.reason, self.remarks, self.second
         column(row(self.button, self.take_button), *said, of=self)
         self.button.began.connect(self._began)
-        self.button.refused.connect(self.progress.say)
         self.table.ticked.connect(self._ticked)
         self.table.looked_at.connect(self._explain)
         self._choice.changed.connect(self._show)
@@ -122,13 +122,8 @@ class EffectsPanel(QWidget):
         self._show_outcome()
 
     def _question(self) -> Question:
-        return Question(
-            "corrections are being checked",
-            partial(_check, *self.asked()),
-            self._show_stage,
-            self._ended,
-            scene_key(self._doc),
-        )
+        steps = partial(_check, *self.asked())
+        return Question("corrections are being checked", steps, self._show_stage, self._ended)
 
     def _began(self) -> None:
         self._kept = None
@@ -149,10 +144,9 @@ class EffectsPanel(QWidget):
 
     def look(self) -> None:
         """Something was edited: evidence of something else is put away, until that is back."""
-        task = self.button.task
-        if self._kept is None or task is None or task.running:
+        if self._kept is None or self.button.busy:
             return
-        if task.of != scene_key(self._doc):
+        if self.button.stale:
             self.show_found(None)
             self.progress.say(_STALE)
         elif self.found is None:

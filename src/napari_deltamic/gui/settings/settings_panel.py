@@ -16,8 +16,7 @@ from ...runs.settings import FitSettings
 from ..document import Document
 from ..fields import Form
 from ..widgets import Fold, Note, column, filled, row
-from .accuracy_forecast import AccuracyDial, AccuracyForecast
-from .accuracy_view import TradeoffView
+from .accuracy_forecast import AccuracyDial, AccuracyForecast, TradeoffView
 
 # Where else than among those for experts a setting is shown.
 _PSF, _BRIGHTNESS = ("fit_psf",), ("density",)

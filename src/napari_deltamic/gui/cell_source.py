@@ -12,17 +12,17 @@ from napari.layers import Labels, Points, Surface
 from numpy.typing import NDArray
 from scipy.ndimage import affine_transform
 
-from ...errors import InputError
-from ...geometry import Mesh
-from ...runs.seed_checks import PointSet, Remark, all_remarks
-from ...runs.seed_preview import Problem
-from ...runs.seeds import LabelSeeds, MeshSeeds, PointSeeds, Seeds, mixed
-from ..image_source import ImageSource
-from ..layer_choice import LayerTicks
-from ..viewing.cell_layers import unchanged_file
-from ..viewing.frame import OWN, FloatArray, Frame, stack_of, um_per_unit
-from ..viewing.viewer_link import PINS
-from ..viewing.walls import joined
+from ..errors import InputError
+from ..geometry import Mesh
+from ..runs.seed_checks import PointSet, Remark, all_remarks
+from ..runs.seed_preview import Problem
+from ..runs.seeds import LabelSeeds, MeshSeeds, PointSeeds, Seeds, mixed
+from .image_source import ImageSource
+from .layer_choice import LayerTicks
+from .viewing.cell_layers import unchanged_file
+from .viewing.frame import OWN, FloatArray, Frame, stack_of, um_per_unit
+from .viewing.viewer_link import PINS
+from .viewing.walls import joined
 
 SEED_LAYERS = (Points, Labels, Surface)
 PREVIEW = "preview"  # key under OWN: layers that only show what seeds would give
@@ -230,9 +230,7 @@ class CellSource(LayerTicks):
 
     def shape(self) -> tuple[int, ...] | None:
         """Of the 3D image; None where there is none that can be used: its panel says why."""
-        if self._frame() is None:
-            return None
-        return self._image.shape()
+        return None if self._frame() is None else self._image.shape()
 
     def wanted(self) -> Wanted | None:
         """What a preview of the points is made of; None where there is nothing to show."""
