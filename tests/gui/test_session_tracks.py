@@ -141,7 +141,7 @@ def test_frames_of_a_region_come_back_where_they_were(widget, viewer, series, sp
     image = viewer.layers["movie"]
     np.testing.assert_array_equal(image.data, series[:, :, 2:23, 1:24])
     np.testing.assert_allclose(image.translate, (0, 1, 2 + 2 * 0.2, 3 + 0.2))
-    assert other.tracking.work.job.first.image.shape == (20, 21, 23)
+    assert other.tracking.work.job.image.shape == (20, 21, 23)
 
 
 def test_tracks_of_another_region_are_not_saved(widget, spin):

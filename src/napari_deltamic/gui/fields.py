@@ -154,6 +154,7 @@ def _field(found: Described, parent: QWidget) -> tuple[Any, Any]:
     """A field, and the signal by which it tells that the user has edited it."""
     if found.kind == "switch":
         switch = QCheckBox(found.title, parent)
+        switch.setChecked(bool(found.default))
         return switch, switch.toggled
     if found.kind == "whole":
         whole = QSpinBox(parent)

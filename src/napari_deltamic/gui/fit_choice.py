@@ -89,8 +89,7 @@ class FitChoice:
             "optics": self.psf,
             "effects": self.effects.in_role(ViewEffect, self._second.view()),
         }
-        settings: SceneSettings = validated(SceneSettings, values)
-        return settings
+        return validated(SceneSettings, values)
 
     def number(self) -> float:
         """What the accuracy stands for on this image."""
@@ -125,7 +124,7 @@ class FitChoice:
         self.accuracy = chosen(choice)
 
     def edit_accuracy(self, choice: str) -> None:
-        self.accuracy = chosen(choice)
+        self.type_accuracy(choice)
         self.changed.emit(True)
 
     def edit_psf(self, settings: Callable[[], Any]) -> None:

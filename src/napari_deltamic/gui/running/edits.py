@@ -183,8 +183,7 @@ class Edits(QObject):
         """(V,) what is pinned of the newest mesh, or will be once the fit has taken it over."""
         state, asked = present.state, self._asked
         if present.running and asked is not None:
-            pins: NDArray[np.bool_] = carried(asked.pinned, asked.mesh, state.mesh)
-            return pins
+            return carried(asked.pinned, asked.mesh, state.mesh)
         if state.pinned is None:
             return np.zeros(len(state.mesh.vertices), bool)
         return np.asarray(state.pinned, bool)

@@ -281,8 +281,7 @@ def middle_on_ray(layer: Any, event: Any, frame: Frame) -> FloatArray | None:
     after = np.flatnonzero(values[first:] != values[first])
     last = first + (int(after[0]) if len(after) else n - first) - 1
     scale, shift = frame.data_to_um(layer)
-    middle: FloatArray = points[(first + last) // 2] * scale + shift
-    return middle
+    return points[(first + last) // 2] * scale + shift
 
 
 def _without_numbers(message: str) -> str:

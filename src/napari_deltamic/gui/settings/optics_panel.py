@@ -251,5 +251,4 @@ class PsfPicture(QLabel):
 def _scaled(section: NDArray[np.float64]) -> NDArray[np.uint8]:
     """A square of the side of a picture; samples are not as long along both axes."""
     square = resize(section, (_SIDE, _SIDE), order=1, anti_aliasing=True)
-    grey: NDArray[np.uint8] = (255 * np.clip(square, 0, 1)).astype(np.uint8)
-    return grey
+    return (255 * np.clip(square, 0, 1)).astype(np.uint8)

@@ -51,8 +51,7 @@ class ObjectiveFields(Form):
         if found["model"] == "pupil":
             found["zernike"] = self._zernike
         given = {name: value for name, value in found.items() if value is not None}
-        settings: MicroscopeOptics = optics_from_values(given)
-        return settings
+        return optics_from_values(given)
 
     def show_settings(self, settings: MicroscopeOptics) -> None:
         """Show settings, without a signal."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
-from qtpy.QtWidgets import QCheckBox, QFileDialog, QGroupBox, QLabel, QVBoxLayout, QWidget
+from qtpy.QtWidgets import QFileDialog, QGroupBox, QLabel, QVBoxLayout, QWidget
 
 from ...common.words import counted, duration
 from ...errors import InputError
@@ -22,13 +22,14 @@ from ...scene import Grid
 from ...tracking import FrameResult, TrackSettings
 from ..cell_table import CellTable
 from ..document import Document
+from ..fields import Form
 from ..layer_channels import origin_of
 from ..viewing.frame import Frame, data_of
 from ..widgets import Note, button, filled, row
 from ..window_words import attempt
 from ..work import Outcome
 from .layers import TrackLayers
-from .track_work import Frames, TrackJob, TrackWork
+from .track_work import Frames, TrackWork
 
 
 class TrackPanel(QGroupBox):
@@ -47,16 +48,14 @@ class TrackPanel(QGroupBox):
         self.track_button = button("Track", tip, self.start, self)
         tip = "Go on after the last frame that was tracked."
         self.go_on_button = button("Go on", tip, self.go_on, self)
-        self.divisions = QCheckBox("cells may divide", self)
-        self.divisions.setChecked(TrackSettings().divisions)
-        described = TrackSettings.model_fields["divisions"].description
-        self.divisions.setToolTip(f"<qt>{described}</qt>")
+        form = Form(TrackSettings, ("divisions",), self)
+        self.divisions = form.fields["divisions"]
         self.verdict, self.frame = Note(self, style="font-weight: bold;"), QLabel(self)
         self.frame.setWordWrap(True)
         self.table = CellTable(self)
         tip = "A mesh for each frame, tracks.csv, surface.npz, report.json and run.toml."
         self.save_button = button("Save all frames...", tip, self._ask_folder, self)
-        buttons = row(self.track_button, self.go_on_button, self.divisions)
+        buttons = row(self.track_button, self.go_on_button, form)
         shown = self.verdict, self.frame, self.table, self.save_button
         filled(QVBoxLayout(self), buttons, *shown)
         doc.image.changed.connect(self._image_changed)
@@ -77,11 +76,17 @@ class TrackPanel(QGroupBox):
     def go_on(self) -> None:
         """Track the frames after those that are done."""
         if not self._doc.busy() and self.work is not None:
-            self._launch(self.work.prepare, self.work.frames, self.results)
+            self._launch(self.work.prepare, self.work.images, self.work.frames, self.results)
 
     def save(self, folder: str) -> None:
-        """Write what the command line would."""
-        attempt(partial(self._save, folder), self._doc.warned.emit)
+        """Write what the command line would. InputError if it cannot be written."""
+        work, results = self.work, self.results
+        if work is None or work.job is None or not results:
+            raise InputError("there are no frames to save")
+        for result in results:
+            write_frame(folder, result)
+        write_tracks(folder, results, work.job.grid, work.settings, work.seconds)
+        self._doc.told.emit(f"saved {folder}")
 
     def saved(self) -> SavedTracks | None:
         """What a session keeps of the series, as it is chosen; None if that was not tracked."""
@@ -96,23 +101,21 @@ class TrackPanel(QGroupBox):
             pixels=pixels if box is None else pixels[(..., *(slice(a, b) for a, b in box))],
             time=(float(layer.scale[-4]), float(layer.translate[-4]), str(layer.units[-4])),
             results=tuple(work.results),
-            settings=work.job.settings,
+            settings=work.settings,
             seconds=work.seconds,
-            shared_ground=work.job.shared_ground,
+            shared_ground=work.shared_ground,
         )
 
     def reopen(self, tracks: SavedTracks) -> None:
         """Show what a session kept, of the image chosen, as if it had just been tracked."""
-        image = self._doc.image
-        frame, frames = image.frame(), Frames(tracks.pixels)
-        job = _reopened(tracks, frame, frames)
-        left = range(tracks.settings.track.first, len(frames))
-        work = self.work = self._made(partial(_same, job), left, tracks.results)
+        image, images = self._doc.image, Frames(tracks.pixels)
+        frame, tracking = image.frame(), tracks.settings.track
+        job = _reopened(tracks, frame, images)
+        left = range(tracking.first, len(images))
+        work = self.work = self._made(partial(_same, job), images, left, tracks.results)
         work.job, work.seconds, work.running = job, tracks.seconds, False
-        self._show_in(image.layer, frame)
-        self.divisions.setChecked(tracks.settings.track.divisions)
-        if self.layers is not None:
-            self.layers.show(tracks.results)
+        self.divisions.setChecked(tracking.divisions)
+        self._show_in(image.layer, frame).show(tracks.results)
         self._end("done", f"{len(tracks.results)} frames tracked")
 
     def _let_go(self) -> None:
@@ -135,12 +138,12 @@ class TrackPanel(QGroupBox):
             raise InputError("this is the last frame: move to an earlier one, or run a fit")
         seeds = self._doc.cells.seeds(frame)
         settings = self._settings(seeds, first, float(layer.scale[-4]))
-        frames, grid = Frames(data, frame.box), frame.grid(image.shape())
+        images, grid = Frames(data, frame.box), frame.grid(image.shape())
         self._show_in(layer, frame)
         self._doc.finish_placing.emit(True)
         self._seeds = self._doc.cells.ticked
-        prepare = partial(_prepared, settings, frames, grid, seeds)
-        self._launch(prepare, range(first, stop), ())
+        prepare = partial(_prepared, settings, images, grid, seeds)
+        self._launch(prepare, images, range(first, stop), ())
 
     def _settings(self, seeds: Seeds, first: int, scale: float) -> TrackRun:
         run = self._doc.run_settings(seeds)
@@ -153,26 +156,29 @@ class TrackPanel(QGroupBox):
         # No file holds a region alone.
         path, channel = origin_of(image.layer) if image.box is None else ("", None)
         values = {**dict(run), "image": path, "channel": channel, "track": tracking}
-        settings: TrackRun = validated(TrackRun, values)
-        return settings
+        return validated(TrackRun, values)
 
-    def _launch(
-        self, prepare: Callable[[], TrackJob], frames: range, done: Sequence[FrameResult]
-    ) -> None:
-        self.work = self._made(prepare, frames, done)
+    def _launch(self, *what: Any) -> None:
+        """Start a run of what :meth:`_made` takes."""
+        self.work = self._made(*what)
         self.verdict.say("", "")
         self._doc.work.start(self.work)
 
     def _made(
-        self, prepare: Callable[[], TrackJob], frames: range, done: Sequence[FrameResult]
+        self,
+        prepare: Callable[[], FitInput],
+        images: Frames,
+        frames: range,
+        done: Sequence[FrameResult],
     ) -> TrackWork:
-        return TrackWork(prepare, frames, done, self._frame_done, self._ended)
+        return TrackWork(prepare, images, frames, done, self._frame_done, self._ended)
 
-    def _show_in(self, image_layer: Any, frame: Frame) -> None:
+    def _show_in(self, image_layer: Any, frame: Frame) -> TrackLayers:
         """Layers of an earlier run give way, or two surfaces would lie on each other."""
         if self.layers is not None:
             self.layers.remove()
         self.layers = TrackLayers(self._doc.viewer, image_layer, frame, self._show_frame)
+        return self.layers
 
     def _frame_done(self, results: Sequence[FrameResult]) -> None:
         if len(results) == 1:
@@ -199,15 +205,6 @@ class TrackPanel(QGroupBox):
             text += f" ({kept}{duration(work.seconds)})"
         self.verdict.say(text, verdict)
         self._show_frame()
-
-    def _save(self, folder: str) -> None:
-        work, results = self.work, self.results
-        if work is None or work.job is None or not results:
-            raise InputError("there are no frames to save")
-        for result in results:
-            write_frame(folder, result)
-        write_tracks(folder, results, work.job.first.grid, work.job.settings, work.seconds)
-        self._doc.told.emit(f"saved {folder}")
 
     # ---------------------------------------------------------------------------- what is shown
 
@@ -246,35 +243,32 @@ class TrackPanel(QGroupBox):
     def _ask_folder(self) -> None:
         folder = QFileDialog.getExistingDirectory(self, "Folder for the frames")
         if folder:
-            self.save(folder)
+            attempt(partial(self.save, folder), self._doc.warned.emit)
 
     def _complain(self, message: str) -> None:
         self.verdict.say(message, "failed")
         self._doc.warned.emit(message)
 
 
-def _same(job: TrackJob | None) -> TrackJob:
+def _same(job: FitInput | None) -> FitInput:
     """The job of a session, which needs no preparation."""
     if job is None:
         raise InputError("no frame of it has a mesh to go on from")
     return job
 
 
-def _reopened(tracks: SavedTracks, frame: Frame, frames: Frames) -> TrackJob | None:
+def _reopened(tracks: SavedTracks, frame: Frame, images: Frames) -> FitInput | None:
     """The job of a session; None if no frame has a mesh."""
     mesh = next((r.mesh for r in tracks.results if r.mesh is not None), None)
     if mesh is None:
         return None
     settings = tracks.settings
-    image = frames[settings.track.first]
-    optics = optics_of(settings.scene)
+    image, optics = images[settings.track.first], optics_of(settings.scene)
     kind: SeedKind = "image" if tracks.shared_ground else "rough"
-    first = FitInput(settings, image, frame.grid(image.shape), mesh, optics, None, kind=kind)
-    return TrackJob(first, frames)
+    return FitInput(settings, image, frame.grid(image.shape), mesh, optics, None, kind=kind)
 
 
-def _prepared(settings: TrackRun, frames: Frames, grid: Grid, seeds: Seeds) -> TrackJob:
+def _prepared(settings: TrackRun, images: Frames, grid: Grid, seeds: Seeds) -> FitInput:
     """The job, put together in the thread."""
-    pixels = frames[settings.track.first]
-    job = put_together(settings, pixels, grid, partial(start_of, seeds), ground=False)
-    return TrackJob(job, frames)
+    pixels = images[settings.track.first]
+    return put_together(settings, pixels, grid, partial(start_of, seeds), ground=False)

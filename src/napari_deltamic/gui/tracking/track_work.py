@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from numpy.typing import NDArray
@@ -35,31 +34,13 @@ class Frames:
         return finite(self._data[frame][self._region])
 
 
-@dataclass(frozen=True)
-class TrackJob:
-    """What is tracked: the fit of the first frame, and all frames."""
-
-    first: FitInput
-    frames: Frames
-
-    @property
-    def settings(self) -> TrackRun:
-        """Of the whole."""
-        assert isinstance(self.first.settings, TrackRun)
-        return self.first.settings
-
-    @property
-    def shared_ground(self) -> bool:
-        """Whether cells without a seed of their own would attract the others."""
-        return self.first.kind == "image"
-
-
 class TrackWork(Task):
     """One run of tracking.
 
     Parameters
     ----------
-    prepare : puts the job together, in the thread.
+    prepare : puts the fit of the first frame together, in the thread.
+    images : all frames.
     frames : those that are tracked.
     done : frames of an earlier run to go on from.
     on_frame : called for each frame that is done, with those up to it.
@@ -67,7 +48,7 @@ class TrackWork(Task):
 
     Attributes
     ----------
-    job : None while it is prepared.
+    job : the fit of the first frame; None while it is prepared.
     results : of the frames done.
     seconds : s that it has taken.
     """
@@ -77,20 +58,33 @@ class TrackWork(Task):
 
     def __init__(
         self,
-        prepare: Callable[[], TrackJob],
+        prepare: Callable[[], FitInput],
+        images: Frames,
         frames: range,
         done: Sequence[FrameResult],
         on_frame: Callable[[Sequence[FrameResult]], None],
         on_end: Callable[[Outcome], None],
     ) -> None:
         super().__init__()
-        self.prepare, self.frames = prepare, frames
+        self.prepare, self.images, self.frames = prepare, images, frames
         self._on_frame, self._on_end = on_frame, on_end
         self._shown = len(done)  # frames
-        self.job: TrackJob | None = None
+        self.job: FitInput | None = None
         self.results: list[FrameResult] = list(done)
         self.seconds = 0.0
         self.stage = "preparing the seeds"
+
+    @property
+    def settings(self) -> TrackRun:
+        """Of the whole, once it is prepared."""
+        settings = None if self.job is None else self.job.settings
+        assert isinstance(settings, TrackRun)
+        return settings
+
+    @property
+    def shared_ground(self) -> bool:
+        """Whether cells without a seed of their own would attract the others."""
+        return self.job is not None and self.job.kind == "image"
 
     def look(self) -> None:
         while self._shown < len(self.results):
@@ -109,16 +103,16 @@ class TrackWork(Task):
         began, done = time.monotonic(), list(self.results)
         job = self.job = self.prepare()
         yield
-        first, count = job.first, len(self.frames)
+        settings, count = self.settings, len(self.frames)
         for state in track(
-            job.frames,
-            first.grid,
-            first.mesh,
-            first.optics,
-            first.settings.fit,
-            tracking=job.settings.track,
-            effects=first.settings.scene.effects,
-            shared_ground=job.shared_ground,
+            self.images,
+            job.grid,
+            job.mesh,
+            job.optics,
+            settings.fit,
+            tracking=settings.track,
+            effects=settings.scene.effects,
+            shared_ground=self.shared_ground,
             done=done,
         ):
             self.seconds = time.monotonic() - began

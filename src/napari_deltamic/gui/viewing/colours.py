@@ -46,8 +46,7 @@ class ByValue:
         """The numbers of regions; NaN where there is none."""
         names, inverse = np.unique(np.asarray(regions), return_inverse=True)
         known = np.array([self.values.get(int(name), np.nan) for name in names], np.float32)
-        found: NDArray[np.float32] = known[inverse].reshape(np.shape(regions))
-        return found
+        return known[inverse].reshape(np.shape(regions))
 
     def rgba(self, regions: Any) -> NDArray[np.float64]:
         """(n, 4) the colours of regions."""
@@ -70,8 +69,7 @@ def region_colours(
     index = _places(numbers, indices)
     if chosen:
         index = index + len(PALETTE_RGBA) * ~np.isin(numbers, list(chosen))
-    colours: NDArray[np.float64] = _BOTH[index]
-    return colours
+    return _BOTH[index]
 
 
 def region_colormap() -> Colormap:
@@ -131,5 +129,4 @@ def _places(regions: NDArray[np.int64], indices: Mapping[int, int] | None) -> ND
         return plain
     numbers, inverse = np.unique(regions, return_inverse=True)
     own = np.array([indices.get(n, plain_index(n)) for n in numbers.tolist()], np.int64)
-    found: NDArray[np.int64] = own[inverse].reshape(regions.shape)
-    return found
+    return own[inverse].reshape(regions.shape)
