@@ -7,7 +7,7 @@ from qtpy.QtWidgets import QAbstractSpinBox, QCheckBox, QComboBox, QPushButton, 
 
 from napari_deltamic.geometry.labels.bright_cells import CellsFound
 from napari_deltamic.gui import fit_widget
-from napari_deltamic.gui.dock import Column
+from napari_deltamic.gui.fit_widget import Column
 from napari_deltamic.gui.viewing.colours import region_colours
 
 from .conftest import CENTER, SIZE

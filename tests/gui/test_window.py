@@ -11,7 +11,7 @@ from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QPushButton
 
 from napari_deltamic.gui import fit_widget
-from napari_deltamic.gui.dock import agreed
+from napari_deltamic.gui.fit_widget import agreed
 
 from .conftest import CENTER, SIZE
 from .interacting import went_on
@@ -62,7 +62,7 @@ def asked(monkeypatch):
         found.append(text)
         return answers.pop(0)
 
-    monkeypatch.setattr("napari_deltamic.gui.dock.agreed", answer)
+    monkeypatch.setattr("napari_deltamic.gui.fit_widget.agreed", answer)
     return found, answers
 
 

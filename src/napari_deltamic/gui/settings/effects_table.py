@@ -11,7 +11,7 @@ from qtpy.QtWidgets import QAbstractItemView, QHeaderView, QTableWidget, QTableW
 
 from ...evidence import Evidence
 from ...scene.effects import KINDS
-from ..widgets import Signal, be_table_of_rows
+from ..widgets import Signal, be_table_of_rows, sentence
 
 _COLUMNS = (
     ("correction", "Tick to include it: in a running fit from now on, otherwise in the next one."),
@@ -138,12 +138,8 @@ def spoken(name: str) -> str:
 def _texts(name: str, evidence: Evidence | None) -> tuple[str, str, str, str]:
     if evidence is None:
         return spoken(name), "", "", ""
-    return (
-        spoken(name),
-        f"{evidence.score:.1f}",
-        _two_digits(evidence.bias_nm),
-        _two_digits(evidence.cost_ms),
-    )
+    numbers = _two_digits(evidence.bias_nm), _two_digits(evidence.cost_ms)
+    return spoken(name), f"{evidence.score:.1f}", *numbers
 
 
 def _two_digits(value: float) -> str:
@@ -153,6 +149,5 @@ def _two_digits(value: float) -> str:
 
 
 def _tip(name: str, evidence: Evidence | None) -> str:
-    helped = KINDS[name].help
-    text = f"{helped[0].upper()}{helped[1:]}."
-    return f"<qt>{text}<br><br>{evidence.reason}</qt>" if evidence else f"<qt>{text}</qt>"
+    reason = f"<br><br>{evidence.reason}" if evidence else ""
+    return f"<qt>{sentence(KINDS[name].help)}{reason}</qt>"

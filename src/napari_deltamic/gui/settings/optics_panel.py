@@ -202,8 +202,7 @@ class PsfPicture(QLabel):
     def show_optics(self, optics: Optics) -> None:
         """Show a PSF soon; of several, the last."""
         self._wanted = optics
-        if self.isVisible() and not self._timer.isActive():
-            self._timer.start()
+        self._look_soon()
 
     def clear(self) -> None:
         """There is no PSF that can be shown."""
@@ -214,19 +213,18 @@ class PsfPicture(QLabel):
     def showEvent(self, event: QShowEvent | None) -> None:
         """Qt's; what was given meanwhile is looked at now."""
         super().showEvent(event)
-        if self._wanted is not None and not self._timer.isActive():
+        self._look_soon()
+
+    def _look_soon(self) -> None:
+        if self._wanted is not None and self.isVisible() and not self._timer.isActive():
             self._timer.start()
 
     def _look(self) -> None:
-        wanted, self._wanted = self._wanted, None
-        if wanted is None:
-            return
-        if not self.isVisible() or self._background.busy:
-            self._wanted = wanted  # later
-            if self.isVisible():
-                self._timer.start()
-            return
-        self._background.ask(partial(psf_sections, wanted), self._show)
+        if self._background.busy:
+            self._look_soon()
+        elif self._wanted is not None and self.isVisible():
+            wanted, self._wanted = self._wanted, None
+            self._background.ask(partial(psf_sections, wanted), self._show)
 
     def _show(self, sections: Sections) -> None:
         self.sections = sections
