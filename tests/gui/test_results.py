@@ -117,17 +117,18 @@ def test_writing_that_fails_is_told_and_works_elsewhere(
 
     with monkeypatch.context() as patch:
         patch.setattr(files.os, "fsync", fail)
-        widget.results._write(save, str(tmp_path / name))
+        widget.doc.attempt(lambda: save(str(tmp_path / name)))
     assert os.strerror(code) in told[-1]
     assert "\n" not in told[-1]
     assert widget.results.isEnabled()
-    widget.results._write(save, str(tmp_path / f"b{name}"))
+    widget.doc.attempt(lambda: save(str(tmp_path / f"b{name}")))
     assert told[-1].startswith("saved")
     assert (tmp_path / f"b{name}").exists()
 
 
 def test_a_folder_that_is_gone_is_told(widget, tmp_path, told):
-    widget.results._write(widget.results.save_meshes, str(tmp_path / "gone" / "a.ply"))
+    path = str(tmp_path / "gone" / "a.ply")
+    widget.doc.attempt(lambda: widget.results.save_meshes(path))
     assert "cannot be written" in told[-1]
 
 

@@ -20,6 +20,7 @@ from .interacting import went_on
 from .sessions import done, fitted, save, shown
 
 
+@pytest.mark.slow
 def test_psf_and_effects_come_back_with_what_was_fitted(seeded, spin, tmp_path, told, reopened):
     chosen = {"kind": "microscope", "na": 0.6, "wavelength": 0.6, "immersion": "water"}
     show_psf(seeded.doc, optics_from_values(chosen))

@@ -4,6 +4,7 @@ import os
 import warnings
 import weakref
 from dataclasses import replace
+from functools import partial
 
 import napari.components
 import npe2
@@ -64,7 +65,7 @@ def test_a_full_disk_is_told_and_the_session_can_be_saved_elsewhere(
             (results.save_image, "a.ome.tif"),
             (results.save_all, "all"),
         ):
-            results._write(write, str(tmp_path / name))
+            seeded.doc.attempt(partial(write, str(tmp_path / name)))
             assert "No space left" in told[-1], name
             assert "Traceback" not in told[-1]
     assert seeded.running.verdict.text() == verdict, "the fit did not fail"

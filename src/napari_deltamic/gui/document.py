@@ -237,9 +237,13 @@ class Document:
             self.told.emit(self.work.occupied)
         return bool(self.work.occupied)
 
-    def guarded(self, action: Callable[[], None]) -> None:
+    def guarded(self, action: Callable[[], None], checked: bool = False) -> None:
         """Run something that may fail; the user reads why, without a traceback."""
         attempt(action, self.refuse)
+
+    def attempt(self, action: Callable[[], None], checked: bool = False) -> None:
+        """The same for what has nothing to do with the fit that is shown: files, for example."""
+        attempt(action, self.warned.emit)
 
     def refuse(self, reason: str) -> None:
         """Tell why something was not done."""

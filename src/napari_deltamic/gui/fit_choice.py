@@ -195,17 +195,15 @@ class NoiseOf:
 
     def __init__(self, image: ImageSource) -> None:
         self._image = image
-        self._of: tuple[Any, ...] = ()
-        self._noise: float | None = None
+        self._of: tuple[Any, ...] | None = None  # the image and time that it is of
+        self._noise = 0.0
         self._held = False
 
     def __call__(self) -> float:
         """The noise. InputError if there is no image."""
-        known = self.known
-        if known is None:
-            known = image_noise(self._image.stack())
-            self.learn(self._image.key(), known)
-        return known
+        if self.known is None:
+            self.learn(self._image.key(), image_noise(self._image.stack()))
+        return self._noise
 
     @property
     def known(self) -> float | None:

@@ -170,12 +170,11 @@ def layers_of(made: Simulation, name: str) -> list[Any]:
     um: dict[str, Any] = {"units": ("um",) * 3, "axis_labels": ("z", "y", "x")}
     voxels = {**um, "scale": made.grid.voxel_size, "translate": made.grid.origin}
     layers: list[Any] = [(made.image, {**voxels, "name": name}, "image")]
-    mesh, hidden = made.mesh, {"visible": False}  # so that nobody sees the answer first
+    mesh, truth = made.mesh, {"metadata": {OWN: {TRUTH: True}}, "visible": False}
     if mesh is not None:
         surface = mesh.vertices_numpy(), mesh.faces, vertex_values(mesh)
-        known = {"metadata": {OWN: {"regions": mesh.regions, TRUTH: True}}}
-        look = {**um, **surface_look(), **hidden, **known, "name": f"{name}: true surfaces"}
+        look = {**um, **surface_look(), **truth, "name": f"{name}: true surfaces"}
+        look["metadata"] = {OWN: {"regions": mesh.regions, TRUTH: True}}
         layers.append((surface, look, "surface"))
-    known = {"metadata": {OWN: {TRUTH: True}}}
-    look = {**voxels, **hidden, **known, "name": f"{name}: true labels", "opacity": 0.3}
+    look = {**voxels, **truth, "name": f"{name}: true labels", "opacity": 0.3}
     return [*layers, (made.labels, look, "labels")]

@@ -331,13 +331,9 @@ class Background(QObject):
 
         The first must not know of any widget.
         """
-        if self._on_error is None:
-            return
-        self._next = work, then
-        if self._call is None:
-            self._start()
-        else:
-            self._then = None
+        if self._on_error is not None:
+            self._then, self._next = None, (work, then)
+            self._look()
 
     def drop(self) -> None:
         """No result is wanted any more."""
@@ -356,29 +352,25 @@ class Background(QObject):
         if ask is not None:
             ask()
 
-    def _start(self) -> None:
-        if self._next is not None:
-            (work, self._then), self._next = self._next, None
-            self._call = _THREADS.submit(work)
-            self._timer.start()
-
     def _look(self) -> None:
+        """Tell what a function that has ended returned, and start the one asked for last."""
         call = self._call
-        if call is None or not call.done():
+        if call is not None and not call.done():
             return
         self._timer.stop()
         self._call = None
         try:
-            self._tell(call)
+            if call is not None:
+                self._tell(call)
         finally:
-            if self._call is None:
-                self._start()
+            if self._call is None and self._next is not None:
+                (work, self._then), self._next = self._next, None
+                self._call = _THREADS.submit(work)
+                self._timer.start()
 
     def _tell(self, call: Future[Any]) -> None:
         then, self._then, error = self._then, None, call.exception()
-        if then is None:
-            return
-        if error is None:
+        if then is not None and error is None:
             then(call.result())
-        elif isinstance(error, Exception) and self._on_error is not None:
+        elif then is not None and isinstance(error, Exception) and self._on_error is not None:
             self._on_error(words_of(error))

@@ -16,7 +16,6 @@ from ...runs.batch import write_batch
 from ...runs.run_files import Chosen, needs_folder
 from ..document import Document
 from ..widgets import action
-from ..window_words import attempt
 from .session import Parts, capture, restore
 
 
@@ -129,7 +128,7 @@ class SessionBar:
         steps, self._steps = self._steps, None
         if steps is None:
             return
-        attempt(partial(self._take_step, steps), self._doc.warned.emit)
+        self._doc.attempt(partial(self._take_step, steps))
         self._show()
 
     def _take_step(self, steps: Generator[None]) -> None:
@@ -141,14 +140,14 @@ class SessionBar:
     def _ask_open(self) -> None:
         path, _ = QFileDialog.getOpenFileName(self._shown_in, "Open session", "", _KIND)
         if path:
-            attempt(partial(self.open, path), self._doc.warned.emit)
+            self._doc.attempt(partial(self.open, path))
 
     def _ask_save(self) -> None:
         path, _ = QFileDialog.getSaveFileName(
             self._shown_in, "Save session", f"session{EXTENSION}", _KIND
         )
         if path:
-            attempt(partial(self._save_as, path), self._doc.warned.emit)
+            self._doc.attempt(partial(self._save_as, path))
 
     def _save_as(self, path: str) -> None:
         if Path(path).suffix.lower() != EXTENSION:

@@ -32,7 +32,6 @@ from ..viewing.frame import camera_of
 from ..viewing.listening import Presses, is_click, wants_clicks
 from ..viewing.viewer_link import ViewerLink
 from ..widgets import Note, action, button, filled, narrow_box, row, sentence
-from ..window_words import attempt
 
 IMAGE_FILES = "OME-TIFF (*.ome.tif *.ome.tiff);;ImageJ TIFF (*.tif *.tiff)"
 _NEAR = 6.0  # px: how far from its contour a click may be
@@ -197,7 +196,7 @@ class ResultsPanel(QGroupBox):
         ):
             slot = partial(self._ask, write, name, kinds)
             menu.addAction(action(f"{title}...", tip, slot, menu))
-        add = partial(attempt, self.add_labels, self._doc.warned.emit)
+        add = partial(self._doc.attempt, self.add_labels)
         menu.addAction(action("Labels layer", labels, add, menu))
         return menu
 
@@ -211,10 +210,7 @@ class ResultsPanel(QGroupBox):
         else:
             path = QFileDialog.getExistingDirectory(self, "Folder for the results")
         if path:
-            self._write(write, path)
-
-    def _write(self, write: Callable[[str], None], path: str) -> None:
-        attempt(partial(write, path), self._doc.warned.emit)
+            self._doc.attempt(partial(write, path))
 
 
 class ClickSelection:

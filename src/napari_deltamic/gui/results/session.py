@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -92,7 +93,8 @@ def restore(parts: Parts, session: Session) -> Generator[None]:
     doc.settings.show_fit(session.settings.fit)
     doc.settings.show_scene(session.settings.scene)
     _show_second(doc, session, second)
-    _show_accuracy(doc, session.panels.get("accuracy"))
+    with suppress(ValueError):  # an earlier session has no name of it: the number is shown
+        doc.settings.show_accuracy(usable_choice(session.panels.get("accuracy")))
     # Before the layers: sizes of points follow these fields.
     _show_seeds(panel, session.panels.get("seeds", {}))
     for seed in seeds:
@@ -237,14 +239,6 @@ def _show_seeds(seeds: Any, shown: dict[str, Any]) -> None:
         seeds.find_cells.cell_size.setValue(float(shown["cell_size"]))
     if "preview" in shown:
         seeds.preview.prefer(bool(shown["preview"]))
-
-
-def _show_accuracy(doc: Document, choice: Any) -> None:
-    """Of an accuracy, the name by which it was chosen."""
-    try:
-        doc.settings.show_accuracy(usable_choice(choice))
-    except ValueError:
-        return  # an earlier session, which has none: the number is shown
 
 
 def _show_view(viewer: Any, shown: dict[str, Any], *, fit_camera: bool) -> None:

@@ -110,7 +110,7 @@ class CheckPanel(QGroupBox):
         doc.work.changed.connect(self._work_changed)
         doc.began.connect(self._began)
         doc.shown.connect(self._show_snapshot)
-        doc.view_changed.connect(self._show_view)
+        doc.view_changed.connect(lambda: self.view.setCurrentText(doc.view))
         for signal in (doc.image.changed, doc.result_changed, doc.judged, doc.ended):
             signal.connect(self._show)
 
@@ -178,9 +178,6 @@ class CheckPanel(QGroupBox):
         self.stray_row.setVisible(n > 0)
         things = "bright thing has" if n == 1 else "bright things have"
         self.stray.say(f"{n} {things} no cell" if n else "")
-
-    def _show_view(self) -> None:
-        self.view.setCurrentText(self._doc.view)
 
     def _look_at(self, moment: Moment | None) -> None:
         self.curve.show_moment(None if moment is None else moment.iteration - self._offset)

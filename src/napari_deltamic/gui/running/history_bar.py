@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from qtpy.QtCore import Qt
@@ -34,15 +35,16 @@ class HistoryBar(QWidget):
         self._next = 0.0
         self._moments: tuple[Moment, ...] = ()
         self.chosen: Moment | None = None  # that is looked at; None where it is the newest
-        self.undo_button = small(button("↶", "", self.undo, self))
-        self.redo_button = small(button("↷", "", self.redo, self))
+        self.undo_button = small(button("↶", "", partial(self._take_back, edits.undo), self))
+        self.redo_button = small(button("↷", "", partial(self._take_back, edits.redo), self))
         self.slider = QSlider(Qt.Orientation.Horizontal, self)
         self.slider.setToolTip("Look at earlier moments; a fit goes on meanwhile.")
         self.slider.setMinimumWidth(60)
         tip = "Show the newest state again."
         self.live_button = button("Back to the end", tip, self.to_live, self)
         self.note = Note(self)
-        self.go_on_button = button("Continue from here", "", self.go_on, self)
+        go_on = partial(doc.guarded, self.go_on)
+        self.go_on_button = button("Continue from here", "", go_on, self)
         moments = row(self.undo_button, self.redo_button, self.slider, spacing=4)
         column(moments, self.note, row(self.live_button, self.go_on_button), of=self)
         self.slider.valueChanged.connect(self._slid)
@@ -65,16 +67,6 @@ class HistoryBar(QWidget):
             self.slider.setValue(last if self.chosen is None else self._index(self.chosen))
         self._show()
 
-    def undo(self) -> None:
-        self._take_back(self._edits.undo)
-
-    def redo(self) -> None:
-        self._take_back(self._edits.redo)
-
-    def go_on(self) -> None:
-        """Let the fit go on from the moment shown, or start one there."""
-        self._doc.guarded(self._go_on)
-
     def to_live(self) -> None:
         """Look at the newest state, as it comes."""
         with signals_blocked(self.slider):
@@ -95,7 +87,8 @@ class HistoryBar(QWidget):
             self._next = now + _EVERY
             self.update_moments()
 
-    def _go_on(self) -> None:
+    def go_on(self) -> None:
+        """Let the fit go on from the moment shown, or start one there."""
         moment, present = self.chosen, self._doc.present()
         if moment is not None:
             note = f"back to iteration {moment.iteration}"
@@ -104,7 +97,7 @@ class HistoryBar(QWidget):
         elif present is not None and not present.running:
             self._edits.go_on_from(present.state.mesh, present.state.optics, "go on")
 
-    def _take_back(self, action: Callable[[], None]) -> None:
+    def _take_back(self, action: Callable[[], None], checked: bool = False) -> None:
         self.to_live()
         self._doc.guarded(action)
         self.update_moments()

@@ -157,7 +157,7 @@ class RunControl:
 
     def _ended(self, record: Record, outcome: Outcome) -> None:
         attempt(partial(self._end, record, outcome), self.complain)
-        attempt(self._doc.ended.emit, self._doc.warned.emit)
+        self._doc.attempt(self._doc.ended.emit)
 
     def _end(self, record: Record, outcome: Outcome) -> None:
         doc, run = self._doc, self._doc.run

@@ -46,7 +46,8 @@ class EditBar(ToolBar):
         tools = {tool: (tool.capitalize(), tip) for tool, tip in _TIPS.items()}
         super().__init__(tools, _start, doc, parent)
         self._control, self._edits = control, edits
-        self.pins = button("", "Free all pinned vertices.", self._free_all, self)
+        free_all = partial(doc.guarded, edits.free_all)
+        self.pins = button("", "Free all pinned vertices.", free_all, self)
         self.radius = slider("Radius of the brush, µm; the effect fades towards its rim.", self)
         self.row.insertWidget(0, QLabel("edit", self))
         self.column.insertWidget(1, self.radius)
@@ -92,9 +93,6 @@ class EditBar(ToolBar):
             # The fit may be ahead of what is shown, with other triangles.
             mesh = link.mesh
             link.show_pins(None if mesh is None else self._edits.pinned_on(mesh))
-
-    def _free_all(self) -> None:
-        self._doc.guarded(self._edits.free_all)
 
     # ------------------------------------------------------------------------------------ mouse
 

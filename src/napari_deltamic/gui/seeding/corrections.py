@@ -66,7 +66,7 @@ class Corrections(QObject):
         self._waiting: list[_Wanted] = []
         self._corrector: Corrector | None = None
         self._corrector_of: tuple[Any, ...] = ()
-        self._corrector_data: Any = None
+        self._corrected: Any = None  # the array of the labels
         self._clicked_in: Any = None  # the layer whose cells the tool corrects
         self._background = doc.background(self._fail)
         self._presses = Presses(doc.viewer, self._pressed)
@@ -206,18 +206,14 @@ class Corrections(QObject):
     def _corrector_for(
         self, frame: Frame, read: Callable[[], NDArray[Any]], data: Any
     ) -> Corrector:
-        step = tuple(self._viewer.dims.current_step[:-3])
-        of = (self._image.layer, frame, step)
+        of = (self._image.layer, frame, tuple(self._viewer.dims.current_step[:-3]))
         # Cells that were found anew have another size; clicks change an array in place.
-        anew = data is not self._corrector_data
-        if self._corrector is None or anew or of != self._corrector_of:
-            self._corrector, self._corrector_of = Corrector(read(), frame.voxel_size), of
-            self._corrector_data = data
+        if self._corrector is None or data is not self._corrected or of != self._corrector_of:
+            self._corrector = Corrector(read(), frame.voxel_size)
+            self._corrector_of, self._corrected = of, data
         return self._corrector
 
-    def _show(
-        self, layer: Any, data: Any, before: NDArray[np.int32], labels: NDArray[np.int32]
-    ) -> None:
+    def _show(self, layer: Any, data: Any, before: Any, labels: NDArray[np.int32]) -> None:
         """Other labels for those that a layer had, if it still has that array."""
         self.bar.explain()
         if layer in self._viewer.layers and layer.data is data:  # not replaced meanwhile

@@ -243,7 +243,7 @@ class TrackPanel(QGroupBox):
     def _ask_folder(self) -> None:
         folder = QFileDialog.getExistingDirectory(self, "Folder for the frames")
         if folder:
-            attempt(partial(self.save, folder), self._doc.warned.emit)
+            self._doc.attempt(partial(self.save, folder))
 
     def _complain(self, message: str) -> None:
         self.verdict.say(message, "failed")

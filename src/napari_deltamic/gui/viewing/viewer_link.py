@@ -135,12 +135,11 @@ class ViewerLink(MeshLayers):
         rendered = here and (beside or self._view == "rendered")
         residual = here and self._view == "residual"
         if rendered and self.rendered is None and images is not None:
-            look = {"colormap": source.colormap, "contrast_limits": source.contrast_limits}
-            self.rendered = self._image(images[0], "rendered", **look)
+            look = source.colormap, source.contrast_limits
+            self.rendered = self._image(images[0], "rendered", *look)
         if residual and self.residual is None and images is not None:
             self._limits = limits_of(images[1])
-            look = {"colormap": "PiYG", "contrast_limits": self._limits}
-            self.residual = self._image(images[1], "residual", **look)
+            self.residual = self._image(images[1], "residual", "PiYG", self._limits)
             self.residual.colorbar.visible = True
         for layer, wanted in ((self.rendered, rendered), (self.residual, residual)):
             if layer is not None and bool(layer.visible) != wanted:
@@ -170,14 +169,15 @@ class ViewerLink(MeshLayers):
             if then == order:
                 camera.center, camera.zoom = center, zoom
 
-    def _image(self, data: NDArray[Any], what: str, **options: Any) -> Image:
+    def _image(self, data: NDArray[Any], what: str, colormap: Any, limits: Any) -> Image:
         layer = Image(
             data,
             name=f"{self.image_layer.name}: {what}",
             metadata={OWN: dict(MADE_BY_FIT)},
             visible=False,
+            colormap=colormap,
+            contrast_limits=limits,
             **self.frame.image_options(),
-            **options,
         )
         self.add(layer, above=True)  # under the meshes, which it would hide
         return layer
