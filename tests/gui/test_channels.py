@@ -191,8 +191,8 @@ def test_a_reader_that_splits_channels_names_them(widget, viewer, pixels, from_f
     viewer.layers.clear()
     with layer_source(path=str(path)):
         viewer.add_image(pixels, name=name)
-    assert widget.doc.image.channel() == channel
-    assert widget.doc.image.path() == (str(path) if channel else "")
+    assert widget.doc.image.file()[1] == channel
+    assert widget.doc.image.file()[0] == (str(path) if channel else "")
 
 
 def test_tracking_says_the_channel(widget, viewer, from_file):

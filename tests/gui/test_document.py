@@ -43,7 +43,7 @@ def test_a_rectangle_is_a_region_over_all_slices(doc, with_image, pixels):
     # The frame begins where the region does.
     corner = doc.image.frame().to_world((0, 0, 0))
     assert corner == pytest.approx(np.add((1, 2, 3), np.multiply((0, 4, 6), SIZE)))
-    assert doc.image.path() == ""
+    assert doc.image.file()[0] == ""
 
 
 def test_a_region_needs_a_rectangle_and_a_few_voxels(doc, with_image):

@@ -283,7 +283,7 @@ def test_the_command_repeats_the_run(seeded, with_image, tmp_path):
         box.setValue(width)
     pixels = seeded.doc.image.stack()
     grid = frame.grid(pixels.shape)
-    settings = with_files(seeded.doc.run_settings(seeds), pixels, grid, seeds, tmp_path)
+    settings = with_files(seeded.doc.run_settings(seeds.path), pixels, grid, seeds, tmp_path)
     words = shlex.split(command(settings, str(tmp_path / "result")))
     assert words[:2] == ["napari-deltamic", "fit"]
     job = gather(build_parser().parse_args(words[1:]), Notes())
@@ -301,15 +301,8 @@ def test_the_voxel_size_is_the_scale_of_the_layer(make_widget, with_image):
     assert widget.image.voxel_size.value() == (0.5, 0.2, 0.2)
     widget.image.voxel_size._boxes[0].setValue(0.4)
     assert tuple(with_image.layers["cell"].scale) == (0.4, 0.2, 0.2)
-    assert widget.doc.run_settings(_no_seeds()).scene.voxel_size == (0.4, 0.2, 0.2)
+    assert widget.doc.run_settings().scene.voxel_size == (0.4, 0.2, 0.2)
     assert widget.settings.sigma.value() == pytest.approx((0.48, 0.24, 0.24))
-
-
-def _no_seeds():
-    class Nothing:
-        path = ""
-
-    return Nothing()
 
 
 def test_the_verdict_is_one_line_with_a_list_behind(seeded, spin, monkeypatch):

@@ -56,10 +56,10 @@ def test_it_is_an_effect_of_the_run(seeded, second):
 def test_a_region_is_in_no_file(seeded, second, monkeypatch):
     monkeypatch.setattr(image_source, "file_of", lambda layer: (f"/data/{layer.name}.tif", None))
     view = seeded.doc.run_settings().scene.effects.second_view
-    assert (seeded.doc.image.path(), view.image) == ("/data/cell.tif", "/data/side.tif")
+    assert (seeded.doc.image.file()[0], view.image) == ("/data/cell.tif", "/data/side.tif")
     seeded.doc.image.take_region(((0, 20), (2, 23), (2, 24)))
     view = seeded.doc.run_settings().scene.effects.second_view
-    assert (seeded.doc.image.path(), view.image) == ("", "")
+    assert (seeded.doc.image.file()[0], view.image) == ("", "")
 
 
 def test_its_image_reaches_the_fit(seeded, second, spin, monkeypatch, pixels):

@@ -165,10 +165,10 @@ def test_the_command_repeats_a_mixed_run(
     for layer in panel.cells.ticked:
         panel.cells.choose(layer, layer.name in names)
     seeds, pixels, grid = taken(panel), panel._image.stack(), grid_of(panel)
-    settings = with_files(widget.doc.run_settings(seeds), pixels, grid, seeds, tmp_path)
+    settings = with_files(widget.doc.run_settings(seeds.path), pixels, grid, seeds, tmp_path)
     words = shlex.split(command(settings, str(tmp_path / "result")))
     repeated = gather(build_parser().parse_args(words[1:]), Notes())
-    settings, start = widget.doc.run_settings(seeds), seeds.make(pixels, grid)
+    settings, start = widget.doc.run_settings(seeds.path), seeds.make(pixels, grid)
     run = assemble(settings, pixels, grid, start, seeds.kind)
     assert repeated.settings.fit == run.settings.fit
     np.testing.assert_array_equal(repeated.mesh.faces, run.mesh.faces)

@@ -21,7 +21,6 @@ from ..fitting.checks import check_image
 from ..fitting.job import FitInput
 from ..results.session_parts import SavedResult
 from ..results.timeline import Timeline
-from ..runs.seeds import Seeds
 from ..runs.settings import RunSettings, SceneSettings
 from .cell_source import CellSource
 from .fit_choice import FitChoice
@@ -122,25 +121,22 @@ class Document:
             return Present(run.state, run.job, True)
         return None if self.result is None else Present(*self.result.of_fit(), False)
 
-    def run_settings(self, seeds: Seeds | None = None) -> RunSettings:
-        """The whole run as it is chosen, the same object that the command line makes."""
-        seeds = seeds or self.cells.seeds(self.image.frame())
-        scene = self.settings.scene_settings()
+    def run_settings(self, seeds: str = "") -> RunSettings:
+        """The whole run as it is chosen, the same object that the command line makes.
+
+        seeds : their file; '' where they are in none.
+        """
+        scene, (path, channel) = self.settings.scene_settings(), self.image.file()
         if self.settings.psf_is_open:
             scene = scene.model_copy(update={"sigma": None})
-        return RunSettings(
-            image=self.image.path(),
-            channel=self.image.channel(),
-            seeds=seeds.path,
-            scene=scene,
-            fit=self.settings.fit_settings(),
-        )
+        fit = self.settings.fit_settings()
+        return RunSettings(image=path, channel=channel, seeds=seeds, scene=scene, fit=fit)
 
     def prepared(self) -> tuple[Callable[[], FitInput], Frame]:
         """What puts together, in a thread, the fit that is chosen; and its frame."""
         image, frame = self.image, self.image.frame()
         seeds = self.cells.seeds(frame)
-        settings = self.run_settings(seeds)
+        settings = self.run_settings(seeds.path)
         read, second = image.reader(), self.second.pixels()
         grid = frame.grid(image.shape())
 

@@ -121,15 +121,8 @@ class ImageSource(LayerChoice):
         whole = unread_stack_of(layer, tuple(self._viewer.dims.current_step))
         return whole if self.box is None else whole[tuple(slice(a, b) for a, b in self.box)]
 
-    def path(self) -> str:
-        """The file of the layer, if an image of this shape is in it; else ''."""
-        return self._file()[0]
-
-    def channel(self) -> str | None:
-        """Which channel of this file; None where it has one only."""
-        return self._file()[1]
-
-    def _file(self) -> tuple[str, str | None]:
+    def file(self) -> tuple[str, str | None]:
+        """The file with an image of this shape, or "", and its channel where it has several."""
         known = self.layer is not None and self.box is None
         return file_of(self.layer) if known else ("", None)
 

@@ -38,7 +38,7 @@ class CommandCopy:
         doc = self._doc
         frame, pixels = doc.image.frame(), doc.image.stack()
         seeds = doc.cells.seeds(frame)
-        settings, second = doc.run_settings(seeds), doc.second.pixels()
+        settings, second = doc.run_settings(seeds.path), doc.second.pixels()
         doc.noted.emit("putting the command together ...")
         chosen = Chosen(settings, pixels, frame.grid(pixels.shape), seeds, second)
         self.background.ask(chosen.compared, self._checked)
@@ -46,7 +46,8 @@ class CommandCopy:
     def _run_folder(self) -> None:
         folder = QFileDialog.getExistingDirectory(self._parent, "Folder of stacks")
         if folder:
-            self._done(write_batch(folder, self._doc.run_settings()))
+            seeds = self._doc.cells.seeds(self._doc.image.frame())
+            self._done(write_batch(folder, self._doc.run_settings(seeds.path)))
 
     def _checked(self, chosen: Chosen) -> None:
         folder = ""

@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from napari.layers import Labels
 from qtpy.QtWidgets import QFileDialog, QGroupBox, QMenu, QVBoxLayout, QWidget
 from superqt.utils import signals_blocked
 
@@ -26,7 +27,8 @@ from ...results.report import write_results
 from ..cell_table import CellTable, why_of
 from ..document import Document
 from ..record import Record
-from ..viewing.cell_layers import labels_layer
+from ..viewing.cell_layers import labels_options
+from ..viewing.colours import label_colormap
 from ..viewing.contours import sliced_axis
 from ..viewing.frame import camera_of
 from ..viewing.listening import Presses, is_click, wants_clicks
@@ -110,9 +112,10 @@ class ResultsPanel(QGroupBox):
         """Add the cells as a Labels layer with their measurements."""
         record = self._result()
         (state, job), link = record.of_fit(), record.link
-        name = f"{link.image_layer.name}: labels"
-        labels = labels_of(state.mesh, job.grid)
-        self._doc.viewer.add_layer(labels_layer(labels, self.table.rows, link.frame, name))
+        labels, name = labels_of(state.mesh, job.grid), f"{link.image_layer.name}: labels"
+        layer = Labels(labels, **labels_options(self.table.rows, link.frame, name))
+        layer.colormap = label_colormap(labels)
+        self._doc.viewer.add_layer(layer)
 
     def _result(self) -> Record:
         record = self._doc.result

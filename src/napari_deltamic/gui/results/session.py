@@ -12,7 +12,6 @@ from ...fitting.default_accuracy import usable_choice
 from ...fitting.job import FitInput, optics_of
 from ...results.report import History
 from ...results.session_file import SavedImage, SavedResult, Session
-from ...runs.settings import RunSettings
 from ..document import VIEWS, Document
 from ..record import Record
 from ..tracking.panel import TrackPanel
@@ -40,21 +39,14 @@ def capture(parts: Parts) -> tuple[Session, str]:
     dims, frame = doc.viewer.dims, doc.image.frame()
     result, left_out = _result(doc, frame)
     pixels = result[1].image if result else doc.image.stack()
-    settings = RunSettings(
-        image=doc.image.path(),
-        channel=doc.image.channel(),
-        seeds="",
-        scene=doc.settings.scene_settings(),
-        fit=doc.settings.fit_settings(),
-    )
-    step = tuple(dims.current_step)
-    point = tuple(float(p) for p in dims.point)
+    shown = {"scene": doc.settings.scene_settings()}  # with the widths of a PSF that is open
+    step, point = tuple(dims.current_step), tuple(float(p) for p in dims.point)
     tracks = parts.tracking.saved()
     if tracks is None and parts.tracking.results:
         others = "the tracks are of another image or region and were not saved in this session"
         left_out = "; ".join(filter(None, (left_out, others)))
     session = Session(
-        settings=settings,
+        settings=doc.run_settings().model_copy(update=shown),
         image=save_image(doc.image.layer, pixels, frame),
         seeds=tuple(save_layer(seed, step, point, frame) for seed in doc.cells.ticked),
         result=result[0] if result else None,

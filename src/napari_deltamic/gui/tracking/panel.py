@@ -146,7 +146,7 @@ class TrackPanel(QGroupBox):
         self._launch(prepare, images, range(first, stop), ())
 
     def _settings(self, seeds: Seeds, first: int, scale: float) -> TrackRun:
-        run = self._doc.run_settings(seeds)
+        run = self._doc.run_settings(seeds.path)
         tracking = TrackSettings(
             first=first,
             divisions=self.divisions.isChecked(),

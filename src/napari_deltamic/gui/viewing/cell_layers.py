@@ -10,13 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from napari.layers import Labels
-from numpy.typing import NDArray
 
 from ...errors import InputError, RepairWarning
 from ...geometry import Mesh, load_mesh
 from ...results.features import features_of
-from .colours import label_colormap, surface_look, vertex_values
+from .colours import surface_look, vertex_values
 from .frame import MADE_BY_FIT, ORIGIN, OWN, Frame
 from .own_layers import Surface
 
@@ -79,17 +77,8 @@ def unchanged_file(layer: Any, frame: Frame) -> str:
     return str(file["path"]) if mark and mark == file.get("mark") else ""
 
 
-def labels_layer(
-    labels: NDArray[Any], rows: Iterable[Mapping[str, Any]], frame: Frame, name: str
-) -> Labels:
-    """Cells as a Labels layer with their measurements."""
-    layer = Labels(labels, **labels_options(rows, frame, name))
-    layer.colormap = label_colormap(labels)
-    return layer
-
-
 def labels_options(rows: Iterable[Mapping[str, Any]], frame: Frame, name: str) -> dict[str, Any]:
-    """How such a layer is made."""
+    """How a Labels layer of cells is made, with their measurements."""
     return {
         **frame.image_options(),
         "axis_labels": _AXES,

@@ -41,11 +41,10 @@ class Contours:
             self.layer.lie_on(image_layer)
         # The thumbnail would take most of the time of an update. A private name: where napari has
         # no such method, nothing happens.
-        self.layer._update_thumbnail = _no_thumbnail
+        self.layer._update_thumbnail = lambda: None
         self.colours: Mapping[int, int] = {}  # see ``colour_indices``
         self.chosen: frozenset[int] = frozenset()  # cells that are not dimmed; none: no cell is
         self.by: ByValue | None = None  # instead of a colour for each
-        self._empty = True
         self._pixels = _PIXELS
         self._um_of_pixel = 1.0  # where the width was last looked at
         self.layer.events.edge_width.connect(self._width_chosen)
@@ -55,9 +54,8 @@ class Contours:
         dims = viewer.dims
         axis = sliced_axis(dims)
         if mesh is None or axis is None:
-            if not self._empty:
+            if len(self.layer.data):
                 self.layer.data = np.zeros((0, 2, 3), np.float32)
-                self._empty = True
             return
         width = self._width(viewer)
         if _is_off(width, self.layer):
@@ -76,7 +74,7 @@ class Contours:
 
     def off_width(self, viewer: Any) -> bool:
         """Whether lines are shown that are no longer as wide on the screen as they should be."""
-        return not self._empty and _is_off(self._width(viewer), self.layer)
+        return len(self.layer.data) > 0 and _is_off(self._width(viewer), self.layer)
 
     def _width(self, viewer: Any) -> float:
         """um that a line has to be wide in a viewer."""
@@ -127,22 +125,15 @@ class Contours:
         layer.data = vectors
         if len(vectors):
             # The name of one colour is much cheaper to set than an array of them.
-            first = regions[0]
-            several = bool((regions != first).any())
-            shown = regions if several else first
+            shown = regions if (regions != regions[0]).any() else regions[0]
             if self.by is not None:
                 layer.edge_color = self.by.rgba(shown)
             else:
                 layer.edge_color = region_colours(shown, self.chosen, self.colours)
-        self._empty = not len(vectors)
 
 
 def _is_off(width: float, layer: Vectors) -> bool:
     return not 1 / _OFF < width / float(layer.edge_width) < _OFF
-
-
-def _no_thumbnail() -> None:
-    """Leaves the thumbnail black."""
 
 
 def sliced_axis(dims: Any) -> int | None:

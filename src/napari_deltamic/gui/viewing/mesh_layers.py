@@ -99,8 +99,8 @@ class MeshLayers:
         if values is None and self.contours.by is None:
             return
         by = self.contours.by = None if values is None else ByValue(values)
-        layer = self.surface
-        if layer is not None and self.has(layer) and self.shown is not None:
+        layer = self.surface if self.has(self.surface) else None
+        if layer is not None and self.shown is not None:
             layer.colormap = region_colormap() if by is None else BY_VALUE
             layer.contrast_limits = LIMITS if by is None else by.limits
         self._colour_anew()
@@ -137,7 +137,7 @@ class MeshLayers:
     def slice_changed(self, event: Any = None) -> None:
         """Another slice, or view, is shown."""
         self._place_surface()
-        if self.contours.layer in self.viewer.layers:
+        if self.has(self.contours.layer):
             self.contours.update(self.shown if self.at_time else None, self.viewer)
 
     def draw(self, mesh: Mesh, *, passing: bool = False) -> None:
@@ -240,9 +240,7 @@ class MeshLayers:
 
     def _place_surface(self) -> None:
         """Show the surface where it belongs, if the user has not hidden it there."""
-        if self.surface is None or self.surface not in self.viewer.layers:
-            return
-        if self._belongs() == self._placed:
+        if self.surface is None or not self.has(self.surface) or self._belongs() == self._placed:
             return
         if self._placed:
             self._seen_in_3d = self.surface.visible
