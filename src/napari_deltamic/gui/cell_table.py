@@ -18,6 +18,7 @@ from qtpy.QtWidgets import (
 )
 from superqt.utils import signals_blocked
 
+from ..common.triple import Triple, triple
 from ..results.cell_columns import COLUMNS, FIRST, CellColumn, is_number, value_of
 from ..results.colouring import colour_of
 from .widgets import Signal, be_table_of_rows
@@ -127,11 +128,9 @@ class CellTable(QTableWidget):
             self._select(regions)
         self._tell(by_hand=False)
 
-    def center(self, region: int) -> tuple[float, float, float]:
+    def center(self, region: int) -> Triple:
         """Centre of a cell, um; NaN if it has none."""
-        row = self._rows[region]
-        z, y, x = (float(row[f"centroid_{axis}_um"]) for axis in "zyx")
-        return z, y, x
+        return triple(self._rows[region][f"centroid_{axis}_um"] for axis in "zyx")
 
     def as_text(self) -> str:
         """The rows selected, or all, as they are sorted: tab-separated, with a header."""

@@ -140,7 +140,6 @@ class Form(QWidget):
             self.show_value(name, getattr(settings, name))
 
     def show_value(self, name: str, value: Any) -> None:
-        """Show one value."""
         _show(self.fields[name], value)
         if value is not None:
             self._exact[name] = value

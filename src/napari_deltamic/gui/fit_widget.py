@@ -67,7 +67,8 @@ class FitWidget(QWidget):
         self.commands = CommandCopy(doc, self)
         # With its window the widget is deleted without a word to Python.
         self.destroyed.connect(doc.close)
-        self.running.fit_again.connect(self._fit_again)
+        for slot in (self.settings.estimate_all, self.start):
+            self.running.fit_again.connect(slot)
         bind_keys(
             doc,
             {
@@ -108,10 +109,6 @@ class FitWidget(QWidget):
     def _simulate(self) -> None:
         """Open the other widget of this plugin, in a tab: below, it would leave no room here."""
         self.doc.viewer.window.add_plugin_dock_widget(PLUGIN, "Simulate cells", tabify=True)
-
-    def _fit_again(self) -> None:
-        self.settings.estimate_all()
-        self.start()
 
     def sizeHint(self) -> QSize:
         """Qt's: as wide as the table wants."""

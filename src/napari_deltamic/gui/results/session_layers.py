@@ -14,7 +14,7 @@ from ...errors import InputError
 from ...geometry import Mesh
 from ...results.colouring import colour_indices
 from ...results.session_file import SavedImage, SavedLayer, SavedTracks
-from ..cell_source import at_time, shown_surface
+from ..cell_source import SEED_LAYERS, at_time, seed_kind, shown_surface
 from ..viewing import own_layers
 from ..viewing.cell_layers import FILE
 from ..viewing.colours import side_values, surface_look
@@ -23,10 +23,10 @@ from ..viewing.walls import COPIES, Apart
 
 _SHOWN = ("opacity", "blending", "visible")
 _IMAGE = (*_SHOWN, "gamma", "rendering", "interpolation2d", "interpolation3d")
-_OTHERS = {
-    "points": (*_SHOWN, "projection_mode", "shading"),
-    "labels": _SHOWN,
-    "surface": (*_SHOWN, "shading", "gamma"),
+_OTHERS: dict[type, tuple[str, ...]] = {
+    Points: (*_SHOWN, "projection_mode", "shading"),
+    Labels: _SHOWN,
+    Surface: (*_SHOWN, "shading", "gamma"),
 }
 _OF_POINTS = ("size", "face_color", "border_color")
 _NOTED = (FILE, ORIGIN, TRUTH)  # under OWN: what is still so when it is opened
@@ -34,14 +34,11 @@ _NOTED = (FILE, ORIGIN, TRUTH)  # under OWN: what is still so when it is opened
 
 def save_image(layer: Any, pixels: NDArray[Any], frame: Frame) -> SavedImage:
     """An image layer; the pixels are those of the 3D image that is fitted."""
-    display = {name: _plain(getattr(layer, name)) for name in _IMAGE}
-    display["contrast_limits"] = [float(limit) for limit in layer.contrast_limits]
-    display["colormap"] = _save_colormap(layer.colormap)
     return SavedImage(
         name=layer.name,
         pixels=pixels,
         voxel_size=frame.voxel_size,
-        display=display,
+        display=_shown(layer, _IMAGE),
         **{**_place(layer), "translate": frame.translate},
     )
 
@@ -63,28 +60,21 @@ def save_layer(
 
     Of labels, the region of the image that is fitted.
     """
-    arrays = {Points: _points, Labels: _labels, Surface: _surface}
-    of = next((one for one in arrays if isinstance(layer, one)), None)
-    if of is None:
+    if not isinstance(layer, SEED_LAYERS):
         kind = type(layer).__name__
         raise InputError(f"layer '{layer.name}' is of a kind that cannot be saved: {kind}")
-    kind, found = of.__name__.lower(), arrays[of](layer, step, point)
-    place = _place(layer)
-    if kind == "labels" and frame is not None and frame.box is not None:
+    of, found, place = seed_kind(layer), _arrays(layer, step, point), _place(layer)
+    if of is Labels and frame is not None and frame.box is not None:
         region = frame.region(layer, found["data"].shape)
         if region is not None and found["data"].shape != frame.shape:
             found = {"data": found["data"][region]}
             place["translate"] = frame.translate
-    options = {name: _plain(getattr(layer, name)) for name in _OTHERS[kind]}
-    if kind == "surface":
-        options["contrast_limits"] = [float(limit) for limit in layer.contrast_limits]
-        options["colormap"] = _save_colormap(layer.colormap)
     known = {k: v for k, v in layer.metadata.get(OWN, {}).items() if k in _NOTED}
     return SavedLayer(
-        kind=kind,
+        kind=of.__name__.lower(),
         name=layer.name,
         arrays={name: np.array(array) for name, array in found.items()},
-        options={**options, "known": known},
+        options={**_shown(layer, _OTHERS[of]), "known": known},
         **place,
     )
 
@@ -120,20 +110,15 @@ def mesh_layer(mesh: Mesh, name: str, frame: Frame) -> Surface:
     )
 
 
-def _points(layer: Any, step: tuple[int, ...], point: tuple[float, ...]) -> dict[str, NDArray[Any]]:
-    data = np.asarray(layer.data)
-    shown = at_time(layer, data, point)
-    arrays = {name: np.asarray(getattr(layer, name))[shown] for name in _OF_POINTS}
-    return {"data": data[shown, -3:], **arrays}
-
-
-def _labels(layer: Any, step: tuple[int, ...], point: tuple[float, ...]) -> dict[str, NDArray[Any]]:
-    return {"data": stack_of(layer, step)}
-
-
-def _surface(
-    layer: Any, step: tuple[int, ...], point: tuple[float, ...]
-) -> dict[str, NDArray[Any]]:
+def _arrays(layer: Any, step: tuple[int, ...], point: tuple[float, ...]) -> dict[str, NDArray[Any]]:
+    """What a layer holds at the viewer's dims."""
+    if isinstance(layer, Labels):
+        return {"data": stack_of(layer, step)}
+    if isinstance(layer, Points):
+        data = np.asarray(layer.data)
+        shown = at_time(layer, data, point)
+        arrays = {name: np.asarray(getattr(layer, name))[shown] for name in _OF_POINTS}
+        return {"data": data[shown, -3:], **arrays}
     vertices, faces, regions, used = shown_surface(layer, point)
     arrays = {"vertices": vertices, "faces": faces, "values": np.asarray(layer.data[2])[used]}
     return arrays if regions is None else {**arrays, "regions": regions}
@@ -159,6 +144,15 @@ def _options(saved: SavedImage | SavedLayer, shown: dict[str, Any]) -> dict[str,
     if "colormap" in options:
         options["colormap"] = _colormap(options["colormap"])
     return options
+
+
+def _shown(layer: Any, names: tuple[str, ...]) -> dict[str, Any]:
+    """How a layer looks: these options, and its colours where it has such."""
+    shown = {name: _plain(getattr(layer, name)) for name in names}
+    if isinstance(layer, Image | Surface):
+        shown["contrast_limits"] = [float(limit) for limit in layer.contrast_limits]
+        shown["colormap"] = _save_colormap(layer.colormap)
+    return shown
 
 
 def _save_colormap(colormap: Any) -> dict[str, Any]:

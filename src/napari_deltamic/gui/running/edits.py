@@ -131,11 +131,9 @@ class Edits(QObject):
             self._remember(note, back, present.state.mesh)
 
     def undo(self) -> None:
-        """Take back the last change."""
         self._take(self._done, self._undone, "undo")
 
     def redo(self) -> None:
-        """Do again what was undone last."""
         self._take(self._undone, self._done, "redo")
 
     def _began(self, fresh: bool) -> None:

@@ -55,7 +55,7 @@ class FindCells(QPushButton):
         self._moved = False
         self._layer: Any = None
         self._found_in: Any = None  # the image layer that the message and the labels are of
-        self.background = doc.background(self._fail)
+        self.background = doc.background(lambda reason: self._tell(sentence(reason)))
         doc.listen(doc.viewer.layers.events.removed, self._layers_changed)
         self.clicked.connect(self.start)
         self.cell_size.valueChanged.connect(self._note_move)
@@ -145,9 +145,6 @@ class FindCells(QPushButton):
         self._layer.events.paint.connect(self.edited)
         self._viewer.add_layer(self._layer)
         return self._layer
-
-    def _fail(self, message: str) -> None:
-        self._tell(sentence(message))
 
     def _layers_changed(self, event: Any = None) -> None:
         """What was found is of no interest once its layer is gone."""

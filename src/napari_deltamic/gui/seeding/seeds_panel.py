@@ -203,10 +203,9 @@ class SeedsPanel(QGroupBox):
         size = self._image.frame().voxel_size
         sides = np.asarray(size) * shape
         radius, voxels = float(self.radius.value()), (weakref.ref(self._image.layer), size)
-        if voxels == self._voxels:  # another region only: spheres keep their sizes
-            self.radius.setRange(2 * min(size), max(float(sides.max()) / 2, radius))
-        else:
-            self.radius.setRange(2 * min(size), float(sides.max()) / 2)
+        same = voxels == self._voxels  # another region only: spheres keep their sizes
+        self.radius.setRange(2 * min(size), max(float(sides.max()) / 2, radius * same))
+        if not same:
             self.radius.setValue(float(sides.min()) / 6)
         self._voxels = voxels
         self.find_cells.suit(shape, size)

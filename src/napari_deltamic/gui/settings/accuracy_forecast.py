@@ -80,7 +80,6 @@ class AccuracyDial(QComboBox):
         self.setCurrentText(NORMAL)
 
     def show_choice(self, choice: str) -> None:
-        """Show a name or a number."""
         if chosen(self.currentText()) != choice:
             self.setCurrentText(choice)
 

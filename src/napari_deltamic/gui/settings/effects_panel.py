@@ -65,7 +65,6 @@ class EffectsPanel(QWidget):
     # -------------------------------------------------------------------------------- effects
 
     def take_recommended(self) -> None:
-        """Tick what is recommended."""
         for name in self._open_recommendations():
             self.table.tick(name)
 
