@@ -74,6 +74,7 @@ def test_a_table_of_something_else_is_kept(fails, stacks, tmp_path):
     assert (tmp_path / "cells.csv").read_text() == "mine"
 
 
+@pytest.mark.slow
 def test_other_options_fit_again(run, stacks, tmp_path):
     (stacks / "bad.tif").unlink()
     arguments = ("batch", stacks, *SEEDS, "--workers", 0, "-o", tmp_path / "out")
@@ -86,6 +87,7 @@ def test_other_options_fit_again(run, stacks, tmp_path):
     assert [row["iterations"] for row in second] == ["5", "5"]
 
 
+@pytest.mark.slow
 def test_other_settings_of_the_same_name_fit_again(run, stacks, data, tmp_path):
     """A file of settings that has changed is another option."""
     (stacks / "bad.tif").unlink()
@@ -214,6 +216,7 @@ def test_a_kill_loses_nothing_that_is_finished(run, stacks, tmp_path):
         assert (killed / name).read_text() == (whole / name).read_text()
 
 
+@pytest.mark.slow
 def test_processes_of_this_machine(run, stacks, tmp_path):
     pytest.importorskip("distributed")
     out, alone = tmp_path / "out", tmp_path / "alone"

@@ -51,7 +51,13 @@ def arguments(channels, *more):
     )
 
 
-@pytest.mark.parametrize("channel", ["2", "cell membrane", "Cell Membrane"])
+SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize(
+    "channel",
+    [pytest.param("2", marks=SLOW), "cell membrane", pytest.param("Cell Membrane", marks=SLOW)],
+)
 def test_a_channel_is_fitted_as_if_it_were_alone(data, channels, run, tmp_path, channel):
     alone = ("fit", data / "cell.tif", "--seeds", data / "start.ply", *FAST)
     assert run(*alone, "-o", tmp_path / "alone")[0] == 0

@@ -9,6 +9,7 @@ from benchmarks.defaults.scoring import score  # noqa: E402
 COMMIT = "eb6f8a2203be47013e73a9f6a6b5c447cc5e424c"  # whose draws they are
 
 
+@pytest.mark.slow
 def test_a_fit_that_has_collapsed_begins_anew_with_membranes(tmp_path):
     """One side of the cell is bright, and passed as an inside: it had ended 0.77 voxel off."""
     scene = scenes.made("uneven", 1, COMMIT)
@@ -17,6 +18,7 @@ def test_a_fit_that_has_collapsed_begins_anew_with_membranes(tmp_path):
     assert outcome.report["verdict"]["grade"] == "good"
 
 
+@pytest.mark.slow
 def test_the_inner_side_of_a_thick_layer_is_not_called_good(tmp_path):
     """2 voxels from the middle of the layer, and good, as a dark inside in a bright medium."""
     scene = scenes.made("thick", 1, COMMIT)

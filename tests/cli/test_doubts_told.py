@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pytest
 
 from napari_deltamic.images.stacks import read_image, write_image
 
@@ -33,6 +34,7 @@ def test_padding_is_told_and_left_out(data, tmp_path, run):
     assert "padding, all of one value: taken as missing" in err
 
 
+@pytest.mark.slow
 def test_an_uneven_background_is_told_and_fitted(data, tmp_path, run):
     image, _ = read_image(data / "cell.tif")
     rising = image.astype(np.float32) + np.linspace(0, 3, image.shape[2]) * np.ptp(image)

@@ -75,6 +75,7 @@ def test_the_predicted_error_has_it(hidden):
     assert told.whole.alternative > 0.35 * FURTHER
 
 
+@pytest.mark.slow
 def test_a_known_psf_tells_them_apart():
     """Of six draws, in the mean; at 100 photons the faintest is as likely as none."""
     moved = []

@@ -232,6 +232,7 @@ def fitted(two, collisions):
     return states, apart(states[-1].mesh, cells)
 
 
+@pytest.mark.slow
 def test_cells_that_touch_do_not_cross(two):
     states, error = fitted(two, True)
     assert not any(crosses(s.mesh) for s in states)

@@ -211,6 +211,7 @@ def neighbours():
     return grid, measured(grid, both, density=density), own
 
 
+@pytest.mark.slow
 def test_ground_that_does_not_count_does_not_pull():
     grid, image, own = neighbours()
     kept = fitted(image, start(2), grid, counted=own)
@@ -236,6 +237,7 @@ def test_a_fit_that_finds_nothing_does_not_say_converged():
     assert last.message.startswith("stuck")
 
 
+@pytest.mark.slow
 def test_a_cell_that_has_shrunk_does_not_make_the_others_stuck():
     lost = sphere((0.25, 0.25, 0.25), 0.12, subdivisions=1)  # where the image is dark
     settings = FitSettings(levels=(1.5, 1.0))

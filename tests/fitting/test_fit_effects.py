@@ -131,7 +131,7 @@ def test_numbers_stay_within_their_bounds():
     assert last.effects.halo.width >= 0.05
 
 
-@pytest.mark.parametrize("density", [-0.3, -1.0])
+@pytest.mark.parametrize("density", [pytest.param(-0.3, marks=pytest.mark.slow), -1.0])
 def test_an_inside_darker_than_the_medium_around_is_found(density):
     image = scene(light=Light(1.0, density), background=40.0)
     last = fitted(image, near(), settings=NEAR.model_copy(update={"structure": "both"}))
@@ -184,6 +184,7 @@ def test_saturated_voxels_are_at_least_that_bright():
         assert found == pytest.approx(whole, rel=0.1)
 
 
+@pytest.mark.slow
 def test_missing_slices_are_left_out():
     image = measured()
     image[9:12] = 0
@@ -193,6 +194,7 @@ def test_missing_slices_are_left_out():
         assert apart(last.mesh) < 0.5 * apart(blind.mesh)
 
 
+@pytest.mark.slow
 def test_a_second_view_sees_what_the_first_does_not(tmp_path, one_thread):
     first, second = (0.3, 0.1, 0.1), (0.1, 0.1, 0.3)
     images = [measured(optics=GaussianPSF(s), noise=k) for k, s in enumerate((first, second))]

@@ -50,6 +50,7 @@ def off(state):
 
 
 @pytest.mark.parametrize(("optics", "told"), [(OBJECTIVE, ANEW), (CONFOCAL, GOES_ON)])
+@pytest.mark.slow
 def test_a_fit_goes_on_with_the_psf_of_an_objective(optics, told):
     states = states_of(optics)
     kinds = [type(state.optics) for state in states]
@@ -75,12 +76,14 @@ def test_a_gaussian_stays():
     assert not states[-1].cone
 
 
+@pytest.mark.slow
 def test_a_psf_that_is_held_is_not_asked():
     *_, state = begun(OBJECTIVE, fit_psf=False)
     assert isinstance(state.optics, nd.GaussianPSF)
     assert not state.cone
 
 
+@pytest.mark.slow
 def test_a_gaussian_narrower_than_voxels_tell_stays(monkeypatch):
     asked = []
 
@@ -97,6 +100,7 @@ def test_a_gaussian_narrower_than_voxels_tell_stays(monkeypatch):
     assert tuple(voxel_size) == SIZE
 
 
+@pytest.mark.slow
 def test_the_default_width_of_tall_voxels_asks_nothing(monkeypatch):
     # 1.2 voxels of 4 to 1 are as long as the PSF of an objective, and nobody has told them.
     tall = nd.Grid((12, 32, 32), (0.4, 0.1, 0.1))
@@ -132,6 +136,7 @@ def test_a_rival_that_does_not_move_is_left():
     assert (taken, len(posed)) == (1, 1)  # not posed anew
 
 
+@pytest.mark.slow
 def test_what_a_user_has_changed_is_not_begun_anew():
     states = begun(OBJECTIVE)
     first = next(states)

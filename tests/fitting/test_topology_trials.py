@@ -91,7 +91,7 @@ def test_a_wrong_neighbour_is_exchanged_or_told(half, photons):
 
 
 @pytest.mark.parametrize("photons", [40, 2000])
-@pytest.mark.parametrize("half", [0.55, 0.68, 0.9])
+@pytest.mark.parametrize("half", [0.55, pytest.param(0.68, marks=pytest.mark.slow), 0.9])
 def test_right_neighbours_stay(half, photons):
     truth = five(half)
     states, told = fitted(truth, remesh(truth, EDGE).mesh, photons)
@@ -120,6 +120,7 @@ def with_gap(size):
     return Mesh(mesh.vertices, mesh.faces, np.where(mesh.regions == 5, 0, mesh.regions))
 
 
+@pytest.mark.slow
 def test_a_gap_that_is_not_in_the_image_closes():
     begun = with_gap(0.75)
     (gap,) = small_pieces(begun, 0.5)

@@ -54,6 +54,7 @@ def test_a_dim_cell_is_as_large_as_a_bright_one(light, ratio):
     assert other / one == pytest.approx(ratio, rel=0.12)
 
 
+@pytest.mark.slow
 def test_where_densities_are_to_be_alike_so_are_insides():
     last = fitted(image_of(DIM), density="uniform")
     assert last.light.cells == ()

@@ -159,6 +159,7 @@ def net():
     return rng.poisson(3 + 30 * seen / seen.max()).astype(np.float32)
 
 
+@pytest.mark.slow
 def test_a_net_of_walls_that_encloses_nothing_is_not_cut_into_cells(monkeypatch):
     with pytest.raises(InputError, match="no cells"):
         cells_of(net(), (1.0, 0.2, 0.2))
@@ -168,7 +169,10 @@ def test_a_net_of_walls_that_encloses_nothing_is_not_cut_into_cells(monkeypatch)
     assert cells_of(net(), (1.0, 0.2, 0.2)).bright
 
 
-@pytest.mark.parametrize(("kind", "draw"), [("packed-hazy", 2), ("tissue-insides", 0)])
+@pytest.mark.parametrize(
+    ("kind", "draw"),
+    [pytest.param("packed-hazy", 2, marks=pytest.mark.slow), ("tissue-insides", 0)],
+)
 def test_nuclei_a_voxel_apart_or_touching_are_all_found(kind, draw):
     """They had come as 28 clumps of 45, and as a single cell."""
     scene = pytest.importorskip("benchmarks.defaults.scenes").made(kind, draw, "")
@@ -230,6 +234,7 @@ def test_a_dead_slice_is_bridged():
     assert min(overlaps(found.labels)) > 0.8
 
 
+@pytest.mark.slow
 def test_a_cell_with_walls_in_a_bright_haze_comes_before_the_haze():
     scene = pytest.importorskip("benchmarks.defaults.scenes").made("haze", 2, "")
     found = cells_of(scene.image, scene.voxel_size)
@@ -251,6 +256,7 @@ def discs():
     return labels, rng.poisson(3 + 60 * gaussian_filter(light, 1.3)).astype(np.float32)
 
 
+@pytest.mark.slow
 def test_cells_with_bright_rims_are_found_whole_where_walls_enclose_none(monkeypatch):
     """As of red blood cells, whose dimples leave no dark place that a wall encloses."""
 
@@ -264,6 +270,7 @@ def test_cells_with_bright_rims_are_found_whole_where_walls_enclose_none(monkeyp
     assert matched(found.labels, labels) == 1
 
 
+@pytest.mark.slow
 def test_one_nucleus_with_a_bright_rim_and_dark_nucleoli_do_not_hide_the_others(monkeypatch):
     """Nucleoli are found where cells with walls are sought; and the rim of one is a wall."""
     at = np.stack(np.indices((24, 90, 120)), -1).astype(float)

@@ -28,7 +28,7 @@ def test_gradient_of_render_and_loss(method, accuracy, bar, likelihood):
     assert all(0 < error < bar for error in found.values()), found
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2))])
 def test_noise_pulls_no_mesh_apart(seed):
     found = fit_to_noise(300, ends=True, seed=seed)
     assert found.iterations < 300  # it ends by itself
@@ -48,6 +48,7 @@ def test_ten_thousand_iterations_on_noise(seed):
     assert found.grown_mb < 16
 
 
+@pytest.mark.slow
 def test_a_psf_that_narrows_on_noise_fills_no_memory():
     """Fitted to noise, it becomes narrower than any voxel; the points once grew with that."""
     found = fit_to_noise(200, ends=False, fit_psf=True)
@@ -104,7 +105,7 @@ def test_one_and_two_threads_end_alike(name):
     assert apart < (1e-6 if "double" in name else 1e-5)
 
 
-@pytest.mark.parametrize("unit", [1e3, 1e-6])
+@pytest.mark.parametrize("unit", [pytest.param(1e3, marks=pytest.mark.slow), 1e-6])
 def test_a_fit_does_not_know_its_units(unit):
     """By points in double precision; measured 2e-6 at most."""
     assert apart_by_units(unit, 1e-8) < 1e-5

@@ -146,6 +146,7 @@ def test_a_cell_that_leaves_the_field_of_view_ends():
     assert lineage(results)[0].last == event.frame - 1
 
 
+@pytest.mark.slow
 def test_one_of_two_cells_leaves():
     def frame(t):
         return Mesh.merge([ball((0, 4, 5), 0.7 * RADIUS), ball((0, -4 - 4 * t, -5), 0.7 * RADIUS)])
@@ -166,8 +167,11 @@ def dividing():
 
 @pytest.mark.parametrize(
     ("images", "done", "cells"),
-    [(drifting(4), 2, [(1,), (1,)]), (dividing(), 2, [(2, 3)]), (dividing(), 1, 2 * [(2, 3)])],
-    ids=["drifting", "divided", "before it divides"],
+    [
+        pytest.param(drifting(4), 2, [(1,), (1,)], id="drifting"),
+        pytest.param(dividing(), 2, [(2, 3)], id="divided", marks=pytest.mark.slow),
+        pytest.param(dividing(), 1, 2 * [(2, 3)], id="before it divides", marks=pytest.mark.slow),
+    ],
 )
 def test_tracking_that_goes_on_from_a_frame_finds_the_same(images, done, cells):
     """Numbers of cells that are no more included: they are never given twice."""
