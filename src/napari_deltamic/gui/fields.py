@@ -18,7 +18,7 @@ from qtpy.QtWidgets import (
 from superqt.utils import signals_blocked
 
 from ..common.description import Described, described
-from ..common.triple import Triple
+from ..common.triple import Triple, triple
 from .widgets import Signal, be_narrow, row
 
 _MOST = 1_000_000  # of a whole number without a limit
@@ -57,8 +57,7 @@ class TripleField(QWidget):
         row(*self._boxes, of=self, spacing=3)
 
     def value(self) -> Triple:
-        z, y, x = (float(box.value()) for box in self._boxes)
-        return z, y, x
+        return triple(box.value() for box in self._boxes)
 
     def set_value(self, values: Sequence[float]) -> None:
         """Show numbers, without a signal."""

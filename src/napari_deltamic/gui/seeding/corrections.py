@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from qtpy.QtCore import QObject
 from qtpy.QtWidgets import QWidget
 
+from ...common.triple import triple
 from ...common.words import counted
 from ...errors import InputError
 from ...geometry import Click
@@ -101,8 +102,7 @@ class Corrections(QObject):
             return
         if layer is not self._clicked_in:  # another one was selected
             self._listen(layer)
-        z, y, x = (float(p) for p in place)
-        click = Click((z, y, x), _TOOLS[tool][2])
+        click = Click(triple(place), _TOOLS[tool][2])
         if tool != "merge":
             self._want((layer, [click]))
         elif self._first is None:

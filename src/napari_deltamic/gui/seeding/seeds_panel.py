@@ -56,16 +56,14 @@ class SeedsPanel(QGroupBox):
 
     def place_seeds(self) -> None:
         """A Points layer that takes clicks: one that is ticked, or a new one."""
-        if self._image.layer is None:
-            self.note.say(sentence(self._image.missing()))
+        try:
+            frame = self._image.frame()
+        except InputError as error:
+            self.note.say(sentence(str(error)))
             return
         layer = self._points_layer()
         if layer is None:
-            try:
-                layer = self._new_points(self._image.frame())
-            except InputError as error:
-                self.note.say(sentence(str(error)))
-                return
+            layer = self._new_points(frame)
             self._viewer.add_layer(layer)
         self._doc.finish_tools.emit(self)
         self._viewer.dims.ndisplay = 2
@@ -279,8 +277,6 @@ class SeedsPanel(QGroupBox):
             self._viewer.add_layer(surface_layer(loaded, frame).lie_on(self._image.layer))
             for remark in loaded.remarks:
                 self._doc.warned.emit(remark)
-
-    # ------------------------------------------------------------------------------------ spheres
 
     def _drawn_radius(self) -> float:
         """um; a point that is no sphere is drawn small, but over several slices."""

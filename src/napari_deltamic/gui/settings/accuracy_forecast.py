@@ -60,6 +60,7 @@ _MEASURES = (
     "use that accuracy."
 )
 _STALE = "this is of another image or PSF: measure again"
+_ACCURACY = Qt.ItemDataRole.UserRole  # of a line
 BUDGET = 2.0  # s: ways that take longer are left out; one under way cannot be interrupted
 
 
@@ -212,7 +213,7 @@ class TradeoffView(QWidget):
         self.list.setAccessibleName("what accuracy costs")
         column(self.button, self.progress, self.list, of=self)
         self.list.hide()
-        self.list.itemClicked.connect(self._clicked)
+        self.list.itemClicked.connect(lambda line: self.chosen.emit(line.data(_ACCURACY)))
         for signal in (doc.image.changed, doc.settings.changed):
             signal.connect(self.look)
         self.button.began.connect(self._show)
@@ -229,7 +230,7 @@ class TradeoffView(QWidget):
         self.list.clear()
         for way in planned:
             item = QListWidgetItem(_line(way), self.list)
-            item.setData(Qt.ItemDataRole.UserRole, way.accuracy)
+            item.setData(_ACCURACY, way.accuracy)
             font = item.font()
             font.setBold(way.accuracy == self._accuracy)
             item.setFont(font)
@@ -269,9 +270,6 @@ class TradeoffView(QWidget):
             stale = self.button.stale
             if stale or self.progress.text() == _STALE:
                 self.progress.say(_STALE if stale else "")
-
-    def _clicked(self, item: QListWidgetItem) -> None:
-        self.chosen.emit(item.data(Qt.ItemDataRole.UserRole))
 
 
 def predicted(forecast: Forecast, guessed: bool = False) -> str:

@@ -59,13 +59,8 @@ class Preferences(BaseModel):
     @property
     def objective(self) -> MicroscopeOptics:
         """The numbers of the objective; a light sheet has one as thick as most."""
-        return MicroscopeOptics(
-            modality=self.modality,
-            na=self.na,
-            immersion=self.immersion,
-            wavelength=self.wavelength,
-            sheet=2.0,
-        )
+        numbers = self.model_dump(include={"modality", "na", "immersion", "wavelength"})
+        return MicroscopeOptics(**numbers, sheet=2.0)
 
     def show(self, doc: Document, optics: Any, preview: Any) -> None:
         """Set a new window, with its panels of the PSF and of the preview."""
