@@ -169,6 +169,18 @@ def test_no_panel_knows_another():
     assert wrong == []
 
 
+def test_what_the_rooms_share_knows_none_of_them():
+    """Beside them lie the widget of the dock and what opens it: these alone know the rooms."""
+    wrong = []
+    for path in GUI.glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.level == 1 and node.module:
+                room = node.module.partition(".")[0]
+                if (GUI / room).is_dir() and room != "viewing":
+                    wrong.append(path.stem)
+    assert set(wrong) == {"fit_widget", "menu"}
+
+
 def outermost(target):
     """The names that an assignment to an attribute goes through: ``self._doc.run`` -> three."""
     names = []

@@ -282,7 +282,9 @@ class SecondSource(LayerChoice):
         self._image = image
         self.sigma: Triple = (1.0, 1.0, 1.0)
         self._given = self._quiet = False
-        super().__init__(viewer, self._can_be_second, optional=True)
+        super().__init__(
+            viewer, lambda layer: is_stack(layer) and layer is not image.layer, optional=True
+        )
         image.changed.connect(self._image_changed)
 
     def view(self) -> ViewEffect | None:
@@ -318,9 +320,6 @@ class SecondSource(LayerChoice):
         """The image and its second view, where there is one."""
         layers = [self.layer, self._image.layer]
         return layers if None not in layers else []
-
-    def _can_be_second(self, layer: Any) -> bool:
-        return is_stack(layer) and layer is not self._image.layer
 
     def _image_changed(self) -> None:
         self.refresh()

@@ -97,7 +97,7 @@ class AccuracyForecast(QObject):
         self._doc, self._choice = doc, doc.settings
         self._told: Forecast | None = None  # that of the run, as it is shown
         self.noise = doc.settings.noise
-        self.background = doc.background(self._fail)
+        self.background = doc.background(lambda why: self.predicts.emit(f"no forecast: {why}"))
         for signal in (doc.image.changed, doc.cells_changed, doc.settings.changed):
             signal.connect(self.later)
         dial.currentTextChanged.connect(self.later)
@@ -144,9 +144,6 @@ class AccuracyForecast(QObject):
         expected = found.forecast
         known = self._doc.learned.about(expected.kind)
         self.predicts.emit(predicted(expected.after(known), found.guessed))
-
-    def _fail(self, message: str) -> None:
-        self.predicts.emit(f"no forecast: {message}")
 
     def _show_number(self) -> None:
         """What the dial stands for, where that is known and something."""

@@ -112,7 +112,7 @@ class TrackPanel(QGroupBox):
         frame, tracking = image.frame(), tracks.settings.track
         job = _reopened(tracks, frame, images)
         left = range(tracking.first, len(images))
-        work = self.work = self._made(partial(_same, job), images, left, tracks.results)
+        work = self.work = self._made(lambda: job, images, left, tracks.results)
         work.job, work.seconds, work.running = job, tracks.seconds, False
         self.divisions.setChecked(tracking.divisions)
         self._show_in(image.layer, frame).show(tracks.results)
@@ -166,7 +166,7 @@ class TrackPanel(QGroupBox):
 
     def _made(
         self,
-        prepare: Callable[[], FitInput],
+        prepare: Callable[[], FitInput | None],
         images: Frames,
         frames: range,
         done: Sequence[FrameResult],
@@ -215,7 +215,8 @@ class TrackPanel(QGroupBox):
 
     def _work_changed(self) -> None:
         work, layers, can_go_on = self.work, self.layers, False
-        if work is not None and work.results and layers is not None:
+        # Without a job, no frame of a session has a mesh to go on from.
+        if work is not None and work.job is not None and work.results and layers is not None:
             left = work.results[-1].frame < work.frames.stop - 1
             can_go_on = left and layers.image_layer is self._doc.image.layer
         allowed = not self._doc.work.occupied
@@ -248,13 +249,6 @@ class TrackPanel(QGroupBox):
     def _complain(self, message: str) -> None:
         self.verdict.say(message, "failed")
         self._doc.warned.emit(message)
-
-
-def _same(job: FitInput | None) -> FitInput:
-    """The job of a session, which needs no preparation."""
-    if job is None:
-        raise InputError("no frame of it has a mesh to go on from")
-    return job
 
 
 def _reopened(tracks: SavedTracks, frame: Frame, images: Frames) -> FitInput | None:

@@ -39,7 +39,7 @@ class TrackWork(Task):
 
     Parameters
     ----------
-    prepare : puts the fit of the first frame together, in the thread.
+    prepare : puts the fit of the first frame together, in the thread; None where there is none.
     images : all frames.
     frames : those that are tracked.
     done : frames of an earlier run to go on from.
@@ -58,7 +58,7 @@ class TrackWork(Task):
 
     def __init__(
         self,
-        prepare: Callable[[], FitInput],
+        prepare: Callable[[], FitInput | None],
         images: Frames,
         frames: range,
         done: Sequence[FrameResult],
@@ -103,6 +103,7 @@ class TrackWork(Task):
         began, done = time.monotonic(), list(self.results)
         job = self.job = self.prepare()
         yield
+        assert job is not None, "is not offered without one"
         settings, count = self.settings, len(self.frames)
         for state in track(
             self.images,
