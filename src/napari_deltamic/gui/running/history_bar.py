@@ -130,8 +130,8 @@ class HistoryBar(QWidget):
         for k, other in enumerate(self._moments):
             if other is moment:
                 return k
-        earlier = [k for k, m in enumerate(self._moments) if m.iteration <= moment.iteration]
-        return min(earlier[-1] if earlier else 0, max(len(self._moments) - 2, 0))
+        nearest = self._doc.timeline.nearest(moment.iteration) or 0
+        return min(nearest, max(len(self._moments) - 2, 0))
 
     def _show(self) -> None:
         looking, running = self.chosen is not None, self._doc.running

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -26,7 +27,6 @@ class LiveSettings:
 
     def __init__(self, doc: Document, edits: Edits) -> None:
         self._doc, self._edits = doc, edits
-        self._run = 0  # identity of the fit whose settings these are
         self._fit: FitSettings | None = None  # of the fit, as it was last told
         self._shown: FitSettings | None = None  # what was chosen then
         self._psf = ""  # that was chosen then
@@ -39,18 +39,15 @@ class LiveSettings:
         doc.image.changed.connect(self._image_changed)
 
     def _started(self) -> None:
-        if not self._doc.running or id(self._doc.run) == self._run:
+        if not self._doc.running:
             return
-        settings, self._run = self._doc.settings, id(self._doc.run)
-        self._fit, self._shown = None, settings.fit_settings()
-        self._psf = settings.psf_key()
-        try:
+        settings = self._doc.settings
+        self._fit, self._shown, self._psf = None, settings.fit_settings(), settings.psf_key()
+        self._fixed, self._effects = {}, settings.effects
+        # A fit that goes on from the history has its own image and second view, whatever has become
+        # of those in the panels.
+        with suppress(InputError):
             scene = settings.scene_settings()
-        except InputError:
-            # A fit that goes on from the history has its own image and second view, whatever has
-            # become of those in the panels.
-            self._fixed, self._effects = {}, settings.effects
-        else:
             self._fixed, self._effects = _fixed(scene), scene.effects
 
     def _began(self, fresh: bool) -> None:
@@ -130,13 +127,12 @@ class LiveSettings:
         present = self._doc.present()
         if present is None:
             return shown
-        found = present.state.effects
-        same = [
-            effect
-            for effect in found.present()
+        same = {
+            effect.name: effect
+            for effect in present.state.effects.present()
             if getattr(shown, effect.name) == getattr(self._effects, effect.name) is not None
-        ]
-        return shown.replace(**{effect.name: effect for effect in same})
+        }
+        return shown.replace(**same)
 
     def _tell_fixed(self) -> None:
         """What cannot change on the way is told once."""
