@@ -5,7 +5,7 @@ import pytest
 from napari_deltamic.common.description import described
 from napari_deltamic.errors import InputError
 from napari_deltamic.gui.fields import Form
-from napari_deltamic.gui.settings.psf_fields import ObjectiveFields
+from napari_deltamic.gui.settings.optics_panel import ObjectiveFields
 from napari_deltamic.runs.optics_settings import MeasuredOptics, MicroscopeOptics
 from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.runs.track_settings import TrackSettings

@@ -154,13 +154,8 @@ class StartLayers(MeshLayers):
         self, viewer: Any, image_layer: Any, frame: Frame, on_removed: Callable[[bool], None]
     ) -> None:
         super().__init__(viewer, image_layer, frame)
-        self.mesh: Mesh | None = None
         self._on_removed = on_removed
         self.connections.connect(viewer.layers.events.removed, self._removed)
-
-    @property
-    def shown(self) -> Mesh | None:
-        return self.mesh
 
     def show(self, mesh: Mesh) -> None:
         """Show surfaces, um in the frame."""

@@ -45,6 +45,7 @@ class MeshLayers:
     def __init__(self, viewer: Any, image_layer: Any, frame: Frame) -> None:
         self.viewer, self.image_layer, self.frame = viewer, image_layer, frame
         self._name, contours = (f"{image_layer.name}: {name}" for name in self.names)
+        self.mesh: Mesh | None = None  # the newest
         self.surface: Surface | None = None
         self.contours = Contours(frame, contours, image_layer)
         self.contours.layer.metadata[OWN] = dict(self.known)
@@ -66,7 +67,7 @@ class MeshLayers:
     @property
     def shown(self) -> Mesh | None:
         """The mesh that is to be seen."""
-        raise NotImplementedError
+        return self.mesh
 
     @property
     def time(self) -> tuple[int, ...]:

@@ -37,8 +37,7 @@ class ViewerLink(MeshLayers):
         self, viewer: Any, image_layer: Any, frame: Frame, on_lost: Callable[[str], None]
     ) -> None:
         super().__init__(viewer, image_layer, frame)
-        self.mesh: Mesh | None = None  # the newest; ``shown`` may be another
-        self._held: Mesh | None = None
+        self._held: Mesh | None = None  # shown instead of the newest
         self.rendered: Image | None = None
         self.residual: Image | None = None
         self._images: tuple[NDArray[Any], NDArray[Any]] | None = None
