@@ -45,11 +45,9 @@ class CellTable(QTableWidget):
         self._colours: Mapping[int, int] = {}
         self._told: tuple[int, ...] = ()
         self._wanted = set(FIRST)  # columns, by key; those without values are not shown
-        for number, column in enumerate(COLUMNS):
-            item = QTableWidgetItem(column.title)
-            item.setToolTip(f"<qt>{column.tip} Click to sort, right-click for columns.</qt>")
-            self.setHorizontalHeaderItem(number, item)
-        columns = be_table_of_rows(self, 36)
+        more = "Click to sort, right-click for columns."
+        titles = ((column.title, f"{column.tip} {more}") for column in COLUMNS)
+        columns = be_table_of_rows(self, titles, 36)
         columns.setStretchLastSection(True)
         for key in _BEFORE:
             columns.moveSection([column.key for column in COLUMNS].index(key), 1)

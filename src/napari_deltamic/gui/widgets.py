@@ -19,6 +19,7 @@ from qtpy.QtWidgets import (
     QPushButton,
     QSizePolicy,
     QTableWidget,
+    QTableWidgetItem,
     QToolButton,
     QVBoxLayout,
     QWidget,
@@ -224,8 +225,15 @@ def sentence(text: str) -> str:
     return f"{text[0].upper()}{text[1:]}." if text else ""
 
 
-def be_table_of_rows(table: QTableWidget, narrowest: int) -> Any:
-    """Rows are chosen, not edited, and columns as wide as what they hold; the header, for more."""
+def be_table_of_rows(table: QTableWidget, titles: Iterable[tuple[str, str]], narrowest: int) -> Any:
+    """Rows are chosen, not edited, and columns as wide as what they hold; the header, for more.
+
+    titles : of the columns, each with its tooltip.
+    """
+    for number, (title, tip) in enumerate(titles):
+        item = QTableWidgetItem(title)
+        item.setToolTip(f"<qt>{tip}</qt>")
+        table.setHorizontalHeaderItem(number, item)
     rows: Any = table.verticalHeader()
     rows.setVisible(False)
     columns: Any = table.horizontalHeader()

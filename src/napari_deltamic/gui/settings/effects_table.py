@@ -37,11 +37,7 @@ class EffectsTable(QTableWidget):
         self._offered = tuple(names)
         self._evidence: dict[str, Evidence] = {}
         self._present: frozenset[str] = frozenset()
-        for column, (title, tip) in enumerate(_COLUMNS):
-            item = QTableWidgetItem(title)
-            item.setToolTip(f"<qt>{tip}</qt>")
-            self.setHorizontalHeaderItem(column, item)
-        columns = be_table_of_rows(self, 30)
+        columns = be_table_of_rows(self, _COLUMNS, 30)
         columns.setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
         rows: Any = self.verticalHeader()
         rows.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from qtpy.QtGui import QImage, QPixmap, QShowEvent
-from qtpy.QtWidgets import QComboBox, QFileDialog, QFormLayout, QLabel, QSizePolicy, QWidget
+from qtpy.QtWidgets import QFileDialog, QFormLayout, QLabel, QSizePolicy, QWidget
 from skimage.transform import resize
 from superqt.utils import signals_blocked
 
@@ -25,7 +25,7 @@ from ...runs.settings import SceneSettings
 from ..document import Document
 from ..fields import Form, TripleField, tip_of
 from ..fit_choice import widths_in_words
-from ..widgets import Note, Signal, button, column
+from ..widgets import Note, Signal, button, column, narrow_box
 from ..window_words import attempt
 from ..work import one_shot
 
@@ -63,10 +63,8 @@ class OpticsPanel(QWidget):
         self._doc, self._choice = doc, doc.settings
         self._given: Any = None  # settings of a kind that has no fields here
         self._key = self._width = ""
-        self.kind = QComboBox(self)
-        self.kind.addItems(list(_TIPS))
         tips = "<br>".join(f"<b>{name}</b>: {text}" for name, text in _TIPS.items())
-        self.kind.setToolTip(f"<qt>{tips}</qt>")
+        self.kind = narrow_box(self, "kind of PSF", tips, _TIPS)
         self.sigma = TripleField(tip_of(described(SceneSettings)["sigma"]), self)
         self.objective = ObjectiveFields(self)
         self.measured = MeasuredFields(self._complain, self)
