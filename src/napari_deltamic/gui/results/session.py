@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -51,7 +51,7 @@ def capture(parts: Parts) -> tuple[Session, str]:
         seeds=tuple(save_layer(seed, step, point, frame) for seed in doc.cells.ticked),
         result=result[0] if result else None,
         panels={
-            "seeds": _seeds_shown(parts.seeds),
+            "seeds": {name: get() for name, (get, _) in _fields(parts.seeds).items()},
             "shown": {"view": doc.view},
             "view": {"ndisplay": dims.ndisplay, "point": point[-3:], "time": point[:-3]},
             "accuracy": doc.settings.accuracy,
@@ -69,8 +69,7 @@ def restore(parts: Parts, session: Session) -> Generator[None]:
     Where it yields, the window may do what waits: cells come after the image, then the result.
     InputError if something runs.
     """
-    doc, panel = parts.doc, parts.seeds
-    viewer = doc.viewer
+    doc, viewer = parts.doc, parts.doc.viewer
     if doc.work.occupied:
         raise InputError(doc.work.occupied)
     empty = not viewer.layers
@@ -88,7 +87,9 @@ def restore(parts: Parts, session: Session) -> Generator[None]:
     with suppress(ValueError):  # an earlier session has no name of it: the number is shown
         doc.settings.show_accuracy(usable_choice(session.panels.get("accuracy")))
     # Before the layers: sizes of points follow these fields.
-    _show_seeds(panel, session.panels.get("seeds", {}))
+    for name, (_, put) in _fields(parts.seeds).items():
+        if name in session.panels.get("seeds", {}):
+            put(session.panels["seeds"][name])
     for seed in seeds:
         lie_on(seed, image)
         viewer.add_layer(seed)
@@ -212,25 +213,16 @@ def _show_result(doc: Document, result: SavedResult, session: Session) -> None:
 # ---- panels --------------------------------------------------------------------------------------
 
 
-def _seeds_shown(seeds: Any) -> dict[str, Any]:
+def _fields(seeds: Any) -> dict[str, tuple[Callable[[], Any], Callable[[Any], None]]]:
+    """How each field of the panel of the cells is read, and how it shows a value."""
+    size = seeds.find_cells.cell_size
     return {
-        "start_as": seeds.shape.currentText(),
-        "radius": float(seeds.radius.value()),
-        "cell_size": float(seeds.find_cells.cell_size.value()),
-        "preview": seeds.preview.isChecked(),
-    }
-
-
-def _show_seeds(seeds: Any, shown: dict[str, Any]) -> None:
-    if "start_as" in shown:
         # Its words were others in earlier sessions.
-        seeds.use_spheres("sphere" in str(shown["start_as"]))
-    if "radius" in shown:
-        seeds.radius.setValue(float(shown["radius"]))
-    if "cell_size" in shown:
-        seeds.find_cells.cell_size.setValue(float(shown["cell_size"]))
-    if "preview" in shown:
-        seeds.preview.prefer(bool(shown["preview"]))
+        "start_as": (seeds.shape.currentText, lambda text: seeds.use_spheres("sphere" in text)),
+        "radius": (seeds.radius.value, seeds.radius.setValue),
+        "cell_size": (size.value, size.setValue),
+        "preview": (seeds.preview.isChecked, seeds.preview.prefer),
+    }
 
 
 def _show_view(viewer: Any, shown: dict[str, Any], *, fit_camera: bool) -> None:
