@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import partial
 from typing import Any
@@ -42,16 +42,8 @@ _IN_3D = "Cells that were missed are added on slices only."
 _BESIDE = "In 3D, click on a cell; what was missed is added on the slices."
 
 
-_Wanted = tuple[Any, Sequence[Click]]  # the layer that is corrected, and how
-
-
 class Corrections(QObject):
-    """Corrects one of the Labels layers that are ticked: the active one, else the highest.
-
-    Parameters
-    ----------
-    parent : Qt's, of the bar.
-    """
+    """Corrects one of the Labels layers that are ticked: the active one, else the highest."""
 
     edited = Signal()  # labels were changed
 
@@ -64,7 +56,7 @@ class Corrections(QObject):
         bar.row.addWidget(self.undo_button)
         bar.column.addWidget(self.count)
         self._first: Click | None = None  # of the two that are to be merged
-        self._waiting: list[_Wanted] = []
+        self._waiting: list[tuple[Any, list[Click]]] = []  # layers, and what is to be done there
         self._corrector: Corrector | None = None
         self._corrector_of: tuple[Any, ...] = ()
         self._corrected: Any = None  # the array of the labels
@@ -76,7 +68,8 @@ class Corrections(QObject):
 
     @property
     def layer(self) -> Any:
-        return chosen_of(self._viewer, [x for x in self._cells.ticked if _can_be_corrected(x)])
+        found = [x for x in self._cells.ticked if isinstance(x, Labels) and x.ndim == 3]
+        return chosen_of(self._viewer, [x for x in found if not x.multiscale])
 
     @property
     def busy(self) -> bool:
@@ -103,15 +96,14 @@ class Corrections(QObject):
         if layer is not self._clicked_in:  # another one was selected
             self._listen(layer)
         click = Click(triple(place), _TOOLS[tool][2])
-        if tool != "merge":
-            self._want((layer, [click]))
-        elif self._first is None:
+        if tool == "merge" and self._first is None:
             self._first = click
             self.bar.hint.say("Click the other half of this cell to merge them.")
             self.renew()
-        else:
-            first, self._first = self._first, None
-            self._want((layer, [first, click]))
+            return
+        first, self._first = self._first, None
+        self._waiting.append((layer, [click] if first is None else [first, click]))
+        self._next()
 
     def undo(self) -> None:
         """Undo what was last done to the labels, by clicks or brush, or the first click of two."""
@@ -177,23 +169,16 @@ class Corrections(QObject):
 
     # --------------------------------------------------------------------------------- the work
 
-    def _want(self, wanted: _Wanted) -> None:
-        self._waiting.append(wanted)
-        if not self._background.busy:
-            self._next()
-
     def _next(self) -> None:
         """Make what waits longest; what cannot be done is told."""
         while self._waiting and not self._background.busy:
-            wanted = self._waiting.pop(0)
             try:
-                self._start(wanted)
+                self._start(*self._waiting.pop(0))
             except InputError as error:
                 self._waiting = []
                 self.bar.hint.say(str(error))
 
-    def _start(self, wanted: _Wanted) -> None:
-        layer, clicks = wanted
+    def _start(self, layer: Any, clicks: list[Click]) -> None:
         if layer not in self._cells.ticked or self._image.layer is None:
             raise InputError("tick the Labels layer that is to be corrected")
         frame, read = self._image.under(layer)
@@ -241,10 +226,6 @@ def _put(layer: Any, labels: NDArray[np.int32], where: NDArray[np.bool_]) -> Non
     if not fits:  # a file, or a kind of number that is too small
         layer.data = np.array(data, np.int32)
     layer.data_setitem(np.nonzero(where), labels[where])
-
-
-def _can_be_corrected(layer: Any) -> bool:
-    return isinstance(layer, Labels) and layer.ndim == 3 and not layer.multiscale
 
 
 def cells_in(labels: NDArray[Any]) -> int:

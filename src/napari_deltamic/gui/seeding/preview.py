@@ -136,9 +136,6 @@ class Preview(QCheckBox):
 class StartLayers(MeshLayers):
     """Two layers of the plugin's own that show where a fit of an image would start.
 
-    Parameters
-    ----------
-    image_layer, frame : the image, and its frame.
     on_removed : called when one of the layers, or the image, is removed: whether by a user.
     """
 
