@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import (
     binary_erosion,
     distance_transform_edt,
+    find_objects,
     gaussian_filter,
     maximum_filter,
     minimum_filter,
@@ -210,10 +211,13 @@ def _dark_regions(image: np.ndarray, grid: Grid, mesh: Mesh, starts: Labels) -> 
     """(Z, Y, X) the dark region around the deepest voxel of each start; None if one has none."""
     size, first = np.asarray(grid.voxel_size), np.asarray(grid.origin)
     places = []
+    boxes = find_objects(starts)
     for region in mesh.region_ids():
-        own = starts == region
-        depth = distance_transform_edt(np.pad(own, 1), sampling=size)[1:-1, 1:-1, 1:-1]
-        places.append(first + size * np.unravel_index(int(depth.argmax()), own.shape))
+        box = boxes[region - 1]
+        own = np.pad(starts[box] == region, 1)
+        deepest = np.unravel_index(distance_transform_edt(own, sampling=size).argmax(), own.shape)
+        corner = np.array([one.start for one in box])
+        places.append(first + size * (corner + np.asarray(deepest) - 1))
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RepairWarning)
