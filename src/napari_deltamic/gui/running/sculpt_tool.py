@@ -74,14 +74,14 @@ class EditBar(ToolBar):
             lay_down(self._doc.viewer.layers.selection.active)
 
     def _began(self, fresh: bool) -> None:
-        present, link = self._doc.present(), self._doc.link
+        present = self._doc.present()
         if fresh and present is not None:
             low, high = present.state.mesh.bounds()
             size = float((high - low).max())
             with signals_blocked(self.radius):  # a brush that suits the mesh
                 self.radius.setRange(size / 100, size / 2)
                 self.radius.setValue(size / 8)
-        if not fresh and link is not None:
+        if not fresh:
             self._show_pins()
 
     def _show_pins(self) -> None:

@@ -33,6 +33,7 @@ class MeshLayers:
     ----------
     names : of the surface, and of the contours, behind that of the image.
     known : what the layers' metadata say of them.
+    time : step of the time point that the mesh is of, of a 4D image; () where it has none.
     surface_options : further ones, of the surface.
     low : whether they lie just above the image, under what else is shown of it.
     """
@@ -52,7 +53,6 @@ class MeshLayers:
         self._seen_in_3d = True
         self._placed = True  # whether the surface belongs to what is shown: 3D, at its time
         self._late = False  # whether the hidden surface is another than what is to be seen
-        self._time: tuple[int, ...] = ()  # of the image, that the mesh is of; () where it has none
         self.take_time()
         self._colours_of: Mesh | None = None
         self._apart: Apart | None = None  # how the surface is drawn
@@ -69,20 +69,16 @@ class MeshLayers:
         """The mesh that is to be seen."""
         return self.mesh
 
-    @property
-    def time(self) -> tuple[int, ...]:
-        """Step of the time point that the mesh is of, of a 4D image; () where it has none."""
-        return tuple(int(step) for step in self._time)
-
     def take_time(self, time: tuple[int, ...] | None = None) -> None:
         """From now on the meshes are those of a time point of a 4D image; None: the one shown."""
-        shown = tuple(self.viewer.dims.current_step[:-3])
-        self._time = () if self.image_layer.ndim < 4 else shown if time is None else time
+        if time is None:
+            time = self.viewer.dims.current_step[:-3]
+        self.time = tuple(int(step) for step in time) if self.image_layer.ndim > 3 else ()
 
     @property
     def at_time(self) -> bool:
         """Whether the image shown is that of the meshes."""
-        return not self._time or tuple(self.viewer.dims.current_step[:-3]) == self._time
+        return not self.time or tuple(self.viewer.dims.current_step[:-3]) == self.time
 
     @property
     def colours(self) -> Mapping[int, int]:
