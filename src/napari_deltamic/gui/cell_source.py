@@ -178,11 +178,11 @@ def _labels(
 class Wanted:
     """What a preview is of: points, um in the frame of an image layer, and when.
 
-    image : gives the voxels; only asked when the preview is computed.
+    read : gives the voxels, in any thread.
     """
 
     points: FloatArray
-    image: Callable[[], NDArray[Any]]
+    read: Callable[[], NDArray[Any]]
     layer: Any
     frame: Frame
     time: tuple[int, ...] = ()
@@ -240,7 +240,7 @@ class CellSource(LayerTicks):
             return None
         points = np.concatenate([one.points for one in sets])
         time = tuple(int(k) for k in self._viewer.dims.current_step[:-3])
-        return Wanted(points, self._image.stack, self._image.layer, frame, time)
+        return Wanted(points, self._image.reader(), self._image.layer, frame, time)
 
     def remarks(self, problems: tuple[Problem, ...]) -> list[Remark]:
         """What may be wrong with the seeds; ``problems`` are those of a preview."""

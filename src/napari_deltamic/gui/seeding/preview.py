@@ -7,16 +7,16 @@ from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 from qtpy.QtWidgets import QCheckBox, QWidget
 
 from ...geometry import Mesh
 from ...runs.seed_preview import COARSEST, SMALL, Found, Problem, coarsening, find
 from ..cell_source import PREVIEW, Wanted
 from ..document import Document
-from ..viewing.frame import MADE_BY_FIT, Frame
+from ..viewing.frame import MADE_BY_FIT, FloatArray, Frame
 from ..viewing.mesh_layers import MeshLayers
 from ..widgets import Signal
-from ..window_words import attempt
 
 WAIT = 400  # ms without a click before the preview is computed
 _TIP = (
@@ -71,7 +71,7 @@ class Preview(QCheckBox):
             self.clear()
         elif wanted.key() != self._key:
             self._key = wanted.key()
-            self.background.soon(self._ask, WAIT)
+            self.background.soon(partial(self._ask, wanted), WAIT)
 
     def clear(self) -> None:
         """Show none until the points change."""
@@ -86,16 +86,10 @@ class Preview(QCheckBox):
             self._layers.close()
         self._layers = None
 
-    def _ask(self) -> None:
-        asked = self._wanted() if self.isChecked() else None
-        if asked is not None:
-            attempt(partial(self._look_for, asked), self._fail)
-            self.changed.emit()
-
-    def _look_for(self, asked: Wanted) -> None:
-        image = asked.image()
-        work = partial(find, asked.points, image, asked.frame.grid(image.shape))
+    def _ask(self, asked: Wanted) -> None:
+        work = partial(_found, asked.points, asked.read, asked.frame)
         self.background.ask(work, partial(self._show, asked))
+        self.changed.emit()
 
     def _show(self, asked: Wanted, found: Found) -> None:
         shown, of = self._layers, asked.layer
@@ -131,6 +125,12 @@ class Preview(QCheckBox):
         if by_user:
             self._user_chose = True
             self.setChecked(False)
+
+
+def _found(points: FloatArray, read: Callable[[], NDArray[Any]], frame: Frame) -> Found:
+    """What the thread does."""
+    image = read()
+    return find(points, image, frame.grid(image.shape))
 
 
 class StartLayers(MeshLayers):
