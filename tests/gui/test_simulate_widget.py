@@ -7,8 +7,11 @@ import pytest
 from napari.layers import Layer
 
 import napari_deltamic as nd
+from napari_deltamic.common.choices import IMMERSIONS
+from napari_deltamic.common.description import described
 from napari_deltamic.gui.small_widgets import simulate_cells, simulate_widget
 from napari_deltamic.gui.viewing.frame import OWN
+from napari_deltamic.runs.optics_settings import MicroscopeOptics
 
 SMALL = {"cells": 2, "shape": (20, 24, 24), "kind": "vesicles"}
 
@@ -31,6 +34,11 @@ def test_every_argument_has_a_field(app):
     assert widget.voxel_size.value == pytest.approx((0.3, 0.2, 0.2))
     assert widget.kind.choices == ("foam", "vesicles")
     assert widget.effects.value == "none"
+    assert (widget.na.value, widget.immersion.value) == (0.8, "water")
+    said = described(MicroscopeOptics)
+    assert widget.wavelength.tooltip == said["wavelength"].sentence
+    assert widget.wavelength.label == "emission, µm"
+    assert widget.immersion.choices == tuple(IMMERSIONS)
     widget.show()
     assert (widget.sigma.visible, widget.na.visible) == (True, False)
     widget.psf.value = "confocal"

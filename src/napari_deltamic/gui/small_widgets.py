@@ -10,12 +10,15 @@ from napari.layers import Image, Surface
 from napari.qt.threading import FunctionWorker, create_worker
 from napari.types import LayerDataTuple
 
+from ..common.choices import IMMERSIONS, CellKind
+from ..common.description import described
 from ..common.writing import own_folder
 from ..errors import InputError
 from ..measure import Known, measure
 from ..optics import GaussianPSF, Optics, microscope
 from ..results.measured_files import write_measurements
 from ..results.mesh_exchange import labels_of
+from ..runs.optics_settings import MicroscopeOptics
 from ..scene import Grid, Scene, Simulation, random_cells, simulate
 from ..scene.effects import Effects
 from ..scene.structures import membranes_and_insides
@@ -23,6 +26,7 @@ from .cell_source import mesh_of_surface
 from .viewing.cell_layers import labels_options
 from .viewing.colours import surface_look, vertex_values
 from .viewing.frame import OWN, TRUTH, WORLD, Frame, shape_of
+from .window_words import for_window
 
 
 def measure_surface(
@@ -72,9 +76,16 @@ measure_widget = magic_factory(measure_surface, call_button="Measure")
 Lengths = tuple[float, float, float]
 
 
+def _said(name: str, **more: Any) -> dict[str, Any]:
+    """How a number of an objective is shown, as its settings say it."""
+    found = described(MicroscopeOptics)[name]
+    shown = {"label": for_window(found.label), "tooltip": found.sentence, **more}
+    return {**shown, "step": found.step} if found.kind == "number" else shown
+
+
 def simulate_cells(
     cells: Annotated[int, {"min": 1, "max": 500}] = 4,
-    kind: Literal["foam", "vesicles"] = "foam",
+    kind: CellKind = "foam",
     shape: tuple[int, int, int] = (40, 64, 64),
     voxel_size: Annotated[
         Lengths, {"label": "voxel, µm", "options": {"step": 0.01, "min": 0.001}}
@@ -87,11 +98,9 @@ def simulate_cells(
         0.24,
         0.24,
     ),
-    na: Annotated[float, {"label": "NA", "step": 0.05, "min": 0.0}] = 0.8,
-    wavelength: Annotated[
-        float, {"label": "emission, µm", "step": 0.01, "min": 0.0, "max": 1e5}
-    ] = 0.52,
-    immersion: Literal["air", "water", "silicone", "glycerol", "oil"] = "water",
+    na: Annotated[float, _said("na", min=0.0)] = 0.8,
+    wavelength: Annotated[float, _said("wavelength", min=0.0, max=1e5)] = 0.52,
+    immersion: Annotated[str, _said("immersion", choices=list(IMMERSIONS))] = "water",
     interior: Annotated[
         float, {"label": "light inside, 1/µm", "step": 0.05, "min": 0.0, "max": 100.0}
     ] = 0.0,
@@ -116,12 +125,6 @@ def simulate_cells(
         A Gaussian, or that of a microscope.
     sigma
         Standard deviations of a Gaussian PSF, um, Z Y X.
-    na
-        Numerical aperture of a microscope.
-    wavelength
-        um, of the emitted light; of a microscope.
-    immersion
-        Of a microscope's objective.
     interior
         Fluorophores per um^3 inside cells, for one per um^2 of membrane.
     effects
