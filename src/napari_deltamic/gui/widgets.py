@@ -245,6 +245,12 @@ def be_table_of_rows(table: QTableWidget, titles: Iterable[tuple[str, str]], nar
     return columns
 
 
+def be_as_high_as_rows(view: QAbstractItemView) -> None:
+    """All rows are seen, so that the column scrolls and not what lies in it."""
+    view.setSizeAdjustPolicy(QAbstractItemView.SizeAdjustPolicy.AdjustToContents)
+    view.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+
+
 class Note(QLabel):
     """A small line, wrapped, that is hidden while it is empty.
 

@@ -32,7 +32,7 @@ from ...geometry import Mesh
 from ..document import Document
 from ..fit_choice import NORMAL
 from ..running.worker import FitRun, Snapshot
-from ..widgets import Note, Signal, TaskButton, be_narrow, column
+from ..widgets import Note, Signal, TaskButton, be_as_high_as_rows, be_narrow, column
 from ..work import Question
 
 WAIT = 300  # ms without a change before the forecast is computed
@@ -208,6 +208,7 @@ class TradeoffView(QWidget):
         self.button = TaskButton(doc.work, _TITLES, _MEASURES, make, about, said, self)
         self.list = QListWidget(self)
         self.list.setAccessibleName("what accuracy costs")
+        be_as_high_as_rows(self.list)
         column(self.button, self.progress, self.list, of=self)
         self.list.hide()
         self.list.itemClicked.connect(lambda line: self.chosen.emit(line.data(_ACCURACY)))
@@ -231,8 +232,6 @@ class TradeoffView(QWidget):
             font = item.font()
             font.setBold(way.accuracy == self._accuracy)
             item.setFont(font)
-        height = self.list.sizeHintForRow(0) * len(planned) + 2 * self.list.frameWidth()
-        self.list.setFixedHeight(max(height, 0) + 4)
         self.list.setVisible(bool(planned))
 
     def _measurement(self) -> Question:

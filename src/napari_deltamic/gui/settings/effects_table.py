@@ -6,12 +6,11 @@ from collections.abc import Iterable
 from typing import Any
 
 from qtpy.QtCore import QSignalBlocker, Qt
-from qtpy.QtGui import QShowEvent
 from qtpy.QtWidgets import QAbstractItemView, QHeaderView, QTableWidget, QTableWidgetItem, QWidget
 
 from ...evidence import Evidence
 from ...scene.effects import KINDS
-from ..widgets import Signal, be_table_of_rows, sentence
+from ..widgets import Signal, be_as_high_as_rows, be_table_of_rows, sentence
 
 _COLUMNS = (
     ("correction", "Tick to include it: in a running fit from now on, otherwise in the next one."),
@@ -43,7 +42,7 @@ class EffectsTable(QTableWidget):
         rows.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         self.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
         self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        self.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        be_as_high_as_rows(self)
         # napari's own boxes can hardly be seen on a table.
         self.setStyleSheet(_BOXES)
         self.itemChanged.connect(self._changed)
@@ -67,11 +66,6 @@ class EffectsTable(QTableWidget):
         """Change a box as the user does."""
         item: Any = self.item(self.names().index(name), 0)
         item.setCheckState(Qt.CheckState.Checked if on else Qt.CheckState.Unchecked)
-
-    def showEvent(self, event: QShowEvent | None) -> None:
-        """Qt's; before it is shown, the theme has not decided how high a row is."""
-        super().showEvent(event)
-        self._fit_height()
 
     def _fill(self) -> None:
         blocker = QSignalBlocker(self)
@@ -100,14 +94,6 @@ class EffectsTable(QTableWidget):
             on = name in self._present
             first.setCheckState(Qt.CheckState.Checked if on else Qt.CheckState.Unchecked)
         blocker.unblock()
-        self._fit_height()
-
-    def _fit_height(self) -> None:
-        """All rows, so that the column scrolls and not the table in it."""
-        self.resizeRowsToContents()
-        header: Any = self.horizontalHeader()
-        rows = sum(self.rowHeight(row) for row in range(self.rowCount()))
-        self.setFixedHeight(header.sizeHint().height() + rows + 2 * self.frameWidth())
 
     def _name(self, row: int) -> str:
         item: Any = self.item(row, 0)
