@@ -198,17 +198,15 @@ def filled(layout: Any, *parts: Any) -> Any:
 
 def row(*parts: Any, of: QWidget | None = None, spacing: int | None = None) -> QHBoxLayout:
     """Side by side, without a margin; of a widget, all that it shows."""
-    return _bare(QHBoxLayout(), parts, of, spacing)
+    return _bare(QHBoxLayout(of), parts, spacing)
 
 
 def column(*parts: Any, of: QWidget | None = None, spacing: int | None = None) -> QVBoxLayout:
     """The same, one under the other."""
-    return _bare(QVBoxLayout(), parts, of, spacing)
+    return _bare(QVBoxLayout(of), parts, spacing)
 
 
-def _bare(layout: Any, parts: Sequence[Any], of: QWidget | None, spacing: int | None) -> Any:
-    if of is not None:
-        of.setLayout(layout)
+def _bare(layout: Any, parts: Sequence[Any], spacing: int | None) -> Any:
     layout.setContentsMargins(0, 0, 0, 0)
     if spacing is not None:
         layout.setSpacing(spacing)

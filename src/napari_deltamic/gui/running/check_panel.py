@@ -131,16 +131,17 @@ class CheckPanel(QGroupBox):
         if self._note_of is not doc.image.layer and not doc.running:
             self._failed = ""
             self.note.say("")
-        words = ("", "") if record is None or doc.running else record.words
+        ended = None if doc.running else record
+        words = ("", "") if ended is None else ended.words
         self._show_verdict(*(("failed", self._failed) if self._failed else words))
-        self._show_grade(None if record is None or doc.running else record)
+        self._show_grade(ended)
         shown = record is not None and (record.state is not None or (doc.running and doc.begun))
         for part in (self.curve, self._looks, self.edit, self.history):
             part.setVisible(shown)
-        if record is not None and record.state is not None and not doc.running:
-            history = record.history
+        if ended is not None and ended.state is not None:
+            history = ended.history
             self.curve.show_losses(history.loss, history.level, history.first)
-            self.numbers.show_numbers(moved_numbers(*record.of_fit()))
+            self.numbers.show_numbers(moved_numbers(*ended.of_fit()))
         if not shown:
             self.numbers.hide()
         self._hide_if_empty()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from functools import partial
+from math import isfinite
 from typing import Any
 
 from qtpy.QtCore import Qt
@@ -142,11 +143,11 @@ class HistoryBar(QWidget):
             if running
             else "Start a fit from the state shown, with little blur."
         )
-        shown = self.chosen or (self._moments[-1] if self._moments else None)
-        if shown is None or (not looking and running):
-            self.note.say("")
-            return
-        text = f"iteration {shown.iteration}"
-        if shown.loss == shown.loss:
-            text += f", {explained(shown.loss):.1f}% explained"
-        self.note.say((text + (f": {shown.note}" if shown.note else "")) * looking)
+        text, shown = "", self.chosen
+        if shown is not None:
+            text = f"iteration {shown.iteration}"
+            if isfinite(shown.loss):
+                text += f", {explained(shown.loss):.1f}% explained"
+            if shown.note:
+                text += f": {shown.note}"
+        self.note.say(text)
