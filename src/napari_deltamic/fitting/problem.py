@@ -7,9 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError
+from ..optics import Optics
+from ..runs.settings import FitSettings
 from ..scene import Grid
 from ..scene.effects import Effects, VoxelEffect
 from .checks import FEWEST_VOXELS
+from .level import Level
 from .second_view import Pixels
 
 
@@ -58,6 +61,30 @@ class Problem:
                 counted = counted & ~effect.missing(self.image)
         _check_enough(counted)
         return counted
+
+    def levels(
+        self,
+        optics: Optics,
+        settings: FitSettings,
+        effects: Effects,
+        factor: float,
+        spread: float,
+    ) -> tuple[Level, Level | None]:
+        """Both images at one blur, see :class:`Level`.
+
+        None in place of a second one of which a wide blur leaves too little, since much is missing.
+
+        Raises
+        ------
+        InputError
+            If the effects leave fewer than 64 voxels of the first.
+        """
+        given = self.grid, optics, settings, effects, factor
+        counted, second = self.counted_with(effects), self.second
+        other = None if second is None else second.optics
+        level = Level(self.image, counted, *given, other, spread)
+        seen = None if second is None else second.level(*given)
+        return level, seen if seen is not None and seen.usable else None
 
 
 def _check_enough(counted: np.ndarray, which: str = "") -> None:

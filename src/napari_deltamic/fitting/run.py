@@ -117,7 +117,7 @@ class Run:
         start = None if self._stage.edited or not self._same_cells() else self._begun
         given = self._objective, self._fitted, self._stage, start
         self._fitted, taken = self._choice.beside_rivals(self._terms, *given)
-        self._stage = replace(self._stage, evaluations=self._stage.evaluations + taken)
+        self._stage = self._stage.spent(taken)
 
     def _same_cells(self) -> bool:
         """Whether the cells are those that the fit began with."""
@@ -146,7 +146,7 @@ class Run:
     def _objective_instead(self) -> ThroughObjective | None:
         """An objective's PSF, where the image shows the light cone that a Gaussian lacks."""
         found, taken = objective_instead(self._terms, self._fitted, self._objective.now.rendered)
-        self._stage = replace(self._stage, evaluations=self._stage.evaluations + taken)
+        self._stage = self._stage.spent(taken)
         return found
 
     def _with_objective(self, optics: ThroughObjective) -> Run | None:
@@ -195,17 +195,11 @@ class Run:
             self._remeshing.begin_level(self._fitted.mesh, blurred)
 
     def _make_level(self) -> None:
-        problem, fitted = self._problem, self._fitted
-        counted = problem.counted_with(fitted.effects)  # refuses what leaves too few
-        given = problem.grid, self._stage.blurred_for, self._settings, fitted.effects
-        factor, second = self._levels[self._stage.level_number], problem.second
+        fitted, factor = self._fitted, self._levels[self._stage.level_number]
         # As wide as at the start, so that the voxels that count stay the same.
         spread = fitted.first_effects.spread
-        other = None if second is None else second.optics
-        self._level = Level(problem.image, counted, *given, factor, other, spread)
-        seen = None if second is None else second.level(*given, factor)
-        # Of an image of which much is missing, a wide blur may leave nothing to go by.
-        self._second = seen if seen is not None and seen.usable else None
+        given = self._stage.blurred_for, self._settings, fitted.effects, factor, spread
+        self._level, self._second = self._problem.levels(*given)
 
     def _renew(self) -> None:
         """Good triangles, topology, and the objective from where the fit is."""
@@ -268,8 +262,8 @@ class Run:
     def _follow(self, progress: Progress) -> None:
         """Take over where the objective is."""
         self._fitted = self._objective.fitted
-        evaluations = self._stage.evaluations + self._objective.evaluations()
-        self._stage = replace(self._stage, progress=progress, evaluations=evaluations)
+        spent = self._stage.spent(self._objective.evaluations())
+        self._stage = replace(spent, progress=progress)
 
     def _finished(self) -> bool:
         """Whether the level is done; at the last one, topology is tried before."""

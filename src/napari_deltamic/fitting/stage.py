@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from ..optics import Optics
@@ -52,6 +52,10 @@ class Stage:
     def since_changed(self) -> int:
         """Iterations since the patience last started."""
         return self.iteration - max(self.changed_at, self.begun_at)
+
+    def spent(self, evaluations: int) -> Stage:
+        """After so many evaluations more."""
+        return replace(self, evaluations=self.evaluations + evaluations)
 
     def begun_anew(self, blurred_for: Optics) -> Stage:
         """At the first level again; counts go on."""
