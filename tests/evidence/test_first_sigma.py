@@ -1,9 +1,12 @@
 """A first width of the PSF, from the spectrum."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from napari_deltamic import GaussianPSF, Grid, render
+from napari_deltamic.evidence import first_sigma as module
 from napari_deltamic.evidence.first_sigma import first_sigma
 from napari_deltamic.geometry import sphere
 
@@ -40,3 +43,14 @@ def test_missing_voxels_are_taken():
     image = np.random.default_rng(0).normal(size=(24, 32, 32))
     image[3, :4] = np.nan
     assert not first_sigma(image, (0.3, 0.2, 0.2)).z.known
+
+
+def test_a_part_that_holds_only_the_caps_of_a_large_cell_does_not_decide(monkeypatch):
+    grid, true = Grid((60, 90, 90), (1.0, 1.0, 1.0)), (2.0, 1.3, 1.3)
+    cell = sphere((29.5, 44.5, 44.5), 25, edge_length=3.0)
+    image = render(cell, grid, GaussianPSF(true), 1e-2).numpy().clip(0)
+    image = np.random.default_rng(0).poisson(2 + 30 * image / image.max())
+    monkeypatch.setattr(module, "SPECTRUM", replace(module.SPECTRUM, looked_at=100_000))
+    found = first_sigma(image, grid.voxel_size)
+    assert found.yx.value == pytest.approx(1.3, rel=0.2)
+    assert found.z.value == pytest.approx(2.0, rel=0.25)

@@ -25,7 +25,7 @@ from scipy import ndimage
 
 from napari_deltamic.errors import InputError, RepairWarning
 from napari_deltamic.geometry.labels import basins
-from napari_deltamic.geometry.labels.meshes import mesh_from_labels
+from napari_deltamic.geometry.labels.meshes import MOST_FACES, mesh_from_labels
 from napari_deltamic.geometry.mesh import Mesh
 from napari_deltamic.geometry.seed_points import (
     labels_from_points,
@@ -320,3 +320,10 @@ def test_blocks_find_the_same_regions(monkeypatch: pytest.MonkeyPatch, radius: f
     assert trees == {0: 1 if radius > 1 else 2, 10**9: 2}
     for k in (1, 2):
         assert overlap(found[0] == k, found[10**9] == k) > 0.97
+
+
+def test_large_spheres_have_no_more_triangles_than_labels_may():
+    """Of planes 50 um apart and voxels of 0.2 um in one of them, one sphere had 2.5 million."""
+    image = np.random.default_rng(0).random((30, 30, 40))
+    mesh = seeds_from_points(image, (0.3, 0.2, 50.0), [(4.0, 3.0, 1000.0)], [200.0])
+    assert 10_000 < len(mesh.faces) < 2 * MOST_FACES

@@ -181,8 +181,10 @@ class SpectrumRules:
     longest_wave
         Of the image's side: longer waves tell of its frame. Measured: half and twice change widths
         by 0.2 % at most.
-    looked_at
-        Voxels, of the middle: more would take longer than 2 s, as measured.
+    looked_at, parts
+        Voxels of each part that is looked at, and how many of those with most structure: more would
+        take longer than 2 s, as measured. The middle alone may hold nothing but the caps of a large
+        cell, which tell no width in the plane.
     most_modes
         That a ring counts as, since the modes of one ring belong to one shape. Measured: half and
         twice change widths by 0.02 % at most.
@@ -216,6 +218,7 @@ class SpectrumRules:
     shape_error: float = 0.08
     longest_wave: float = 0.5
     looked_at: int = 3_000_000
+    parts: int = 4
     most_modes: float = 200.0
     noise_floor: float = 0.05
     low_waves: float = 0.2

@@ -8,6 +8,7 @@ noise, which is the same everywhere. The three are fitted to the periodogram by 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import hypot, pi
 
@@ -39,14 +40,14 @@ def first_sigma(image: np.ndarray, voxel_size: tuple[float, float, float]) -> Fi
     voxel_size
         um, Z Y X.
     """
-    pixels = _prepared(np.asarray(image, dtype=np.float32))
-    if min(pixels.shape) < 12:
+    parts = _prepared(np.asarray(image, dtype=np.float32))
+    if min(parts[0].shape) < 12:
         nothing = unknown("a spectrum needs 12 voxels along each axis")
         return FirstSigma(nothing, nothing)
-    if not pixels.any():
+    if not any(part.any() for part in parts):
         nothing = unknown("every voxel has the same value")
         return FirstSigma(nothing, nothing)
-    kz, k, count, power = _rings(pixels, voxel_size)
+    kz, k, count, power = _rings(parts, voxel_size)
     return _fitted(kz, k, count, power, voxel_size)
 
 
@@ -83,14 +84,20 @@ def with_first_psf(scene: SceneSettings, image: np.ndarray) -> tuple[SceneSettin
     return scene.model_copy(update={"sigma": (z, y, x)}), told is not None
 
 
-def _prepared(pixels: np.ndarray) -> np.ndarray:
-    """The middle of the stack, without its mean, fading towards the border."""
+def _prepared(pixels: np.ndarray) -> list[np.ndarray]:
+    """Parts of the stack that show most, without their mean, fading towards their borders."""
     share = min(1.0, (SPECTRUM.looked_at / pixels.size) ** 0.5)
-    kept = [pixels.shape[0], *(max(1, int(n * share)) for n in pixels.shape[1:])]
-    cut = tuple(
-        slice((n - m) // 2, (n - m) // 2 + m) for n, m in zip(pixels.shape, kept, strict=True)
-    )
-    part = pixels[cut]
+    kept = [max(1, int(n * share)) for n in pixels.shape[1:]]
+    starts = [
+        np.linspace(0, n - m, -(-n // m)).astype(int)
+        for n, m in zip(pixels.shape[1:], kept, strict=True)
+    ]
+    parts = [pixels[:, y : y + kept[0], x : x + kept[1]] for y in starts[0] for x in starts[1]]
+    parts.sort(key=lambda part: -float(np.nanvar(part)) if np.isfinite(part).any() else 0.0)
+    return [_faded(part) for part in parts[: SPECTRUM.parts]]
+
+
+def _faded(part: np.ndarray) -> np.ndarray:
     finite = np.isfinite(part)
     part = np.where(finite, part - (part[finite].mean() if finite.any() else 0), 0)
     for axis, n in enumerate(part.shape):
@@ -100,11 +107,15 @@ def _prepared(pixels: np.ndarray) -> np.ndarray:
 
 
 def _rings(
-    pixels: np.ndarray, voxel_size: tuple[float, float, float]
+    parts: Sequence[np.ndarray], voxel_size: tuple[float, float, float]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """|k_z|, |k_yx| (rad/um), number of modes and mean power of each ring of the spectrum."""
-    power = np.abs(rfftn(pixels, workers=1)) ** 2 / pixels.size
-    n = pixels.shape
+    """|k_z|, |k_yx| (rad/um), number of modes and mean power of each ring of the spectrum.
+
+    The mean of the parts' spectra (P. D. Welch, 1967).
+    """
+    n, power = parts[0].shape, np.zeros(())
+    for part in parts:
+        power = power + np.abs(rfftn(part, workers=1)) ** 2 / (part.size * len(parts))
     axes = [2 * pi * np.fft.fftfreq(m, d) for m, d in zip(n[:2], voxel_size[:2], strict=True)]
     axes.append(2 * pi * np.fft.rfftfreq(n[2], voxel_size[2]))
     kz = np.abs(axes[0])[:, None, None] + np.zeros(power.shape)

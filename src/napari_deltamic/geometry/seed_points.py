@@ -14,7 +14,7 @@ from napari_deltamic.common.reading import one_reason, read_text, reading
 from napari_deltamic.errors import InputError, RepairWarning
 from napari_deltamic.geometry.foam import spheres_of_foam
 from napari_deltamic.geometry.labels.basins import label_basins
-from napari_deltamic.geometry.labels.meshes import EDGE_IN_VOXELS, surfaces_of_labels
+from napari_deltamic.geometry.labels.meshes import EDGE_IN_VOXELS, edge_within, surfaces_of_labels
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
 from napari_deltamic.geometry.refused import Refused, told
 from napari_deltamic.geometry.three_numbers import three_numbers
@@ -126,6 +126,9 @@ def surfaces_of_points(
     spheres = [k for k in sorted(voxels) if k not in left_out and radius[k - 1] > 0]
     if spheres:
         rows = np.array(spheres) - 1
+        if edge_length is None:
+            area = 4 * np.pi * float((radius[rows] ** 2).sum())
+            edge = edge_within(size, area, len(spheres))
         balls, lost = spheres_of_foam(centres[rows], radius[rows], edge)
         numbers = np.array([0, *spheres])
         parts += [Mesh(b.vertices, b.faces, numbers[b.regions]) for b in balls]

@@ -135,7 +135,12 @@ def default_edge(labels: IntArray, size: FloatArray) -> float:
         borders = np.count_nonzero(moved[1:] != moved[:-1])
         area += borders * float(np.prod(size) / size[axis])
     area /= 1.5  # faces of voxels have so much more area than the smooth surface within them
-    most = max(MOST_FACES, MOST_FACES_EACH * len(np.unique(labels[labels > 0])))
+    return edge_within(size, area, len(np.unique(labels[labels > 0])))
+
+
+def edge_within(size: FloatArray, area: float, cells: int) -> float:
+    """um, the edge length for so much surface (um^2) of so many cells: fine, but not too fine."""
+    most = max(MOST_FACES, MOST_FACES_EACH * cells)
     fewest = np.sqrt(area / (np.sqrt(3) / 4 * most))
     return max(EDGE_IN_VOXELS * float(size.min()), float(fewest))
 
