@@ -66,7 +66,7 @@ def label_basins(
         tree = _component_tree(heights, size * block)
         found, refused = _basins(tree, heights, voxels // block, names, size * block, least)
         basins, same = _separate(tree, found)
-        if not refused and not same and _large(tree, basins):
+        if not refused and not same and _large(tree, basins, block):
             break
     cores = {name: _each(_core(heights, tree, b), block, ranked) for name, b in basins.items()}
     levels = {name: int(tree.level[b.path[b.node]]) for name, b in basins.items()}
@@ -79,10 +79,9 @@ def _blocks(ranked: Ranks, size: FloatArray) -> list[IntArray]:
 
     Between such blocks nothing leaks that does not between voxels; small regions may be lost.
     """
-    one = np.ones(3, np.int64)
-    if ranked.size < BASINS.many:
-        return [one]
-    return [np.where(size < 2 * size.min(), 2, 1), one]
+    fine = size < 2 * size.min()
+    sides = [n for n in BASINS.sides if ranked.size >= BASINS.many * (n // 2) ** 3]
+    return [np.where(fine, n, 1) for n in (*sides, 1)]
 
 
 def _highest(ranked: Ranks, block: IntArray) -> Ranks:
@@ -100,9 +99,10 @@ def _each(blocks: NDArray[Any], block: IntArray, image: Ranks) -> NDArray[Any]:
     return blocks[tuple(slice(n) for n in image.shape)]
 
 
-def _large(tree: _Tree, basins: dict[int, _Basin]) -> bool:
+def _large(tree: _Tree, basins: dict[int, _Basin], block: IntArray) -> bool:
     """Whether no basin is so small that blocks may have changed it."""
-    return all(tree.volume[b.path[b.node]] >= BASINS.blocks for b in basins.values())
+    fewest = BASINS.blocks * np.prod(np.maximum(block // 2, 1))
+    return all(tree.volume[b.path[b.node]] >= fewest for b in basins.values())
 
 
 def _basins(

@@ -153,12 +153,16 @@ class BasinRules:
         the noise: dark puddles of noise, which the minimum of many voxels deepens, are no objects.
     fewest
         Voxels: three along each axis, since fewer have no inside.
+    sides
+        Voxels along each axis of the blocks that are flooded first, the largest first. Chosen: with
+        blocks of four, what remains takes longer.
     many
-        Voxels of an image from which on blocks of two along each axis are flooded first: takes
-        four seconds of 700,000 voxels otherwise.
+        Voxels of an image from which on blocks of two are flooded first (700,000 take four seconds
+        otherwise); blocks of four from eight times as many on.
     blocks
-        Of a basin, so many at least. Measured in 30 foams with cells of 4 to 11 voxels in radius:
-        from 27 on, what is found with blocks and without has a Dice coefficient of 0.998 or more.
+        Of two voxels, in a basin, so many at least; of four, eight times as many. Measured in 30
+        foams with cells of 4 to 11 voxels in radius, and in 8 with cells of 16 to 28: what is found
+        with blocks and without has a Dice coefficient of 0.998, of 0.9995 or more.
     """
 
     border: float = 0.7
@@ -166,6 +170,7 @@ class BasinRules:
     lower_leap: float = 0.25
     noise_rise: float = 8.0
     fewest: int = 27
+    sides: tuple[int, ...] = (4, 2)
     many: int = 200_000
     blocks: int = 27
 
