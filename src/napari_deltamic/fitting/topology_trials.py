@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 from ..geometry.topology.rearranging import give_way
+from ..geometry.topology.thin_places import ThinPlace
 from ..runs.settings import FitSettings
 from .density import evener
 from .fitted import Fitted
@@ -103,7 +104,7 @@ class TopologyTrials:
             even = evener(fitted.shape.model, one, other, *given)
             found = [replace(gap, nats=gap.nats + n) for gap, n in zip(found, even, strict=True)]
         self.policy, judged = self.policy.judged(trial, found)
-        self._events += tuple(_undecided(place) for place in judged.undecided)
+        self._events += _undecided(judged.undecided)
         if not judged.undone:
             self._events += trial.events if trial.tried else ()
             return fitted
@@ -120,7 +121,12 @@ class TopologyTrials:
         return restored
 
     def _changed(
-        self, fitted: Fitted, settings: FitSettings, places: list[Any], iteration: int, tried: bool
+        self,
+        fitted: Fitted,
+        settings: FitSettings,
+        places: list[ThinPlace],
+        iteration: int,
+        tried: bool,
     ) -> Fitted:
         before = fitted.shape
         made = give_way(before.mesh, places, before.mesh.median_edge())
@@ -145,7 +151,11 @@ def _may_change(fitted: Fitted, settings: FitSettings, factor: float) -> bool:
     return asked and factor <= RULES.sharp and may_change(fitted.mesh)
 
 
-def _undecided(place: Any) -> str:
-    cells = " and ".join(str(r) for r in sorted({*place.regions, *place.sides}) if r)
-    z, y, x = place.points.mean(0)
-    return f"undecided: how cells {cells} meet at ({z:.1f}, {y:.1f}, {x:.1f}) um"
+def _undecided(places: Sequence[ThinPlace]) -> tuple[str, ...]:
+    """One sentence that names all places, if there are any."""
+    told = []
+    for place in places:
+        cells = " and ".join(str(r) for r in sorted({*place.regions, *place.sides}) if r)
+        z, y, x = place.points.mean(0)
+        told.append(f"cells {cells} meet at ({z:.1f}, {y:.1f}, {x:.1f}) um")
+    return (f"undecided: how {', '.join(told)}",) if told else ()
