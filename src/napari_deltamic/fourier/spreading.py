@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, wraps
 from itertools import product
 from math import ceil, log2, pi, sqrt
+from typing import Any
 
 import numpy as np
 import torch
@@ -117,6 +119,23 @@ def flat(axes: tuple[Tensor, Tensor, Tensor]) -> Tensor:
     return torch.ones(torch.broadcast_shapes(*(a.shape for a in axes)), dtype=axes[0].dtype)
 
 
+def _untraced(function: Callable[..., Spreading]) -> Callable[..., Spreading]:
+    """What torch.compile runs as it is, since it cannot trace how plans are kept.
+
+    ``torch.compiler.disable`` loads what traces, which takes a second: only who compiles waits.
+    """
+
+    @wraps(function)
+    def called(*given: Any, **named: Any) -> Spreading:
+        if "torch._dynamo" not in sys.modules:
+            return function(*given, **named)
+        disabled: Callable[..., Spreading] = torch.compiler.disable(function)
+        return disabled(*given, **named)
+
+    return called
+
+
+@_untraced
 def choose_spreading(
     half: tuple[int, int, int],
     spacing: tuple[float, float, float],
