@@ -19,6 +19,6 @@ def test_thousands_of_actions_raise_nothing_and_lose_nothing():
         did, troubles = window.play(seed, 400, cycles=50 if seed == 10 else 0)
         assert troubles == []
         assert did["anything"] > 50, "or nothing was tried"
-        strokes += did["strokes"]
+        strokes += did.get("strokes", 0)
     assert strokes > 0
     assert did["opened and closed"] == 50

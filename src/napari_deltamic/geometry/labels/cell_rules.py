@@ -160,9 +160,9 @@ class BasinRules:
         Voxels of an image from which on blocks of two are flooded first (700,000 take four seconds
         otherwise); blocks of four from eight times as many on.
     blocks
-        Of two voxels, in a basin, so many at least; of four, eight times as many. Measured in 30
-        foams with cells of 4 to 11 voxels in radius, and in 8 with cells of 16 to 28: what is found
-        with blocks and without has a Dice coefficient of 0.998, of 0.9995 or more.
+        Of two voxels, in a basin, so many at least; of four, eight times as many. Measured: what is
+        found with blocks and without has a Dice coefficient of 0.998 or more in 30 foams with cells
+        of 4 to 11 voxels in radius, with blocks of four of 0.9993 in ten with cells of 22 to 28.
     """
 
     border: float = 0.7
