@@ -45,6 +45,14 @@ def test_missing_voxels_are_taken():
     assert not first_sigma(image, (0.3, 0.2, 0.2)).z.known
 
 
+def test_a_large_stack_may_miss_whole_parts(monkeypatch):
+    monkeypatch.setattr(module, "SPECTRUM", replace(module.SPECTRUM, looked_at=20_000))
+    image = np.random.default_rng(0).poisson(5, (20, 80, 80)).astype(np.float32)
+    image[:, :40], image[0, 60, 60] = np.nan, np.inf
+    reason = first_sigma(image, (0.3, 0.2, 0.2)).z.reason
+    assert reason == "the spectrum shows no structure above the noise"
+
+
 def test_a_part_that_holds_only_the_caps_of_a_large_cell_does_not_decide(monkeypatch):
     grid, true = Grid((60, 90, 90), (1.0, 1.0, 1.0)), (2.0, 1.3, 1.3)
     cell = sphere((29.5, 44.5, 44.5), 25, edge_length=3.0)

@@ -93,8 +93,14 @@ def _prepared(pixels: np.ndarray) -> list[np.ndarray]:
         for n, m in zip(pixels.shape[1:], kept, strict=True)
     ]
     parts = [pixels[:, y : y + kept[0], x : x + kept[1]] for y in starts[0] for x in starts[1]]
-    parts.sort(key=lambda part: -float(np.nanvar(part)) if np.isfinite(part).any() else 0.0)
+    parts.sort(key=_structure, reverse=True)
     return [_faded(part) for part in parts[: SPECTRUM.parts]]
+
+
+def _structure(part: np.ndarray) -> float:
+    """Variance of what is not missing."""
+    finite = part[np.isfinite(part)]
+    return float(finite.var()) if finite.size else 0.0
 
 
 def _faded(part: np.ndarray) -> np.ndarray:
