@@ -26,6 +26,7 @@ from .iteration_costs import (
     iteration_seconds,
     iterations_of,
     near_voxels,
+    posing_of,
     preparation_seconds,
     seen_voxels,
 )
@@ -287,7 +288,8 @@ def forecast(
         ).plan
         each = iteration_seconds(costs, plan, shape, mesh, near, settings, factor)
         further = sum(milliseconds(e, plan, shape.grid, costs) for e in chosen.present())
-        each += FORECAST.posing * further / 1e3
+        each += further / 1e3
+        begun = FORECAST.begun_last if number == len(factors) else FORECAST.begun
         found.append(
             LevelForecast(
                 number=number,
@@ -295,9 +297,9 @@ def forecast(
                 shape=shape.grid.shape,
                 method=plan.method,
                 accuracy=shape.accuracy,
-                seconds_per_iteration=each,
+                seconds_per_iteration=posing_of(number, len(factors)) * each,
                 iterations=iterations_of(settings, factors, number, not found, cells),
-                preparation=preparation_seconds(costs, shape, grid, mesh) + FORECAST.begun * each,
+                preparation=preparation_seconds(costs, shape, grid, mesh) + begun * each,
             )
         )
     if sum(level.iterations for level in found) > settings.max_iterations:

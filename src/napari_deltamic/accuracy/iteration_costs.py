@@ -27,16 +27,16 @@ class ForecastRules:
     first, coarse, last
         Iterations of the first level, of those between, and of the last one, from far away. Cow and
         fish at 64^3 from a sphere, without noise and with 40 and 10 photons, levels 5 to 1: 10 to
-        20, then 30 each, and 20 to 50 at the end.
+        20, then 30 each, and 20 to 50 at the end; one to three cells of the samples: 18 to 22.
     near_blur, near_coarse, near_last
         Where seeds lie near the membranes, which is where the first blur is less than the first of
         these. Measured with foams of 4 to 16 cells, levels 2 to 1: 32, 27 to 32, 15 to 50. At one
-        level alone (``benchmarks.eta`` and more of its kind): vesicles and single cells 21 to 31,
-        two cells that come near to each other 75 and 78.
+        level alone (``benchmarks.eta`` and more of its kind): vesicles and single cells 11 to 18,
+        two cells that come near to each other, and a dividing one, 88 and 106.
     neighbours
         Where cells touch, other neighbours are tried at the end: so many iterations times the cube
-        root of the number of cells. Foams of 4, 6, 8, 10, 12 and 16 cells took 43, 43, 59, 69, 73
-        and 72 iterations.
+        root of the number of cells. Measured: foams of 5, 8 and 12 cells took 47, 30 and 52
+        iterations near to their seeds, 41, 41 and 42 at the last level from far away.
     freer
         Times the last level where density or PSF are fitted as well. Measured on a ball: 15
         iterations with the PSF, 13 without.
@@ -48,13 +48,14 @@ class ForecastRules:
         are not forecast as free.
     smooth
         Times all of this where the brightness is smooth. Measured: 1.2 to 1.3 in a foam of 8.
-    posing
+    posing, posing_first, posing_alone
         Times all of that: every few iterations the objective is posed anew, and what may shine and
-        which cells touch is looked at. Measured beside the forecast without it: 1.0 to 3.4 times,
-        2.3 in the median of the fits of ``benchmarks.eta`` and of foams of 8 and 32 cells.
-    begun
-        Iterations that the first objective of a level takes: 9 to 15 in these, 20 to 24 where
-        several cells have insides of their own.
+        which cells touch is looked at. Measured beside the forecast without it, in samples, foams
+        of 5 to 12 cells and vesicles: at the last of several levels 0.9 to 1.2 times, at the first
+        1.6 to 3.6 (one of ten 0.7), at a level alone 1.6 to 4.5, with 2.2 in the median.
+    begun, begun_last
+        Iterations, without their posing, that the first objective of a level takes: 4 to 15 in
+        these, at the last level 9 to 30.
     factoring
         Solves that the factors of the preconditioner's matrix take. Measured: 171, 147 and 29 for
         642, 2562 and 10242 vertices.
@@ -78,18 +79,21 @@ class ForecastRules:
 
     first: int = 20
     coarse: int = 30
-    last: int = 35
+    last: int = 25
     near_blur: float = 2.0
     near_coarse: int = 25
-    near_last: int = 22
-    neighbours: int = 30
+    near_last: int = 18
+    neighbours: int = 27
     freer: float = 1.3
     solves: float = 3.0
     apart: float = 5.0
     overhead: float = 1.0
     smooth: float = 1.3
-    posing: float = 2.3
-    begun: float = 15.0
+    posing: float = 1.1
+    posing_first: float = 1.7
+    posing_alone: float = 2.2
+    begun: float = 8.0
+    begun_last: float = 20.0
     factoring: float = 100.0
     looks: int = 10
     psf_every: int = 5
@@ -118,6 +122,13 @@ def iterations_of(
     )
 
 
+def posing_of(number: int, levels: int) -> float:
+    """Times what an iteration of a level takes, for what is looked at every few of them."""
+    if levels == 1:
+        return FORECAST.posing_alone
+    return FORECAST.posing_first if number == 1 else FORECAST.posing
+
+
 def iteration_seconds(
     costs: Costs,
     plan: Plan,
@@ -127,7 +138,7 @@ def iteration_seconds(
     settings: FitSettings,
     factor: float,
 ) -> float:
-    """Seconds of one iteration, what is done every few of them included."""
+    """Seconds of one iteration; :func:`posing_of` times that, with what is done every few."""
     vertices, voxels = len(mesh.vertices), prod(shape.grid.shape)
     call = costs.rates(plan.single, True).call
     seconds = costs.seconds(plan.work, plan.single) + FORECAST.overhead * call
@@ -141,7 +152,7 @@ def iteration_seconds(
     if settings.fit_psf and factor <= Schedule().imaging_below:
         image = costs.rates(plan.single, False).seconds(Work(pixels=plan.work.pixels))
         seconds += (4 * image + 8 * near * costs.voxel) / FORECAST.psf_every
-    return seconds * FORECAST.posing * (FORECAST.smooth if settings.density == "smooth" else 1.0)
+    return seconds * (FORECAST.smooth if settings.density == "smooth" else 1.0)
 
 
 def preparation_seconds(costs: Costs, shape: LevelShape, grid: Grid, mesh: Mesh) -> float:
