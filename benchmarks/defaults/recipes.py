@@ -31,6 +31,7 @@ class Recipe:
     uneven: float = 0.0  # standard deviation of the log density, smooth over the cell
     textured: float = 0.0  # the same, over a few voxels
     haze: float = 0.0  # light outside, of the membrane's brightness
+    arms: int = 0  # fingers of each cell, too thin for a dark inside
     specks: int = 0
     thickness: float = 0.0
     unequal: float = 0.0  # standard deviation of the log brightness from cell to cell
@@ -194,6 +195,10 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
     "neighbours-mesh": lambda rng: _neighbours(rng, "mesh"),
     "neighbours-points": lambda rng: _neighbours(rng, "points"),
     "specks": lambda rng: replace(PLAIN, specks=12, seeds="labels"),
+    "arms": lambda rng: replace(PLAIN, arms=3, roughness=0.05, shape=(48, 48, 48)),
+    "arms-point": lambda rng: replace(
+        PLAIN, arms=4, roughness=0.05, shape=(48, 48, 48), seeds="points"
+    ),
     "cut": lambda rng: replace(
         PLAIN, cells=((0, rng.uniform(9, 15), 3.0, 11.0),), seeds="labels", shape=(36, 36, 36)
     ),
@@ -268,6 +273,8 @@ WORDS = {
     "neighbours-mesh": "the same from a mesh",
     "neighbours-points": "the same from a point",
     "specks": "a membrane among bright specks",
+    "arms": "a cell with three thin fingers, from a sphere",
+    "arms-point": "a cell with four thin fingers, from a point",
     "cut": "a cell that the border cuts",
     "cut-deep": "the same, at a corner",
     "tissue": "four cells that share walls, labelled",

@@ -13,6 +13,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinat
 from napari_deltamic import Mesh
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.foam import foam
+from napari_deltamic.geometry.remeshing import remesh
 
 from .imaging import (
     FINE,
@@ -145,7 +146,8 @@ def _cells(
     parts = []
     for k, centre in centres.items():
         ball = sphere((0, 0, 0), radii[k], edge_length=_EDGE * unit)
-        v = _waved(ball, np.zeros(3), recipe.roughness, rng).vertices_numpy() + centre
+        ball = _fingered(_waved(ball, np.zeros(3), recipe.roughness, rng), recipe.arms, rng)
+        v = ball.vertices_numpy() + centre
         parts.append(Mesh(v, ball.faces, ball.regions * k))
     return Mesh.merge(parts), centres, radii
 
@@ -160,6 +162,25 @@ def _waved(mesh: Mesh, middle: Array, roughness: float, rng: np.random.Generator
         wave *= rng.uniform(1.5, 4.0) / np.linalg.norm(wave)
         change += np.sin(v / reach @ wave + rng.uniform(0, 2 * np.pi))
     return mesh.with_vertices(v * (1 + roughness * change / 2.5)[:, None] + middle)
+
+
+def _fingered(mesh: Mesh, count: int, rng: np.random.Generator) -> Mesh:
+    """With fingers about as long as the radius and a third as wide, each to another side."""
+    if not count:
+        return mesh
+    edge = mesh.median_edge()
+    mesh = remesh(mesh, edge / 2).mesh
+    v = mesh.vertices_numpy()
+    ahead = v / np.linalg.norm(v, axis=1, keepdims=True)
+    longer, taken = np.zeros(len(v)), list[Array]()
+    while len(taken) < count:
+        one = rng.normal(size=3)
+        one /= np.linalg.norm(one)
+        if all(one @ other < 0.3 for other in taken):
+            taken.append(one)
+            angle = np.arccos(np.clip(ahead @ one, -1, 1))
+            longer += rng.uniform(0.6, 1.1) * np.exp(-0.5 * (angle / 0.15) ** 2)
+    return remesh(mesh.with_vertices(v * (1 + longer)[:, None]), edge).mesh
 
 
 def _density(

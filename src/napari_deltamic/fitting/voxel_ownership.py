@@ -29,6 +29,7 @@ from ..images.missing import filled
 from ..optics import Optics
 from ..scene import Grid
 from .bright_regions import STRANGER, Labels, Mask, alike, bright_regions, without_start
+from .protrusions import protrusions
 
 
 @dataclass(frozen=True)
@@ -161,7 +162,12 @@ def _shared_out(
     bright = pixels - haze > dark + least
     # What lies in a cell is light of this cell, whatever it is; that of strangers is theirs however
     # near: half way to them, a fit still grew into what it could not see of them.
-    foreign = bright & (own > _reach(bright, own, ~inside & known, explained)) & ~inside & known
+    beside = own <= _reach(bright, own, ~inside & known, explained)
+    foreign = bright & ~beside & ~inside & known
+    above = max(float(membrane - dark), 1e-30)
+    noise = RULES.above * _noise(pixels[known]) / above
+    height = np.where(known, pixels - haze - dark, 0) / above
+    foreign &= ~protrusions(foreign, bright & known, inside, beside, height, noise, spacing)
     foreign |= known & (labels == STRANGER)
     if close:
         shining = pixels - haze > dark + RULES.beside * (crest - dark)

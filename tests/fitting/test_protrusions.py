@@ -1,0 +1,64 @@
+"""Thin protrusions are light of their cell; what merely lies beside it is not."""
+
+import numpy as np
+import pytest
+
+from napari_deltamic import GaussianPSF, Grid
+from napari_deltamic.fitting import counted_voxels
+from napari_deltamic.fitting.voxel_ownership import counted_around
+from napari_deltamic.geometry import sphere
+from napari_deltamic.scene.render import expected_image
+
+GRID = Grid((40, 40, 56), (0.1, 0.1, 0.1))
+PSF = GaussianPSF((0.12, 0.12, 0.12))
+MIDDLE, RADIUS = np.array([2.0, 2.0, 2.0]), 1.0
+BODY = sphere(MIDDLE, 0.9 * RADIUS, subdivisions=4)
+
+
+def with_finger(length):
+    """A ball with a finger along X, too thin for a dark inside."""
+    mesh = sphere(MIDDLE, RADIUS, subdivisions=5)
+    ahead = (mesh.vertices_numpy() - MIDDLE) / RADIUS
+    angle = np.arccos(np.clip(ahead[:, 2], -1, 1))
+    longer = 1 + length * np.exp(-0.5 * (angle / 0.12) ** 2)
+    return mesh.with_vertices(MIDDLE + RADIUS * ahead * longer[:, None])
+
+
+def image_of(mesh, specks=()):
+    clean = expected_image(mesh, GRID, PSF, 1e-3, 1.0, 0.0)
+    clean = clean / clean.max()
+    places = np.moveaxis(np.indices(GRID.shape), 0, -1) * 0.1
+    for speck in specks:
+        clean = clean + 2 * np.exp(-0.5 * ((places - speck) ** 2).sum(-1) / 0.15**2)
+    return np.random.default_rng(0).poisson(5 + 60 * clean).astype(np.float32)
+
+
+@pytest.mark.parametrize("ground", [counted_voxels, counted_around])
+def test_a_finger_is_light_of_its_cell(ground):
+    image = image_of(with_finger(1.6))
+    tip = np.s_[18:23, 18:23, 40:46]
+    assert image[tip].mean() > 2 * np.median(image), "the finger reaches there"
+    assert ground(image, GRID, BODY, PSF)[tip].all()
+
+
+@pytest.mark.parametrize("ground", [counted_voxels, counted_around])
+def test_a_speck_that_no_membrane_leads_to_is_not(ground):
+    speck = 2.0, 2.0, 3.9
+    counted = ground(image_of(with_finger(0.0), [speck]), GRID, BODY, PSF)
+    assert not counted[19:22, 19:22, 38:41].any()
+
+
+def test_a_finger_among_specks_may_be_one():
+    """Then what is known to be a cell counts alone."""
+    specks = [(0.7, 0.7, 3.9), (3.2, 0.7, 4.2), (0.7, 3.2, 4.2)]
+    counted = counted_around(image_of(with_finger(1.6), specks), GRID, BODY, PSF)
+    assert not counted[18:23, 18:23, 43:46].any()
+
+
+def test_walls_of_a_neighbour_without_a_seed_are_not():
+    """They lead to the cell as a finger does, but enclose something."""
+    neighbour = sphere(MIDDLE + np.array([0, 0, 2.05]), RADIUS, subdivisions=5)
+    clean = sum(expected_image(m, GRID, PSF, 1e-3, 1.0, 0.0) for m in (with_finger(0.0), neighbour))
+    image = np.random.default_rng(0).poisson(5 + 60 * clean / clean.max()).astype(np.float32)
+    counted = counted_around(image, GRID, BODY, PSF)
+    assert not counted[18:23, 18:23, 45:].any()
