@@ -90,7 +90,8 @@ def test_what_concerns_one_cell(change, grade, word):
         ((0.02, 0.0, 0.01), "good", "off by about 4 nm"),
         ((0.5, 0.1, 0.1), "fair", "0.52 voxels, mostly from the noise"),
         ((0.1, 0.6, 0.1), "fair", "too few iterations"),
-        ((0.1, 0.1, 0.1, 2.0), "poor", "what the model lacks (light inside)"),
+        ((0.1, 0.1, 0.1, 0.7), "fair", "triangles that are too large"),
+        ((0.1, 0.1, 0.1, 0.1, 2.0), "poor", "what the model lacks (light inside)"),
     ],
 )
 def test_a_predicted_error_decides(parts, grade, word):

@@ -5,7 +5,7 @@ import pytest
 
 from napari_deltamic import Change, InputError, Mesh, fit
 from napari_deltamic.fitting.growth_alarm import GrowthAlarm
-from napari_deltamic.fitting.triangle_quality import Remeshing
+from napari_deltamic.fitting.triangle_quality import Remeshing, gaps
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.remeshing import can_remesh, smallest_angles
 from napari_deltamic.runs.settings import FitSettings
@@ -102,7 +102,56 @@ def test_what_cannot_get_better_is_not_tried_for_ever():
     done = remeshing.renewed(
         mesh, np.zeros((len(mesh.vertices), 0)), np.ones(len(mesh.vertices), bool)
     )
-    assert not remeshing.wanted(done.mesh)
+    assert not remeshing.wanted(done.mesh, None)
+
+
+def cigar():
+    """Its tips are 32 times as curved as its sides, 1/2 to 1/16 um."""
+    return sphere((0, 0, 0), (8.0, 2.0, 2.0), edge_length=1.2)
+
+
+def renewed(remeshing, mesh, flatness):
+    n = len(mesh.vertices)
+    return remeshing.renewed(mesh, np.zeros((n, 0)), np.zeros(n, bool), flatness=flatness).mesh
+
+
+def test_edges_are_short_where_the_surface_is_curved_only():
+    mesh, flatness = cigar(), 0.003
+    remeshing = Remeshing(mesh, 0.3)
+    assert not remeshing.wanted(mesh, flatness)  # the level has not moved it yet
+    assert remeshing.wanted(mesh, flatness)
+    after = renewed(remeshing, mesh, flatness)
+    long = np.linalg.norm(np.diff(after.vertices_numpy()[after.edges()], axis=1)[:, 0], axis=1)
+    height = np.abs(after.vertices_numpy()[after.edges()].mean(1)[:, 0])
+    assert np.median(long[height > 7]) < 0.6 * np.median(long[height < 2])
+    tips = gaps(after)[np.abs(after.vertices_numpy()[after.faces].mean(1)[:, 0]) > 7]
+    assert np.median(tips) < 1.5 * flatness
+    assert not remeshing.wanted(after, flatness)
+
+
+def test_edges_are_made_shorter_twice_in_a_level_and_where_it_is_asked_for():
+    mesh = cigar()
+    remeshing, none = Remeshing(mesh, 0.3), Remeshing(mesh, 0.3)
+    assert not any(none.wanted(mesh, None) for _ in range(3))
+    remeshing.wanted(mesh, 0.01)
+    for _ in range(2):
+        assert remeshing.wanted(mesh, 0.01)
+        renewed(remeshing, mesh, 0.01)
+    assert not remeshing.wanted(mesh, 0.01)
+    again = Remeshing(mesh, 0.3)
+    again.resume(remeshing.to_dict())
+    assert not again.wanted(mesh, 0.01)
+    remeshing.begin_level(mesh, 0.0)
+    assert not remeshing.wanted(mesh, 0.01)
+    assert remeshing.wanted(mesh, 0.01)
+
+
+def test_gaps_are_those_of_flat_faces_from_a_sphere():
+    ball = sphere((0, 0, 0), 4.0, subdivisions=3)
+    shares = np.random.default_rng(0).dirichlet(np.ones(3), 500)
+    points = np.einsum("pk,fki->fpi", shares, ball.vertices_numpy()[ball.faces])
+    inwards = 4.0 - np.linalg.norm(points, axis=2)
+    assert gaps(ball).mean() == pytest.approx(2 / 3 * inwards.std(1).mean(), rel=0.3)
 
 
 def test_growth_is_told_across_a_remeshing():

@@ -140,9 +140,8 @@ def shape_errors(
     for choice in choices:
         wanted = dialled(choice, now)
         begun = with_edges(start, wanted.edge)
-        given = settings.model_copy(
-            update={name: getattr(wanted, name) for name in ("accuracy", "tolerance", "trials")}
-        )
+        names = "accuracy", "flatness", "tolerance", "trials"
+        given = settings.model_copy(update={name: getattr(wanted, name) for name in names})
         errors, iterations, seconds = [], [], []
         for image in images:
             began = time.perf_counter()

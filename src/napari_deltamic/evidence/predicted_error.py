@@ -17,6 +17,7 @@ from ..fitting.prediction import as_floats
 from ..fitting.refits import RULES as REFITS
 from ..fitting.responses import Responses, noise_of, responses_of
 from ..fitting.state import FitState
+from ..fitting.triangle_quality import gaps
 from ..geometry.mesh import FloatArray, Mesh
 from ..scene.light import INSIDES
 from .candidates import allowed, chosen_candidates, points_inwards, variants
@@ -56,6 +57,8 @@ class ShapeDeviation:
         What more iterations would.
     prior
         What the prior on its shape pulls.
+    triangles
+        How far flat triangles lie from a surface as curved as theirs is.
     alternative
         What it would move by if the model had what it lacks.
     """
@@ -63,12 +66,13 @@ class ShapeDeviation:
     noise: float
     settling: float
     prior: float
+    triangles: float = 0.0
     alternative: float = 0.0
 
     @property
     def total(self) -> float:
         """All together."""
-        parts = self.noise, self.settling, self.prior, self.alternative
+        parts = self.noise, self.settling, self.prior, self.triangles, self.alternative
         return float(np.sqrt(np.square(parts).sum()))
 
 
@@ -119,6 +123,7 @@ def predicted_error(job: FitInput, state: FitState) -> PredictedError:
         np.mean(squares, axis=0),
         patches.means(responses.settled()) ** 2,
         patches.means(responses.pulled()) ** 2,
+        _squared_gaps(state.mesh),
         patches.means(other) ** 2,
     )
 
@@ -128,6 +133,14 @@ def predicted_error(job: FitInput, state: FitState) -> PredictedError:
     every = np.unique(state.mesh.faces)
     cells = {region: over(own) for region, own in _vertices(state.mesh).items()}
     return PredictedError(over(every), cells, lacks, cone=state.cone)
+
+
+def _squared_gaps(mesh: Mesh) -> FloatArray:
+    """(V,) um^2: means over the faces of each vertex, of how far these lie from the surface."""
+    at, squares = mesh.faces.reshape(-1), np.repeat(gaps(mesh) ** 2, 3)
+    n = len(mesh.vertices)
+    found: FloatArray = np.bincount(at, squares, n) / np.maximum(np.bincount(at, minlength=n), 1)
+    return found
 
 
 def _alternative(posed: Posed, responses: Responses, state: FitState) -> tuple[str, FloatArray]:

@@ -304,6 +304,7 @@ def _of_error(predicted: ShapeDeviation, facts: Facts) -> list[tuple[Grade, str]
         "the noise": predicted.noise,
         "too few iterations": predicted.settling,
         "the prior on its shape": predicted.prior,
+        "triangles that are too large": predicted.triangles,
         f"what the model lacks ({facts.error.lacks})": predicted.alternative,
     }
     most = max(parts, key=lambda name: parts[name])

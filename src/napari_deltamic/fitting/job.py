@@ -137,6 +137,8 @@ def assemble(
     mesh = with_edges(mesh, wanted.edge)
     if settings.fit.accuracy is None:
         found["accuracy"] = wanted.accuracy
+    if settings.fit.flatness is None:
+        found["flatness"] = wanted.flatness
     if settings.fit.tolerance == FitSettings().tolerance:
         found["tolerance"] = wanted.tolerance
     if settings.fit.trials:

@@ -31,7 +31,7 @@ from .state_of import state_of
 from .topology_trials import TopologyTrials
 from .triangle_quality import Remeshing
 
-_LEFT_OPEN = ("accuracy", "levels")  # settings that the software may fill in
+_LEFT_OPEN = ("accuracy", "flatness", "levels")  # settings that the software may fill in
 
 
 class Run:
@@ -212,7 +212,7 @@ class Run:
             self._fitted = self._fitted.with_density(settings.density)
         given = self._fitted, settings, self._level.factor, stage.iteration
         self._surface(self._topology.look(*given))
-        if settings.remesh and self._remeshing.wanted(self._fitted.mesh):
+        if settings.remesh and self._remeshing.wanted(self._fitted.mesh, settings.flatness):
             self._remesh()
         held = self._stage.progress.held and self._last
         views = self._objective.posed.posterior.views if held else ()
@@ -328,7 +328,9 @@ class Run:
     def _remesh(self) -> None:
         """Good triangles again."""
         before = self._fitted.shape
-        after = self._remeshing.of_shape(before, self._guard, self._settings.collisions)
+        settings = self._settings
+        given = before, self._guard, settings.collisions, settings.flatness
+        after = self._remeshing.of_shape(*given)
         if after is not None:
             self._reporter.remeshed(before.mesh, after.mesh)
             self._fitted = self._fitted.retriangulated(after)

@@ -22,6 +22,7 @@ from ..geometry.remeshing import can_remesh, remesh
 from ..runs.fit_settings import FitSettings, asked_error
 from ..scene import Grid
 from .default_accuracy import COARSEST, FINEST, preset_accuracy
+from .triangle_quality import RULES as TRIANGLES
 
 
 @dataclass(frozen=True)
@@ -36,10 +37,6 @@ class DialRules:
     rims
         Of the PSF's width times the root of the share of the surface that lies within one of a
         rim: 0.14 to 0.36 on twelve clusters of 2 to 16 cells (benchmarks.dial, careful).
-    chord
-        Of edge^2 times curvature: two thirds of the standard deviation of the gap over a triangle;
-        from spheroids, tori and double bubbles with edges of 0.26 to 0.8 um. With long edges there
-        are fewer numbers for the noise to move, which is not in the first part, so it is less.
     curvature
         Of 1 over the radius of a ball as large as the cell: cells are less round. Chosen, not
         measured.
@@ -52,6 +49,9 @@ class DialRules:
         the end. Chosen: half the triangles. Trials took half of the time of twelve foams of 16 and
         32 cells, mended 17 of 69 wrong contacts, and brought the surface no nearer
         (benchmarks.clusters).
+    flat, flattest
+        Of the noise that flat triangles may be off by where a surface is more curved than a ball;
+        of the PSF's width, where there is hardly any noise.
     careful_share, careful_tolerance
         Of the noise that triangles may add; widths of the PSF. Chosen: as much as adds 6 % to it.
     finest, longest
@@ -62,7 +62,6 @@ class DialRules:
 
     noise: float = 1.35
     rims: float = 0.19
-    chord: float = 0.028
     curvature: float = 1.15
     rendered: float = 0.03
     power: float = 1.25
@@ -70,6 +69,8 @@ class DialRules:
     quick_edges: float = 1.5
     quick_tolerance: float = 0.1
     quick_trials: bool = False
+    flat: float = 0.5
+    flattest: float = 0.005
     careful_share: float = 0.35
     careful_tolerance: float = 0.01
     finest: float = 0.7
@@ -99,6 +100,8 @@ class Dialled:
         um: mean distance to the true surface that is to be expected.
     trials
         Whether other neighbours are tried at the end.
+    flatness
+        um: how far flat triangles may lie from the surface; None: edges are alike everywhere.
     """
 
     edge: float
@@ -106,6 +109,7 @@ class Dialled:
     tolerance: float
     predicted: float
     trials: bool = True
+    flatness: float | None = None
 
 
 @dataclass(frozen=True)
@@ -146,7 +150,7 @@ class Situation:
         s = RULES
         parts = (
             self.fixed(),
-            s.chord * edge**2 * s.curvature / self.radius,
+            TRIANGLES.chord * edge**2 * s.curvature / self.radius,
             s.rendered * self.voxel * (accuracy / _RENDERED_AT) ** s.power,
             s.unsettled * tolerance * self.width,
         )
@@ -155,7 +159,7 @@ class Situation:
     def edge_for(self, part: float) -> float:
         """um: edges whose triangles are off by no more than ``part``, um."""
         s = RULES
-        wanted = sqrt(part * self.radius / (s.chord * s.curvature))
+        wanted = sqrt(part * self.radius / (TRIANGLES.chord * s.curvature))
         return max(min(wanted, s.longest * self.radius), s.finest * self.width)
 
 
@@ -176,19 +180,22 @@ def dialled(choice: str, now: Situation) -> Dialled:
         For anything else.
     """
     s, asked = RULES, asked_error(choice)
+    flatness: float | None = s.flat * now.floor()
     if asked is not None:
-        edge, accuracy, tolerance = _for_length(asked, now)
+        edge, accuracy, tolerance, flatness = _for_length(asked, now)
     else:
         accuracy = preset_accuracy(choice, now.noise)
         edge, tolerance = now.edge, FitSettings().tolerance
         if choice == "quick":
             edge = max(edge, min(s.quick_edges * edge, s.longest * now.radius))
-            tolerance = s.quick_tolerance
+            tolerance, flatness = s.quick_tolerance, None
         elif choice == "careful":
             edge = min(edge, now.edge_for(s.careful_share * now.floor()))
-            tolerance = s.careful_tolerance
+            tolerance, flatness = s.careful_tolerance, s.careful_share * now.floor()
     predicted = now.predicted(edge, accuracy, tolerance)
-    return Dialled(edge, accuracy, tolerance, predicted, with_trials(choice))
+    if flatness is not None:
+        flatness = float(f"{max(flatness, s.flattest * now.width):.2g}")
+    return Dialled(edge, accuracy, tolerance, predicted, with_trials(choice), flatness)
 
 
 def with_trials(choice: str) -> bool:
@@ -196,7 +203,7 @@ def with_trials(choice: str) -> bool:
     return choice != "quick" or RULES.quick_trials
 
 
-def _for_length(asked: float, now: Situation) -> tuple[float, float, float]:
+def _for_length(asked: float, now: Situation) -> tuple[float, float, float, float]:
     s = RULES
     fixed = now.fixed()
     rest = sqrt(max(asked**2 - fixed**2, (s.careful_share * fixed) ** 2, 1e-18))
@@ -208,6 +215,7 @@ def _for_length(asked: float, now: Situation) -> tuple[float, float, float]:
         now.edge_for(triangles),
         float(f"{accuracy:.2g}"),
         float(f"{min(max(tolerance, _TOLERANCES[0]), _TOLERANCES[1]):.2g}"),
+        triangles,
     )
 
 

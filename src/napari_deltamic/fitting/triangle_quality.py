@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..geometry.mesh import Mesh
+from ..geometry.mesh import FloatArray, Mesh
 from ..geometry.remeshing import Remeshed, can_remesh, remesh, smallest_angles
+from ..geometry.vertex_curvature import vertex_curvature
 from .collisions import CollisionGuard
 from .shape import Shape
 
@@ -37,6 +38,13 @@ class RemeshingRules:
     far_off
         From a length, by which factor edges count as of another one. Measured: 1.2 and 2.8 change
         nothing in small fits.
+    chord
+        Of edge^2 times curvature: two thirds of the standard deviation of the gap over a triangle;
+        from spheroids, tori and double bubbles with edges of 0.26 to 0.8 um. With long edges there
+        are fewer numbers for the noise to move, so it is less.
+    refined
+        Times in a level that edges are made shorter where the surface is found to be more curved;
+        chosen: what shorter edges show may be more curved again.
     """
 
     bad_angle: float = 15.0
@@ -47,16 +55,28 @@ class RemeshingRules:
     of_radius: float = 0.25
     fewest: int = 600
     far_off: float = 1.4
+    chord: float = 0.028
+    refined: int = 2
 
 
 RULES = RemeshingRules()
+
+
+def gaps(mesh: Mesh) -> FloatArray:
+    """(F,) um: how far the flat faces lie from a surface as curved as theirs is."""
+    edges = mesh.edges()
+    length = np.linalg.norm(np.diff(mesh.vertices_numpy()[edges], axis=1)[:, 0], axis=1)
+    square = (length[mesh.face_edges()] ** 2).mean(1)
+    found: FloatArray = RULES.chord * square * vertex_curvature(mesh)[mesh.faces].mean(1)
+    return found
 
 
 class Remeshing:
     """Remeshes a surface when too many of its triangles have become slivers.
 
     The edge length is that which the surface had at the start: the user's choice. On levels that
-    are blurred edges may be longer, as far as the blur hides it.
+    are blurred edges may be longer, as far as the blur hides it; where the surface is so curved
+    that flat triangles of this length would not follow it, edges are shorter.
 
     Parameters
     ----------
@@ -76,6 +96,7 @@ class Remeshing:
         self.left = 0.0  # share of slivers that the last remeshing left: no use to try again
         self._coarse = 0.0  # um: edges of the level
         self._begun = False  # whether edges are of the level
+        self._looks = self._refined = 0  # in the level: at edges; times that they became shorter
 
     def begin_level(self, mesh: Mesh, blurred: float) -> None:
         """Edges as long as a level allows. blurred : um, width of its PSF; 0 if it is sharp."""
@@ -84,22 +105,47 @@ class Remeshing:
         fewest = mesh.median_edge() * float(np.sqrt(len(mesh.vertices) / RULES.fewest))
         self._coarse = min(RULES.coarse * blurred, RULES.of_radius * radius, fewest)
         self.left, self._begun = 0.0, False
+        self._looks = self._refined = 0
 
     def to_dict(self) -> dict[str, float]:
         """What a checkpoint keeps."""
-        return {"slivers": self.left, "coarse": self._coarse, "begun": float(self._begun)}
+        found = {"slivers": self.left, "coarse": self._coarse, "begun": float(self._begun)}
+        return found | {"looks": float(self._looks), "refined": float(self._refined)}
 
     def resume(self, kept: dict[str, float]) -> None:
         """Go on from what :meth:`to_dict` gave."""
         self.left, self._coarse = float(kept["slivers"]), float(kept["coarse"])
         self._begun = bool(kept["begun"])
+        self._looks, self._refined = (int(kept.get(name, 0)) for name in ("looks", "refined"))
 
-    def wanted(self, mesh: Mesh) -> bool:
-        """Whether the mesh has too many slivers, or edges of another level."""
+    def wanted(self, mesh: Mesh, flatness: float | None) -> bool:
+        """Whether the mesh has too many slivers, or edges of another level or curvature.
+
+        flatness : um, how far flat triangles may lie from the surface; None: as far as they do.
+        """
         if not self.able:
             return False
+        self._looks += 1
         other = not self._begun and self._of_another_level(mesh)
-        return other or _slivers(mesh) > self.left + RULES.many
+        return other or _slivers(mesh) > self.left + RULES.many or self._too_flat(mesh, flatness)
+
+    def _too_flat(self, mesh: Mesh, flatness: float | None) -> bool:
+        """Whether edges are too long for much of a surface that the level has moved."""
+        if flatness is None or self._looks < 2 or self._refined >= RULES.refined:
+            return False
+        edges = mesh.edges()
+        length = np.linalg.norm(np.diff(mesh.vertices_numpy()[edges], axis=1)[:, 0], axis=1)
+        wanted = self._lengths(mesh, flatness)[edges].mean(1)
+        return bool((length > RULES.far_off * wanted).mean() > RULES.many)
+
+    def _lengths(self, mesh: Mesh, flatness: float | None) -> FloatArray:
+        """(V,) um: edges are to have."""
+        length = np.full(len(mesh.vertices), self._length(mesh))
+        if flatness is None:
+            return length
+        curvature = np.maximum(vertex_curvature(mesh), 1e-300)
+        shorter = np.sqrt(flatness / (RULES.chord * curvature))
+        return np.minimum(length, np.maximum(shorter, max(self._finest, self._coarse)))
 
     def _of_another_level(self, mesh: Mesh) -> bool:
         return not 1 / RULES.far_off < self._level_length(mesh) / mesh.median_edge() < RULES.far_off
@@ -116,22 +162,30 @@ class Remeshing:
         return min(max(mesh.median_edge(), self._start), max(RULES.growth * self._start, length))
 
     def renewed(
-        self, mesh: Mesh, carried: np.ndarray, fixed: np.ndarray, apart: bool = False
+        self,
+        mesh: Mesh,
+        carried: np.ndarray,
+        fixed: np.ndarray,
+        apart: bool = False,
+        flatness: float | None = None,
     ) -> Remeshed:
         """The mesh with better triangles; numbers of its vertices and fixed ones go along.
 
-        ``apart``: surfaces that do not cross stay so.
+        ``apart``: surfaces that do not cross stay so. ``flatness``: as above.
         """
-        length = self._length(mesh)
+        self._refined += int(self._too_flat(mesh, flatness))
+        length = self._lengths(mesh, flatness)
         done = remesh(mesh, length, passes=3, carried=carried, fixed=fixed, apart=apart)
         self.left, self._begun = _slivers(done.mesh), True
         return done
 
-    def of_shape(self, shape: Shape, guard: CollisionGuard, apart: bool) -> Shape | None:
+    def of_shape(
+        self, shape: Shape, guard: CollisionGuard, apart: bool, flatness: float | None
+    ) -> Shape | None:
         """The same surface with better triangles; None where they would cross."""
         log = shape.log_density if shape.model == "smooth" else None
         carried = np.zeros((len(shape.mesh.vertices), 0)) if log is None else log[:, None]
-        done = self.renewed(shape.mesh, carried, shape.pinned, apart)
+        done = self.renewed(shape.mesh, carried, shape.pinned, apart, flatness)
         guard.watch(shape.mesh)
         if not guard.allows(done.mesh):
             self.refused(shape.mesh)

@@ -60,7 +60,7 @@ class FitSettings(Settings):
         "normal",
         title="shape",
         tip="how close to the true shape: quick, normal, careful, or a length such as 20nm; "
-        "sets edges, accuracy, tolerance and trials unless these are given",
+        "sets edges, flatness, accuracy, tolerance and trials unless these are given",
         known=SHAPE_CHOICES,
         metavar="E",
         advanced=True,
@@ -163,9 +163,20 @@ class FitSettings(Settings):
     remesh: bool = setting(
         True,
         title="keep triangles regular",
-        tip="remesh when triangles become slivers, at the edge length of the start",
+        tip="remesh when triangles become slivers or too long for a curved surface",
         advanced=True,
         live=True,
+    )
+    flatness: float | None = setting(
+        None,
+        title="flatness",
+        tip="how far flat triangles may lie from a curved surface: where it is more curved, edges "
+        "get shorter; default: from the noise of the image",
+        automatic="from the noise",
+        unit="um",
+        advanced=True,
+        live=True,
+        gt=0,
     )
     collisions: bool = setting(
         True,
