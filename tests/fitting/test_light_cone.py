@@ -70,6 +70,16 @@ def test_a_fit_goes_on_with_the_psf_of_an_objective(optics, told):
     assert off(states[-1]) < (0.5 if told == ANEW else 0.6) * off(states[first - 1])
 
 
+def test_a_fit_that_was_remeshed_goes_on():
+    # Growth of the surface is told from faces, which are others by then.
+    image, settings = image_through(CONFOCAL), FitSettings(flatness=0.0005, levels=(1.0,))
+    states = list(nd.fit(image, GRID, START, GAUSSIAN, settings=settings))
+    assert any(GOES_ON in state.message for state in states)
+    faces = [len(state.mesh.faces) for state in states]
+    assert faces[-1] > 1.5 * faces[0]
+    assert states[-1].converged
+
+
 def test_a_gaussian_stays():
     states = states_of(GAUSSIAN)
     assert {type(state.optics) for state in states} == {nd.GaussianPSF}

@@ -116,8 +116,11 @@ class Run:
             return
         start = None if self._stage.edited or not self._same_cells() else self._begun
         given = self._objective, self._fitted, self._stage, start
+        before = self._fitted.mesh
         self._fitted, taken = self._choice.beside_rivals(self._terms, *given)
         self._stage = self._stage.spent(taken)
+        if not np.array_equal(self._fitted.mesh.faces, before.faces):
+            self._reporter.other_mesh(self._fitted.mesh)
 
     def _same_cells(self) -> bool:
         """Whether the cells are those that the fit began with."""
@@ -163,6 +166,7 @@ class Run:
     def _going_on_from(self, fitted: Fitted) -> Run:
         """This run at its last level, where the fit with another PSF has ended."""
         self._fitted = self._choice.anew(fitted.seen_through(self._fitted.optics))
+        self._reporter.other_mesh(self._fitted.mesh)
         self._stage = replace(self._stage, level_number=len(self._levels) - 1)
         return self
 

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from napari_deltamic.common.reading import one_reason, read_text, reading
 from napari_deltamic.errors import InputError, RepairWarning
 from napari_deltamic.geometry.foam import spheres_of_foam
-from napari_deltamic.geometry.labels.basins import label_basins
 from napari_deltamic.geometry.labels.meshes import EDGE_IN_VOXELS, edge_within, surfaces_of_labels
+from napari_deltamic.geometry.labels.regions_at_points import regions_at
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
 from napari_deltamic.geometry.refused import Refused, told
 from napari_deltamic.geometry.three_numbers import three_numbers
@@ -62,7 +62,7 @@ def labels_from_points(
     )
     voxels, refused = _point_voxels(centres, size, start, data.shape)
     names = sorted(voxels)
-    labels, more = label_basins(data, size, _rows(voxels, names), names)
+    labels, more = regions_at(data, size, _rows(voxels, names), names)
     _tell([*refused, *more], len(centres))
     return labels
 
@@ -116,7 +116,7 @@ def surfaces_of_points(
     parts: list[Mesh] = []
     free = [k for k in sorted(voxels) if k not in left_out and radius[k - 1] == 0]
     if free:
-        labels, more = label_basins(data, size, _rows(voxels, free), free)
+        labels, more = regions_at(data, size, _rows(voxels, free), free)
         refused += more
         if labels.any():
             found = surfaces_of_labels(labels, voxel_size, origin, edge)

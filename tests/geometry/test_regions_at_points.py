@@ -1,0 +1,51 @@
+"""Points where nothing dark closes, as in nuclei."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from napari_deltamic import InputError
+from napari_deltamic.errors import RepairWarning
+from napari_deltamic.geometry import labels_from_points
+
+SIZE = (1.0, 1.0, 1.0)
+
+
+def balls(*centres, shape=(32, 32, 48), radius=8.0):
+    """(Z, Y, X) bool of balls, voxels."""
+    places = np.moveaxis(np.indices(shape), 0, -1)
+    return [np.linalg.norm(places - c, axis=-1) < radius for c in centres]
+
+
+def seen(shining):
+    noise = np.random.default_rng(0)
+    return noise.poisson(5 + 60 * gaussian_filter(np.asarray(shining, float), 1.2)).astype(float)
+
+
+@pytest.fixture(scope="module")
+def nuclei():
+    one, other = balls((16, 16, 12), (16, 16, 36))
+    return seen(one | other), one, other
+
+
+def overlap(one, other):
+    return 2 * (one & other).sum() / (one.sum() + other.sum())
+
+
+def test_a_point_in_a_nucleus_names_it(nuclei):
+    image, one, other = nuclei
+    found = labels_from_points(image, SIZE, [(16, 16, 36), (14, 17, 13)])
+    assert overlap(found == 1, other) > 0.9
+    assert overlap(found == 2, one) > 0.9
+
+
+def test_two_points_in_one_nucleus_are_told(nuclei):
+    image, one, _ = nuclei
+    with pytest.warns(RepairWarning, match="points 1 and 2 lie in the same region"):
+        found = labels_from_points(image, SIZE, [(16, 16, 12), (14, 17, 13)])
+    assert overlap(found == 1, one) > 0.9
+
+
+def test_a_point_beside_all_of_them_names_nothing(nuclei):
+    with pytest.raises(InputError, match="point 1 lies in no closed region"):
+        labels_from_points(nuclei[0], SIZE, [(2, 2, 24)])
