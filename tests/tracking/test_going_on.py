@@ -38,19 +38,35 @@ def test_a_dark_frame_right_after_going_on_is_left_out():
 
 
 @pytest.mark.parametrize("series", [list, iter], ids=["sequence", "iterator"])
-def test_going_on_starts_from_the_last_mesh_and_psf(series):
+def test_going_on_starts_from_the_last_mesh_and_the_first_psf(series):
+    """It is one microscope: from frame to frame the PSF would drift."""
     images = drifting(3)
     held = NEAR.model_copy(update={"fit_psf": False})
     states = track(images[:2], GRID, ball(), OPTICS, held)
     done = [state.done for state in states if state.done is not None]
     assert done[1].psf == pytest.approx(tuple(OPTICS.parameters().tolist()))
-    wider = [replace(r, psf=tuple(p + 0.1 for p in r.psf)) for r in done]
+    wider = [
+        replace(r, psf=tuple(p + more for p in r.psf))
+        for r, more in zip(done, (0.1, 0.3), strict=True)
+    ]
     settings = NEAR.model_copy(update={"fit_psf": True})
     first = next(track(series(images), GRID, ball(), OPTICS, settings, done=wider))
     assert first.frame == 2
     found = first.fit.optics.parameters().tolist()
-    assert found == pytest.approx(list(wider[1].psf), rel=1e-2)
+    assert found == pytest.approx(list(wider[0].psf), rel=1e-2)
     assert len(first.fit.mesh.vertices) == len(done[1].mesh.vertices)
+
+
+def test_the_psf_of_the_first_frame_stays_and_that_of_an_objective_takes_over():
+    past = BetweenFrames(GRID, ball(), OPTICS, first=0)
+    found = [OPTICS.with_parameters(OPTICS.parameters() + k) for k in (0.1, 0.2)]
+    found += [confocal_of((0.3, 0.11, 0.11)), confocal_of((0.4, 0.12, 0.12))]
+    kept = []
+    for number, optics in enumerate(found):
+        state = SimpleNamespace(optics=optics, loss=0.1)
+        past.take(Frame.of(number, np.ones(GRID.shape), GRID), state, ball(), [])
+        kept.append(found.index(past.optics))
+    assert kept == [0, 0, 2, 2]
 
 
 def test_good_divisions_are_kept_where_others_are_not(monkeypatch):

@@ -29,8 +29,12 @@ class BetweenFrames:
 
     Attributes
     ----------
-    mesh, optics, frame
+    mesh, frame
         After the last good frame, and its number.
+    optics
+        The PSF that the first good frame was found with, or the first one with that of an
+        objective: all fits start from it, and their priors lie around it. It is one microscope;
+        from frame to frame, PSFs that images hardly tell would drift.
     state
         The end of its fit; None before the first.
     edge
@@ -64,7 +68,9 @@ class BetweenFrames:
         """A frame is done. mesh : without the cells that have gone."""
         self.quality.accept(frame.pixels, state.loss)
         self._see(frame.number, mesh, events)
-        self.state, self.optics = state, state.optics
+        if (self.state is None and not self.done) or type(state.optics) is not type(self.optics):
+            self.optics = state.optics
+        self.state = state
         self.edge = mesh.median_edge() if self.edge == 0 else self.edge
 
     def two_new_cells(self) -> tuple[int, int]:
@@ -84,9 +90,10 @@ class BetweenFrames:
             if result.mesh is None:
                 continue
             self._see(result.frame, result.mesh, result.events)
+            found = self._left_by(result)
+            if settings.fit_psf and (not self.done or type(found) is not type(self.optics)):
+                self.optics = found
             self.done[result.frame] = result
-            if settings.fit_psf:
-                self.optics = self._left_by(result)
         self.done = dict(sorted(self.done.items())[-RULES.frames.remembered :])
 
     def _left_by(self, result: FrameResult) -> Optics:
@@ -113,7 +120,8 @@ class BetweenFrames:
         if frame.number == self.frame:
             # The first state of a fit is its start.
             settings = settings.model_copy(update={"levels": (1.0,)})
-            given = frame.pixels, self._grid, result.mesh, self.optics
+            optics = self._left_by(result) if settings.fit_psf else self.optics
+            given = frame.pixels, self._grid, result.mesh, optics
             self.state = next(fit(*given, settings=settings, effects=effects))
 
     def expected(self, frame: int, share: float) -> Mapping[int, NDArray[np.float64]]:
