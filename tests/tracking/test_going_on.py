@@ -12,6 +12,7 @@ from napari_deltamic import GaussianPSF
 from napari_deltamic.fitting.light_cone import confocal_of, widefield_of
 from napari_deltamic.geometry import Mesh
 from napari_deltamic.scene.effects import Effects
+from napari_deltamic.scene.light import MEMBRANES
 from napari_deltamic.tracking import TrackSettings, track
 from napari_deltamic.tracking.between_frames import BetweenFrames
 from napari_deltamic.tracking.frames import Frame
@@ -63,10 +64,19 @@ def test_the_psf_of_the_first_frame_stays_and_that_of_an_objective_takes_over():
     found += [confocal_of((0.3, 0.11, 0.11)), confocal_of((0.4, 0.12, 0.12))]
     kept = []
     for number, optics in enumerate(found):
-        state = SimpleNamespace(optics=optics, loss=0.1)
+        state = SimpleNamespace(optics=optics, loss=0.1, light=MEMBRANES)
         past.take(Frame.of(number, np.ones(GRID.shape), GRID), state, ball(), [])
         kept.append(found.index(past.optics))
     assert kept == [0, 0, 2, 2]
+
+
+def test_what_shines_in_the_first_frame_does_in_all_others():
+    states = track(drifting(3), GRID, ball(), OPTICS, NEAR.model_copy(update={"structure": "auto"}))
+    done = [state.done for state in states if state.done is not None]
+    assert [result.structure for result in done] == ["membrane"] * 3
+    past = BetweenFrames(GRID, ball(), OPTICS, first=0)
+    past.resume([replace(done[0], structure="both"), done[1]], NEAR)
+    assert past.structure == "both"
 
 
 def test_good_divisions_are_kept_where_others_are_not(monkeypatch):

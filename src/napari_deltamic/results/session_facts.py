@@ -91,12 +91,13 @@ class ResultFacts:
 
 @dataclass(frozen=True, kw_only=True)
 class FrameFacts:
-    """Of a frame of a series; mesh : None where it was left out. psf : what was fitted of it."""
+    """Of a frame of a series; mesh : None where it was left out. psf, structure : of its fit."""
 
     mesh: MeshName | None
     message: str
     events: tuple[EventFacts, ...]
     psf: tuple[float, ...] = ()
+    structure: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

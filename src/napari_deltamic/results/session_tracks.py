@@ -39,6 +39,7 @@ def tracks_facts(archive: ArchiveWriter, meshes: MeshWriter, tracks: SavedTracks
                 mesh=meshes.add(f"tracks/{r.frame}/vertices", r.mesh) if r.mesh else None,
                 message=r.message,
                 psf=r.psf,
+                structure=r.structure,
                 events=EventFacts.of(r.events),
             )
             for r in tracks.results
@@ -83,4 +84,5 @@ def _frame(meshes: MeshReader, facts: FrameFacts, row: list[float]) -> FrameResu
         seconds=seconds,
         sigma_um=(z, y, x),
         psf=facts.psf,
+        structure=facts.structure,
     )

@@ -140,7 +140,8 @@ def read_results(folder: str | os.PathLike[str]) -> list[FrameResult]:
 class _FrameFacts:
     """Of a frame, as the report holds it; None where a number is not known.
 
-    time_s, seconds : s. used : whether it was not left out. psf : older reports have none.
+    time_s, seconds : s. used : whether it was not left out. psf, structure : older
+    reports have none.
     """
 
     frame: int
@@ -154,6 +155,7 @@ class _FrameFacts:
     seconds: float
     sigma_um: tuple[float | None, float | None, float | None]
     psf: tuple[float, ...] = ()
+    structure: str = ""
 
     @classmethod
     def of(cls, result: FrameResult) -> _FrameFacts:
@@ -169,6 +171,7 @@ class _FrameFacts:
             seconds=round(result.seconds, 3),
             sigma_um=result.sigma_um,
             psf=result.psf,
+            structure=result.structure,
         )
 
 
@@ -194,6 +197,7 @@ def _result(folder: Path, facts: _FrameFacts) -> FrameResult:
         seconds=facts.seconds,
         sigma_um=(z, y, x),
         psf=facts.psf,
+        structure=facts.structure,
     )
 
 

@@ -18,6 +18,7 @@ from ..optics import GaussianPSF, Optics
 from ..runs.settings import FitSettings
 from ..scene import Grid
 from ..scene.effects import Effects
+from ..scene.light import structure_of
 from .alarms import CellLook, looks
 from .frames import Frame, Quality
 from .result import Event, FrameResult
@@ -35,6 +36,8 @@ class BetweenFrames:
         The PSF that the first good frame was found with, or the first one with that of an
         objective: all fits start from it, and their priors lie around it. It is one microscope;
         from frame to frame, PSFs that images hardly tell would drift.
+    structure
+        What shone in the first good frame, and so does in all others; empty before it.
     state
         The end of its fit; None before the first.
     edge
@@ -54,6 +57,7 @@ class BetweenFrames:
     def __init__(self, grid: Grid, mesh: Mesh, optics: Optics, first: int) -> None:
         self.mesh, self.optics, self.frame = mesh, optics, first
         self.state: FitState | None = None
+        self.structure = ""
         self.edge = mesh.median_edge()
         self.quality = Quality(grid, optics)
         self.looks: dict[int, CellLook] = {}
@@ -70,7 +74,7 @@ class BetweenFrames:
         self._see(frame.number, mesh, events)
         if (self.state is None and not self.done) or type(state.optics) is not type(self.optics):
             self.optics = state.optics
-        self.state = state
+        self.state, self.structure = state, self.structure or structure_of(state.light)
         self.edge = mesh.median_edge() if self.edge == 0 else self.edge
 
     def two_new_cells(self) -> tuple[int, int]:
@@ -94,6 +98,7 @@ class BetweenFrames:
             if settings.fit_psf and (not self.done or type(found) is not type(self.optics)):
                 self.optics = found
             self.done[result.frame] = result
+            self.structure = self.structure or result.structure
         self.done = dict(sorted(self.done.items())[-RULES.frames.remembered :])
 
     def _left_by(self, result: FrameResult) -> Optics:

@@ -45,6 +45,7 @@ class FrameResult:
     events : in the order in which they happened.
     loss, iterations, seconds, sigma_um : of the fit; NaN and 0 where there was none.
     psf : its parameters after the fit, as :meth:`Optics.parameters` gives them; () for unknown.
+    structure : what shines, membrane, interior or both; empty where it is not known.
     """
 
     frame: int
@@ -57,6 +58,7 @@ class FrameResult:
     seconds: float = 0.0
     sigma_um: tuple[float, float, float] = (nan, nan, nan)
     psf: tuple[float, ...] = ()
+    structure: str = ""
 
     @property
     def cells(self) -> tuple[int, ...]:

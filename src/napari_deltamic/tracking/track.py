@@ -23,6 +23,7 @@ from ..runs.settings import FitSettings
 from ..runs.track_run import TrackSettings
 from ..scene import Grid
 from ..scene.effects import Effects, as_effects
+from ..scene.light import structure_of
 from .alarms import alarms, gone
 from .between_frames import BetweenFrames
 from .divisions import Residual, are_daughters, explains, has_folded, proposals
@@ -183,7 +184,7 @@ class _Tracker:
         result = FrameResult(
             frame.number, when, mesh, state.message, tuple(events), state.loss,
             state.iteration, time.monotonic() - began, state.optics.sigma_um,
-            tuple(state.optics.parameters().detach().tolist()),
+            tuple(state.optics.parameters().detach().tolist()), structure_of(state.light),
         )  # fmt: skip
         yield TrackState(frame.number, mesh, done=result, last_fit=state)
         return ""
@@ -210,6 +211,8 @@ class _Tracker:
             width = min(self.past.optics.sigma_um)
             levels = start.levels(width / 2 if wider else width)
             settings = settings.model_copy(update={"levels": levels})
+        if settings.structure == "auto" and self.past.structure:
+            settings = settings.model_copy(update={"structure": self.past.structure})
         mesh, counted = self._renewed(start.mesh), None
         state: FitState | None = None
         early: FitState | None = None
