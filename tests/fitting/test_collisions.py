@@ -285,13 +285,13 @@ def test_a_remeshing_that_makes_surfaces_cross_is_not_taken(two, monkeypatch):
     crossing = balls((1.15, 1.3, 1.55), (1.15, 1.8, 1.55), radius=0.5, subdivisions=3)
     tried = []
 
-    def renewed(self, mesh, carried, fixed, apart):
+    def renewed(self, mesh, carried, fixed, apart, flatness):
         tried.append(mesh)
         n = len(crossing.vertices)
         none = np.zeros((n, carried.shape[1])), np.zeros(n, bool), np.full(n, -1)
         return Remeshed(crossing, *none, 0, 0)
 
-    monkeypatch.setattr(Remeshing, "wanted", lambda self, mesh: not tried)
+    monkeypatch.setattr(Remeshing, "wanted", lambda self, mesh, flatness: not tried)
     monkeypatch.setattr(Remeshing, "renewed", renewed)
     *_, last = fit(image, GRID, starts, OPTICS, settings=AT_ONCE)
     assert len(tried) == 1

@@ -6,6 +6,7 @@ import numpy as np
 
 from napari_deltamic.gui.running import run_control
 from napari_deltamic.gui.running.footer import forecast_text, progress_text
+from napari_deltamic.measure.surface_distance import distance_to_surface
 
 from .interacting import notes, pause, right_end, use, vertices, went_on
 
@@ -34,7 +35,8 @@ def test_going_on_from_an_earlier_moment(begun, spin):
     bar.go_on_button.click()
     spin(lambda: f"back to iteration {of}" in notes(begun))
     moment = next(m for m in begun.doc.timeline.moments if m.note)
-    np.testing.assert_array_equal(moment.mesh.vertices_numpy(), first)
+    # The same surface; where it is much curved, with more triangles.
+    assert distance_to_surface(first, moment.mesh).max() < 0.05
     assert bar.chosen is None
     assert begun.doc.link.shown is begun.doc.link.mesh
     pause(begun, spin)

@@ -106,8 +106,8 @@ def test_a_paused_fit_shows_a_change_at_once(begun, spin):
     spin(lambda: "nudge" in notes(begun))
     spin(seconds=0.1, must=False)
     assert len(begun.doc.run.history.loss) == n + 1
-    moved = vertices(begun) - before
-    assert moved[:, 2].max() == pytest.approx(0.6, abs=0.15)
+    # The bump is more curved, so there may be more vertices.
+    assert vertices(begun)[:, 2].max() - before[:, 2].max() == pytest.approx(0.6, abs=0.15)
     assert begun.doc.run.paused
 
 
