@@ -263,8 +263,8 @@ def _of_cell(cell: CellFacts, usual: float, facts: Facts) -> CellVerdict:
         text = "its inside is not darker than the medium around it, as the model assumes"
         found.append(("fair", text + ": is this a thick bright layer?"))
     if cell.compact is not None and cell.compact < RULES.compact:
-        text = "its surface has crumpled, or leaked into a neighbour: smooth it, or start over"
-        found.append(("fair", text))
+        text = "it is much less round than its start: has it fins or arms, or has it crumpled or"
+        found.append(("fair", f"{text} leaked into a neighbour?"))
     if cell.growth is not None:
         growth = cell.growth / usual
         if growth > RULES.grown:
