@@ -1,11 +1,14 @@
 """``napari-deltamic effects``, and effects that a fit takes by itself."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import napari_deltamic as nd
+from napari_deltamic.cli.fit_command import _Run
+from napari_deltamic.cli.messages import Notes
 from napari_deltamic.geometry import sphere
 from napari_deltamic.images.stacks import read_image, write_image
 from napari_deltamic.scene import expected_image
@@ -92,3 +95,22 @@ def test_bad_usage_is_one_line(fails, folder):
     assert "leave out 'auto'" in fails(*given, "--effects", "auto")
     assert "choose from" in fails(*given, "--candidates", "ghosts")
     assert "--structure both" in fails(*given, "--effects", "bulk=0.2")
+
+
+@pytest.mark.parametrize(("left", "kept"), [(0.09, "with"), (0.105, "with"), (0.2, "without")])
+def test_effects_with_which_a_fit_explains_less_are_left_out(tmp_path, monkeypatch, left, kept):
+    notes = Notes()
+    run = _Run("without", tmp_path, notes, auto=True)
+    run.last = SimpleNamespace(loss=0.1)
+    before = run.last
+
+    def follow(states):
+        run.job, run.last = "with", SimpleNamespace(loss=left)
+
+    monkeypatch.setattr(run, "_with_recommended", lambda: iter(()))
+    monkeypatch.setattr(run, "_follow", follow)
+    run._follow_with_effects()
+    assert run.job == kept
+    assert (run.last is before) == (kept == "without")
+    told = "effects left out: the fit explains 80.0% with them, and 90.0% without"
+    assert notes.texts == ([told] if kept == "without" else [])

@@ -34,6 +34,9 @@ from .second_view_input import check_second_view
 
 CHECKPOINT_EVERY = 5.0  # s: what a crash may cost; to write one takes far less than that
 _CLEARLY = 1.1  # times the error asked for: predictions are not so exact that less would count
+# Times what was left without effects: a fit with them, which can do more, may not leave more.
+# Chosen: a tenth is what voxels that effects leave out may change.
+_LESS = 1.1
 
 
 def run(arguments: argparse.Namespace, notes: Notes) -> int:
@@ -90,7 +93,7 @@ class _Run:
         try:
             self._follow(states)
             if self.auto:
-                self._follow(self._with_recommended())
+                self._follow_with_effects()
             assert self.last is not None, "a fit yields at least one state"
             self._write(self.last)
         except KeyboardInterrupt:
@@ -98,6 +101,19 @@ class _Run:
         except Exception as error:
             raise self._failed(error) from error
         return 0
+
+    def _follow_with_effects(self) -> None:
+        """Go on with the effects that the fit calls for; back to it where that explains less."""
+        assert self.last is not None, "a fit yields at least one state"
+        job, last, history = self.job, self.last, self.history
+        self._follow(self._with_recommended())
+        if self.last.loss > _LESS * last.loss:
+            self.notes.add(
+                f"effects left out: the fit explains {1 - self.last.loss:.1%} with them, and "
+                f"{1 - last.loss:.1%} without"
+            )
+            self._take_over(job)
+            self.last, self.history = last, history
 
     def _with_recommended(self) -> Iterator[FitState]:
         """The fit with the effects that the one before calls for; empty where it calls for none."""
