@@ -49,3 +49,8 @@ def test_two_points_in_one_nucleus_are_told(nuclei):
 def test_a_point_beside_all_of_them_names_nothing(nuclei):
     with pytest.raises(InputError, match="point 1 lies in no closed region"):
         labels_from_points(nuclei[0], SIZE, [(2, 2, 24)])
+
+
+def test_dark_regions_alone_are_none_of_them(nuclei):
+    with pytest.raises(InputError, match="point 1 lies in no closed region"):
+        labels_from_points(nuclei[0], SIZE, [(16, 16, 36)], dark=True)

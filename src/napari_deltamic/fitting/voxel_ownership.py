@@ -227,7 +227,9 @@ def _dark_regions(image: np.ndarray, grid: Grid, mesh: Mesh, starts: Labels) -> 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RepairWarning)
-            found = labels_from_points(filled(image), grid.voxel_size, places, grid.origin)
+            found = labels_from_points(
+                filled(image), grid.voxel_size, places, grid.origin, dark=True
+            )
     except InputError:
         return None
     names = np.concatenate([[0], mesh.region_ids()])

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from napari_deltamic.common.reading import one_reason, read_text, reading
 from napari_deltamic.errors import InputError, RepairWarning
 from napari_deltamic.geometry.foam import spheres_of_foam
+from napari_deltamic.geometry.labels.basins import label_basins
 from napari_deltamic.geometry.labels.meshes import EDGE_IN_VOXELS, edge_within, surfaces_of_labels
 from napari_deltamic.geometry.labels.regions_at_points import regions_at
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
@@ -30,8 +31,12 @@ def labels_from_points(
     voxel_size: Triple,
     points: ArrayLike,
     origin: Triple = (0.0, 0.0, 0.0),
+    *,
+    dark: bool = False,
 ) -> NDArray[np.int32]:
     """Label the dark region that each point lies in, up to the crest of its bright membrane.
+
+    Where there is none, as in a nucleus, it is the cell that is found there without help.
 
     Parameters
     ----------
@@ -39,6 +44,7 @@ def labels_from_points(
     voxel_size : um, Z, Y, X.
     points : (n, 3), um, Z, Y, X; one inside each object.
     origin : um; centre of the first voxel.
+    dark : dark regions only.
 
     Returns
     -------
@@ -62,7 +68,8 @@ def labels_from_points(
     )
     voxels, refused = _point_voxels(centres, size, start, data.shape)
     names = sorted(voxels)
-    labels, more = regions_at(data, size, _rows(voxels, names), names)
+    regions = label_basins if dark else regions_at
+    labels, more = regions(data, size, _rows(voxels, names), names)
     _tell([*refused, *more], len(centres))
     return labels
 
