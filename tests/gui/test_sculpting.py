@@ -124,7 +124,9 @@ def test_pinned_vertices_stay(begun, with_image, spin):
     begun.footer.pause_button.click()
     n = len(begun.doc.run.history.loss)
     spin(lambda: len(begun.doc.run.history.loss) > n + 20)
-    np.testing.assert_array_equal(vertices(begun)[pinned], held)
+    pinned = begun.edits.pinned  # of other vertices, where the surface was remeshed meanwhile
+    now = vertices(begun)[pinned]
+    assert np.abs(now[:, None] - held).max(axis=2).min(axis=0).max() < 1e-5
     marks = with_image.layers["cell: pinned"]
     assert len(marks.data) == pinned.sum()
     assert begun.running.edit.pins.text().startswith(f"Free {pinned.sum()} pinned")
