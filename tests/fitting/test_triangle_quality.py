@@ -106,7 +106,7 @@ def test_what_cannot_get_better_is_not_tried_for_ever():
 
 
 def cigar():
-    """Its tips are 32 times as curved as its sides, 1/2 to 1/16 um."""
+    """Its mean curvature is 2 per um at the tips, and 0.27 around the middle."""
     return sphere((0, 0, 0), (8.0, 2.0, 2.0), edge_length=1.2)
 
 
@@ -151,7 +151,8 @@ def test_gaps_are_those_of_flat_faces_from_a_sphere():
     shares = np.random.default_rng(0).dirichlet(np.ones(3), 500)
     points = np.einsum("pk,fki->fpi", shares, ball.vertices_numpy()[ball.faces])
     inwards = 4.0 - np.linalg.norm(points, axis=2)
-    assert gaps(ball).mean() == pytest.approx(2 / 3 * inwards.std(1).mean(), rel=0.3)
+    # Less than they deviate: a fit bends the faces of neighbours towards each other.
+    assert 0.6 < gaps(ball).mean() / inwards.std(1).mean() < 0.9
 
 
 def test_growth_is_told_across_a_remeshing():
