@@ -54,3 +54,12 @@ def test_a_point_beside_all_of_them_names_nothing(nuclei):
 def test_dark_regions_alone_are_none_of_them(nuclei):
     with pytest.raises(InputError, match="point 1 lies in no closed region"):
         labels_from_points(nuclei[0], SIZE, [(16, 16, 36)], dark=True)
+
+
+def test_points_in_a_crowd_of_nuclei_name_them_not_the_gaps_between():
+    centres = [(14, y, x) for y in (10, 27, 44) for x in (10, 27, 44)]
+    crowd = balls(*centres, shape=(28, 54, 54), radius=7.5)
+    image = seen(np.any(crowd, axis=0))
+    found = labels_from_points(image, SIZE, centres[:5])
+    for k, one in enumerate(crowd[:5], 1):
+        assert overlap(found == k, one) > 0.85

@@ -177,10 +177,15 @@ def border_area(shape: tuple[int, ...], size: FloatArray, known: Mask | None = N
 _kept: list[tuple[bytes, _Tree]] = []
 
 
+def content_of(image: NDArray[Any], size: FloatArray) -> bytes:
+    """By which an image with voxels of some size is known again."""
+    content = sha1(image.tobytes(), usedforsecurity=False)
+    content.update(repr((image.shape, size.tolist())).encode())
+    return content.digest()
+
+
 def _component_tree(ranked: Ranks, size: FloatArray) -> _Tree:
-    content = sha1(ranked.tobytes(), usedforsecurity=False)
-    content.update(repr((ranked.shape, size.tolist())).encode())
-    key = content.digest()
+    key = content_of(ranked, size)
     for known, tree in tuple(_kept):  # threads may share it
         if known == key:
             return tree

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from hashlib import sha1
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.labels.basins import label_basins
+from napari_deltamic.geometry.labels.basins import content_of, label_basins
 from napari_deltamic.geometry.mesh import FloatArray, IntArray
 from napari_deltamic.geometry.refused import Refused
 
+if TYPE_CHECKING:
+    from napari_deltamic.geometry.labels.bright_cells import CellsFound
+
 Labels = NDArray[np.int32]
 _OWN = 0.5  # chosen: most of a cell must be left by regions that other points name
+_BRIGHT = 90.0  # percentile of a region; chosen: a point above it may lie in what is bright
 
 
 def regions_at(
@@ -21,41 +26,57 @@ def regions_at(
 ) -> tuple[Labels, list[Refused]]:
     """Label the region of each voxel in ``voxels`` (n, 3) with its name; 0 elsewhere.
 
-    That of :func:`~.basins.label_basins`. Where nothing dark closes around a point, as in a nucleus
-    or in a cell that the border of the image cuts, it is the cell that is found there without help.
+    That of :func:`~.basins.label_basins`. Where nothing dark closes around a point, or it is the
+    ground between bright cells, such as nuclei, it is the cell that is found there without help.
     Points without either are told.
     """
     labels, refused = label_basins(data, size, voxels, names)
     at = {name: tuple(voxel) for name, voxel in zip(names, voxels.tolist(), strict=True)}
-    open_ones = [one for one in refused if len(one.points) == 1]
-    cells = _cells(data, size) if open_ones else None
-    if cells is None:
+    why = {one.points[-1]: one for one in refused}
+    bright = _in_bright(data, size, labels, at)
+    found = _cells(data, size) if bright or why else None
+    if found is None:
         return labels, refused
+    if found.bright:
+        for name in bright:
+            if found.labels[at[name]]:
+                labels[labels == name] = 0
+    left = {name: one for name, one in why.items() if not found.bright and len(one.points) > 1}
     taken: dict[int, int] = {}  # cell: the point that has it
-    left = [one for one in refused if one not in open_ones]
-    for one in open_ones:
-        name = one.points[0]
-        cell = int(cells[at[name]])
-        own = (cells == cell) & (labels == 0)
-        if cell in taken:
+    for name in sorted({*why, *(bright if found.bright else ())} - set(left)):
+        cell = int(found.labels[at[name]])
+        own = (found.labels == cell) & (labels == 0)
+        if cell and cell in taken:
             text = f"points {taken[cell]} and {name} lie in the same region"
-            left.append(Refused(text, (taken[cell], name)))
-        elif cell and own.sum() > _OWN * (cells == cell).sum():
+            left[name] = Refused(text, (taken[cell], name))
+        elif cell and own.sum() > _OWN * (found.labels == cell).sum():
             labels[own], taken[cell] = name, name
         else:
-            left.append(one)
-    return labels, left
+            text = f"the cell at point {name} is mostly that of other points"
+            left[name] = why.get(name, Refused(text, (name,)))
+    return labels, [left[name] for name in sorted(left)]
+
+
+def _in_bright(
+    data: FloatArray, size: FloatArray, labels: Labels, at: dict[int, tuple[int, ...]]
+) -> list[int]:
+    """Points that are brighter than nearly all of the dark region that they name."""
+    smooth = ndimage.gaussian_filter(data, float(size.min()) / size, mode="nearest")
+    found = []
+    for name, box in enumerate(ndimage.find_objects(labels), 1):
+        if box is not None:
+            level = np.percentile(smooth[box][labels[box] == name], _BRIGHT)
+            found += [name] if smooth[at[name]] > level else []
+    return found
 
 
 # The cells of the image that was looked at last: every click of a user asks for them again.
-_kept: list[tuple[bytes, Labels | None]] = []
+_kept: list[tuple[bytes, CellsFound | None]] = []
 
 
-def _cells(data: FloatArray, size: FloatArray) -> Labels | None:
-    """(Z, Y, X) those that are found without help; None where there are none."""
-    content = sha1(data.tobytes(), usedforsecurity=False)
-    content.update(repr((data.shape, size.tolist())).encode())
-    key = content.digest()
+def _cells(data: FloatArray, size: FloatArray) -> CellsFound | None:
+    """Those that are found without help; None where there are none."""
+    key = content_of(data, size)
     for known, cells in tuple(_kept):  # threads may share it
         if known == key:
             return cells
@@ -64,11 +85,11 @@ def _cells(data: FloatArray, size: FloatArray) -> Labels | None:
     return found
 
 
-def _found(data: FloatArray, size: FloatArray) -> Labels | None:
+def _found(data: FloatArray, size: FloatArray) -> CellsFound | None:
     # Imported where it is needed, as that takes a while.
     from napari_deltamic.geometry.labels.bright_cells import cells_of
 
     try:
-        return cells_of(data, size.tolist()).labels
+        return cells_of(data, size.tolist())
     except InputError:
         return None
