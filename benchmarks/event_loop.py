@@ -3,8 +3,8 @@
 Each scene runs in a process of its own, once without a display (Qt's offscreen platform, the
 viewer's model) and once in a window under Xvfb, where the pictures are drawn in software. While the
 fit goes on, a user moves through the slices, looks back and nudges the surface. Then what it
-reached is saved, and opened in another window. What napari takes to add a layer, and to begin a row
-of its activity dock, which paints the window, is told apart: both happen once.
+reached is saved, and opened in another window. What napari takes to draw, to add a layer, and to
+begin a row of its activity dock, which paints the window, is told apart.
 """
 
 from __future__ import annotations
@@ -92,12 +92,12 @@ def _rows(scene: str, platform: str, seconds: float) -> list[Row]:
             found["collections"],
         ),
         Row(
-            f"{name}: longest that napari takes to add a layer or a progress",
+            f"{name}: longest that napari takes to draw, or to add a layer or a progress",
             "",
             found["napari_ms"],
             "ms",
             None,
-            "once for each",
+            "not counted above",
         ),
     ]
 

@@ -102,6 +102,7 @@ def watched() -> Watch:
     """A watch over everything that is called on the main thread while a fit runs."""
     from napari.components import LayerList
     from napari.utils import progress
+    from vispy.app.backends._qt import CanvasBackendDesktop
 
     from napari_deltamic.gui.results.more_actions import SessionBar
     from napari_deltamic.gui.running.edits import Edits
@@ -115,6 +116,9 @@ def watched() -> Watch:
     watch = Watch()
     watch.leave_out(LayerList, "insert")
     watch.leave_out(progress, "__init__")
+    watch.leave_out(
+        CanvasBackendDesktop, "paintGL"
+    )  # its drawing, which Qt may ask for at any time
     watch.over(Work, "_tick", "start", "stop")
     watch.over(Background, "_look", "_waited")
     watch.over(RunControl, "start")

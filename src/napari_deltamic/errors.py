@@ -60,7 +60,8 @@ def listed(noun: str, names: Sequence[object]) -> str:
     """'cell 3', 'cells 3 and 5', 'cells 1, 2, 3, 4, 5, 6 and 9 others'."""
     shown = [str(name) for name in names[:_NAMED]]
     if len(names) > _NAMED:
-        shown.append(f"{len(names) - _NAMED} others")
+        left = len(names) - _NAMED
+        shown.append(f"{left} others" if left > 1 else "1 other")
     words = " and ".join(filter(None, [", ".join(shown[:-1]), shown[-1]]))
     return f"{noun}{'s' if len(names) > 1 else ''} {words}"
 

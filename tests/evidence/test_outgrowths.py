@@ -34,3 +34,22 @@ def test_a_cell_that_is_thin_as_a_whole_has_none():
     disc = sphere(MIDDLE, 2.0, edge_length=0.2)
     flat = disc.with_vertices((disc.vertices_numpy() - MIDDLE) * [0.12, 1, 1] + MIDDLE)
     assert outgrowths(flat, GRID, OPTICS) == {}
+
+
+def test_where_many_cells_are_pointed_only_one_that_reaches_further_is_told():
+    """Like the edges of cells in a tissue: what most of them have is no outgrowth."""
+    grid = Grid((40, 210, 60), GRID.voxel_size, GRID.origin)
+    shifts = 7.0 * np.arange(6)
+
+    def tissue(reaches: list[float]) -> Mesh:
+        cells = [cell(reach, region=k + 1) for k, reach in enumerate(reaches)]
+        v = [c.vertices_numpy() + np.array([0, s, 0]) for c, s in zip(cells, shifts, strict=True)]
+        n = np.cumsum([0, *(len(c.vertices) for c in cells[:-1])])
+        faces = [c.faces + k for c, k in zip(cells, n, strict=True)]
+        regions = np.concatenate([c.regions for c in cells])
+        return Mesh(np.concatenate(v), np.concatenate(faces), regions)
+
+    assert list(outgrowths(cell(2.5), GRID, OPTICS)) == [1]
+    assert outgrowths(tissue([2.5] * 6), grid, OPTICS) == {}
+    assert list(outgrowths(tissue([1.2] * 5 + [3.0]), grid, OPTICS)) == [6]
+    assert list(outgrowths(tissue([0.0] * 5 + [3.0]), grid, OPTICS)) == [6]

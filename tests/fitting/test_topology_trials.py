@@ -85,7 +85,7 @@ def test_a_wrong_neighbour_is_exchanged_or_told(half, photons):
     """A wrong wall shrinks until the image can hardly tell it from none: 0 to 5 of 8 are found."""
     truth = five(half)
     states, told = fitted(truth, flip_of(truth), photons)
-    undecided = "undecided: how cells 1 and 2 and 3 and 4 and 5 meet at (" in told
+    undecided = "undecided: how cells 1, 2, 3, 4 and 5 meet at (" in told
     assert undecided or contacts(states[-1].mesh) == contacts(truth)
     assert all(len(state.density) == len(state.mesh.faces) for state in states)
 
@@ -107,7 +107,7 @@ def test_where_the_image_says_neither_the_present_neighbours_stay(wrong):
     start = flip_of(truth) if wrong else remesh(truth, EDGE).mesh
     states, told = fitted(truth, start)
     assert contacts(states[-1].mesh) == contacts(start)
-    assert told.startswith("undecided: how cells 1 and 2 and 3 and 4 and 5 meet at (")
+    assert told.startswith("undecided: how cells 1, 2, 3, 4 and 5 meet at (")
     assert ";" not in told
 
 

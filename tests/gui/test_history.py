@@ -150,6 +150,7 @@ def test_the_rendered_image_follows_the_result(ended, with_image, spin):
 
 
 def test_a_surface_that_was_hidden_is_the_newest_when_it_is_shown(begun, with_image, spin):
+    spin(lambda: begun.doc.link.surface is not None)
     layer = begun.doc.link.surface
     assert not layer.visible
     n = len(begun.doc.run.history.loss)

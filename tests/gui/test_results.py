@@ -57,7 +57,7 @@ def widget(make_widget, with_image):
     )
     job = FitInput(settings, image, grid, mesh, optics, None)
     history = History([1.0, 0.7, 0.5], [1] * 3, [1.0] * 3)
-    widget.doc.reopen(SavedResult(settings, state, history, 1.0), job)
+    list(widget.doc.reopen(SavedResult(settings, state, history, 1.0), job))
     return widget
 
 

@@ -131,6 +131,7 @@ def test_a_reopened_session_goes_on(seeded, spin, tmp_path, reopened):
     widget.results.save_all(str(tmp_path / "all"))
     assert (tmp_path / "all" / "report.json").exists()
     widget.running.history.slider.setValue(0)
+    viewer.dims.ndisplay = 3
     first = widget.doc.timeline.moments[0]
     np.testing.assert_allclose(
         viewer.layers["cell: surfaces"].data[0], first.mesh.vertices_numpy(), atol=1e-5

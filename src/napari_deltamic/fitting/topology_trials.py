@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from ..errors import listed
 from ..geometry.topology.rearranging import give_way
 from ..geometry.topology.thin_places import ThinPlace
 from ..runs.settings import FitSettings
@@ -13,6 +14,8 @@ from .fitted import Fitted
 from .local_misfit import Misfit, gaps, misfit_of
 from .problem import Problem
 from .topology import RULES, TopologyPolicy, Trial, may_change
+
+_TOLD = 3  # places in a sentence, chosen: more would fill lines that nobody reads
 
 
 class TopologyTrials:
@@ -152,10 +155,11 @@ def _may_change(fitted: Fitted, settings: FitSettings, factor: float) -> bool:
 
 
 def _undecided(places: Sequence[ThinPlace]) -> tuple[str, ...]:
-    """One sentence that names all places, if there are any."""
+    """One sentence that names the first places, if there are any."""
     told = []
-    for place in places:
-        cells = " and ".join(str(r) for r in sorted({*place.regions, *place.sides}) if r)
+    for place in places[:_TOLD]:
+        cells = listed("cell", [r for r in sorted({*place.regions, *place.sides}) if r])
         z, y, x = place.points.mean(0)
-        told.append(f"cells {cells} meet at ({z:.1f}, {y:.1f}, {x:.1f}) um")
-    return (f"undecided: how {', '.join(told)}",) if told else ()
+        told.append(f"how {cells} meet at ({z:.1f}, {y:.1f}, {x:.1f}) um")
+    more = f", and {len(places) - _TOLD} more" if len(places) > _TOLD else ""
+    return (f"undecided: {', '.join(told)}{more}",) if told else ()

@@ -7,7 +7,7 @@ the cells chosen.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from functools import partial
 from typing import Any, Literal, get_args
 
@@ -193,17 +193,21 @@ class Document:
                 record.timeline.go_on()
             self.began.emit(self._fresh)
 
-    def reopen(self, result: SavedResult, job: FitInput) -> None:
-        """Take over the result of an earlier fit of the image chosen, with its history."""
+    def reopen(self, result: SavedResult, job: FitInput) -> Generator[None]:
+        """Take over the result of an earlier fit of the image chosen, with its history.
+
+        Where it yields, the window may do what waits.
+        """
         record = self.record_for(self.image.frame())
         record.timeline, record.words = Timeline(result.moments), (result.verdict, result.message)
         self.meshes_came.emit()
         self._place_link(record)
         record.link.show_mesh(result.state.mesh)
+        yield
         record.take(result.state, job, result.history, result.seconds)
-        self.result_changed.emit()
-        self.began.emit(True)
-        self.ended.emit()
+        for tell in (self.result_changed.emit, partial(self.began.emit, True), self.ended.emit):
+            tell()
+            yield
 
     def look_back(self, earlier: bool) -> None:
         """Whether an earlier moment of a fit is looked at."""

@@ -24,6 +24,7 @@ from psygnal import Signal
 from qtpy.QtCore import QObject, QTimer
 
 from ..errors import TOLD, InputError
+from .calm import Calm
 from .window_words import words_of
 
 INTERVAL = 1 / 15  # s between two looks at a task
@@ -157,6 +158,7 @@ class Work(QObject):
         self.interval = INTERVAL  # s between two looks
         self.task: Task | None = None
         self._activity: Any = None  # in napari's activity dock
+        self._calm = Calm()
         self._timer = one_shot(self, self._tick)
 
     @property
@@ -174,6 +176,7 @@ class Work(QObject):
         if self.task is not None:
             self.stop(at_once=True)
         self.task = task
+        self._calm.begin()
         self._activity = progress(total=0, desc=f"deltaMic: {task.title}")
         self.changed.emit()
         _THREADS.submit(_run, task)
@@ -240,6 +243,7 @@ class Work(QObject):
         self.changed.emit()
 
     def _close_activity(self) -> None:
+        self._calm.end()
         activity, self._activity = self._activity, None
         if activity is not None:
             activity.close()

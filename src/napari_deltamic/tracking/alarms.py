@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,6 +73,39 @@ def alarms(mesh: Mesh, expected: Mesh, before: dict[int, CellLook], grid: Grid) 
         elif jump > RULES.alarms.jump * then[cell].radius:
             found[cell] = f"it lies {jump:.2g} um from where it was expected"
     return found
+
+
+@dataclass
+class Volumes:
+    """Volumes of the cells in the last good frames, um^3: what is usual for each."""
+
+    _of: dict[int, list[float]] = field(default_factory=dict)
+    _changes: list[float] = field(default_factory=list)
+
+    def add(self, now: dict[int, CellLook]) -> None:
+        """A good frame is done."""
+        for cell, look in now.items():
+            off = self._off(cell, look)
+            self._changes += [] if off is None else [abs(off)]
+            self._of[cell] = [*self._of.get(cell, []), look.volume][-RULES.alarms.remembered :]
+
+    def jumps(self, now: dict[int, CellLook]) -> dict[int, str]:
+        """Cells whose volume changes as none has done before, and how, in plain words."""
+        if len(self._changes) < RULES.alarms.known:
+            return {}
+        usual = RULES.alarms.unusual * float(np.median(self._changes))
+        least, found = max(usual, np.log(RULES.alarms.change)), {}
+        for cell, look in now.items():
+            off = self._off(cell, look)
+            if off is not None and abs(off) > least:
+                found[cell] = f"its volume is {np.exp(off):.2g} times that of the frames before"
+        return found
+
+    def _off(self, cell: int, look: CellLook) -> float | None:
+        """Log of its volume over what is usual; None where one of them is not known or zero."""
+        before = self._of.get(cell)
+        usual = float(np.median(before)) if before else 0.0
+        return float(np.log(look.volume / usual)) if min(usual, look.volume) > 0 else None
 
 
 def gone(mesh: Mesh, largest: dict[int, float], grid: Grid, width: float) -> dict[int, str]:

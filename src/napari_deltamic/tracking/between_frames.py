@@ -19,7 +19,7 @@ from ..runs.settings import FitSettings
 from ..scene import Grid
 from ..scene.effects import Effects
 from ..scene.light import structure_of
-from .alarms import CellLook, looks
+from .alarms import CellLook, Volumes, looks
 from .frames import Frame, Quality
 from .result import Event, FrameResult
 from .track_rules import RULES
@@ -44,8 +44,9 @@ class BetweenFrames:
         um: the median edge of the seeds.
     quality
         Judges frames by the last good ones.
-    looks, largest, velocities
-        Of each cell: what it looks like, the largest volume that it has had (um^3), um a frame.
+    looks, volumes, largest, velocities
+        Of each cell: what it looks like, its last volumes, the largest that it has had (um^3), um
+        a frame.
     next_cell
         A number that no cell has had.
     first
@@ -61,6 +62,7 @@ class BetweenFrames:
         self.edge = mesh.median_edge()
         self.quality = Quality(grid, optics)
         self.looks: dict[int, CellLook] = {}
+        self.volumes = Volumes()
         self.largest: dict[int, float] = {}
         self.velocities: dict[int, NDArray[np.float64]] = {}
         self.next_cell = int(mesh.regions.max()) + 1
@@ -145,4 +147,5 @@ class BetweenFrames:
                 np.zeros(3) if old is None else (look.center - old.center) / frames
             )
             self.largest[cell] = max(look.volume, self.largest.get(cell, 0.0))
+        self.volumes.add(now)
         self.looks, self.mesh, self.frame = now, mesh, frame

@@ -24,7 +24,7 @@ from ..runs.track_run import TrackSettings
 from ..scene import Grid
 from ..scene.effects import Effects, as_effects
 from ..scene.light import structure_of
-from .alarms import alarms, gone
+from .alarms import alarms, gone, looks
 from .between_frames import BetweenFrames
 from .divisions import Residual, are_daughters, explains, has_folded, proposals
 from .frames import Frame, check_series, numbered
@@ -153,17 +153,15 @@ class _Tracker:
         tries = self._starts(frame)
         state, early = yield from self._fit(frame, tries[0])
         flaw = past.quality.misfit(state.loss)
-        found = (
-            {} if past.state is None else alarms(state.mesh, tries[0].mesh, past.looks, self.grid)
-        )
+        found = self._alarms(state.mesh, tries[0].mesh)
         if (found or flaw) and len(tries) > 1:
             other, before = yield from self._fit(frame, tries[1], wider=True)
-            again = alarms(other.mesh, tries[1].mesh, past.looks, self.grid)
+            again = self._alarms(other.mesh, tries[1].mesh)
             better = other.loss < state.loss if flaw else len(again) < len(found)
             if better:
                 state, early, found = other, before, again
         events = [
-            Event("alarm", frame.number, cell, f"cell {cell} may be lost: {why}")
+            Event("alarm", frame.number, cell, f"cell {cell} may be lost, or wrong: {why}")
             for cell, why in found.items()
         ]
         if self.tracking.divisions and past.state is not None:
@@ -188,6 +186,14 @@ class _Tracker:
         )  # fmt: skip
         yield TrackState(frame.number, mesh, done=result, last_fit=state)
         return ""
+
+    def _alarms(self, mesh: Mesh, start: Mesh) -> dict[int, str]:
+        """Cells of a fit that may not be what they were, and why; none in the first frame."""
+        past = self.past
+        if past.state is None:
+            return {}
+        jumps = past.volumes.jumps(looks(mesh))
+        return jumps | alarms(mesh, start, past.looks, self.grid)
 
     def _starts(self, frame: Frame) -> list[Start]:
         past = self.past

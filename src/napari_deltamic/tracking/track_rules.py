@@ -156,6 +156,12 @@ class AlarmRules:
         Share of a cell on the place of another: with more than half it is rather that one.
     volume
         Least and largest volume relative to the last frame's: a division halves it.
+    change, unusual
+        Volume relative to the median of the frames remembered, at least, and how many times the
+        usual logarithm of that. Chosen: single real droplets of a constant volume scatter by 1 %,
+        and fits that ended elsewhere were off by 10 to 30 %.
+    remembered, known
+        Frames, and changes of all cells before anything is called usual. Chosen.
     jump
         Radii between where a cell was expected and where it is: a neighbour is two away.
     in_view
@@ -167,6 +173,10 @@ class AlarmRules:
 
     slid: float = 0.5
     volume: tuple[float, float] = (0.5, 2.0)
+    change: float = 1.08
+    unusual: float = 5.0
+    remembered: int = 5
+    known: int = 4
     jump: float = 0.7
     in_view: float = 0.35
     gone: float = 0.08

@@ -14,6 +14,7 @@ from ...errors import InputError
 from ...results.session_file import EXTENSION, Session, load_session, save_session
 from ...runs.batch import write_batch
 from ...runs.run_files import Chosen, needs_folder
+from ..calm import Calm
 from ..document import Document
 from ..widgets import action
 from .session import Parts, capture, restore
@@ -89,6 +90,7 @@ class SessionBar:
         self.save_action = action(_SAVE[0], tip, self._ask_save, parent)
         self._saving, self._opening = (doc.background(self._failed) for _ in range(2))
         self._steps: Generator[None] | None = None  # that are left of showing a session
+        self._calm = Calm()
 
     @property
     def busy(self) -> bool:
@@ -104,12 +106,14 @@ class SessionBar:
 
     def open(self, path: str) -> None:
         """Open a session; it is shown when it has been read."""
+        self._calm.begin()
         self._opening.ask(partial(load_session, path), self._opened)
         self._show()
 
     def _forget(self) -> None:
         """The window is closed; a file that is being written is written to its end."""
         self._steps = None
+        self._calm.end()
 
     def _saved(self, path: str) -> None:
         self._show()
@@ -160,6 +164,8 @@ class SessionBar:
     def _show(self) -> None:
         """What is under way."""
         opening = self._opening.busy or self._steps is not None
+        if not opening:
+            self._calm.end()
         for one, busy, words in (
             (self.open_action, opening, _OPEN),
             (self.save_action, self._saving.busy, _SAVE),

@@ -76,6 +76,9 @@ def restore(parts: Parts, session: Session) -> Generator[None]:
     image, seeds, second = _layers(session)  # before anything is changed
     for seed in doc.cells.ticked:
         doc.cells.choose(seed, False)
+    view = session.panels.get("view", {})
+    if empty and "ndisplay" in view:  # now it is only a number: later all is drawn anew
+        viewer.dims.ndisplay = int(view["ndisplay"])
     viewer.add_layer(image)
     doc.image.choose(image)
     yield
@@ -101,18 +104,24 @@ def restore(parts: Parts, session: Session) -> Generator[None]:
         return
     if session.tracks is not None:
         parts.tracking.reopen(session.tracks)
+        yield
+        if _left(doc, image):
+            return
         # The surface of a fit belongs to the time that is shown when it comes.
         for axis, step in enumerate(session.panels.get("result_time", ())):
             viewer.dims.set_current_step(axis, int(step))
     if session.result is not None:
-        _show_result(doc, session.result, session)
+        for _ in _show_result(doc, session.result, session):
+            yield
+            if _left(doc, image):
+                return
+    looked = session.panels.get("shown", {}).get("view")
+    doc.look(looked if looked in VIEWS else "image")
+    viewer.layers.selection = {image}
+    for _ in _show_view(viewer, view, fit_camera=empty):
         yield
         if _left(doc, image):
             return
-    view = session.panels.get("shown", {}).get("view")
-    doc.look(view if view in VIEWS else "image")
-    viewer.layers.selection = {image}
-    _show_view(viewer, session.panels.get("view", {}), fit_camera=empty)
 
 
 def _left(doc: Document, image: Any) -> bool:
@@ -194,7 +203,7 @@ def _show_second(doc: Document, session: Session, layer: Any) -> None:
         doc.second.show(None)
 
 
-def _show_result(doc: Document, result: SavedResult, session: Session) -> None:
+def _show_result(doc: Document, result: SavedResult, session: Session) -> Generator[None]:
     image, second = session.image, session.second
     has_second = result.settings.scene.effects.view is not None
     job = FitInput(
@@ -207,7 +216,7 @@ def _show_result(doc: Document, result: SavedResult, session: Session) -> None:
         second=second.pixels if second is not None and has_second else None,
     )
     doc.select(())
-    doc.reopen(result, job)
+    yield from doc.reopen(result, job)
 
 
 # ---- panels --------------------------------------------------------------------------------------
@@ -225,12 +234,17 @@ def _fields(seeds: Any) -> dict[str, tuple[Callable[[], Any], Callable[[Any], No
     }
 
 
-def _show_view(viewer: Any, shown: dict[str, Any], *, fit_camera: bool) -> None:
+def _show_view(viewer: Any, shown: dict[str, Any], *, fit_camera: bool) -> Generator[None]:
+    """Each step of it lets napari draw, which may have its turn where this yields."""
+    yield
     if "ndisplay" in shown:
         viewer.dims.ndisplay = int(shown["ndisplay"])
+        yield
     if "point" in shown:
         go_to(viewer, shown["point"])
+        yield
     if len(shown.get("time", ())) == viewer.dims.ndim - 3 > 0:
         viewer.dims.set_point(range(viewer.dims.ndim - 3), [float(p) for p in shown["time"]])
+        yield
     if fit_camera:
         viewer.reset_view()

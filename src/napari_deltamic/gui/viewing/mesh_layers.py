@@ -50,6 +50,7 @@ class MeshLayers:
         self.surface: Surface | None = None
         self.contours = Contours(frame, contours, image_layer)
         self.contours.layer.metadata[OWN] = dict(self.known)
+        self._contours_added = False
         self._seen_in_3d = True
         self._placed = True  # whether the surface belongs to what is shown: 3D, at its time
         self._late = False  # whether the hidden surface is another than what is to be seen
@@ -140,26 +141,29 @@ class MeshLayers:
     def draw(self, mesh: Mesh, *, passing: bool = False) -> None:
         """Show a mesh. A surface that is hidden is not told of one that is only passing.
 
-        That takes as long as if it were to be seen.
+        That takes as long as if it were to be seen. Of one that is only passing, a layer is made
+        that is seen; the other one comes with the next: for each, napari takes a while.
         """
         self._colour(mesh, passing=passing)
-        if self.surface is None:
-            self._add_surface(mesh)
-        elif self.surface in self.viewer.layers:
-            self._late = passing and not self.surface.visible
+        layer = self.surface
+        if layer is None or not self._contours_added:
+            self._add_layers(mesh, at_once=not passing)
+        if layer is not None and layer in self.viewer.layers:
+            self._late = passing and not layer.visible
             if not self._late:
-                self._set_surface(self.surface, mesh)
+                self._set_surface(layer, mesh)
         self.slice_changed()
 
     def add(self, layer: Any, above: bool = False) -> None:
         """Add a layer, and leave the selection as it is; above: just above the image."""
-        viewer = self.viewer
-        selected = set(viewer.layers.selection)
-        viewer.add_layer(layer)
-        if above and self.image_layer in viewer.layers:
-            index = viewer.layers.index(self.image_layer)
-            viewer.layers.move(len(viewer.layers) - 1, index + 1)
-        viewer.layers.selection = selected or {layer}
+        layers = self.viewer.layers
+        selected, place = set(layers.selection), len(layers)
+        if above and self.image_layer in layers:
+            place = layers.index(self.image_layer) + 1
+        elif layer is self.surface and self.contours.layer in layers:
+            place = layers.index(self.contours.layer)
+        layers.insert(place, layer)
+        layers.selection = selected or {layer}
 
     def _colour(self, mesh: Mesh, *, passing: bool) -> None:
         """Other colours where regions have other neighbours; boxes are only looked at anew now."""
@@ -208,14 +212,23 @@ class MeshLayers:
         regions = mesh.regions[self._apart.order]
         layer.metadata[OWN].update({"regions": regions, COPIES: self._apart.copies})
 
+    def _add_layers(self, mesh: Mesh, *, at_once: bool) -> None:
+        """Add those that are missing; not at once: only one, that which is to be seen first."""
+        first = self._belongs() or self._contours_added
+        surface = self.surface is None and (at_once or first)
+        if surface:
+            self._add_surface(mesh)
+        if not self._contours_added and (at_once or not surface):
+            self._contours_added = True
+            self.add(self.contours.layer, above=self.low)
+
     def _add_surface(self, mesh: Mesh) -> None:
         look = {**surface_look(), **self.surface_options, **self.frame.layer_options()}
         surface = self._make_surface(self._drawn(mesh), **look)
         self._note(surface, mesh)
-        self.connections.connect(surface.events.visible, self._surface_shown)
+        self.connections.connect(surface.events.visible, self._catch_up)
         # Last: the layer that is added last is selected, and its controls are shown.
-        for layer in (surface, self.contours.layer):
-            self.add(layer, above=self.low)
+        self.add(surface, above=self.low)
 
     def _make_surface(self, data: Any, **options: Any) -> Surface:
         self._placed = self._belongs()
@@ -224,9 +237,11 @@ class MeshLayers:
         self.surface = made.lie_on(self.image_layer)
         return made
 
-    def _surface_shown(self, event: Any = None) -> None:
+    def _catch_up(self, event: Any = None) -> None:
+        """Put into the surface what it was not told of while it was hidden."""
         if self._late and self.surface is not None and self.shown is not None:
-            self.draw(self.shown)
+            self._late = False
+            self._set_surface(self.surface, self.shown)
 
     def _zoomed(self, event: Any = None) -> None:
         if self.contours.off_width(self.viewer):
@@ -242,7 +257,10 @@ class MeshLayers:
         if self._placed:
             self._seen_in_3d = self.surface.visible
         self._placed = not self._placed
-        self.surface.visible = self._placed and self._seen_in_3d
+        seen = self._placed and self._seen_in_3d
+        if seen:
+            self._catch_up()
+        self.surface.visible = seen
 
 
 def _same(a: Mesh, b: Mesh) -> bool:

@@ -68,7 +68,7 @@ class ViewerLink(MeshLayers):
     def hold(self, mesh: Mesh) -> None:
         """Show a mesh until ``let_go``, whatever the fit does meanwhile."""
         self._held = mesh
-        self.draw(mesh)
+        self.draw(mesh, passing=True)  # it gives way to the newest
 
     def let_go(self) -> None:
         if self._held is not None:
