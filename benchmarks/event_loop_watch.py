@@ -102,7 +102,8 @@ def watched() -> Watch:
     """A watch over everything that is called on the main thread while a fit runs."""
     from napari.components import LayerList
     from napari.utils import progress
-    from vispy.app.backends._qt import CanvasBackendDesktop
+    from qtpy import API_NAME
+    from vispy.app import use_app
 
     from napari_deltamic.gui.results.more_actions import SessionBar
     from napari_deltamic.gui.running.edits import Edits
@@ -116,9 +117,8 @@ def watched() -> Watch:
     watch = Watch()
     watch.leave_out(LayerList, "insert")
     watch.leave_out(progress, "__init__")
-    watch.leave_out(
-        CanvasBackendDesktop, "paintGL"
-    )  # its drawing, which Qt may ask for at any time
+    canvas = use_app(API_NAME.lower()).backend_module.CanvasBackend
+    watch.leave_out(canvas, "paintGL")  # Qt may ask for it at any time
     watch.over(Work, "_tick", "start", "stop")
     watch.over(Background, "_look", "_waited")
     watch.over(RunControl, "start")

@@ -7,7 +7,7 @@ from movies import GRID, MIDDLE, OPTICS, RADIUS, VOXEL, ball, pair, photographed
 from napari_deltamic import render
 from napari_deltamic.fitting.state import FitState
 from napari_deltamic.geometry import Mesh
-from napari_deltamic.tracking.alarms import alarms, gone, looks
+from napari_deltamic.tracking.alarms import CellLook, Volumes, alarms, gone, looks
 from napari_deltamic.tracking.divisions import Residual, explains, has_folded, proposals
 from napari_deltamic.tracking.frames import Quality
 from napari_deltamic.tracking.motion import Start, shifted, starts
@@ -155,6 +155,29 @@ def test_a_volume_that_jumps_is_an_alarm():
     found = alarms(two(radius=0.66), two(), looks(two()), GRID)
     assert set(found) == {1, 2}
     assert "its volume became 2.3 times that before" in found[1]
+
+
+def told_of(last, usual=0.01):
+    """Jumps of one cell in the last of eight frames; the others scatter by a share."""
+    frames, random = Volumes(), np.random.default_rng(0)
+    for off in random.normal(scale=usual, size=7):
+        frames.add({1: CellLook(100 * np.exp(off), np.zeros(3))})
+    return frames.jumps({1: CellLook(last, np.zeros(3)), 2: CellLook(5.0, np.zeros(3))})
+
+
+def test_a_volume_that_changes_as_none_has_before_is_an_alarm():
+    assert told_of(118.0) == {1: "its volume is 1.2 times that of the frames before"}
+    assert told_of(84.0) == {1: "its volume is 0.84 times that of the frames before"}
+    assert told_of(105.0) == {}  # too little to matter
+    assert told_of(118.0, usual=0.1) == {}  # usual here
+
+
+def test_of_the_first_frames_no_volume_is_unusual():
+    frames = Volumes()
+    assert frames.jumps({1: CellLook(1.0, np.zeros(3))}) == {}
+    frames.add({1: CellLook(1.0, np.zeros(3))})
+    frames.add({1: CellLook(0.0, np.zeros(3))})  # it has gone
+    assert frames.jumps({1: CellLook(9.0, np.zeros(3))}) == {}
 
 
 def test_cells_that_have_gone():
