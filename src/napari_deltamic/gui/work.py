@@ -223,8 +223,8 @@ class Work(QObject):
             done, outcome = True, task.failed(error)
         if task is not self.task:
             return  # it was closed meanwhile
-        if done:
-            self._end(task, outcome)
+        if done:  # in a slot of its own: its last state has just been shown
+            QTimer.singleShot(0, partial(self._ended, task, outcome))
         else:
             # Called when the viewer has drawn what it was given.
             QTimer.singleShot(0, partial(self._again, began))
@@ -234,6 +234,10 @@ class Work(QObject):
             # Drawing without a GPU takes the cores that the task needs.
             rest = rest_after(time.monotonic() - began)
             self._timer.start(round(1000 * max(self.interval, rest)))
+
+    def _ended(self, task: Task, outcome: Any) -> None:
+        if task is self.task:
+            self._end(task, outcome)
 
     def _end(self, task: Task, outcome: Any) -> None:
         self._timer.stop()
