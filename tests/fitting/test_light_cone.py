@@ -12,6 +12,7 @@ from napari_deltamic.evidence.verdict import judged
 from napari_deltamic.fitting.job import FitInput, following, optics_of
 from napari_deltamic.fitting.light_cone import ANEW, GOES_ON, confocal_of, widefield_of
 from napari_deltamic.fitting.rival_structures import gone_on
+from napari_deltamic.fitting.successor import BACK
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure.surface_distance import distance_to_surface
 from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
@@ -172,6 +173,48 @@ def test_a_checkpoint_goes_on_with_the_psf_that_was_found(tmp_path, optics):
     *_, resumed = begun(optics, resume=kept)
     assert type(resumed.optics) is type(optics)
     assert resumed.iteration == states[-1].iteration
+    np.testing.assert_allclose(
+        resumed.mesh.vertices_numpy(), states[-1].mesh.vertices_numpy(), atol=1e-6
+    )
+
+
+@pytest.fixture
+def always_tried(monkeypatch):
+    """The PSF of an objective is tried at the end of every fit; returns how often it was."""
+    asked = []
+
+    def tried(terms, fitted, image):
+        asked.append(fitted.optics)
+        return widefield_of(ABOUT), 1
+
+    monkeypatch.setattr("napari_deltamic.fitting.successor.objective_instead", tried)
+    return asked
+
+
+def test_a_fit_goes_back_where_the_psf_of_an_objective_explains_less(always_tried):
+    states = list(begun(GAUSSIAN))
+    told = [ANEW in state.message for state in states].index(True)
+    back = [BACK in state.message for state in states].index(True)
+    kinds = [type(state.optics) for state in states]
+    assert set(kinds[told + 1 : back + 1]) == {nd.ScalarPSF}
+    assert set(kinds[: told + 1] + kinds[back + 1 :]) == {nd.GaussianPSF}
+    assert [state.iteration for state in states] == list(range(1, len(states) + 1))
+    assert [state.converged for state in states] == [False] * (len(states) - 1) + [True]
+    assert len(always_tried) == 1
+    assert not states[-1].cone
+    assert off(states[-1]) < 1.1 * off(states[told])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("of", [ANEW, BACK])
+def test_a_fit_that_goes_back_can_be_resumed(tmp_path, always_tried, of):
+    states = list(begun(GAUSSIAN))
+    at = [of in state.message for state in states].index(True)
+    states[at + 2].save(tmp_path / "state.npz")
+    *_, resumed = begun(GAUSSIAN, resume=tmp_path / "state.npz")
+    assert len(always_tried) == 1
+    assert resumed.iteration == states[-1].iteration
+    assert resumed.optics.sigma_um == pytest.approx(states[-1].optics.sigma_um, rel=1e-6)
     np.testing.assert_allclose(
         resumed.mesh.vertices_numpy(), states[-1].mesh.vertices_numpy(), atol=1e-6
     )

@@ -19,6 +19,8 @@ from .light_cone import ThroughObjective, objective_from, values_of
 from .stage import Stage
 from .topology import TopologyPolicy
 
+_FORMER = "former_"  # before the names of that fit's arrays
+
 
 @dataclass(frozen=True)
 class Checkpoint:
@@ -36,6 +38,8 @@ class Checkpoint:
         Of the fit.
     remeshing
         See :meth:`~.triangle_quality.Remeshing.to_dict`.
+    former
+        As saved, of the fit with a Gaussian PSF that this one is held against.
     """
 
     start: np.ndarray
@@ -45,6 +49,7 @@ class Checkpoint:
     levels: tuple[float, ...]
     policy: TopologyPolicy
     remeshing: dict[str, float]
+    former: Arrays | None = None
 
     def saved(self) -> Arrays:
         """As arrays."""
@@ -67,6 +72,7 @@ class Checkpoint:
             "levels": np.array(self.levels),
             "run": np.array(json.dumps(plain)),
             **self.fitted.saved(),
+            **{_FORMER + name: values for name, values in (self.former or {}).items()},
         }
 
     def loaded(self, found: Arrays) -> Checkpoint:
@@ -119,6 +125,12 @@ class Checkpoint:
             policy=TopologyPolicy.from_dict(plain["policy"]),
             remeshing=plain["upkeep"],
         )
+
+
+def former_in(found: Arrays) -> Arrays:
+    """The checkpoint within another of the fit that it is held against; empty if there is none."""
+    start = len(_FORMER)
+    return {name[start:]: found[name] for name in found if name.startswith(_FORMER)}
 
 
 def objective_in(found: Arrays) -> ThroughObjective | None:

@@ -29,6 +29,7 @@ from .problem import Problem
 from .run import Run
 from .second_view import Pixels
 from .state import FitState, load_checkpoint
+from .successor import resumed
 
 
 def fit(
@@ -110,7 +111,7 @@ def fit(
     problem.counted_with(effects)  # refuses what leaves too few
     run = Run(problem, mesh, optics, settings, effects)
     if resume is not None:
-        run = run.resumed(load_checkpoint(resume))
+        run = resumed(run, load_checkpoint(resume))
     run.say(*repairs)
     if hot.any():
         run.say(f"{hot.sum()} hot voxels, brighter than any PSF can make one, are left out")

@@ -8,17 +8,16 @@ from dataclasses import replace
 import numpy as np
 
 from ..geometry.mesh import Mesh
-from ..optics import GaussianPSF, Optics, ScalarPSF
+from ..optics import Optics
 from ..runs.settings import WIDE_LEVELS, FitSettings
 from ..scene.effects import Effects
 from .change import Change
-from .checkpoint import Checkpoint, objective_in
+from .checkpoint import Checkpoint
 from .collisions import CollisionGuard
 from .convergence import Remaining
 from .fit_objective import Objective, Terms
 from .fitted import Arrays, Fitted, fingerprint
 from .level import Level
-from .light_cone import ANEW, GOES_ON, ThroughObjective, objective_instead
 from .model_choice import ModelChoice
 from .preconditioner import Preconditioners
 from .prediction import View
@@ -28,6 +27,7 @@ from .schedule import Progress, Schedule
 from .stage import Stage
 from .state import FitState
 from .state_of import state_of
+from .successor import successor
 from .topology_trials import TopologyTrials
 from .triangle_quality import Remeshing
 
@@ -47,6 +47,13 @@ class Run:
         With levels and accuracy.
     stage
         Where counts go on from; None at the very start.
+    former
+        A run at its end, which goes on if it explains more than this one does at its own.
+
+    Attributes
+    ----------
+    fitted, stage, objective
+        What has been fitted, where in the schedule that is, and what the last step went down.
     """
 
     def __init__(
@@ -57,6 +64,7 @@ class Run:
         settings: FitSettings,
         effects: Effects,
         stage: Stage | None = None,
+        former: Run | None = None,
     ) -> None:
         self._problem, self._settings, self._schedule = problem, settings, Schedule()
         self._levels = settings.levels or WIDE_LEVELS
@@ -64,22 +72,27 @@ class Run:
         # Where many cells begin near their walls, those differ more than places within a wall do.
         several = len(self._levels) == 1 and len(mesh.region_ids()) > 1
         model = "interface" if several and settings.density == "smooth" else settings.density
-        self._fitted = Fitted.begun(mesh, optics, effects, model, settings.structure)
-        self._stage = stage or Stage(0, self._fitted.optics)
+        self.fitted = Fitted.begun(mesh, optics, effects, model, settings.structure)
+        self.stage = stage or Stage(0, self.fitted.optics)
+        self._former = former
         self._topology = TopologyTrials(problem)
         self._remeshing = Remeshing(mesh, min(optics.sigma_um))
         self._reporter = Reporter(mesh)
         self._guard, self._factored = CollisionGuard(settings.collisions), Preconditioners()
-        self._objective: Objective
+        self.objective: Objective
         self._level: Level
         self._second: Level | None
         self._due = True  # whether the objective is to be posed anew
         self._kept: Arrays = {}
-        self._begun = self._fitted.shape
+        self._begun = self.fitted.shape
 
     def say(self, *remarks: str) -> None:
         """Tell this with the next state."""
         self._reporter.say(*remarks)
+
+    def spend(self, evaluations: int) -> None:
+        """Count evaluations that something about this run took."""
+        self.stage = self.stage.spent(evaluations)
 
     def leave_device(self) -> bool:
         """Go on on the CPU; False where it is there already."""
@@ -94,37 +107,37 @@ class Run:
 
         Returns the run that follows, if the image calls for another PSF.
         """
-        begun = self._stage.iteration > 0  # a level of a checkpoint, or of another device
-        while self._stage.level_number < len(self._levels):
+        begun = self.stage.iteration > 0  # a level of a checkpoint, or of another device
+        while self.stage.level_number < len(self._levels):
             self._begin_level(begun)
             begun = False
             if self._level.usable or self._last:
-                if self._level.usable and self._stage.iteration == 0:
-                    self._fitted = self._choice.of_small(self._terms, self._fitted)
+                if self._level.usable and self.stage.iteration == 0:
+                    self.fitted = self._choice.of_small(self.terms, self.fitted)
                 following = yield from self._level_states()
                 if following is not None or self._over:
                     return following
             self._look_for_rivals()
-            given = self._fitted, self._settings, self._stage.iteration
+            given = self.fitted, self._settings, self.stage.iteration
             self._surface(self._topology.end_level(*given))
-            self._stage = replace(self._stage, level_number=self._stage.level_number + 1)
+            self.stage = replace(self.stage, level_number=self.stage.level_number + 1)
         return None
 
     def _look_for_rivals(self) -> None:
         """Go on with the best of what may shine, where the fit may be stuck."""
         if not self._level.usable:
             return
-        start = None if self._stage.edited or not self._same_cells() else self._begun
-        given = self._objective, self._fitted, self._stage, start
-        before = self._fitted.mesh
-        self._fitted, taken = self._choice.beside_rivals(self._terms, *given)
-        self._stage = self._stage.spent(taken)
-        if not np.array_equal(self._fitted.mesh.faces, before.faces):
-            self._reporter.other_mesh(self._fitted.mesh)
+        start = None if self.stage.edited or not self._same_cells() else self._begun
+        given = self.objective, self.fitted, self.stage, start
+        before = self.fitted.mesh
+        self.fitted, taken = self._choice.beside_rivals(self.terms, *given)
+        self.spend(taken)
+        if not np.array_equal(self.fitted.mesh.faces, before.faces):
+            self._reporter.other_mesh(self.fitted.mesh)
 
     def _same_cells(self) -> bool:
         """Whether the cells are those that the fit began with."""
-        first, now = self._begun.mesh.region_ids(), self._fitted.mesh.region_ids()
+        first, now = self._begun.mesh.region_ids(), self.fitted.mesh.region_ids()
         return np.array_equal(first, now)
 
     def _level_states(self) -> Generator[FitState, Change | None, Run | None]:
@@ -134,46 +147,44 @@ class Run:
                 self._renew()
             else:
                 self._advance()
-            self._stage = replace(self._stage, iteration=self._stage.iteration + 1)
+            self.stage = replace(self.stage, iteration=self.stage.iteration + 1)
             finished, state = self._finished(), self._state()
-            instead = self._objective_instead() if finished and self._last else None
-            following = None if instead is None else self._with_objective(instead)
-            ends = following is None and ((finished and self._last) or self._over)
-            told = replace(state, cone=instead is not None)
+            ended = (finished and self._last) or self._over
+            following, cone = successor(self, finished) if ended and self._last else (None, False)
+            ends = following is None and ended
+            told = replace(state, cone=cone)
             change = yield self._told(told, ends, finished and self._last)
             if change is not None:
                 self._take(change)
             elif ends or finished:
                 return following
 
-    def _objective_instead(self) -> ThroughObjective | None:
-        """An objective's PSF, where the image shows the light cone that a Gaussian lacks."""
-        found, taken = objective_instead(self._terms, self._fitted, self._objective.now.rendered)
-        self._stage = self._stage.spent(taken)
-        return found
+    # ---------------------------------------------------------------- runs that follow another
 
-    def _with_objective(self, optics: ThroughObjective) -> Run | None:
-        """The run that follows with this PSF; None once a user has changed something."""
-        if self._stage.edited:
-            return None
-        following = self.followed_by(optics)
-        if isinstance(optics, ScalarPSF):
-            self._reporter.say(ANEW)
-            return following
-        self._reporter.say(GOES_ON)
-        return following._going_on_from(self._fitted)
+    def again(self, optics: Optics, former: Run | None = None) -> Run:
+        """A run from the same start with another PSF; former : what it is held against."""
+        given = self._begun.mesh, optics, self._settings, self.fitted.first_effects
+        return Run(self._problem, *given, self.stage.begun_anew(optics), former)
 
-    def _going_on_from(self, fitted: Fitted) -> Run:
-        """This run at its last level, where the fit with another PSF has ended."""
-        self._fitted = self._choice.anew(fitted.seen_through(self._fitted.optics))
-        self._reporter.other_mesh(self._fitted.mesh)
-        self._stage = replace(self._stage, level_number=len(self._levels) - 1)
-        return self
+    def go_on_at(self, fitted: Fitted) -> None:
+        """Begin at the last level, where the fit with another PSF has ended."""
+        self.fitted = self._choice.anew(fitted.seen_through(self.fitted.optics))
+        self._reporter.other_mesh(self.fitted.mesh)
+        self.stage = replace(self.stage, level_number=len(self._levels) - 1)
 
-    def followed_by(self, optics: Optics) -> Run:
-        """A run from the same start with another PSF."""
-        given = self._begun.mesh, optics, self._settings, self._fitted.first_effects
-        return Run(self._problem, *given, self._stage.begun_anew(optics))
+    def let_former_go(self) -> Run | None:
+        """The run that this is held against; None the next time."""
+        former, self._former = self._former, None
+        return former
+
+    def posed_here(self) -> Objective:
+        """The objective where this run goes on."""
+        self._make_level()
+        return self._posed(())
+
+    def come_back(self, stage: Stage) -> None:
+        """Go on after another run, which ended at this stage; its PSF is not asked for again."""
+        self.stage = self.stage.after(stage)
 
     @property
     def _choice(self) -> ModelChoice:
@@ -181,107 +192,108 @@ class Run:
 
     @property
     def _last(self) -> bool:
-        return self._choice.last(self._stage)
+        return self._choice.last(self.stage)
 
     @property
     def _over(self) -> bool:
-        return self._stage.since_changed >= self._settings.max_iterations
+        return self.stage.since_changed >= self._settings.max_iterations
 
     def _begin_level(self, begun: bool) -> None:
         if not begun:
-            self._stage = replace(self._stage, blurred_for=self._fitted.optics, progress=Progress())
-            self._fitted = self._fitted.taught(None)
+            self.stage = replace(self.stage, blurred_for=self.fitted.optics, progress=Progress())
+            self.fitted = self.fitted.taught(None)
             if not self._last:  # how bright each inside is, is found anew where the surface is now
-                self._fitted = self._fitted.shining(replace(self._fitted.light, cells=()))
+                self.fitted = self.fitted.shining(replace(self.fitted.light, cells=()))
         self._make_level()
         if not begun:
             blurred = 0.0 if self._level.factor == 1 else self._level.width
-            self._remeshing.begin_level(self._fitted.mesh, blurred)
+            self._remeshing.begin_level(self.fitted.mesh, blurred)
 
     def _make_level(self) -> None:
-        fitted, factor = self._fitted, self._levels[self._stage.level_number]
+        fitted, factor = self.fitted, self._levels[self.stage.level_number]
         # As wide as at the start, so that the voxels that count stay the same.
         spread = fitted.first_effects.spread
-        given = self._stage.blurred_for, self._settings, fitted.effects, factor, spread
+        given = self.stage.blurred_for, self._settings, fitted.effects, factor, spread
         self._level, self._second = self._problem.levels(*given)
 
     def _renew(self) -> None:
         """Good triangles, topology, and the objective from where the fit is."""
-        stage, settings = self._stage, self._settings
+        stage, settings = self.stage, self._settings
         if self._topology.trial is None:
-            self._kept = self._checkpoint().saved()  # before the look: a resumed fit looks again
+            self._kept = self.checkpoint().saved()  # before the look: a resumed fit looks again
         choice = self._choice
         after_one = stage.progress.iterations > 0  # objective, at most
-        if after_one and choice.density_waits(self._fitted):
-            self._fitted = self._fitted.with_density(settings.density)
-        given = self._fitted, settings, self._level.factor, stage.iteration
+        if after_one and choice.density_waits(self.fitted):
+            self.fitted = self.fitted.with_density(settings.density)
+        given = self.fitted, settings, self._level.factor, stage.iteration
         self._surface(self._topology.look(*given))
-        if settings.remesh and self._remeshing.wanted(self._fitted.mesh, settings.flatness):
+        if settings.remesh and self._remeshing.wanted(self.fitted.mesh, settings.flatness):
             self._remesh()
-        held = self._stage.progress.held and self._last
-        views = self._objective.posed.posterior.views if held else ()
-        self._objective = self._posed(views)
-        waits = choice.density_waits(self._fitted)
-        if waits and not choice.walls_first(self._objective, self._fitted):
-            self._fitted = self._fitted.with_density(settings.density)
-            self._objective = self._posed(())
-        if choice.asked(self._fitted, self._stage):
-            found = self._objective.structure()
-            progress = replace(self._stage.progress, sure=found.sure)
-            if found.structure != self._fitted.structure:
-                self._fitted = self._fitted.with_structure(found.structure)
+        held = self.stage.progress.held and self._last
+        views = self.objective.posed.posterior.views if held else ()
+        self.objective = self._posed(views)
+        waits = choice.density_waits(self.fitted)
+        if waits and not choice.walls_first(self.objective, self.fitted):
+            self.fitted = self.fitted.with_density(settings.density)
+            self.objective = self._posed(())
+        if choice.asked(self.fitted, self.stage):
+            found = self.objective.structure()
+            progress = replace(self.stage.progress, sure=found.sure)
+            if found.structure != self.fitted.structure:
+                self.fitted = self.fitted.with_structure(found.structure)
                 progress = progress.released()
-                self._objective = self._posed(())
-            self._stage = replace(self._stage, progress=progress)
-        posed, progress = self._objective.posed, self._stage.progress
+                self.objective = self._posed(())
+            self.stage = replace(self.stage, progress=progress)
+        posed, progress = self.objective.posed, self.stage.progress
         progress = progress if posed.held else progress.freed()
-        value = self._objective.now.value
+        value = self.objective.now.value
         self._follow(progress.posed(value, posed.variance, self._schedule, posed.left))
         self._due = False
 
     @property
-    def _terms(self) -> Terms:
+    def terms(self) -> Terms:
+        """What an objective is posed for."""
         return Terms(
             self._level,
             self._second,
             self._settings,
             self._schedule,
-            self._choice.density_fitted(self._fitted, self._stage),
-            not self._choice.first(self._stage),
+            self._choice.density_fitted(self.fitted, self.stage),
+            not self._choice.first(self.stage),
             self._last,
         )
 
     def _posed(self, views: Sequence[View]) -> Objective:
-        return Objective(self._terms, self._fitted, self._guard, self._factored, views)
+        return Objective(self.terms, self.fitted, self._guard, self._factored, views)
 
     def _advance(self) -> None:
         """One step down."""
-        moved = self._objective.step()
-        progress = self._stage.progress.stepped(self._objective.now.value, moved, self._schedule)
-        strayed = self._objective.strayed()
+        moved = self.objective.step()
+        progress = self.stage.progress.stepped(self.objective.now.value, moved, self._schedule)
+        strayed = self.objective.strayed()
         self._follow(progress.released() if strayed else progress)
-        since = self._stage.progress.since_posed
+        since = self.stage.progress.since_posed
         self._due = since >= self._schedule.renewed_every or strayed or not moved
 
     def _follow(self, progress: Progress) -> None:
         """Take over where the objective is."""
-        self._fitted = self._objective.fitted
-        spent = self._stage.spent(self._objective.evaluations())
-        self._stage = replace(spent, progress=progress)
+        self.fitted = self.objective.fitted
+        spent = self.stage.spent(self.objective.evaluations())
+        self.stage = replace(spent, progress=progress)
 
     def _finished(self) -> bool:
         """Whether the level is done; at the last one, topology is tried before."""
-        schedule, progress = self._schedule, self._stage.progress
+        schedule, progress = self._schedule, self.stage.progress
         if not self._last:
             return progress.coarse_ends(schedule)
         remaining = Remaining(np.inf, np.inf, 0)
         if progress.since_posed >= schedule.window:
-            remaining = self._objective.remaining(self._tolerance)
+            remaining = self.objective.remaining(self._tolerance)
         progress = progress.looked(remaining, self._tolerance, schedule)
-        self._stage = replace(self._stage, remaining=remaining, progress=progress)
+        self.stage = replace(self.stage, remaining=remaining, progress=progress)
         if not progress.at_rest(schedule):
             return False
-        if self._choice.density_waits(self._fitted):
+        if self._choice.density_waits(self.fitted):
             self._due = True
             return False
         late = progress.iterations >= schedule.patience
@@ -291,69 +303,69 @@ class Run:
         if self._other_structure():
             self._due = True
             return False
-        if self._topology.too_soon(self._stage.iteration) and progress.stuck <= 1:
+        if self._topology.too_soon(self.stage.iteration) and progress.stuck <= 1:
             return False
         if self._topology.trial is not None:
-            self._due = self._surface(self._topology.judged(self._fitted, self._settings))
-        given = self._fitted, self._settings, self._level.factor, self._stage.iteration
+            self._due = self._surface(self._topology.judged(self.fitted, self._settings))
+        given = self.fitted, self._settings, self._level.factor, self.stage.iteration
         self._due = self._surface(self._topology.tried(*given)) or self._due
         return not self._due
 
     def _other_structure(self) -> bool:
         """Whether, at rest, something else shines than what had been clear on the way."""
-        found, progress = self._fitted, self._stage.progress
-        if self._choice.asked_again(found, self._stage):
-            found = self._choice.with_insides_again(self._terms, found, self._factored)
+        found, progress = self.fitted, self.stage.progress
+        if self._choice.asked_again(found, self.stage):
+            found = self._choice.with_insides_again(self.terms, found, self._factored)
             progress = replace(progress, again=True)
-        elif self._choice.asked_at_rest(found, self._stage):
-            found = self._choice.at_rest(self._objective, found)
+        elif self._choice.asked_at_rest(found, self.stage):
+            found = self._choice.at_rest(self.objective, found)
             progress = replace(progress, answered=True)
-        other = found is not self._fitted
-        self._fitted = found
-        self._stage = replace(self._stage, progress=progress.released() if other else progress)
+        other = found is not self.fitted
+        self.fitted = found
+        self.stage = replace(self.stage, progress=progress.released() if other else progress)
         return other
 
     @property
     def _tolerance(self) -> float:
-        return self._settings.tolerance * min(self._fitted.optics.sigma_um)
+        return self._settings.tolerance * min(self.fitted.optics.sigma_um)
 
     # --------------------------------------------------------------------------- the surface
 
     def _surface(self, fitted: Fitted) -> bool:
         """Go on with what a change of topology made; whether it is another surface."""
         self._reporter.happened(self._topology.events())
-        if fitted is self._fitted:
+        if fitted is self.fitted:
             return False
-        self._fitted = fitted
-        self._stage = replace(self._stage, progress=self._stage.progress.released())
+        self.fitted = fitted
+        self.stage = replace(self.stage, progress=self.stage.progress.released())
         self._reporter.other_mesh(fitted.mesh)
         return True
 
     def _remesh(self) -> None:
         """Good triangles again."""
-        before = self._fitted.shape
+        before = self.fitted.shape
         settings = self._settings
         given = before, self._guard, settings.collisions, settings.flatness
         after = self._remeshing.of_shape(*given)
         if after is not None:
             self._reporter.remeshed(before.mesh, after.mesh)
-            self._fitted = self._fitted.retriangulated(after)
+            self.fitted = self.fitted.retriangulated(after)
 
     # ------------------------------------------------------------------------------- changes
 
     def _take(self, change: Change) -> None:
         """Go on from a changed state: the past says nothing about it."""
-        change.check(self._fitted.mesh, self._fitted.optics, self._settings)
+        change.check(self.fitted.mesh, self.fitted.optics, self._settings)
         if change.settings is not None:
             self._take_settings(change.settings)
-        self._fitted = self._fitted.changed(change, self._settings.density)
+        self.fitted = self.fitted.changed(change, self._settings.density)
         if (change.settings, change.effects) != (None, None):
-            self._fitted = self._choice.anew(self._fitted)
-        self._stage = replace(self._stage, changed_at=self._stage.iteration, progress=Progress())
+            self.fitted = self._choice.anew(self.fitted)
+        self.stage = replace(self.stage, changed_at=self.stage.iteration, progress=Progress())
         self._due = True
         if change.mesh is not None:
             self._remeshing.given()
-            self._reporter.other_mesh(self._fitted.mesh)
+            self._reporter.other_mesh(self.fitted.mesh)
         if change.mesh is not None or change.pinned is not None:
             self._topology.drop()
             self._topology.restart()
@@ -363,11 +375,11 @@ class Run:
 
     def _change_level(self) -> None:
         """The level for another PSF, other effects or settings."""
-        before = self._stage
-        self._stage = replace(before, blurred_for=self._fitted.optics)
+        before = self.stage
+        self.stage = replace(before, blurred_for=self.fitted.optics)
         self._make_level()
         if not self._level.usable:  # the blur of the new PSF is wider than the image
-            self._stage = before
+            self.stage = before
             self._make_level()
 
     def _take_settings(self, settings: FitSettings) -> None:
@@ -380,19 +392,19 @@ class Run:
     # ---------------------------------------------------------------------------- reporting
 
     def _face_densities(self) -> np.ndarray:
-        fitted = self._fitted
-        if self._objective.fitted.mesh.faces is fitted.mesh.faces:
-            return self._objective.face_densities
+        fitted = self.fitted
+        if self.objective.fitted.mesh.faces is fitted.mesh.faces:
+            return self.objective.face_densities
         # A change of topology has come since the objective was posed.
         return fitted.shape.face_densities()
 
     def _told(self, state: FitState, ends: bool, finished: bool) -> FitState:
         """With what there is to say, and with a verdict where it is the last."""
-        fitted, stage = self._fitted, self._stage
+        fitted, stage = self.fitted, self.stage
         self._reporter.say(self._guard.remark())
         message, events = self._reporter.told(fitted.mesh, stage.iteration, ends)
         if ends:
-            left, found = stage.remaining, self._objective.now.match
+            left, found = stage.remaining, self.objective.now.match
             moving = left if left.moves(self._tolerance, self._schedule.gain) else None
             given = fitted, found, finished, stage.iteration, moving, message
             message, finished = verdict(*given)
@@ -400,43 +412,41 @@ class Run:
 
     def _state(self) -> FitState:
         found, level, accuracy = (
-            self._objective.now.match,
+            self.objective.now.match,
             self._level,
             self._settings.image_accuracy,
         )
         place = self._problem.grid, len(self._levels), level.factor, accuracy
-        given = self._fitted, self._stage, found, self._face_densities()
+        given = self.fitted, self.stage, found, self._face_densities()
         return state_of(*given, *place, self._kept)
 
     # -------------------------------------------------------------------------- checkpoints
 
-    def _checkpoint(self) -> Checkpoint:
+    def checkpoint(self) -> Checkpoint:
+        """To go on from here."""
         return Checkpoint(
             self._start,
             self._settings.density,
-            self._fitted,
-            self._stage,
+            self.fitted,
+            self.stage,
             self._levels,
             self._topology.policy,
             self._remeshing.to_dict(),
+            None if self._former is None else self._former.checkpoint().saved(),
         )
 
-    def resumed(self, kept: Arrays) -> Run:
-        """This run, or the one that followed, from a checkpoint on.
+    def go_on_from(self, kept: Arrays) -> None:
+        """Go on from a checkpoint.
 
         Raises
         ------
         InputError
             If it belongs to another mesh or fit.
         """
-        objective = objective_in(kept) if isinstance(self._fitted.optics, GaussianPSF) else None
-        run = self if objective is None else self.followed_by(objective)
-        run._go_on_from(kept)
-        return run
-
-    def _go_on_from(self, kept: Arrays) -> None:
-        found = self._checkpoint().loaded(kept)
-        self._fitted, self._stage = found.fitted, found.stage
+        found = self.checkpoint().loaded(kept)
+        # Held voxels are those of an objective that is not there any more.
+        self.fitted = found.fitted
+        self.stage = replace(found.stage, progress=found.stage.progress.freed())
         self._topology = TopologyTrials(self._problem, found.policy)
         self._remeshing.resume(found.remeshing)
         self._reporter.other_mesh(found.fitted.mesh)

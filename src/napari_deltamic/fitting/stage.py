@@ -32,6 +32,8 @@ class Stage:
         The iteration of the last change from outside: the patience starts anew.
     begun_at
         The iteration before the first one with this kind of PSF: so it does then.
+    objective_tried
+        Whether the PSF of an objective explained less than this one.
     """
 
     level_number: int
@@ -42,6 +44,7 @@ class Stage:
     evaluations: int = 0
     changed_at: int = 0
     begun_at: int = 0
+    objective_tried: bool = False
 
     @property
     def edited(self) -> bool:
@@ -67,10 +70,21 @@ class Stage:
             begun_at=self.iteration,
         )
 
+    def after(self, other: Stage) -> Stage:
+        """Where this was, after a fit with the PSF of an objective; counts go on."""
+        return replace(
+            self,
+            iteration=other.iteration,
+            evaluations=other.evaluations,
+            begun_at=other.iteration,
+            objective_tried=True,
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Plain values, but for the PSF."""
         counts = {name: getattr(self, name) for name in _COUNTS}
-        return {**counts, "progress": asdict(self.progress)}
+        tried = self.objective_tried
+        return {**counts, "objective_tried": tried, "progress": asdict(self.progress)}
 
     @classmethod
     def from_dict(cls, values: dict[str, Any], blurred_for: Optics) -> Stage:
@@ -86,4 +100,5 @@ class Stage:
             # Earlier versions kept none of these.
             changed_at=int(values.get("changed_at", 0)),
             begun_at=int(values.get("begun_at", 0)),
+            objective_tried=bool(values.get("objective_tried", False)),
         )

@@ -1,0 +1,88 @@
+"""Which fit follows one that has ended: through an objective's PSF, or back to a Gaussian one.
+
+The PSF of an objective is chosen after a few steps (:mod:`.light_cone`), and what has begun anew
+with it may end elsewhere: with cells lost or merged, or where the microscope was another one. So
+both ends are compared, and the one that leaves less of the same voxels stays.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ..optics import GaussianPSF, ScalarPSF
+from .checkpoint import former_in, objective_in
+from .fitted import Arrays
+from .light_cone import ANEW, GOES_ON, ThroughObjective, objective_instead
+
+if TYPE_CHECKING:
+    from .run import Run
+
+BACK = "the PSF of an objective explains less: the fit goes back to a Gaussian one"
+
+
+def successor(run: Run, finished: bool) -> tuple[Run | None, bool]:
+    """The run that follows one at its end, if any, and whether the image shows a light cone.
+
+    finished : whether it ended by itself; else nothing new is begun.
+    """
+    former = run.let_former_go()
+    if former is not None:
+        return (_back(run, former), False) if not run.stage.edited else (None, False)
+    if run.stage.objective_tried or not finished:
+        return None, False
+    found, taken = objective_instead(run.terms, run.fitted, run.objective.now.rendered)
+    run.spend(taken)
+    if found is None:
+        return None, False
+    return (None if run.stage.edited else _through(run, found)), True
+
+
+def resumed(run: Run, kept: Arrays) -> Run:
+    """A run, or the one that followed it, from a checkpoint on.
+
+    Raises
+    ------
+    InputError
+        If it belongs to another mesh or fit.
+    """
+    objective = objective_in(kept) if isinstance(run.fitted.optics, GaussianPSF) else None
+    if objective is None:
+        run.go_on_from(kept)
+        return run
+    former, before = None, former_in(kept)
+    if before:
+        former = run.again(run.fitted.first_optics)
+        former.go_on_from(before)
+    following = run.again(objective, former)
+    following.go_on_from(kept)
+    return following
+
+
+def _through(run: Run, optics: ThroughObjective) -> Run:
+    """The run that follows with this PSF."""
+    former = run.again(run.fitted.first_optics)
+    former.go_on_from(run.checkpoint().saved())
+    following = run.again(optics, former)
+    if isinstance(optics, ScalarPSF):
+        run.say(ANEW)
+    else:
+        run.say(GOES_ON)
+        following.go_on_at(run.fitted)
+    return following
+
+
+def _back(run: Run, former: Run) -> Run | None:
+    """The fit before, where its end explains more; None else.
+
+    Each is held against the other over the voxels that count for it: over its own alone, each may
+    be the better one.
+    """
+    before = former.posed_here()
+    now = run.objective
+    here = now.left / now.posed.left_by(before.now.rendered)[0]
+    there = before.posed.left_by(now.now.rendered)[0] / before.left
+    if here * there <= 1:
+        return None
+    run.say(BACK)
+    former.come_back(run.stage)
+    return former
