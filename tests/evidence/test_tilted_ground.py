@@ -43,6 +43,14 @@ def test_an_uneven_one_is_read_between_the_cells(ground, numbers):
     assert tilted_ground(level) is None
 
 
+@pytest.mark.parametrize(("height", "seen"), [(110, True), (40, False)])
+def test_a_dome_of_light_counts_where_it_is_high(height, seen):
+    dome = height * np.exp(-(Z**2 + Y**2 + X**2))  # no polynomial: less than 0.97 is explained
+    found = tilted_ground(counted(5 + dome))
+    assert (found is not None) == seen
+    assert not seen or found.order == 2
+
+
 def test_missing_voxels_do_not_count():
     image = counted(40 - 20 * X)
     image[:, :8] = np.nan
