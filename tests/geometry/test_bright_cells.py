@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.ndimage import binary_erosion, distance_transform_edt, gaussian_filter
+from scipy.ndimage import binary_erosion, distance_transform_edt, gaussian_filter, label
 
 from napari_deltamic import InputError
 from napari_deltamic.geometry.labels import bright_cells
@@ -268,6 +268,16 @@ def test_cells_with_bright_rims_are_found_whole_where_walls_enclose_none(monkeyp
     found = cells_of(image, (1.0, 1.0, 1.0))
     assert found.labels.max() == 9
     assert matched(found.labels, labels) == 1
+
+
+def test_no_cell_has_crumbs_beside_it():
+    rng = np.random.default_rng(0)
+    image = gaussian_filter(rng.normal(size=(40, 48, 48)), 3.0)  # blobs with necks of any width
+    image = rng.poisson(30 * np.clip(image / image.std(), 0.2, None) + 5).astype(np.float32)
+    found = cells_of(image, (1.0, 1.0, 1.0)).labels
+    assert found.max() > 5
+    for name in range(1, found.max() + 1):
+        assert label(found == name)[1] == 1
 
 
 @pytest.mark.slow

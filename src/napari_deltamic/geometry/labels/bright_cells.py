@@ -281,7 +281,7 @@ def _holes(things: NDArray[np.bool_]) -> float:
 
 
 def _ended(seen: _Smoothed, parts: Labels, depth: FloatArray) -> Labels:
-    """Each part up to half of its own brightness."""
+    """Each part up to half of its own brightness, without crumbs of that beside it."""
     smooth, around = seen.smooth, seen.known & (parts == 0)
     dark = float(np.median(smooth[around])) if around.any() else float(smooth.min())
     ends = np.full(int(parts.max()) + 1, np.inf)
@@ -290,7 +290,13 @@ def _ended(seen: _Smoothed, parts: Labels, depth: FloatArray) -> Labels:
             own = parts[box] == k
             core = own & (depth[box] >= RULES.core * depth[box][own].max())
             ends[k] = dark + RULES.half * (float(np.median(smooth[box][core])) - dark)
-    return np.where((parts > 0) & (smooth > ends[parts]), parts, 0)
+    ended = np.where((parts > 0) & (smooth > ends[parts]), parts, 0)
+    for k, box in enumerate(ndimage.find_objects(ended), 1):
+        if box is not None:
+            pieces, _ = ndimage.label(ended[box] == k)
+            largest = int(np.bincount(pieces[pieces > 0]).argmax())
+            ended[box][(pieces > 0) & (pieces != largest)] = 0
+    return ended
 
 
 def _without_holes(labels: NDArray[np.int32]) -> NDArray[np.int32]:
