@@ -1,5 +1,7 @@
 """Tracking: identities through drift, divisions and bad frames."""
 
+import sys
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -19,9 +21,10 @@ from movies import (
 )
 
 from napari_deltamic.errors import InputError
+from napari_deltamic.fitting import fit
 from napari_deltamic.geometry import Mesh
 from napari_deltamic.measure import surface_distance
-from napari_deltamic.runs.settings import validated
+from napari_deltamic.runs.settings import WIDE_LEVELS, validated
 from napari_deltamic.tracking import TrackSettings, lineage, surface_4d, track
 
 STEP = np.array([0, 0.6, -0.4])
@@ -46,6 +49,24 @@ def test_every_iteration_is_yielded():
     assert len(states) == 2 + sum(s.done.iterations for s in done)
     assert all(s.fit is not None for s in states if s.done is None)
     assert done[-1].last_fit.rendered().shape == GRID.shape
+
+
+@pytest.mark.parametrize(("spoilt", "fits"), [(1, 2), (2, 3), (3, 3)])
+def test_a_frame_that_is_explained_less_is_fitted_again(monkeypatch, spoilt, fits):
+    levels = []
+
+    def worse(*arguments, settings, **others):
+        levels.append(settings.levels)
+        times = 2.2 - 0.1 * len(levels) if 1 < len(levels) <= 1 + spoilt else 1.0
+        for state in fit(*arguments, settings=settings, **others):
+            yield replace(state, loss=times * state.loss)
+
+    monkeypatch.setattr(sys.modules[track.__module__], "fit", worse)
+    first, second = (s.done for s in track(drifting(2), GRID, ball(), OPTICS) if s.done)
+    assert len(levels) == 1 + fits
+    assert fits < 3 or levels[-1] == WIDE_LEVELS
+    best = 1.0 if spoilt < 3 else 1.8  # the last of the spoilt ones is the least bad
+    assert second.loss == pytest.approx(best * first.loss, rel=0.1)
 
 
 def test_frames_are_read_one_at_a_time():

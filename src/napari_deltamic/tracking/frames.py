@@ -133,6 +133,10 @@ class Quality:
             return f"the meshes explain {explained} of it"
         return ""
 
+    def odd(self, loss: float) -> bool:
+        """Whether another fit may explain the frame better, going by those before."""
+        return bool(self._losses) and loss > _RULES.odd * float(np.median(self._losses))
+
     def accept(self, image: NDArray[Any], loss: float) -> None:
         """A frame was good: the next ones are measured by it."""
         self._looks = [*self._looks, self._look(image, np.isfinite(image))][-_RULES.remembered :]

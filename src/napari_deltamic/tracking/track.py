@@ -6,7 +6,7 @@ import time
 from collections.abc import Generator, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from ..geometry.mesh import Mesh
 from ..geometry.remeshing import can_remesh, remesh, smallest_angles
 from ..geometry.topology.region_edits import divide_region, remove_region
 from ..optics import Optics
-from ..runs.settings import FitSettings
+from ..runs.settings import WIDE_LEVELS, FitSettings
 from ..runs.track_run import TrackSettings
 from ..scene import Grid
 from ..scene.effects import Effects, as_effects
@@ -99,6 +99,9 @@ def track(
     return tracker.states(images)
 
 
+Blur = Literal["near", "wider", "all"]  # just enough, with room, and that of a first frame
+
+
 @dataclass
 class _Tracker:
     """Fits frame after frame. The arguments are those of :func:`track`."""
@@ -150,16 +153,7 @@ class _Tracker:
         flaw = past.quality.flaw(frame.pixels)
         if flaw:
             return flaw
-        tries = self._starts(frame)
-        state, early = yield from self._fit(frame, tries[0])
-        flaw = past.quality.misfit(state.loss)
-        found = self._alarms(state.mesh, tries[0].mesh)
-        if (found or flaw) and len(tries) > 1:
-            other, before = yield from self._fit(frame, tries[1], wider=True)
-            again = self._alarms(other.mesh, tries[1].mesh)
-            better = other.loss < state.loss if flaw else len(again) < len(found)
-            if better:
-                state, early, found = other, before, again
+        state, early, found = yield from self._tried(frame)
         events = [
             Event("alarm", frame.number, cell, f"cell {cell} may be lost, or wrong: {why}")
             for cell, why in found.items()
@@ -187,6 +181,25 @@ class _Tracker:
         yield TrackState(frame.number, mesh, done=result, last_fit=state)
         return ""
 
+    def _tried(
+        self, frame: Frame
+    ) -> Generator[TrackState, None, tuple[FitState, FitState | None, dict[int, str]]]:
+        """The fit that raises fewest alarms, its first state, and those alarms.
+
+        Where the best start raises any, or ends with a loss that is not usual, the second best is
+        tried with more blur, and then the best one again from as much blur as a first frame has:
+        what a frame starts from may lie in the basin of another optimum.
+        """
+        tries, quality = self._starts(frame), self.past.quality
+        wider: list[tuple[Start, Blur]] = [(start, "wider") for start in tries[1:2]]
+        ends: list[tuple[FitState, FitState | None, dict[int, str]]] = []
+        for start, blur in ((tries[0], "near"), *wider, (tries[0], "all")):
+            state, early = yield from self._fit(frame, start, blur)
+            ends.append((state, early, self._alarms(state.mesh, start.mesh)))
+            if not (ends[-1][2] or quality.odd(state.loss)):
+                break
+        return min(ends, key=lambda end: (len(end[2]), end[0].loss))
+
     def _alarms(self, mesh: Mesh, start: Mesh) -> dict[int, str]:
         """Cells of a fit that may not be what they were, and why; none in the first frame."""
         past = self.past
@@ -205,7 +218,7 @@ class _Tracker:
         return starts(*given, expected)
 
     def _fit(
-        self, frame: Frame, start: Start, *, wider: bool = False
+        self, frame: Frame, start: Start, blur: Blur = "near"
     ) -> Generator[TrackState, None, tuple[FitState, FitState | None]]:
         """The last state of a fit from a start, with all remarks, and the first one.
 
@@ -215,7 +228,9 @@ class _Tracker:
         settings = self.settings
         if start.name != "seeds":
             width = min(self.past.optics.sigma_um)
-            levels = start.levels(width / 2 if wider else width)
+            levels = start.levels(width / 2 if blur == "wider" else width)
+            if blur == "all":
+                levels = WIDE_LEVELS
             settings = settings.model_copy(update={"levels": levels})
         if settings.structure == "auto" and self.past.structure:
             settings = settings.model_copy(update={"structure": self.past.structure})
