@@ -246,6 +246,12 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
     "widefield": lambda rng: _flat_voxels(rng, "widefield"),
     "widefield-nucleus": lambda rng: _flat_voxels(rng, "widefield", membrane=0.0, interior=1.0),
     "widefield-haze": lambda rng: _flat_voxels(rng, "widefield", haze=rng.uniform(0.2, 0.6)),
+    "widefield-haze-small": lambda rng: _flat_voxels(
+        rng, "widefield", haze=0.4, cells=((0, 0, 0, 7.0),)
+    ),
+    "widefield-haze-tissue": lambda rng: replace(
+        _labelled_tissue(rng), microscope="widefield", haze=0.4
+    ),
     "widefield-tissue": lambda rng: replace(_labelled_tissue(rng), microscope="widefield"),
     "confocal": lambda rng: _flat_voxels(rng, "confocal"),
     "confocal-nuclei": lambda rng: _crowd(
@@ -302,6 +308,8 @@ WORDS = {
     "widefield": "a membrane, widefield",
     "widefield-nucleus": "a nucleus, widefield",
     "widefield-haze": "a membrane in a haze, widefield",
+    "widefield-haze-small": "a cell 14 voxels wide in a haze, widefield",
+    "widefield-haze-tissue": "four cells that share walls in a haze, widefield",
     "widefield-tissue": "four cells that share walls, widefield",
     "confocal": "a membrane, confocal",
     "confocal-nuclei": "eight nuclei, confocal",

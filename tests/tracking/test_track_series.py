@@ -265,6 +265,5 @@ def test_a_growing_foam_that_changes_neighbours_and_divides():
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="one contact of one frame is wrong, see docs/clusters.md", strict=True)
 def test_a_growing_foam_has_no_wrong_contact():
     assert sum(growing_foam().wrong) == 0

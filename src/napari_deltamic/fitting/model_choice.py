@@ -64,10 +64,12 @@ class ModelChoice:
     ) -> tuple[Fitted, int]:
         """A fit of insides that is stuck goes on elsewhere, once the last levels come next.
 
-        And the evaluations that finding out took. start : where it began, if cells are the same.
+        And the evaluations that finding out took. Also where a user has asked for both: a haze that
+        a dark inside stands for leads such a fit astray as well. start : where it began, if cells
+        are the same.
         """
         follow = self.levels - 1 - stage.level_number
-        if not (1 <= follow <= RIVALS.levels and self.is_open(fitted)):
+        if not (1 <= follow <= RIVALS.levels and fitted.structure == "both"):
             return fitted, 0
         if objective.structure().structure == "membrane":
             return fitted, 0
