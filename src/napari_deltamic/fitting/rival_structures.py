@@ -4,7 +4,7 @@ Near the answer one fit of both tells which of them the image needs (:mod:`.stru
 may end far from it: within the blur, an inside that is darker or brighter makes up for a surface
 that lies elsewhere, and both together stay there. Either alone does not. So where insides seem to
 shine, a few steps are taken with each as well: one alone that explains more than both is proof,
-as both could do the same.
+as both could do the same. And so are both that begin where the fit did, with less blur now.
 """
 
 from __future__ import annotations
@@ -61,13 +61,16 @@ def best_of(terms: Terms, fitted: Fitted, start: Shape | None) -> tuple[Fitted, 
     fitted
         Where all of them begin.
     start
-        Where the fit began: membranes alone begin there as well, if given.
+        Where the fit began: membranes alone, and both, begin there as well, if given. Measured on
+        a cell in an uneven haze, onto a lump of which a fit of both had grown (1.1 voxels off):
+        from the start both left 10 % less before the last level, and it ended 0.05 off.
     """
     terms, factored = replace(terms, imaging_fitted=False), Preconditioners()
     structures: tuple[Structure, ...] = ("both", "membrane", "interior")
     begin = [fitted.with_structure(s) for s in structures]
     if start is not None:
-        begin.append(fitted.retriangulated(start).with_structure("membrane"))
+        from_start = fitted.retriangulated(start)
+        begin += [from_start.with_structure(s) for s in ("membrane", "both")]
     (both, _), *alone = ends = [gone_on(begun(terms, one, factored)) for one in begin]
     rival, _ = min(alone, key=lambda end: end[0].left)
     taken = sum(end[1] for end in ends)
