@@ -123,7 +123,7 @@ def test_a_bad_frame_is_noted_and_left_out(series, tmp_path, run):
         "-o", tmp_path / "out",
     )  # fmt: skip
     assert code == 0, err
-    assert "note: frame 1 is left out: it is flat" in err
+    assert "note: frame 1 skipped: it is flat" in err
     assert [line.rsplit("/", 1)[1] for line in out][:2] == ["mesh_t000.ply", "mesh_t002.ply"]
     assert [r.mesh is None for r in read_results(tmp_path / "out")] == [False, True, False]
 

@@ -109,15 +109,15 @@ def test_stop_keeps_the_frames_that_are_done_and_go_on_tracks_the_rest(
     assert [r.frame for r in read_results(tmp_path)] == [0, 1, 2, 3]
 
 
-def test_a_bad_frame_is_told_and_left_out(widget, viewer, spin, told):
+def test_a_bad_frame_is_told_and_skipped(widget, viewer, spin, told):
     layer = viewer.layers["movie"]
     layer.data = np.where(np.arange(4).reshape(4, 1, 1, 1) == 1, np.nan, layer.data)
     widget.tracking.start()
     spin(ended(widget), 60)
-    assert any("frame 1 is left out: every voxel is missing" in text for text in told)
-    assert "1 of them left out" in widget.tracking.verdict.text()
+    assert any("frame 1 skipped: every voxel is missing" in text for text in told)
+    assert "1 of them skipped" in widget.tracking.verdict.text()
     viewer.dims.set_current_step(0, 1)
-    assert "left out" in widget.tracking.frame.text()
+    assert "skipped" in widget.tracking.frame.text()
 
 
 def test_what_is_missing_is_said(widget, viewer, told):

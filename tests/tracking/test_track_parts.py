@@ -147,14 +147,14 @@ def test_cells_that_stay_give_no_alarm():
 def test_a_cell_on_the_place_of_its_neighbour_is_an_alarm():
     swapped = two((0, 4, 0), (0, 9, 0))
     found = alarms(swapped, two(), looks(two()), GRID)
-    assert found[1] == "it slid onto the place of cell 2"
+    assert found[1] == "it is where cell 2 should be"
     assert "from where it was expected" in found[2]
 
 
 def test_a_volume_that_jumps_is_an_alarm():
     found = alarms(two(radius=0.66), two(), looks(two()), GRID)
     assert set(found) == {1, 2}
-    assert "its volume became 2.3 times that before" in found[1]
+    assert "its volume is 2.3 times what it was" in found[1]
 
 
 def told_of(last, usual=0.01):

@@ -209,7 +209,7 @@ def _of_whole(facts: Facts) -> list[tuple[Grade, str]]:
         text = "the image shows the light cone of an objective, which a Gaussian PSF lacks"
         found.append(("fair", f"{text}: describe it (--modality, --na, --wavelength)"))
     if facts.narrow:
-        found.append(("fair", "the fitted PSF is narrower than voxels can resolve: hold it"))
+        found.append(("fair", "the fitted PSF is too narrow for the voxels (--no-fit-psf)"))
     if facts.cut > RULES.cut:
         text = f"{facts.cut:.0%} of the bright voxels are saturated: their brightness is a guess"
         found.append(("fair", f"{text} (use a shorter exposure)"))
@@ -226,7 +226,7 @@ def _of_widths(widths: Mapping[str, float]) -> list[tuple[Grade, str]]:
     """Of the blur that the image tells beside that of the PSF."""
     if widths.get("across", 1.0) > RULES.widths[1]:
         text = (
-            f"the image is blurred {widths['across']:.2g} times as much as by the PSF: a thick "
+            f"the image is {widths['across']:.2g} times as blurred as the PSF implies: a thick "
             "layer, light inside, or too narrow a PSF (--structure auto, --fit-psf)"
         )
         return [("fair", text)]
@@ -248,16 +248,16 @@ def _of_cell(cell: CellFacts, usual: float, facts: Facts) -> CellVerdict:
         found.append((word, f"the image is missing at {much}: what lies there is a guess"))
     elif cell.counted < RULES.seen:
         word = "fair" if cell.counted >= RULES.unseen else "poor"
-        text = f"{1 - cell.counted:.0%} of its surface lies in light taken for something else's"
-        found.append((word, f"{text}: does it start where the cell is?"))
+        text = f"{1 - cell.counted:.0%} of its surface lies in light assigned to other objects"
+        found.append((word, f"{text}: is its seed in the right place?"))
     if predicted is not None:
         found += _of_error(predicted, facts)
     if cell.explained is not None and cell.explained < RULES.good:
         word = "fair" if cell.explained >= RULES.fair else "poor"
         found.append((word, f"{_share(cell.explained)} of the signal around it is explained"))
     if cell.stray > RULES.stray:
-        much = f"{cell.stray:.0%} of its own" if cell.stray < 1 else "more than its own"
-        text = f"unexplained light lies next to it, {much}"
+        much = f"{cell.stray:.0%} of its light" if cell.stray < 1 else "more than its light"
+        text = f"unexplained light beside it, {much}"
         found.append(("fair", text + ": light inside, haze or a neighbour (--effects auto)"))
     if cell.inside is not None and abs(cell.inside) > RULES.inside:
         where = "inside it" if cell.inside > 0 else "around it"
@@ -266,7 +266,7 @@ def _of_cell(cell: CellFacts, usual: float, facts: Facts) -> CellVerdict:
         )
         found.append(("fair", f"{text} (--structure both)"))
     if cell.medium < RULES.medium:
-        text = "its inside is not darker than the medium around it, as the model assumes"
+        text = "the model assumes that its inside is darker than the medium, but it is not"
         found.append(("fair", text + ": is this a thick bright layer?"))
     if cell.compact is not None and cell.compact < RULES.compact:
         text = "it is much less round than its start: has it fins or arms, or has it crumpled or"
@@ -279,16 +279,16 @@ def _of_cell(cell: CellFacts, usual: float, facts: Facts) -> CellVerdict:
         elif growth < RULES.shrunk:
             found.append(("poor", f"it has shrunk to {growth:.0%} of its volume"))
     if cell.point:
-        found.append(("poor", "it has shrunk to a point: place it again, or leave it out"))
+        found.append(("poor", "it has shrunk to a point: give it a new seed, or leave it out"))
     if cell.small:
-        text = "it is so small compared with the PSF that a membrane looks like an inside"
+        text = "it is so small that membrane and interior look the same through the PSF"
         found.append(("fair", f"{text}: say which is labelled (--structure)"))
     if cell.outgrowth is not None:
         z, y, x = cell.outgrowth
         text = f"a thin outgrowth reaches to ({z:.1f}, {y:.1f}, {x:.1f}) um"
         found.append(("fair", f"{text}: is it part of the cell, or something bright beside it?"))
     if cell.uneven > RULES.uneven:
-        text = f"its inside is uneven, by {cell.uneven:.0%} on average"
+        text = f"its interior brightness varies by {cell.uneven:.0%}"
         found.append(("fair", f"{text}: the border may be off where it is dim or bright"))
     if cell.lit < RULES.lit:
         word = "fair" if cell.lit >= RULES.dark else "poor"

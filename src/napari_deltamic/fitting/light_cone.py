@@ -37,8 +37,8 @@ _WIDEST = 0.92
 _OF_LIGHT = (0.2, 2.0)  # um; wavelengths that microscopes use, near enough for a start
 _FITTED = ("na", "wavelength")
 ThroughObjective = ScalarPSF | ConfocalPSF
-ANEW = "the image shows the light cone of an objective: the fit begins anew with such a PSF"
-GOES_ON = "the image shows the light cone of a confocal microscope: the fit goes on with such a PSF"
+ANEW = "the image shows a widefield light cone: the fit restarts with a widefield PSF"
+GOES_ON = "the image shows a confocal light cone: the fit continues with a confocal PSF"
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from .light_cone import ANEW, GOES_ON, ThroughObjective, objective_instead
 if TYPE_CHECKING:
     from .run import Run
 
-BACK = "the PSF of an objective explains less: the fit goes back to a Gaussian one"
+BACK = "the new PSF explains less: the fit goes back to the Gaussian PSF"
 
 
 def successor(run: Run, finished: bool) -> tuple[Run | None, bool]:

@@ -67,9 +67,9 @@ def alarms(mesh: Mesh, expected: Mesh, before: dict[int, CellLook], grid: Grid) 
         jump = float(np.linalg.norm(look.center - then[cell].center))
         if len(places) and len(others) > RULES.alarms.slid * len(places):
             taken = int(np.bincount(others).argmax())
-            found[cell] = f"it slid onto the place of cell {taken}"
+            found[cell] = f"it is where cell {taken} should be"
         elif not least < ratio < most:
-            found[cell] = f"its volume became {ratio:.2g} times that before"
+            found[cell] = f"its volume is {ratio:.2g} times what it was"
         elif jump > RULES.alarms.jump * then[cell].radius:
             found[cell] = f"it lies {jump:.2g} um from where it was expected"
     return found

@@ -137,7 +137,7 @@ class _Tracker:
                 flaw = yield from self._frame(Frame.of(number, read, self.grid))
             if flaw:
                 reasons.append(flaw)
-                text = f"frame {number} is left out: {flaw}"
+                text = f"frame {number} skipped: {flaw}"
                 result = FrameResult(number, number * self.tracking.time_step, None, text)
                 yield TrackState(number, None, done=result)
             if self.over:
@@ -155,7 +155,7 @@ class _Tracker:
             return flaw
         state, early, found = yield from self._tried(frame)
         events = [
-            Event("alarm", frame.number, cell, f"cell {cell} may be lost, or wrong: {why}")
+            Event("alarm", frame.number, cell, f"check cell {cell}: {why}")
             for cell, why in found.items()
         ]
         if self.tracking.divisions and past.state is not None:

@@ -179,8 +179,8 @@ def _in_one_part(numbers: NDArray[np.int32], repairs: list[str]) -> NDArray[np.i
             large.append(name)
     if 2 * torn > len(boxes):
         raise InputError(
-            f"{torn} of {len(boxes)} labels lie in many parts, none of which holds half of it: is "
-            "this an image of intensities? Else give each cell a number of its own"
+            f"{torn} of {len(boxes)} labels are in many parts, none larger than half: is "
+            "this an intensity image? If not, give each cell its own number"
         )
     # Fragments of others leave holes, too.
     for name, box in boxes:

@@ -131,5 +131,5 @@ class TrackWork(Task):
         left_out = sum(result.mesh is None for result in self.results)
         text = f"{len(self.results)} frames tracked"
         if left_out:
-            text += f", {left_out} of them left out"
+            text += f", {left_out} of them skipped"
         return Outcome("done", text)
