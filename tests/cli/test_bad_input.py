@@ -94,7 +94,7 @@ SEEDS = {
         lambda d, t: off(t / "a.off", np.multiply(TRIANGLE[0], 1e-6).tolist(), TRIANGLE[1]),
         "less than a voxel: its numbers must be um",
     ),
-    "intensities": (lambda d, t: saved(t / "a.npy", NOISE), "an image of intensities?"),
+    "intensities": (lambda d, t: saved(t / "a.npy", NOISE), "an intensity image?"),
     "radius": (lambda d, t: new(t / "a.csv", "z,y,x,radius\n2,2,2,-1\n"), "radius -1"),
 }
 

@@ -7,17 +7,39 @@ both ends are compared, and the one that leaves less of the same voxels stays.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Protocol, Self, TypeVar
 
-from ..optics import GaussianPSF, ScalarPSF
-from .checkpoint import former_in, objective_in
-from .fitted import Arrays
+from ..optics import GaussianPSF, Optics, ScalarPSF
+from .checkpoint import Checkpoint, former_in, objective_in
+from .fit_objective import Objective, Terms
+from .fitted import Arrays, Fitted
 from .light_cone import ANEW, GOES_ON, ThroughObjective, objective_instead
-
-if TYPE_CHECKING:
-    from .run import Run
+from .stage import Stage
 
 BACK = "the new PSF explains less: the fit goes back to the Gaussian PSF"
+
+
+class Ending(Protocol):
+    """What is asked of a :class:`~.run.Run` at its end."""
+
+    fitted: Fitted
+    stage: Stage
+    objective: Objective
+
+    @property
+    def terms(self) -> Terms: ...
+    def say(self, *remarks: str) -> None: ...
+    def spend(self, evaluations: int) -> None: ...
+    def again(self, optics: Optics, former: Self | None = None) -> Self: ...
+    def let_former_go(self) -> Self | None: ...
+    def checkpoint(self) -> Checkpoint: ...
+    def go_on_from(self, kept: Arrays) -> None: ...
+    def go_on_at(self, fitted: Fitted) -> None: ...
+    def posed_here(self) -> Objective: ...
+    def come_back(self, stage: Stage) -> None: ...
+
+
+Run = TypeVar("Run", bound=Ending)
 
 
 def successor(run: Run, finished: bool) -> tuple[Run | None, bool]:
