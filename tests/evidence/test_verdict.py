@@ -65,11 +65,7 @@ def test_what_concerns_all(change, grade, word):
         ({"cut": True}, "fair", "border"),
         ({"inside": 0.4}, "fair", "light inside"),
         ({"inside": -0.4}, "fair", "light around"),
-        (
-            {"medium": 0.05},
-            "fair",
-            "its inside is darker than the medium, but it is not",
-        ),
+        ({"medium": 0.05}, "fair", "its inside is darker than the medium, but it is not"),
         ({"medium": 0.97}, "good", "good"),
         ({"compact": 0.4}, "fair", "crumpled"),
         ({"uneven": 0.2}, "fair", "its interior brightness varies by 20%"),

@@ -42,8 +42,8 @@ class VerdictRules:
         0.41 in chromosomes that were taken for a membrane.
     far_off
         The same across or along Z, below which the fit is poor: no image is half as wide as its
-        PSF. Measured: 0.25 to 0.48 in five hazes seen by a widefield microscope, whose cells were
-        1.3 to 9.9 voxels off.
+        PSF. Measured: 0.25 to 0.48 in six hazes seen by a widefield microscope, whose cells were
+        1.2 to 9.9 voxels off.
     grown, shrunk
         Volume over that of the start; with four cells or more, over what it is in the others.
         Chosen, not measured: starts are rough, but hardly by so much.

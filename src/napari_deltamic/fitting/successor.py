@@ -97,7 +97,8 @@ def _back(run: Run, former: Run) -> Run | None:
     """The fit before, where its end explains more; None else.
 
     Each is held against the other over the voxels that count for it: over its own alone, each may
-    be the better one.
+    be the better one. Measured on nuclei of a cleared brain, 4 voxels wide: an objective's PSF left
+    0.69 times as much as the Gaussian over its own voxels, 1.69 times as much over the others.
     """
     before = former.posed_here()
     now = run.objective

@@ -184,7 +184,7 @@ class _Tracker:
     def _tried(
         self, frame: Frame
     ) -> Generator[TrackState, None, tuple[FitState, FitState | None, dict[int, str]]]:
-        """The fit that raises fewest alarms, its first state, and those alarms.
+        """The fit that is trusted and raises fewest alarms, its first state, and those alarms.
 
         Where the best start raises any, or ends with a loss that is not usual, the second best is
         tried with more blur, and then the best one again from as much blur as a first frame has:
@@ -198,7 +198,10 @@ class _Tracker:
             ends.append((state, early, self._alarms(state.mesh, start.mesh)))
             if not (ends[-1][2] or quality.odd(state.loss)):
                 break
-        return min(ends, key=lambda end: (len(end[2]), end[0].loss))
+        return min(
+            ends,
+            key=lambda end: (bool(quality.misfit(end[0].loss)), len(end[2]), end[0].loss),
+        )
 
     def _alarms(self, mesh: Mesh, start: Mesh) -> dict[int, str]:
         """Cells of a fit that may not be what they were, and why; none in the first frame."""

@@ -1,0 +1,69 @@
+"""Which of several fits goes on, where one may be stuck."""
+
+from dataclasses import dataclass, replace
+
+import pytest
+
+from napari_deltamic.fitting import rival_structures
+from napari_deltamic.fitting.rival_structures import best_of
+
+
+@dataclass(frozen=True)
+class Fit:
+    """As much of a fit as is asked of it."""
+
+    structure: str = "both"
+    shape: str = "found"
+
+    def with_structure(self, structure):
+        return replace(self, structure=structure)
+
+    def retriangulated(self, shape):
+        return replace(self, shape=shape)
+
+
+@dataclass(frozen=True)
+class Terms:
+    imaging_fitted: bool = True
+
+
+@dataclass(frozen=True)
+class End:
+    fitted: Fit
+    left: float
+
+
+def chosen(monkeypatch, start="start", **left):
+    """The fit that goes on where each leaves so much; others leave 10 times as much."""
+
+    def gone_on(fit):
+        return End(fit, left.get(f"{fit.structure}_{fit.shape}", 10.0)), 3
+
+    monkeypatch.setattr(rival_structures, "begun", lambda terms, fit, factored: fit)
+    monkeypatch.setattr(rival_structures, "gone_on", gone_on)
+    fit, taken = best_of(Terms(), Fit(), start)
+    assert taken == (15 if start else 9)
+    assert fit.structure == "both"
+    return fit.shape
+
+
+@pytest.mark.parametrize(
+    ("left", "shape"),
+    [(0.9, "start"), (1.0, "start"), (1.01, "start"), (1.04, "found"), (3.0, "found")],
+)
+def test_both_from_the_start_go_on_where_they_explain_as_much(monkeypatch, left, shape):
+    assert chosen(monkeypatch, both_found=1.0, both_start=left) == shape
+
+
+@pytest.mark.parametrize(("left", "shape"), [(0.9, "start"), (0.97, "found"), (1.0, "found")])
+def test_membranes_from_the_start_have_to_explain_more(monkeypatch, left, shape):
+    assert chosen(monkeypatch, both_found=1.0, membrane_start=left) == shape
+
+
+def test_what_explains_most_comes_first(monkeypatch):
+    left = {"both_found": 1.0, "both_start": 1.01, "membrane_found": 0.8}
+    assert chosen(monkeypatch, **left) == "found"
+
+
+def test_without_a_start_the_fit_goes_on(monkeypatch):
+    assert chosen(monkeypatch, None, both_found=1.0) == "found"
