@@ -124,3 +124,25 @@ def test_insides_that_left_at_the_start_come_back(monkeypatch):
     assert next(answers, None) is None
     answers = iter([structure_choice.Chosen("membrane", False)])
     assert structure_of(fitted(image_of(MEMBRANES), **given).light) == "membrane"
+
+
+@pytest.mark.parametrize(
+    ("light", "name"), [(INSIDES, "interior"), (Light(1.0, 4.0), "both"), (MEMBRANES, "both")]
+)
+def test_faint_membranes_leave_at_rest_where_insides_explain_as_much(light, name, monkeypatch):
+    """Whatever linear estimates say on the way."""
+    given = {"structure": "auto", "fit_psf": True}
+    monkeypatch.setattr(
+        Objective, "structure", lambda o: structure_choice.Chosen("both", False, faint=True)
+    )
+    last = fitted(image_of(light), **given)
+    assert structure_of(last.light) == name
+    if name == "interior":
+        assert abs(last.mesh.region_volume(1) / cell().region_volume(1) - 1) < 0.02
+
+
+def test_faint_membranes_stay_where_both_are_asked_for(monkeypatch):
+    monkeypatch.setattr(
+        Objective, "structure", lambda o: structure_choice.Chosen("both", False, faint=True)
+    )
+    assert structure_of(fitted(image_of(INSIDES), structure="both").light) == "both"

@@ -19,6 +19,7 @@ from .descent import Descent
 from .fitted import Fitted
 from .imaging import Imaging
 from .level import Level
+from .likelihood import total
 from .metric import Metric
 from .pose import pose
 from .posed import squares_left
@@ -166,6 +167,15 @@ class Objective:
     def face_densities(self) -> np.ndarray:
         """(F,) relative to the mean."""
         return self._density.faces_numpy(self._descent.at.density)
+
+    def nats_over(self, other: Objective) -> float:
+        """Nats by which the image is explained better than where another descent is.
+
+        Over the voxels that count here, amplitude and background fitted for either.
+        """
+        view = self.posed.posterior.views[0]
+        less = self.posed.left_by(other.now.rendered)[0] - self.left
+        return less * float(total(view.voxels.weights)) / (2 * view.variance)
 
     def evaluations(self) -> int:
         """Since this was last asked."""

@@ -12,7 +12,7 @@ from .fit_objective import Objective, Terms
 from .fitted import Fitted
 from .preconditioner import Preconditioners
 from .rival_structures import RULES as RIVALS
-from .rival_structures import best_of, nearer_of
+from .rival_structures import best_of, insides_alone, nearer_of
 from .shape import Shape
 from .stage import Stage
 
@@ -75,17 +75,22 @@ class ModelChoice:
             return fitted, 0
         return best_of(terms, fitted, start)
 
-    @staticmethod
-    def asked_at_rest(fitted: Fitted, stage: Stage) -> bool:
-        """Whether to ask, at rest, what had been clear on the way: once for each surface."""
-        progress = stage.progress
-        return progress.sure and not progress.answered and fitted.structure == "both"
+    def asked_at_rest(self, fitted: Fitted, stage: Stage) -> bool:
+        """Whether to ask what shines at rest, too: once for each surface."""
+        return self.is_open(fitted) and not stage.progress.answered
 
     @staticmethod
-    def at_rest(objective: Objective, fitted: Fitted) -> Fitted:
-        """With what shines at rest; itself where that is what had been clear on the way."""
-        found = objective.structure().structure
-        return fitted if found == "both" else fitted.with_structure(found)
+    def at_rest(
+        terms: Terms, objective: Objective, fitted: Fitted, factored: Preconditioners
+    ) -> tuple[Fitted, int]:
+        """With what shines at rest, and evaluations; itself where that is what did on the way."""
+        found = objective.structure()
+        if found.structure != "both":
+            return fitted.with_structure(found.structure), 0
+        if not found.faint:
+            return fitted, 0
+        alone, taken = insides_alone(terms, objective, factored)
+        return (fitted if alone is None else alone), taken
 
     def asked_again(self, fitted: Fitted, stage: Stage) -> bool:
         """Whether, at rest, to ask once more for insides that left a fit of one level.

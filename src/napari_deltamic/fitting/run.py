@@ -318,7 +318,9 @@ class Run:
             found = self._choice.with_insides_again(self.terms, found, self._factored)
             progress = replace(progress, again=True)
         elif self._choice.asked_at_rest(found, self.stage):
-            found = self._choice.at_rest(self.objective, found)
+            given = self.terms, self.objective, found, self._factored
+            found, taken = self._choice.at_rest(*given)
+            self.spend(taken)
             progress = replace(progress, answered=True)
         other = found is not self.fitted
         self.fitted = found
