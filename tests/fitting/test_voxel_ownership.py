@@ -106,6 +106,17 @@ def test_a_wide_image_is_the_surfaces_own():
     assert counted_voxels(measured(optics=wide), GRID, TRUTH, OPTICS).all()
 
 
+@pytest.mark.parametrize("thick", [6.4, 8.0])
+def test_the_rim_of_a_thick_layer_is_its_own(thick):
+    """Noisy: its crest may be found on its inner side. thick : voxels."""
+    grid, middle, radius = Grid((48, 48, 48), (0.2, 0.2, 0.2)), np.full(3, 4.7), 2.6
+    layer = from_surface(grid, middle, radius) < 0.1 * thick
+    image = np.random.default_rng(1).poisson(6 + gaussian_filter(60.0 * layer, 1.2))
+    optics = GaussianPSF((0.28, 0.28, 0.28) if thick < 8 else (0.31, 0.31, 0.31))
+    counted = counted_around(image, grid, sphere(middle + 0.1, 0.9 * radius), optics)
+    assert counted.mean() > 0.95
+
+
 def test_a_nucleus_alone_keeps_all_of_itself_wherever_it_lies():
     for center in ((0.45, 0.45, 0.45), (1.9, 2.7, 2.7)):
         image = bright(GRID, [(center, 0.5)])

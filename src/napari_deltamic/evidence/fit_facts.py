@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
 from ..fitting.amplitudes import hardly_wider
+from ..fitting.deep_insides import Cells, dark_insides_shown, deep_brightness
 from ..fitting.growth_alarm import shrunken
 from ..fitting.job import FitInput, levelled
 from ..fitting.saturation import filled_in, share_cut
 from ..fitting.state import FitState
-from ..fitting.voxel_ownership import surface_voxels
-from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import Mesh
 from ..optics import GaussianPSF
 from ..optics.narrow import narrower_than_told
@@ -31,32 +29,20 @@ from .verdict import Verdict, judged
 
 @dataclass(frozen=True)
 class FactRules:
-    """Where light inside is read, and when what is left counts as white noise.
+    """When what is left counts as white noise.
 
     Attributes
     ----------
-    deep, far
-        Widths of the PSF from a surface: what its own light hardly reaches, and up to where the
-        outside is read.
     long_enough
         Voxels: in a shorter axis few have others three apart on both sides. Chosen, not measured.
     coloured
         Times what neighbours differ by, of what is left: voxels three apart may differ by so much.
         Chosen between white noise, which gives 1, and one smoothed by a Gaussian of half a voxel,
         which gives 1.4 (from the correlations that it leaves, exp(-n^2 / 4 s^2) over n voxels).
-    fewest
-        Voxels whose mean is told to a fifth of their spread: enough for what is judged.
-    darker
-        Of the brightness of a surface: insides of a model that are less dark than this beside the
-        medium are not asked whether the image shows that. Chosen: noise and haze differ by 0.01.
     """
 
-    deep: float = 2.5
-    far: float = 6.0
     long_enough: int = 12
     coloured: float = 1.25
-    fewest: int = 30
-    darker: float = 0.03
 
 
 RULES = FactRules()
@@ -117,8 +103,12 @@ def _cells(
     explained = {cell.region: cell.explained for cell in left.cells}
     stray = _stray(left, state, images.shown)
     growth, compact = _growth(job.mesh, mesh), _compactness(job.mesh, mesh)
-    inside = {} if modelled else _inside(job, state, images.seen)
-    medium = _medium(job, state, images.seen, images.shown)
+    place, medium = Cells(mesh, state.optics, job.grid), dict[int, float]()
+    everywhere = np.ones(job.grid.shape, bool)
+    counts = everywhere if job.counted is None else job.counted
+    inside = {} if modelled else deep_brightness(place, images.seen, counts)
+    if state.light.interior < 0:
+        medium = dark_insides_shown(place, images.seen, images.shown, everywhere)
     volumes, uneven = mesh.volumes(), uneven_insides(job, state, images.rendered)
     known, lit, cut = np.isfinite(np.asarray(job.image)), _lit(state), _cut(mesh, job.grid)
     seen = _share(known, job, mesh)
@@ -233,53 +223,6 @@ def _roundness(mesh: Mesh) -> dict[int, float]:
         for region, volume in mesh.volumes().items()
         if areas.get(region)
     }
-
-
-def _medium(
-    job: FitInput, state: FitState, seen: np.ndarray, shown: np.ndarray
-) -> dict[int, float]:
-    """Share that the image shows of how much darker a model's insides are than the medium around.
-
-    In the whole image: where the light of a thick layer ends is far from its inner side, where such
-    a model explains it.
-    """
-    if state.light.interior >= 0:
-        return {}
-    whole = replace(job, counted=None)
-    measured, modelled = (_inside(whole, state, image, np.inf) for image in (seen, shown))
-    return {
-        region: measured[region] / level
-        for region, level in modelled.items()
-        if level < -RULES.darker and region in measured
-    }
-
-
-def _inside(
-    job: FitInput, state: FitState, image: np.ndarray, far: float = RULES.far
-) -> dict[int, float]:
-    """Brightness deep inside of each region less that outside, over that of the surface."""
-    grid, mesh = job.grid, state.mesh
-    known = np.isfinite(image)
-    if job.counted is not None:
-        known = known & job.counted
-    labels = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
-    surface = surface_voxels(mesh, grid)
-    if not (surface & known).any():
-        return {}
-    widths = np.asarray(grid.voxel_size) / np.asarray(state.optics.sigma_um)
-    away = distance_transform_edt(~surface, sampling=widths)
-    deep = known & (away > RULES.deep)
-    outer = deep & (labels == 0) & (away < far)
-    if outer.sum() < RULES.fewest:
-        return {}
-    dark, bright = float(image[outer].mean()), float(np.median(image[surface & known]))
-    found = {}
-    for region in mesh.region_ids():
-        own = deep & (labels == region)
-        if own.sum() >= RULES.fewest:
-            level = float(image[own].mean())
-            found[int(region)] = (level - dark) / max(bright - min(level, dark), 1e-30)
-    return found
 
 
 def _share(known: np.ndarray, job: FitInput, mesh: Mesh) -> dict[int, float]:

@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass, field
 from statistics import median, median_high
 from typing import Any, Literal
 
+from ..fitting.deep_insides import RULES as DEEP
 from ..geometry.judgement import Judgement
 from .facts import CellFacts, Facts
 from .predicted_error import PredictedError, ShapeDeviation
@@ -50,10 +51,6 @@ class VerdictRules:
     inside
         Brightness deep inside a cell less that outside, over that of its surface: with membranes
         alone within 0.02 of 0, with light inside or a haze around beyond 0.35.
-    medium
-        Where the model has insides that are darker than the medium around, least share of that
-        difference that the image shows. Measured: 1.00 to 1.03 in five hazes, -0.02 and 0.05 in two
-        thick layers, where a dark inside stands in for the flat top of their light.
     compact
         Area of the sphere of the same volume over that of the cell, over what it was at the start:
         0.9 to 1 where the shape was found, below 0.6 where it crumpled or swallowed a neighbour.
@@ -92,7 +89,6 @@ class VerdictRules:
     grown: float = 3.0
     shrunk: float = 0.2
     inside: float = 0.12
-    medium: float = 0.5
     compact: float = 0.65
     lit: float = 0.4
     dark: float = 0.3
@@ -234,9 +230,11 @@ def _of_widths(widths: Mapping[str, float]) -> list[tuple[Grade, str]]:
     sharper = {axis: 1 / width for axis, width in widths.items() if width < least[axis]}
     if not sharper:
         return []
-    told = " and ".join(f"{times:.2g} times as sharp {axis}" for axis, times in sharper.items())
+    planes = {"across": "in XY", "along Z": "in Z"}
+    told = " and ".join(f"{times:.2g} times as sharp {planes[a]}" for a, times in sharper.items())
     word: Grade = "poor" if max(sharper.values()) > 1 / RULES.far_off else "fair"
-    return [(word, f"the image is {told} as the PSF allows: give the PSF's width")]
+    text = f"the image is {told} as the PSF allows"
+    return [(word, f"{text}: is this a thick bright layer? If not, give the PSF's width")]
 
 
 def _of_cell(cell: CellFacts, usual: float, facts: Facts) -> CellVerdict:
@@ -265,7 +263,7 @@ def _of_cell(cell: CellFacts, usual: float, facts: Facts) -> CellVerdict:
             f"light {where}, {abs(cell.inside):.0%} as bright as its surface, is not in the model"
         )
         found.append(("fair", f"{text} (--structure both)"))
-    if cell.medium < RULES.medium:
+    if cell.medium < DEEP.shown:
         text = "the model assumes that its inside is darker than the medium, but it is not"
         found.append(("fair", text + ": is this a thick bright layer?"))
     if cell.compact is not None and cell.compact < RULES.compact:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from statistics import median
 
 import numpy as np
 
@@ -13,6 +14,8 @@ from ..runs.settings import FitSettings
 from .amplitudes import inside_over_membrane
 from .collisions import CollisionGuard
 from .convergence import Patches, Remaining, vertex_normals
+from .deep_insides import RULES as DEEP
+from .deep_insides import Cells, dark_insides_shown
 from .density import RULES as DENSITY
 from .density import Density
 from .descent import Descent
@@ -204,6 +207,19 @@ class Objective:
     def structure(self) -> Chosen:
         """What the image says that shines, of what may."""
         return chosen(self.posed.posterior, self._descent.at, self.now, self.fitted.mesh)
+
+    def dark_insides_denied(self) -> bool:
+        """Whether insides are darker than the medium, and the image shows that of few of them."""
+        if self.now.light.interior >= 0:
+            return False
+        level, fitted, found = self.terms.level, self.fitted, self.now.match
+        added = level.offset(fitted.effects)
+        seen = level.target if added is None else level.target - added.to(level.target)
+        shown = found.amplitude * self.now.rendered + found.background
+        images = (image.detach().cpu().numpy() for image in (seen, shown, level.counted))
+        cells = Cells(fitted.mesh, fitted.optics, level.grid)
+        shares = list(dark_insides_shown(cells, *images).values())
+        return bool(shares) and median(shares) < DEEP.shown
 
     def remaining(self, tolerance: float) -> Remaining:
         """What is still to come where most is; tolerance : um."""

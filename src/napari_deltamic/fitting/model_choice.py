@@ -87,6 +87,8 @@ class ModelChoice:
         found = objective.structure()
         if found.structure != "both":
             return fitted.with_structure(found.structure), 0
+        if objective.dark_insides_denied():
+            return fitted.with_structure("membrane"), 0
         if not found.faint:
             return fitted, 0
         alone, taken = insides_alone(terms, objective, factored)

@@ -24,6 +24,7 @@ from ..evidence.evidence_rules import CAMERA, RESIDUAL, SPECTRUM
 from ..fitting import (
     amplitudes,
     bright_regions,
+    deep_insides,
     density,
     evening,
     growth_alarm,
@@ -63,6 +64,7 @@ RULES_OF_A_FIT: dict[str, dict[str, Any]] = {
     "density": asdict(density.RULES),
     "structure": asdict(structure_choice.RULES),
     "unequal insides": asdict(unequal_insides.RULES),
+    "deep insides": asdict(deep_insides.RULES),
     "uneven insides": asdict(evening.RULES),
     "rivals": asdict(rival_structures.RULES),
     "narrow PSFs": asdict(narrow.RULES),
