@@ -1,6 +1,7 @@
 """A fit whose image shows the cone of light of an objective goes on with such a PSF."""
 
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,9 +11,15 @@ from napari_deltamic.evidence.facts import CellFacts, Facts
 from napari_deltamic.evidence.predicted_error import predicted_error
 from napari_deltamic.evidence.verdict import judged
 from napari_deltamic.fitting.job import FitInput, following, optics_of
-from napari_deltamic.fitting.light_cone import ANEW, GOES_ON, confocal_of, widefield_of
+from napari_deltamic.fitting.light_cone import (
+    ANEW,
+    GOES_ON,
+    confocal_of,
+    is_of_light,
+    widefield_of,
+)
 from napari_deltamic.fitting.rival_structures import gone_on
-from napari_deltamic.fitting.successor import BACK
+from napari_deltamic.fitting.successor import BACK, IMPLAUSIBLE, successor
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure.surface_distance import distance_to_surface
 from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
@@ -203,6 +210,33 @@ def test_a_fit_goes_back_where_the_psf_of_an_objective_explains_less(always_trie
     assert len(always_tried) == 1
     assert not states[-1].cone
     assert off(states[-1]) < 1.1 * off(states[told])
+
+
+@pytest.mark.parametrize(("excitation", "possible"), [(0.3, False), (0.55, True), (1.0, False)])
+def test_a_psf_of_light_that_no_dye_emits_is_not_kept(excitation, possible):
+    """Whatever it explains: here it is the true one."""
+    assert is_of_light(GAUSSIAN)
+    assert is_of_light(OBJECTIVE)
+    strange = nd.ConfocalPSF(nd.ScalarPSF(1.2, 0.6, 1.33), excitation)
+    assert is_of_light(strange) == possible
+    former = SimpleNamespace(come_back=lambda stage: None, posed_here=lambda: left)
+    left = SimpleNamespace(
+        left=2.0,
+        posed=SimpleNamespace(left_by=lambda image: (1.0, 0.0)),
+        now=SimpleNamespace(rendered=None),
+    )
+    said = []
+    run = SimpleNamespace(
+        let_former_go=lambda: former,
+        stage=SimpleNamespace(edited=False),
+        fitted=SimpleNamespace(optics=strange),
+        objective=SimpleNamespace(left=1.0, posed=left.posed, now=left.now),
+        say=said.append,
+    )
+    following, cone = successor(run, True)
+    assert following is (None if possible else former)
+    assert not cone
+    assert said == ([] if possible else [IMPLAUSIBLE])
 
 
 @pytest.mark.slow

@@ -13,10 +13,11 @@ from ..optics import GaussianPSF, Optics, ScalarPSF
 from .checkpoint import Checkpoint, former_in, objective_in
 from .fit_objective import Objective, Terms
 from .fitted import Arrays, Fitted
-from .light_cone import ANEW, GOES_ON, ThroughObjective, objective_instead
+from .light_cone import ANEW, GOES_ON, ThroughObjective, is_of_light, objective_instead
 from .stage import Stage
 
 BACK = "the new PSF explains less: the fit goes back to the Gaussian PSF"
+IMPLAUSIBLE = "the new PSF is not that of a microscope: the fit goes back to the Gaussian PSF"
 
 
 class Ending(Protocol):
@@ -94,7 +95,7 @@ def _through(run: Run, optics: ThroughObjective) -> Run:
 
 
 def _back(run: Run, former: Run) -> Run | None:
-    """The fit before, where its end explains more; None else.
+    """The fit before, where its end explains more, or this one's PSF cannot be; None else.
 
     Each is held against the other over the voxels that count for it: over its own alone, each may
     be the better one. Measured on nuclei of a cleared brain, 4 voxels wide: an objective's PSF left
@@ -104,8 +105,9 @@ def _back(run: Run, former: Run) -> Run | None:
     now = run.objective
     here = now.left / now.posed.left_by(before.now.rendered)[0]
     there = before.posed.left_by(now.now.rendered)[0] / before.left
-    if here * there <= 1:
+    plausible = is_of_light(run.fitted.optics)
+    if plausible and here * there <= 1:
         return None
-    run.say(BACK)
+    run.say(BACK if plausible else IMPLAUSIBLE)
     former.come_back(run.stage)
     return former
