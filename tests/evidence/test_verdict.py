@@ -10,7 +10,11 @@ import napari_deltamic as nd
 from napari_deltamic.evidence import analyse_residual
 from napari_deltamic.evidence.facts import CellFacts, Facts
 from napari_deltamic.evidence.fit_facts import facts_of
-from napari_deltamic.evidence.predicted_error import PredictedError, ShapeDeviation
+from napari_deltamic.evidence.predicted_error import (
+    PredictedError,
+    ShapeDeviation,
+    predicted_error,
+)
 from napari_deltamic.evidence.verdict import judged
 from napari_deltamic.fitting import fit
 from napari_deltamic.fitting.job import FitInput
@@ -199,3 +203,18 @@ def test_facts_of_a_fit():
     assert not known.cells[0].small
     moved = replace(state, mesh=state.mesh.translated((-0.75, 0, 0)))
     assert facts_of(job, moved, analyse_residual(image, grid, state)).cells[0].cut
+
+
+def test_what_lies_beyond_the_image_is_not_in_the_predicted_error():
+    """A guess there is said to be one; its error would hide how well the rest is known."""
+    size, middle = (0.2, 0.2, 0.2), (2.3, 2.3, 2.3)
+    grid, optics = nd.Grid((24, 24, 24), size), nd.GaussianPSF((0.24, 0.24, 0.24))
+    image = nd.render(sphere(middle, 1.5, edge_length=0.3), grid, optics).numpy()
+    image = np.random.default_rng(0).poisson(20 + 200 * image / image.max()).astype(np.float32)
+    upper = nd.Grid((13, 24, 24), size, (2.2, 0.0, 0.0))
+    scene = SceneSettings(voxel_size=size, sigma=optics.sigma_um)
+    run, start = RunSettings(image="", seeds="", scene=scene), sphere(middle, 1.4, edge_length=0.4)
+    *_, state = fit(image[11:], upper, start, optics, settings=run.fit)
+    job = FitInput(run, image[11:], upper, start, optics, None)
+    assert 0.3 < (state.mesh.vertices_numpy()[:, 0] > 2.1).mean() < 0.7
+    assert predicted_error(job, state).whole.total < 0.02

@@ -19,6 +19,7 @@ from ..fitting.responses import Responses, noise_of, responses_of
 from ..fitting.state import FitState
 from ..fitting.triangle_quality import gaps
 from ..geometry.mesh import FloatArray, Mesh
+from ..scene import Grid
 from ..scene.light import INSIDES
 from .candidates import allowed, chosen_candidates, points_inwards, variants
 from .fainter_membranes import fainter_membranes
@@ -46,6 +47,7 @@ _INSIDE = "light inside"
 class ShapeDeviation:
     """Of the surface of one cell, or of all: um, root of the mean square over it.
 
+    What lies outside of the image is a guess, and left out, unless all of a cell does.
     Displacements along the normal, each averaged over a patch as wide as the PSF.
 
     Attributes
@@ -127,12 +129,22 @@ def predicted_error(job: FitInput, state: FitState) -> PredictedError:
         patches.means(other) ** 2,
     )
 
+    seen = _in_image(state.mesh, job.grid)
+
     def over(chosen: np.ndarray) -> ShapeDeviation:
+        chosen = chosen[seen[chosen]] if seen[chosen].any() else chosen
         return ShapeDeviation(*(float(np.sqrt(part[chosen].mean())) for part in parts))
 
     every = np.unique(state.mesh.faces)
     cells = {region: over(own) for region, own in _vertices(state.mesh).items()}
     return PredictedError(over(every), cells, lacks, cone=state.cone)
+
+
+def _in_image(mesh: Mesh, grid: Grid) -> np.ndarray:
+    """(V,) bool: vertices within the voxels of an image."""
+    at = (mesh.vertices_numpy() - np.asarray(grid.origin)) / np.asarray(grid.voxel_size)
+    inside: np.ndarray = ((at >= -0.5) & (at <= np.asarray(grid.shape) - 0.5)).all(1)
+    return inside
 
 
 def _squared_gaps(mesh: Mesh) -> FloatArray:
