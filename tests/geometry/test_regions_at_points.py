@@ -63,3 +63,24 @@ def test_points_in_a_crowd_of_nuclei_name_them_not_the_gaps_between():
     found = labels_from_points(image, SIZE, centres[:5])
     for k, one in enumerate(crowd[:5], 1):
         assert overlap(found == k, one) > 0.85
+
+
+@pytest.mark.filterwarnings("error")
+def test_nuclei_that_look_like_one_are_parted_at_their_necks():
+    centres = [(16, 16, 11), (16, 16, 21), (16, 16, 31)]
+    row = balls(*centres, radius=7.0)
+    image = seen(np.any(row, axis=0))
+    found = labels_from_points(image, SIZE, [centres[k] for k in (2, 0, 1)])
+    sizes = np.bincount(found.ravel(), minlength=4)[1:]
+    for name, k in ((1, 2), (2, 0), (3, 1)):
+        at = np.argwhere(found == name).mean(0)
+        assert np.linalg.norm(at - centres[k]) < 1.5
+    assert sizes.min() > 0.6 * sizes.max()
+
+
+def test_a_second_point_in_one_of_the_parts_is_told():
+    centres = [(16, 16, 11), (16, 16, 21)]
+    image = seen(np.any(balls(*centres, radius=7.0), axis=0))
+    with pytest.warns(RepairWarning, match="points 1 and 2 lie in the same region"):
+        found = labels_from_points(image, SIZE, [(16, 16, 11), (14, 17, 10), (16, 16, 21)])
+    assert set(np.unique(found)) == {0, 1, 3}
