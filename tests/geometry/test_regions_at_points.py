@@ -84,3 +84,6 @@ def test_a_second_point_in_one_of_the_parts_is_told():
     with pytest.warns(RepairWarning, match="points 1 and 2 lie in the same region"):
         found = labels_from_points(image, SIZE, [(16, 16, 11), (14, 17, 10), (16, 16, 21)])
     assert set(np.unique(found)) == {0, 1, 3}
+    with pytest.warns(RepairWarning, match="points 2 and 3 lie in the same region"):
+        found = labels_from_points(image, SIZE, [(16, 16, 11), (16, 16, 21), (16, 16, 21.2)])
+    assert set(np.unique(found)) == {0, 1, 2}

@@ -58,41 +58,61 @@ def regions_at(
                 text = f"the cell at point {name} is mostly that of other points"
                 left[name] = why.get(name, Refused(text, (name,)))
             continue
-        first, *others = inside
-        labels[own] = first
-        for name in others:
-            if not (found.bright and _parted(labels, whole, name, at, size)):
-                text = f"points {first} and {name} lie in the same region"
-                left[name] = Refused(text, (first, name))
+        parts, of = _parted(own, {name: at[name] for name in inside}, size, found.bright)
+        labels[own] = parts[own]
+        for name, other in of.items():
+            text = f"points {other} and {name} lie in the same region"
+            left[name] = Refused(text, (other, name))
     return labels, [left[name] for name in sorted(left)]
 
 
 def _parted(
-    labels: Labels, whole: np.ndarray, name: int, at: dict[int, tuple[int, ...]], size: FloatArray
-) -> bool:
-    """Part a bright region at its necks, so that one more point gets its own; False without one.
+    whole: np.ndarray, at: dict[int, tuple[int, ...]], size: FloatArray, bright: bool
+) -> tuple[Labels, dict[int, int]]:
+    """A cell that several points lie in; a bright one parted at its necks.
 
     By the watershed of the distance to the border (S. Beucher and C. Lantuejoul, 1979), as touching
-    nuclei are parted by hand.
+    nuclei usually are.
+
+    Returns
+    -------
+    (Z, Y, X) int32 with the names of points; and of the points that have no part of their own, the
+    one whose part they lie in.
     """
+    parts, of = np.zeros(whole.shape, np.int32), dict[int, int]()
+    first_at = {place: name for name, place in sorted(at.items(), reverse=True) if whole[place]}
+    names = sorted(first_at.values()) if bright else []
+    if len(names) < 2:
+        first, *others = sorted(at)
+        parts[whole] = first
+        return parts, dict.fromkeys(others, first)
     (box,) = ndimage.find_objects(whole.astype(np.uint8))
-    inside = np.pad(whole[box], 1)
-    deep = ndimage.distance_transform_edt(inside, sampling=size)[1:-1, 1:-1, 1:-1]
-    names = [int(k) for k in np.unique(labels[whole]) if k and whole[at[int(k)]]] + [name]
-    markers = np.zeros(deep.shape, np.int32)
-    for one in names:
-        markers[tuple(k - s.start for k, s in zip(at[one], box, strict=True))] = one
-    parts = watershed(-deep, markers, mask=whole[box] & np.isin(labels[box], [*names, 0]))
-    new, neck = parts == name, 0.0
-    beside = ndimage.binary_dilation(new) & (parts > 0) & ~new
-    for other in np.unique(parts[beside]):
-        depths = [float(deep[parts == one].max()) for one in (name, int(other))]
-        neck = max(neck, float(deep[beside & (parts == other)].max()) / min(depths))
-    if neck > _NECK:
-        return False
-    kept = parts > 0
-    labels[box][kept] = parts[kept]
-    return True
+    deep = ndimage.distance_transform_edt(np.pad(whole[box], 1), sampling=size)[1:-1, 1:-1, 1:-1]
+    while True:
+        markers = np.zeros(deep.shape, np.int32)
+        for name in names:
+            markers[tuple(k - s.start for k, s in zip(at[name], box, strict=True))] = name
+        found = watershed(-deep, markers, mask=whole[box])
+        one = _without_neck(found, deep)
+        if one is None:
+            break
+        of[one[1]] = one[0]
+        names.remove(one[1])
+    parts[box] = found
+    others = at.keys() - set(names) - set(of)
+    return parts, of | {name: first_at.get(at[name], names[0]) for name in others}
+
+
+def _without_neck(parts: Labels, deep: FloatArray) -> tuple[int, int] | None:
+    """Two parts between which there is none, the lower number first; None where all have necks."""
+    deepest = ndimage.maximum(deep, parts, range(int(parts.max()) + 1))
+    for name in np.unique(parts[parts > 0])[::-1].tolist():
+        beside = ndimage.binary_dilation(parts == name) & (parts > 0) & (parts < name)
+        for other in np.unique(parts[beside]).tolist():
+            neck = float(deep[beside & (parts == other)].max())
+            if neck > _NECK * min(deepest[name], deepest[other]):
+                return other, name
+    return None
 
 
 def _in_bright(
