@@ -99,8 +99,8 @@ def _parted(
         of[one[1]] = one[0]
         names.remove(one[1])
     parts[box] = found
-    others = at.keys() - set(names) - set(of)
-    return parts, of | {name: first_at.get(at[name], names[0]) for name in others}
+    unnamed = at.keys() - set(names) - set(of)
+    return parts, of | {name: first_at.get(at[name], names[0]) for name in unnamed}
 
 
 def _without_neck(parts: Labels, deep: FloatArray) -> tuple[int, int] | None:
