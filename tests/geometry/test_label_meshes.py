@@ -169,3 +169,19 @@ def test_crumbs_are_still_left_out():
     z, y, x = np.indices((11, 11, 11)) - 5.2
     with pytest.raises(InputError, match="too small for edges of 3 um"):
         mesh_from_labels((z**2 + y**2 + x**2 < 2.5**2).astype(int), (1, 1, 1), edge_length=3.0)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("height", "aspect"), [(2, 1), (2, 6), (3, 6)])
+def test_flat_labels_that_touch_keep_their_cells(height, aspect):
+    """Smoothing takes all of what is two slices high; no edge length brings it back."""
+    z, y, x = np.indices((8, 30, 30))
+    labels = np.zeros(z.shape, int)
+    for name, (row, column) in enumerate([(9, 9), (9, 18)], 1):
+        disk = (y - row) ** 2 + (x - column) ** 2 < 25
+        labels[(z >= 3) & (z < 3 + height) & disk & (labels == 0)] = name
+    mesh = mesh_from_labels(labels, (0.2 * aspect, 0.2, 0.2))
+    volumes = np.array([mesh.volumes()[name] for name in (1, 2)])
+    wanted = np.bincount(labels.ravel())[1:] * 0.2**3 * aspect
+    np.testing.assert_allclose(volumes, wanted, rtol=0.15)
+    assert mesh.is_closed()

@@ -147,23 +147,31 @@ def edge_within(size: FloatArray, area: float, cells: int) -> float:
 
 @dataclass(frozen=True)
 class _Place:
-    """Where labels lie: voxel size, origin, edge length (um); name and box of each number."""
+    """Where labels lie: voxel size, origin, edge length (um); name and box of each number.
+
+    raised : see :func:`~.partition.partition_mesh`.
+    """
 
     size: FloatArray
     origin: FloatArray
     edge: float
     names: IntArray
     boxes: list[tuple[slice, ...]]
+    raised: bool = False
 
 
 def _made(numbers: IntArray, cluster: IntArray, at: _Place, may_be_finer: bool) -> Mesh | None:
-    """Mesh of labels that touch; with shorter edges where one is lost, if it may."""
+    """Mesh of labels that touch; where one is lost, with shorter edges, if it may, and raised."""
     make = _single if len(cluster) == 1 else _cluster
     mesh = make(numbers, cluster, at)
-    if may_be_finer and (lost := _lost(numbers, cluster, at, mesh)):
-        finer = make(numbers, cluster, replace(at, edge=_FINER * at.edge))
-        if _lost(numbers, cluster, at, finer) < lost:
-            return finer
+    lost = _lost(numbers, cluster, at, mesh)
+    edges = (at.edge, _FINER * at.edge) if may_be_finer else (at.edge,)
+    for raised in (False, True) if len(cluster) > 1 else (False,):
+        for edge in edges:
+            if lost and (raised or edge != at.edge):
+                other = make(numbers, cluster, replace(at, edge=edge, raised=raised))
+                if (left := _lost(numbers, cluster, at, other)) < lost:
+                    mesh, lost = other, left
     return mesh
 
 
@@ -200,7 +208,8 @@ def _cluster(numbers: IntArray, cluster: IntArray, at: _Place) -> Mesh | None:
     cut = np.where(np.isin(numbers[box], cluster), numbers[box], 0)
     cut = _whole(cut, cluster)
     try:
-        mesh = partition_mesh(cut, at.size, at.origin + at.size * [s.start for s in box], at.edge)
+        corner = at.origin + at.size * [s.start for s in box]
+        mesh = partition_mesh(cut, at.size, corner, at.edge, at.raised)
     except TooCoarse:
         return None
     counts = np.bincount(cut.ravel(), minlength=int(cluster.max()) + 1)
