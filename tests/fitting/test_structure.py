@@ -146,3 +146,15 @@ def test_faint_membranes_stay_where_both_are_asked_for(monkeypatch):
         Objective, "structure", lambda o: structure_choice.Chosen("both", False, faint=True)
     )
     assert structure_of(fitted(image_of(INSIDES), structure="both").light) == "both"
+
+
+@pytest.mark.parametrize(
+    ("light", "name"), [(Light(1.0, 1.0), "both"), (Light(1.0, 3.0), "both"), (INSIDES, "interior")]
+)
+def test_membranes_come_back_where_labels_reached_out_too_far(light, name):
+    """One level, from where the light of the membranes ends."""
+    start = cell().with_vertices(MIDDLE + (cell().vertices_numpy() - MIDDLE) * 1.35)
+    settings = FitSettings(structure="auto", levels=(1.0,), fit_psf=True)
+    *_, last = nd.fit(image_of(light), GRID, start, OPTICS, settings=settings)
+    assert structure_of(last.light) == name
+    assert abs(last.mesh.region_volume(1) / cell().region_volume(1) - 1) < 0.03

@@ -17,7 +17,8 @@ from ..fitting.posed import Posed
 from ..fitting.refits import Alternative
 from ..fitting.responses import Responses
 from ..fitting.state import FitState
-from ..geometry.mesh import OUTSIDE, FloatArray, Mesh
+from ..geometry.mesh import OUTSIDE, FloatArray
+from ..geometry.outwards import outwards
 
 NAME = "light of membranes"
 
@@ -67,7 +68,7 @@ def _with_membranes(posed: Posed, state: FitState, widths: float) -> tuple[FitSt
     """A state with surfaces further in, and what they moved by, (V, 3) um."""
     width = float(np.prod(state.optics.sigma_um) ** (1 / 3))
     mesh, light, depth = state.mesh, state.light, widths * width
-    moved = -depth * _outwards(mesh)
+    moved = -depth * outwards(mesh)
     inner, outer = (light.of_cells(side) * (side != OUTSIDE) for side in mesh.regions.T)
     insides = (inner + outer) / np.maximum(1, (mesh.regions != OUTSIDE).sum(1))
     density = light.membrane * state.density + light.interior * depth * insides
@@ -82,13 +83,3 @@ def _with_membranes(posed: Posed, state: FitState, widths: float) -> tuple[FitSt
         light=replace(light, membrane=1.0),
     )
     return other, moved
-
-
-def _outwards(mesh: Mesh) -> FloatArray:
-    """(V, 3) unit normals of the surface towards the outside; 0 where cells have none."""
-    sign = (mesh.regions[:, 1] == OUTSIDE).astype(float) - (mesh.regions[:, 0] == OUTSIDE)
-    each = mesh.normals() * (sign * mesh.areas())[:, None]
-    rows, n = mesh.faces.T.ravel(), len(mesh.vertices)
-    summed = np.stack([np.bincount(rows, np.tile(one, 3), n) for one in each.T], 1)
-    length = np.linalg.norm(summed, axis=1, keepdims=True)
-    return np.divide(summed, length, out=np.zeros_like(summed), where=length > 0)

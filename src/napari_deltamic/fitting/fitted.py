@@ -10,7 +10,7 @@ import torch
 
 from ..common.choices import DensityModel, Structure, StructureChoice
 from ..errors import InputError
-from ..geometry.mesh import Mesh
+from ..geometry.mesh import FloatArray, Mesh
 from ..optics import Optics
 from ..scene.effects import Effects
 from ..scene.light import INSIDES, MEMBRANES, Light
@@ -96,6 +96,10 @@ class Fitted:
     def retriangulated(self, shape: Shape) -> Fitted:
         """With another triangulation: the one door for it. What was learnt is of other unknowns."""
         return replace(self, shape=shape, learnt=None)
+
+    def displaced(self, vertices: FloatArray, optics: Optics) -> Fitted:
+        """At (V, 3) um, through another PSF of that kind, as if nothing of brightness was known."""
+        return replace(self, shape=self.shape.moved(vertices, None), optics=optics, learnt=None)
 
     def with_density(self, model: DensityModel) -> Fitted:
         """With the same densities of another kind."""

@@ -314,14 +314,14 @@ class Run:
     def _other_structure(self) -> bool:
         """Whether, at rest, something else shines than what had been clear on the way."""
         found, progress = self.fitted, self.stage.progress
+        given, taken = (self.terms, self.objective, found, self._factored), 0
         if self._choice.asked_again(found, self.stage):
-            found = self._choice.with_insides_again(self.terms, found, self._factored)
+            found, taken = self._choice.with_both_again(*given)
             progress = replace(progress, again=True)
         elif self._choice.asked_at_rest(found, self.stage):
-            given = self.terms, self.objective, found, self._factored
             found, taken = self._choice.at_rest(*given)
-            self.spend(taken)
             progress = replace(progress, answered=True)
+        self.spend(taken)
         other = found is not self.fitted
         self.fitted = found
         self.stage = replace(self.stage, progress=progress.released() if other else progress)

@@ -1,0 +1,17 @@
+"""Which way is out, at the vertices of a surface."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .mesh import OUTSIDE, FloatArray, Mesh
+
+
+def outwards(mesh: Mesh) -> FloatArray:
+    """(V, 3) unit normals of the surface towards the outside; 0 where cells have none."""
+    sign = (mesh.regions[:, 1] == OUTSIDE).astype(float) - (mesh.regions[:, 0] == OUTSIDE)
+    each = mesh.normals() * (sign * mesh.areas())[:, None]
+    rows, n = mesh.faces.T.ravel(), len(mesh.vertices)
+    summed = np.stack([np.bincount(rows, np.tile(one, 3), n) for one in each.T], 1)
+    length = np.linalg.norm(summed, axis=1, keepdims=True)
+    return np.divide(summed, length, out=np.zeros_like(summed), where=length > 0)
