@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import tifffile
+from skimage.segmentation import expand_labels
 
 from napari_deltamic import Mesh, load_mesh, save_mesh
 from napari_deltamic.geometry import sphere
@@ -99,6 +100,7 @@ def _seeds(scene: Scene, folder: Path, told: bool) -> str:
     if recipe.seeds == "labels":
         path = folder / "seeds.tif"
         known = scene.all_labels if told and scene.strangers else scene.labels
+        known = expand_labels(known, recipe.grown)
         tifffile.imwrite(path, known.astype(np.uint16), imagej=True, metadata={"axes": "ZYX"})
     elif recipe.seeds == "mesh":
         path = folder / "seeds.ply"

@@ -42,6 +42,7 @@ class Recipe:
         0.0,
     )  # how the background rises along X, and squared; photons
     padded: float = 0.0  # share of the sum of Z and X below which nothing was measured
+    grown: int = 0  # voxels by which labels reach out too far
     seeds: SeedKind = "spheres"
     start: tuple[float, float] = (0.9, 0.1)  # radius of spheres and meshes, offset, in radii
     told: tuple[str, ...] = ()  # what the command that knows all is told besides the PSF
@@ -187,6 +188,9 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
     "both": lambda rng: replace(
         PLAIN, interior=rng.uniform(0.3, 0.8), told=("--structure", "both")
     ),
+    "both-grown": lambda rng: replace(
+        PLAIN, interior=rng.uniform(0.3, 1.0), seeds="labels", grown=2, told=("--structure", "both")
+    ),
     "thick": lambda rng: replace(
         PLAIN, thickness=rng.uniform(3, 8), cells=((0, 0, 0, 13.0),), shape=(48, 48, 48)
     ),
@@ -213,6 +217,7 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
     "crowd-nuclei": lambda rng: _crowd(rng, membrane=0.0, interior=1.0),
     "crowd-nuclei-spheres": lambda rng: _crowd(rng, membrane=0.0, interior=1.0, seeds="spheres"),
     "crowd-both": lambda rng: _crowd(rng, interior=rng.uniform(0.2, 0.8)),
+    "crowd-grown": lambda rng: _crowd(rng, interior=rng.uniform(0.3, 1.0), grown=2),
     "crowd-bright": lambda rng: _crowd(rng, interior=rng.uniform(1.0, 2.5)),
     "tissue-both": lambda rng: replace(
         _labelled_tissue(rng), interior=rng.uniform(0.2, 0.8), unequal=0.4
@@ -273,6 +278,7 @@ WORDS = {
     "haze": "a membrane in a haze of 0.8 of its brightness",
     "nucleus": "a nucleus",
     "both": "membrane and inside",
+    "both-grown": "the same, its label two voxels too large",
     "thick": "a layer 3 to 8 voxels thick",
     "neighbours-labels": "a cell among five without a seed, labelled",
     "neighbours-spheres": "the same from a sphere",
@@ -289,6 +295,7 @@ WORDS = {
     "crowd-nuclei": "eight nuclei side by side, unequally bright",
     "crowd-nuclei-spheres": "the same from spheres",
     "crowd-both": "eight cells, membranes and dimmer insides",
+    "crowd-grown": "the same, labels two voxels too large",
     "crowd-bright": "eight cells, insides brighter than membranes",
     "tissue-both": "four cells that share walls, membranes and unequal insides",
     "tissue-partial": "two of four cells that share walls, labelled",

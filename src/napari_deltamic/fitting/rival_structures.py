@@ -130,8 +130,10 @@ def membranes_as_well(
     fitted, mesh = alone.fitted, alone.fitted.mesh
     width = float(np.prod(fitted.first_optics.sigma_um) ** (1 / 3))
     vertices = mesh.vertices_numpy() - RULES.further_in * width * outwards(mesh)
-    both = fitted.displaced(vertices, fitted.first_optics).with_structure("both")
-    rival, taken = gone_on(begun(terms, both, factored))
+    # One brightness for each wall: cells differ, and a smooth one could make up for a shape.
+    both = fitted.displaced(vertices, fitted.first_optics).with_density("interface")
+    terms = replace(terms, density_fitted=True)
+    rival, taken = gone_on(begun(terms, both.with_structure("both"), factored))
     taken += alone.evaluations()
     nats = (rival.nats_over(alone) - alone.nats_over(rival)) / 2
     if nats <= RULES.nats:
