@@ -57,8 +57,8 @@ class RivalRules:
         square of the errors that membranes have to differ from 0 by (S. S. Wilks, 1938). Measured:
         -3 to 1 in four fits of nuclei, 33 to 2900 in eight of cells whose insides are up to 2.5
         times as bright as their membranes. By more than that, both must explain more at rest to be
-        taken where insides were alone: -1400 to -3 in eight fits of nuclei, 930 to 7600 in four where
-        both shone.
+        taken where insides were alone: -1400 to -3 in eight fits of nuclei, 930 to 7600 in four of
+        cells with both.
     """
 
     steps: int = 12
