@@ -2,10 +2,15 @@
 
 from dataclasses import dataclass, replace
 
+import numpy as np
 import pytest
 
 from napari_deltamic.fitting import rival_structures
-from napari_deltamic.fitting.rival_structures import best_of
+from napari_deltamic.fitting.rival_structures import _further_in, best_of
+from napari_deltamic.fitting.shape import Shape
+from napari_deltamic.geometry import box
+from napari_deltamic.geometry.remeshing import can_remesh
+from napari_deltamic.geometry.topology.crossings import crosses
 
 
 @dataclass(frozen=True)
@@ -67,3 +72,17 @@ def test_what_explains_most_comes_first(monkeypatch):
 
 def test_without_a_start_the_fit_goes_on(monkeypatch):
     assert chosen(monkeypatch, None, both_found=1.0) == "found"
+
+
+@pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
+def test_a_surface_that_begins_further_in_neither_crosses_itself_nor_leaves_its_pins():
+    """A plate thinner than twice the depth."""
+    mesh = box((0.0, 0.0, 0.0), (0.6, 4.0, 4.0), edge_length=0.4)
+    places = mesh.vertices_numpy()
+    pinned = places[:, 1] > 1.9
+    assert pinned.any()
+    moved = _further_in(Shape.begun(mesh, "uniform").with_pins(pinned), 0.4, True)
+    np.testing.assert_array_equal(moved[pinned], places[pinned])
+    assert np.abs(moved - places)[~pinned].max(0).min() > 0.1
+    assert not crosses(mesh.with_vertices(moved))
+    assert crosses(mesh.with_vertices(_further_in(Shape.begun(mesh, "uniform"), 0.4, False)))

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..common.choices import Structure
+from ..geometry.mesh import FloatArray
 from ..geometry.outwards import outwards
 from .collisions import CollisionGuard
 from .fit_objective import Objective, Terms
@@ -130,9 +131,9 @@ def membranes_as_well(
     insides alone with a narrow PSF look like both, and a fit with few blurred levels stays there.
     """
     alone = objective.anew()
-    fitted, mesh = alone.fitted, alone.fitted.mesh
+    fitted = alone.fitted
     width = float(np.prod(fitted.first_optics.sigma_um) ** (1 / 3))
-    vertices = mesh.vertices_numpy() - RULES.further_in * width * outwards(mesh)
+    vertices = _further_in(fitted.shape, RULES.further_in * width, terms.settings.collisions)
     # One brightness for each wall: cells differ, and a smooth one could make up for a shape.
     both = fitted.displaced(vertices, fitted.first_optics).with_density("interface")
     terms = replace(terms, density_fitted=True)
@@ -142,6 +143,14 @@ def membranes_as_well(
     if nats <= RULES.nats:
         return None, taken
     return (rival.fitted if rival.structure().structure == "both" else None), taken
+
+
+def _further_in(shape: Shape, depth: float, collisions: bool) -> FloatArray:
+    """(V, 3) um: its vertices so much further in, where neither pins nor thin places hold them."""
+    guard, places = CollisionGuard(collisions), shape.mesh.vertices_numpy()
+    guard.watch(shape.mesh)
+    moved = depth * outwards(shape.mesh) * ~shape.pinned[:, None]
+    return np.asarray(guard.limited(places, places - moved))
 
 
 def nearer_of(terms: Terms, fitted: Fitted) -> Structure:
