@@ -100,8 +100,8 @@ class ModelChoice:
         Insides leave soon after the start, where walls that labels drew wrongly may hide them.
         Measured on cells that fill the stack, 40 % as bright inside (``confluent-0``,
         benchmarks.defaults): 0.9 standard errors after 7 iterations; had they stayed, 27 after 43.
-        Membranes leave where labels are too large. Measured on labels of both, grown by two voxels:
-        six of nine fits ended 1.0 to 1.2 voxel too far out, with insides alone.
+        Membranes leave where labels are too large. Measured on labels of both, grown by two or
+        three voxels: eight of twelve fits ended 1.0 to 1.2 voxel too far out, with insides alone.
         """
         alone = self.settings.structure == "auto" and fitted.structure != "both"
         if not alone or self.levels > 1 or stage.progress.again:
