@@ -107,7 +107,8 @@ def scene_of(name: str, recipe: Recipe, rng: np.random.Generator) -> Scene:
     image = counted_photons(clean, recipe.photons, recipe.dark, rng)
     if recipe.tilted != (0.0, 0.0):
         across, (rise, bend) = np.linspace(-1, 1, recipe.shape[2]), recipe.tilted
-        image += rng.poisson(abs(rise) + abs(bend) + rise * across + bend * across**2, image.shape)
+        ground = abs(rise) + abs(bend) + rise * across + bend * across**2
+        image += rng.poisson(np.maximum(ground, 0), image.shape)  # rounding: -1e-17 where it is 0
     if recipe.padded:
         z, _, x = np.indices(image.shape) / np.array(image.shape).reshape(3, 1, 1, 1)
         image = np.where(z + x < recipe.padded, 0, image + _OFFSET).astype(np.float32)
