@@ -158,3 +158,13 @@ def test_membranes_come_back_where_labels_reached_out_too_far(light, name):
     *_, last = nd.fit(image_of(light), GRID, start, OPTICS, settings=settings)
     assert structure_of(last.light) == name
     assert abs(last.mesh.region_volume(1) / cell().region_volume(1) - 1) < 0.03
+
+
+@pytest.mark.parametrize(("inside", "larger"), [(0.8, 1.4), (1.0, 1.4), (2.0, 1.35)])
+def test_membranes_come_back_where_both_are_asked_for(inside, larger):
+    """Starts from which a fit of both ends with insides alone, half as large again as the cell."""
+    start = cell().with_vertices(MIDDLE + (cell().vertices_numpy() - MIDDLE) * larger)
+    settings = FitSettings(structure="both", levels=(1.0,), fit_psf=True)
+    *_, last = nd.fit(image_of(Light(1.0, inside)), GRID, start, OPTICS, settings=settings)
+    assert last.light.interior == pytest.approx(inside, rel=0.1)
+    assert abs(last.mesh.region_volume(1) / cell().region_volume(1) - 1) < 0.03

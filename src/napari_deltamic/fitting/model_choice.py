@@ -101,10 +101,12 @@ class ModelChoice:
         Measured on cells that fill the stack, 40 % as bright inside (``confluent-0``,
         benchmarks.defaults): 0.9 standard errors after 7 iterations; had they stayed, 27 after 43.
         Membranes leave where labels are too large. Measured on labels of both, grown by two or
-        three voxels: eight of twelve fits ended 1.0 to 1.2 voxel too far out, with insides alone.
+        three voxels: eight of twelve fits ended 1.0 to 1.2 voxel too far out, with insides alone;
+        a fit of both, where a user asks for both, can end there with next to no membrane.
         """
-        alone = self.settings.structure == "auto" and fitted.structure != "both"
-        if not alone or self.levels > 1 or stage.progress.again:
+        asked = self.settings.structure
+        open_still = asked == "both" or (asked == "auto" and fitted.structure != "both")
+        if not open_still or self.levels > 1 or stage.progress.again:
             return False
         return may_shine("auto", fitted.mesh, fitted.optics) == "both"
 
@@ -113,7 +115,10 @@ class ModelChoice:
         terms: Terms, objective: Objective, fitted: Fitted, factored: Preconditioners
     ) -> tuple[Fitted, int]:
         """With what shines where both may again, and evaluations; itself where one alone does."""
-        if fitted.structure == "interior":
+        wanted = fitted.structure == "both"
+        if wanted and objective.structure().structure != "interior":
+            return fitted, 0
+        if wanted or fitted.structure == "interior":
             found, taken = membranes_as_well(terms, objective, factored)
             return (fitted if found is None else found), taken
         both = fitted.with_structure("both")
