@@ -104,7 +104,8 @@ def test_a_hole_closes():
     even = SETTINGS.model_copy(update={"density": "uniform", "fit_psf": False})
     last, told = fitted(truth, start, even)
     assert error(last.mesh, truth) < 0.15
-    assert told == "a hole in cell 1 has closed"
+    # The gap to the other cell is one peak wide: what nobody can tell is told.
+    assert told.split("; ")[0] == "a hole in cell 1 has closed"
 
 
 def test_neighbours_stay_where_that_is_wanted():

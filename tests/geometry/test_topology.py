@@ -1,5 +1,7 @@
 """Thin places are found and give way; surfaces that overlap become cells with a wall."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -9,6 +11,7 @@ from napari_deltamic.geometry import remesh, sphere, torus
 from napari_deltamic.geometry.contacts import contacts
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.remeshing import can_remesh, smallest_angles
+from napari_deltamic.geometry.topology import thin_places as thin_places_module
 from napari_deltamic.geometry.topology.crossings import crosses
 from napari_deltamic.geometry.topology.rearranging import give_way
 from napari_deltamic.geometry.topology.thin_places import small_walls, thin_places
@@ -137,3 +140,29 @@ def test_an_open_surface_that_crosses_is_refused():
     cap = Mesh(ball.vertices, ball.faces[1:])
     with pytest.raises(InputError, match="closed"):
         untangled(Mesh.merge([cap, sphere((0, 0, 1.2), 1.0, subdivisions=3)]))
+
+
+def test_a_reach_of_many_edges_takes_little_memory():
+    """As under a PSF much wider than an edge, where each vertex has a thousand faces in reach."""
+    one, other = sphere((0, 0, 0), 1.0, 0.06), sphere((0, 0, 2.2), 1.0, 0.06)
+    mesh = Mesh.merge([one, other])
+    tracemalloc.start()
+    try:
+        places = thin_places(mesh, 1.0)
+        used = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    (gap,) = [place for place in places if place.is_gap]
+    assert len(gap.points) < len(mesh.vertices)
+    assert gap.center[2] == pytest.approx(1.1, abs=0.05)
+    assert used < 400e6
+
+
+def test_some_vertices_at_a_time_find_the_same(monkeypatch):
+    mesh = flattened(0.1)
+    (once,) = thin_places(mesh, 2 * EDGE)
+    monkeypatch.setattr(thin_places_module, "_PAIRS", 50)
+    (again,) = thin_places(mesh, 2 * EDGE)
+    assert len(once.points) == len(again.points)
+    assert once.width == pytest.approx(again.width, rel=1e-12)
+    assert_allclose(once.center, again.center, atol=1e-12)

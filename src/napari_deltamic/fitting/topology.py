@@ -50,7 +50,7 @@ class TopologyRules:
         and how far apart changes are that are judged together: so far that their images hardly
         overlap.
     slit
-        Widths squared: area of a slit that is worth a trial; chosen on foams
+        Widths squared: area of the sides of a slit that is worth a trial; chosen on foams
         (``python -m benchmarks.clusters``).
     one_peak
         Widths: distance of two membranes below which they have one peak (Sparrow's criterion).
@@ -81,7 +81,7 @@ class TopologyRules:
     piece: float = 2.0
     beyond: float = 2.0
     alone: float = 3.0
-    slit: float = 20.0
+    slit: float = 10.0
     one_peak: float = 2.0
     sharp: float = 2.0
     often: int = 3
@@ -311,7 +311,7 @@ def _neck_or_slit(region: int, sides: tuple[int, ...]) -> bool:
 
 
 def _slits(places: list[ThinPlace], width: float, seen: float) -> list[ThinPlace]:
-    """Gaps between two cells with so many points (about one for each edge length squared)."""
+    """Gaps between two cells with so many points (about one for each edge squared of a side)."""
     pairs = [p for p in places if len(p.sides) == 2]
     found = [p for p in pairs if p.width < width and len(p.points) > seen]
     return sorted(found, key=lambda p: -len(p.points))

@@ -14,6 +14,9 @@ from napari_deltamic.geometry.contacts import walls
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
 from napari_deltamic.geometry.topology.change_sizes import SIZES
 
+_SAMPLE = 200  # vertices whose faces within reach tell how many there are; chosen
+_PAIRS = 500_000  # at a time: about 500 MB; chosen
+
 
 @dataclass(frozen=True, eq=False)
 class ThinPlace:
@@ -187,7 +190,7 @@ def _pieces_of(faces: IntArray, points: FloatArray, apart: float) -> IntArray:
 
 @dataclass(frozen=True, eq=False)
 class _Facing:
-    """Vertices that face a face across a region; an entry of each array for each such pair."""
+    """Vertices that face another surface across a region: the nearest place of each of those."""
 
     vertex: IntArray
     region: IntArray
@@ -197,24 +200,43 @@ class _Facing:
 
 
 def _facing(mesh: Mesh, reach: float) -> _Facing:
-    places, faces, regions, normals = (
-        mesh.vertices_numpy(),
-        mesh.faces,
-        mesh.regions,
-        mesh.normals(),
-    )
     library = native()
-    none = np.zeros(0, np.int64)
     if library is None:
-        return _Facing(none, none, none.reshape(0, 2), np.zeros((0, 3)), np.zeros(0))
-    used = np.unique(faces)
-    pairs, point = library.near_faces(
-        np.ascontiguousarray(places[used]),
-        np.ascontiguousarray(places),
-        np.ascontiguousarray(faces),
-        float(reach),
+        return _all_of([])
+    places, faces = (
+        np.ascontiguousarray(mesh.vertices_numpy()),
+        np.ascontiguousarray(mesh.faces),
     )
-    vertex, face = used[pairs[:, 0]], pairs[:, 1]
+    used, normals = np.unique(faces), mesh.normals()
+
+    def near(vertices: IntArray) -> tuple[IntArray, IntArray, FloatArray]:
+        pairs, point = library.near_faces(places[vertices], places, faces, float(reach))
+        return vertices[pairs[:, 0]], pairs[:, 1], point
+
+    # Under a wide PSF a vertex has thousands of faces within reach: some vertices at a time.
+    sample = used[:: -(-len(used) // _SAMPLE)]
+    each = -(-len(near(sample)[0]) // len(sample))
+    at_once = max(1, _PAIRS // max(each, 1))
+    return _all_of(
+        [
+            _of_pairs(mesh, normals, *near(used[first : first + at_once]))
+            for first in range(0, len(used), at_once)
+        ]
+    )
+
+
+def _all_of(parts: list[_Facing]) -> _Facing:
+    none = np.zeros(0, np.int64)
+    parts = [_Facing(none, none, none.reshape(0, 2), np.zeros((0, 3)), np.zeros(0)), *parts]
+    names = ("vertex", "region", "sides", "points", "width")
+    return _Facing(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
+def _of_pairs(
+    mesh: Mesh, normals: FloatArray, vertex: IntArray, face: IntArray, point: FloatArray
+) -> _Facing:
+    """Those of pairs of a vertex and a face, and its nearest point, that face each other."""
+    places, faces, regions = mesh.vertices_numpy(), mesh.faces, mesh.regions
     way = point - places[vertex]
     width = np.linalg.norm(way, axis=1)
     height = (way * normals[face]).sum(1)
@@ -237,7 +259,11 @@ def _facing(mesh: Mesh, reach: float) -> _Facing:
     pair = index[best]
     vertex, face, region, width = vertex[pair], face[pair], region[pair], width[pair]
     sides = np.column_stack([regions[own[best]].sum(1) - region, beyond[pair]])
-    good = ~_corner(mesh, vertex, face, np.column_stack([region, sides]))
+    good = np.flatnonzero(~_corner(mesh, vertex, face, np.column_stack([region, sides])))
+    # Of what a vertex faces across a region, the nearest tells where that is thin.
+    keys = np.column_stack([vertex[good], region[good], sides[good]])
+    nearest = np.argsort(width[good], kind="stable")
+    good = good[np.sort(nearest[np.unique(keys[nearest], axis=0, return_index=True)[1]])]
     middle = places[vertex] + way[pair] / 2
     return _Facing(vertex[good], region[good], sides[good], middle[good], width[good])
 
