@@ -288,14 +288,18 @@ def test_the_next_run_is_predicted_by_what_the_last_one_took(seeded, spin, monke
     known = seeded.doc.learned.about(whole.kind)
     assert known.seconds == pytest.approx(learned.seconds)
     assert learned.iterations < known.iterations < 1  # one fit says less of that
+    # Of the same image it says all that is known.
+    known = seeded.doc.learned.about(whole.kind, seeded.doc.image.key())
+    assert known == learned
     seeded.start()
     spin(lambda: not running(seeded))
     assert seeded.doc.run.forecast.seconds == pytest.approx(whole.after(known).seconds)
     assert seeded.doc.run.forecast.iterations == whole.after(known).iterations
     # Also in words, before a third one starts.
-    known = seeded.doc.learned.about(whole.kind)
+    key = seeded.doc.image.key()
+    known = seeded.doc.learned.about(whole.kind, key)
     spin(lambda: not seeded.settings.forecast.background.busy)
-    seeded.settings.forecast._show((), Outlook(0.1, 1e-2, whole, guessed=False))
+    seeded.settings.forecast._show(key, Outlook(0.1, 1e-2, whole, guessed=False))
     assert seeded.settings.outlook.text() == predicted(whole.after(known))
 
 

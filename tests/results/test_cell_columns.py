@@ -9,6 +9,8 @@ from napari_deltamic.results.cell_columns import COLUMNS
     ("key", "value", "shown"),
     [
         ("volume_um3", 12.34567, "12.35"),
+        ("volume_um3", 12514.7, "12510"),
+        ("volume_um3", 1.25147e7, "1.251e+07"),
         ("shape_error_um", 0.0055289, "0.0055"),
         ("explained", 0.8776, "87.8%"),
         ("region", 3, "3"),

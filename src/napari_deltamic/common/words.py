@@ -9,6 +9,12 @@ def scientific(value: float, digits: int = 3) -> str:
     return f"{float(mantissa):g}e{int(exponent)}"
 
 
+def readable(value: float, digits: int = 4) -> str:
+    """A number of so many digits, up to a million without an exponent."""
+    short = f"{value:.{digits}g}"
+    return f"{float(short):.0f}" if "e" in short and 1 < abs(value) < 1e6 else short
+
+
 def duration(seconds: float, whole: bool = False) -> str:
     """A time in words that fit a table; ``whole``: no more exact than a forecast can be."""
     digits = ".0f" if whole else ".2g"

@@ -8,6 +8,7 @@ from math import isfinite
 from typing import Any
 
 from ..common.table import Column
+from ..common.words import readable
 from ..measure.all_cells import CELL_COLUMNS
 
 _SUFFIX = {"um^3": "_um3", "um^2": "_um2", "um": "_um", "1/um": "_per_um"}
@@ -58,7 +59,7 @@ class CellColumn:
             return f"{value:.0f}"
         if self.key in _SHARES:
             return f"{value:.1%}"
-        return f"{value:.{_ERROR_DIGITS if self._is_error else 4}g}"
+        return readable(value, _ERROR_DIGITS if self._is_error else 4)
 
     @property
     def _is_error(self) -> bool:

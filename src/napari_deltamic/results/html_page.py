@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ..common.words import readable
 from ..measure import Measurements, Table
 from .measured_source import Measurable
 from .picture import picture_png
@@ -190,7 +191,7 @@ def _cell(value: Any) -> str:
     if value is None:
         return "<td></td>"
     if isinstance(value, float):
-        return f"<td>{value:.4g}</td>"
+        return f"<td>{readable(value)}</td>"
     if isinstance(value, str):
         return f'<td class="word">{escape(value)}</td>'
     return f"<td>{value}</td>"

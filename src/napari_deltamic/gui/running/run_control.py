@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -128,7 +128,7 @@ class RunControl:
             partial(self._show, record),
             partial(self._ended, record),
             self._not_taken,
-            partial(_after, doc.learned),
+            partial(_after, doc.learned, doc.image.key()),
             first,
         )
         doc.start(run, record, fresh=fresh)
@@ -188,10 +188,10 @@ class RunControl:
             self.let_go()
 
 
-def _after(learned: Learned, job: FitInput) -> Forecaster | None:
+def _after(learned: Learned, image: Hashable, job: FitInput) -> Forecaster | None:
     """A forecast that knows how earlier runs went."""
     found = expected(job)
-    return found.after(learned.about(found.kind)) if isinstance(found, Forecast) else found
+    return found.after(learned.about(found.kind, image)) if isinstance(found, Forecast) else found
 
 
 class Judging:

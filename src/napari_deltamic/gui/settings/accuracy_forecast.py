@@ -102,6 +102,7 @@ class AccuracyForecast(QObject):
             signal.connect(self.later)
         dial.currentTextChanged.connect(self.later)
         self._image: tuple[Any, ...] = ()  # the one that was chosen
+        self._fitted: tuple[Any, ...] = ()  # that of the last run
         doc.image.changed.connect(self._image_changed)
         doc.work.changed.connect(self._work_changed)
         doc.shown.connect(self._running)
@@ -142,7 +143,7 @@ class AccuracyForecast(QObject):
         self.noise.learn(key, found.noise)
         self._show_number()
         expected = found.forecast
-        known = self._doc.learned.about(expected.kind)
+        known = self._doc.learned.about(expected.kind, key)
         self.predicts.emit(predicted(expected.after(known), found.guessed))
 
     def _show_number(self) -> None:
@@ -159,6 +160,7 @@ class AccuracyForecast(QObject):
         """A fit starts."""
         if self._doc.running:
             self.background.drop()
+            self._fitted = self._doc.image.key()
             self.noise.hold(True)
             self._told = None
             self.predicts.emit("")
@@ -189,7 +191,7 @@ class AccuracyForecast(QObject):
         found = None if state is None else forecast.experience(run.history, state, run.seconds)
         # A fit that was stopped tells nothing of how many iterations it needs.
         if state is not None and found is not None and state.message:
-            self._doc.learned.learn(forecast.kind, found)
+            self._doc.learned.learn(forecast.kind, found, self._fitted)
 
 
 class TradeoffView(QWidget):
