@@ -8,7 +8,7 @@ from napari_deltamic import Grid
 from napari_deltamic.evidence.tilted_ground import tilted_ground, with_ground
 from napari_deltamic.fitting.job import levelled
 from napari_deltamic.runs.settings import SceneSettings
-from napari_deltamic.scene.effects import Effects
+from napari_deltamic.scene.effects import Background, Effects
 
 SHAPE, SIZE = (24, 36, 40), (0.3, 0.2, 0.2)
 Z, Y, X = np.meshgrid(*(np.linspace(-1, 1, n) for n in SHAPE), indexing="ij")
@@ -59,6 +59,19 @@ def test_missing_voxels_do_not_count():
 
 def test_effects_that_are_told_stay():
     scene = SceneSettings(voxel_size=SIZE, effects=Effects.from_text("illumination"))
+    assert with_ground(scene, counted(40 - 20 * X)) == (scene, "")
+
+
+def test_a_background_that_is_asked_for_begins_as_the_image_shows_it():
+    asked = Effects.from_text("background,illumination")
+    scene = SceneSettings(voxel_size=SIZE, effects=asked)
+    found, told = with_ground(scene, counted(40 - 20 * X))
+    assert found.effects.names == asked.names
+    assert found.effects.background.coefficients[2] == pytest.approx(-20, abs=2.5)
+    assert "the background varies by" in told
+    # With numbers of the user's own it stays, and where the image shows none.
+    own = scene.effects.adding(Background(order=1, coefficients=(1.0, 0.0, 0.0)))
+    scene = scene.model_copy(update={"effects": own})
     assert with_ground(scene, counted(40 - 20 * X)) == (scene, "")
 
 

@@ -46,7 +46,9 @@ def gather(arguments: argparse.Namespace, notes: Notes) -> FitInput:
         notes.add(f"{Path(settings.image).name}: {padded}")
     grid = Grid(image.shape, settings.scene.voxel_size, settings.scene.origin)
     check_image(image, grid)
-    ground = arguments.effects in (None, AUTO) and not arguments.settings
+    # "none" means it; a background that is asked for may begin as the image shows it.
+    wanted = arguments.effects in (None, AUTO) or bool(settings.scene.effects.present())
+    ground = wanted and not arguments.settings
     return fit_of(settings, image, grid, notes, ground=ground)
 
 

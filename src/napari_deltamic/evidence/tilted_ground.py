@@ -74,9 +74,12 @@ _MANY = 4  # blocks for each number: chosen, so that noise is not explained by a
 def with_ground(scene: SceneSettings, image: NDArray[Any]) -> tuple[SceneSettings, str]:
     """A scene with the background that an image shows, and a sentence on it; "" where it is even.
 
-    A scene that says which effects there are stays as it is. image : (Z, Y, X); NaN where missing.
+    A scene that says which effects there are stays as it is, but for a background without numbers.
+    image : (Z, Y, X); NaN where missing.
     """
-    found = None if scene.effects.present() else tilted_ground(image)
+    given = scene.effects.background
+    open_still = not scene.effects.present() if given is None else not any(given.coefficients)
+    found = tilted_ground(image) if open_still else None
     if found is None:
         return scene, ""
     told = (
