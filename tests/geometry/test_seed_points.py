@@ -204,8 +204,7 @@ def test_all_small_labels_are_named_at_once_and_the_rest_go_on() -> None:
         mesh = mesh_from_labels(labels, SIZE, edge_length=0.8)
     assert mesh.region_ids().tolist() == [3]
     assert [str(w.message) for w in caught] == [
-        "2 of 3 labels are left out: label 7 is too small for edges of 0.8 um; "
-        "label 9 is too small for edges of 0.8 um"
+        "2 of 3 labels are left out: label 7 is too small for edges of 0.8 um, likewise 9"
     ]
 
 
