@@ -45,6 +45,11 @@ class CellFacts:
         Share of its surface where the image is not missing.
     counted
         Share of its surface where the image counted: not missing, nor left to other light.
+    fold
+        Where its surface is folded (:func:`~.folds.folds`), um, Z Y X; None where it is not.
+    unseen_wall
+        The neighbour from which the image hardly parts it (:func:`~.unseen_walls.unseen_walls`);
+        None without one.
     point
         Whether it is no more than a point beside the PSF (:func:`~.growth_alarm.shrunken`).
     """
@@ -64,6 +69,8 @@ class CellFacts:
     seen: float = 1.0
     counted: float = 1.0
     point: bool = False
+    fold: tuple[float, float, float] | None = None
+    unseen_wall: int | None = None
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from ..fitting.posed import Posed
 from ..fitting.refits import Alternative
 from ..fitting.responses import Responses
 from ..fitting.state import FitState
-from ..geometry.mesh import OUTSIDE, FloatArray
+from ..geometry.mesh import OUTSIDE, FloatArray, IntArray, Mesh
 from ..geometry.outwards import outwards
 
 NAME = "light of membranes"
@@ -69,6 +69,7 @@ def _with_membranes(posed: Posed, state: FitState, widths: float) -> tuple[FitSt
     width = float(np.prod(state.optics.sigma_um) ** (1 / 3))
     mesh, light, depth = state.mesh, state.light, widths * width
     moved = -depth * outwards(mesh)
+    moved[_of_those_turned_over(mesh, moved)] = 0.0
     inner, outer = (light.of_cells(side) * (side != OUTSIDE) for side in mesh.regions.T)
     insides = (inner + outer) / np.maximum(1, (mesh.regions != OUTSIDE).sum(1))
     density = light.membrane * state.density + light.interior * depth * insides
@@ -83,3 +84,10 @@ def _with_membranes(posed: Posed, state: FitState, widths: float) -> tuple[FitSt
         light=replace(light, membrane=1.0),
     )
     return other, moved
+
+
+def _of_those_turned_over(mesh: Mesh, moved: FloatArray) -> IntArray:
+    """Vertices of cells that are too small to be moved so far in."""
+    after = mesh.with_vertices(mesh.vertices_numpy() + moved).volumes()
+    small = [region for region, volume in after.items() if volume <= 0]
+    return np.unique(mesh.faces[np.isin(mesh.regions, small).any(1)])

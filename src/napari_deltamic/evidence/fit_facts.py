@@ -20,10 +20,12 @@ from ..scene import Grid
 from .compressed_brightness import compressed
 from .facts import CellFacts, Facts
 from .first_sigma import first_sigma
+from .folds import folds
 from .outgrowths import outgrowths
 from .predicted_error import predicted_error
 from .residual import Residual
 from .uneven_insides import uneven_insides
+from .unseen_walls import unseen_walls
 from .verdict import Verdict, judged
 
 
@@ -115,6 +117,7 @@ def _cells(
     counted = seen if job.counted is None else _share(known & job.counted, job, mesh)
     points = shrunken(mesh, min(state.optics.sigma_um))
     grown_out = outgrowths(mesh, job.grid, state.optics)
+    folded, unseen = folds(state), unseen_walls(state)
     return tuple(
         CellFacts(
             region=region,
@@ -132,6 +135,8 @@ def _cells(
             seen=seen.get(region, 1.0),
             counted=counted.get(region, 1.0),
             point=region in points,
+            fold=folded.get(region),
+            unseen_wall=unseen.get(region),
         )
         for region in _areas(mesh)
     )

@@ -281,6 +281,13 @@ def _of_cell(cell: CellFacts, usual: float, facts: Facts) -> CellVerdict:
     if cell.small:
         text = "it is so small that membrane and interior look the same through the PSF"
         found.append(("fair", f"{text}: say which is labelled (--structure)"))
+    if cell.fold is not None:
+        z, y, x = cell.fold
+        text = f"its surface is folded at ({z:.1f}, {y:.1f}, {x:.1f}) um: are these two cells?"
+        found.append(("fair", text))
+    if cell.unseen_wall is not None:
+        text = f"the image hardly shows its wall with cell {cell.unseen_wall}: are they one cell?"
+        found.append(("fair", text))
     if cell.outgrowth is not None:
         z, y, x = cell.outgrowth
         text = f"a thin outgrowth reaches to ({z:.1f}, {y:.1f}, {x:.1f}) um"
