@@ -14,17 +14,18 @@ from napari_deltamic.geometry.labels.meshes import mesh_from_labels
 from napari_deltamic.geometry.labels.voxels import voxel_labels
 from napari_deltamic.geometry.remeshing import can_remesh
 from napari_deltamic.runs.settings import FitSettings
-from napari_deltamic.scene.light import Light
+from napari_deltamic.scene.light import MEMBRANES, Light
 
 pytestmark = pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
 GRID = Grid((34, 34, 46), (0.2, 0.2, 0.2))
 OPTICS = GaussianPSF(0.25)
 MIDDLE = np.array([3.3, 3.3, 4.5])
 ONE = sphere(MIDDLE, 2.2, edge_length=0.3)
-TWO = foam(np.array([MIDDLE - (0, 0, 1.5), MIDDLE + (0, 0, 1.5)]), np.array([2.1, 2.1]), 0.3)
+AWAY = np.array([0.0, 0.0, 1.5])
+TWO = foam(np.array([MIDDLE - AWAY, MIDDLE + AWAY]), np.array([2.1, 2.1]), 0.3)
 
 
-def fitted(mesh, labels, light=Light(1.0, 0.0)):
+def fitted(mesh, labels, light=MEMBRANES):
     shining = []
     if light.membrane:
         shining.append(Surface(mesh, light.membrane))
