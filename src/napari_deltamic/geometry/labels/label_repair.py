@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from napari_deltamic.errors import InputError, listed
+from napari_deltamic.geometry.labels.annotated_slices import filled_between
 from napari_deltamic.geometry.mesh import FloatArray
 from napari_deltamic.geometry.three_numbers import three_numbers
 from napari_deltamic.images.missing import unmasked
@@ -52,7 +53,8 @@ def repair_labels(
 ) -> RepairedLabels:
     """Bring a segmentation into the form that `mesh_from_labels` takes.
 
-    Whole numbers kept as floats become integers, holes are filled, of a label in several parts the
+    Whole numbers kept as floats become integers, empty slices between others that have labels are
+    filled, holes are filled, of a label in several parts the
     largest is kept, voxels that several layers claim go to the cell that they lie deepest in, gaps
     up to a width are shared out. Labels that touch the border are kept and named: their surfaces
     are closed there, where no membrane is.
@@ -79,6 +81,9 @@ def repair_labels(
     numbers = layers[0] if len(layers) == 1 else _together(layers, size, repairs)
     if not numbers.any():
         raise InputError("the label image has no labels above 0")
+    numbers, filled = filled_between(numbers, size)
+    if filled:
+        repairs.append(f"labels were continued through {filled} slices that had none")
     numbers = _in_one_part(numbers, repairs)
     if gap > 0:
         numbers = _closed(numbers, size, gap, repairs)
