@@ -45,7 +45,7 @@ def test_the_user_is_told():
     drawn = WHOLE.copy()
     drawn[12] = 0
     done = repair_labels(drawn, SIZE)
-    assert done.repairs == ("labels were continued through 1 slices that had none",)
+    assert done.repairs == ("1 slice without labels was filled in between others",)
     assert (done.labels != WHOLE).mean() < 0.001
 
 

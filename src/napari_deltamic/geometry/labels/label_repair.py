@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
+from napari_deltamic.common.words import counted
 from napari_deltamic.errors import InputError, listed
 from napari_deltamic.geometry.labels.annotated_slices import filled_between
 from napari_deltamic.geometry.mesh import FloatArray
@@ -83,7 +84,8 @@ def repair_labels(
         raise InputError("the label image has no labels above 0")
     numbers, filled = filled_between(numbers, size)
     if filled:
-        repairs.append(f"labels were continued through {filled} slices that had none")
+        were = "was" if filled == 1 else "were"
+        repairs.append(f"{counted(filled, 'slice')} without labels {were} filled in between others")
     numbers = _in_one_part(numbers, repairs)
     if gap > 0:
         numbers = _closed(numbers, size, gap, repairs)
