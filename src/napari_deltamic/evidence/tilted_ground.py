@@ -77,8 +77,9 @@ def with_ground(scene: SceneSettings, image: NDArray[Any]) -> tuple[SceneSetting
     A scene that says which effects there are stays as it is, but for a background without numbers.
     image : (Z, Y, X); NaN where missing.
     """
-    given = scene.effects.background
-    open_still = not scene.effects.present() if given is None else not any(given.coefficients)
+    present = scene.effects.present()
+    grounds = [effect for effect in present if isinstance(effect, Background)]
+    open_still = not present or any(not any(ground.coefficients) for ground in grounds)
     found = tilted_ground(image) if open_still else None
     if found is None:
         return scene, ""
