@@ -55,3 +55,11 @@ def test_masks_that_touch_share_what_lies_between():
     one[0] = one[2] = other
     found, _ = filled_between(one, SIZE)
     np.testing.assert_array_equal(found[1], other)
+
+
+def test_a_label_may_fill_its_slices():
+    full = np.zeros((5, 8, 8), np.int32)
+    full[[0, 4]] = 3
+    found, filled = filled_between(full, SIZE)
+    assert filled == 3
+    assert (found == 3).all()

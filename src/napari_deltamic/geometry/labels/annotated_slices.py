@@ -42,8 +42,7 @@ def _between(one: Labels, other: Labels, count: int, size: FloatArray) -> Labels
     for name in np.intersect1d(one[one > 0], other[other > 0]).tolist():
         inside = (one == name) | (other == name)
         rows, columns = (np.flatnonzero(inside.any(axis)) for axis in (1, 0))
-        # A margin, so that each outline lies within.
-        box = tuple(slice(max(k[0] - 1, 0), k[-1] + 2) for k in (rows, columns))
+        box = tuple(slice(k[0], k[-1] + 1) for k in (rows, columns))
         start, end = (_depth(side[box] == name, size) for side in (one, other))
         depth = (1 - share) * start + share * end
         part, best = found[(slice(None), *box)], deepest[(slice(None), *box)]
@@ -53,6 +52,7 @@ def _between(one: Labels, other: Labels, count: int, size: FloatArray) -> Labels
 
 
 def _depth(mask: NDArray[np.bool_], size: FloatArray) -> FloatArray:
-    """um within an outline, negative without."""
-    inside, outside = (distance_transform_edt(m, sampling=size) for m in (mask, ~mask))
-    return np.asarray(inside - outside)
+    """um within an outline, negative without; what lies beyond the image is without."""
+    wider = np.pad(mask, 1)
+    inside, outside = (distance_transform_edt(m, sampling=size) for m in (wider, ~wider))
+    return np.asarray(inside - outside)[1:-1, 1:-1]
