@@ -48,8 +48,8 @@ class CellFacts:
     fold
         Where its surface is folded (:func:`~.folds.folds`), um, Z Y X; None where it is not.
     unseen_wall
-        The neighbour from which the image hardly parts it (:func:`~.unseen_walls.unseen_walls`);
-        None without one.
+        A neighbour with which it may be one cell: the image hardly shows the wall between them
+        (:func:`~.unseen_walls.unseen_walls`). None without one.
     point
         Whether it is no more than a point beside the PSF (:func:`~.growth_alarm.shrunken`).
     """

@@ -37,7 +37,7 @@ RULES = FoldRules()
 
 
 def folds(state: FitState) -> dict[int, tuple[float, float, float]]:
-    """Where the largest fold of each cell is, um, Z Y X; cells without one are left out."""
+    """Where the largest fold of each cell is, (z, y, x) in um; cells without one are left out."""
     mesh, edge = state.mesh, state.mesh.median_edge()
     width = float(np.prod(state.optics.sigma_um) ** (1 / 3))
     areas = mesh.areas()

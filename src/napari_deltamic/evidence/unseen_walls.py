@@ -28,21 +28,23 @@ class UnseenWallRules:
         Difference of the insides over what the other surfaces show. Measured where labels were cut
         in two: up to 0.08, 0.64 with chromatin, which the image cannot tell from two nuclei.
     area
-        Widths of the PSF squared, least: a smaller wall is hardly seen in any case (that from which
-        on amounts on walls can be told, docs/measurements.md).
+        Widths of the PSF squared, least: a smaller wall is hardly seen in any case. Three squared,
+        from which on amounts on walls are measured (``benchmarks.channel``).
     """
 
     dim: float = 0.43
     step: float = 0.1
-    area: float = 3.0
+    area: float = 9.0
 
 
 RULES = UnseenWallRules()
 
 
 def unseen_walls(state: FitState) -> dict[int, int]:
-    """The neighbour of each cell from which the image hardly parts it: the one with the largest
-    such wall; cells without any are left out."""
+    """For each cell the neighbour behind its largest wall that the image hardly shows.
+
+    Cells without such a wall are left out, and walls of which all surfaces of both cells consist.
+    """
     mesh, areas = state.mesh, state.mesh.areas()
     width = float(np.prod(state.optics.sigma_um) ** (1 / 3))
     inner, outer = (
