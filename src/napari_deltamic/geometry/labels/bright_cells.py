@@ -2,61 +2,52 @@
 
 What is brighter than a threshold is cut where it is narrow, and each part ends at half of its own
 brightness. Where that leaves clumps, as among crowded cells with hardly a gap, each blob is a cell
-(`crowded_cells`): so it is where evenly bright blobs explain the image better. In an image of
+(`crowded_cells`): so it is where evenly bright blobs explain the image better. What is found may
+be a whole embryo in whose haze the cells lie (`cells_in_haze`). In an image of
 membranes the same finds whole cells, too, or pieces of walls: so what walls enclose comes first
 where most of the light lies there, and a net of walls around dark places holds no bright cells.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 from skimage.filters import threshold_li, threshold_otsu
-from skimage.morphology import h_maxima
-from skimage.segmentation import watershed
 
 from napari_deltamic.errors import InputError
+from napari_deltamic.geometry.labels.bright_things import (
+    THINGS,
+    Smoothed,
+    bright_things,
+    ended,
+    mean_solidity,
+    of_a_size,
+    smoothed,
+    typical_diameter,
+    unexplained,
+)
+from napari_deltamic.geometry.labels.cells_in_haze import cells_in_haze
 from napari_deltamic.geometry.labels.crowded_cells import crowded_cells, without_halves
 from napari_deltamic.geometry.labels.find_cells import (
     SizeFound,
     checked_image,
     find_cells,
     likeliest,
-    solidity,
     suggest_sizes,
 )
-from napari_deltamic.geometry.labels.region_merging import Image, Labels
-from napari_deltamic.geometry.mesh import FloatArray
+from napari_deltamic.geometry.labels.region_merging import Labels
 
 
 @dataclass(frozen=True)
 class BrightRules:
-    """When a bright thing is a cell, and when cells are bright.
+    """When cells are bright.
 
     Attributes
     ----------
-    smoothing
-        Smallest sides of a voxel: of the image, and of distances to the border.
-    large
-        Quantile of the depths of voxels that counts as the radius of large cells. Chosen.
-    narrow
-        Two cells meet where both are this much of the radius of large ones deeper. Chosen, not
-        measured.
-    half
-        Of its own brightness: where a cell ends, by definition of a blurred edge.
-    sizes
-        Diameters of the typical cell between which others lie: those of *Find cells*, and more.
-        Chosen, not measured.
-    core, rim
-        Of the greatest depth: deeper is the core of a cell, less deep its rim. Chosen.
-    hollow
-        Share of the volume that is in things whose rim is brighter than their core from which
-        bright things are cells with walls. Chosen; one of 27 nuclei in a well-known sample is
-        hollow, with 0.06 of the volume. Measured: 0.82 to 1 in images of single membranes.
     enclosed, surely
         Shares of the light at and in cells with walls: up to the first, bright ones come first if
         they are whole; above the second, if those with walls are whole, there are none. Else the
@@ -67,8 +58,6 @@ class BrightRules:
     whole
         Mean solidity from which things count as cells. Measured: 0.33 to 0.58 for pieces of walls
         in real images, 0.44 to 0.55 for noise, 0.72 for red blood cells.
-    reach
-        Sides of a voxel around them that count.
     holes
         What is bright holds cells up to so much of it in dark places that it surrounds within a
         slice, as walls do. Measured: 0 to 0.06 in 19 images of cells that shine from inside,
@@ -82,18 +71,9 @@ class BrightRules:
         as well, 0.99 where cells with hardly a gap had been one, and 2 for pieces.
     """
 
-    smoothing: float = 1.0
-    large: float = 0.99
-    narrow: float = 0.12
-    half: float = 0.5
-    sizes: tuple[float, float] = (0.4, 2.5)
-    core: float = 0.6
-    rim: float = 0.3
-    hollow: float = 0.5
     enclosed: float = 0.4
     surely: float = 0.75
     whole: float = 0.65
-    reach: float = 2.0
     holes: float = 0.12
     explained: float = 0.95
 
@@ -147,130 +127,77 @@ def cells_of(
         walled, refused = find_cells(image, voxel_size, asked), None
     except InputError as error:
         walled, refused = None, error
-    bright = _instead(walled, _smoothed(data, known, voxel), size)
+    seen = smoothed(data, known, voxel)
+    bright = _instead(walled, seen, size)
     if bright is not None:
         whole = _without_holes(bright)
-        return CellsFound(whole, _typical(whole, voxel), True)
+        return CellsFound(whole, typical_diameter(whole, voxel), True)
     if walled is None:
         assert refused is not None, "what was not found was refused"
         raise refused
     return CellsFound(walled, asked, False, tuple(tried[1:]))
 
 
-@dataclass(frozen=True, eq=False)
-class _Smoothed:
-    """An image, its gaps filled; smoothed; and where it is known: the rest counts for nothing."""
-
-    data: Image
-    smooth: Image
-    known: NDArray[np.bool_]
-    voxel: FloatArray
-
-    def above(self, threshold: Callable[[Image], float]) -> NDArray[np.bool_]:
-        """What is brighter than a threshold of what is known."""
-        found: NDArray[np.bool_] = (self.smooth > threshold(self.smooth[self.known])) & self.known
-        return found
-
-
-def _smoothed(data: Image, known: NDArray[np.bool_], voxel: FloatArray) -> _Smoothed:
-    smooth = ndimage.gaussian_filter(data, RULES.smoothing * voxel.min() / voxel, mode="nearest")
-    return _Smoothed(data, smooth, known, voxel)
-
-
 def _instead(
-    walled: NDArray[np.int32] | None, seen: _Smoothed, size: float | None
+    walled: NDArray[np.int32] | None, seen: Smoothed, size: float | None
 ) -> NDArray[np.int32] | None:
     """Bright cells where they are likelier than those that walls enclose, if any do; else None."""
     share = 0.0 if walled is None else _light_at(seen, walled)
-    solid = 0.0 if walled is None else _mean_solidity(walled)
+    solid = 0.0 if walled is None else mean_solidity(walled)
     surely = share >= RULES.surely and solid > RULES.whole
-    if surely or _holes(seen.above(threshold_li)) > RULES.holes:
+    if (surely and size is None) or _holes(seen.above(threshold_li)) > RULES.holes:
         return None
-    bright, hollow = _bright_things(seen, size, threshold_li)
-    if walled is None and (bright is None or hollow):
+    # Of an embryo that shines all over, a size may leave nothing but the gaps between its nuclei.
+    bright = None if surely else _by_threshold(seen, size, share, solid)
+    large = bright if size is None else bright_things(seen, None, threshold_li)[0]
+    within = cells_in_haze(seen, large, size)
+    better = within is not None and (bright is not None or mean_solidity(within) > solid)
+    return within if better else bright
+
+
+def _by_threshold(
+    seen: Smoothed, size: float | None, share: float, solid: float
+) -> NDArray[np.int32] | None:
+    """What is bright, where that is likelier a cell than what walls enclose.
+
+    share, solid : of the light, what is at cells with walls; their mean solidity, 0 if none are.
+    """
+    bright, hollow = bright_things(seen, size, threshold_li)
+    if not solid and (bright is None or hollow):
         # In the halo of a bead, or of a few bright nuclei, that threshold holds the halo.
-        brighter, ring = _bright_things(seen, size, threshold_otsu)
+        brighter, ring = bright_things(seen, size, threshold_otsu)
         if brighter is not None and not ring:
             bright, hollow = brighter, False
     if bright is None:
         return None
-    first = share < RULES.enclosed and _mean_solidity(bright) > RULES.whole
-    if not first and (hollow or walled is None):
+    first = share < RULES.enclosed and mean_solidity(bright) > RULES.whole
+    if not first and (hollow or not solid):
         return None  # pieces of walls, or of noise
     if not hollow:
         bright = _without_clumps(bright, seen, size)
-    return bright if first or _mean_solidity(bright) > solid else None
-
-
-def _bright_things(
-    seen: _Smoothed, size: float | None, threshold: Callable[[Image], float]
-) -> tuple[NDArray[np.int32] | None, bool]:
-    """Labels of what is brighter than a threshold, if anything is; and whether any is hollow."""
-    voxel = seen.voxel
-    things = ndimage.binary_fill_holes(ndimage.binary_opening(seen.above(threshold)))
-    if not things.any():
-        return None, False
-    depth = ndimage.distance_transform_edt(things, voxel)  # a cell may go on beyond the border
-    depth = ndimage.gaussian_filter(depth, RULES.smoothing * voxel.min() / voxel)
-    large = float(np.quantile(depth[things], RULES.large)) if size is None else size / 2
-    peaks, _ = ndimage.label(h_maxima(depth, RULES.narrow * large))
-    parts = watershed(-depth, peaks, mask=things)
-    hollow = _hollow(seen.smooth, parts, depth) > RULES.hollow
-    return _of_a_size(_ended(seen, parts, depth), voxel, size), hollow
-
-
-def _of_a_size(parts: Labels, voxel: FloatArray, size: float | None) -> NDArray[np.int32] | None:
-    """Those about as large as the typical one, from 1; None where there are none."""
-    diameters = _diameters(parts, voxel)
-    typical = size or _typical(parts, voxel)
-    low, high = (times * typical for times in RULES.sizes)
-    kept = np.flatnonzero((diameters > low) & (diameters < high))
-    if not len(kept):
-        return None
-    numbers = np.zeros(len(diameters), np.int32)
-    numbers[kept] = np.arange(1, len(kept) + 1)
-    return numbers[parts]
+    return bright if first or mean_solidity(bright) > solid else None
 
 
 def _without_clumps(
-    found: NDArray[np.int32], seen: _Smoothed, size: float | None
+    found: NDArray[np.int32], seen: Smoothed, size: float | None
 ) -> NDArray[np.int32]:
     """Those found, or, if they are clumps, the smaller ones that explain the image better."""
     smaller = _smaller_cells(seen, size)
     if smaller is None:
         return found
-    left = _unexplained(seen, smaller) / max(_unexplained(seen, found), 1e-30)
-    if left < 1 and _mean_solidity(smaller) > _mean_solidity(found):
+    left = unexplained(seen, smaller) / max(unexplained(seen, found), 1e-30)
+    if left < 1 and mean_solidity(smaller) > mean_solidity(found):
         return smaller
     return smaller if left < RULES.explained else found
 
 
-def _smaller_cells(seen: _Smoothed, size: float | None) -> NDArray[np.int32] | None:
+def _smaller_cells(seen: Smoothed, size: float | None) -> NDArray[np.int32] | None:
     """Each blob, up to half of its own brightness; None where there are none."""
     blobs = np.where(seen.known, crowded_cells(seen.data, seen.voxel, size), 0)
     if not blobs.any():
         return None
     depth = ndimage.distance_transform_edt(blobs > 0, seen.voxel)
-    return _of_a_size(without_halves(_ended(seen, blobs, depth)), seen.voxel, size)
-
-
-def _unexplained(seen: _Smoothed, labels: Labels) -> float:
-    """Variance that is left of an image by cells that are evenly bright, each in its own way."""
-    smooth, names = seen.smooth[seen.known], labels[seen.known]
-    count = int(labels.max()) + 1
-    means = np.bincount(names, smooth, count) / np.maximum(np.bincount(names, None, count), 1)
-    light = np.append(0.0, means[1:] - means[0]).astype(np.float32)[labels]
-    sigma = RULES.smoothing * seen.voxel.min() / seen.voxel
-    light = ndimage.gaussian_filter(light, sigma, mode="nearest")
-    rise = np.cov(light[seen.known], smooth)
-    return float(rise[1, 1] - rise[0, 1] ** 2 / max(float(rise[0, 0]), 1e-30))
-
-
-def _mean_solidity(labels: Labels) -> float:
-    """By volume."""
-    boxes = enumerate(ndimage.find_objects(labels), 1)
-    each = [0.0 if box is None else solidity(labels[box] == k) for k, box in boxes]
-    return float(np.average(each, weights=np.bincount(labels.ravel())[1:]))
+    return of_a_size(without_halves(ended(seen, blobs, depth)), seen.voxel, size)
 
 
 def _holes(things: NDArray[np.bool_]) -> float:
@@ -278,25 +205,6 @@ def _holes(things: NDArray[np.bool_]) -> float:
     things = ndimage.binary_opening(things)
     inside = sum(int((ndimage.binary_fill_holes(plane) & ~plane).sum()) for plane in things)
     return inside / max(int(things.sum()), 1)
-
-
-def _ended(seen: _Smoothed, parts: Labels, depth: FloatArray) -> Labels:
-    """Each part up to half of its own brightness, without crumbs of that beside it."""
-    smooth, around = seen.smooth, seen.known & (parts == 0)
-    dark = float(np.median(smooth[around])) if around.any() else float(smooth.min())
-    ends = np.full(int(parts.max()) + 1, np.inf)
-    for k, box in enumerate(ndimage.find_objects(parts), 1):
-        if box is not None:
-            own = parts[box] == k
-            core = own & (depth[box] >= RULES.core * depth[box][own].max())
-            ends[k] = dark + RULES.half * (float(np.median(smooth[box][core])) - dark)
-    ended = np.where((parts > 0) & (smooth > ends[parts]), parts, 0)
-    for k, box in enumerate(ndimage.find_objects(ended), 1):
-        if box is not None:
-            pieces, _ = ndimage.label(ended[box] == k)
-            largest = int(np.bincount(pieces[pieces > 0]).argmax())
-            ended[box][(pieces > 0) & (pieces != largest)] = 0
-    return ended
 
 
 def _without_holes(labels: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -309,38 +217,9 @@ def _without_holes(labels: NDArray[np.int32]) -> NDArray[np.int32]:
     return whole
 
 
-def _hollow(smooth: Image, parts: Labels, depth: FloatArray) -> float:
-    """Of the volume of the parts: how much is in those whose rim is brighter than their core."""
-    told = hollow = 0
-    for k, box in enumerate(ndimage.find_objects(parts), 1):
-        own = parts[box] == k
-        deepest = depth[box][own].max()
-        core = own & (depth[box] > RULES.core * deepest)
-        rim = own & (depth[box] < RULES.rim * deepest)
-        if core.any() and rim.any():
-            volume = int(own.sum())
-            told += volume
-            hollow += volume * bool(smooth[box][rim].mean() > smooth[box][core].mean())
-    return hollow / max(told, 1)
-
-
-def _light_at(seen: _Smoothed, labels: Labels) -> float:
+def _light_at(seen: Smoothed, labels: Labels) -> float:
     """Share of the light that lies in cells or near them."""
     light = np.maximum(seen.smooth - threshold_li(seen.smooth[seen.known]), 0) * seen.known
-    reach = RULES.reach * seen.voxel.min()
+    reach = THINGS.reach * seen.voxel.min()
     near = ndimage.distance_transform_edt(labels == 0, seen.voxel) <= reach
     return float((light * near).sum()) / max(float(light.sum()), 1e-30)
-
-
-def _diameters(labels: Labels, voxel: FloatArray) -> FloatArray:
-    """um, of the balls as large as each label; 0 of the background."""
-    volumes = np.bincount(labels.ravel()) * float(np.prod(voxel))
-    volumes[0] = 0
-    found: FloatArray = np.cbrt(6 / np.pi * volumes)
-    return found
-
-
-def _typical(labels: Labels, voxel: FloatArray) -> float:
-    """um: mean diameter, of voxels rather than of labels, so that crumbs do not count."""
-    each = _diameters(labels, voxel)
-    return float((each**4).sum() / max((each**3).sum(), 1e-30))

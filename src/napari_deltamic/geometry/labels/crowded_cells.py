@@ -133,15 +133,31 @@ def _spacing(light: Image, voxel: FloatArray) -> float | None:
     Then they are the sides of walls, or noise. Not the blobs are asked: of a crowd, the whole
     answers more the larger the scale.
     """
-    smallest = CROWD.smallest * float(voxel.min())
-    size, best = smallest, (-1.0, 0.0)
-    while size < CROWD.largest * float((np.array(light.shape) * voxel).max()):
+    largest = CROWD.largest * float((np.array(light.shape) * voxel).max())
+    answers = blob_answers(-light, voxel, largest)
+    place = int(np.argmax([answer for _, answer in answers])) if answers else 0
+    return answers[place][0] if place else None
+
+
+def blob_answers(
+    light: Image, voxel: FloatArray, largest: float, depth: Image | None = None
+) -> list[tuple[float, float]]:
+    """Diameters of balls, um, and how much the blobs of an image answer to each.
+
+    depth : (Z, Y, X) um; only what is deeper than a diameter counts. None: all does.
+    """
+    size, answers = CROWD.smallest * float(voxel.min()), list[tuple[float, float]]()
+    while size < largest:
         step = np.maximum(np.floor(size / (CROWD.smallest * voxel)), 1).astype(int)
         step = np.minimum(step, light.shape)
-        gaps = np.maximum(-_blobs(coarsened_image(light, step), voxel * step, size, 1.0), 0)
-        best = max(best, (float((gaps**3).mean()), size))
+        blobs = np.maximum(_blobs(coarsened_image(light, step), voxel * step, size, 1.0), 0)
+        if depth is not None:
+            blobs = blobs[coarsened_image(depth, step) > size]
+        if not blobs.size:
+            break
+        answers.append((size, float((blobs**3).mean())))
         size *= CROWD.step
-    return best[1] if best[1] > smallest else None
+    return answers
 
 
 def _blobs(light: Image, voxel: FloatArray, size: float, times: float) -> Image:
