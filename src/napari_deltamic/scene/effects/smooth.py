@@ -24,16 +24,15 @@ def _polynomial(
     coefficients: tuple[float, ...], orders: list[tuple[int, ...]], along: list[Tensor]
 ) -> Tensor:
     """Sum of products of Legendre polynomials, which stay apart from each other over the image."""
-    # Term by term along the first axis, so that only the sum is as large as the image.
-    total = torch.zeros([len(t.reshape(-1)) if t.numel() else 0 for t in along]).to(torch.float64)
+    most = max(max(order) for order in orders)
+    total = torch.zeros([most + 1] * len(along), dtype=torch.float64)
     for coefficient, order in zip(coefficients, orders, strict=True):
-        if coefficient:
-            term = torch.ones((), dtype=torch.float64)
-            for n, t in zip(order, along, strict=True):
-                values = legendre.legval(t.numpy(), [0.0] * n + [1.0])
-                term = term * torch.as_tensor(values)
-            total = total + coefficient * term
-    return total
+        total[order] = coefficient
+    # Axis by axis, the first one last: only the sum is as large as the image.
+    for axis in reversed(range(len(along))):
+        values = torch.as_tensor(legendre.legvander(along[axis].reshape(-1).numpy(), most))
+        total = torch.tensordot(values, total, ([1], [axis])).movedim(0, axis)
+    return total.reshape(torch.broadcast_shapes(*(t.shape for t in along)))
 
 
 class _Polynomial(Effect):
