@@ -12,6 +12,8 @@ from ..geometry.mesh import FloatArray
 from ..optics import ConfocalPSF, GaussianPSF, Optics
 from ..scene.columns import Now, effect_columns
 from ..scene.effects import Effect, Effects, OffsetEffect
+from .level import Voxels
+from .likelihood import total
 
 # Standard deviation of the prior on a parameter of the PSF, as a share of how far it may go: 0.5 of
 # a log width, of which starts wrong by a factor of two are found (benchmarks/speed).
@@ -85,6 +87,21 @@ class Imaging:
             own = effect_columns(now, getattr(now.effects, effect.name))
             found += [self._unit(effect) * column for column in own]
         return found
+
+    def effect_sums(self, now: Now, voxels: Voxels, factors: Tensor) -> FloatArray:
+        """(E,) factors (N,) times each of these columns, summed over the voxels."""
+        grid, frame = now.level.grid, now.level.frame
+        found = list[float]()
+        for effect in self.fitted:
+            own, unit = getattr(now.effects, effect.name), self._unit(effect)
+            if isinstance(own, OffsetEffect):
+                image = voxels.image(factors, grid.shape).cpu()
+                sums = own.summed(image, grid, frame).tolist()
+            else:
+                columns = effect_columns(now, own)
+                sums = [float(total(column.to(factors) * factors)) for column in columns]
+            found += [unit * value for value in sums]
+        return np.array(found)
 
     def _counted(self, effect: Effect) -> FloatArray:
         found: FloatArray = effect.parameters().numpy() / self._unit(effect)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from math import ceil, sqrt
+from math import ceil, prod, sqrt
 from typing import Any
 
 import numpy as np
@@ -47,6 +47,10 @@ class Voxels:
         """Their values in an image (Z, Y, X)."""
         # Unlike indexing, whose gradient sorts, since an index might come twice.
         return image.to(self.index.device).reshape(-1).index_select(0, self.index)
+
+    def image(self, values: Tensor, shape: tuple[int, ...]) -> Tensor:
+        """(Z, Y, X) their values (N,), and 0 elsewhere."""
+        return values.new_zeros(prod(shape)).index_copy(0, self.index, values).reshape(shape)
 
 
 @dataclass(frozen=True)

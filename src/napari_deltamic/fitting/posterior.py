@@ -189,9 +189,7 @@ class Posterior(Prediction):
                 view.voxels,
                 found.amplitude,
             )
-            columns = self._imaging.effect_columns(now)
-            dots = [float(total(c.to(pull) * pull)) for c in columns]
-        return np.array(dots) / view.variance
+            return self._imaging.effect_sums(now, view.voxels, pull) / view.variance
 
     def _with_priors(
         self, nats: float, by_image: Variables, at: Variables

@@ -108,9 +108,7 @@ def _difference(now: Now, up: Effect, down: Effect, effect: Effect) -> Tensor:
     """What the measured image changes by, from one value of an effect to another."""
     grid, frame, voxels = now.level.grid, now.level.frame, now.voxels
     if isinstance(effect, OffsetEffect):
-        assert isinstance(up, OffsetEffect)
-        assert isinstance(down, OffsetEffect)
-        change = up.offset(grid, frame) - down.offset(grid, frame)
+        change = effect.with_parameters(up.parameters() - down.parameters()).offset(grid, frame)
         return voxels.of(change.expand(grid.shape)).to(now.image.dtype)
     if isinstance(effect, GainEffect):
         assert isinstance(up, GainEffect)

@@ -221,12 +221,19 @@ class GainEffect(Effect):
 
 
 class OffsetEffect(Effect):
-    """Adds to the image, in the image's unit: a fit takes it from the measured image once."""
+    """Adds to the image, in the image's unit: a fit takes it from the measured image once.
+
+    What it adds is linear in its numbers.
+    """
 
     where: ClassVar[Where] = "image"
 
     def offset(self, grid: Grid, frame: Grid) -> Tensor:
         """What is added to the image, broadcastable to the shape of the grid."""
+        raise NotImplementedError
+
+    def summed(self, image: Tensor, grid: Grid, frame: Grid) -> Tensor:
+        """(P,) an image (Z, Y, X) times what each number adds for 1, summed over the voxels."""
         raise NotImplementedError
 
 

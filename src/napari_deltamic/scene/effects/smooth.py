@@ -5,8 +5,10 @@ from __future__ import annotations
 from itertools import product
 from typing import Annotated, Any, ClassVar, Self
 
+import numpy as np
 import torch
 from numpy.polynomial import legendre
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from torch import Tensor
 
@@ -30,9 +32,15 @@ def _polynomial(
         total[order] = coefficient
     # Axis by axis, the first one last: only the sum is as large as the image.
     for axis in reversed(range(len(along))):
-        values = torch.as_tensor(legendre.legvander(along[axis].reshape(-1).numpy(), most))
+        values = torch.as_tensor(_legendre(along[axis], most))
         total = torch.tensordot(values, total, ([1], [axis])).movedim(0, axis)
     return total.reshape(torch.broadcast_shapes(*(t.shape for t in along)))
+
+
+def _legendre(at: Tensor, most: int) -> NDArray[np.float64]:
+    """(N, most + 1) Legendre polynomials along an axis."""
+    found: NDArray[np.float64] = legendre.legvander(at.reshape(-1).numpy(), most)
+    return found
 
 
 class _Polynomial(Effect):
@@ -96,6 +104,15 @@ class Background(_Polynomial, OffsetEffect):
     def offset(self, grid: Grid, frame: Grid) -> Tensor:
         """The polynomial; -1 and 1 are its arguments at both ends of the image."""
         return self._values(grid, frame)
+
+    def summed(self, image: Tensor, grid: Grid, frame: Grid) -> Tensor:
+        """See ``OffsetEffect``."""
+        sums = image.to(torch.float64).numpy()
+        for axis in (2, 1, 0):
+            values = _legendre(relative(grid, frame, axis), self.order)
+            # einsum adds in one order for any number of threads.
+            sums = np.einsum("...n,nk->k...", sums, values)
+        return torch.tensor([sums[order] for order in self._orders()])
 
 
 class Illumination(_Polynomial, GainEffect):
