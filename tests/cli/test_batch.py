@@ -328,7 +328,8 @@ def test_seeds_are_no_images(tmp_path):
             ("a", "a_labels.tif"),
             ("b", "b_labels.tif"),
         ]
-    assert {job.seeds for job in batch_jobs(tmp_path, "auto")} == {"auto"}
+    for word in ("auto", "auto:12.5"):
+        assert {job.seeds for job in batch_jobs(tmp_path, word)} == {word}
     (tmp_path / "a.npy").write_text("")
     with pytest.raises(InputError, match="two images are named"):
         batch_jobs(tmp_path)

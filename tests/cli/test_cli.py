@@ -49,6 +49,19 @@ def test_fit_writes_everything(data, tmp_path, run):
     assert Path(settings.image).is_absolute()
 
 
+def test_cells_of_a_size_are_looked_for(data, tmp_path, run, fails):
+    given = ("fit", data / "cell.tif", *SHORT, "-o", tmp_path / "out")
+    code, _, err = run(*given, "--seeds", "auto:2.5")
+    assert code == 0, err
+    assert RunSettings.from_toml(tmp_path / "out" / "run.toml").seeds == "auto:2.5"
+    again = (*given, "--overwrite", "--seeds")
+    assert "'wide' is no size of cells" in fails(*again, "auto:wide")
+    assert "must be positive (um), not -1" in fails(*again, "auto:-1")
+    np.save(tmp_path / "flat.npy", np.random.default_rng(0).poisson(9, SHAPE).astype(np.float32))
+    nothing = ("fit", tmp_path / "flat.npy", *VOXELS, "-o", tmp_path / "out2")
+    assert "(auto:12 looks for cells of about 12 um)" in fails(*nothing, "--seeds", "auto")
+
+
 def test_run_toml_runs_again_identically(data, tmp_path, run):
     options = ("--fit-psf", "--accuracy", "1e-2", "--likelihood", "gaussian", "--effects")
     first = run(

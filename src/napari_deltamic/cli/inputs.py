@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.choices import AUTO
+from ..common.choices import AUTO, is_auto
 from ..common.description import described
 from ..errors import InputError
 from ..evidence.put_together import put_together, start_of
@@ -71,7 +71,7 @@ def fit_of(
 
 
 def load_seeds(path: str, image: NDArray[Any], grid: Grid) -> tuple[Mesh, SeedKind]:
-    """Starting surfaces from a file or "auto", and how near to the membranes they lie.
+    """Starting surfaces, from a file or found, and how near to the membranes they lie.
 
     Raises
     ------
@@ -82,7 +82,9 @@ def load_seeds(path: str, image: NDArray[Any], grid: Grid) -> tuple[Mesh, SeedKi
     try:
         return start_of(seeds, image, grid)
     except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+        how = f" ({AUTO}:12 looks for cells of about 12 um)"
+        asked = is_auto(path) and "another size" in str(error)
+        raise InputError(f"{path}: {error}{how if asked else ''}") from None
 
 
 def run_values(
@@ -96,7 +98,7 @@ def run_values(
         given = getattr(arguments, name)
         if given is not None:
             # Absolute, so that run.toml can be used from any folder.
-            values[name] = given if given == AUTO else str(Path(given).absolute())
+            values[name] = given if is_auto(given) else str(Path(given).absolute())
     values |= values_given(arguments, RunSettings, ("channel",))
     values["fit"] |= values_given(arguments, FitSettings)
     values["scene"] |= values_given(arguments, SceneSettings, ("voxel_size", "sigma"))

@@ -57,3 +57,8 @@ def is_image(path: str | PathLike[str]) -> bool:
 
 
 AUTO = "auto"  # in the place of a file of seeds: cells are looked for in the image
+
+
+def is_auto(seeds: str) -> bool:
+    """Whether cells are looked for: "auto", or "auto:12" for those of about 12 um."""
+    return seeds == AUTO or seeds.startswith(f"{AUTO}:")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from ..common.choices import AUTO, IMAGE_FILES, ZARR, is_image
+from ..common.choices import AUTO, IMAGE_FILES, ZARR, is_auto, is_image
 from ..common.reading import read_text, toml_values
 from ..common.toml import toml_value
 from ..common.writing import write_atomically
@@ -212,9 +212,9 @@ def _job(image: Path, seeds: str | None, folder: Path) -> BatchJob:
 
 
 def _seeds(pattern: str | None, image: Path, folder: Path) -> str | None:
-    """The seeds of an image: a word such as ``auto``, or a file of the folder."""
-    if pattern is None:
-        return None
+    """The seeds of an image: ``auto``, or a file of the folder."""
+    if pattern is None or is_auto(pattern):
+        return pattern
     named = pattern.replace(STEM, _stem(image))
     return str((folder / named).absolute()) if Path(named).suffix else named
 

@@ -12,7 +12,7 @@ from typing import Any, Literal, Protocol, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.choices import AUTO, IMAGE_FILES
+from ..common.choices import AUTO, IMAGE_FILES, is_auto
 from ..common.writing import write_atomically
 from ..errors import InputError
 from ..geometry import (
@@ -211,16 +211,26 @@ class FoundSeeds:
         return cells_of(image, grid.voxel_size, self.size).labels
 
 
+def _size_in(path: str) -> float | None:
+    """um, of "auto:12"; None of "auto"."""
+    told = path[len(AUTO) + 1 :]
+    try:
+        return float(told) if path != AUTO else None
+    except ValueError:
+        raise InputError(f"{path}: {told!r} is no size of cells, um: {AUTO}:12, say") from None
+
+
 def seeds_of(path: str) -> Seeds:
-    """Seeds from a file, by its extension: mesh, label image, or points; or "auto".
+    """Seeds from a file, by its extension: mesh, label image, or points; or "auto", or
+    "auto:12" for cells of about 12 um.
 
     Raises
     ------
     InputError
         If the extension is unknown, or the file cannot be read.
     """
-    if path == AUTO:
-        return FoundSeeds()
+    if is_auto(path):
+        return FoundSeeds(_size_in(path), path)
     kind = Path(path).suffix.lower()
     if kind in MESH_FILES:
         return MeshSeeds(load_mesh(path), path)

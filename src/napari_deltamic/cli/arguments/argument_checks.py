@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 from ...common.accuracy_bounds import check_accuracy
-from ...common.choices import AUTO
+from ...common.choices import is_auto
 from ...errors import InputError
 from ...runs.fit_settings import validated
 from ...runs.scene_settings import RunFields
@@ -18,7 +18,7 @@ def check_files(arguments: argparse.Namespace, *names: str) -> None:
     """InputError unless the files that these arguments name are there."""
     for name in names:
         path = getattr(arguments, name)
-        asked = path is not None and not (name == "seeds" and path == AUTO)
+        asked = path is not None and not (name == "seeds" and is_auto(path))
         if asked and not Path(path).exists():
             raise InputError(f"{path}: there is no such file")
 

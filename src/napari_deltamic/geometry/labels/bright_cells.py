@@ -37,6 +37,7 @@ from napari_deltamic.geometry.labels.find_cells import (
     checked_image,
     find_cells,
     likeliest,
+    positive_size,
     suggest_sizes,
 )
 from napari_deltamic.geometry.labels.region_merging import Labels
@@ -120,6 +121,7 @@ def cells_of(
         As :func:`~.find_cells.find_cells`.
     """
     data, known, voxel = checked_image(image, voxel_size)
+    size = None if size is None else positive_size(size)
     tried = suggest_sizes(image, voxel_size) if size is None else []
     asked = size or likeliest(tried, data.shape, voxel)
     walled: NDArray[np.int32] | None

@@ -379,13 +379,19 @@ def checked_image(image: ArrayLike, voxel_size: Sequence[float]) -> tuple[Image,
     return data, known, voxel
 
 
-def _checked_size(size: float, shape: tuple[int, ...], voxel: FloatArray) -> float:
+def positive_size(size: float) -> float:
+    """um. InputError where it is no positive number."""
     try:
         diameter = float(size)
     except (TypeError, ValueError):
         raise InputError(f"the size of a cell must be a number (um), not {size!r}") from None
     if not (np.isfinite(diameter) and diameter > 0):
         raise InputError(f"the size of a cell must be positive (um), not {diameter:g}")
+    return diameter
+
+
+def _checked_size(size: float, shape: tuple[int, ...], voxel: FloatArray) -> float:
+    diameter = positive_size(size)
     longest = float((np.array(shape) * voxel).max())
     if diameter > longest:
         raise InputError(
