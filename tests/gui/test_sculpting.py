@@ -135,9 +135,10 @@ def test_pinned_vertices_stay(begun, with_image, spin):
     assert len(marks.data) == 0
 
     def moved():
-        now = vertices(begun)  # which may have been remeshed meanwhile
-        return len(now) != len(pinned) or not np.array_equal(now[pinned], held)
+        shown = vertices(begun)  # which may have been remeshed meanwhile
+        return len(shown) != len(pinned) or not np.array_equal(shown[pinned], now)
 
+    begun.footer.pause_button.click()
     spin(moved)
 
 
