@@ -2,10 +2,10 @@
 
 What is brighter than a threshold is cut where it is narrow, and each part ends at half of its own
 brightness. Where that leaves clumps, as among crowded cells with hardly a gap, each blob is a cell
-(`crowded_cells`): so it is where evenly bright blobs explain the image better. What is found may
-be a whole embryo in whose haze the cells lie (`cells_in_haze`). In an image of
-membranes the same finds whole cells, too, or pieces of walls: so what walls enclose comes first
-where most of the light lies there, and a net of walls around dark places holds no bright cells.
+(`crowded_cells`): so it is where evenly bright blobs explain the image better. What is found may be
+a whole embryo, in whose light the cells lie (`cells_in_haze`). In an image of membranes the same
+finds whole cells, too, or pieces of walls: so what walls enclose comes first where most of the
+light lies there, and a net of walls around dark places holds no bright cells.
 """
 
 from __future__ import annotations

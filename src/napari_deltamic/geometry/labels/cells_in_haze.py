@@ -1,9 +1,9 @@
 """Bright cells in the light of what holds them: the nuclei of an embryo that shines all over.
 
-A threshold finds the whole embryo, or nothing. What is darker than it for a while, and wider than a
-cell, is subtracted: the morphological opening of the image (S. R. Sternberg, Computer 16, 1983).
-What is left is taken for cells only if it is round, explains most of the differences in brightness
-within the embryo, and is many: chromatin in a nucleus is not round, and grains are few or small.
+A threshold finds the whole embryo, or nothing. So light that is wider than a cell is subtracted
+first: the morphological opening of the image (S. R. Sternberg, Computer 16, 1983). The bright
+things that are left are cells only if they are round, many, and explain most of the differences in
+brightness within the embryo: chromatin in a nucleus is not round, and grains are few or small.
 """
 
 from __future__ import annotations
