@@ -18,6 +18,10 @@ class InputError(ValueError):
     """
 
 
+class NoCellsFound(InputError):
+    """No cell is found in an image: another size, or seeds, may help."""
+
+
 class RepairWarning(UserWarning):
     """Input was usable only after a repair; the message says what was changed."""
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..common.choices import AUTO, is_auto
 from ..common.description import described
-from ..errors import InputError
+from ..errors import InputError, NoCellsFound
 from ..evidence.put_together import put_together, start_of
 from ..fitting.checks import check_image
 from ..fitting.job import FitInput
@@ -81,10 +81,11 @@ def load_seeds(path: str, image: NDArray[Any], grid: Grid) -> tuple[Mesh, SeedKi
     seeds = seeds_of(path)
     try:
         return start_of(seeds, image, grid)
+    except NoCellsFound as error:
+        how = f"{AUTO}:12 looks for cells of about 12 um"
+        raise InputError(f"{path}: {error} ({how})") from None
     except InputError as error:
-        how = f" ({AUTO}:12 looks for cells of about 12 um)"
-        asked = is_auto(path) and "another size" in str(error)
-        raise InputError(f"{path}: {error}{how if asked else ''}") from None
+        raise InputError(f"{path}: {error}") from None
 
 
 def run_values(

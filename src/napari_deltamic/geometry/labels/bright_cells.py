@@ -20,7 +20,6 @@ from skimage.filters import threshold_li, threshold_otsu
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.labels.bright_things import (
-    THINGS,
     Smoothed,
     bright_things,
     ended,
@@ -59,6 +58,8 @@ class BrightRules:
     whole
         Mean solidity from which things count as cells. Measured: 0.33 to 0.58 for pieces of walls
         in real images, 0.44 to 0.55 for noise, 0.72 for red blood cells.
+    reach
+        Sides of a voxel around cells with walls that count as theirs.
     holes
         What is bright holds cells up to so much of it in dark places that it surrounds within a
         slice, as walls do. Measured: 0 to 0.06 in 19 images of cells that shine from inside,
@@ -75,6 +76,7 @@ class BrightRules:
     enclosed: float = 0.4
     surely: float = 0.75
     whole: float = 0.65
+    reach: float = 2.0
     holes: float = 0.12
     explained: float = 0.95
 
@@ -222,6 +224,6 @@ def _without_holes(labels: NDArray[np.int32]) -> NDArray[np.int32]:
 def _light_at(seen: Smoothed, labels: Labels) -> float:
     """Share of the light that lies in cells or near them."""
     light = np.maximum(seen.smooth - threshold_li(seen.smooth[seen.known]), 0) * seen.known
-    reach = THINGS.reach * seen.voxel.min()
+    reach = RULES.reach * seen.voxel.min()
     near = ndimage.distance_transform_edt(labels == 0, seen.voxel) <= reach
     return float((light * near).sum()) / max(float(light.sum()), 1e-30)

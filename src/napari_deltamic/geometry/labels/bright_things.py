@@ -40,8 +40,6 @@ class ThingRules:
         Share of the volume that is in things whose rim is brighter than their core from which
         bright things are cells with walls. Chosen; one of 27 nuclei in a well-known sample is
         hollow, with 0.06 of the volume. Measured: 0.82 to 1 in images of single membranes.
-    reach
-        Sides of a voxel around them that count.
     """
 
     smoothing: float = 1.0
@@ -52,7 +50,6 @@ class ThingRules:
     core: float = 0.6
     rim: float = 0.3
     hollow: float = 0.5
-    reach: float = 2.0
 
 
 THINGS = ThingRules()
@@ -82,7 +79,10 @@ def smoothed(data: Image, known: NDArray[np.bool_], voxel: FloatArray) -> Smooth
 def bright_things(
     seen: Smoothed, size: float | None, threshold: Callable[[Image], float]
 ) -> tuple[NDArray[np.int32] | None, bool]:
-    """Labels of what is brighter than a threshold, if anything is; and whether any is hollow."""
+    """(Z, Y, X) labels of what is brighter than a threshold; and whether most of it is hollow.
+
+    size : um; the diameter of a usual cell. None: that of the things. No labels where none is left.
+    """
     voxel = seen.voxel
     things = ndimage.binary_fill_holes(ndimage.binary_opening(seen.above(threshold)))
     if not things.any():
@@ -97,7 +97,10 @@ def bright_things(
 
 
 def of_a_size(parts: Labels, voxel: FloatArray, size: float | None) -> NDArray[np.int32] | None:
-    """Those about as large as the typical one, from 1; None where there are none."""
+    """Labels (Z, Y, X) about as large as the typical one, from 1; None where there are none.
+
+    size : um; the typical diameter. None: that of the labels.
+    """
     diameters = _diameters(parts, voxel)
     typical = size or typical_diameter(parts, voxel)
     low, high = (times * typical for times in THINGS.sizes)
@@ -122,14 +125,17 @@ def unexplained(seen: Smoothed, labels: Labels) -> float:
 
 
 def mean_solidity(labels: Labels) -> float:
-    """By volume."""
+    """Of labels (Z, Y, X): their volumes over those of their convex hulls, averaged by volume."""
     boxes = enumerate(ndimage.find_objects(labels), 1)
     each = [0.0 if box is None else solidity(labels[box] == k) for k, box in boxes]
     return float(np.average(each, weights=np.bincount(labels.ravel())[1:]))
 
 
 def ended(seen: Smoothed, parts: Labels, depth: FloatArray) -> Labels:
-    """Each part up to half of its own brightness, without crumbs of that beside it."""
+    """Each part up to half of its own brightness, without crumbs of that beside it.
+
+    parts : (Z, Y, X) labels. depth : (Z, Y, X) um, below the surface of what they are parts of.
+    """
     smooth, around = seen.smooth, seen.known & (parts == 0)
     dark = float(np.median(smooth[around])) if around.any() else float(smooth.min())
     ends = np.full(int(parts.max()) + 1, np.inf)

@@ -19,7 +19,7 @@ from scipy.spatial import ConvexHull
 from skimage.morphology import local_minima
 from skimage.segmentation import watershed
 
-from napari_deltamic.errors import InputError
+from napari_deltamic.errors import InputError, NoCellsFound
 from napari_deltamic.geometry.labels.basins import border_area, noise_after, noise_gain
 from napari_deltamic.geometry.labels.cell_rules import FINDING
 from napari_deltamic.geometry.labels.clear_rims import clear_rims, noise_magnitudes
@@ -61,7 +61,7 @@ def find_cells(
     labels, diameters, enclosed = _find(seen, diameter, FINDING.finest)
     labels = _without_gaps(labels, enclosed, diameters**3)
     if not labels.any():
-        raise InputError(
+        raise NoCellsFound(
             f"no cells of about {diameter:g} um were found: try another size, or start from points "
             "or labels"
         )
