@@ -19,7 +19,8 @@ from napari_deltamic.fitting.light_cone import (
     widefield_of,
 )
 from napari_deltamic.fitting.rival_structures import gone_on
-from napari_deltamic.fitting.successor import BACK, IMPLAUSIBLE, successor
+from napari_deltamic.fitting.successor import BACK, IMPLAUSIBLE, is_given_up, successor
+from napari_deltamic.fitting.topology_trials import TopologyTrials
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure.surface_distance import distance_to_surface
 from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
@@ -198,8 +199,17 @@ def always_tried(monkeypatch):
     return asked
 
 
-def test_a_fit_goes_back_where_the_psf_of_an_objective_explains_less(always_tried):
+def test_a_fit_goes_back_where_the_psf_of_an_objective_explains_less(always_tried, monkeypatch):
+    contacts_tried, tried = [], TopologyTrials.tried
+
+    def noted(self, fitted, *given):
+        contacts_tried.append(type(fitted.optics))
+        return tried(self, fitted, *given)
+
+    monkeypatch.setattr(TopologyTrials, "tried", noted)
     states = list(begun(GAUSSIAN))
+    # It goes back as soon as it rests.
+    assert set(contacts_tried) == {nd.GaussianPSF}
     told = [ANEW in state.message for state in states].index(True)
     back = [BACK in state.message for state in states].index(True)
     kinds = [type(state.optics) for state in states]
@@ -210,6 +220,35 @@ def test_a_fit_goes_back_where_the_psf_of_an_objective_explains_less(always_trie
     assert len(always_tried) == 1
     assert not states[-1].cone
     assert off(states[-1]) < 1.1 * off(states[told])
+
+
+def resting(optics, left=1.0, edited=False, answered=False):
+    """A run at rest that leaves so much on its own voxels and on those of another."""
+    posed = SimpleNamespace(left_by=lambda image: (1.0, 0.0))
+    objective = SimpleNamespace(left=left, posed=posed, now=SimpleNamespace(rendered=None))
+    return SimpleNamespace(
+        stage=SimpleNamespace(edited=edited, progress=SimpleNamespace(answered=answered)),
+        fitted=SimpleNamespace(optics=optics),
+        objective=objective,
+        posed_here=lambda: objective,
+    )
+
+
+@pytest.mark.parametrize(
+    ("run", "given_up"),
+    [
+        (resting(OBJECTIVE, left=1.5), True),
+        (resting(OBJECTIVE, left=1.05), False),  # what is tried at rest may still win
+        (resting(OBJECTIVE, left=0.7), False),
+        (resting(nd.ConfocalPSF(OBJECTIVE, 0.3), left=0.7), True),  # that of no microscope
+        (resting(OBJECTIVE, left=1.5, edited=True), False),
+        (resting(OBJECTIVE, left=1.5, answered=True), False),
+    ],
+)
+def test_a_psf_that_explains_much_less_is_given_up_at_rest(run, given_up):
+    former = resting(GAUSSIAN)
+    assert is_given_up(run, former) == given_up
+    assert not is_given_up(run, None)
 
 
 @pytest.mark.parametrize(("excitation", "possible"), [(0.3, False), (0.55, True), (1.0, False)])

@@ -27,7 +27,7 @@ from .schedule import Progress, Schedule
 from .stage import Stage
 from .state import FitState
 from .state_of import state_of
-from .successor import successor
+from .successor import is_given_up, successor
 from .topology_trials import TopologyTrials
 from .triangle_quality import Remeshing
 
@@ -300,6 +300,8 @@ class Run:
         if not (progress.settled or late) and progress.stuck <= 1:
             self._due = True  # its variance is still that of a surface further off
             return False
+        if is_given_up(self, self._former):
+            return True
         if self._other_structure():
             self._due = True
             return False

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from typing import Protocol, Self, TypeVar
 
+import numpy as np
+
 from ..optics import GaussianPSF, Optics, ScalarPSF
 from .checkpoint import Checkpoint, former_in, objective_in
 from .fit_objective import Objective, Terms
@@ -18,6 +20,10 @@ from .stage import Stage
 
 BACK = "the new PSF explains less: the fit goes back to the Gaussian PSF"
 IMPLAUSIBLE = "the new PSF is not that of a microscope: the fit goes back to the Gaussian PSF"
+
+# Times what the former fit leaves: what is tried at rest does not make up for so much. Chosen;
+# measured on 6 scenes and 3 real stacks, it moved by at most 1.3 % from the first rest on.
+_BEHIND = 1.05
 
 
 class Ending(Protocol):
@@ -94,19 +100,34 @@ def _through(run: Run, optics: ThroughObjective) -> Run:
     return following
 
 
-def _back(run: Run, former: Run) -> Run | None:
-    """The fit before, where its end explains more, or this one's PSF cannot be; None else.
+def is_given_up(run: Run, former: Run | None) -> bool:
+    """Whether a run goes back to the former one as soon as it rests, with nothing else tried.
 
-    Each is held against the other over the voxels that count for it: over its own alone, each may
-    be the better one. Measured on nuclei of a cleared brain, 4 voxels wide: an objective's PSF left
-    0.69 times as much as the Gaussian over its own voxels, 1.69 times as much over the others.
+    Asked once for each surface. Measured on 277 nuclei of an embryo: a light cone that was given up
+    in the end had rested at two thirds of its iterations and two fifths of its time.
     """
-    before = former.posed_here()
-    now = run.objective
+    if former is None or run.stage.edited or run.stage.progress.answered:
+        return False
+    return not is_of_light(run.fitted.optics) or _left_over(run, former) > _BEHIND
+
+
+def _left_over(run: Run, former: Run) -> float:
+    """What one leaves over what the other does, as a mean over the voxels of each.
+
+    Over its own voxels alone, each may be the better one. Measured on nuclei of a cleared brain, 4
+    voxels wide: an objective's PSF left 0.69 times as much as the Gaussian over its own voxels,
+    1.69 times as much over the others.
+    """
+    before, now = former.posed_here(), run.objective
     here = now.left / now.posed.left_by(before.now.rendered)[0]
     there = before.posed.left_by(now.now.rendered)[0] / before.left
+    return float(np.sqrt(here * there))
+
+
+def _back(run: Run, former: Run) -> Run | None:
+    """The fit before, where its end explains more, or this one's PSF cannot be; None else."""
     plausible = is_of_light(run.fitted.optics)
-    if plausible and here * there <= 1:
+    if plausible and _left_over(run, former) <= 1:
         return None
     run.say(BACK if plausible else IMPLAUSIBLE)
     former.come_back(run.stage)
