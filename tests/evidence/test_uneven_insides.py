@@ -7,12 +7,12 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from napari_deltamic import FitState, GaussianPSF, Grid
-from napari_deltamic.evidence.uneven_insides import uneven_insides
+from napari_deltamic.evidence.uneven_insides import inside_shares, uneven_insides
 from napari_deltamic.evidence.verdict import RULES
 from napari_deltamic.fitting.job import FitInput
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import RunSettings, SceneSettings
-from napari_deltamic.scene.light import INSIDES, MEMBRANES
+from napari_deltamic.scene.light import INSIDES, MEMBRANES, Light
 from napari_deltamic.scene.render import expected_image
 
 GRID, OPTICS = Grid((30, 30, 30), (0.2,) * 3), GaussianPSF((0.26,) * 3)
@@ -58,3 +58,23 @@ def test_missing_voxels_are_passed_over():
 
 def test_membranes_have_no_inside_to_judge():
     assert uneven_insides(*case(0.4, MEMBRANES)) == {}
+
+
+@pytest.mark.parametrize(
+    ("light", "share"),
+    [
+        (INSIDES, 1.0),
+        (MEMBRANES, 0.0),
+        (Light(1.0, 0.5), 0.25),
+        (Light(1.0, -0.5), 0.25),  # the medium is the brighter one
+        (Light(1.0, 0.25, ((1, 2.0),)), 0.25),
+    ],
+)
+def test_the_share_of_an_inside_is_read_off_its_image(light, share):
+    """Where a membrane shines as well, it is brightest at the surface, by definition."""
+    _, state, _ = case(0.0)
+    found = inside_shares(replace(state, light=light))
+    peak = 1 / (np.sqrt(2 * np.pi) * 0.26)  # of a flat membrane, for 1 per um^2
+    inside = abs(light.interior) * float(light.of_cells([1])[0])
+    assert found == {1: pytest.approx(inside / (inside + peak * light.membrane))}
+    assert found[1] == pytest.approx(share, abs=0.01)

@@ -73,6 +73,7 @@ def test_what_concerns_all(change, grade, word):
         ({"medium": 0.97}, "good", "good"),
         ({"compact": 0.4}, "fair", "crumpled"),
         ({"uneven": 0.2}, "fair", "its interior brightness varies by 20%"),
+        ({"uneven": 0.8, "inside_share": 0.08}, "good", "good"),  # its membrane tells the border
         ({"seen": 0.7}, "fair", "the image is missing at 30% of its surface"),
         ({"seen": 0.2}, "poor", "the image is missing at 80% of its surface"),
         ({"seen": 0.92}, "good", "good"),

@@ -36,6 +36,8 @@ class CellFacts:
     uneven
         Standard deviation of the relative brightness deep inside
         (:func:`~.uneven_insides.uneven_insides`).
+    inside_share
+        Brightness of its inside over that and the peak of its membrane; 1 without a membrane.
     lit
         Share of its surface that shines; 1 where only insides do.
     medium
@@ -64,6 +66,7 @@ class CellFacts:
     small: bool = False
     outgrowth: tuple[float, float, float] | None = None
     uneven: float = 0.0
+    inside_share: float = 1.0
     lit: float = 1.0
     medium: float = 1.0
     seen: float = 1.0

@@ -24,7 +24,7 @@ from .folds import folds
 from .outgrowths import outgrowths
 from .predicted_error import predicted_error
 from .residual import Residual
-from .uneven_insides import uneven_insides
+from .uneven_insides import inside_shares, uneven_insides
 from .unseen_walls import unseen_walls
 from .verdict import Verdict, judged
 
@@ -116,6 +116,7 @@ def _cells(
     seen = _share(known, job, mesh)
     counted = seen if job.counted is None else _share(known & job.counted, job, mesh)
     points = shrunken(mesh, min(state.optics.sigma_um))
+    share = inside_shares(state)
     grown_out = outgrowths(mesh, job.grid, state.optics)
     folded, unseen = folds(state), unseen_walls(state)
     return tuple(
@@ -130,6 +131,7 @@ def _cells(
             small=unsure and hardly_wider(volumes[region], job.optics),
             outgrowth=grown_out.get(region),
             uneven=uneven.get(region, 0.0),
+            inside_share=share[region],
             lit=lit.get(region, 1.0),
             medium=medium.get(region, 1.0),
             seen=seen.get(region, 1.0),

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from ..fitting.amplitudes import inside_over_membrane
 from ..fitting.evening import RULES, unevenness
 from ..fitting.job import FitInput
 from ..fitting.level import differences
@@ -17,6 +18,14 @@ from ..scene.light import INSIDES
 from ..scene.render import expected_image
 
 _ACCURACY = 1e-2  # of images that are only compared where they are brightest
+
+
+def inside_shares(state: FitState) -> dict[int, float]:
+    """Of each cell, the brightness of its inside over that and the peak of its membrane's image."""
+    over = inside_over_membrane(state.light, state.optics.sigma_um)
+    regions = state.mesh.region_ids()
+    each = over * np.abs(state.light.of_cells(regions))
+    return {int(k): float(r / (1 + r)) for k, r in zip(regions, each, strict=True)}
 
 
 def uneven_insides(job: FitInput, state: FitState, rendered: np.ndarray) -> dict[int, float]:
