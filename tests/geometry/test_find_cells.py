@@ -7,6 +7,7 @@ from scipy import ndimage
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import find_cells, mesh_from_labels, suggest_size
 from napari_deltamic.geometry.labels.basins import border_area
+from napari_deltamic.geometry.labels.find_cells import walled_cells
 
 VOXEL = np.array([0.4, 0.25, 0.25])
 SHAPE = (26, 44, 60)
@@ -213,3 +214,13 @@ def test_a_slanted_border_has_the_area_of_a_plane():
     inner = np.s_[15:45, :, 10:50]
     planes = 2 * (30 * 0.5) * (40 * 0.2) * np.hypot(1, 0.6 * 0.2 / 0.5)
     assert (area * known)[inner].sum() == pytest.approx(planes, rel=0.03)
+
+
+def test_cells_that_a_slanted_border_cuts_are_found():
+    tissues = pytest.importorskip("benchmarks.defaults.tissues")
+    scene = tissues.deskewed(tissues.tissue(16, ""))
+    found = walled_cells(scene.image, scene.voxel_size, 1.7)
+    assert tissues.matched(found.labels, scene.all_labels) > 0.75
+    assert 0.6 > tissues.matched(found.sure, scene.all_labels) > 0.3  # those that are whole
+    assert set(np.unique(found.sure)) < set(np.unique(found.labels))
+    assert len(found.surely) == found.labels.max()

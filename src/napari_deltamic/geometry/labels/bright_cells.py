@@ -30,14 +30,14 @@ from napari_deltamic.geometry.labels.bright_things import (
     unexplained,
 )
 from napari_deltamic.geometry.labels.cells_in_haze import cells_in_haze
+from napari_deltamic.geometry.labels.checked_image import checked_image, positive_size
 from napari_deltamic.geometry.labels.crowded_cells import crowded_cells, without_halves
 from napari_deltamic.geometry.labels.find_cells import (
     SizeFound,
-    checked_image,
-    find_cells,
+    WalledCells,
     likeliest,
-    positive_size,
     suggest_sizes,
+    walled_cells,
 )
 from napari_deltamic.geometry.labels.region_merging import Labels
 
@@ -126,20 +126,20 @@ def cells_of(
     size = None if size is None else positive_size(size)
     tried = suggest_sizes(image, voxel_size) if size is None else []
     asked = size or likeliest(tried, data.shape, voxel)
-    walled: NDArray[np.int32] | None
+    walled: WalledCells | None
     try:
-        walled, refused = find_cells(image, voxel_size, asked), None
+        walled, refused = walled_cells(image, voxel_size, asked), None
     except InputError as error:
         walled, refused = None, error
     seen = smoothed(data, known, voxel)
-    bright = _instead(walled, seen, size)
+    bright = _instead(None if walled is None else walled.sure, seen, size)
     if bright is not None:
         whole = _without_holes(bright)
         return CellsFound(whole, typical_diameter(whole, voxel), True)
     if walled is None:
         assert refused is not None, "what was not found was refused"
         raise refused
-    return CellsFound(walled, asked, False, tuple(tried[1:]))
+    return CellsFound(walled.labels, asked, False, tuple(tried[1:]))
 
 
 def _instead(

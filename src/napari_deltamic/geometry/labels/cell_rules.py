@@ -69,6 +69,14 @@ class FindingRules:
         light. On 20 tissues that nothing was chosen on, these rules find 95 % of the cells with
         their true size, and 57 % are found without them; a fifth less or more of a number gives 93
         to 96 %, but of ``clear`` 96 and 73 %.
+    likely_per_border, likely_border, likely_gap
+        Where others are cells for sure, what the border of the image cuts is one with less: for all
+        of a ball's area on the border, so much more than ``clear``; the second as
+        ``clear_border``, the third as ``gap``. Measured on 20 tissues and 20 crowds of balls, cut
+        in six ways, of cells that are there by more than half. Of tissues 81.5 % are found, and 4
+        gaps beside 1,600 cells; without these rules 70.8 %, and 4; with 0.4 as the first two 79 %,
+        with 0.75 or 0.9 as the third 82 or 79 %. Of balls 92.3 %, as without, and 211 gaps in
+        place of 202.
     sizes
         Smallest and largest diameter that is kept, in parts of the size asked for: what is less or
         more is a piece, or several, so that a rough size is enough.
@@ -120,6 +128,9 @@ class FindingRules:
     clear_border: float = 0.4
     rim_mean: float = 5.0
     rim_contrast: float = 0.35
+    likely_per_border: float = 0.3
+    likely_border: float = 0.5
+    likely_gap: float = 0.82
     sizes: tuple[float, float] = (0.4, 2.0)
     border: float = 0.7
     gap: float = 0.62

@@ -23,7 +23,7 @@ from napari_deltamic.geometry.labels.bright_things import (
     unexplained,
 )
 from napari_deltamic.geometry.labels.crowded_cells import blob_answers
-from napari_deltamic.geometry.labels.find_cells import solidity
+from napari_deltamic.geometry.labels.solidity import solidity
 
 
 @dataclass(frozen=True)

@@ -15,21 +15,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
-from scipy.spatial import ConvexHull
 from skimage.morphology import local_minima
 from skimage.segmentation import watershed
 
-from napari_deltamic.errors import InputError, NoCellsFound
+from napari_deltamic.errors import NoCellsFound
 from napari_deltamic.geometry.labels.basins import border_area, noise_after, noise_gain
 from napari_deltamic.geometry.labels.cell_rules import FINDING
+from napari_deltamic.geometry.labels.checked_image import (
+    Mask,
+    checked_image,
+    checked_size,
+    mean_side,
+)
 from napari_deltamic.geometry.labels.clear_rims import clear_rims, noise_magnitudes
 from napari_deltamic.geometry.labels.region_merging import Image, Labels, Regions, join_regions
+from napari_deltamic.geometry.labels.solidity import solidity
 from napari_deltamic.geometry.mesh import FloatArray
-from napari_deltamic.geometry.three_numbers import three_numbers
-from napari_deltamic.images.missing import filled, unmasked
-
-Mask = NDArray[np.bool_]
-_GAP = np.ones((3, 3, 3), bool)  # chosen: narrower ones are bridged
 
 
 def find_cells(
@@ -55,17 +56,71 @@ def find_cells(
         Not 3D, not numbers, the same everywhere, a size that is not positive, is larger than the
         image or too small for its voxels, or no cell found.
     """
+    return walled_cells(image, voxel_size, size).labels
+
+
+@dataclass(frozen=True, eq=False)
+class WalledCells:
+    """What walls enclose.
+
+    Attributes
+    ----------
+    labels : (Z, Y, X) int32: 1 to n; 0 is background.
+    surely : (n,) whether walls all around tell the cell; else the border of the image cuts so much
+        of it that it is only taken for one where others are.
+    """
+
+    labels: NDArray[np.int32]
+    surely: NDArray[np.bool_]
+
+    @property
+    def sure(self) -> NDArray[np.int32]:
+        """The labels without the cells that are not sure."""
+        numbers = np.append(0, np.where(self.surely, np.arange(1, len(self.surely) + 1), 0))
+        return numbers.astype(np.int32)[self.labels]
+
+
+def walled_cells(image: ArrayLike, voxel_size: Sequence[float], size: float) -> WalledCells:
+    """What `find_cells` finds, and which of it is sure.
+
+    Raises
+    ------
+    InputError
+        As `find_cells`.
+    """
     data, known, voxel = checked_image(image, voxel_size)
-    diameter = _checked_size(size, data.shape, voxel)
+    diameter = checked_size(size, data.shape, voxel)
     seen = _Seen(data, known, noise_magnitudes(data, known), voxel)
-    labels, diameters, enclosed = _find(seen, diameter, FINDING.finest)
-    labels = _without_gaps(labels, enclosed, diameters**3)
-    if not labels.any():
+    found = _without_gaps(*_find(seen, diameter, FINDING.finest))
+    if not found.surely.any():
         raise NoCellsFound(
             f"no cells of about {diameter:g} um were found: try another size, or start from points "
             "or labels"
         )
-    return labels
+    return found
+
+
+@dataclass(frozen=True)
+class _Regions:
+    """Regions that may be cells.
+
+    Attributes
+    ----------
+    names : (N,) in the labels they come from.
+    diameter : (N,) um, of a ball of the same volume.
+    enclosed : (N,) share of its surface within the image that is on a wall.
+    surely : (N,) see `WalledCells`.
+    """
+
+    names: NDArray[np.int64]
+    diameter: FloatArray
+    enclosed: FloatArray
+    surely: Mask
+
+    def of(self, chosen: list[int] | Mask) -> _Regions:
+        """Only these."""
+        names, diameter = self.names[chosen], self.diameter[chosen]
+        return _Regions(names, diameter, self.enclosed[chosen], self.surely[chosen])
 
 
 @dataclass(frozen=True)
@@ -149,13 +204,15 @@ def suggest_sizes(image: ArrayLike, voxel_size: Sequence[float]) -> list[SizeFou
     step = np.clip(step, 1, data.shape)
     seen = _Seen(data, known, noise_magnitudes(data, known), voxel).coarsened(step)
     size, tried = FINDING.first_tried * float(extent.max()), list[SizeFound]()
-    while size >= FINDING.smallest_tried * _mean_side(seen.voxel):
-        _, found, enclosed = _find(seen, size, 0.0)
-        if len(found):
-            typical = float(np.median(found))
+    while size >= FINDING.smallest_tried * mean_side(seen.voxel):
+        _, found = _find(seen, size, 0.0)
+        found = found.of(found.surely)
+        if len(found.names):
+            typical = float(np.median(found.diameter))
             # Pieces of cells and of the outside are less enclosed than cells.
-            score = float((enclosed**4 * found**3).sum()) * np.exp(-2 * np.log(typical / size) ** 2)
-            tried.append(SizeFound(typical, len(found), score))
+            enclosed = float((found.enclosed**4 * found.diameter**3).sum())
+            score = enclosed * np.exp(-2 * np.log(typical / size) ** 2)
+            tried.append(SizeFound(typical, len(found.names), score))
         size /= FINDING.step
     kept: list[SizeFound] = []
     for one in sorted(tried, key=lambda one: -one.score):
@@ -164,8 +221,8 @@ def suggest_sizes(image: ArrayLike, voxel_size: Sequence[float]) -> list[SizeFou
     return kept
 
 
-def _find(seen: _Seen, size: float, finest: float) -> tuple[Labels, FloatArray, FloatArray]:
-    """Labels of the cells; of each its diameter (um), and how enclosed it is."""
+def _find(seen: _Seen, size: float, finest: float) -> tuple[Labels, _Regions]:
+    """Labels of the cells, and what they are."""
     step = np.maximum(np.floor(finest * size / seen.voxel), 1).astype(int)
     step = np.minimum(step, seen.data.shape)
     coarse = seen.coarsened(step)
@@ -176,10 +233,9 @@ def _find(seen: _Seen, size: float, finest: float) -> tuple[Labels, FloatArray, 
     ball = np.pi / 6 * size**3
     pieces = watershed(walls, seeds, mask=coarse.known).astype(np.int32)
     regions = join_regions(pieces, walls, side, ball)
-    names, quality = _cells(regions, coarse, size)
-    labels, kept = _trimmed(regions.labels, names, side, size)
-    diameters = np.cbrt(6 / np.pi * regions.volume[names[kept]])
-    return _refined(labels, step, seen, size), diameters, quality[kept]
+    cells = _cells(regions, coarse, size)
+    labels, kept = _trimmed(regions.labels, cells.names, side, size)
+    return _refined(labels, step, seen, size), cells.of(kept)
 
 
 def _wall_sigma(side: FloatArray, size: float) -> FloatArray:
@@ -209,11 +265,8 @@ def compressed_walls(
     return walls
 
 
-def _cells(regions: Regions, seen: _Seen, size: float) -> tuple[NDArray[np.int64], FloatArray]:
-    """The regions that are cells, and how enclosed each is.
-
-    Enclosed, of about the size, and not mostly on the border.
-    """
+def _cells(regions: Regions, seen: _Seen, size: float) -> _Regions:
+    """The regions that are cells: enclosed, of about the size, not mostly on the border."""
     n, side = len(regions.volume), seen.voxel
     flat = regions.labels.ravel()
     border = np.bincount(flat, border_area(regions.labels.shape, side, seen.known).ravel(), n)
@@ -224,21 +277,23 @@ def _cells(regions: Regions, seen: _Seen, size: float) -> tuple[NDArray[np.int64
     good &= share <= FINDING.border
     bright = regions.enclosed >= _least(share, FINDING.enclosed, FINDING.enclosed_at_border)
     bright &= regions.height >= FINDING.height
-    quality = np.where(bright, regions.enclosed, 0)
+    quality, surely = np.where(bright, regions.enclosed, 0), bright
     if seen.noise is not None:
         sigma = _wall_sigma(side, size)
         smooth = ndimage.gaussian_filter(seen.data, sigma, mode="nearest")
         reach = FINDING.noise_reach * size / side
         noise = ndimage.gaussian_filter(seen.noise, reach, mode="nearest") * noise_gain(sigma)
         clear, height = clear_rims(regions.labels, n, smooth, noise, side)
-        dim = clear >= _least(share, FINDING.clear, FINDING.clear_at_border)
-        dim &= share <= FINDING.clear_border
-        dim &= (height >= FINDING.rim_mean) & (regions.height >= FINDING.rim_contrast)
-        quality = np.maximum(quality, np.where(dim, clear, 0))
+        high = (height >= FINDING.rim_mean) & (regions.height >= FINDING.rim_contrast)
+        likely = high & (share <= FINDING.likely_border)
+        likely &= clear >= FINDING.clear + FINDING.likely_per_border * share
+        surely = bright | (high & (share <= FINDING.clear_border))
+        surely &= bright | (clear >= _least(share, FINDING.clear, FINDING.clear_at_border))
+        quality = np.maximum(quality, np.where(likely | surely, clear, 0))
     good &= quality > 0
     good[0] = False  # what is missing
     names = np.flatnonzero(good)
-    return names, quality[names]
+    return _Regions(names, diameter[names], quality[names], surely[names])
 
 
 def _least(at_border: FloatArray, within: float, most: float) -> FloatArray:
@@ -273,34 +328,22 @@ def _trimmed(
     return result, whose
 
 
-def _without_gaps(labels: Labels, enclosed: FloatArray, volume: FloatArray) -> Labels:
+def _without_gaps(labels: Labels, found: _Regions) -> WalledCells:
     """Only the cells, from 1: gaps between them are less enclosed, and concave.
 
     They are as dark inside as cells are, and what encloses them are the walls of cells.
     """
-    if not len(enclosed):
-        return labels
+    if not len(found.names):
+        return WalledCells(labels, found.surely)
+    volume = found.diameter**3
     boxes = enumerate(ndimage.find_objects(labels), 1)
     solid = np.array([0.0 if box is None else solidity(labels[box] == k) for k, box in boxes])
-    shares = [x / _upper_quartile(x, volume) for x in (enclosed, solid)]
-    cells = np.flatnonzero((shares[0] * shares[1] >= FINDING.gap) | (shares[0] >= FINDING.closed))
-    numbers = np.zeros(len(enclosed) + 1, labels.dtype)
+    closed, solid = (x / _upper_quartile(x, volume) for x in (found.enclosed, solid))
+    whole = (closed * solid >= FINDING.gap) | (closed >= FINDING.closed)
+    cells = np.flatnonzero(np.where(found.surely, whole, closed * solid >= FINDING.likely_gap))
+    numbers = np.zeros(len(solid) + 1, labels.dtype)
     numbers[cells + 1] = np.arange(1, len(cells) + 1)
-    found: Labels = numbers[labels]
-    return found
-
-
-def solidity(region: Mask) -> float:
-    """Volume over that of the convex hull, from the middles of the faces of voxels."""
-    sides = np.vstack([-np.eye(3), np.eye(3)]) / 2
-    # Corners of the hull are the first or the last voxels of lines along any axis.
-    along = np.moveaxis(region, int(np.argmax(region.shape)), 0)
-    lines = np.argwhere(along.any(0))
-    inside = along[:, lines[:, 0], lines[:, 1]]
-    ends = inside.argmax(0), len(inside) - 1 - inside[::-1].argmax(0)
-    outer = np.vstack([np.column_stack([end, lines]) for end in ends])
-    hull = ConvexHull((outer[:, None] + sides).reshape(-1, 3))
-    return float(region.sum() / hull.volume)
+    return WalledCells(numbers[labels], found.surely[cells])
 
 
 def _upper_quartile(values: FloatArray, volume: FloatArray) -> float:
@@ -342,65 +385,3 @@ def coarsened_image(data: Image, step: NDArray[np.int_]) -> Image:
             sums = np.add.reduceat(data, starts, axis=axis)
             data = (sums / count.reshape(shape)).astype(np.float32)
     return data
-
-
-def _mean_side(voxel: FloatArray) -> float:
-    return float(np.cbrt(np.prod(voxel)))
-
-
-# Checks ---------------------------------------------------------------------------------------
-
-
-def checked_image(image: ArrayLike, voxel_size: Sequence[float]) -> tuple[Image, Mask, FloatArray]:
-    """The image, its gaps filled, where it is known, and the voxel size.
-
-    Gaps of a voxel or a slice count as known: a cell goes on beyond them.
-    """
-    array = np.asarray(unmasked(image))
-    if array.ndim != 3 or not array.size:
-        raise InputError(f"a 3D image is needed to find cells, not one of shape {array.shape}")
-    if (
-        array.dtype == np.bool_
-        or not np.issubdtype(array.dtype, np.number)
-        or np.iscomplexobj(array)
-    ):
-        raise InputError(f"an image of real numbers is needed to find cells, not {array.dtype}")
-    voxel = three_numbers(voxel_size, "voxel size")
-    missing = ~np.isfinite(array)
-    if missing.all():
-        raise InputError("the image has no value anywhere")
-    known = ~ndimage.binary_opening(missing, _GAP) if missing.any() else ~missing
-    array = filled(array, tuple(voxel))  # flooding needs every voxel
-    low, high = float(array.min()), float(array.max())
-    if low == high:
-        raise InputError("the image has the same value everywhere")
-    # Single precision would lose a faint image on a high pedestal.
-    data = ((array - array.dtype.type(low)) / (high - low)).astype(np.float32)
-    return data, known, voxel
-
-
-def positive_size(size: float) -> float:
-    """um. InputError where it is no positive number."""
-    try:
-        diameter = float(size)
-    except (TypeError, ValueError):
-        raise InputError(f"the size of a cell must be a number (um), not {size!r}") from None
-    if not (np.isfinite(diameter) and diameter > 0):
-        raise InputError(f"the size of a cell must be positive (um), not {diameter:g}")
-    return diameter
-
-
-def _checked_size(size: float, shape: tuple[int, ...], voxel: FloatArray) -> float:
-    diameter = positive_size(size)
-    longest = float((np.array(shape) * voxel).max())
-    if diameter > longest:
-        raise InputError(
-            f"a cell of {diameter:g} um is larger than the image, whose longest side is"
-            f" {longest:g} um"
-        )
-    least = FINDING.least_voxels * _mean_side(voxel)
-    if diameter < least:
-        raise InputError(
-            f"a cell of {diameter:g} um is too small for these voxels: at least {least:.3g} um"
-        )
-    return diameter

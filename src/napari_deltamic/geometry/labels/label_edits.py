@@ -22,7 +22,8 @@ from skimage.segmentation import watershed
 from napari_deltamic.common.reading import one_reason, read_text, reading
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.labels.cell_rules import CLICKS
-from napari_deltamic.geometry.labels.find_cells import checked_image, compressed_walls
+from napari_deltamic.geometry.labels.checked_image import checked_image
+from napari_deltamic.geometry.labels.find_cells import compressed_walls
 from napari_deltamic.geometry.labels.region_merging import Image, Labels
 from napari_deltamic.geometry.mesh import FloatArray
 

@@ -1,0 +1,20 @@
+"""How solid a region is."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+
+def solidity(region: NDArray[np.bool_]) -> float:
+    """Volume over that of the convex hull, from the middles of the faces of voxels."""
+    sides = np.vstack([-np.eye(3), np.eye(3)]) / 2
+    # Corners of the hull are the first or the last voxels of lines along any axis.
+    along = np.moveaxis(region, int(np.argmax(region.shape)), 0)
+    lines = np.argwhere(along.any(0))
+    inside = along[:, lines[:, 0], lines[:, 1]]
+    ends = inside.argmax(0), len(inside) - 1 - inside[::-1].argmax(0)
+    outer = np.vstack([np.column_stack([end, lines]) for end in ends])
+    hull = ConvexHull((outer[:, None] + sides).reshape(-1, 3))
+    return float(region.sum() / hull.volume)
