@@ -54,6 +54,12 @@ def test_round_trip(tmp_path, name, kind):
     assert [p.name for p in tmp_path.iterdir()] == [name]
 
 
+def test_what_cellpose_keeps_for_itself_is_refused_with_a_way_out(tmp_path):
+    np.save(tmp_path / "a_seg.npy", {"masks": np.zeros((3, 4, 5), np.uint16)})
+    with pytest.raises(InputError, match=r"a_seg.npy: it holds Python objects.*save the masks as"):
+        read_image(tmp_path / "a_seg.npy")
+
+
 def test_npy(tmp_path):
     write_image(tmp_path / "a.npy", STACK, SIZE)
     image, voxel_size = read_image(tmp_path / "a.npy")
@@ -186,7 +192,7 @@ BAD = {
     "no voxels": (lambda p: npy(p, np.zeros((0, 4, 5))), r"empty: its shape is \(0, 4, 5\)"),
     "complex": (lambda p: npy(p, STACK * 1j), "complex"),
     "words": (lambda p: npy(p, np.full((2, 2, 2), "a")), "real numbers"),
-    "objects": (lambda p: npy(p, np.full((2, 2, 2), None)), "not a readable image"),
+    "objects": (lambda p: npy(p, np.full((2, 2, 2), None)), "it holds Python objects"),
 }
 
 

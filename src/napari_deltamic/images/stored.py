@@ -102,8 +102,15 @@ def naming(path: str | os.PathLike[str]) -> Iterator[None]:
 
 def _open_npy(path: Path) -> Stored:
     with quiet():
-        # Mapped: that checks the size before memory is asked for.
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
+        try:
+            # Mapped: that checks the size before memory is asked for.
+            array = np.load(path, mmap_mode="r", allow_pickle=False)
+        except ValueError as error:
+            if "Python objects" not in str(error):
+                raise
+            # Reading them would run whatever code the file holds.
+            text = "it holds Python objects, not an image; of Cellpose, save the masks as TIFF"
+            raise InputError(text) from None
     return Stored(
         tuple(array.shape), array.dtype, "", None, (), lambda index: np.array(array[index])
     )
