@@ -285,11 +285,11 @@ def _cells(regions: Regions, seen: _Seen, size: float) -> _Regions:
         noise = ndimage.gaussian_filter(seen.noise, reach, mode="nearest") * noise_gain(sigma)
         clear, height = clear_rims(regions.labels, n, smooth, noise, side)
         high = (height >= FINDING.rim_mean) & (regions.height >= FINDING.rim_contrast)
-        likely = high & (share <= FINDING.likely_border)
-        likely &= clear >= FINDING.clear + FINDING.likely_per_border * share
-        surely = bright | (high & (share <= FINDING.clear_border))
-        surely &= bright | (clear >= _least(share, FINDING.clear, FINDING.clear_at_border))
-        quality = np.maximum(quality, np.where(likely | surely, clear, 0))
+        least = _least(share, FINDING.clear, FINDING.clear_at_border)
+        sure = high & (share <= FINDING.clear_border) & (clear >= least)
+        least = FINDING.clear + FINDING.likely_per_border * share
+        likely = high & (share <= FINDING.likely_border) & (clear >= least)
+        quality, surely = np.maximum(quality, np.where(sure | likely, clear, 0)), bright | sure
     good &= quality > 0
     good[0] = False  # what is missing
     names = np.flatnonzero(good)
