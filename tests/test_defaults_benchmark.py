@@ -9,6 +9,7 @@ from napari_deltamic.geometry.foam import foam
 imaging = pytest.importorskip("benchmarks.defaults.imaging")
 from benchmarks.defaults.scenes import made  # noqa: E402
 from benchmarks.defaults.scoring import score  # noqa: E402
+from benchmarks.defaults.tissues import counted, deskewed, matched  # noqa: E402
 
 FIELD = imaging.Field((24, 22, 20), (0.3, 0.2, 0.2), rim=4)
 
@@ -64,3 +65,25 @@ def test_microscopes_are_as_wide_as_asked_and_keep_light_out_of_focus(microscope
     assert sums[z + 6] / sums[z] < kept + 0.05
     if microscope == "widefield":
         assert sums[z + 6] / sums[z] > 0.95
+
+
+def test_what_is_found_of_cells_that_do_not_count_counts_neither_way():
+    """Of three cells in a row, the first is mostly cut off, and the last is found in two halves."""
+    true = np.repeat(np.array([[[-1, 0, 1, 1, 2, 2]]], np.int32), 4, axis=1)
+    found = np.repeat(np.array([[[3, 0, 1, 1, 2, 4]]], np.int32), 4, axis=1)
+    assert counted(found, true) == 3
+    assert matched(found, true) == 0.5  # a half is not more than a half
+    assert matched(np.where(found == 4, 2, found), true) == 1
+
+
+def test_a_deskewed_stack_keeps_the_labels_of_cells_that_are_mostly_there():
+    scene = made("packed-nuclei", 0, "")
+    cut = deskewed(scene)
+    known = np.isfinite(cut.image)
+    assert 0.3 < known.mean() < 0.7
+    assert not cut.all_labels[~known].any()
+    for name in range(1, scene.all_labels.max() + 1):
+        own = scene.all_labels == name
+        left = set(np.unique(cut.all_labels[own & known]).tolist())
+        assert left <= ({name} if known[own].mean() > 0.5 else {-1})
+    assert (cut.all_labels == -1).any()
