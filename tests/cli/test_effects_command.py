@@ -97,20 +97,40 @@ def test_bad_usage_is_one_line(fails, folder):
     assert "--structure both" in fails(*given, "--effects", "bulk=0.2")
 
 
-@pytest.mark.parametrize(("left", "kept"), [(0.09, "with"), (0.105, "with"), (0.2, "without")])
-def test_effects_with_which_a_fit_explains_less_are_left_out(tmp_path, monkeypatch, left, kept):
+@pytest.mark.parametrize(
+    ("explained", "kept"), [(0.95, "with"), (0.895, "with"), (0.8, "without"), (None, "without")]
+)
+def test_effects_with_which_a_fit_explains_less_are_left_out(
+    tmp_path, monkeypatch, explained, kept
+):
+    shares = {"without": 0.9, "with": explained}
     notes = Notes()
-    run = _Run("without", tmp_path, notes, auto=True)
-    run.last = SimpleNamespace(loss=0.1)
-    before = run.last
+    run = _Run(SimpleNamespace(name="without"), tmp_path, notes, auto=True)
+    for part in ("image", "grid", "counted"):
+        setattr(run.job, part, "")
+    first = run.job
+    run.last = before = SimpleNamespace(name="without")
 
     def follow(states):
-        run.job, run.last = "with", SimpleNamespace(loss=left)
+        run.job = SimpleNamespace(image="", grid="", counted="")
+        run.last = SimpleNamespace(name="with")
 
+    monkeypatch.setattr(
+        "napari_deltamic.cli.fit_command.analyse_residual",
+        lambda image, grid, state, counted: SimpleNamespace(explained=shares[state.name]),
+    )
     monkeypatch.setattr(run, "_with_recommended", lambda: iter(()))
     monkeypatch.setattr(run, "_follow", follow)
     run._follow_with_effects()
-    assert run.job == kept
-    assert (run.last is before) == (kept == "without")
-    told = "effects left out: the fit explains 80.0% with them, and 90.0% without"
+    assert (run.job is first) == (run.last is before) == (kept == "without")
+    told = f"effects left out: the fit explains {explained or 0:.1%} with them, and 90.0% without"
     assert notes.texts == ([told] if kept == "without" else [])
+
+
+def test_a_fit_that_calls_for_no_effects_is_not_judged_again(tmp_path, monkeypatch):
+    run = _Run("the job", tmp_path, Notes(), auto=True)
+    run.last = "the end"
+    monkeypatch.setattr(run, "_with_recommended", lambda: iter(()))
+    monkeypatch.setattr("napari_deltamic.cli.fit_command.analyse_residual", None)
+    run._follow_with_effects()
+    assert (run.job, run.last) == ("the job", "the end")

@@ -34,9 +34,9 @@ from .second_view_input import check_second_view
 
 CHECKPOINT_EVERY = 5.0  # s: what a crash may cost; to write one takes far less than that
 _CLEARLY = 1.1  # times the error asked for: predictions are not so exact that less would count
-# Times what was left without effects: a fit with them, which can do more, may not leave more.
-# Chosen: a tenth is what voxels that effects leave out may change.
-_LESS = 1.1
+# Share of the signal: a fit with effects can do more, so it may not explain less. Chosen: so much
+# may differ since each is judged near its own surfaces.
+_LESS = 0.01
 
 
 def run(arguments: argparse.Namespace, notes: Notes) -> int:
@@ -107,13 +107,23 @@ class _Run:
         assert self.last is not None, "a fit yields at least one state"
         job, last, history = self.job, self.last, self.history
         self._follow(self._with_recommended())
-        if self.last.loss > _LESS * last.loss:
+        if self.job is job:
+            return
+        # Not the loss: effects change which voxels count.
+        without, explained = self._explained(job, last), self._explained(self.job, self.last)
+        if explained < without - _LESS:
             self.notes.add(
-                f"effects left out: the fit explains {1 - self.last.loss:.1%} with them, and "
-                f"{1 - last.loss:.1%} without"
+                f"effects left out: the fit explains {explained:.1%} with them, and {without:.1%} "
+                "without"
             )
             self._take_over(job)
             self.last, self.history = last, history
+
+    @staticmethod
+    def _explained(job: FitInput, state: FitState) -> float:
+        """Share of the signal around the surfaces; 0 where nothing varies beyond noise."""
+        left = analyse_residual(job.image, job.grid, state, counted=job.counted)
+        return left.explained or 0.0
 
     def _with_recommended(self) -> Iterator[FitState]:
         """The fit with the effects that the one before calls for; empty where it calls for none."""
