@@ -1,5 +1,7 @@
 """The script that measures a GPU runs through without one, so that a lent GPU is not wasted."""
 
+import re
+
 import pytest
 
 gpu = pytest.importorskip("benchmarks.gpu")
@@ -19,7 +21,7 @@ def test_iterations(capsys):
 @pytest.mark.slow
 def test_all_the_rest(capsys):
     told = rows_of(capsys, "first-use", "rates", "sphere-to-cow", "tests")
-    assert "GPU tests that fail                                       <= 0         0" in told
+    assert re.search(r"GPU tests that fail +<= 0 +0 ", told)
     assert "closed form, small triangles, f32, forward" in told
 
 

@@ -10,6 +10,7 @@ from napari_deltamic import InputError
 from napari_deltamic.geometry.labels import bright_cells
 from napari_deltamic.geometry.labels.bright_cells import cells_of
 from napari_deltamic.geometry.labels.crowded_cells import crowded_cells, without_halves
+from napari_deltamic.geometry.labels.find_cells import WalledCells
 from napari_deltamic.images.stacks import read_image
 
 VOXEL = (0.4, 0.2, 0.2)
@@ -263,7 +264,7 @@ def test_cells_with_bright_rims_are_found_whole_where_walls_enclose_none(monkeyp
     def refused(*given):
         raise InputError("no cells")
 
-    monkeypatch.setattr(bright_cells, "find_cells", refused)
+    monkeypatch.setattr(bright_cells, "walled_cells", refused)
     labels, image = discs()
     found = cells_of(image, (1.0, 1.0, 1.0))
     assert found.labels.max() == 9
@@ -296,7 +297,8 @@ def test_one_nucleus_with_a_bright_rim_and_dark_nucleoli_do_not_hide_the_others(
     light[nucleoli > 0] = 0.2
     rng = np.random.default_rng(3)
     image = rng.poisson(4 + 60 * gaussian_filter(light, (1.6, 1.0, 1.0))).astype(np.float32)
-    monkeypatch.setattr(bright_cells, "find_cells", lambda *given: nucleoli)
+    surely = np.ones(nucleoli.max(), bool)
+    monkeypatch.setattr(bright_cells, "walled_cells", lambda *given: WalledCells(nucleoli, surely))
     found = cells_of(image, (1.0, 1.0, 1.0))
     assert found.bright
     assert matched(found.labels, labels) == 1
