@@ -7,9 +7,8 @@ both ends are compared, and the one that leaves less of the same voxels stays.
 
 from __future__ import annotations
 
+from math import sqrt
 from typing import Protocol, Self, TypeVar
-
-import numpy as np
 
 from ..optics import GaussianPSF, Optics, ScalarPSF
 from .checkpoint import Checkpoint, former_in, objective_in
@@ -104,7 +103,7 @@ def is_given_up(run: Run, former: Run | None) -> bool:
     """Whether a run goes back to the former one as soon as it rests, with nothing else tried.
 
     Asked once for each surface. Measured on 277 nuclei of an embryo: a light cone that was given up
-    in the end had rested at two thirds of its iterations and two fifths of its time.
+    in the end, after 168 iterations, had rested after 113.
     """
     if former is None or run.stage.edited or run.stage.progress.answered:
         return False
@@ -121,7 +120,7 @@ def _left_over(run: Run, former: Run) -> float:
     before, now = former.posed_here(), run.objective
     here = now.left / now.posed.left_by(before.now.rendered)[0]
     there = before.posed.left_by(now.now.rendered)[0] / before.left
-    return float(np.sqrt(here * there))
+    return sqrt(here * there)
 
 
 def _back(run: Run, former: Run) -> Run | None:
