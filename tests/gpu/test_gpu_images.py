@@ -83,4 +83,4 @@ def test_a_fit_that_does_not_fit_into_the_memory_goes_on_on_the_cpu(cuda_itself,
     start = sphere((2.1, 2.0, 2.0), 0.9, subdivisions=2)
     states = list(nd.fit(image, GRID, start, OPTICS, settings=settings))
     assert len(states) == 3
-    assert "goes on on the CPU" in states[0].message
+    assert "fit continues on the CPU" in states[0].message

@@ -91,7 +91,7 @@ def solid_ft(
     x = v.to(torch.float64)
     centre, reach = _frame(x)
     near = (xi.abs() * reach).amax(1) <= _NEAR
-    u = torch.zeros(len(xi), dtype=torch.complex128)
+    u = torch.zeros(len(xi), dtype=torch.complex128, device=x.device)
     u = u.index_put((near.nonzero()[:, 0],), _shells(x, f, jump, xi[near], centre))
     far = (~near).nonzero()[:, 0]
     flux = torch.stack(
@@ -126,8 +126,9 @@ def contrasts(regions: Tensor | np.ndarray, ids: np.ndarray, weights: Tensor) ->
         )
     of = torch.cat([weights.new_zeros(1), weights])
     # By rank: a region number may be anything.
-    sides = torch.from_numpy(np.searchsorted(np.append(0, ids), np.asarray(regions)))
-    return of[sides[:, 0]] - of[sides[:, 1]]
+    sides = np.searchsorted(np.append(0, ids), np.asarray(regions))
+    behind, front = torch.from_numpy(sides).to(weights.device).unbind(1)
+    return of[behind] - of[front]
 
 
 def solid_transform(plan: Plan, vertices: Tensor, faces: Tensor, contrast: Tensor) -> Tensor:
@@ -171,7 +172,7 @@ def _frame(vertices: Tensor) -> tuple[Tensor, float]:
     """Centre (3,) and how far the vertices reach from it, um."""
     v = vertices.detach()
     if not len(v):
-        return torch.zeros(3, dtype=torch.float64), 0.0
+        return v.new_zeros(3), 0.0
     centre = (v.amin(0) + v.amax(0)) / 2
     return centre, float((v - centre).norm(dim=1).max())
 
@@ -189,8 +190,9 @@ def _normals(vertices: Tensor, faces: Tensor) -> Tensor:
 
 def _seen(contrast: Tensor) -> np.ndarray:
     """(F,) bool: walls between regions that shine alike show nothing."""
-    seen: np.ndarray = contrast.detach().numpy() != 0
-    return seen | contrast.requires_grad
+    if contrast.requires_grad:
+        return np.ones(len(contrast), dtype=bool)
+    return contrast.cpu().numpy() != 0
 
 
 def _means(plan: Plan, corners: Tensor, contrast: Tensor) -> tuple[Points, Spreading, bool]:
@@ -212,8 +214,8 @@ def _means(plan: Plan, corners: Tensor, contrast: Tensor) -> tuple[Points, Sprea
         return plan.quadrature_of(len(corners)), plan.spreading, plan.single
     tolerance = max(plan.tolerance / cancelled, 1e-13)
     single = plan.single and tolerance > 5e-6
-    edges = (corners - corners.roll(1, 1)).detach().abs() * torch.tensor(reach)
-    phases = edges.norm(dim=2).amax(1).numpy()
+    edges = (corners - corners.roll(1, 1)).detach().abs() * corners.new_tensor(reach)
+    phases = edges.norm(dim=2).amax(1).cpu().numpy()
     # As if the OTF were flat over the band: finer rules and wider kernels than need be.
     rules = choose_rules(phases, 1.0, max(RULE_SHARE * plan.accuracy / cancelled, 1e-12))
     points = Points(rules, len(corners))
@@ -263,19 +265,21 @@ def _low_shells(
     vectors = _area_vectors(corners)
     seen = _seen(contrast)
     for r, where in _low_rules(corners, reach, plan.accuracy):
-        of = torch.from_numpy(where[seen[where]])
-        arms = torch.from_numpy(r.barycentric) @ (corners[of] - centre)
-        share = (arms * vectors[of][:, None]).sum(2) * torch.from_numpy(r.weights)
+        of, mix, size = (
+            torch.from_numpy(a).to(corners.device) for a in (where[seen[where]], r.barycentric, r.weights)
+        )
+        arms = mix @ (corners[of] - centre)
+        share = (arms * vectors[of][:, None]).sum(2) * size
         points.append(arms.reshape(-1, 3))
         volumes.append((share * contrast[of].to(torch.float64)[:, None]).reshape(-1))
     if not points:
-        return torch.zeros(low.box_shape, dtype=kind)
-    t, weight = (torch.from_numpy(a) for a in _nodes(plan.tolerance))
+        return torch.zeros(low.box_shape, dtype=kind, device=corners.device)
+    t, weight = (torch.from_numpy(a).to(corners.device) for a in _nodes(plan.tolerance))
     strengths = (weight[:, None] * torch.cat(volumes)).reshape(-1)
     if low.half == (0, 0, 0):
         return strengths.sum().reshape(1, 1, 1).to(kind)
     shells = (centre + t[:, None, None] * torch.cat(points)).reshape(-1, 3)
-    each = torch.arange(len(shells))[:, None]
+    each = torch.arange(len(shells), device=shells.device)[:, None]
     one = Points([(_POINT, np.arange(len(shells)))], len(shells))
     spreading = choose_spreading(
         low.half, low.spacing, flat, plan.tolerance, len(shells), plan.single
@@ -284,7 +288,7 @@ def _low_shells(
 
 
 def _low_rules(corners: Tensor, reach: float, accuracy: float) -> list[tuple[Rule, np.ndarray]]:
-    edges = (corners - corners.roll(1, 1)).detach().norm(dim=2).amax(1).numpy()
+    edges = (corners - corners.roll(1, 1)).detach().norm(dim=2).amax(1).cpu().numpy()
     phases = _LARGEST_PHASE * edges / max(reach, 1e-300)
     return choose_rules(phases, 1.0, RULE_SHARE * accuracy)
 
@@ -295,7 +299,7 @@ def _shells(
     """u_hat (K,) by closed-form shells, at wavevectors near zero."""
     arms = vertices - centre
     distance = (arms[faces[:, 0]] * _normals(vertices, faces)).sum(1) * contrast
-    total = torch.zeros(len(wavevectors), dtype=torch.complex128)
+    total = torch.zeros(len(wavevectors), dtype=torch.complex128, device=vertices.device)
     for t, weight in zip(*_nodes(_EXACT), strict=True):
         # The area of the smaller face brings t^2, which the weight of the rule has already.
         part = mesh_ft(t * arms, faces, wavevectors, distance)
@@ -327,7 +331,8 @@ def _empty_flux(
     """
     is_empty = (_area_vectors(vertices.detach()[faces]) == 0).all(1)
     if not bool(is_empty.any()):
-        return torch.zeros(1, 3 if along is None else 1, dtype=torch.complex128)
+        columns = 3 if along is None else 1
+        return torch.zeros(1, columns, dtype=torch.complex128, device=vertices.device)
     empty = faces[is_empty]
     corners = vertices[empty]
     vectors = _area_vectors(corners) * contrast[is_empty][:, None]
@@ -349,16 +354,17 @@ def _flux_factor(wavevectors: Tensor) -> Tensor:
 def _closed_form(
     plan: Plan, low: Band, vertices: Tensor, faces: Tensor, contrast: Tensor, centre: Tensor
 ) -> Tensor:
-    band = plan.band
-    u = torch.zeros(band.box_shape, dtype=torch.complex128)
-    empty = _empty_flux(vertices, faces, contrast, row_wavevectors(band.rows, band.spacing))
+    band, there = plan.band, vertices.device
+    u = torch.zeros(band.box_shape, dtype=torch.complex128, device=there)
+    xi = row_wavevectors(band.rows, band.spacing).to(there)
+    empty = _empty_flux(vertices, faces, contrast, xi)
     normals = _normals(vertices, faces)
     for axis, along in enumerate(band.axes()):
         # Always in double precision: the parts cancel.
         density = normals[:, axis] * contrast
         rows = band_ft(vertices, faces, density, band.rows, band.spacing, False)
-        u = u + along * band.to_box(rows + empty[:, axis])
-    u = u * (1j * torch.from_numpy(inverse_square(band.half, band.spacing)))
+        u = u + along.to(there) * band.to_box(rows + empty[:, axis])
+    u = u * (1j * torch.from_numpy(inverse_square(band.half, band.spacing)).to(there))
     kept = torch.zeros(band.box_shape, dtype=torch.bool).reshape(-1)
     kept[band.row_index] = True
     inside = torch.zeros(band.box_shape, dtype=torch.bool)
@@ -366,5 +372,6 @@ def _closed_form(
     where = (inside & kept.reshape(band.box_shape)).nonzero()
     first = torch.tensor([-band.half[0], -band.half[1], 0])
     xi = (where + first).to(torch.float64) * torch.tensor(band.spacing, dtype=torch.float64)
-    u = u.index_put(where.unbind(1), _shells(vertices, faces, contrast, xi, centre))
+    near = _shells(vertices, faces, contrast, xi.to(there), centre)
+    u = u.index_put(where.to(there).unbind(1), near)
     return u.to(torch.complex64) if plan.single else u

@@ -244,15 +244,17 @@ def _summed(
     run: Callable[[int, int, Tensor], None],
 ) -> Tensor:
     """Parts of the faces, run and added up; (K,) complex."""
-    size, device = 2 * wavevectors, mesh.vertices.device
-    parts, per_part, sums = _parts(kernels, mesh.count, across, size, _real(kernels), device)
+    device = mesh.vertices.device
+    parts, per_part, sums = _parts(
+        kernels, mesh.count, across, wavevectors, _complex(kernels), device
+    )
     run(parts, per_part, sums)
-    if parts > 1:
-        total = torch.empty(size, dtype=sums.dtype, device=device)
-        arguments = [_pointer(sums), ctypes.c_int(parts), ctypes.c_longlong(size), _pointer(total)]
-        kernels.launch("add_parts", (_blocks(kernels, size), 1), arguments)
-        sums = total
-    return torch.view_as_complex(sums.reshape(-1, 2))
+    if parts == 1:
+        return sums
+    total, reals = _new(kernels, mesh, wavevectors), 2 * wavevectors
+    arguments = [_pointer(sums), ctypes.c_int(parts), ctypes.c_longlong(reals), _pointer(total)]
+    kernels.launch("add_parts", (_blocks(kernels, reals), 1), arguments)
+    return total
 
 
 def _gradients(
@@ -294,14 +296,17 @@ def _real(kernels: Kernels) -> torch.dtype:
     return torch.float32 if kernels.build.real == "float" else torch.float64
 
 
+def _complex(kernels: Kernels) -> torch.dtype:
+    return torch.complex64 if kernels.build.real == "float" else torch.complex128
+
+
 def _new(kernels: Kernels, mesh: _Mesh, size: int) -> Tensor:
-    kind = torch.complex64 if kernels.build.real == "float" else torch.complex128
-    return torch.empty(size, dtype=kind, device=mesh.vertices.device)
+    return torch.empty(size, dtype=_complex(kernels), device=mesh.vertices.device)
 
 
 def _incoming(kernels: Kernels, grad: Tensor) -> Tensor:
-    kind = torch.complex64 if kernels.build.real == "float" else torch.complex128
-    return torch.view_as_real(grad.detach().to(kind).resolve_conj().resolve_neg().contiguous())
+    held = grad.detach().to(_complex(kernels)).resolve_conj().resolve_neg().contiguous()
+    return torch.view_as_real(held)
 
 
 def _blocks(kernels: Kernels, count: int) -> int:

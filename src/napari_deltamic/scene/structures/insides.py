@@ -96,7 +96,7 @@ class _PlannedSolid:
 
     def __init__(self, solid: Solid, site: Site, plan: Plan) -> None:
         self._solid, self._site, self.plan = solid, site, plan
-        self._faces = torch.as_tensor(solid.mesh.faces)
+        self._faces = torch.as_tensor(solid.mesh.faces).to(site.device)
 
     def transform(
         self, effects: Effects, vertices: Tensor | None = None, density: Tensor | None = None
@@ -104,9 +104,9 @@ class _PlannedSolid:
         """See ``Planned``."""
         placed = self._site.local(
             as_tensor(self._solid.mesh.vertices) if vertices is None else vertices
-        )
+        ).to(self._site.device)
         seen = self._solid.contrasts(effects, self._site.frame, density)
-        boxes = [solid_transform(self.plan, placed, self._faces, part) for part in seen]
+        boxes = [solid_transform(self.plan, placed, self._faces, part.to(placed)) for part in seen]
         return joined_boxes(boxes)
 
 

@@ -61,7 +61,8 @@ class Site:
 
     def local(self, positions: Tensor) -> Tensor:
         """Positions relative to the centre of the first voxel."""
-        return positions - torch.tensor(self.grid.origin, dtype=positions.dtype)
+        origin = torch.tensor(self.grid.origin, dtype=positions.dtype, device=positions.device)
+        return positions - origin
 
 
 class Planned(Protocol):
