@@ -21,14 +21,14 @@ _TO_NUMPY = {"numpy", "__array__", "__dlpack__"}
 class _Places:
     """Which memory is on which device: written on what holds it.
 
-    Of what torch makes for itself nobody knows: it goes along with anything.
+    Of what torch makes for itself, on no tensor, nobody knows: it goes along with anything.
     """
 
     inside = False  # an operation, where torch itself is at work
 
     def of(self, t):
         """Whether on the device; None if not known."""
-        return getattr(t.untyped_storage(), "on_gpu", None)
+        return getattr(t.untyped_storage(), "on_gpu", False)
 
     def put(self, t, there):
         t.untyped_storage().on_gpu = there
@@ -65,7 +65,13 @@ class _Operations(TorchDispatchMode):
         places = [self._places.of(t) for t in given]
         name = func.name().split(".")[0]
         # A number goes along with anything.
-        strange = any(a is False and t.dim() for t, a in zip(given, places, strict=True))
+        # So do the rows of a band, which are kept for each device.
+        strange = any(
+            a is False
+            and t.dim()
+            and not (name.startswith("deltamic::") and t.dtype == torch.int32)
+            for t, a in zip(given, places, strict=True)
+        )
         if True in places and strange and name not in _ACROSS:
             raise RuntimeError(f"{name}: tensors on two devices")
         before = {t.untyped_storage()._cdata for t in given}
@@ -96,7 +102,8 @@ class _Functions(TorchFunctionMode):
         if self._places.inside:
             return func(*args, **kwargs)
         name = getattr(func, "__name__", "")
-        there = bool(args) and isinstance(args[0], torch.Tensor) and self._places.of(args[0])
+        first = args[0] if args else None
+        there = isinstance(first, torch.Tensor) and self._places.of(first)
         if func == torch.Tensor.device.__get__:
             return GPU if there else _HERE
         if func == torch.Tensor.is_cuda.__get__:
@@ -111,9 +118,8 @@ class _Functions(TorchFunctionMode):
             kwargs["device"] = _HERE
             return self._places.put(func(*args, **kwargs), torch.device(asked).type == GPU.type)
         out = func(*args, **kwargs)
-        if isinstance(out, torch.Tensor) and not tensors((args, kwargs)):
-            self._places.put(out, False)
-        return out
+        made = name.startswith("new_") or not tensors((args, kwargs))
+        return self._places.put(out, there) if made and isinstance(out, torch.Tensor) else out
 
     def _moved(self, name, args, kwargs):
         t, *rest = args
@@ -125,7 +131,7 @@ class _Functions(TorchFunctionMode):
                 kind = a
             elif isinstance(a, (torch.device, str)):
                 device = torch.device(a)
-        if name != "to":
+        if name in ("cpu", "cuda"):
             device = _HERE if name == "cpu" else GPU
         there = bool(self._places.of(t))
         out = t if kind is None else t.to(kind)
@@ -140,5 +146,13 @@ def pretended_gpu(monkeypatch):
     monkeypatch.setattr("napari_deltamic.fourier.devices.missing", lambda: "")
     monkeypatch.setattr(torch.cuda, "current_device", lambda: 0)
     places = _Places()
-    with _Functions(places), _Operations(places):
+    functions = _Functions(places)
+    run = torch.autograd._engine_run_backward
+
+    def backward(*args, **kwargs):
+        with functions:  # which lets go of what it hands on
+            return run(*args, **kwargs)
+
+    monkeypatch.setattr(torch.autograd, "_engine_run_backward", backward)
+    with functions, _Operations(places):
         yield GPU

@@ -7,17 +7,16 @@ import napari_deltamic as nd
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure import surface_distance
 from napari_deltamic.runs.settings import FitSettings
-from napari_deltamic.scene import Renderer, Scene
+from napari_deltamic.scene import Renderer, Scene, Solid, Surface
 
 GRID, OPTICS = nd.Grid((40, 40, 40), (0.1, 0.1, 0.1)), nd.GaussianPSF(0.15)
 METHODS = ("closed form", "particle-mesh")
 
 
-def image_and_gradient(device, method, accuracy, effects=()):
+def image_and_gradient(device, method, accuracy, effects=(), of=Surface):
     mesh = sphere((2.0, 1.9, 2.1), 1.1, subdivisions=3)
-    renderer = Renderer(
-        Scene.of(mesh, OPTICS, effects), GRID, accuracy, method=method, device=device
-    )
+    scene = Scene((of(mesh),), OPTICS, effects)
+    renderer = Renderer(scene, GRID, accuracy, method=method, device=device)
     v = torch.tensor(mesh.vertices, device=device, requires_grad=True)
     image = renderer.image(renderer.transform(v), renderer.otf(OPTICS))
     weight = torch.linspace(-1, 1, image.numel(), device=device, dtype=image.dtype)
@@ -33,6 +32,15 @@ def test_images_and_gradients_are_those_of_the_cpu(gpu, method, accuracy, effect
     theirs = image_and_gradient(torch.device("cpu"), method, accuracy, effects)
     for a, b in zip(ours, theirs, strict=True):
         assert a.dtype == b.dtype
+        assert (a - b).norm() <= accuracy * b.norm()
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("accuracy", [1e-3, 1e-6])
+def test_insides_are_those_of_the_cpu(gpu, method, accuracy):
+    ours = image_and_gradient(gpu, method, accuracy, of=Solid)
+    theirs = image_and_gradient(torch.device("cpu"), method, accuracy, of=Solid)
+    for a, b in zip(ours, theirs, strict=True):
         assert (a - b).norm() <= accuracy * b.norm()
 
 

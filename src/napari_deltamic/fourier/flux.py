@@ -43,11 +43,12 @@ def _weights(
     spacing: tuple[float, float, float],
     low: tuple[int, int, int],
     real: torch.dtype,
+    device: torch.device,
 ) -> Tensor:
     """``1 / |xi|^2`` on the box of a band, 0 within the low box."""
     inverse = inverse_square(half, spacing)
     inverse[within(low, half)] = 0
-    return torch.from_numpy(inverse).to(real)
+    return torch.from_numpy(inverse).to(device, real)
 
 
 def flux_ft(
@@ -91,7 +92,7 @@ class _Flux(torch.autograd.Function):
         given = vertices, faces, contrast, points, spreading, single, vertices.device
         # Dipoles along the areas: the divergence of the flux, i xi . its transform.
         grid = spread(*given, vectors=areas)
-        return spreading.fft.to_box(grid, _weights_of(spreading, low, grid.dtype))
+        return spreading.fft.to_box(grid, _weights_of(spreading, low, grid))
 
     @staticmethod
     @torch.autograd.function.once_differentiable
@@ -108,12 +109,12 @@ class _Flux(torch.autograd.Function):
             by_vertex.index_add_(0, faces.reshape(-1), swept.reshape(-1, 3))
             by_vertex = by_vertex.to(vertices.dtype)
         if ctx.needs_input_grad[1]:
-            weights = _weights_of(spreading, low, grad.real.dtype)
+            weights = _weights_of(spreading, low, grad.real)
             field = field_of(grad, spreading, single, weights)
             slopes = gather(vertices, faces, points, spreading, single, field, slopes=True)
             by_contrast = -(slopes[..., 1:].sum(1) * areas).sum(1).to(contrast.dtype)
         return by_vertex, by_contrast, None, None, None, None, None, None
 
 
-def _weights_of(spreading: Spreading, low: tuple[int, int, int], real: torch.dtype) -> Tensor:
-    return _weights(spreading.half, spreading.spacing, low, real)
+def _weights_of(spreading: Spreading, low: tuple[int, int, int], for_: Tensor) -> Tensor:
+    return _weights(spreading.half, spreading.spacing, low, for_.dtype, for_.device)

@@ -266,7 +266,8 @@ def _low_shells(
     seen = _seen(contrast)
     for r, where in _low_rules(corners, reach, plan.accuracy):
         of, mix, size = (
-            torch.from_numpy(a).to(corners.device) for a in (where[seen[where]], r.barycentric, r.weights)
+            torch.from_numpy(a).to(corners.device)
+            for a in (where[seen[where]], r.barycentric, r.weights)
         )
         arms = mix @ (corners[of] - centre)
         share = (arms * vectors[of][:, None]).sum(2) * size
