@@ -61,7 +61,7 @@ nb::tuple explain(Array<const T> image, Array<const std::int64_t> index, Array<c
     bool bounded = false;
     {
         nb::gil_scoped_release others_may_run;
-        Team team(static_cast<int>(std::min<size_t>(static_cast<size_t>(threads), blocks)));
+        Team team(worth(4.0 * n, threads));
         team.run([&](int) {
             team.each(blocks, [&](size_t b) {
                 const size_t first = b * block, last = std::min(n, first + block);
@@ -134,7 +134,7 @@ nb::ndarray<nb::numpy, double> products(const std::vector<Array<const T>>& colum
     nb::capsule owner(found, [](void* p) noexcept { delete[] static_cast<double*>(p); });
     {
         nb::gil_scoped_release others_may_run;
-        Team team(static_cast<int>(std::min<size_t>(static_cast<size_t>(threads), std::max<size_t>(blocks, 1))));
+        Team team(worth(0.5 * n * k * (k + 3), threads));
         team.run([&](int) {
             std::vector<double> weighted(block);
             team.each(blocks, [&](size_t b) {

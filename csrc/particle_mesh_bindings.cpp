@@ -308,6 +308,14 @@ void pull(const Elements& e, const double* density, double* sums, double* by_ver
     });
 }
 
+// Nanoseconds on one thread, about: of points, and of the grid.
+template <class T>
+double work_of(const Elements& e, const Grid<T>& g) {
+    double points = 0;
+    for (size_t i = 0; i < e.count; ++i) points += e.rule_start[e.rule[i] + 1] - e.rule_start[e.rule[i]];
+    return 90.0 * points + 1.0 * g.shape[0] * g.shape[1] * g.shape[2];
+}
+
 template <class T>
 void bind(nb::module_& m, const char* suffix) {
     using namespace deltamic_checks;
@@ -332,7 +340,7 @@ void bind(nb::module_& m, const char* suffix) {
                   for (size_t i = 0; i < e.count; ++i) strengths[i] *= measure_of(e, i).value;
               e.strengths = strengths.data();
               nb::gil_scoped_release release;
-              Team team(threads);
+              Team team(worth(work_of(e, k.grid), threads));
               Spreading<T>(e, k.grid, loops, vectors ? vectors->data() : nullptr, out.data()).run(team);
           },
           nb::arg("vertices"), nb::arg("indices"), nb::arg("density"), nb::arg("quadrature"), nb::arg("shape"),
@@ -351,7 +359,7 @@ void bind(nb::module_& m, const char* suffix) {
               thread_count(threads);
               const MeshLoops<T>& loops = mesh_loops_of<T>(simd);
               nb::gil_scoped_release release;
-              Team team(threads);
+              Team team(worth(work_of(e, k.grid), threads));
               gather(e, k.grid, loops, field.data(), derivatives, sums.data(), team);
           },
           nb::arg("vertices"), nb::arg("indices"), nb::arg("density"), nb::arg("quadrature"), nb::arg("shape"),
@@ -369,7 +377,7 @@ void bind(nb::module_& m, const char* suffix) {
               thread_count(threads);
               const MeshLoops<T>& loops = mesh_loops_of<T>(simd);
               nb::gil_scoped_release release;
-              Team team(threads);
+              Team team(worth(work_of(e, k.grid), threads));
               const auto sums = uninitialised<double>(e.count * e.corners * 4);
               gather(e, k.grid, loops, field.data(), true, sums.get(), team);
               pull(e, density.data(), sums.get(), by_vertex.data(), by_density.data(), team);

@@ -129,7 +129,8 @@ void transform(const Spectrum<T>& s, const SpectrumLoops<T>& loops, T* box, T* r
     const size_t pieces = (columns + piece - 1) / piece, work = (loops.scratch(s) / 16 + 1) * 16;
     const std::unique_ptr<T[]> between(new T[2 * static_cast<size_t>(padded) * planes]);
     const size_t plane_of_real = static_cast<size_t>(s.count[1]) * s.row;
-    Team team(threads);
+    const double points = static_cast<double>(s.fft[0].size) * s.fft[1].size * s.fft[2].size;
+    Team team(deltamic_api::worth(0.3 * sizeof(T) * points, threads));
     // For all workers: threads that come and go would each ask the system for theirs.
     const std::unique_ptr<T[]> memory(new T[work * (team.size() + 1)]());
     T* const aligned = memory.get() + (64 - reinterpret_cast<std::uintptr_t>(memory.get()) % 64) / sizeof(T);

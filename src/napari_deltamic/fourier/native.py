@@ -7,8 +7,7 @@ import warnings
 from functools import cache
 from types import ModuleType
 
-import torch
-
+from ..common.one_thread import threads_told
 from ..errors import InputError, SlowPathWarning
 
 
@@ -49,4 +48,4 @@ def simd_level() -> str:
 
 def threads() -> int:
     """Worker threads: what torch was told to use."""
-    return torch.get_num_threads()
+    return threads_told()
