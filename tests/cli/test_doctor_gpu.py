@@ -13,7 +13,7 @@ def one_gpu(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
     monkeypatch.setattr(torch.cuda, "get_device_name", lambda i: "NVIDIA H100")
-    monkeypatch.setattr(doctor_command, "choose_device", lambda: torch.device("cpu"))
+    monkeypatch.setattr(doctor_command, "choose_device", lambda voxels: torch.device("cpu"))
 
     def lacks(reason):
         monkeypatch.setattr(doctor_command, "missing", lambda: reason)
@@ -25,7 +25,9 @@ def test_a_gpu_that_is_used_is_named_with_its_engines(one_gpu, monkeypatch):
     one_gpu("")
     monkeypatch.setattr(doctor_command.compiler, "version", lambda: (13, 0))
     facts = doctor_command.examine()
-    assert facts["devices"]["cuda:0"] == "NVIDIA H100 (used where nothing else is asked for)"
+    assert (
+        facts["devices"]["cuda:0"] == "NVIDIA H100 (used for large images, 128^3 voxels and more)"
+    )
     assert "NVRTC 13.0, kept in" in facts["engines"]["closed form on the GPU"]
     assert facts["engines"]["particle-mesh on the GPU"] == "torch"
     assert facts["problems"] == []

@@ -7,6 +7,7 @@ import torch
 
 import napari_deltamic as nd
 from napari_deltamic.errors import InputError
+from napari_deltamic.fourier.devices import choose_device
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene import Renderer
@@ -49,3 +50,10 @@ def test_where_memory_is_short_the_cpu_takes_over_and_says_so(monkeypatch):
     refused.clear()
     with pytest.raises(torch.OutOfMemoryError):
         list(states(device="cpu"))
+
+
+def test_small_images_stay_on_the_cpu_where_there_is_a_gpu(monkeypatch):
+    monkeypatch.setattr("napari_deltamic.fourier.devices.missing", lambda: "")
+    monkeypatch.setattr(torch.cuda, "current_device", lambda: 0)
+    assert choose_device("auto", 64**3) == torch.device("cpu")
+    assert choose_device("auto", 200**3) == choose_device("cuda", 64**3) == torch.device("cuda", 0)

@@ -86,7 +86,7 @@ def test_short_memory_halves_the_parts_and_says_so(monkeypatch):
         return empty(size, *args, **kwargs)
 
     parts = dict(kernels.launched)["band_forward"][1]
-    refused_size = parts * 2 * int(ROWS[:, 2].sum())
+    refused_size = parts * int(ROWS[:, 2].sum())
     assert parts > 2
     monkeypatch.setattr(torch, "empty", short)
     with pytest.warns(OutOfMemoryWarning, match="fewer, larger pieces"):

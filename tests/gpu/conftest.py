@@ -46,7 +46,7 @@ def gpu(monkeypatch, request):
         yield torch.device("cuda", torch.cuda.current_device())
         return
     for module in (fit, level):  # for settings that ask for CUDA
-        monkeypatch.setattr(module, "choose_device", lambda asked="auto": _CPU)
+        monkeypatch.setattr(module, "choose_device", lambda asked="auto", voxels=None: _CPU)
     # Fits and images would take minutes with emulated kernels.
     with engine() if "closed_form" in request.node.path.name else nullcontext():
         yield _CPU

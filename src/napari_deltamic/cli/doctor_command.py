@@ -9,6 +9,7 @@ import platform
 import sys
 import warnings
 from importlib.metadata import PackageNotFoundError, version
+from math import prod
 from typing import Any
 
 import torch
@@ -82,7 +83,9 @@ def _devices(problems: list[str]) -> dict[str, str]:
     reason = missing()
     if torch.cuda.is_available():
         for i in range(torch.cuda.device_count()):
-            used = f"not used: {reason}" if reason else "used where nothing else is asked for"
+            used = (
+                f"not used: {reason}" if reason else "used for large images, 128^3 voxels and more"
+            )
             used = used if i == 0 or reason else "not used: the first one is"
             found[f"cuda:{i}"] = f"{torch.cuda.get_device_name(i)} ({used})"
         if reason:
@@ -142,10 +145,10 @@ def _used() -> dict[str, str]:
     mesh = sphere((5, 5, 5), 3.0, subdivisions=4)
     optics = GaussianPSF(0.15)
     found = {"scene": f"100 x 100 x 100 voxels, sigma 1.5 voxels, {len(mesh.faces)} faces"}
-    device = choose_device()
+    device = choose_device(voxels=prod(grid.shape))
     found["device"] = str(device)
     where = "here, as was measured" if costs().measured else "on one core of 2024"
-    where = where if device.type == "cpu" else "on a data-centre GPU, as is estimated"
+    where = where if device.type == "cpu" else "on the GPU, as is estimated for a rendering"
     for accuracy in (1e-2, 1e-3, 1e-5):
         plan = Renderer(Scene.of(mesh, optics), grid, accuracy, device=device).plan
         other: Method = "closed form" if plan.method == "particle-mesh" else "particle-mesh"

@@ -141,7 +141,7 @@ class Level:
         self._sample = tuple(slice(None, None, s) for s in shape.step)
         self.grid = shape.grid
         self.volume_ratio = float(1 / np.prod(shape.step))
-        self.device = choose_device(settings.device)
+        self.device = choose_device(settings.device, prod(grid.shape))
         blurred = self._blurred(image, counted, grid)
         self.target, self.counted, self._known = (t.to(self.device) for t in blurred)
         # Blurred, cut voxels are no longer to be told.

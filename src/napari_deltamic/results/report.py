@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
-from math import isfinite
+from math import isfinite, prod
 from pathlib import Path
 from typing import Any
 
@@ -153,9 +153,10 @@ def describe(
 ) -> dict[str, Any]:
     """The content of ``report.json``: plain values; what is not finite is None."""
     fit = settings.fit
+    device = choose_device(fit.device, prod(grid.shape))
     facts = {
         "version": version_of("napari-deltamic"),
-        "engine": engine_used(state, grid, fit.image_accuracy, choose_device(fit.device)),
+        "engine": engine_used(state, grid, fit.image_accuracy, device),
         "accuracy": fit.image_accuracy,
         "iterations": state.iteration,
         "seconds": round(seconds, 3),
