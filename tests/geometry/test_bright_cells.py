@@ -183,6 +183,14 @@ def test_nuclei_a_voxel_apart_or_touching_are_all_found(kind, draw):
     assert found.labels.max() == len(scene.centres)
 
 
+def test_noise_beside_nuclei_is_not_found_with_them():
+    """One bright nucleus is cut by the border: without it, noise explained the image better."""
+    made = pytest.importorskip("benchmarks.defaults.scenes").made
+    deskewed = pytest.importorskip("benchmarks.defaults.tissues").deskewed
+    scene = deskewed(made("crowd-nuclei", 1, "a94a54327bc19d07c1ee634022f40c903dbadbe6"))
+    assert cells_of(scene.image, scene.voxel_size).labels.max() <= 8
+
+
 def test_a_large_cell_is_not_cut_in_halves():
     """And two that touch stay apart."""
     z, y, x = np.indices((30, 40, 70))
