@@ -183,6 +183,7 @@ def test_nuclei_a_voxel_apart_or_touching_are_all_found(kind, draw):
     assert found.labels.max() == len(scene.centres)
 
 
+@pytest.mark.slow
 def test_noise_beside_nuclei_is_not_found_with_them():
     """One bright nucleus is cut by the border: without it, noise explained the image better."""
     made = pytest.importorskip("benchmarks.defaults.scenes").made

@@ -35,7 +35,13 @@ def image_of(light, photons=60.0):
 
 
 @pytest.mark.parametrize(
-    ("haze", "size"), [("body", None), ("body", 9.0), ("centre", None), ("none", None)]
+    ("haze", "size"),
+    [
+        ("body", None),
+        ("body", 9.0),
+        pytest.param("centre", None, marks=pytest.mark.slow),
+        ("none", None),
+    ],
 )
 def test_nuclei_of_an_embryo_that_shines_all_over_are_found(haze, size):
     truth = nuclei()
@@ -50,7 +56,9 @@ def test_nuclei_of_an_embryo_that_shines_all_over_are_found(haze, size):
     assert found.size == pytest.approx(2 * RADIUS, rel=0.15)
 
 
-@pytest.mark.parametrize("kind", ["even", "textured", "few grains"])
+@pytest.mark.parametrize(
+    "kind", [pytest.param("even", marks=pytest.mark.slow), "textured", "few grains"]
+)
 def test_what_a_body_holds_may_be_no_cells(kind):
     light = (AWAY < 0.9).astype(float)
     if kind == "textured":
