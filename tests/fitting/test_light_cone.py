@@ -172,7 +172,7 @@ def test_what_a_user_has_changed_is_not_begun_anew():
     assert predicted_error(FitInput(*given), last).cone
 
 
-@pytest.mark.parametrize("optics", [OBJECTIVE, CONFOCAL])
+@pytest.mark.parametrize("optics", [pytest.param(OBJECTIVE, marks=pytest.mark.slow), CONFOCAL])
 def test_a_checkpoint_goes_on_with_the_psf_that_was_found(tmp_path, optics):
     states = states_of(optics)
     first = [type(state.optics) for state in states].index(type(optics))

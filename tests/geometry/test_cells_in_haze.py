@@ -34,12 +34,15 @@ def image_of(light, photons=60.0):
     return np.random.default_rng(1).poisson(3 + photons * seen).astype(np.float32)
 
 
+SLOW = pytest.mark.slow
+
+
 @pytest.mark.parametrize(
     ("haze", "size"),
     [
         ("body", None),
         ("body", 9.0),
-        pytest.param("centre", None, marks=pytest.mark.slow),
+        pytest.param("centre", None, marks=SLOW),
         ("none", None),
     ],
 )
@@ -57,7 +60,7 @@ def test_nuclei_of_an_embryo_that_shines_all_over_are_found(haze, size):
 
 
 @pytest.mark.parametrize(
-    "kind", [pytest.param("even", marks=pytest.mark.slow), "textured", "few grains"]
+    "kind", [pytest.param("even", marks=SLOW), pytest.param("textured", marks=SLOW), "few grains"]
 )
 def test_what_a_body_holds_may_be_no_cells(kind):
     light = (AWAY < 0.9).astype(float)
