@@ -1,12 +1,10 @@
-"""Operations of torch in one thread.
+"""The same bits for any number of threads, of operations that torch divides among them.
 
-Products of matrices that several threads divide have last digits that depend on where; and small
-operations take longer to be divided than to be done.
+Products of matrices are: their last digits depend on where they are divided.
 """
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -15,26 +13,16 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-_here = threading.local()
-
-
-def threads_told() -> int:
-    """How many threads torch was told to use, also where its own operations take one."""
-    told: int = getattr(_here, "told", 0) or torch.get_num_threads()
-    return told
-
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Operations of torch in this thread of Python take no other one; compiled loops do."""
-    before, told = torch.get_num_threads(), getattr(_here, "told", 0)
-    _here.told = threads_told()
+    """Operations of torch in this thread of Python take no other one."""
+    before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
         yield
     finally:
         torch.set_num_threads(before)
-        _here.told = told
 
 
 def in_one_thread(function: Callable[..., Tensor], *given: Tensor) -> Tensor:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +10,6 @@ import torch
 from torch import Tensor
 
 from ..common.choices import Structure
-from ..common.one_thread import one_thread
 from ..geometry.bending import BendingEnergy
 from ..geometry.cell_bending import CellBending
 from ..geometry.junction_bending import JunctionBending
@@ -30,9 +28,6 @@ from .unequal_insides import Insides
 from .variables import Variables
 
 _PIECE = 2**18  # voxels of which products are made at a time; chosen, a few megabytes
-# Voxels up to which torch works in one thread: measured on two cores, 5 to 13 % less time at 40^3
-# and 64^3, nothing gained or lost at 128^3.
-_SMALL = 128**3
 
 
 @dataclass(frozen=True)
@@ -124,11 +119,6 @@ class Posterior(Prediction):
 
     def __call__(self, at: Variables) -> Evaluation:
         """Value and gradient."""
-        small = self._level.target.numel() <= _SMALL
-        with one_thread() if small else nullcontext():
-            return self._evaluated(at)
-
-    def _evaluated(self, at: Variables) -> Evaluation:
         unknowns = self._unknowns(at)
         optics = self._optics(unknowns)
         effects = self._imaging.effects_of(at.effects)

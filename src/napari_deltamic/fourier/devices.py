@@ -8,8 +8,8 @@ from ..common.choices import DeviceChoice
 from ..errors import InputError
 from .cuda import missing
 
-# Iterations of a fit on an H100 against two cores of a Xeon: 27 and 13 ms at 40^3 voxels, 36 and 20
-# at 64^3, 72 and 82 at 128^3, 130 and 223 at 200^3, 0.8 and 6.9 s at 500^3.
+# Iterations of a fit on an H100 against two cores of a Xeon: 27 and 14 ms at 40^3 voxels, 36 and 24
+# at 64^3, 72 and 88 at 128^3, 130 and 223 at 200^3, 0.8 and 6.9 s at 500^3.
 GPU_PAYS = 128**3
 
 

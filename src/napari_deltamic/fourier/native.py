@@ -7,7 +7,8 @@ import warnings
 from functools import cache
 from types import ModuleType
 
-from ..common.one_thread import threads_told
+import torch
+
 from ..errors import InputError, SlowPathWarning
 
 
@@ -48,4 +49,4 @@ def simd_level() -> str:
 
 def threads() -> int:
     """Worker threads: what torch was told to use."""
-    return threads_told()
+    return torch.get_num_threads()
