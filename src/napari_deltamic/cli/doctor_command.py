@@ -148,7 +148,6 @@ def _used() -> dict[str, str]:
     device = choose_device(voxels=prod(grid.shape))
     found["device"] = str(device)
     where = "here, as was measured" if costs().measured else "on one core of 2024"
-    where = where if device.type == "cpu" else "on the GPU, as is estimated for a rendering"
     for accuracy in (1e-2, 1e-3, 1e-5):
         plan = Renderer(Scene.of(mesh, optics), grid, accuracy, device=device).plan
         other: Method = "closed form" if plan.method == "particle-mesh" else "particle-mesh"
