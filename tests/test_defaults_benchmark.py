@@ -77,7 +77,7 @@ def test_what_is_found_of_cells_that_do_not_count_counts_neither_way():
 
 
 def test_a_deskewed_stack_keeps_the_labels_of_cells_that_are_mostly_there():
-    scene = made("packed-nuclei", 0, "")
+    scene = made("crowd-nuclei", 0, "")
     cut = deskewed(scene)
     known = np.isfinite(cut.image)
     assert 0.3 < known.mean() < 0.7
