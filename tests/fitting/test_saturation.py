@@ -2,11 +2,19 @@
 
 import numpy as np
 import pytest
+import torch
 from scipy.stats import norm
 
 from napari_deltamic import fit
 from napari_deltamic.evidence.residual import analyse_residual
-from napari_deltamic.fitting.saturation import censored, cut_at, filled_in, saturation, share_cut
+from napari_deltamic.fitting.saturation import (
+    censored,
+    cut_at,
+    filled_in,
+    saturation,
+    share_cut,
+    weights_below,
+)
 from napari_deltamic.runs.settings import FitSettings
 from synthetic import GRID, OPTICS, apart, measured, start
 
@@ -49,6 +57,22 @@ def test_far_from_the_cut_it_stays_finite():
     assert ((factor >= 0) & (factor <= 1)).all()
     assert value[1] == pytest.approx(10.0, abs=1.0)
     assert factor[3] < 1e-100
+
+
+@pytest.mark.parametrize("amplitude", [1.0, 3.0])
+def test_a_model_that_exceeds_cut_voxels_is_as_bright_as_the_others_say(amplitude):
+    shown = torch.linspace(0, 10, 101)
+    true = amplitude * shown + 2
+    full = true > 8
+    measured = torch.where(full, 8.0, true)
+    weights = torch.ones_like(shown)
+    kept = weights_below(shown, measured, weights, full)
+    assert (kept[full] == 0).all()
+    assert (kept[~full] == 1).all()
+    # Where it is darker than what was cut, they count.
+    dim = torch.where(shown > 7, 0.1 * shown, shown)
+    kept = weights_below(dim, measured, weights, full)
+    assert (kept[full & (shown > 7)] == 1).all()
 
 
 def test_what_is_cut_is_filled_in_by_what_is_brighter():

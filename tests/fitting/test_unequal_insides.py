@@ -9,7 +9,7 @@ from scipy.ndimage import map_coordinates
 
 from napari_deltamic import GaussianPSF, Grid, Mesh, fit
 from napari_deltamic.fitting.errors_of_measures import posed_at
-from napari_deltamic.fitting.structure_choice import chosen
+from napari_deltamic.fitting.structure_choice import told
 from napari_deltamic.fitting.unequal_insides import Insides, each_alone
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure import surface_distance
@@ -52,6 +52,17 @@ def test_a_dim_cell_is_as_large_as_a_bright_one(light, ratio):
     assert surface_distance(last.mesh, two(8.0, 1.2)).mean < 0.12
     one, other = last.light.of_cells([1, 2])
     assert other / one == pytest.approx(ratio, rel=0.12)
+
+
+def test_a_bright_cell_that_was_cut_is_as_bright_as_its_border_says():
+    """Cut at 0.6 of its brightness; the other one is no uneven part of the same."""
+    image = image_of(DIM, photons=100.0)
+    last = fitted(np.minimum(image, 64.0), structure="auto", fit_psf=True)
+    assert last.light.membrane == 0
+    assert surface_distance(last.mesh, two(8.0, 1.2)).mean < 0.12
+    one, other = last.light.of_cells([1, 2])
+    assert other / one == pytest.approx(0.3, rel=0.12)
+    assert last.optics.sigma_um[0] == pytest.approx(1.2, rel=0.05)
 
 
 @pytest.mark.slow
@@ -180,4 +191,6 @@ def test_membranes_made_bright_where_they_stand_in_for_a_shape_are_no_evidence(p
     assert np.log(early.density).std() > 0.4
     found = posed_at(image, GRID, early, SETTINGS)
     given = found.posterior, found.at, found.posterior(found.at), early.mesh
-    assert chosen(*given).structure == "interior"
+    membranes, insides = told(*given)
+    assert membranes.errors < 8
+    assert insides.errors > 20 * membranes.errors

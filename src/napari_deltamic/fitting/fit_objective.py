@@ -22,7 +22,6 @@ from .descent import Descent
 from .fitted import Fitted
 from .imaging import Imaging
 from .level import Level
-from .likelihood import total
 from .metric import Metric
 from .pose import pose
 from .posed import squares_left
@@ -171,14 +170,14 @@ class Objective:
         """(F,) relative to the mean."""
         return self._density.faces_numpy(self._descent.at.density)
 
-    def nats_over(self, other: Objective) -> float:
+    def nats_over(self, other: Objective, evened: bool) -> float:
         """Nats by which the image is explained better than where another descent is.
 
-        Over the voxels that count here, amplitude and background fitted for either.
+        Over the voxels that count here, amplitude and background fitted for either. evened :
+        whether insides are as even as they are modelled here, or as they were measured.
         """
-        view = self.posed.posterior.views[0]
-        less = self.posed.left_by(other.now.rendered)[0] - self.left
-        return less * float(total(view.voxels.weights)) / (2 * view.variance)
+        mine, its = (self.posed.nats_left_by(one.now.rendered, evened) for one in (self, other))
+        return its - mine
 
     def evaluations(self) -> int:
         """Since this was last asked."""

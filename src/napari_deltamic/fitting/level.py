@@ -23,7 +23,7 @@ from ..scene.effects import Effects
 from ..scene.render import offset
 from .checks import FEWEST_VOXELS
 from .likelihood import ImageNoise, Match, solve_scale
-from .saturation import cut_at
+from .saturation import cut_at, weights_below
 
 SHARPER = 0.9  # of the width of a PSF that is fitted: what is narrower would need a new plan
 _SEEN = 0.3  # of the median brightness of a surface: only what is brighter tells of its density
@@ -37,11 +37,24 @@ _COARSE_ACCURACY = 1e-2  # of all levels but the last: they only have to point t
 
 @dataclass(frozen=True)
 class Voxels:
-    """The voxels that count: flat indices, measured values and weights, each (N,)."""
+    """The voxels that count: flat indices, measured values and weights, each (N,).
+
+    ``full`` says which were cut: they are at least as bright as measured; None where none was.
+    """
 
     index: Tensor
     measured: Tensor
     weights: Tensor
+    full: Tensor | None = None
+
+    def weights_for(self, shown: Tensor, measured: Tensor) -> Tensor:
+        """(N,) without those of cut voxels that a model exceeds, of any amplitude and background.
+
+        shown : (N,) the model. measured : (N,) without what effects add.
+        """
+        if self.full is None:
+            return self.weights
+        return weights_below(shown, measured, self.weights, self.full)
 
     def of(self, image: Tensor) -> Tensor:
         """Their values in an image (Z, Y, X)."""
@@ -292,12 +305,18 @@ class Level:
             return Voxels(index, measured, self.noise.weights(measured, None))
         added = self.offset(effects)
         further = 0.0 if added is None else added.reshape(-1)[index].to(measured.dtype)
-        a, b, _ = solve_scale(model, measured - further, torch.ones_like(measured))
+        # Of cut voxels only the light is known that the others tell.
+        whole = torch.ones_like(measured, dtype=torch.bool)
+        if self.cut is not None and bool((measured < self.cut).any()):
+            whole = measured < self.cut
+        a, b, _ = solve_scale(model, measured - further, whole.to(measured.dtype))
         expected = a * model + b + further
         left = self.target - (a * rendered + (0.0 if added is None else added)).to(self.target)
         noise = differences(left).reshape(-1)[index]
         return Voxels(
-            index, measured, self.noise.weights(measured, expected, measured - expected, noise)
+            index,
+            measured,
+            self.noise.weights(measured, expected, measured - expected, noise, whole),
         )
 
     def _varied(self, inside: Tensor) -> Tensor:

@@ -97,6 +97,7 @@ class ImageNoise:
         expected: Tensor | None = None,
         residual: Tensor | None = None,
         noise: Tensor | None = None,
+        whole: Tensor | None = None,
     ) -> Tensor:
         """Weights of voxels, all (N,).
 
@@ -113,6 +114,8 @@ class ImageNoise:
             Measured minus expected.
         noise
             Single draws of about the noise of each voxel.
+        whole
+            Which of them tell how large noise and errors are; all, if not given.
         """
         if self.kind == "gaussian":
             return torch.ones_like(measured)
@@ -122,6 +125,8 @@ class ImageNoise:
         floor = self.floor
         if residual is not None and noise is not None:
             variance = light + floor
+            if whole is not None:
+                variance, residual, noise = variance[whole], residual[whole], noise[whole]
             gain = float(torch.median(noise**2 / variance)) / MEDIAN_SQUARE
             count = max(len(residual), 1)
             error = float(total(residual**2) - gain * total(variance)) / count

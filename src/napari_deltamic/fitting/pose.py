@@ -14,6 +14,7 @@ from ..fourier.devices import for_objects
 from ..geometry.bending import BendingEnergy
 from ..geometry.cell_bending import CellBending
 from ..geometry.junction_bending import JunctionBending
+from ..geometry.mesh import FloatArray
 from ..scene import Renderer
 from ..scene.effects import Effects
 from ..scene.light import INSIDES, MEMBRANES, Light
@@ -111,31 +112,37 @@ def pose(
         smoother = Preconditioner(shape.mesh, level.smoothing)
         at = look.with_density(voxels, at, light, rendered, smoother)
         rendered = look.rendered(at, light)
-    found, views = look.found(voxels, rendered), list(held)
-    if not held:
-        voxels = look.completed(voxels, rendered, found)
-        if level.factor == 1 and density.model != "uniform" and shone.interior > 0:
-            voxels = look.evened(voxels, at, light, look.found(voxels, rendered))
-        found = look.found(voxels, rendered)
-        views = [look.view(voxels, rendered, found, tempered)]
-        if second is not None:
-            views.append(look.second_view(second, at, light, tempered))
-    variance = views[0].variance
     stiffness = level.settings.bending
     width = float(np.prod(imaging.optics.sigma_um)) ** (1 / 3)
     walls = CellBending(shape.mesh) if structure == "interior" else BendingEnergy(shape.mesh, width)
     bending = walls, JunctionBending(shape.mesh, width)
 
-    def posterior_of(insides: Insides) -> Posterior:
+    def posterior_of(insides: Insides, views: Sequence[View]) -> Posterior:
         prior = Prior(*bending, stiffness, density, insides, imaging)
         return Posterior(level, renderer, views, prior, density_fitted, structure)
 
-    if len(insides) and not shone.cells:
-        at = _with_insides(posterior_of(replace(insides, held=False)), at)
-    posterior = posterior_of(insides)
+    found, views, whole = look.found(voxels, rendered), list(held), voxels
+    if not held:
+        whole = look.completed(voxels, rendered, found)
+        # Before they are evened, or what cells differ by is taken for unevenness. As cut insides
+        # are found to be brighter, the others are less bright beside them.
+        if len(insides) and (whole.full is not None or not shone.cells):
+            told = look.view(whole, rendered, look.found(whole, rendered), tempered)
+            at = _with_insides(posterior_of(replace(insides, held=False), [told]), at)
+            rendered = look.rendered(at, light)
+            whole = look.completed(voxels, rendered, look.found(whole, rendered))
+        plain, voxels = voxels, whole
+        if level.factor == 1 and density.model != "uniform" and shone.interior > 0:
+            voxels = look.evened(voxels, at, light, look.found(whole, rendered), plain.weights)
+        found = look.found(voxels, rendered)
+        views = [look.view(voxels, rendered, found, tempered)]
+        if second is not None:
+            views.append(look.second_view(second, at, light, tempered))
+    variance = views[0].variance
+    posterior = posterior_of(insides, views)
     firmness = look.firmness(voxels, rendered, found, light) / variance
     left = squares_left(found, voxels)
-    return Posed(posterior, at, renderer, variance, left, bool(held), firmness)
+    return Posed(posterior, at, renderer, variance, left, bool(held), firmness, whole)
 
 
 def _with_insides(posterior: Posterior, at: Variables) -> Variables:
@@ -260,8 +267,13 @@ class _Look:
         ratio = self.level.brightness(*given)
         return replace(at, density=self.density.estimate(ratio, smoother))
 
-    def evened(self, voxels: Voxels, at: Variables, light: Light, found: Match) -> Voxels:
-        """With insides as even as they are modelled, where the image says that they are not."""
+    def evened(
+        self, voxels: Voxels, at: Variables, light: Light, found: Match, given: Tensor
+    ) -> Voxels:
+        """With insides as even as they are modelled, where the image says that they are not.
+
+        given : (N,) weights before cut voxels were completed.
+        """
         level, seen = self.level, inside_over_membrane(light, self.imaging.optics.sigma_um)
         if light.interior <= 0 or seen < EVENING.inside or not found.amplitude > 0:
             return voxels
@@ -269,9 +281,8 @@ class _Look:
         alike = replace(at, insides=np.zeros_like(at.insides))
         share = as_floats(self.rendered(alike, INSIDES)) / volume
         shown = found.amplitude * as_floats(self.rendered(at, replace(light, membrane=0.0)))
-        rest = found.amplitude * as_floats(self.rendered(at, light)) - shown + found.background
-        added = level.offset(self.imaging.effects)
-        insides = as_floats(level.target if added is None else level.target - added) - rest
+        model = found.amplitude * as_floats(self.rendered(at, light)) + found.background
+        insides = self._likely(voxels, model, given) - (model - shown)
         widths = np.asarray(self.imaging.optics.sigma_um) / np.asarray(level.grid.voxel_size)
         noise = as_floats(differences(torch.from_numpy(insides - shown)))
         share = np.where(level.counted.cpu().numpy(), share, 0.0)
@@ -283,6 +294,22 @@ class _Look:
         own = torch.from_numpy(insides.reshape(-1)[index]).to(gain)
         evened = voxels.measured + own * (1 / gain - 1)
         return replace(voxels, measured=evened, weights=voxels.weights * gain**2)
+
+    def _likely(self, voxels: Voxels, model: FloatArray, given: Tensor) -> FloatArray:
+        """(Z, Y, X) measured, less what effects add; of cut voxels, the mean of what may have been.
+
+        model : (Z, Y, X). given : as for :meth:`evened`.
+        """
+        level = self.level
+        added = level.offset(self.imaging.effects)
+        image = as_floats(level.target if added is None else level.target - added)
+        if voxels.full is None:
+            return image
+        image, index = image.copy(), voxels.index.cpu().numpy()
+        expected, measured = model.reshape(-1)[index], as_floats(self._measured(voxels, level))
+        share = as_floats(voxels.weights) / np.maximum(as_floats(given), 1e-300)
+        image.reshape(-1)[index] = expected + share * (measured - expected)
+        return image
 
     def completed(self, voxels: Voxels, rendered: Tensor, found: Match) -> Voxels:
         """With what is known of voxels that were cut (:mod:`.saturation`)."""
@@ -316,6 +343,7 @@ class _Look:
             voxels.index,
             torch.from_numpy(measured).to(voxels.measured),
             torch.from_numpy(weights).to(voxels.weights),
+            torch.from_numpy(full).to(voxels.index.device),
         )
 
     def second_view(self, level: Level, at: Variables, light: Light, tempered: bool) -> View:

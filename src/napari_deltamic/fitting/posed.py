@@ -38,6 +38,8 @@ class Posed:
     firmness
         Second derivative of its misfit by a displacement of a piece of surface along its normal,
         for each um^2 of it: nats / um^4.
+    whole
+        The voxels that count, before insides were evened.
     """
 
     posterior: Posterior
@@ -47,6 +49,7 @@ class Posed:
     left: float
     held: bool
     firmness: float
+    whole: Voxels
 
     def shown(self, state: FitState) -> FloatArray:
         """(N,) the image of a state where voxels count, of amplitude 1."""
@@ -58,14 +61,27 @@ class Posed:
         Noise is what differs from voxel to voxel along X. image : (Z, Y, X), of any amplitude.
         """
         level, voxels = self.posterior.level, self.posterior.views[0].voxels
-        weights = voxels.weights
-        shown = voxels.of(image).to(weights)
-        measured = torch.from_numpy(self.posterior.measured(self.at)[0]).to(weights)
+        shown = voxels.of(image).to(voxels.weights)
+        measured = torch.from_numpy(self.posterior.measured(self.at)[0]).to(shown)
+        weights = voxels.weights_for(shown, measured)
         a, b, _ = solve_scale(shown, measured, weights)
         rest = voxels.of(differences(level.target - a * image.to(level.target)))
         squares = ((measured - a * shown - b) ** 2, rest.to(weights) ** 2)
-        left, noise = (float(total(weights * one) / total(weights)) for one in squares)
+        whole = total(voxels.weights)
+        left, noise = (float(total(weights * one) / whole) for one in squares)
         return left, noise
+
+    def nats_left_by(self, image: Tensor, evened: bool) -> float:
+        """What another image would leave of the first one, in nats.
+
+        evened : whether of insides that are as even as they are modelled, or as they were measured.
+        """
+        voxels = self.posterior.views[0].voxels if evened else self.whole
+        shown = voxels.of(image).to(voxels.weights)
+        measured = self.posterior.less_effects(self.at, voxels).to(shown)
+        weights = voxels.weights_for(shown, measured)
+        a, b, _ = solve_scale(shown, measured, weights)
+        return float(total(weights * (measured - a * shown - b) ** 2)) / (2 * self.variance)
 
     def _image(self, state: FitState) -> Tensor:
         """(Z, Y, X) of a state, of amplitude 1."""

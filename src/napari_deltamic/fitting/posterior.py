@@ -130,7 +130,8 @@ class Posterior(Prediction):
             image = self._level.rendered(renderer, spectrum, otf)
             voxels = view.voxels
             measured = self._measured(view, effects)
-            squares, found = explained(image, voxels.index, measured, voxels.weights)
+            weights = voxels.weights_for(voxels.of(image.detach()), measured)
+            squares, found = explained(image, voxels.index, measured, weights)
             nats = nats.to(squares) + squares / (2 * view.variance)
             if told is None:
                 told, first = found, (image, otf)
@@ -176,7 +177,8 @@ class Posterior(Prediction):
             image, otf = (t.detach() for t in first)
             values = view.voxels.of(image)
             measured = self._measured(view, effects)
-            pull = (found.amplitude * values + found.background - measured) * view.voxels.weights
+            weights = view.voxels.weights_for(values, measured)
+            pull = (found.amplitude * values + found.background - measured) * weights
             now = Now(
                 self._level,
                 self._with(effects),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -226,6 +226,11 @@ class Prediction:
         """(N,) of each view: what was measured, without what effects add."""
         effects = self._imaging.effects_of(at.effects)
         return [as_floats(self._measured(view, effects)) for view in self._views]
+
+    def less_effects(self, at: Variables, voxels: Voxels) -> Tensor:
+        """(N,) what voxels of the first image measured, without what effects add."""
+        view = replace(self._views[0], voxels=voxels)
+        return self._measured(view, self._imaging.effects_of(at.effects))
 
     def _unknowns(self, at: Variables) -> Unknowns:
         there = self._faces_on

@@ -3,8 +3,8 @@
 A cut voxel counts by the probability that noise around the model exceeds where it was cut (the
 censored regression of J. Tobin, Econometrica 26, 1958). Its logarithm is replaced by the parabola
 with the same slope and curvature where the model is now, that is, by another value and another
-weight. Leaving cut voxels out instead would keep, of equally bright ones, those that noise had made
-darker.
+weight; beyond its top, where a brighter model would cost, it costs nothing. Leaving cut voxels out
+instead would keep, of equally bright ones, those that noise had made darker.
 """
 
 from __future__ import annotations
@@ -12,10 +12,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.special import erfcx
+from torch import Tensor
 
 from ..geometry.mesh import FloatArray
+from .likelihood import solve_scale
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,7 @@ class SaturationRules:
 
 
 RULES = SaturationRules()
+_ROUNDS = 10  # at most, until a model exceeds the same voxels as before; chosen: most take two
 _FAR = 1e4  # standard deviations: beyond, a cut voxel is one that was measured, but for rounding
 
 
@@ -97,3 +101,19 @@ def censored(expected: FloatArray, spread: FloatArray, cut: float) -> tuple[Floa
     rest = hazard - near
     value = np.where(below < _FAR, expected + spread / rest, cut)
     return value, np.minimum(hazard * rest, 1.0)
+
+
+def weights_below(shown: Tensor, measured: Tensor, weights: Tensor, full: Tensor) -> Tensor:
+    """Weights without those of cut voxels that a model exceeds; all (N,).
+
+    Amplitude and background of the model are solved for with these weights. full : the cut voxels.
+    """
+    shown, kept = shown.detach(), weights
+    over = torch.zeros_like(full)
+    for _ in range(_ROUNDS):
+        a, b, _ = solve_scale(shown, measured, kept)
+        before, over = over, full & (a * shown + b > measured)
+        if bool((over == before).all()):
+            break
+        kept = torch.where(over, 0.0, weights)
+    return kept

@@ -42,6 +42,10 @@ class StructureRules:
         Times as many of their errors, up to which such membranes are tried without once the fit has
         come to rest. Measured: 5 to 7.5 errors in three fits of nuclei alone that had ended with a
         membrane 0.4 to 0.7 voxel outside of a smaller inside; 12 and more where both shone.
+    beside_cut
+        In place of ``membranes`` where voxels were cut: until insides are as bright as their
+        borders say, their flat tops look like membranes. Measured after a few steps: 6 in crowds of
+        nuclei, 11 in one whose membranes shine as well.
     moves
         Voxels. An amplitude also leaves where the surface would move by less than this without it,
         root mean square: the bound below which effects are left out, too.
@@ -63,6 +67,7 @@ class StructureRules:
     membranes: float = 5.0
     outshone: float = 6.0
     faint: float = 3.0
+    beside_cut: float = 8.0
     moves: float = 0.02
     sure: float = 3.0
     block: float = 4.0
@@ -127,10 +132,12 @@ def chosen(
     if not stays(1.0):
         return Chosen("membrane", False)
     outshone = abs(insides.errors) > RULES.outshone * membranes.errors
-    if membranes.errors <= RULES.membranes and outshone:
+    cut = posterior.views[0].voxels.full is not None
+    least = RULES.beside_cut if cut else RULES.membranes
+    if membranes.errors <= least and outshone:
         return Chosen("interior", False)
     sure = stays(RULES.sure) and membranes.errors > RULES.sure * RULES.errors
-    faint = membranes.errors <= RULES.faint * RULES.membranes and outshone
+    faint = membranes.errors <= RULES.faint * least and outshone
     return Chosen("both", sure, faint)
 
 
