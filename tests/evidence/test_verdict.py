@@ -112,6 +112,13 @@ def test_a_predicted_error_decides(parts, grade, word):
     assert found.as_plain()["error"]["whole_um"]["total"] == pytest.approx(off.total)
 
 
+@pytest.mark.parametrize(("cut", "grade"), [(0.3, "good"), (0.6, "fair"), (0.8, "poor")])
+def test_an_image_that_is_mostly_cut_is_not_trusted(cut, grade):
+    found = judged(replace(FINE, cut=cut))
+    assert found.grade == grade
+    assert ("80% of the bright voxels are saturated" in found.sentence()) == (cut == 0.8)
+
+
 def test_one_bad_cell_spoils_no_other_and_is_named():
     cells = (*(CellFacts(k, 0.9, 0.0, 1.0) for k in range(1, 6)), CellFacts(6, 0.2))
     found = judged(replace(FINE, cells=cells))
