@@ -71,7 +71,7 @@ class VerdictRules:
         as far as so weighed, for insides 0.01 to 100 times as bright as the membrane's peak.
     cut, cut_most
         Largest shares of the bright voxels that may be cut off at the largest value: for a good
-        grade, and for a fair one. Measured in five scenes cut at three heights each: with 0.41 to
+        grade, and for a fair one. Measured in five scenes cut at three heights each: with 0.44 to
         0.75, 0.04 to 0.17 voxel off, 0.25 and 0.57 for nuclei; with 0.81, a membrane was taken for
         an inside, 2.2 voxels off.
     accuracy
