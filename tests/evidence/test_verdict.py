@@ -48,6 +48,7 @@ def test_a_fit_without_fault_is_good():
         ({"cut": 0.6}, "fair", "60% of the bright voxels are saturated"),
         ({"cut": 0.3}, "good", "good"),
         ({"compressed": True}, "fair", "look log-scaled"),
+        ({"sharpened": True}, "fair", "as after deconvolution"),
         ({"accuracy": 0.1}, "fair", "rendered with an error of 10%"),
         ({"accuracy": 0.02}, "good", "good"),
     ],

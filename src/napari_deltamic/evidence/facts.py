@@ -102,6 +102,8 @@ class Facts:
         Share of the bright voxels that are cut off at the largest value.
     compressed
         Whether intensities look like logarithms.
+    sharpened
+        Whether insides shine in an image that looks deconvolved.
     accuracy
         Relative error that the rendered images might have.
     """
@@ -115,4 +117,5 @@ class Facts:
     voxel: float = 1.0
     cut: float = 0.0
     compressed: bool = False
+    sharpened: bool = False
     accuracy: float = 0.0

@@ -11,6 +11,7 @@ from ..fitting.amplitudes import hardly_wider
 from ..fitting.deep_insides import Cells, dark_insides_shown, deep_brightness
 from ..fitting.growth_alarm import shrunken
 from ..fitting.job import FitInput, levelled
+from ..fitting.noise_blur import is_sharpened, is_white
 from ..fitting.saturation import filled_in, share_cut
 from ..fitting.state import FitState
 from ..geometry.mesh import Mesh
@@ -27,27 +28,6 @@ from .residual import Residual
 from .uneven_insides import inside_shares, uneven_insides
 from .unseen_walls import unseen_walls
 from .verdict import Verdict, judged
-
-
-@dataclass(frozen=True)
-class FactRules:
-    """When what is left counts as white noise.
-
-    Attributes
-    ----------
-    long_enough
-        Voxels: in a shorter axis few have others three apart on both sides. Chosen, not measured.
-    coloured
-        Times what neighbours differ by, of what is left: voxels three apart may differ by so much.
-        Chosen between white noise, which gives 1, and one smoothed by a Gaussian of half a voxel,
-        which gives 1.4 (from the correlations that it leaves, exp(-n^2 / 4 s^2) over n voxels).
-    """
-
-    long_enough: int = 12
-    coloured: float = 1.25
-
-
-RULES = FactRules()
 
 
 def verdict_of(
@@ -84,6 +64,8 @@ def facts_of(
         voxel=float(np.prod(size) ** (1 / 3)),
         cut=share_cut(pixels),
         compressed=compressed(pixels),
+        sharpened=state.light.interior > 0
+        and is_sharpened(seen - shown, state.optics.sigma_um, size),
         accuracy=job.settings.fit.image_accuracy,
     )
 
@@ -164,27 +146,11 @@ def _widths(
     if isinstance(state.optics, GaussianPSF):  # of a light cone, the spectrum tells less
         widths["along Z"] = told.z.value, sigma[0]
     found = {axis: float(value / of) for axis, (value, of) in widths.items() if value is not None}
-    if not _white(seen - shown):  # noise that was smoothed looks like light that is sharper
+    if not is_white(seen - shown):  # noise that was smoothed looks like light that is sharper
         found = {axis: width for axis, width in found.items() if width > 1}
     if state.light.interior:  # the spectrum of insides falls faster than that of membranes
         found = {axis: width for axis, width in found.items() if width < 1}
     return found
-
-
-def _white(left: np.ndarray) -> bool:
-    """Whether what a fit leaves is as different between neighbours as between voxels three apart:
-    by second differences along each axis."""
-    for axis in np.flatnonzero(np.array(left.shape) >= RULES.long_enough):
-        rows = np.moveaxis(left, axis, -1)
-        near, far = (
-            float(
-                np.nanmedian(np.abs(rows[..., : -2 * n] - 2 * rows[..., n:-n] + rows[..., 2 * n :]))
-            )
-            for n in (1, 3)
-        )
-        if far > RULES.coloured * near:
-            return False
-    return True
 
 
 def _areas(mesh: Mesh) -> dict[int, float]:

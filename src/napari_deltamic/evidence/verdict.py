@@ -217,6 +217,9 @@ def _of_whole(facts: Facts) -> list[tuple[Grade, str]]:
     if facts.compressed:
         text = "the intensities look log-scaled, which shifts every surface"
         found.append(("fair", f"{text} (use the image as the camera took it)"))
+    if facts.sharpened:
+        text = "noise is as blurred as the image, as after deconvolution: rims may be artefacts"
+        found.append(("fair", f"{text} (use the image as the camera took it)"))
     if facts.accuracy > RULES.accuracy:
         text = f"images are rendered with an error of {facts.accuracy:.0%}, too coarse to judge by"
         found.append(("fair", f"{text} (--accuracy)"))

@@ -23,6 +23,7 @@ from .fitted import Fitted
 from .imaging import Imaging
 from .level import Level
 from .metric import Metric
+from .noise_blur import is_sharpened
 from .pose import pose
 from .posed import squares_left
 from .posterior import Evaluation
@@ -205,20 +206,34 @@ class Objective:
 
     def structure(self) -> Chosen:
         """What the image says that shines, of what may."""
-        return chosen(self.posed.posterior, self._descent.at, self.now, self.fitted.mesh)
+        given = self.posed.posterior, self._descent.at, self.now, self.fitted.mesh
+        return chosen(*given, self._sharpened)
+
+    def _sharpened(self) -> bool:
+        """Whether the image was deconvolved; a blurred one does not tell."""
+        level, optics = self.terms.level, self.fitted.optics
+        if level.factor != 1:
+            return False
+        seen, shown = self._seen_and_shown()
+        return is_sharpened(seen - shown, optics.sigma_um, level.grid.voxel_size)
 
     def dark_insides_denied(self) -> bool:
         """Whether insides are darker than the medium, and the image shows that of few of them."""
         if self.now.light.interior >= 0:
             return False
-        level, fitted, found = self.terms.level, self.fitted, self.now.match
-        added = level.offset(fitted.effects)
-        seen = level.target if added is None else level.target - added.to(level.target)
-        shown = found.amplitude * self.now.rendered + found.background
-        images = (image.detach().cpu().numpy() for image in (seen, shown, level.counted))
+        level, fitted = self.terms.level, self.fitted
+        images = (*self._seen_and_shown(), level.counted.cpu().numpy())
         cells = Cells(fitted.mesh, fitted.optics, level.grid)
         shares = list(dark_insides_shown(cells, *images).values())
         return bool(shares) and median(shares) < DEEP.shown
+
+    def _seen_and_shown(self) -> tuple[np.ndarray, np.ndarray]:
+        """(Z, Y, X) images: measured, without what effects add, and as the descent has it."""
+        level, found = self.terms.level, self.now.match
+        added = level.offset(self.fitted.effects)
+        seen = level.target if added is None else level.target - added.to(level.target)
+        shown = found.amplitude * self.now.rendered + found.background
+        return seen.detach().cpu().numpy(), shown.detach().cpu().numpy()
 
     def remaining(self, tolerance: float) -> Remaining:
         """What is still to come where most is; tolerance : um."""

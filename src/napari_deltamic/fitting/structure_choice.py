@@ -9,6 +9,7 @@ what a fit leaves is alike in neighbouring voxels (H. White, 1980).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -120,8 +121,14 @@ def chosen(
     at: Variables,
     now: Evaluation,
     mesh: Mesh,
+    sharpened: Callable[[], bool],
 ) -> Chosen:
-    """What stays of a model in which both may shine; where neither is clear, membranes do."""
+    """What stays of a model in which both may shine; where neither is clear, membranes do.
+
+    sharpened : whether the image was deconvolved, which draws bright rims around insides. Measured
+    on crowds of nuclei, with and without fainter membranes: insides alone ended 0.27 and 0.30 voxel
+    off, both 0.95 and 0.51.
+    """
     membranes, insides = told(posterior, at, now, mesh)
     voxel = float(np.prod(posterior.level.frame.voxel_size)) ** (1 / 3)
 
@@ -134,7 +141,7 @@ def chosen(
     outshone = abs(insides.errors) > RULES.outshone * membranes.errors
     cut = posterior.views[0].voxels.full is not None
     least = RULES.beside_cut if cut else RULES.membranes
-    if membranes.errors <= least and outshone:
+    if outshone and (membranes.errors <= least or sharpened()):
         return Chosen("interior", False)
     sure = stays(RULES.sure) and membranes.errors > RULES.sure * RULES.errors
     faint = membranes.errors <= RULES.faint * least and outshone

@@ -13,7 +13,6 @@ from typing import Any
 from ..evidence import (
     compressed_brightness,
     fainter_membranes,
-    fit_facts,
     outgrowths,
     predicted_error,
     sanity,
@@ -30,6 +29,7 @@ from ..fitting import (
     growth_alarm,
     light_cone,
     likelihood,
+    noise_blur,
     protrusions,
     refits,
     rival_structures,
@@ -76,8 +76,8 @@ RULES_OF_A_FIT: dict[str, dict[str, Any]] = {
     "strays": asdict(unseeded_objects.RULES),
     "changed images": asdict(refits.RULES),
     "fainter membranes": asdict(fainter_membranes.RULES),
+    "noise": asdict(noise_blur.RULES),
     "predicted error": asdict(predicted_error.RULES),
-    "facts": asdict(fit_facts.RULES),
     "logarithms": asdict(compressed_brightness.RULES),
     "verdict": asdict(verdict.RULES),
 }
