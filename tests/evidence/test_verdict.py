@@ -7,8 +7,10 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import napari_deltamic as nd
-from napari_deltamic.evidence import analyse_residual
+from napari_deltamic.evidence import analyse_residual, fit_facts
+from napari_deltamic.evidence.estimate import Finding
 from napari_deltamic.evidence.facts import CellFacts, Facts
+from napari_deltamic.evidence.first_sigma import FirstSigma
 from napari_deltamic.evidence.fit_facts import facts_of
 from napari_deltamic.evidence.predicted_error import (
     PredictedError,
@@ -156,7 +158,7 @@ def test_growth_is_compared_with_the_other_cells():
     assert [c.grade for c in judged(replace(FINE, cells=one)).cells] == ["good"] * 6 + ["fair"]
 
 
-def test_facts_of_a_fit():
+def test_facts_of_a_fit(monkeypatch):
     size, shape = (0.2, 0.2, 0.2), (24, 24, 24)
     grid, optics = nd.Grid(shape, size), nd.GaussianPSF((0.24, 0.24, 0.24))
     truth = sphere((2.3, 2.3, 2.3), 1.5, edge_length=0.3)
@@ -172,6 +174,11 @@ def test_facts_of_a_fit():
     assert facts.explained > 0.95
     assert set(facts.widths) == {"across", "along Z"}
     assert list(facts.widths.values()) == pytest.approx([1, 1], abs=0.2)
+    for told, axes in ((0.13, {"across", "along Z"}), (0.11, {"across"})):  # um; 0.6 voxel: 0.12
+        sharp = FirstSigma(Finding(told), Finding(0.24))
+        monkeypatch.setattr(fit_facts, "first_sigma", lambda *given, sharp=sharp: sharp)
+        assert set(facts_of(job, state, analyse_residual(image, grid, state)).widths) == axes
+    monkeypatch.undo()
     (cell,) = facts.cells
     assert cell.growth == pytest.approx((1.5 / 1.2) ** 3, rel=0.1)
     assert not cell.cut

@@ -62,10 +62,10 @@ def is_sharpened(left: FloatArray, sigma: Sequence[float], voxel_size: Sequence[
     left : (Z, Y, X) what a fit leaves. sigma : um, of its PSF, Z Y X. voxel_size : um.
     """
     ratios = [
-        np.interp(far, _FAR_OVER_NEAR, _WIDTHS) * voxel_size[axis] / sigma[axis]
+        float(np.interp(far, _FAR_OVER_NEAR, _WIDTHS)) * voxel_size[axis] / sigma[axis]
         for axis, far in _far_over_near(left).items()
     ]
-    return bool(ratios) and min(ratios) > RULES.sharpened
+    return min(ratios, default=0.0) > RULES.sharpened
 
 
 def _far_over_near(left: FloatArray) -> dict[int, float]:
