@@ -50,6 +50,7 @@ def test_a_fit_without_fault_is_good():
         ({"cut": 0.6}, "fair", "60% of the bright voxels are saturated"),
         ({"cut": 0.3}, "good", "good"),
         ({"compressed": True}, "fair", "look log-scaled"),
+        ({"slices_differ": True}, "fair", "slices are shifted against each other"),
         ({"sharpened": True}, "fair", "as after deconvolution"),
         ({"accuracy": 0.1}, "fair", "rendered with an error of 10%"),
         ({"accuracy": 0.02}, "good", "good"),
@@ -171,13 +172,17 @@ def test_facts_of_a_fit(monkeypatch):
     job = FitInput(run, image, grid, start, optics, None)
     facts = facts_of(job, state, analyse_residual(image, grid, state))
     assert facts.finished
+    assert not facts.slices_differ
+    assert not facts.sharpened
     assert facts.explained > 0.95
     assert set(facts.widths) == {"across", "along Z"}
     assert list(facts.widths.values()) == pytest.approx([1, 1], abs=0.2)
     for told, axes in ((0.13, {"across", "along Z"}), (0.11, {"across"})):  # um; 0.6 voxel: 0.12
         sharp = FirstSigma(Finding(told), Finding(0.24))
         monkeypatch.setattr(fit_facts, "first_sigma", lambda *given, sharp=sharp: sharp)
-        assert set(facts_of(job, state, analyse_residual(image, grid, state)).widths) == axes
+        sharper = facts_of(job, state, analyse_residual(image, grid, state))
+        assert set(sharper.widths) == axes
+        assert sharper.slices_differ == ("along Z" not in axes)
     monkeypatch.undo()
     (cell,) = facts.cells
     assert cell.growth == pytest.approx((1.5 / 1.2) ** 3, rel=0.1)

@@ -102,6 +102,8 @@ class Facts:
         Share of the bright voxels that are cut off at the largest value.
     compressed
         Whether intensities look like logarithms.
+    slices_differ
+        Whether slices are shifted against each other, or unevenly bright.
     sharpened
         Whether insides shine in an image that looks deconvolved.
     accuracy
@@ -117,5 +119,6 @@ class Facts:
     voxel: float = 1.0
     cut: float = 0.0
     compressed: bool = False
+    slices_differ: bool = False
     sharpened: bool = False
     accuracy: float = 0.0

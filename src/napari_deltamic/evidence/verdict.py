@@ -217,6 +217,9 @@ def _of_whole(facts: Facts) -> list[tuple[Grade, str]]:
     if facts.compressed:
         text = "the intensities look log-scaled, which shifts every surface"
         found.append(("fair", f"{text} (use the image as the camera took it)"))
+    if facts.slices_differ:
+        text = "the slices are shifted against each other, or unevenly bright"
+        found.append(("fair", f"{text}, and the surfaces follow them (register the stack)"))
     if facts.sharpened:
         text = "noise is as blurred as the image, as after deconvolution: rims may be artefacts"
         found.append(("fair", f"{text} (use the image as the camera took it)"))

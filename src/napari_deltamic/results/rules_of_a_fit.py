@@ -13,6 +13,7 @@ from typing import Any
 from ..evidence import (
     compressed_brightness,
     fainter_membranes,
+    fit_facts,
     outgrowths,
     predicted_error,
     sanity,
@@ -78,6 +79,7 @@ RULES_OF_A_FIT: dict[str, dict[str, Any]] = {
     "fainter membranes": asdict(fainter_membranes.RULES),
     "noise": asdict(noise_blur.RULES),
     "predicted error": asdict(predicted_error.RULES),
+    "facts": asdict(fit_facts.RULES),
     "logarithms": asdict(compressed_brightness.RULES),
     "verdict": asdict(verdict.RULES),
 }
