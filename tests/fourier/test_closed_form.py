@@ -193,6 +193,7 @@ def test_compiled_functions_agree():
     check_compiled(function, mesh.vertices)
 
 
+@pytest.mark.slow
 def test_compiled_render_agrees():
     """The public functions, planning included, which torch traces for half a minute."""
     mesh = sphere((1.0, 1.0, 1.0), 0.6, subdivisions=1)

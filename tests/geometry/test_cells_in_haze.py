@@ -43,7 +43,7 @@ SLOW = pytest.mark.slow
         ("body", None),
         ("body", 9.0),
         pytest.param("centre", None, marks=SLOW),
-        ("none", None),
+        pytest.param("none", None, marks=SLOW),
     ],
 )
 def test_nuclei_of_an_embryo_that_shines_all_over_are_found(haze, size):

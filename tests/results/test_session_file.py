@@ -141,14 +141,6 @@ def test_a_disk_that_fails_leaves_the_old_file(tmp_path, monkeypatch, code):
     save_session(tmp_path / "b.deltamic", session())  # elsewhere, or later
 
 
-def test_no_window_library_is_loaded():
-    code = (
-        "import sys, napari_deltamic.results.session_file as s; "
-        "assert not {'napari', 'qtpy'} & set(sys.modules)"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
-
-
 def with_a_bead(tmp_path, named):
     """A session whose PSF is measured on a bead, and names this file for it; the bead's pixels."""
     image = np.random.default_rng(0).random((5, 6, 7)).astype(np.float32)
