@@ -71,7 +71,7 @@ def test_other_likelihoods_find_the_sphere(image, likelihood):
     assert apart(last.mesh) < 0.05
 
 
-@pytest.mark.parametrize("wrong", [1.5, 1 / 1.5])
+@pytest.mark.parametrize("wrong", [1.5, pytest.param(1 / 1.5, marks=pytest.mark.slow)])
 def test_fits_the_psf(image, wrong):
     optics = GaussianPSF(0.13 * wrong)
     last = fitted(image, start(2), optics=optics, settings=FitSettings(fit_psf=True))

@@ -250,7 +250,7 @@ def test_effects_can_be_switched_on_while_a_fit_runs():
     assert last.effects.attenuation.per_um == pytest.approx(0.15, abs=0.02)
 
 
-@pytest.mark.parametrize("effect", ["attenuation", "halo"])
+@pytest.mark.parametrize("effect", [pytest.param("attenuation", marks=pytest.mark.slow), "halo"])
 def test_a_resumed_fit_ends_as_the_uninterrupted_one(tmp_path, effect):
     image, path = scene(light=Light(1.0, 0.3)), tmp_path / "checkpoint.npz"
     for state in fit(image, GRID, start(2), OPTICS, settings=NEAR, effects=(effect,)):

@@ -200,6 +200,7 @@ def always_tried(monkeypatch):
     return asked
 
 
+@pytest.mark.slow
 def test_a_fit_goes_back_where_the_psf_of_an_objective_explains_less(always_tried, monkeypatch):
     contacts_tried, tried = [], TopologyTrials.tried
 

@@ -127,7 +127,12 @@ def test_insides_that_left_at_the_start_come_back(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("light", "name"), [(INSIDES, "interior"), (Light(1.0, 4.0), "both"), (MEMBRANES, "both")]
+    ("light", "name"),
+    [
+        (INSIDES, "interior"),
+        (Light(1.0, 4.0), "both"),
+        pytest.param(MEMBRANES, "both", marks=pytest.mark.slow),
+    ],
 )
 def test_faint_membranes_leave_at_rest_where_insides_explain_as_much(light, name, monkeypatch):
     """Whatever linear estimates say on the way."""

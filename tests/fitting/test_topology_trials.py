@@ -80,7 +80,9 @@ def test_nothing_is_tried_where_that_is_switched_off():
 COLLAPSES = pytest.param(0.6, 2000, marks=pytest.mark.xfail(strict=True, reason="judged too soon"))
 
 
-@pytest.mark.parametrize(("half", "photons"), [COLLAPSES, (0.9, 200), (0.9, 2000)])
+@pytest.mark.parametrize(
+    ("half", "photons"), [COLLAPSES, (0.9, 200), pytest.param(0.9, 2000, marks=pytest.mark.slow)]
+)
 def test_a_wrong_neighbour_is_exchanged_or_told(half, photons):
     """A wrong wall shrinks until the image can hardly tell it from none: 0 to 5 of 8 are found."""
     truth = five(half)

@@ -123,7 +123,7 @@ def matched(found, labels):
     return np.mean(np.array(shares) > 0.5)
 
 
-@pytest.mark.parametrize("gap", [-0.5, 1.0])
+@pytest.mark.parametrize("gap", [-0.5, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_cells_with_dark_gaps_between_them_are_no_walls(gap):
     labels, image = packed(gap)
     found = cells_of(image, (1.0, 1.0, 1.0))
@@ -222,7 +222,7 @@ def cells_in(kind):
     return scene.all_labels, scene.image
 
 
-@pytest.mark.parametrize("kind", ["nuclei", "walls"])
+@pytest.mark.parametrize("kind", ["nuclei", pytest.param("walls", marks=pytest.mark.slow)])
 def test_no_cell_is_found_where_the_image_is_missing(kind):
     """Half of those found had been smeared edges of the image."""
     labels, image = cells_in(kind)

@@ -155,6 +155,7 @@ def test_a_region_is_not_taken_for_all_of_its_file(widget, spin, monkeypatch):
         spin(ended(widget), 60)
 
 
+@pytest.mark.slow
 def test_a_second_run_replaces_the_layers_of_the_first(widget, viewer, spin):
     names = None
     for _ in range(2):

@@ -51,7 +51,9 @@ def test_every_iteration_is_yielded():
     assert done[-1].last_fit.rendered().shape == GRID.shape
 
 
-@pytest.mark.parametrize(("spoilt", "fits"), [(1, 2), (2, 3), (3, 3)])
+@pytest.mark.parametrize(
+    ("spoilt", "fits"), [(1, 2), pytest.param(2, 3, marks=pytest.mark.slow), (3, 3)]
+)
 def test_a_frame_that_is_explained_less_is_fitted_again(monkeypatch, spoilt, fits):
     levels = []
 
