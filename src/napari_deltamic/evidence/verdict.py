@@ -218,10 +218,10 @@ def _of_whole(facts: Facts) -> list[tuple[Grade, str]]:
         text = "the intensities look log-scaled, which shifts every surface"
         found.append(("fair", f"{text} (use the image as the camera took it)"))
     if facts.slices_differ:
-        text = "the slices are shifted against each other, or unevenly bright"
-        found.append(("fair", f"{text}, and the surfaces follow them (register the stack)"))
+        text = "slices are shifted or differ in brightness, and the surfaces follow them"
+        found.append(("fair", f"{text} (register the stack)"))
     if facts.sharpened:
-        text = "noise is as blurred as the image, as after deconvolution: rims may be artefacts"
+        text = "the image looks deconvolved or smoothed, so bright rims may be artefacts"
         found.append(("fair", f"{text} (use the image as the camera took it)"))
     if facts.accuracy > RULES.accuracy:
         text = f"images are rendered with an error of {facts.accuracy:.0%}, too coarse to judge by"
