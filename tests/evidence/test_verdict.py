@@ -17,6 +17,7 @@ from napari_deltamic.evidence.predicted_error import (
     ShapeDeviation,
     predicted_error,
 )
+from napari_deltamic.evidence.slices_apart import SlicesApart
 from napari_deltamic.evidence.verdict import judged
 from napari_deltamic.fitting import fit
 from napari_deltamic.fitting.job import FitInput
@@ -50,7 +51,13 @@ def test_a_fit_without_fault_is_good():
         ({"cut": 0.6}, "fair", "60% of the bright voxels are saturated"),
         ({"cut": 0.3}, "good", "good"),
         ({"compressed": True}, "fair", "look log-scaled"),
-        ({"slices_differ": True}, "fair", "slices are shifted or differ"),
+        (
+            {"slices": SlicesApart(shift=0.43)},
+            "fair",
+            "shifted against each other by about 0.4",
+        ),
+        ({"slices": SlicesApart(brightness=0.12)}, "fair", "brightness of slices varies by 12%"),
+        ({"slices": SlicesApart(0.1, 0.05)}, "good", "good"),
         ({"sharpened": True}, "fair", "looks deconvolved"),
         ({"accuracy": 0.1}, "fair", "rendered with an error of 10%"),
         ({"accuracy": 0.02}, "good", "good"),
@@ -172,7 +179,8 @@ def test_facts_of_a_fit(monkeypatch):
     job = FitInput(run, image, grid, start, optics, None)
     facts = facts_of(job, state, analyse_residual(image, grid, state))
     assert facts.finished
-    assert not facts.slices_differ
+    assert facts.slices.shift < 0.03
+    assert facts.slices.brightness < 0.02
     assert not facts.sharpened
     assert facts.explained > 0.95
     assert set(facts.widths) == {"across", "along Z"}
@@ -180,9 +188,7 @@ def test_facts_of_a_fit(monkeypatch):
     for told, axes in ((0.13, {"across", "along Z"}), (0.11, {"across"})):  # um; 0.6 voxel: 0.12
         sharp = FirstSigma(Finding(told), Finding(0.24))
         monkeypatch.setattr(fit_facts, "first_sigma", lambda *given, sharp=sharp: sharp)
-        sharper = facts_of(job, state, analyse_residual(image, grid, state))
-        assert set(sharper.widths) == axes
-        assert sharper.slices_differ == ("along Z" not in axes)
+        assert set(facts_of(job, state, analyse_residual(image, grid, state)).widths) == axes
     monkeypatch.undo()
     (cell,) = facts.cells
     assert cell.growth == pytest.approx((1.5 / 1.2) ** 3, rel=0.1)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from .predicted_error import PredictedError
+from .slices_apart import SlicesApart
 
 
 @dataclass(frozen=True)
@@ -102,8 +103,8 @@ class Facts:
         Share of the bright voxels that are cut off at the largest value.
     compressed
         Whether intensities look like logarithms.
-    slices_differ
-        Whether slices are shifted against each other, or unevenly bright.
+    slices
+        How far they are apart.
     sharpened
         Whether insides shine in an image that looks deconvolved.
     accuracy
@@ -119,6 +120,6 @@ class Facts:
     voxel: float = 1.0
     cut: float = 0.0
     compressed: bool = False
-    slices_differ: bool = False
+    slices: SlicesApart = field(default_factory=SlicesApart)
     sharpened: bool = False
     accuracy: float = 0.0

@@ -19,33 +19,16 @@ from ..optics import GaussianPSF
 from ..optics.narrow import narrower_than_told
 from ..scene import Grid
 from .compressed_brightness import compressed
-from .evidence_rules import SPECTRUM
 from .facts import CellFacts, Facts
-from .first_sigma import FirstSigma, first_sigma
+from .first_sigma import first_sigma
 from .folds import folds
 from .outgrowths import outgrowths
 from .predicted_error import predicted_error
 from .residual import Residual
+from .slices_apart import slices_apart
 from .uneven_insides import inside_shares, uneven_insides
 from .unseen_walls import unseen_walls
 from .verdict import Verdict, judged
-
-
-@dataclass(frozen=True)
-class FactRules:
-    """When an image should tell how its slices go on in the next.
-
-    Attributes
-    ----------
-    resolved
-        Voxels: standard deviation of a PSF along Z, from which on the spectrum shows it. Chosen, a
-        third above the narrowest that voxels can tell; in two scenes 0.67 was told to 0.01.
-    """
-
-    resolved: float = 0.8
-
-
-RULES = FactRules()
 
 
 def verdict_of(
@@ -72,12 +55,12 @@ def facts_of(
     measured = filled_in(pixels, image)
     seen, shown = (levelled(i, job.grid, state.effects) for i in (measured, image))
     narrow = narrower_than_told(state.optics.sigma_um, size)
-    images, told = _Images(image, seen, shown), first_sigma(seen, size)
+    images, everywhere = _Images(image, seen, shown), np.ones(job.grid.shape, bool)
     return Facts(
         finished=state.converged,
         explained=left.explained,
-        widths=_widths(job, state, images, told),
-        slices_differ=_slices_differ(job, state, told),
+        widths=_widths(job, state, images),
+        slices=slices_apart(seen, shown, everywhere if job.counted is None else job.counted),
         narrow=job.settings.fit.fit_psf and narrow,
         cells=_cells(job, state, left, images),
         error=predicted_error(job, state),
@@ -157,9 +140,14 @@ def _stray(left: Residual, state: FitState, shown: np.ndarray) -> dict[int, floa
     return found
 
 
-def _widths(job: FitInput, state: FitState, images: _Images, told: FirstSigma) -> dict[str, float]:
-    """Of the blur across and along Z, over that of the PSF, as far as told; voxels blur, too."""
+def _widths(job: FitInput, state: FitState, images: _Images) -> dict[str, float]:
+    """Of the blur across and along Z, over that of the PSF, as far as told; voxels blur, too.
+
+    What is narrower than voxels can tell is no blur: that of a stack of vesicles was told to be
+    0.55 voxel long, and the PSF was 1.2.
+    """
     sigma, size = state.optics.sigma_um, job.grid.voxel_size
+    told = first_sigma(images.seen, size)
     widths = {"across": (told.yx.value, max(sigma[1:]), max(size[1:]))}
     if isinstance(state.optics, GaussianPSF):  # of a light cone, the spectrum tells less
         widths["along Z"] = told.z.value, sigma[0], size[0]
@@ -173,23 +161,6 @@ def _widths(job: FitInput, state: FitState, images: _Images, told: FirstSigma) -
     if state.light.interior:  # the spectrum of insides falls faster than that of membranes
         found = {axis: width for axis, width in found.items() if width < 1}
     return found
-
-
-def _slices_differ(job: FitInput, state: FitState, told: FirstSigma) -> bool:
-    """Whether slices do not fit together: between them the image varies as no PSF lets it.
-
-    Measured (benchmarks.defaults): in all of 10 stacks whose slices are shifted by 0.7 voxel the
-    spectrum has no width along Z, in 9 of 10 whose brightness varies by a fifth one below 0.6
-    voxel, in none of 110 others; in a real stack whose slices are visibly shifted, 0.55 voxel.
-    """
-    side, (z, y, x) = job.grid.voxel_size[0], state.optics.sigma_um
-    if not isinstance(state.optics, GaussianPSF) or told.yx.value is None:
-        return False
-    # A fit follows such slices with a PSF that is shorter than any microscope's.
-    longest = max(z, SPECTRUM.z_over_yx[0] * min(y, x))
-    if longest < RULES.resolved * side:
-        return False
-    return told.z.value is None or narrower_than_told((told.z.value,), (side,))
 
 
 def _areas(mesh: Mesh) -> dict[int, float]:

@@ -13,10 +13,10 @@ from typing import Any
 from ..evidence import (
     compressed_brightness,
     fainter_membranes,
-    fit_facts,
     outgrowths,
     predicted_error,
     sanity,
+    slices_apart,
     unseeded_objects,
     verdict,
 )
@@ -79,7 +79,7 @@ RULES_OF_A_FIT: dict[str, dict[str, Any]] = {
     "fainter membranes": asdict(fainter_membranes.RULES),
     "noise": asdict(noise_blur.RULES),
     "predicted error": asdict(predicted_error.RULES),
-    "facts": asdict(fit_facts.RULES),
+    "slices": asdict(slices_apart.RULES),
     "logarithms": asdict(compressed_brightness.RULES),
     "verdict": asdict(verdict.RULES),
 }
