@@ -12,9 +12,9 @@ import numpy as np
 
 from ..geometry.mesh import FloatArray
 
-# By definition, of a normal deviate: the standard deviation over the median of its size, and that
-# of its difference from the mean of two others.
-_OVER_MEDIAN, _FROM_NEIGHBOURS = 1 / 0.6745, 1.5**0.5
+# By definition, of a normal deviate: the standard deviation over the median of its size, and the
+# variance of its difference from the mean of two others.
+_OVER_MEDIAN, _FROM_NEIGHBOURS = 1 / 0.6745, 1.5
 
 
 @dataclass(frozen=True)
@@ -57,24 +57,51 @@ def slices_apart(seen: FloatArray, shown: FloatArray, counted: np.ndarray) -> Sl
     """How far slices are apart; 0 where too few show anything.
 
     By least squares in each slice, of its derivatives along Y and X, its light, and a constant;
-    what neighbouring slices have in common is drift, and does not count.
+    what neighbouring slices have in common is drift, and does not count, nor does what noise makes.
 
     seen, shown : (Z, Y, X) images: as measured and as modelled. counted : (Z, Y, X) bool.
     """
     counted = counted & np.isfinite(seen)
-    slopes = np.stack(np.gradient(np.asarray(shown, float), axis=(1, 2)))
-    strength = ((slopes**2).sum(0) * counted).sum((1, 2))
-    clear = np.flatnonzero(strength > RULES.least * strength.mean())
-    found = []
-    for z in clear:
-        here = counted[z]
-        light = shown[z][here]
-        columns = np.stack([*slopes[:, z][:, here], light, np.ones_like(light)], axis=1)
-        found.append(np.linalg.lstsq(columns, (seen - shown)[z][here], rcond=None)[0][:3])
-    if len(found) < RULES.fewest:
+    each = [_of_slice(*planes) for planes in zip(seen, shown, counted, strict=True)]
+    strength = np.array([one.strength for one in each])
+    clear = [one for one in each if one.strength > RULES.least * strength.mean()]
+    if len(clear) < RULES.fewest:
         return SlicesApart()
-    each = np.stack(found)
-    alone = each[1:-1] - (each[:-2] + each[2:]) / 2
-    scale = _OVER_MEDIAN / _FROM_NEIGHBOURS
-    shift, brightness = (np.median(np.abs(part)) * scale for part in (alone[:, :2], alone[:, 2]))
-    return SlicesApart(float(shift), float(brightness))
+    alone = _from_neighbours(np.stack([one.found for one in clear]), -1 / 2)
+    by_noise = _from_neighbours(np.stack([one.variance for one in clear]), 1 / 4)
+    shift, brightness = (
+        _beyond_noise(alone[:, part], by_noise[:, part]) for part in (slice(2), slice(2, 3))
+    )
+    return SlicesApart(shift, brightness)
+
+
+@dataclass(frozen=True, eq=False)
+class _Slice:
+    """Of one slice: how clearly shifts of it are seen, shifts and brightness, their variances."""
+
+    strength: float
+    found: FloatArray
+    variance: FloatArray
+
+
+def _of_slice(seen: FloatArray, shown: FloatArray, counted: np.ndarray) -> _Slice:
+    """By least squares; (Y, X) each."""
+    light = np.asarray(shown, float)
+    slopes = np.gradient(light) if min(light.shape) > 1 else [np.zeros_like(light)] * 2
+    columns = np.stack([part[counted] for part in (*slopes, light, np.ones_like(light))])
+    left = (seen - light)[counted]
+    inverse = np.linalg.pinv(columns @ columns.T, hermitian=True)
+    found = inverse @ (columns @ left)
+    noise = float(np.mean((left - found @ columns) ** 2)) if left.size else 0.0
+    return _Slice(float((columns[:2] ** 2).sum()), found[:3], noise * inverse.diagonal()[:3])
+
+
+def _from_neighbours(each: FloatArray, times: float) -> FloatArray:
+    """Of all slices but the first and the last: it, and so many times the sum of both others."""
+    return np.asarray(each[1:-1] + times * (each[:-2] + each[2:]))
+
+
+def _beyond_noise(alone: FloatArray, by_noise: FloatArray) -> float:
+    """Standard deviation of a slice, from differences and the variances that noise gives these."""
+    variance = (np.median(np.abs(alone)) * _OVER_MEDIAN) ** 2 - np.median(by_noise)
+    return float(np.sqrt(max(variance, 0.0) / _FROM_NEIGHBOURS))

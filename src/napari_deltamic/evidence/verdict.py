@@ -75,12 +75,12 @@ class VerdictRules:
         0.75, 0.04 to 0.17 voxel off, 0.25 and 0.57 for nuclei; with 0.81, a membrane was taken for
         an inside, 2.2 voxels off.
     shifted
-        Voxels, by which slices may be apart along Y and X. Measured (benchmarks.defaults): 0.34 to
-        0.78 in three stacks whose slices were shifted by 0.7, up to 0.12 in 65 others; 0.15 in a
-        real stack of vesicles that wobbles, up to 0.06 in three others.
+        Voxels, by which slices may be apart along Y and X. Measured (benchmarks.defaults): 0.35 to
+        0.78 in four stacks whose slices were shifted by 0.7, up to 0.11 in 74 others; 0.13 in a
+        real stack of vesicles that wobbles, up to 0.05 in three others.
     flicker
-        By how much the brightness of slices may vary. Measured: 0.12 and 0.2 where it did by a
-        fifth, up to 0.07 in the others.
+        By how much the brightness of slices may vary. Measured: 0.12 to 0.19 in four stacks where
+        it did by a fifth, up to 0.07 in the others.
     accuracy
         Largest relative error that rendered images may have. Chosen: half as much again as the
         coarsest that is ever chosen for a user; with 0.1, nuclei ended 0.6 and 1.0 voxel off where
