@@ -55,12 +55,12 @@ def facts_of(
     measured = filled_in(pixels, image)
     seen, shown = (levelled(i, job.grid, state.effects) for i in (measured, image))
     narrow = narrower_than_told(state.optics.sigma_um, size)
-    images, everywhere = _Images(image, seen, shown), np.ones(job.grid.shape, bool)
+    images = _Images(image, seen, shown)
     return Facts(
         finished=state.converged,
         explained=left.explained,
         widths=_widths(job, state, images),
-        slices=slices_apart(seen, shown, everywhere if job.counted is None else job.counted),
+        slices=slices_apart(measured, image),
         narrow=job.settings.fit.fit_psf and narrow,
         cells=_cells(job, state, left, images),
         error=predicted_error(job, state),
