@@ -24,6 +24,7 @@ from napari_deltamic.fitting.job import FitInput
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.labels.voxels import voxel_labels
 from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
+from napari_deltamic.scene.effects import Background, Effects
 
 FINE = Facts(True, 0.95, {"across": 1.0}, False, (CellFacts(1, 0.95, 0.01, 1.3),))
 
@@ -58,6 +59,8 @@ def test_a_fit_without_fault_is_good():
         ),
         ({"slices": SlicesApart(brightness=0.12)}, "fair", "brightness of slices varies by 12%"),
         ({"slices": SlicesApart(0.1, 0.05)}, "good", "good"),
+        ({"dome": 0.57}, "fair", "a haze up to 57% as bright as the surfaces"),
+        ({"dome": 0.2}, "good", "good"),
         ({"sharpened": True}, "fair", "looks deconvolved"),
         ({"accuracy": 0.1}, "fair", "rendered with an error of 10%"),
         ({"accuracy": 0.02}, "good", "good"),
@@ -182,6 +185,16 @@ def test_facts_of_a_fit(monkeypatch):
     assert facts.slices.shift < 0.03
     assert facts.slices.brightness < 0.02
     assert not facts.sharpened
+    assert facts.dome == 0
+    high = float(np.ptp(state.rendered()))
+    for place, number, dome in ((0, high, 0.0), (3, -high / 3, 0.5)):  # Legendre's in z
+        ground = Background(order=2, coefficients=tuple(number * (k == place) for k in range(9)))
+        hazy = replace(state, effects=Effects.of(ground))
+        z = np.linspace(-1, 1, shape[0])[:, None, None]
+        along = z if place == 0 else (3 * z**2 - 1) / 2
+        left = analyse_residual(image, grid, hazy)
+        found = facts_of(job, hazy, left, state.rendered() + number * along).dome
+        assert found == pytest.approx(dome, abs=0.02)
     assert facts.explained > 0.95
     assert set(facts.widths) == {"across", "along Z"}
     assert list(facts.widths.values()) == pytest.approx([1, 1], abs=0.2)

@@ -105,6 +105,8 @@ class Facts:
         Whether intensities look like logarithms.
     slices
         How far they are apart.
+    dome
+        Of the brightest light of the model, how high a dome of haze it has taken for background.
     sharpened
         Whether insides shine in an image that looks deconvolved.
     accuracy
@@ -120,6 +122,7 @@ class Facts:
     voxel: float = 1.0
     cut: float = 0.0
     compressed: bool = False
+    dome: float = 0.0
     slices: SlicesApart = field(default_factory=SlicesApart)
     sharpened: bool = False
     accuracy: float = 0.0

@@ -18,6 +18,7 @@ from ..geometry.mesh import Mesh
 from ..optics import GaussianPSF
 from ..optics.narrow import narrower_than_told
 from ..scene import Grid
+from ..scene.render import offset
 from .compressed_brightness import compressed
 from .facts import CellFacts, Facts
 from .first_sigma import first_sigma
@@ -61,6 +62,7 @@ def facts_of(
         explained=left.explained,
         widths=_widths(job, state, images),
         slices=slices_apart(measured, image),
+        dome=_dome(job, state, shown),
         narrow=job.settings.fit.fit_psf and narrow,
         cells=_cells(job, state, left, images),
         error=predicted_error(job, state),
@@ -161,6 +163,20 @@ def _widths(job: FitInput, state: FitState, images: _Images) -> dict[str, float]
     if state.light.interior:  # the spectrum of insides falls faster than that of membranes
         found = {axis: width for axis, width in found.items() if width < 1}
     return found
+
+
+def _dome(job: FitInput, state: FitState, shown: np.ndarray) -> float:
+    """How high what effects add is domed, over the brightest of what is shown; a slope is none."""
+    added = offset(state.effects, job.grid)
+    if added is None or not np.ptp(shown):
+        return 0.0
+    left = added.numpy().astype(float)
+    for axis, n in enumerate(left.shape):
+        along = np.arange(n) - (n - 1) / 2
+        others = tuple(other for other in range(3) if other != axis)
+        slope = (left.mean(others) * along).sum() / max((along**2).sum(), 1.0)
+        left -= np.expand_dims(slope * along, others)
+    return float(np.ptp(left) / np.ptp(shown))
 
 
 def _areas(mesh: Mesh) -> dict[int, float]:
