@@ -47,6 +47,8 @@ def test_odd_draws_follow_the_commit_and_even_ones_do_not():
     for draw, same in ((0, True), (1, False)):
         one, other = (rng_of("dim", draw, commit).random() for commit in ("a", "b"))
         assert (one == other) is same
+    one, other = (made("plain", 1, commit).image for commit in ("a", "b"))
+    assert not np.array_equal(one, other)
 
 
 @pytest.mark.parametrize(("microscope", "kept"), [("widefield", 1.0), ("confocal", 0.5)])

@@ -76,7 +76,7 @@ class VerdictRules:
         an inside, 2.2 voxels off.
     shifted
         Voxels, by which slices may be apart along Y and X. Measured (benchmarks.defaults): 0.35 to
-        0.78 in four stacks whose slices were shifted by 0.7, up to 0.11 in 107 others; 0.13 in a
+        0.78 in four stacks whose slices were shifted by 0.7, up to 0.11 in 103 others; 0.13 in a
         real stack of vesicles that wobbles, up to 0.05 in three others.
     flicker
         By how much the brightness of slices may vary. Measured: 0.12 to 0.19 in four stacks where
