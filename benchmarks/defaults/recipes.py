@@ -36,6 +36,8 @@ class Recipe:
     thickness: float = 0.0
     unequal: float = 0.0  # standard deviation of the log brightness from cell to cell
     grain: float = 0.0  # the same inside cells, over a few voxels: chromatin
+    clump: float = 1.7  # voxels in plane over which that is smooth
+    nucleoli: int = 0  # balls inside each cell that are a third as bright
     fading: float = 1.0  # brightness of the last slice, of that of the first
     tilted: tuple[float, float] = (
         0.0,
@@ -146,6 +148,39 @@ def _mixed(rng: np.random.Generator) -> Recipe:
     )
 
 
+def _chromatin(rng: np.random.Generator, **others: Any) -> Recipe:
+    """One nucleus of any size with chromatin, coarse or fine, and nucleoli."""
+    radius, aspect = float(np.exp(rng.uniform(np.log(9), np.log(26)))), rng.choice([1, 1, 2, 3, 5])
+    side, widest = int(2.9 * radius) + 12, max(0.9, min(2.5, radius / 6))
+    given = {
+        "cells": ((0.0, 0.0, 0.0, radius),),
+        "shape": (max(10, round(side / aspect)), side, side),
+        "aspect": float(aspect),
+        "psf": (max(0.6, rng.uniform(0.8, 2) * widest / aspect), rng.uniform(0.8, widest)),
+        "roughness": rng.uniform(0.05, 0.2),
+        "photons": float(np.exp(rng.uniform(np.log(30), np.log(300)))),
+        "membrane": 0.0,
+        "interior": 1.0,
+        "grain": rng.uniform(0.15, 0.5),
+        "clump": rng.uniform(1.0, 3.0),
+        "nucleoli": int(rng.integers(0, 5)),
+        "seeds": str(rng.choice(["labels", "spheres"])),
+        "told": ("--structure", "interior"),
+    }
+    return Recipe(**(given | others))  # type: ignore[arg-type]
+
+
+def _cut_chromatin(rng: np.random.Generator) -> Recipe:
+    """The same in a few slices that begin or end within the nucleus."""
+    whole = _chromatin(rng, aspect=float(rng.choice([3, 5])), seeds="labels")
+    side, radius = whole.shape[1], whole.cells[0][3]
+    slices = max(6, round(side / whole.aspect * rng.uniform(0.4, 0.7)))
+    beyond = radius * rng.uniform(0.0, 0.5)
+    place = (slices * whole.aspect / 2 - radius + beyond) * rng.choice([-1, 1])
+    psf = (max(0.6, whole.psf[1] * rng.uniform(1.5, 3) / whole.aspect), whole.psf[1])
+    return replace(whole, cells=((place, 0.0, 0.0, radius),), shape=(slices, side, side), psf=psf)
+
+
 def _confluent(rng: np.random.Generator) -> Recipe:
     """Cells that fill the stack; only those count of which half a cell or more lies in it."""
     shape, radius = (30, 42, 42), rng.uniform(7, 9)
@@ -232,6 +267,11 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
     "grainy-nuclei": lambda rng: _crowd(
         rng, membrane=0.0, interior=1.0, grain=rng.uniform(0.2, 0.5)
     ),
+    "chromatin": _chromatin,
+    "chromatin-cut": _cut_chromatin,
+    "chromatin-both": lambda rng: _chromatin(
+        rng, membrane=1.0, interior=rng.uniform(0.3, 1.2), told=("--structure", "both")
+    ),
     "fading": lambda rng: replace(PLAIN, fading=rng.uniform(0.2, 0.5)),
     "fading-tissue": lambda rng: replace(
         _labelled_tissue(rng), interior=rng.uniform(0.0, 0.5), fading=rng.uniform(0.2, 0.5)
@@ -304,6 +344,9 @@ WORDS = {
     "packed-hazy": "the same, all labelled, in a haze",
     "tissue-insides": "four cells that share walls, insides alone",
     "grainy-nuclei": "eight nuclei with chromatin",
+    "chromatin": "a nucleus with chromatin and nucleoli",
+    "chromatin-cut": "the same, cut by the border, in a few slices",
+    "chromatin-both": "a membrane, and an inside with chromatin",
     "fading": "a membrane that fades along Z",
     "fading-tissue": "four cells that share walls, fading along Z",
     "tilted": "a membrane, background rising along X",

@@ -56,4 +56,4 @@ def uneven_insides(job: FitInput, state: FitState, rendered: np.ndarray) -> dict
     labels = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
     deep = share > RULES.deep
     cells = {int(k): deep & (labels == k) for k in mesh.region_ids()}
-    return {k: float(found[own].std()) for k, own in cells.items() if own.any()}
+    return {k: float(found.gain[own].std()) for k, own in cells.items() if own.any()}

@@ -4,6 +4,10 @@ The inside of a cell is modelled as evenly bright. Where the image is brighter o
 the rendering, beyond noise, the border of the cell would move to make up for it. How bright each
 inside is at every place is read from voxels that see nothing else, and carried a little further to
 its border; measured values are divided by that, and their weights multiplied by its square.
+
+At the border that is a guess, off by about as much as brightness varies. To the variance of every
+voxel is added what that makes of the inside's light there, so that the dim side of the border,
+where it is little, decides where the border lies.
 """
 
 from __future__ import annotations
@@ -58,14 +62,46 @@ RULES = EveningRules()
 _FADES = 1e-3
 
 
+@dataclass(frozen=True, eq=False)
+class Unevenness:
+    """How uneven insides are.
+
+    Attributes
+    ----------
+    gain
+        (Z, Y, X) brightness relative to the model.
+    variance
+        Of that, without what noise adds.
+    """
+
+    gain: FloatArray
+    variance: float
+
+    def weights(self, weights: FloatArray, shown: FloatArray, noise: FloatArray) -> FloatArray:
+        """(N,) of evened voxels whose insides are known as well as they vary.
+
+        Parameters
+        ----------
+        weights
+            (N,) as before: one over variances, of any unit.
+        shown
+            (N,) light of the insides in the model.
+        noise
+            (N,) as large as the noise of each voxel in the mean.
+        """
+        unit = max(float(np.mean(noise**2 * weights)), 1e-300)
+        further = self.variance * shown**2 / unit
+        return weights / (1 + weights * further)
+
+
 def unevenness(
     insides: FloatArray,
     shown: FloatArray,
     share: FloatArray,
     noise: FloatArray,
     widths: FloatArray,
-) -> FloatArray | None:
-    """(Z, Y, X) brightness of insides relative to the model; None where noise explains it.
+) -> Unevenness | None:
+    """Brightness of insides relative to the model; None where noise explains it.
 
     Parameters
     ----------
@@ -98,4 +134,5 @@ def unevenness(
     believed = 1 - RULES.noise * by_noise / max(variance, 1e-300)
     if believed <= 0:
         return None
-    return np.clip(1 + believed * (found - 1), RULES.least, RULES.most)
+    gain = np.clip(1 + believed * (found - 1), RULES.least, RULES.most)
+    return Unevenness(gain, believed * variance)

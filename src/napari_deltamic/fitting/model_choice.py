@@ -12,7 +12,14 @@ from .fit_objective import Objective, Terms
 from .fitted import Fitted
 from .preconditioner import Preconditioners
 from .rival_structures import RULES as RIVALS
-from .rival_structures import best_of, insides_alone, membranes_as_well, nearer_of
+from .rival_structures import (
+    best_of,
+    insides_alone,
+    is_uneven,
+    membranes_as_well,
+    nearer_of,
+    without_rim,
+)
 from .shape import Shape
 from .stage import Stage
 
@@ -89,9 +96,14 @@ class ModelChoice:
             return fitted.with_structure(found.structure), 0
         if objective.dark_insides_denied():
             return fitted.with_structure("membrane"), 0
-        if not found.faint:
+        rival = None
+        if found.outshone and is_uneven(objective):
+            rival = without_rim
+        elif found.faint:
+            rival = insides_alone
+        if rival is None:
             return fitted, 0
-        alone, taken = insides_alone(terms, objective, factored)
+        alone, taken = rival(terms, objective, factored)
         return (fitted if alone is None else alone), taken
 
     def asked_again(self, fitted: Fitted, stage: Stage) -> bool:

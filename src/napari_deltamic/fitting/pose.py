@@ -290,10 +290,18 @@ class _Look:
         if uneven is None:
             return voxels
         index = voxels.index.cpu().numpy()
-        gain = torch.from_numpy(uneven.reshape(-1)[index]).to(voxels.weights)
-        own = torch.from_numpy(insides.reshape(-1)[index]).to(gain)
-        evened = voxels.measured + own * (1 / gain - 1)
-        return replace(voxels, measured=evened, weights=voxels.weights * gain**2)
+        gain, own, bright, left = (
+            image.reshape(-1)[index] for image in (uneven.gain, insides, shown, noise)
+        )
+        weights = as_floats(voxels.weights) * gain**2
+        if light.membrane == 0:  # beside a membrane that is off, insides look uneven
+            weights = uneven.weights(weights, bright, left / gain)
+        evened = as_floats(voxels.measured) + own * (1 / gain - 1)
+        return replace(
+            voxels,
+            measured=torch.from_numpy(evened).to(voxels.measured),
+            weights=torch.from_numpy(weights).to(voxels.weights),
+        )
 
     def _likely(self, voxels: Voxels, model: FloatArray, given: Tensor) -> FloatArray:
         """(Z, Y, X) measured, less what effects add; of cut voxels, the mean of what may have been.

@@ -107,12 +107,14 @@ class Chosen:
         Of membranes, insides, both.
     sure
         Whether that is so clear that it need not be asked again soon.
-    faint
-        Whether both stay, but membranes so little beside insides that these may do alone.
+    outshone, faint
+        Where both stay: whether insides differ from 0 by many times as many errors as membranes,
+        and whether these do by so few, too, that insides may do alone.
     """
 
     structure: Structure
     sure: bool
+    outshone: bool = False
     faint: bool = False
 
 
@@ -145,7 +147,7 @@ def chosen(
         return Chosen("interior", False)
     sure = stays(RULES.sure) and membranes.errors > RULES.sure * RULES.errors
     faint = membranes.errors <= RULES.faint * least and outshone
-    return Chosen("both", sure, faint)
+    return Chosen("both", sure, outshone, faint)
 
 
 def told(
