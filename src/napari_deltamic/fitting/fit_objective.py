@@ -9,6 +9,7 @@ from statistics import median
 
 import numpy as np
 
+from ..geometry.mesh import FloatArray
 from ..geometry.vectors import lengths
 from ..runs.settings import FitSettings
 from .amplitudes import inside_over_membrane
@@ -22,15 +23,17 @@ from .descent import Descent
 from .fitted import Fitted
 from .imaging import Imaging
 from .level import Level
+from .likelihood import total
 from .metric import Metric
 from .noise_blur import is_sharpened
 from .pose import pose
 from .posed import squares_left
 from .posterior import Evaluation
 from .preconditioner import NEAR_JUNCTIONS, Preconditioners
-from .prediction import View
+from .prediction import View, as_floats
 from .schedule import Schedule
 from .structure_choice import Chosen, chosen
+from .tempering import block_sums
 from .unequal_insides import Insides
 from .variables import Variables
 
@@ -171,14 +174,26 @@ class Objective:
         """(F,) relative to the mean."""
         return self._density.faces_numpy(self._descent.at.density)
 
-    def nats_over(self, other: Objective, evened: bool) -> float:
-        """Nats by which the image is explained better than where another descent is.
+    def nats_over(self, other: Objective, evened: bool) -> FloatArray:
+        """(B,) nats by which the image is explained better than where another descent is, by block.
 
-        Over the voxels that count here, amplitude and background fitted for either. evened :
-        whether insides are as even as they are modelled here, or as they were measured.
+        Over the voxels that count here, amplitude and background fitted for either. Blocks are
+        those of the PSF that the fit began with (:mod:`.tempering`). evened : whether insides are
+        as even as they are modelled here, or as they were measured.
         """
-        mine, its = (self.posed.nats_left_by(one.now.rendered, evened) for one in (self, other))
-        return its - mine
+        grid, posed = self.terms.level.grid, self.posed
+        mine, its = (posed.nats_left_by(one.now.rendered, evened) for one in (self, other))
+        widths = self.terms.level.factor * np.asarray(self.fitted.first_optics.sigma_um)
+        index = posed.posterior.views[0].voxels.index.cpu().numpy()
+        given = index, grid.shape, tuple(widths / np.asarray(grid.voxel_size))
+        return block_sums(as_floats(its - mine), *given)
+
+    def unevenness(self) -> float:
+        """Squares left of insides as they were measured, over those of evened ones."""
+        measured, evened = (
+            float(total(self.posed.nats_left_by(self.now.rendered, even))) for even in (False, True)
+        )
+        return measured / max(evened, 1e-300)
 
     def evaluations(self) -> int:
         """Since this was last asked."""

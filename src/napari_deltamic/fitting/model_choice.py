@@ -15,7 +15,6 @@ from .rival_structures import RULES as RIVALS
 from .rival_structures import (
     best_of,
     insides_alone,
-    is_uneven,
     membranes_as_well,
     nearer_of,
     without_rim,
@@ -97,7 +96,7 @@ class ModelChoice:
         if objective.dark_insides_denied():
             return fitted.with_structure("membrane"), 0
         rival = None
-        if found.outshone and is_uneven(objective):
+        if found.outshone and objective.unevenness() > RIVALS.uneven:
             rival = without_rim
         elif found.faint:
             rival = insides_alone

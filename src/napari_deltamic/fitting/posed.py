@@ -71,8 +71,8 @@ class Posed:
         left, noise = (float(total(weights * one) / whole) for one in squares)
         return left, noise
 
-    def nats_left_by(self, image: Tensor, evened: bool) -> float:
-        """What another image would leave of the first one, in nats.
+    def nats_left_by(self, image: Tensor, evened: bool) -> Tensor:
+        """(N,) what another image would leave of each voxel of the first one, in nats.
 
         evened : whether of insides that are as even as they are modelled, or as they were measured.
         """
@@ -81,7 +81,7 @@ class Posed:
         measured = self.posterior.less_effects(self.at, voxels).to(shown)
         weights = voxels.weights_for(shown, measured)
         a, b, _ = solve_scale(shown, measured, weights)
-        return float(total(weights * (measured - a * shown - b) ** 2)) / (2 * self.variance)
+        return weights * (measured - a * shown - b) ** 2 / (2 * self.variance)
 
     def _image(self, state: FitState) -> Tensor:
         """(Z, Y, X) of a state, of amplitude 1."""

@@ -31,6 +31,17 @@ class TemperingRules:
 RULES = TemperingRules()
 
 
+def block_sums(
+    values: FloatArray, index: np.ndarray, shape: tuple[int, int, int], widths: Sequence[float]
+) -> FloatArray:
+    """(B,) sums of values (N,) over each block of an image; see :func:`tempered_variance`."""
+    side = np.maximum(1, np.ceil(RULES.block * np.asarray(widths))).astype(np.int64)
+    at = np.stack(np.unravel_index(index, shape)) // side[:, None]
+    counts = -(-np.asarray(shape) // side)
+    block = np.ravel_multi_index(tuple(at), tuple(counts))
+    return np.asarray(np.bincount(block, values, int(np.prod(counts))), np.float64)
+
+
 def tempered_variance(
     residual: FloatArray,
     index: np.ndarray,
@@ -58,13 +69,9 @@ def tempered_variance(
     least
         What it is at least.
     """
-    side = np.maximum(1, np.ceil(RULES.block * np.asarray(widths))).astype(np.int64)
-    at = np.stack(np.unravel_index(index, shape)) // side[:, None]
-    counts = -(-np.asarray(shape) // side)
-    block = np.ravel_multi_index(tuple(at), tuple(counts))
-    held = np.bincount(block)
+    held = block_sums(np.ones(len(index)), index, shape, widths)
     full = held >= RULES.fewest
-    squares = np.bincount(block, residual)[full] ** 2 / held[full]
+    squares = block_sums(residual, index, shape, widths)[full] ** 2 / held[full]
     alone = float(np.mean(residual**2))
     together = float(np.median(squares)) / MEDIAN_SQUARE if full.any() else alone
     return max(alone, together, least)
