@@ -290,18 +290,16 @@ class _Look:
         if uneven is None:
             return voxels
         index = voxels.index.cpu().numpy()
-        gain, own, bright, left = (
-            image.reshape(-1)[index] for image in (uneven.gain, insides, shown, noise)
-        )
-        weights = as_floats(voxels.weights) * gain**2
-        if light.membrane == 0:  # beside a membrane that is off, insides look uneven
-            weights = uneven.weights(weights, bright, left / gain)
-        evened = as_floats(voxels.measured) + own * (1 / gain - 1)
-        return replace(
-            voxels,
-            measured=torch.from_numpy(evened).to(voxels.measured),
-            weights=torch.from_numpy(weights).to(voxels.weights),
-        )
+        gain, own = (torch.from_numpy(i.reshape(-1)[index]) for i in (uneven.gain, insides))
+        gain, own = gain.to(voxels.weights), own.to(voxels.weights)
+        evened = voxels.measured + own * (1 / gain - 1)
+        weights = voxels.weights * gain**2
+        # Beside a membrane that is off, insides look uneven; of cut ones, that is a guess.
+        if light.membrane == 0 and voxels.full is None:
+            bright, left = (i.reshape(-1)[index] for i in (shown, noise))
+            trusted = uneven.weights(as_floats(weights), bright, left / as_floats(gain))
+            weights = torch.from_numpy(trusted).to(weights)
+        return replace(voxels, measured=evened, weights=weights)
 
     def _likely(self, voxels: Voxels, model: FloatArray, given: Tensor) -> FloatArray:
         """(Z, Y, X) measured, less what effects add; of cut voxels, the mean of what may have been.

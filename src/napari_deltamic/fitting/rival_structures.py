@@ -190,13 +190,16 @@ def membranes_as_well(
 def _explains_more(one: Objective, other: Objective) -> bool:
     """Whether one surely explains more than another, over the voxels of both.
 
+    Where a user has asked for both, chromatin is not suspected of being a membrane.
+
     So both if insides are as even as either has them, and if they are as measured: what each takes
     for unevenness speaks for it, and unevenness itself speaks for whatever has more of it
     (chromatin, for a membrane).
     """
+    errors = RULES.errors if one.terms.settings.structure == "auto" else 0.0
     for evened in (True, False):
         gain = (one.nats_over(other, evened) - other.nats_over(one, evened)) / 2
-        if gain.sum() <= max(RULES.nats, RULES.errors * np.sqrt((gain**2).sum())):
+        if gain.sum() <= max(RULES.nats, errors * np.sqrt((gain**2).sum())):
             return False
     return True
 
