@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from napari_deltamic import GaussianPSF, Grid, fit
-from napari_deltamic.fitting.evening import RULES, unevenness
+from napari_deltamic.fitting.evening import RULES, Unevenness, unevenness
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure import surface_distance
 from napari_deltamic.runs.settings import FitSettings
@@ -18,9 +18,9 @@ WIDTHS = np.full(3, 1.3)
 INSIDE = expected_image(BALL, GRID, OPTICS, 1e-4, 1.0, 0.0, light=INSIDES).clip(0).astype(float)
 
 
-def field(sd=0.3, seed=1):
-    """Brightness that differs over about five voxels, one on average."""
-    noise = gaussian_filter(np.random.default_rng(seed).normal(size=GRID.shape), 3.0)
+def field(sd=0.3, seed=1, width=3.0):
+    """Brightness that differs over nearly two widths (voxels), one on average."""
+    noise = gaussian_filter(np.random.default_rng(seed).normal(size=GRID.shape), width)
     return np.exp(sd * noise / noise.std())
 
 
@@ -62,6 +62,24 @@ def test_it_is_no_less_and_no_more_than_a_cell_may_be():
     found, _ = read(np.where(np.arange(34)[:, None, None] < 16, 0.02, 2.0) * np.ones(GRID.shape))
     assert found.min() >= RULES.least
     assert found.max() <= RULES.most
+
+
+def test_voxels_are_trusted_less_where_uneven_insides_shine():
+    """A fifth of 10 is 2, of variance 4, beside noise of variance 1 or 2; where none shines, 0."""
+    noise = np.array([1.0, -1.0, np.sqrt(2.0)])
+    found = Unevenness(np.ones(3), 0.04)
+    weights = found.weights(np.array([3.0, 3.0, 1.5]), np.array([0.0, 10.0, 10.0]), noise)
+    assert weights == pytest.approx([3 / 1, 3 / 5, 3 / 6])
+
+
+@pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.slow)])
+def test_a_nucleus_with_fine_chromatin_keeps_no_membrane(seed):
+    """1.0 and 0.39 voxel off when any membrane that explained the border was believed."""
+    image = np.random.default_rng(4).poisson(4 + 100 * INSIDE * field(0.3, seed, 1.5)).astype(float)
+    start, sharp = sphere(CENTRE, 8.4, edge_length=2.2), GaussianPSF(1.6)
+    *_, last = fit(image, GRID, start, sharp, settings=FitSettings(levels=(1.0,)))
+    assert last.light.membrane == 0
+    assert surface_distance(last.mesh, BALL).mean < 0.35
 
 
 @pytest.mark.parametrize("sd", [0.0, 0.35])
