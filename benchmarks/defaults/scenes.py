@@ -206,7 +206,7 @@ def _density(
 
 
 def _grain(recipe: Recipe, space: Field, rng: np.random.Generator) -> Array:
-    """Clumps of about four voxels, one on average."""
+    """Clumps of about two and a half times ``clump`` voxels, one on average."""
     clump = (recipe.clump / recipe.aspect, recipe.clump, recipe.clump)
     noise = gaussian_filter(rng.normal(size=space.fine_shape), FINE * np.asarray(clump))
     clumps = np.exp(recipe.grain * noise / noise.std())
