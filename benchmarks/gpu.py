@@ -24,7 +24,7 @@ from napari_deltamic import Mesh, fit, render
 from napari_deltamic.fourier import Band
 from napari_deltamic.fourier.closed_form import band_ft
 from napari_deltamic.fourier.cuda import compiler, missing
-from napari_deltamic.fourier.cuda.build import SINGLE
+from napari_deltamic.fourier.cuda.build import CLOSED_FORM
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure import surface_distance
 from napari_deltamic.runs.settings import FitSettings
@@ -181,7 +181,7 @@ def first_use(place: Place) -> list[Row]:
     capability = (9, 0) if place.dry else torch.cuda.get_device_capability()
     target = compiler.architecture(capability)
     begun = time.perf_counter()
-    compiler.compile_kernels(SINGLE, target)
+    compiler.compile_kernels(CLOSED_FORM[True], target)
     note = f"{target}, NVRTC {'.'.join(map(str, compiler.version()))}; once, then from disk"
     return [
         Row("compiling the kernels of one type", "", time.perf_counter() - begun, "s", None, note)

@@ -4,12 +4,21 @@ Torch computes with them, on the CPU, but what a GPU refuses is refused: operati
 two devices, and numpy's view of a tensor that is not in its memory.
 """
 
+import sys
 from contextlib import contextmanager
+from pathlib import Path
 
 import torch
 from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_flatten
+
+from napari_deltamic.fourier import particle_mesh
+from napari_deltamic.fourier.cuda.build import POINTS
+
+sys.path.append(str(Path(__file__).parent / "fourier"))  # where kernels run on the host
+
+from cuda_emulation import Emulated
 
 GPU = torch.device("cuda", 0)
 _HERE = torch.device("cpu")
@@ -140,11 +149,16 @@ class _Functions(TorchFunctionMode):
         return _Copy.apply(out, self._places, not there)
 
 
+def _kernels(device, single):
+    return Emulated(single, POINTS[single]) if device.type == GPU.type else None
+
+
 @contextmanager
 def pretended_gpu(monkeypatch):
     """The device, which everything that asks for a GPU is given."""
     monkeypatch.setattr("napari_deltamic.fourier.devices.missing", lambda: "")
     monkeypatch.setattr(torch.cuda, "current_device", lambda: 0)
+    monkeypatch.setattr(particle_mesh, "_kernels", _kernels)
     places = _Places()
     functions = _Functions(places)
     run = torch.autograd._engine_run_backward

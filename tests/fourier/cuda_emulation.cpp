@@ -1,7 +1,12 @@
 // The kernels as a library for the host: launch(name, grid, arguments), 0 where all went well.
 #include <cstring>
 
+#if defined(DELTAMIC_POINTS)
+#include "particle_mesh_cuda.cu"
+using namespace deltamic;
+#else
 #include "mesh_ft_cuda.cu"
+#endif
 
 extern "C" int launch(const char* name, unsigned int x, unsigned int y, void** arguments) {
     try {
@@ -10,6 +15,16 @@ extern "C" int launch(const char* name, unsigned int x, unsigned int y, void** a
         emulation::launch(kernel, {x, y}, threads, arguments);                        \
         return 0;                                                                     \
     }
+#if defined(DELTAMIC_POINTS)
+        KERNEL_NAMED(locate)
+        KERNEL_NAMED(spread)
+        KERNEL_NAMED(spread_dipoles)
+        KERNEL_NAMED(gather)
+        KERNEL_NAMED(gather_slopes)
+        KERNEL_NAMED(sum_values)
+        KERNEL_NAMED(sum_slopes)
+        KERNEL_NAMED(pull)
+#else
         KERNEL_NAMED(prepare_band)
         KERNEL_NAMED(prepare_list)
         KERNEL_NAMED(add_parts)
@@ -20,6 +35,7 @@ extern "C" int launch(const char* name, unsigned int x, unsigned int y, void** a
         KERNEL_NAMED(band_backward)
         KERNEL_NAMED(list_forward)
         KERNEL_NAMED(list_backward)
+#endif
     } catch (const std::exception&) {
         return 1;
     }

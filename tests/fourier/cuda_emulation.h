@@ -1,4 +1,4 @@
-// Runs CUDA kernels on the host, thread by thread: enough of the language for mesh_ft_cuda.cu.
+// Runs CUDA kernels on the host, thread by thread: enough of the language for csrc/*_cuda.cu.
 //
 // Every thread of a block is a fibre with a stack of its own. A fibre runs until it waits at a
 // barrier or a vote, then the next one does; a block in which nothing can go on any more (a barrier
@@ -10,6 +10,7 @@
 #include <cmath>
 #include <cstdint>
 #include <cstdlib>
+#include <cstring>
 #include <functional>
 #include <stdexcept>
 #include <vector>
@@ -21,8 +22,18 @@
 #define __launch_bounds__(...)
 #define __shared__ static
 
+inline double __longlong_as_double(long long bits) {
+    double found;
+    std::memcpy(&found, &bits, sizeof found);
+    return found;
+}
+template <class T>
+inline void atomicAdd(T* place, T value) {
+    *place += value;
+}
 inline double __dmul_rn(double a, double b) { return a * b; }
 inline double __dsub_rn(double a, double b) { return a - b; }
+using std::ceil;
 using std::fabs;
 using std::floor;
 using std::fma;

@@ -17,12 +17,16 @@ import pytest
 import torch
 
 from napari_deltamic.fourier.cuda import transform
-from napari_deltamic.fourier.cuda.build import Build
+from napari_deltamic.fourier.cuda.build import ClosedFormBuild, PointBuild
 
 HERE = Path(__file__).parent
 SOURCES = HERE.parents[1] / "csrc"
 # Blocks and tiles so small that a small problem has many, and some that are not full.
-SMALL = {True: Build("float", 8, 64, 16), False: Build("double", 4, 64, 16)}
+SMALL = {
+    True: ClosedFormBuild("float", width=8, threads=64, tile=16),
+    False: ClosedFormBuild("double", width=4, threads=64, tile=16),
+}
+SMALL_POINTS = {True: PointBuild("float", 32), False: PointBuild("double", 32)}
 
 
 @cache
@@ -30,9 +34,10 @@ def library(build):
     """The kernels of one type as a shared library."""
     if shutil.which("g++") is None:
         pytest.skip("no g++ here to compile the kernels for the host with")
-    out = Path(mkdtemp()) / f"kernels_{build.real}.so"
+    out = Path(mkdtemp()) / "kernels.so"
+    points = ["-DDELTAMIC_POINTS"] if isinstance(build, PointBuild) else []
     flags = "-std=c++17 -O2 -fno-strict-aliasing -ffp-contract=off -Wall -Wno-unknown-pragmas"
-    command = ["g++", *flags.split(), "-shared", "-fPIC", *build.defines]
+    command = ["g++", *flags.split(), "-shared", "-fPIC", *build.defines, *points]
     command += ["-I", SOURCES, "-include", HERE / "cuda_emulation.h"]
     done = subprocess.run(
         [*command, HERE / "cuda_emulation.cpp", "-o", out], capture_output=True, text=True

@@ -8,7 +8,7 @@ from functools import cache
 import pytest
 
 from napari_deltamic.fourier.cuda import compiler
-from napari_deltamic.fourier.cuda.build import DOUBLE, SINGLE
+from napari_deltamic.fourier.cuda.build import CLOSED_FORM, POINTS
 from napari_deltamic.fourier.cuda.compiler import CompilerError
 
 ARCHITECTURES = ("sm_75", "sm_80", "sm_86", "sm_89", "sm_90", "sm_100")
@@ -24,7 +24,22 @@ KERNELS = {
     "list_forward",
     "list_backward",
 }
-BUILDS = pytest.mark.parametrize("build", [SINGLE, DOUBLE], ids=["float", "double"])
+POINT_KERNELS = {
+    "locate",
+    "spread",
+    "spread_dipoles",
+    "gather",
+    "gather_slopes",
+    "sum_values",
+    "sum_slopes",
+    "pull",
+}
+SINGLE = CLOSED_FORM[True]
+BUILDS = pytest.mark.parametrize(
+    ("build", "kernels"),
+    [(b, KERNELS) for b in CLOSED_FORM.values()] + [(b, POINT_KERNELS) for b in POINTS.values()],
+    ids=["closed form, float", "closed form, double", "points, float", "points, double"],
+)
 # What the assembler says of its own when it is asked to be verbose.
 REPORT = re.compile(r"ptxas info +:|ptxas +\. |^ *Function properties|^$")
 
@@ -54,11 +69,11 @@ def report(build, architecture):
 
 @BUILDS
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
-def test_compiles_without_warnings_spills_and_local_memory(build, architecture):
+def test_compiles_without_warnings_spills_and_local_memory(build, kernels, architecture):
     log, local = report(build, architecture)
     said = [line for line in log.splitlines() if not REPORT.search(line)]
     assert not said
-    assert local == dict.fromkeys(KERNELS, 0)
+    assert local == dict.fromkeys(kernels, 0)
 
 
 def test_a_spill_would_be_seen():

@@ -13,7 +13,7 @@ import napari_deltamic as nd
 from napari_deltamic.fourier import Band
 from napari_deltamic.fourier.closed_form import band_ft
 from napari_deltamic.fourier.cuda import transform
-from napari_deltamic.fourier.cuda.build import DOUBLE, SINGLE
+from napari_deltamic.fourier.cuda.build import CLOSED_FORM
 from napari_deltamic.geometry import sphere
 
 sys.path.append(str(Path(__file__).parents[1] / "stability"))
@@ -131,8 +131,7 @@ def test_the_build_of_the_gpu_runs_too():
     v, f = torch.tensor(mesh.vertices), torch.as_tensor(mesh.faces)
     rho = torch.ones(len(f), dtype=torch.float64)
     band = Band.within((20, 24, 18), (0.3, 0.25, 0.3), (6.0, 8.0, 7.0))
-    for build in (SINGLE, DOUBLE):
-        single = build is SINGLE
+    for single, build in CLOSED_FORM.items():
         kernels = Emulated(single, build)
         expected = band_ft(v, f, rho, band.rows, band.spacing, single)
         found = transform.band_forward(kernels, v, f, rho, band.rows, band.spacing)

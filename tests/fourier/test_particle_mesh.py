@@ -6,6 +6,7 @@ import finufft
 import numpy as np
 import pytest
 import torch
+from cuda_emulation import SMALL_POINTS, Emulated
 from torch.autograd import gradcheck
 from torch.utils._python_dispatch import TorchDispatchMode
 
@@ -28,11 +29,19 @@ def use_torch(monkeypatch, instead=True):
         monkeypatch.setattr(module, "compiled", lambda device: not instead)
 
 
-@pytest.fixture(params=["compiled", "torch"])
+def use_gpu_kernels(monkeypatch):
+    monkeypatch.setattr(
+        particle_mesh, "_kernels", lambda device, single: Emulated(single, SMALL_POINTS[single])
+    )
+
+
+@pytest.fixture(params=["compiled", "torch", "GPU"])
 def way(request, monkeypatch):
-    """Both ways of doing it."""
-    if request.param == "torch":
+    """All ways of doing it; a GPU's kernels run on the host."""
+    if request.param != "compiled":
         use_torch(monkeypatch)
+    if request.param == "GPU":
+        use_gpu_kernels(monkeypatch)
     return request.param
 
 
@@ -230,7 +239,8 @@ def test_bits_are_the_same_for_any_number_of_threads(single, faces):
 
 
 @pytest.mark.parametrize("single", [True, False])
-def test_torch_operations_agree_with_the_compiled_loops(single, monkeypatch):
+@pytest.mark.parametrize("kernels", [False, True])
+def test_other_devices_agree_with_the_compiled_loops(single, kernels, monkeypatch):
     mesh = sphere((9.0, 11.0, 8.0), 5.0, subdivisions=3)
     f = torch.as_tensor(mesh.faces)
     some = np.arange(len(f)) % 3 == 0
@@ -239,6 +249,8 @@ def test_torch_operations_agree_with_the_compiled_loops(single, monkeypatch):
     found = []
     for ours in (True, False):
         use_torch(monkeypatch, not ours)
+        if kernels:
+            use_gpu_kernels(monkeypatch)
         v = torch.tensor(mesh.vertices_numpy(), requires_grad=True)
         rho = torch.linspace(1, 2, len(f), dtype=torch.float64, requires_grad=True)
         transform = partial(elements_ft, spreading=s, single=single)

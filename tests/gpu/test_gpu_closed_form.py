@@ -14,7 +14,7 @@ import napari_deltamic as nd
 from napari_deltamic.fourier import Band
 from napari_deltamic.fourier.closed_form import band_ft
 from napari_deltamic.fourier.cuda import compiler
-from napari_deltamic.fourier.cuda.build import SINGLE, OutOfMemoryWarning
+from napari_deltamic.fourier.cuda.build import CLOSED_FORM, OutOfMemoryWarning
 from napari_deltamic.fourier.cuda.device import DeviceKernels, kernels
 from napari_deltamic.geometry import sphere
 
@@ -182,6 +182,6 @@ def test_short_memory_takes_fewer_pieces_and_says_so(cuda_itself):
 
 def test_kernels_come_from_disk_the_second_time(cuda_itself, tmp_path, monkeypatch):
     monkeypatch.setenv("DELTAMIC_CACHE", str(tmp_path))
-    DeviceKernels(cuda_itself.index, SINGLE)
+    DeviceKernels(cuda_itself.index, CLOSED_FORM[True])
     monkeypatch.setattr(compiler, "compile_kernels", None)
-    assert DeviceKernels(cuda_itself.index, SINGLE).multiprocessors > 0
+    assert DeviceKernels(cuda_itself.index, CLOSED_FORM[True]).multiprocessors > 0

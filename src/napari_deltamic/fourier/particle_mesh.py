@@ -2,8 +2,9 @@
 
 Points are spread with a compact kernel, one real FFT follows, and the band is divided by the
 kernel's transform. The gradient is one real FFT back and one pass over the points that reads the
-field and its three derivatives together. Where the compiled extension is missing, and on other
-devices than the CPU, the same is done in torch operations (:mod:`.torch_mesh`).
+field and its three derivatives together. NVIDIA GPUs have kernels of their own (:mod:`.cuda`).
+Where those or the compiled extension are missing, and on other devices, the same is done in torch
+operations (:mod:`.torch_mesh`).
 """
 
 from __future__ import annotations
@@ -15,6 +16,9 @@ import torch
 from torch import Tensor
 
 from . import torch_mesh
+from .cuda import points as on_gpu
+from .cuda.build import Kernels, PointBuild
+from .cuda.device import point_kernels
 from .native import native, simd_level, threads
 from .points import Points
 from .real_fft import compiled
@@ -101,8 +105,10 @@ def spread(
     kernel's gradient along the vector, per um.
     """
     if not compiled(device):
-        given = vertices, elements, density, points, spreading, single
-        return torch_mesh.spread(*given, device, vectors)
+        given = vertices, elements, density, points, spreading
+        if (kernels := _kernels(device, single)) is not None:
+            return on_gpu.spread(kernels, *given, device, vectors)
+        return torch_mesh.spread(*given, single, device, vectors)
     z, y, x = spreading.shape
     real = torch.float32 if single else torch.float64
     grid = torch.empty(z, y, x + spreading.lanes, dtype=real)
@@ -129,6 +135,8 @@ def gather(
     """(E, corners, 1): sums over each element's points of weight times barycentric coordinate times
     a field (:func:`field_of`); (E, corners, 4) with its derivatives per um."""
     if not compiled(field.device):
+        if (kernels := _kernels(field.device, single)) is not None:
+            return on_gpu.gather(kernels, vertices, elements, points, spreading, field, slopes)
         return torch_mesh.gather(vertices, elements, points, spreading, single, field, slopes)
     sums = torch.zeros(*elements.shape, 4 if slopes else 1, dtype=torch.float64)
     _function("gather", single)(
@@ -153,7 +161,10 @@ def pull(
 ) -> tuple[Tensor, Tensor]:
     """Gradients (V, 3) of vertices and (E,) of densities, from a field (:func:`field_of`)."""
     if not compiled(field.device):
-        return torch_mesh.pull(vertices, elements, density, points, spreading, single, field)
+        given = vertices, elements, density, points, spreading
+        if (kernels := _kernels(field.device, single)) is not None:
+            return on_gpu.pull(kernels, *given, field)
+        return torch_mesh.pull(*given, single, field)
     by_vertex = torch.zeros(len(vertices), 3, dtype=torch.float64)
     by_density = torch.empty(len(elements), dtype=torch.float64)
     _function("pull", single)(
@@ -178,6 +189,11 @@ def field_of(
     box = box.detach().to(torch.complex64 if single else torch.complex128)
     row = spreading.shape[2] + (spreading.lanes if compiled(box.device) else 0)
     return spreading.fft.to_real(box, weights, row)
+
+
+def _kernels(device: torch.device, single: bool) -> Kernels[PointBuild] | None:
+    """Those of an NVIDIA GPU; None on other devices, where torch's operations do it."""
+    return point_kernels(device, single) if device.type == "cuda" else None
 
 
 def _function(name: str, single: bool) -> Any:

@@ -16,6 +16,32 @@ from .quadrature import Rule
 
 
 @dataclass(frozen=True, eq=False)
+class Listed:
+    """All points, those of an element one after the other, as kernels of a GPU take them.
+
+    Attributes
+    ----------
+    element, place
+        (P,) int32: of each point, its element and its row among the places.
+    start
+        (E + 1,) int32: where the points of each element begin.
+    barycentric, weights
+        (places, corners), (places,) of all rules, double.
+    """
+
+    element: Tensor
+    place: Tensor
+    start: Tensor
+    barycentric: Tensor
+    weights: Tensor
+
+    @property
+    def count(self) -> int:
+        """Of the points."""
+        return len(self.element)
+
+
+@dataclass(frozen=True, eq=False)
 class Points:
     """Rules of quadrature, each with the elements that take it.
 
@@ -63,6 +89,33 @@ class Points:
                 for r, of in self.rules
             ]
         return self._groups[key]
+
+    def listed(self, device: torch.device) -> Listed:
+        """Point by point."""
+        if device not in self._listed:
+            first, each = (np.zeros(self.elements, np.int64) for _ in range(2))
+            at = 0
+            for r, of in self.rules:
+                first[of], each[of] = at, len(r.weights)
+                at += len(r.weights)
+            start = np.append(0, np.cumsum(each))
+            element = np.repeat(np.arange(self.elements), each)
+            place = first[element] + np.arange(len(element)) - start[element]
+            corners = self.rules[0][0].barycentric.shape[1] if self.rules else 1
+            shares = np.concatenate(
+                [np.zeros((0, corners)), *(r.barycentric for r, _ in self.rules)]
+            )
+            weights = np.concatenate([np.zeros(0), *(r.weights for r, _ in self.rules)])
+            counts = (
+                torch.from_numpy(a.astype(np.int32)).to(device) for a in (element, place, start)
+            )
+            reals = (placed(a, torch.float64, device) for a in (shares, weights))
+            self._listed[device] = Listed(*counts, *reals)
+        return self._listed[device]
+
+    @cached_property
+    def _listed(self) -> dict[torch.device, Listed]:
+        return {}
 
     @cached_property
     def _groups(

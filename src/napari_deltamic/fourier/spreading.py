@@ -99,6 +99,14 @@ class Spreading:
             self._placed[key] = [placed(k.coefficients, real, device) for k in self.kernels]
         return self._placed[key]
 
+    def joined_coefficients(self, real: torch.dtype, device: torch.device) -> Tensor:
+        """Those of the three axes, one after the other."""
+        key = "joined", real, device
+        if key not in self._placed:
+            every = self.coefficients(real, device)
+            self._placed[key] = [torch.cat([c.reshape(-1) for c in every])]
+        return self._placed[key][0]
+
     @cached_property
     def _placed(self) -> dict[tuple[str, torch.dtype, torch.device], list[Tensor]]:
         return {}

@@ -5,7 +5,9 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol, TypeVar
+
+import torch
 
 
 class OutOfMemoryWarning(UserWarning):
@@ -19,17 +21,53 @@ def tell_out_of_memory(what: str) -> None:
 
 @dataclass(frozen=True)
 class Build:
-    """Numbers that the source is compiled with.
+    """A source in ``csrc`` and what it is compiled with.
 
-    real : type of the inner loops. width : wavevectors in a segment. threads : in a block.
-    tile : faces or segments in shared memory. resident : blocks that a multiprocessor holds.
+    real : type of the inner loops. threads : in a block.
     """
 
     real: str
-    width: int
     threads: int = 128
+    source: ClassVar[str]
+    headers: ClassVar[tuple[str, ...]]
+
+    @property
+    def defines(self) -> list[str]:
+        """Options of the compiler."""
+        return [f"-DDELTAMIC_REAL={self.real}", f"-DDELTAMIC_THREADS={self.threads}"]
+
+    @property
+    def kind(self) -> torch.dtype:
+        """Of numbers of that type."""
+        return torch.float32 if self.real == "float" else torch.float64
+
+
+@dataclass(frozen=True)
+class PointBuild(Build):
+    """Spreading and gathering."""
+
+    source = "particle_mesh_cuda.cu"
+    headers = ("measure.h",)
+
+    @property
+    def point_bytes(self) -> int:
+        """Size of what is kept of a point."""
+        return 36 if self.real == "float" else 64
+
+
+@dataclass(frozen=True)
+class ClosedFormBuild(Build):
+    """The closed form.
+
+    width : wavevectors in a segment. tile : faces or segments in shared memory. resident : blocks
+    that a multiprocessor holds.
+    """
+
+    width: int = 8
     tile: int = 64
     resident: int = 5
+    source = "mesh_ft_cuda.cu"
+    headers = ("cuda_faces.h", "triangle_ft.h")
 
     @property
     def face_bytes(self) -> int:
@@ -40,22 +78,31 @@ class Build:
     def defines(self) -> list[str]:
         """Options of the compiler."""
         return [
-            f"-DDELTAMIC_REAL={self.real}",
+            *super().defines,
             f"-DDELTAMIC_WIDTH={self.width}",
-            f"-DDELTAMIC_THREADS={self.threads}",
             f"-DDELTAMIC_TILE={self.tile}",
             f"-DDELTAMIC_RESIDENT={self.resident}",
         ]
 
 
-SINGLE, DOUBLE = Build("float", 8), Build("double", 4, resident=2)
+# By whether in single precision.
+CLOSED_FORM = {
+    True: ClosedFormBuild("float"),
+    False: ClosedFormBuild("double", width=4, resident=2),
+}
+POINTS = {True: PointBuild("float"), False: PointBuild("double")}
+
+Of = TypeVar("Of", bound=Build, covariant=True)
 
 
-class Kernels(Protocol):
-    """Compiled kernels of one type on one device."""
+class Kernels(Protocol[Of]):
+    """Compiled kernels of one build on one device."""
 
-    build: Build
     multiprocessors: int
+
+    @property
+    def build(self) -> Of:
+        """What they were made with."""
 
     def launch(self, name: str, grid: tuple[int, int], arguments: Sequence[Any]) -> None:
         """Start a kernel on the current stream; the arguments are ctypes values."""

@@ -15,10 +15,9 @@ from typing import Any
 from ...common.cache_folder import cache_folder
 from ...common.writing import write_atomically
 from ...errors import InputError
-from .build import Build
+from .build import CLOSED_FORM, POINTS, Build
 
-SOURCE = "mesh_ft_cuda.cu"
-HEADERS = ("cuda_faces.h", "triangle_ft.h")
+BUILDS = (*CLOSED_FORM.values(), *POINTS.values())
 # Divisions to 2 units in the last place: none of them decides about more than rounding.
 _OPTIONS = ("--std=c++17", "--prec-div=false")
 
@@ -46,16 +45,17 @@ def source_folder() -> Path:
     from . import __path__ as here
 
     checkout = Path(__file__).resolve().parents[4] / "csrc"
+    names = {name for build in BUILDS for name in (build.source, *build.headers)}
     for folder in (checkout, *map(Path, here)):
-        if all((folder / name).is_file() for name in (SOURCE, *HEADERS)):
+        if all((folder / name).is_file() for name in names):
             return folder
     raise CompilerError("the sources of the GPU kernels were not installed")
 
 
 @cache
-def _sources() -> dict[str, bytes]:
+def _sources(build: Build) -> dict[str, bytes]:
     folder = source_folder()
-    return {name: (folder / name).read_bytes() for name in (SOURCE, *HEADERS)}
+    return {name: (folder / name).read_bytes() for name in (build.source, *build.headers)}
 
 
 def nvrtc() -> Any:
@@ -131,8 +131,9 @@ def kept_folder() -> Path:
 def _kept_file(build: Build, target: str) -> Path:
     """Named after all that the code depends on."""
     parts = [target, str(version()), *build.defines, *_OPTIONS]
-    digest = hashlib.sha256(b"\0".join([*map(str.encode, parts), *_sources().values()]))
-    return kept_folder() / f"{target}-{build.real}-{digest.hexdigest()[:16]}.bin"
+    digest = hashlib.sha256(b"\0".join([*map(str.encode, parts), *_sources(build).values()]))
+    stem = build.source.removesuffix(".cu")
+    return kept_folder() / f"{stem}-{target}-{build.real}-{digest.hexdigest()[:16]}.bin"
 
 
 def compile_kernels(build: Build, target: str, options: tuple[str, ...] = ()) -> Compiled:
@@ -143,13 +144,13 @@ def compile_kernels(build: Build, target: str, options: tuple[str, ...] = ()) ->
     CompilerError
         If NVRTC is missing or refuses the source; with what it said.
     """
-    library, sources = nvrtc(), _sources()
+    library, sources = nvrtc(), _sources(build)
     headers, names = (
-        [sources[name] for name in HEADERS],
-        [name.encode() for name in HEADERS],
+        [sources[name] for name in build.headers],
+        [name.encode() for name in build.headers],
     )
     failed, program = library.nvrtcCreateProgram(
-        sources[SOURCE], SOURCE.encode(), len(headers), headers, names
+        sources[build.source], build.source.encode(), len(headers), headers, names
     )
     if int(failed):
         raise CompilerError(f"NVRTC: {failed}")

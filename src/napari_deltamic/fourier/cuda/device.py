@@ -7,15 +7,16 @@ import threading
 import warnings
 from collections.abc import Sequence
 from functools import cache
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import torch
 
 from . import compiler
-from .build import DOUBLE, SINGLE, Build
+from .build import CLOSED_FORM, POINTS, Build, ClosedFormBuild, Of, PointBuild
 from .compiler import CompilerError
 from .driver import driver_version, torch_for
 
+Made = TypeVar("Made", bound=Build)
 INSTALL_BINDINGS = "pip install 'napari-deltamic[gpu]'"
 
 
@@ -56,46 +57,55 @@ def missing() -> str:
 
 
 @cache
-def _tell(reason: str) -> None:
-    warnings.warn(
-        f"the closed form runs on the CPU, not on the GPU: {reason}", NoGpuWarning, stacklevel=4
-    )
+def _tell(what: str, reason: str) -> None:
+    warnings.warn(f"{what}: {reason}", NoGpuWarning, stacklevel=4)
 
 
-def kernels(device: torch.device, single: bool) -> DeviceKernels | None:
-    """The kernels of a type on a CUDA device; None (after one warning) where they cannot be had."""
+def kernels(device: torch.device, single: bool) -> DeviceKernels[ClosedFormBuild] | None:
+    """The closed form on a CUDA device; None (after one warning) where it cannot be had."""
+    what = "the closed form runs on the CPU, not on the GPU"
+    return _loaded(device, CLOSED_FORM[single], what)
+
+
+def point_kernels(device: torch.device, single: bool) -> DeviceKernels[PointBuild] | None:
+    """Spreading and gathering; None (after one warning) where they cannot be had."""
+    return _loaded(device, POINTS[single], "the GPU computes ten times slower than it could")
+
+
+def _loaded(device: torch.device, build: Made, otherwise: str) -> DeviceKernels[Made] | None:
     reason = missing()
     if not reason:
         index = device.index if device.index is not None else torch.cuda.current_device()
-        found = _loaded(index, single)
+        found = _kept(index, build)
         if not isinstance(found, str):
             return found
         reason = found
-    _tell(reason)
+    _tell(otherwise, reason)
     return None
 
 
 _lock = threading.Lock()
-_modules: dict[tuple[int, bool], DeviceKernels | str] = {}
+_modules: dict[tuple[int, Any], Any] = {}
 
 
-def _loaded(index: int, single: bool) -> DeviceKernels | str:
+def _kept(index: int, build: Made) -> DeviceKernels[Made] | str:
     """The kernels, or why they cannot be had: asked once, since compiling takes seconds."""
     with _lock:  # two threads would compile the same
-        if (index, single) not in _modules:
+        if (index, build) not in _modules:
             try:
-                _modules[index, single] = DeviceKernels(index, SINGLE if single else DOUBLE)
+                _modules[index, build] = DeviceKernels(index, build)
             except (CompilerError, CudaError) as error:
-                _modules[index, single] = str(error)
-        return _modules[index, single]
+                _modules[index, build] = str(error)
+        found: DeviceKernels[Made] | str = _modules[index, build]
+        return found
 
 
 class CudaError(RuntimeError):
     """The driver refused a call."""
 
 
-class DeviceKernels:
-    """The kernels of one type, loaded into the context that torch uses of a device.
+class DeviceKernels(Generic[Of]):
+    """The kernels of one build, loaded into the context that torch uses of a device.
 
     Raises
     ------
@@ -105,7 +115,7 @@ class DeviceKernels:
         If the driver does not take them.
     """
 
-    def __init__(self, index: int, build: Build) -> None:
+    def __init__(self, index: int, build: Of) -> None:
         from cuda.bindings import driver
 
         self._driver = driver

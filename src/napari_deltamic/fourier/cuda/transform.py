@@ -13,8 +13,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .build import Kernels, tell_out_of_memory
+from .build import ClosedFormBuild, tell_out_of_memory
+from .build import Kernels as KernelsOf
 from .layout import Layout, corners_of_vertices, layout_of
+
+Kernels = KernelsOf[ClosedFormBuild]
 
 _SUMS = 10  # of a face: sums_per_face
 _TRIANGLE_BYTES = 104
@@ -77,7 +80,7 @@ def band_backward(
     incoming = _incoming(kernels, grad)
     across = _blocks(kernels, mesh.count)
     parts, per_part, sums = _parts(
-        kernels, layout.segments, across, _SUMS * mesh.count, _real(kernels), vertices.device
+        kernels, layout.segments, across, _SUMS * mesh.count, kernels.build.kind, vertices.device
     )
     kernels.launch(
         "band_backward",
@@ -290,10 +293,6 @@ def _gradients(
 
 def _pointer(t: Tensor) -> ctypes.c_void_p:
     return ctypes.c_void_p(t.data_ptr())
-
-
-def _real(kernels: Kernels) -> torch.dtype:
-    return torch.float32 if kernels.build.real == "float" else torch.float64
 
 
 def _complex(kernels: Kernels) -> torch.dtype:
