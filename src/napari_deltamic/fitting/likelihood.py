@@ -162,10 +162,10 @@ def total(values: Tensor) -> Tensor:
     """The sum of values (N,), to the same bits on every number of threads.
 
     Blocks are summed on their own and their sums in turn; a sum or a dot product over all is cut
-    where threads meet.
+    where threads meet. A GPU has no such threads, and waits for each of the sums.
     """
     whole = values.numel() - values.numel() % _BLOCK
-    if not whole:
+    if not whole or values.device.type != "cpu":
         return values.sum()
     return total(values[:whole].view(-1, _BLOCK).sum(1)) + values[whole:].sum()
 

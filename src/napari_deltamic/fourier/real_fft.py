@@ -1,7 +1,7 @@
 """Three-dimensional FFTs between a real array and the low wavevectors of its spectrum.
 
 Compiled, they transform no zeros and nothing that is not asked for, and give the same bits for any
-number of threads; elsewhere torch does the same axis by axis.
+number of threads; elsewhere torch does the same.
 """
 
 from __future__ import annotations
@@ -117,21 +117,43 @@ class RealFFT:
 
     def _torch_box(self, real: Tensor) -> Tensor:
         box = torch.fft.rfft(real, n=self.shape[2], dim=2).narrow(2, 0, self.half[2] + 1)
-        for axis in (1, 0):
-            box = torch.fft.fft(box, n=self.shape[axis], dim=axis)
-            box = _folded(box, axis, self.half[axis], self.shape[axis])
-        z, y, x = self._placed("to_box", real.dtype, real.device)
-        return box * (z[:, None, None] * (y[:, None] * x))
+        box = torch.fft.fftn(box, s=self.shape[:2], dim=(0, 1))
+        z, y = self._indices(real.device)
+        return box[z[:, None], y] * self._whole("to_box", real.dtype, real.device)
 
     def _torch_real(self, box: Tensor) -> Tensor:
         real = torch.float32 if box.dtype == torch.complex64 else torch.float64
-        z, y, x = self._placed("to_real", real, box.device)
-        box = box * (z[:, None, None] * (y[:, None] * x))
+        box = box * self._whole("to_real", real, box.device)
+        z, y = self._indices(box.device)
         for axis in (0, 1):
-            box = _unfolded(box, axis, self.half[axis], self.shape[axis])
-            box = torch.fft.ifft(box, dim=axis, norm="forward").narrow(axis, 0, self.count[axis])
-        found = torch.fft.irfft(box, n=self.shape[2], dim=2, norm="forward")
+            box = _wrapped(box, axis, self.half[axis], self.shape[axis])
+        spectrum = box.new_zeros(*self.shape[:2], box.shape[2])
+        spectrum[z[: box.shape[0], None], y[: box.shape[1]]] = box
+        spectrum = torch.fft.ifftn(spectrum, dim=(0, 1), norm="forward")
+        spectrum = spectrum[: self.count[0], : self.count[1]]
+        found = torch.fft.irfft(spectrum, n=self.shape[2], dim=2, norm="forward")
         return found.narrow(2, 0, self.count[2])
+
+    def _indices(self, device: torch.device) -> list[Tensor]:
+        """Where wavevectors -K .. K lie along the first two axes of an FFT."""
+        if device not in self._indices_on:
+            self._indices_on[device] = [
+                (torch.arange(-k, k + 1) % n).to(device)
+                for k, n in zip(self.half[:2], self.shape[:2], strict=True)
+            ]
+        return self._indices_on[device]
+
+    @cached_property
+    def _indices_on(self) -> dict[torch.device, list[Tensor]]:
+        return {}
+
+    def _whole(self, name: str, real: torch.dtype, device: torch.device) -> Tensor:
+        """The factors of all three axes, on the box."""
+        key = f"whole {name}", real, device
+        if key not in self._factors:
+            z, y, x = self._placed(name, real, device)
+            self._factors[key] = [z[:, None, None] * (y[:, None] * x)]
+        return self._factors[key][0]
 
     def _placed(self, name: str, real: torch.dtype, device: torch.device) -> list[Tensor]:
         key = name, real, device
@@ -149,19 +171,9 @@ class RealFFT:
         return {}
 
 
-def _unfolded(box: Tensor, axis: int, half: int, n: int) -> Tensor:
-    """Indices -half..half along an axis -> FFT order 0..n-1; +n/2 and -n/2 are one, and added."""
-    positive, negative = box.narrow(axis, half, half + 1), box.narrow(axis, 0, half)
-    if 2 * half == n and half:
-        last = box.narrow(axis, 0, 1) + box.narrow(axis, 2 * half, 1)
-        parts = [box.narrow(axis, half, half), last, box.narrow(axis, 1, half - 1)]
-        return torch.cat(parts, dim=axis)
-    gap = list(box.shape)
-    gap[axis] = n - 2 * half - 1
-    return torch.cat([positive, box.new_zeros(gap), negative], dim=axis)
-
-
-def _folded(box: Tensor, axis: int, half: int, n: int) -> Tensor:
-    """FFT order 0..n-1 along an axis -> indices -half..half."""
-    positive, negative = box.narrow(axis, 0, half + 1), box.narrow(axis, n - half, half)
-    return torch.cat([negative, positive], dim=axis)
+def _wrapped(box: Tensor, axis: int, half: int, n: int) -> Tensor:
+    """The box; of -n/2 and +n/2, which are one, their sum alone."""
+    if 2 * half != n or not half:
+        return box
+    last = box.narrow(axis, 0, 1) + box.narrow(axis, 2 * half, 1)
+    return torch.cat([last, box.narrow(axis, 1, 2 * half - 1)], dim=axis)

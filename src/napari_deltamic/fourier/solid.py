@@ -20,33 +20,17 @@ Several regions are one sum: ``contrast`` is the signal per um^3 behind a face m
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache
-from math import floor, sqrt
 
 import numpy as np
 import torch
-from scipy.special import roots_jacobi
 from torch import Tensor
 
 from ..errors import InputError
-from .band import Band
 from .closed_form import as_mesh_tensors, band_ft, mesh_ft, row_wavevectors
 from .flux import flux_ft, inverse_square, within
-from .particle_mesh import elements_ft
-from .plan import RULE_SHARE, Plan
-from .points import Points
-from .quadrature import Rule, choose_rules
-from .spreading import Spreading, choose_spreading, flat
+from .plan import Plan
+from .solid_plan import EXACT, NEAR, SolidPlan, nodes
 from .triangle import cross, triangle_transform
-
-# Shells are taken where each component of xi is at most this over R.
-_NEAR = 1.0
-_LARGEST_PHASE = sqrt(3) * _NEAR  # of a point relative to the centre, there
-_EXACT = 1e-15
-_POINT = Rule(0, 1, np.ones((1, 1)), np.ones(1))
-# Flux that cancels up to this factor leaves the plan's errors below what was asked: measured on ten
-# solids and four PSFs (test_plan.py), which keep to it up to 3.6 and not always from 4 on.
-_THICK = 3.0
 
 
 def solid_ft(
@@ -90,7 +74,7 @@ def solid_ft(
         raise InputError(f"wavevectors must have shape (K, 3), not {tuple(xi.shape)}")
     x = v.to(torch.float64)
     centre, reach = _frame(x)
-    near = (xi.abs() * reach).amax(1) <= _NEAR
+    near = (xi.abs() * reach).amax(1) <= NEAR
     u = torch.zeros(len(xi), dtype=torch.complex128, device=x.device)
     u = u.index_put((near.nonzero()[:, 0],), _shells(x, f, jump, xi[near], centre))
     far = (~near).nonzero()[:, 0]
@@ -124,20 +108,34 @@ def contrasts(regions: Tensor | np.ndarray, ids: np.ndarray, weights: Tensor) ->
             f"weights must have shape ({len(ids)},), one number per region, "
             f"not {tuple(weights.shape)}"
         )
-    of = torch.cat([weights.new_zeros(1), weights])
-    # By rank: a region number may be anything.
+    return jumps(sides_of(regions, ids).to(weights.device), weights)
+
+
+def sides_of(regions: Tensor | np.ndarray, ids: np.ndarray) -> Tensor:
+    """(2, F) rank of the region behind each face and of that in front; 0 is the outside."""
+    # A region number may be anything.
     sides = np.searchsorted(np.append(0, ids), np.asarray(regions))
-    behind, front = torch.from_numpy(sides).to(weights.device).unbind(1)
-    return of[behind] - of[front]
+    return torch.from_numpy(np.ascontiguousarray(sides.T))
 
 
-def solid_transform(plan: Plan, vertices: Tensor, faces: Tensor, contrast: Tensor) -> Tensor:
-    """u_hat of solids on the box of a plan's band; the plan may be that of their surface.
+def jumps(sides: Tensor, weights: Tensor) -> Tensor:
+    """:func:`contrasts` (F,) from ranks (2, F) and weights (R,), on one device."""
+    of = torch.cat([weights.new_zeros(1), weights])
+    # Not by indexing, whose gradient sorts on a GPU.
+    behind, front = (of.index_select(0, side) for side in sides)
+    return behind - front
+
+
+def solid_transform(
+    plan: Plan | SolidPlan, vertices: Tensor, faces: Tensor, contrast: Tensor
+) -> Tensor:
+    """u_hat of solids on the box of a plan's band.
 
     Parameters
     ----------
     plan
-        Its band, method and rules are used; made for this mesh, or one near it.
+        Made for this mesh, or one near it. That of the surface will do; what it lacks is then found
+        each time.
     vertices
         (V, 3) um relative to the centre of the grid's first voxel, as in :meth:`Plan.transform`.
     faces
@@ -152,17 +150,18 @@ def solid_transform(plan: Plan, vertices: Tensor, faces: Tensor, contrast: Tenso
     than the plan says of the surface's.
     """
     x = vertices.to(torch.float64)
-    centre, reach = _frame(x)
-    low = _low_band(plan.band, reach)
-    if plan.method == "closed form":
-        return _closed_form(plan, low, x, faces, contrast, centre)
-    corners = x[faces]
-    points, spreading, single = _means(plan, corners, contrast)
-    points = points.of(_seen(contrast))
-    areas = _area_vectors(corners.detach())
-    far = flux_ft(x, faces, areas, contrast, points, spreading, low.half, single)
-    near = _low_shells(plan, low, corners.detach(), contrast, centre, reach)
-    return far.to(near.dtype) + _embedded(near, low.half, plan.band.half)
+    if isinstance(plan, Plan):
+        v, f, jump = (t.detach().cpu().numpy() for t in (x, faces, contrast))
+        plan = SolidPlan.of(plan, v, f, jump)
+    if plan.flux is None:
+        return _closed_form(plan, x, faces, contrast)
+    _, spreading, single = plan.flux
+    points, near_points = plan.points_of(contrast)
+    corners = x.detach()[faces]
+    areas = _area_vectors(corners)
+    far = flux_ft(x, faces, areas, contrast, points, spreading, plan.low.half, single)
+    near = plan.low_shells(near_points, corners, areas, contrast)
+    return far.to(near.dtype) + _embedded(near, plan.low.half, plan.plan.band.half)
 
 
 # ------------------------------------------------------------------------------------ geometry
@@ -188,110 +187,7 @@ def _normals(vertices: Tensor, faces: Tensor) -> Tensor:
     return area / torch.where(size > 0, size, 1.0)
 
 
-def _seen(contrast: Tensor) -> np.ndarray:
-    """(F,) bool: walls between regions that shine alike show nothing."""
-    if contrast.requires_grad:
-        return np.ones(len(contrast), dtype=bool)
-    return contrast.cpu().numpy() != 0
-
-
-def _means(plan: Plan, corners: Tensor, contrast: Tensor) -> tuple[Points, Spreading, bool]:
-    """Points, grid and precision of the flux: those of the plan unless the solid is thin.
-
-    The flux through opposite faces cancels but for their distance: errors relative to the surface
-    are as many times larger relative to what lies inside.
-    """
-    assert plan.spreading is not None
-    with torch.no_grad():
-        vectors = _area_vectors(corners)
-        middle = corners.reshape(-1, 3).mean(0) if len(corners) else corners.new_zeros(3)
-        volume = float(((corners[:, 0] - middle) * vectors).sum(1).mul(contrast).sum().abs()) / 3
-        area = float((vectors.norm(dim=1) * contrast.abs()).sum())
-    reach = [k * s for k, s in zip(plan.band.half, plan.band.spacing, strict=True)]
-    # At a third of the radius of the band; beyond the cap nothing is inside.
-    cancelled = min(area / max(volume * sum(reach) / 9, 1e-300), 1e8)
-    if cancelled < _THICK or not area:
-        return plan.quadrature_of(len(corners)), plan.spreading, plan.single
-    tolerance = max(plan.tolerance / cancelled, 1e-13)
-    single = plan.single and tolerance > 5e-6
-    edges = (corners - corners.roll(1, 1)).detach().abs() * corners.new_tensor(reach)
-    phases = edges.norm(dim=2).amax(1).cpu().numpy()
-    # As if the OTF were flat over the band: finer rules and wider kernels than need be.
-    rules = choose_rules(phases, 1.0, max(RULE_SHARE * plan.accuracy / cancelled, 1e-12))
-    points = Points(rules, len(corners))
-    spreading = choose_spreading(
-        plan.band.half, plan.band.spacing, flat, tolerance, points.count, single, dipoles=True
-    )
-    return points, spreading, single
-
-
 # -------------------------------------------------------------------------------- near zero
-
-
-@cache
-def _nodes(error: float) -> tuple[np.ndarray, np.ndarray]:
-    """Shells t and their weights: the fewest whose integral of t^2 exp(-ist) is this accurate."""
-    s = np.linspace(0, _LARGEST_PHASE, 50)[:, None]
-    t, w = _gauss(16)
-    exact = np.exp(-1j * s * t) @ w
-    for n in range(1, 10):
-        t, w = _gauss(n)
-        if np.abs(np.exp(-1j * s * t) @ w - exact).max() < max(error, _EXACT) / 3:
-            break
-    return t, w
-
-
-def _gauss(n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Gauss-Jacobi rule of the weight t^2 on 0..1."""
-    x, w = roots_jacobi(n, 0, 2)
-    return (x + 1) / 2, w / 8
-
-
-def _low_band(band: Band, reach: float) -> Band:
-    """The part of the band where shells are taken; zero always is."""
-    half = tuple(
-        min(k, floor(_NEAR / max(reach * s, 1e-300)))
-        for k, s in zip(band.half, band.spacing, strict=True)
-    )
-    return Band(band.fft_shape, band.voxel_size, half)  # type: ignore[arg-type]
-
-
-def _low_shells(
-    plan: Plan, low: Band, corners: Tensor, contrast: Tensor, centre: Tensor, reach: float
-) -> Tensor:
-    """u_hat on the low box by shells of points; differentiable in the contrast alone."""
-    kind = torch.complex64 if plan.single else torch.complex128
-    points, volumes = [], []
-    vectors = _area_vectors(corners)
-    seen = _seen(contrast)
-    for r, where in _low_rules(corners, reach, plan.accuracy):
-        of, mix, size = (
-            torch.from_numpy(a).to(corners.device)
-            for a in (where[seen[where]], r.barycentric, r.weights)
-        )
-        arms = mix @ (corners[of] - centre)
-        share = (arms * vectors[of][:, None]).sum(2) * size
-        points.append(arms.reshape(-1, 3))
-        volumes.append((share * contrast[of].to(torch.float64)[:, None]).reshape(-1))
-    if not points:
-        return torch.zeros(low.box_shape, dtype=kind, device=corners.device)
-    t, weight = (torch.from_numpy(a).to(corners.device) for a in _nodes(plan.tolerance))
-    strengths = (weight[:, None] * torch.cat(volumes)).reshape(-1)
-    if low.half == (0, 0, 0):
-        return strengths.sum().reshape(1, 1, 1).to(kind)
-    shells = (centre + t[:, None, None] * torch.cat(points)).reshape(-1, 3)
-    each = torch.arange(len(shells), device=shells.device)[:, None]
-    one = Points([(_POINT, np.arange(len(shells)))], len(shells))
-    spreading = choose_spreading(
-        low.half, low.spacing, flat, plan.tolerance, len(shells), plan.single
-    )
-    return elements_ft(shells, each, strengths, one, spreading, plan.single)
-
-
-def _low_rules(corners: Tensor, reach: float, accuracy: float) -> list[tuple[Rule, np.ndarray]]:
-    edges = (corners - corners.roll(1, 1)).detach().norm(dim=2).amax(1).cpu().numpy()
-    phases = _LARGEST_PHASE * edges / max(reach, 1e-300)
-    return choose_rules(phases, 1.0, RULE_SHARE * accuracy)
 
 
 def _shells(
@@ -301,7 +197,7 @@ def _shells(
     arms = vertices - centre
     distance = (arms[faces[:, 0]] * _normals(vertices, faces)).sum(1) * contrast
     total = torch.zeros(len(wavevectors), dtype=torch.complex128, device=vertices.device)
-    for t, weight in zip(*_nodes(_EXACT), strict=True):
+    for t, weight in zip(*nodes(EXACT), strict=True):
         # The area of the smaller face brings t^2, which the weight of the rule has already.
         part = mesh_ft(t * arms, faces, wavevectors, distance)
         empty = _empty_flux(arms, faces, contrast, t * wavevectors, arms)
@@ -352,10 +248,8 @@ def _flux_factor(wavevectors: Tensor) -> Tensor:
     return 1j * wavevectors / torch.where(squared > 0, squared, 1.0)
 
 
-def _closed_form(
-    plan: Plan, low: Band, vertices: Tensor, faces: Tensor, contrast: Tensor, centre: Tensor
-) -> Tensor:
-    band, there = plan.band, vertices.device
+def _closed_form(plan: SolidPlan, vertices: Tensor, faces: Tensor, contrast: Tensor) -> Tensor:
+    band, low, there = plan.plan.band, plan.low, vertices.device
     u = torch.zeros(band.box_shape, dtype=torch.complex128, device=there)
     xi = row_wavevectors(band.rows, band.spacing).to(there)
     empty = _empty_flux(vertices, faces, contrast, xi)
@@ -373,6 +267,7 @@ def _closed_form(
     where = (inside & kept.reshape(band.box_shape)).nonzero()
     first = torch.tensor([-band.half[0], -band.half[1], 0])
     xi = (where + first).to(torch.float64) * torch.tensor(band.spacing, dtype=torch.float64)
+    centre = vertices.new_tensor(plan.centre)
     near = _shells(vertices, faces, contrast, xi.to(there), centre)
     u = u.index_put(where.to(there).unbind(1), near)
-    return u.to(torch.complex64) if plan.single else u
+    return u.to(torch.complex64) if plan.plan.single else u

@@ -84,6 +84,7 @@ class Renderer:
         optics = scene.optics
         self._start = np.concatenate([s.positions() for s in scene.structures])
         self._last_otf: tuple[Optics | None, Tensor | None] = None, None
+        self._held_axes: tuple[Tensor, Tensor, Tensor] | None = None
         self._take(scene.effects)
         z, y, x = (float(w) for w in np.hypot(optics.width(), blur))
         site = Site(
@@ -215,7 +216,9 @@ class Renderer:
         z, y, x = self._axes
         if not isinstance(optics, GaussianPSF) or self.effects.present():
             return z, y, x
-        return self._held(z), self._held(y), self._held(x)
+        if self._held_axes is None:
+            self._held_axes = self._held(z), self._held(y), self._held(x)
+        return self._held_axes
 
     def image(self, transform: Tensor, otf: Tensor) -> Tensor:
         """Image (Z, Y, X): fluorophores seen in each voxel; its sum over all space is the total."""

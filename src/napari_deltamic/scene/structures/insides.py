@@ -12,14 +12,15 @@ from torch import Tensor
 
 from ...errors import InputError
 from ...fourier import Plan
-from ...fourier.solid import contrasts, solid_transform
+from ...fourier.solid import contrasts, jumps, sides_of, solid_transform
+from ...fourier.solid_plan import SolidPlan
 from ...geometry.mesh import FloatArray, Mesh
 from ...geometry.windings import right_side_out
 from ..effects import Effects
 from ..grid import Grid
 from .checked_numbers import Values, as_tensor, check_numbers
-from .seen import joined_boxes, shares
-from .site import Planned, Site, mesh_plan
+from .seen import act_on_object, joined_boxes, shares
+from .site import CPU, Planned, Site, mesh_plan
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +67,11 @@ class Solid:
         return torch.stack([_middle(self.mesh, k) for k in self.mesh.region_ids()])
 
     def contrasts(
-        self, effects: Effects, frame: Grid, factors: Tensor | None = None
+        self,
+        effects: Effects,
+        frame: Grid,
+        factors: Tensor | None = None,
+        device: torch.device = CPU,
     ) -> list[Tensor]:
         """(F,) signal per um^3 behind each face minus that in front, as the effects make it.
 
@@ -74,11 +79,21 @@ class Solid:
         changes with depth: what is seen through that of the first slice, and through that of the
         last.
         """
-        ids, regions = self.mesh.region_ids(), self.mesh.regions
-        own = self.densities().to(torch.float64)
+        there = device if not act_on_object(effects) else CPU
+        own = self.densities().to(there, torch.float64)
         own = own if factors is None else own * factors.to(own)
         seen = shares(own, lambda: self._middles, frame, effects)
-        return [contrasts(regions, ids, densities) for densities in seen]
+        return [jumps(self._sides_on(device), densities.to(device)) for densities in seen]
+
+    def _sides_on(self, device: torch.device) -> Tensor:
+        if device not in self._sides:
+            found = sides_of(self.mesh.regions, self.mesh.region_ids())
+            self._sides[device] = found.to(device)
+        return self._sides[device]
+
+    @cached_property
+    def _sides(self) -> dict[torch.device, Tensor]:
+        return {}
 
     def positions(self) -> FloatArray:
         """See ``Structure``."""
@@ -88,15 +103,23 @@ class Solid:
         """See ``Structure``."""
         ids, own = self.mesh.region_ids(), self.densities().detach().to(torch.float64)
         contrast = contrasts(self.mesh.regions, ids, own).numpy()
-        return _PlannedSolid(self, site, mesh_plan(self.mesh, site, contrast))
+        plan = mesh_plan(self.mesh, site, contrast)
+        local = self.mesh.vertices_numpy() - np.asarray(site.grid.origin)
+        solid_plan = SolidPlan.of(plan, local, self.mesh.faces, contrast, site.stretch)
+        return _PlannedSolid(self, site, solid_plan)
 
 
 class _PlannedSolid:
     """See ``Planned``."""
 
-    def __init__(self, solid: Solid, site: Site, plan: Plan) -> None:
-        self._solid, self._site, self.plan = solid, site, plan
+    def __init__(self, solid: Solid, site: Site, plan: SolidPlan) -> None:
+        self._solid, self._site, self._plan = solid, site, plan
         self._faces = torch.as_tensor(solid.mesh.faces).to(site.device)
+
+    @property
+    def plan(self) -> Plan:
+        """See ``Planned``."""
+        return self._plan.plan
 
     def transform(
         self, effects: Effects, vertices: Tensor | None = None, density: Tensor | None = None
@@ -105,8 +128,8 @@ class _PlannedSolid:
         placed = self._site.local(
             as_tensor(self._solid.mesh.vertices) if vertices is None else vertices
         ).to(self._site.device)
-        seen = self._solid.contrasts(effects, self._site.frame, density)
-        boxes = [solid_transform(self.plan, placed, self._faces, part.to(placed)) for part in seen]
+        seen = self._solid.contrasts(effects, self._site.frame, density, placed.device)
+        boxes = [solid_transform(self._plan, placed, self._faces, each) for each in seen]
         return joined_boxes(boxes)
 
 

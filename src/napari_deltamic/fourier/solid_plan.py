@@ -1,0 +1,227 @@
+"""What solids need besides the plan of their surface: found once, for all that a fit makes of it.
+
+See :mod:`napari_deltamic.fourier.solid` for the formulas.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cache, cached_property, lru_cache
+from math import floor, sqrt
+
+import numpy as np
+import torch
+from scipy.special import roots_jacobi
+from torch import Tensor
+
+from .band import Band
+from .particle_mesh import elements_ft
+from .plan import RULE_SHARE, Plan
+from .points import Points, placed
+from .quadrature import Rule, choose_rules
+from .spreading import Spreading, choose_spreading, flat
+
+# Shells are taken where each component of xi is at most this over R.
+NEAR = 1.0
+_LARGEST_PHASE = sqrt(3) * NEAR  # of a point relative to the centre, there
+EXACT = 1e-15
+_POINT = Rule(0, 1, np.ones((1, 1)), np.ones(1))
+# Flux that cancels up to this factor leaves the plan's errors below what was asked: measured on ten
+# solids and four PSFs (test_plan.py), which keep to it up to 3.6 and not always from 4 on.
+_THICK = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class SolidPlan:
+    """How u_hat of what closed surfaces hold is computed on a band.
+
+    Attributes
+    ----------
+    plan
+        Of the surface.
+    centre
+        (3,) um, about which shells are taken.
+    low
+        The part of the band where they are; zero always is.
+    flux
+        Points of the flux, grid and kernels, and whether in single precision.
+    shells
+        The same of shells; precision is that of the plan.
+    """
+
+    plan: Plan
+    centre: np.ndarray = field(repr=False)
+    low: Band
+    flux: tuple[Points, Spreading, bool] | None = field(repr=False)
+    shells: tuple[Points, Spreading] | None = field(repr=False)
+
+    @classmethod
+    def of(
+        cls,
+        plan: Plan,
+        vertices: np.ndarray,
+        faces: np.ndarray,
+        contrast: np.ndarray,
+        stretch: float = 1.0,
+    ) -> SolidPlan:
+        """For a mesh and what becomes of it.
+
+        Parameters
+        ----------
+        plan
+            Its band, method and rules are used; made for this mesh, or one near it.
+        vertices, faces, contrast
+            (V, 3) um relative to the centre of the grid's first voxel, (F, 3), (F,) see
+            :func:`napari_deltamic.fourier.solid.contrasts`.
+        stretch
+            By how much it may grow.
+        """
+        centre, reach = frame_of(vertices)
+        low = _low_band(plan.band, stretch * reach)
+        if plan.method == "closed form":
+            return cls(plan, centre, low, None, None)
+        corners = vertices[faces]
+        edges = stretch * np.abs(corners - np.roll(corners, 1, 1))
+        phases = np.linalg.norm(edges, axis=2).max(1, initial=0.0)
+        phases = _LARGEST_PHASE * phases / max(stretch * reach, 1e-300)
+        near = Points(choose_rules(phases, 1.0, RULE_SHARE * plan.accuracy), len(faces))
+        count = near.count * len(nodes(plan.tolerance)[0])
+        given = low.half, low.spacing, flat, plan.tolerance, count, plan.single
+        shells = near, choose_spreading(*given)
+        return cls(plan, centre, low, _flux(plan, corners, edges, contrast), shells)
+
+    def points_of(self, contrast: Tensor) -> tuple[Points, Points]:
+        """Of the flux and of the shells: walls between regions that shine alike show nothing."""
+        assert self.flux is not None
+        assert self.shells is not None
+        every = self.flux[0], self.shells[0]
+        if contrast.requires_grad:
+            return every
+        seen = contrast.cpu().numpy() != 0
+        if seen.all():
+            return every
+        # The same walls are asked for again and again.
+        key = seen.tobytes()
+        if key not in self._seen:
+            self._seen.clear()
+            self._seen[key] = every[0].of(seen), every[1].of(seen)
+        return self._seen[key]
+
+    def low_shells(self, points: Points, corners: Tensor, vectors: Tensor, jump: Tensor) -> Tensor:
+        """u_hat on the low box by shells of points; differentiable in the contrast alone.
+
+        Parameters
+        ----------
+        points
+            As :meth:`points_of` says.
+        corners, vectors
+            (F, 3, 3) um; (F, 3) area vectors, um^2.
+        jump
+            (F,) the contrast.
+        """
+        assert self.shells is not None
+        device, real = corners.device, corners.dtype
+        kind = torch.complex64 if self.plan.single else torch.complex128
+        places, volumes = [], []
+        centre, t, weight = self._numbers(real, device)
+        for mix, size, of in points.groups(real, device):
+            arms = mix @ (corners.index_select(0, of) - centre)
+            share = (arms * vectors.index_select(0, of)[:, None]).sum(2) * size
+            places.append(arms.reshape(-1, 3))
+            volumes.append((share * jump.index_select(0, of).to(real)[:, None]).reshape(-1))
+        if not places:
+            return torch.zeros(self.low.box_shape, dtype=kind, device=device)
+        strengths = (weight[:, None] * torch.cat(volumes)).reshape(-1)
+        if self.low.half == (0, 0, 0):
+            return strengths.sum().reshape(1, 1, 1).to(kind)
+        shells = (centre + t[:, None, None] * torch.cat(places)).reshape(-1, 3)
+        each = torch.arange(len(shells), device=device)[:, None]
+        one = _one_by_one(len(shells))
+        return elements_ft(shells, each, strengths, one, self.shells[1], self.plan.single)
+
+    def _numbers(self, real: torch.dtype, device: torch.device) -> list[Tensor]:
+        """The centre, and shells with their weights."""
+        key = real, device
+        if key not in self._placed:
+            arrays = self.centre, *nodes(self.plan.tolerance)
+            self._placed[key] = [placed(a, real, device) for a in arrays]
+        return self._placed[key]
+
+    @cached_property
+    def _placed(self) -> dict[tuple[torch.dtype, torch.device], list[Tensor]]:
+        return {}
+
+    @cached_property
+    def _seen(self) -> dict[bytes, tuple[Points, Points]]:
+        return {}
+
+
+def frame_of(vertices: np.ndarray) -> tuple[np.ndarray, float]:
+    """Centre (3,) and how far the vertices (V, 3) reach from it, um."""
+    if not len(vertices):
+        return np.zeros(3), 0.0
+    centre = (vertices.min(0) + vertices.max(0)) / 2
+    return centre, float(np.linalg.norm(vertices - centre, axis=1).max())
+
+
+@cache
+def nodes(error: float) -> tuple[np.ndarray, np.ndarray]:
+    """Shells t and their weights: the fewest whose integral of t^2 exp(-ist) is this accurate."""
+    s = np.linspace(0, _LARGEST_PHASE, 50)[:, None]
+    t, w = _gauss(16)
+    exact = np.exp(-1j * s * t) @ w
+    for n in range(1, 10):
+        t, w = _gauss(n)
+        if np.abs(np.exp(-1j * s * t) @ w - exact).max() < max(error, EXACT) / 3:
+            break
+    return t, w
+
+
+def _gauss(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Gauss-Jacobi rule of the weight t^2 on 0..1."""
+    x, w = roots_jacobi(n, 0, 2)
+    return (x + 1) / 2, w / 8
+
+
+def _low_band(band: Band, reach: float) -> Band:
+    half = tuple(
+        min(k, floor(NEAR / max(reach * s, 1e-300)))
+        for k, s in zip(band.half, band.spacing, strict=True)
+    )
+    return Band(band.fft_shape, band.voxel_size, half)  # type: ignore[arg-type]
+
+
+@lru_cache(maxsize=8)
+def _one_by_one(count: int) -> Points:
+    """Points that are elements themselves."""
+    return Points([(_POINT, np.arange(count))], count)
+
+
+def _flux(
+    plan: Plan, corners: np.ndarray, edges: np.ndarray, contrast: np.ndarray
+) -> tuple[Points, Spreading, bool]:
+    """Points, grid and precision of the flux: those of the plan unless the solid is thin.
+
+    The flux through opposite faces cancels but for their distance: errors relative to the surface
+    are as many times larger relative to what lies inside. edges : (F, 3, 3) um along the axes.
+    """
+    assert plan.spreading is not None
+    vectors = -np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+    middle = corners.reshape(-1, 3).mean(0) if len(corners) else np.zeros(3)
+    volume = abs(float((((corners[:, 0] - middle) * vectors).sum(1) * contrast).sum())) / 3
+    area = float((np.linalg.norm(vectors, axis=1) * np.abs(contrast)).sum())
+    reach = [k * s for k, s in zip(plan.band.half, plan.band.spacing, strict=True)]
+    # At a third of the radius of the band; beyond the cap nothing is inside.
+    cancelled = min(area / max(volume * sum(reach) / 9, 1e-300), 1e8)
+    if cancelled < _THICK or not area:
+        return plan.quadrature_of(len(corners)), plan.spreading, plan.single
+    tolerance = max(plan.tolerance / cancelled, 1e-13)
+    single = plan.single and tolerance > 5e-6
+    phases = np.linalg.norm(edges * np.asarray(reach), axis=2).max(1)
+    # As if the OTF were flat over the band: finer rules and wider kernels than need be.
+    rules = choose_rules(phases, 1.0, max(RULE_SHARE * plan.accuracy / cancelled, 1e-12))
+    points = Points(rules, len(corners))
+    spreading = choose_spreading(
+        plan.band.half, plan.band.spacing, flat, tolerance, points.count, single, dipoles=True
+    )
+    return points, spreading, single
