@@ -179,10 +179,25 @@ def products(columns: Sequence[Tensor], weights: Tensor) -> FloatArray:
         found: FloatArray = compiled_products(columns, weights)
         return found
     wide = widest(weights.device)
-    each = [column.to(wide) for column in columns]
-    weighted = [weights.to(wide) * column for column in each]
-    rows = [torch.stack([total(w * column) for column in each]) for w in weighted]
-    return torch.stack(rows).cpu().numpy().astype(np.float64)
+    each = torch.stack([column.to(wide) for column in columns])
+    return _products(each, weights.to(wide)).cpu().numpy().astype(np.float64)
+
+
+def _products(rows: Tensor, weights: Tensor) -> Tensor:
+    """(K, K) of rows (K, N)."""
+    return torch.stack([_totals(weights * row * rows) for row in rows])
+
+
+def _totals(rows: Tensor) -> Tensor:
+    """(K,) sums of rows (K, N); see :func:`total`."""
+    return torch.stack([total(row) for row in rows]) if rows.device.type == "cpu" else rows.sum(1)
+
+
+def _moments(columns: Sequence[Tensor], weights: Tensor, tiny: float) -> tuple[Tensor, Tensor]:
+    """(K, K) weighted products of columns less their weighted means, and those (K,)."""
+    rows = torch.stack(tuple(columns))
+    means = _totals(weights * rows) / total(weights).clamp(min=tiny)
+    return _products(rows - means[:, None], weights), means
 
 
 def centred_products(columns: Sequence[Tensor], weights: Tensor) -> FloatArray:
@@ -193,10 +208,8 @@ def centred_products(columns: Sequence[Tensor], weights: Tensor) -> FloatArray:
         sums = found[-1, :-1]
         return found[:-1, :-1] - np.outer(sums, sums) / max(found[-1, -1], 1e-30)
     wide = widest(weights.device)
-    w = weights.to(wide)
-    whole = total(w).clamp(min=1e-30)
-    each = [column.to(wide) for column in columns]
-    return products([column - total(w * column) / whole for column in each], w)
+    moments, _ = _moments([column.to(wide) for column in columns], weights.to(wide), 1e-30)
+    return moments.cpu().numpy().astype(np.float64)
 
 
 def solve_scale(rendered: Tensor, measured: Tensor, weights: Tensor) -> tuple[float, float, bool]:
@@ -205,28 +218,24 @@ def solve_scale(rendered: Tensor, measured: Tensor, weights: Tensor) -> tuple[fl
     A free amplitude turns negative near a bad start, and the mesh then runs away from the membrane:
     it stays above a small positive bound.
     """
-    amplitude, background, bounded = scale_on_device(rendered, measured, weights)
-    return float(amplitude), float(background), bool(bounded)
+    amplitude, background, bounded, _ = _scale(rendered, measured, weights).tolist()
+    return amplitude, background, bool(bounded)
 
 
-def scale_on_device(
-    rendered: Tensor, measured: Tensor, weights: Tensor
-) -> tuple[Tensor, Tensor, Tensor]:
-    """As :func:`solve_scale`, without waiting for the device: 0-dim tensors there."""
+def _scale(rendered: Tensor, measured: Tensor, weights: Tensor) -> Tensor:
+    """(4,) as :func:`solve_scale`, on the device; and weighted squares of what was measured, less
+    its weighted mean."""
     wide = widest(rendered.device)
     tiny = 1e-300 if wide == torch.float64 else 1e-30
     w, m, y = (t.to(wide) for t in (weights, rendered, measured))
-    whole = total(w).clamp(min=tiny)
-    means = total(w * y) / whole, total(w * m) / whole
-    m, y = m - means[1], y - means[0]
-    wm = w * m
-    squares = total(wm * m)
+    moments, (mean_m, mean_y) = _moments([m, y], w, tiny)
+    (squares, shared), (_, var_y) = moments
     varies, var_m = squares > 0, squares.clamp(min=tiny)
-    least = RULES.least * torch.sqrt(total(w * y * y) / var_m)
-    amplitude = total(wm * y) / var_m
+    least = RULES.least * torch.sqrt(var_y / var_m)
+    amplitude = shared / var_m
     bounded = (amplitude < least) | ~varies
     amplitude = torch.where(varies, torch.maximum(amplitude, least), 0.0)
-    return amplitude, means[0] - amplitude * means[1], bounded
+    return torch.stack([amplitude, mean_y - amplitude * mean_m, bounded.to(wide), var_y])
 
 
 def match(rendered: Tensor, measured: Tensor, weights: Tensor) -> tuple[Tensor, Match]:
@@ -235,17 +244,15 @@ def match(rendered: Tensor, measured: Tensor, weights: Tensor) -> tuple[Tensor, 
     Amplitude and background are at their optimum, where their own derivatives vanish, so they are
     held constant in the gradient. Sums are in double precision where the device holds it.
     """
-    a, b, bounded = scale_on_device(rendered.detach(), measured, weights)
+    found = _scale(rendered.detach(), measured, weights)
     wide = widest(rendered.device)
     y, w = measured.to(wide), weights.to(wide)
-    residual = a * rendered.to(wide) + (b - y)
+    residual = found[0] * rendered.to(wide) + (found[1] - y)
     squares = total(w * residual**2)
-    centred = y - total(w * y) / total(w).clamp(min=1e-30)
+    told = torch.cat([squares.detach()[None], found])
+    value, amplitude, background, bound, scale = told.tolist()
     # Above the smallest number of single precision.
-    scale = total(w * centred**2).clamp(min=1e-30)
-    told = torch.stack([squares.detach(), squares.detach() / scale, a, b, bounded.to(wide)])
-    value, loss, amplitude, background, bound = told.tolist()
-    return squares, Match(value, loss, amplitude, background, bool(bound))
+    return squares, Match(value, value / max(scale, 1e-30), amplitude, background, bool(bound))
 
 
 def explained(
