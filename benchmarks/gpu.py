@@ -24,7 +24,7 @@ from napari_deltamic import Mesh, fit, render
 from napari_deltamic.fourier import Band
 from napari_deltamic.fourier.closed_form import band_ft
 from napari_deltamic.fourier.cuda import compiler, missing
-from napari_deltamic.fourier.cuda.build import CLOSED_FORM
+from napari_deltamic.fourier.cuda.build import CLOSED_FORM, POINTS
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure import surface_distance
 from napari_deltamic.runs.settings import FitSettings
@@ -180,15 +180,33 @@ def first_use(place: Place) -> list[Row]:
     """How long the kernels take to compile."""
     capability = (9, 0) if place.dry else torch.cuda.get_device_capability()
     target = compiler.architecture(capability)
-    begun = time.perf_counter()
-    compiler.compile_kernels(CLOSED_FORM[True], target)
-    note = f"{target}, NVRTC {'.'.join(map(str, compiler.version()))}; once, then from disk"
-    return [
-        Row("compiling the kernels of one type", "", time.perf_counter() - begun, "s", None, note)
-    ]
+    rows = []
+    for name, build in (("the closed form", CLOSED_FORM[True]), ("points", POINTS[True])):
+        begun = time.perf_counter()
+        compiler.compile_kernels(build, target)
+        note = f"{target}, NVRTC {'.'.join(map(str, compiler.version()))}; once, then from disk"
+        what = f"compiling {name}, f32"
+        rows.append(Row(what, "", time.perf_counter() - begun, "s", None, note))
+    return rows
 
 
 # ---------------------------------------------------------------------------------------- fits
+
+
+def _evaluation(place: Place, mesh: Mesh, voxels: int) -> tuple[float, str]:
+    """Seconds of an image and its gradient by the vertices; and how they are computed."""
+    grid, optics = scene(voxels)
+    renderer = Renderer(Scene.of(mesh, optics), grid, 1e-3, device=place.device)
+    v = torch.tensor(mesh.vertices_numpy(), device=place.device, requires_grad=True)
+    otf = renderer.otf(optics)
+    with torch.no_grad():
+        weights = renderer.image(renderer.transform(v), otf)
+
+    def once() -> object:
+        image = renderer.image(renderer.transform(v), otf)
+        return torch.autograd.grad(image, v, weights)
+
+    return seconds(once, place), f"{renderer.plan.method}, {renderer.plan.points} points"
 
 
 def _iteration(
@@ -223,22 +241,33 @@ def _iteration(
 
 
 def iterations(place: Place) -> list[Row]:
-    """One iteration of a fit, at two sizes; with the guard against collisions as well."""
+    """Images and iterations of a fit at three sizes; with the guard against collisions as well."""
     count = 10 if place.quick else 41
+    small = sphere_of(1280, place.size(64), 0.3 * place.size(64))
     meshes = {
-        "cow, 200^3, 1e-3, one iteration of a fit": (_cow(place, place.size(200)), 200, 10),
-        "500^3, 20,000 faces, an iteration": (_large(place), 500, 100),
+        "64^3, 1,280 faces": (small, 64, None, None),
+        "cow, 200^3": (_cow(place, place.size(200)), 200, 3, 10),
+        "500^3, 20,000 faces": (_large(place), 500, None, 100),
     }
     rows = []
-    for name, (mesh, voxels, bar) in meshes.items():
-        given = place, mesh, place.size(voxels), count
-        spent, how = _iteration(*given)
-        rows.append(at_most(name, bar, 1e3 * spent, "ms", how))
-        spent, how = _iteration(*given, guard=True)
-        rows.append(Row(f"{name}, with the guard", "", 1e3 * spent, "ms", None, how))
+    for name, (mesh, voxels, image_bar, bar) in meshes.items():
+        given = place, mesh, place.size(voxels)
+        rows.append(_asked(f"{name}, an image and its gradient", image_bar, *_evaluation(*given)))
+        what = f"{name}, an iteration of a fit"
+        rows.append(_asked(what, bar, *_iteration(*given, count)))
+        if bar is not None:
+            spent = _iteration(*given, count, guard=True)
+            rows.append(_asked(f"{what}, with the guard", None, *spent))
     used = 0.0 if place.dry else torch.cuda.max_memory_allocated() / 1e9
     rows.append(Row("peak memory of all these, torch's own", "", used, "GB", None))
     return rows
+
+
+def _asked(name: str, bar: float | None, spent: float, note: str) -> Row:
+    """In ms, with a bar or without."""
+    if bar is None:
+        return Row(name, "", 1e3 * spent, "ms", None, note)
+    return at_most(name, bar, 1e3 * spent, "ms", note)
 
 
 def _large(place: Place) -> Mesh:
@@ -275,11 +304,11 @@ def sphere_to_cow(place: Place) -> list[Row]:
 
 
 FIGURES: dict[str, Callable[[Place], list[Row]]] = {
+    "tests": tests,
     "first-use": first_use,
     "rates": rates,
     "iterations": iterations,
     "sphere-to-cow": sphere_to_cow,
-    "tests": tests,
 }
 
 

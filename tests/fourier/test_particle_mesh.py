@@ -6,11 +6,10 @@ import finufft
 import numpy as np
 import pytest
 import torch
-from cuda_emulation import SMALL_POINTS, Emulated
 from torch.autograd import gradcheck
 from torch.utils._python_dispatch import TorchDispatchMode
+from ways import use_gpu_kernels, use_torch
 
-from napari_deltamic.fourier import particle_mesh, real_fft
 from napari_deltamic.fourier.particle_mesh import elements_ft, field_of
 from napari_deltamic.fourier.points import Points
 from napari_deltamic.fourier.quadrature import Rule, rule
@@ -22,27 +21,6 @@ SPACING = (0.31, 0.27, 0.4)
 HALVES = [(3, 2, 4), (2, 3, 5), (0, 2, 3), (2, 0, 3), (2, 3, 0), (0, 0, 0)]
 ONE = Rule(0, 1, np.ones((1, 1)), np.ones(1))
 LINE = Rule(1, 1, np.array([[0.8, 0.2], [0.3, 0.7]]), np.array([0.4, 0.6]))
-
-
-def use_torch(monkeypatch, instead=True):
-    for module in (particle_mesh, real_fft):
-        monkeypatch.setattr(module, "compiled", lambda device: not instead)
-
-
-def use_gpu_kernels(monkeypatch):
-    monkeypatch.setattr(
-        particle_mesh, "_kernels", lambda device, single: Emulated(single, SMALL_POINTS[single])
-    )
-
-
-@pytest.fixture(params=["compiled", "torch", "GPU"])
-def way(request, monkeypatch):
-    """All ways of doing it; a GPU's kernels run on the host."""
-    if request.param != "compiled":
-        use_torch(monkeypatch)
-    if request.param == "GPU":
-        use_gpu_kernels(monkeypatch)
-    return request.param
 
 
 def elements(corners, count=9, seed=6):

@@ -216,7 +216,7 @@ def spread_out(mesh, renderer, contrast):
 
 
 @pytest.mark.parametrize("shape", ["ball", "speck", "slab", "cells"])
-def test_both_ways_agree_in_value_and_gradients(shape):
+def test_both_methods_agree_in_value_and_gradients(shape, way):
     mesh = {
         "ball": sphere(CENTRE, (0.6, 0.7, 0.65), subdivisions=1),
         "speck": sphere(CENTRE, 1e-3, subdivisions=0),

@@ -19,6 +19,7 @@ from .particle_mesh import elements_ft
 from .plan import RULE_SHARE, Plan
 from .points import Points, placed
 from .quadrature import Rule, choose_rules
+from .real_fft import compiled
 from .spreading import Spreading, choose_spreading, flat
 
 # Shells are taken where each component of xi is at most this over R.
@@ -29,6 +30,7 @@ _POINT = Rule(0, 1, np.ones((1, 1)), np.ones(1))
 # Flux that cancels up to this factor leaves the plan's errors below what was asked: measured on ten
 # solids and four PSFs (test_plan.py), which keep to it up to 3.6 and not always from 4 on.
 _THICK = 3.0
+_AT_ONCE = 128  # sums side by side, about as many as a GPU has multiprocessors
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,22 +124,51 @@ class SolidPlan:
         assert self.shells is not None
         device, real = corners.device, corners.dtype
         kind = torch.complex64 if self.plan.single else torch.complex128
-        places, volumes = [], []
+        arms, volumes = [], []
         centre, t, weight = self._numbers(real, device)
         for mix, size, of in points.groups(real, device):
-            arms = mix @ (corners.index_select(0, of) - centre)
-            share = (arms * vectors.index_select(0, of)[:, None]).sum(2) * size
-            places.append(arms.reshape(-1, 3))
+            each = mix @ (corners.index_select(0, of) - centre)
+            share = (each * vectors.index_select(0, of)[:, None]).sum(2) * size
+            arms.append(each.reshape(-1, 3))
             volumes.append((share * jump.index_select(0, of).to(real)[:, None]).reshape(-1))
-        if not places:
+        if not arms:
             return torch.zeros(self.low.box_shape, dtype=kind, device=device)
         strengths = (weight[:, None] * torch.cat(volumes)).reshape(-1)
         if self.low.half == (0, 0, 0):
             return strengths.sum().reshape(1, 1, 1).to(kind)
-        shells = (centre + t[:, None, None] * torch.cat(places)).reshape(-1, 3)
-        each = torch.arange(len(shells), device=device)[:, None]
-        one = _one_by_one(len(shells))
-        return elements_ft(shells, each, strengths, one, self.shells[1], self.plan.single)
+        shells = (t[:, None, None] * torch.cat(arms)).reshape(-1, 3)
+        if not compiled(device):
+            return self._directly(shells, strengths).to(kind)
+        one, indices = _one_by_one(len(shells)), torch.arange(len(shells), device=device)[:, None]
+        given = shells + centre, indices, strengths, one, self.shells[1], self.plan.single
+        return elements_ft(*given)
+
+    def _directly(self, arms: Tensor, strengths: Tensor) -> Tensor:
+        """The sum over points (P, 3) about the centre, on the low box, wavevector by wavevector.
+
+        On a grid as small as that of this box, atomics of a GPU would wait for one another.
+        """
+        axes, turned = self._waves(arms.dtype, arms.device)
+        rest = -len(arms) % _AT_ONCE
+        arms = torch.nn.functional.pad(arms, (0, 0, 0, rest)).reshape(_AT_ONCE, -1, 3)
+        strengths = torch.nn.functional.pad(strengths, (0, rest)).reshape(_AT_ONCE, -1, 1)
+        z, y, x = (
+            torch.polar(torch.ones_like(phase), phase)
+            for phase in (-arms[..., i : i + 1] * k for i, k in enumerate(axes))
+        )
+        plane = (y[..., :, None] * x[..., None, :]).flatten(2)
+        sums = torch.bmm((strengths * z).transpose(1, 2), plane).sum(0)
+        return sums.reshape(self.low.box_shape) * turned
+
+    def _waves(self, real: torch.dtype, device: torch.device) -> tuple[list[Tensor], Tensor]:
+        """Components of the low wavevectors along each axis, and the phases of the centre."""
+        key = real, device
+        if key not in self._low_waves:
+            axes = [k.to(real) for k in self.low.axes(torch.float64)]
+            phase = sum(c * k for c, k in zip(self.centre.tolist(), axes, strict=True))
+            turned = torch.exp(-1j * torch.as_tensor(phase)).to(device)
+            self._low_waves[key] = [k.reshape(-1).to(device) for k in axes], turned
+        return self._low_waves[key]
 
     def _numbers(self, real: torch.dtype, device: torch.device) -> list[Tensor]:
         """The centre, and shells with their weights."""
@@ -149,6 +180,12 @@ class SolidPlan:
 
     @cached_property
     def _placed(self) -> dict[tuple[torch.dtype, torch.device], list[Tensor]]:
+        return {}
+
+    @cached_property
+    def _low_waves(
+        self,
+    ) -> dict[tuple[torch.dtype, torch.device], tuple[list[Tensor], Tensor]]:
         return {}
 
     @cached_property
