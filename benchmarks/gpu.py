@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import median
 
 import torch
 from torch import Tensor
@@ -53,6 +54,16 @@ MARK = "gpu"
 # exponential's part.
 FLOPS_PER_PAIR = 43
 LANES = 128  # float units of a multiprocessor since compute capability 8.6, and of 9.0
+# Voxels along an axis, and faces (None: the cow); bars of an image with its gradient and of an
+# iteration, ms.
+SIZES: tuple[tuple[int, int | None, int | None, int | None], ...] = (
+    (40, 1280, None, None),
+    (64, 1280, None, None),
+    (64, 20_480, None, None),
+    (128, 5120, None, None),
+    (200, None, 3, 10),
+    (500, 20_480, None, 100),
+)
 FEWER_LANES = {(7, 5): 64, (8, 0): 64}
 
 
@@ -61,11 +72,17 @@ class Place(Options):
     """Where it is measured."""
 
     dry: bool = False
+    cpu: bool = False
+
+    @property
+    def here(self) -> bool:
+        """Whether on the CPU."""
+        return self.dry or self.cpu
 
     @property
     def device(self) -> str:
         """Of torch."""
-        return "cpu" if self.dry else "cuda"
+        return "cpu" if self.here else "cuda"
 
     def size(self, voxels: int) -> int:
         """Voxels along an axis."""
@@ -73,7 +90,7 @@ class Place(Options):
 
     def now(self) -> float:
         """Seconds, once the device has done all that it was told to."""
-        if not self.dry:
+        if not self.here:
             torch.cuda.synchronize()
         return time.perf_counter()
 
@@ -84,7 +101,7 @@ def seconds(function: Callable[[], object], place: Place) -> float:
         function()
     found = []
     for _ in range(place.repeats):
-        if place.dry:
+        if place.here:
             begun = place.now()
             function()
             found.append(place.now() - begun)
@@ -212,9 +229,9 @@ def _evaluation(place: Place, mesh: Mesh, voxels: int) -> tuple[float, str]:
 def _iteration(
     place: Place, mesh: Mesh, voxels: int, iterations: int, guard: bool = False
 ) -> tuple[float, str]:
-    """Seconds of an iteration of the last level on the GPU, the plan made; and the method.
+    """Seconds of an iteration of the last level, the plan made; and the method.
 
-    The mean of all but the first: numbers are read late, and some iterations look at the fit.
+    The median of all but the first three: some iterations look at the fit, and renew its plan.
     """
     grid, optics = scene(voxels)
     accuracy = 1e-3
@@ -232,33 +249,32 @@ def _iteration(
         max_iterations=iterations,
     )
     states = fit(image, grid, start, optics, settings=settings)
-    next(states)
-    begun = place.now()
-    for _ in range(iterations - 1):
+    spent = []
+    for _ in range(iterations):
+        begun = place.now()
         next(states)
-    each = (place.now() - begun) / (iterations - 1)
+        spent.append(place.now() - begun)
+    each = median(spent[3:])
     return each, Renderer(Scene.of(start, optics), grid, accuracy, device=place.device).plan.method
 
 
 def iterations(place: Place) -> list[Row]:
-    """Images and iterations of a fit at three sizes; with the guard against collisions as well."""
+    """Images and iterations of a fit by size; with the guard against collisions as well."""
     count = 10 if place.quick else 41
-    small = sphere_of(1280, place.size(64), 0.3 * place.size(64))
-    meshes = {
-        "64^3, 1,280 faces": (small, 64, None, None),
-        "cow, 200^3": (_cow(place, place.size(200)), 200, 3, 10),
-        "500^3, 20,000 faces": (_large(place), 500, None, 100),
-    }
     rows = []
-    for name, (mesh, voxels, image_bar, bar) in meshes.items():
-        given = place, mesh, place.size(voxels)
-        rows.append(_asked(f"{name}, an image and its gradient", image_bar, *_evaluation(*given)))
+    for voxels, faces, image_bar, bar in SIZES:
+        n = place.size(voxels)
+        mesh = _cow(place, n) if faces is None else _ball(place, faces, n)
+        name = f"{voxels}^3, {len(mesh.faces):,} faces"
+        rows.append(
+            _asked(f"{name}, an image and its gradient", image_bar, *_evaluation(place, mesh, n))
+        )
         what = f"{name}, an iteration of a fit"
-        rows.append(_asked(what, bar, *_iteration(*given, count)))
-        if bar is not None:
-            spent = _iteration(*given, count, guard=True)
+        rows.append(_asked(what, bar, *_iteration(place, mesh, n, count)))
+        if bar is not None and not place.cpu:
+            spent = _iteration(place, mesh, n, count, guard=True)
             rows.append(_asked(f"{what}, with the guard", None, *spent))
-    used = 0.0 if place.dry else torch.cuda.max_memory_allocated() / 1e9
+    used = 0.0 if place.here else torch.cuda.max_memory_allocated() / 1e9
     rows.append(Row("peak memory of all these, torch's own", "", used, "GB", None))
     return rows
 
@@ -270,9 +286,8 @@ def _asked(name: str, bar: float | None, spent: float, note: str) -> Row:
     return at_most(name, bar, 1e3 * spent, "ms", note)
 
 
-def _large(place: Place) -> Mesh:
-    voxels = place.size(500)
-    return sphere_of(600 if place.dry else 20_000, voxels, 0.3 * voxels)
+def _ball(place: Place, faces: int, voxels: int) -> Mesh:
+    return sphere_of(600 if place.dry else faces, voxels, 0.3 * voxels)
 
 
 def sphere_to_cow(place: Place) -> list[Row]:
@@ -319,16 +334,17 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--quick", action="store_true", help="fewer repeats")
     parser.add_argument("--data", type=Path, help="folder of meshes (DELTAMIC_DATA)")
     parser.add_argument("--page", type=Path, help=f"put the table into this page ({PAGE.name})")
+    parser.add_argument("--cpu", action="store_true", help="images and iterations, on the CPU")
     parser.add_argument("--dry", action="store_true", help="on the CPU, to see whether it runs")
     given = parser.parse_args(arguments)
-    if not given.dry and (reason := missing()):
+    if not (given.dry or given.cpu) and (reason := missing()):
         print(f"nothing to measure: {reason}", file=sys.stderr)
         return 2
-    place = Place(given.quick or given.dry, dry=given.dry)
+    place = Place(given.quick or given.dry, dry=given.dry, cpu=given.cpu)
     place = replace(place, data=given.data) if given.data else place
-    said = "a dry run on the CPU" if given.dry else _device()
+    said = "on the CPU" if place.here else _device()
     rows: list[Row] = []
-    for name in given.only or FIGURES:
+    for name in ["iterations"] if given.cpu else given.only or FIGURES:
         begun = time.perf_counter()
         figure = FIGURES[name]
         found = measure(lambda _, figure=figure: figure(place), name, place)
@@ -336,7 +352,7 @@ def main(arguments: list[str] | None = None) -> int:
             found = [replace(row, passed=None) for row in found]
         rows += found
         print(f"{name}: {time.perf_counter() - begun:.0f} s\n{as_table(found)}\n", flush=True)
-        if given.page and not given.dry:
+        if given.page and not place.here:
             put_between(given.page, MARK, f"{said}\n\n{table(rows)}")
     print(f"{said}\n{as_table(rows)}")
     return int(any(row.passed is False for row in rows))

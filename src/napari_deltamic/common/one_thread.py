@@ -26,7 +26,12 @@ def one_thread() -> Iterator[None]:
 
 
 def in_one_thread(function: Callable[..., Tensor], *given: Tensor) -> Tensor:
-    """What a function makes of tensors, and its gradients, in one thread; differentiable once."""
+    """What a function makes of tensors, and its gradients, in one thread; differentiable once.
+
+    On other devices than the CPU, which know no such threads, it is called as it is.
+    """
+    if any(one.device.type != "cpu" for one in given):
+        return function(*given)
     found: Tensor = _InOneThread.apply(function, *given)
     return found
 

@@ -99,6 +99,7 @@ class Density:
         elif model == "interface":
             pieces = np.bincount(self._interface, mesh.areas()) / (3 * width) ** 2
         self._pieces = pieces
+        self._placed: dict[torch.device, Tensor] = {}
 
     def __len__(self) -> int:
         return len(self._pieces)
@@ -109,14 +110,25 @@ class Density:
             return None
         # Not by indexing, whose gradient sorts.
         if self.model == "smooth":
-            corners = log.index_select(0, self._faces.to(log.device).reshape(-1))
+            corners = log.index_select(0, self._faces_on(log.device).reshape(-1))
             return torch.exp(corners.reshape(-1, 3).sum(1) / 3)
-        return torch.exp(log.index_select(0, torch.from_numpy(self._interface).to(log.device)))
+        return torch.exp(log.index_select(0, self._faces_on(log.device)))
+
+    def _faces_on(self, device: torch.device) -> Tensor:
+        """(F, 3) vertices whose numbers a face takes, or (F,) its interface."""
+        if device not in self._placed:
+            own = self._faces if self.model == "smooth" else torch.from_numpy(self._interface)
+            self._placed[device] = own.to(device)
+        return self._placed[device]
 
     def faces_numpy(self, log: FloatArray) -> FloatArray:
         """(F,) density relative to the mean."""
-        found = self.faces(torch.from_numpy(np.asarray(log)))
-        return np.ones(len(self._area)) if found is None else found.numpy()
+        if self.model == "uniform":
+            return np.ones(len(self._area))
+        # Not by torch, which wakes all its threads for so little.
+        if self.model == "smooth":
+            return np.asarray(np.exp(log[self._faces.numpy()].mean(1)))
+        return np.asarray(np.exp(log[self._interface]))
 
     def of_faces(self, density: FloatArray) -> FloatArray:
         """(D,) logarithms from which densities (F,) follow, in the sense of least squares."""
