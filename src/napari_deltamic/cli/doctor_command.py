@@ -84,7 +84,7 @@ def _devices(problems: list[str]) -> dict[str, str]:
     if torch.cuda.is_available():
         for i in range(torch.cuda.device_count()):
             used = (
-                f"not used: {reason}" if reason else "used for large images, 128^3 voxels and more"
+                f"not used: {reason}" if reason else "used for large images, 100^3 voxels and more"
             )
             used = used if i == 0 or reason else "not used: the first one is"
             found[f"cuda:{i}"] = f"{torch.cuda.get_device_name(i)} ({used})"

@@ -8,16 +8,17 @@ from ..common.choices import DeviceChoice
 from ..errors import InputError
 from .cuda import missing
 
-# Iterations of a fit on an H100 against two cores of a Xeon: 27 and 14 ms at 40^3 voxels, 36 and 24
-# at 64^3, 72 and 88 at 128^3, 130 and 223 at 200^3, 0.8 and 6.9 s at 500^3.
-GPU_PAYS = 128**3
+# Iterations of a fit on an H100 against two cores of a Xeon, measured (ms): 9.8 and 10.1 at 40^3
+# voxels, 9.4 and 16 at 64^3, 13 and 56 at 128^3, 16 and 181 at 200^3. The first takes half a second
+# longer there.
+GPU_PAYS = 100**3
 
 
 def choose_device(asked: DeviceChoice = "auto", voxels: int | None = None) -> torch.device:
     """The device for a setting, and for an image of so many voxels.
 
     ``"auto"`` is the first NVIDIA GPU where nothing is missing to use it and the image is so large
-    that it is faster (128^3 voxels), else the CPU. ``"mps"``, the GPU of a Mac, forms images and
+    that it is faster (100^3 voxels), else the CPU. ``"mps"``, the GPU of a Mac, forms images and
     compares them; transforms of meshes stay on the CPU. It holds single precision alone.
 
     Raises

@@ -215,7 +215,7 @@ class FitSettings(Settings):
         "auto",
         title="device",
         tip="where to compute: cpu, cuda (an NVIDIA GPU), or mps (the GPU of a Mac); auto takes "
-        "the CPU, and an NVIDIA GPU for images of 128^3 voxels and more, where it is faster",
+        "the CPU, and an NVIDIA GPU for images of 100^3 voxels and more, where it is faster",
         words={"auto": "automatic", "cpu": "CPU", "cuda": "NVIDIA GPU", "mps": "GPU of a Mac"},
         advanced=True,
     )
