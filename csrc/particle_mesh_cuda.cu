@@ -1,6 +1,6 @@
 // Spreading and gathering on GPUs: what particle_mesh.cpp does, a thread for each point. Compiled at
 // run time by NVRTC, once with DELTAMIC_REAL=float and once with double; launched by
-// napari_deltamic/fourier/cuda/points.py.
+// napari_deltamic/fourier/cuda/point_transform.py.
 //
 // Polynomials are evaluated anew at every node: that costs less than keeping their values would.
 // Spreading adds with atomics, so that the last bits depend on which thread comes first.
@@ -32,7 +32,7 @@ struct Rules {
 };
 
 static_assert(sizeof(Grid) == 72 && sizeof(Point) == (sizeof(Real) == 4 ? 36 : 64) && sizeof(Rules) == 24,
-              "napari_deltamic/fourier/cuda/points.py has the same");
+              "napari_deltamic/fourier/cuda/point_transform.py has the same");
 
 __device__ inline int index() { return static_cast<int>(blockIdx.x * threads + threadIdx.x); }
 

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from . import torch_mesh
-from .cuda import points as on_gpu
+from .cuda import point_transform as on_gpu
 from .cuda.build import Kernels, PointBuild
 from .cuda.device import point_kernels
 from .native import native, simd_level, threads
