@@ -60,7 +60,7 @@ class Plain(Renderer):
                 otf = otf * torch.exp(-0.5 * (blur * k) ** 2)
         return otf
 
-    def image(self, transform, otf):
+    def image(self, transform, otf, known=None):
         return self.plan.band.to_image(transform, self.grid.shape, otf)
 
 

@@ -224,9 +224,16 @@ class Level:
             device=self.device,
         )
 
-    def rendered(self, renderer: Renderer, transform: Tensor, otf: Tensor) -> Tensor:
-        """Image per voxel of the fine grid, whatever the spacing of this one."""
-        image = renderer.image(transform, otf)
+    def rendered(
+        self, renderer: Renderer, transform: Tensor, otf: Tensor, known: Tensor | None = None
+    ) -> Tensor:
+        """Image per voxel of the fine grid, whatever the spacing of this one.
+
+        known : that image, where it was made before and only its gradients are wanted.
+        """
+        if known is not None and self.volume_ratio != 1:
+            known = known / self.volume_ratio
+        image = renderer.image(transform, otf, known)
         return image if self.volume_ratio == 1 else image * self.volume_ratio
 
     def brightness(

@@ -124,10 +124,12 @@ class Posterior(Prediction):
         effects = self._imaging.effects_of(at.effects)
         renderer = self._with(effects)
         otfs = [self._otf(view, renderer, optics) for view in self._views]
-        spectrum, light = self._shining(renderer, unknowns, otfs[0].detach())
+        shining = self._shining(renderer, unknowns, otfs[0].detach())
+        spectrum, light = shining.spectrum, shining.light
         nats, told, first = torch.zeros(()), None, None
         for view, otf in zip(self._views, otfs, strict=True):
-            image = self._level.rendered(renderer, spectrum, otf)
+            known = shining.image if view is self._views[0] else None
+            image = self._level.rendered(renderer, spectrum, otf, known)
             voxels = view.voxels
             measured = self._measured(view, effects)
             weights = voxels.weights_for(voxels.of(image.detach()), measured)

@@ -59,6 +59,31 @@ class Unknowns:
     optics: Tensor
 
 
+@dataclass(frozen=True, eq=False)
+class _Shining:
+    """What shines.
+
+    Attributes
+    ----------
+    spectrum
+        Of all that does, differentiable.
+    light
+        How much of each does.
+    image
+        (Z, Y, X) of the spectrum, without gradients; None where it took none to find the light.
+    """
+
+    spectrum: Tensor
+    light: Light
+    image: Tensor | None
+
+
+def _mixed(parts: Sequence[tuple[float, Tensor]]) -> Tensor:
+    """Sum of factors times tensors, which has one of each at least."""
+    each = [part if by == 1 else by * part for by, part in parts]
+    return each[0] if len(each) == 1 else each[0] + each[1]
+
+
 class Prediction:
     """The images that unknowns predict; voxels, weights, connectivity and plan do not change.
 
@@ -109,7 +134,7 @@ class Prediction:
             unknowns = self._unknowns(at)
             renderer = self._with(self._imaging.effects_of(at.effects))
             otf = self._otf(self._views[0], renderer, self._optics(unknowns))
-            return self._shining(renderer, unknowns, otf)[1]
+            return self._shining(renderer, unknowns, otf).light
 
     def shown(self, at: Variables, light: Light) -> FloatArray:
         """(N,) the first image of a light where voxels count, of amplitude 1; no gradients."""
@@ -142,14 +167,15 @@ class Prediction:
         """Of the view's own PSF, or of the fit's."""
         return renderer.otf(optics if view.optics is None else view.optics)
 
-    def _shining(self, renderer: Renderer, at: Unknowns, otf: Tensor) -> tuple[Tensor, Light]:
-        """Spectrum of what shines, and how much of each does, by the first image.
+    def _shining(self, renderer: Renderer, at: Unknowns, otf: Tensor) -> _Shining:
+        """What shines, and how much of each does, by the first image.
 
         Membranes and insides are transformed once each: what shines is a sum of the two.
         otf : of the first image, without gradient.
         """
         view = self._views[0]
         parts: dict[Light, Tensor] = {}
+        images: dict[Light, Tensor] = {}
         with torch.no_grad():
             measured = self._measured(view, renderer.effects)
 
@@ -159,14 +185,17 @@ class Prediction:
             return parts[light]
 
         def shown(light: Light) -> Tensor:
-            image = self._level.rendered(renderer, part(light).detach(), otf)
-            return view.voxels.of(image)
+            spectrum = part(light).detach()
+            with torch.no_grad():
+                images[light] = self._level.rendered(renderer, spectrum, otf)
+            return view.voxels.of(images[light])
 
         light = light_of(self._structure, shown, measured, view.voxels.weights)
-        each = ((light.membrane, MEMBRANES), (light.interior, INSIDES))
-        shining = [part(of) if by == 1 else by * part(of) for by, of in each if by]
-        spectrum = shining[0] if len(shining) == 1 else shining[0] + shining[1]
-        return spectrum, self._insides.shining(light, as_floats(at.insides))
+        both = (light.membrane, MEMBRANES), (light.interior, INSIDES)
+        each = [(by, of) for by, of in both if by]
+        image = _mixed([(by, images[of]) for by, of in each]) if images else None
+        spectrum = _mixed([(by, part(of)) for by, of in each])
+        return _Shining(spectrum, self._insides.shining(light, as_floats(at.insides)), image)
 
     def images(self, at: Variables, light: Light | None = None) -> list[FloatArray]:
         """(N,) of each view: its rendering where voxels count, of amplitude 1; no gradients.
@@ -179,7 +208,7 @@ class Prediction:
             renderer = self._with(self._imaging.effects_of(at.effects))
             if light is None:
                 otf = self._otf(self._views[0], renderer, optics)
-                spectrum, _ = self._shining(renderer, unknowns, otf)
+                spectrum = self._shining(renderer, unknowns, otf).spectrum
             else:
                 weights = self._density.faces(unknowns.density)
                 spectrum = renderer.transform(unknowns.vertices, weights, light)
@@ -302,8 +331,9 @@ class Prediction:
         effects = effects if further is None else effects.adding(further)
         renderer = self._with(effects)
         otf = renderer.otf(optics)
-        spectrum, light = self._shining(renderer, unknowns, otf)
-        image = view.voxels.of(self._level.rendered(renderer, spectrum, otf))
+        shining = self._shining(renderer, unknowns, otf)
+        spectrum, light = shining.spectrum, shining.light
+        image = view.voxels.of(self._level.rendered(renderer, spectrum, otf, shining.image))
         _, found = match(image, self._measured(view, effects), view.voxels.weights)
         return Now(
             self._level,

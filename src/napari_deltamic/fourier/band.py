@@ -134,18 +134,22 @@ class Band:
         return {self.row_index.device: self.row_index}
 
     def to_image(
-        self, box: Tensor, shape: tuple[int, int, int], otf: Tensor | None = None
+        self,
+        box: Tensor,
+        shape: tuple[int, int, int],
+        otf: Tensor | None = None,
+        known: Tensor | None = None,
     ) -> Tensor:
         """Inverse transform of a box, cropped to ``shape`` voxels from the origin on.
 
         The box, times the OTF where one is given, is the transform of a density per um^3 ; the
-        result is what falls into each voxel.
+        result is what falls into each voxel. known : the result, where only gradients are wanted.
         """
         if shape not in self._inverse:
             self._inverse[shape] = self._inverse_to(shape)
         if otf is not None and (otf.requires_grad or otf.is_complex() or otf.shape != box.shape):
             box, otf = in_one_thread(torch.mul, box, otf), None
-        return _Image.apply(box, otf, self._inverse[shape])
+        return _Image.apply(box, otf, self._inverse[shape], known)
 
     def _inverse_to(self, shape: tuple[int, int, int]) -> RealFFT:
         # On an even axis +n/2 and -n/2 are one wavevector: their mean counts, as an image is real.
@@ -166,11 +170,13 @@ class Band:
 
 class _Image(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, box: Tensor, otf: Tensor | None, fft: RealFFT) -> Tensor:
+    def forward(
+        ctx: Any, box: Tensor, otf: Tensor | None, fft: RealFFT, known: Tensor | None
+    ) -> Tensor:
         ctx.fft, ctx.otf = fft, otf
-        return fft.to_real(box, otf)
+        return fft.to_real(box, otf) if known is None else known
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None]:
-        return ctx.fft.to_box(grad, ctx.otf), None, None
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None, None]:
+        return ctx.fft.to_box(grad, ctx.otf), None, None, None

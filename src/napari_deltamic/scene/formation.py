@@ -75,10 +75,20 @@ class Formation:
             otf = torch.stack([otf * first, otf * last])
         return otf
 
-    def image(self, transform: Tensor, otf: Tensor, band: Band) -> Tensor:
-        """Image (Z, Y, X): fluorophores seen in each voxel; its sum over all space is the total."""
+    @property
+    def is_plain(self) -> bool:
+        """Whether nothing but the OTF is between a transform and its image."""
+        return self.effects.depth is None and not self._gains
+
+    def image(
+        self, transform: Tensor, otf: Tensor, band: Band, known: Tensor | None = None
+    ) -> Tensor:
+        """Image (Z, Y, X): fluorophores seen in each voxel; its sum over all space is the total.
+
+        known : the image, where only its gradients are wanted; of use where :attr:`is_plain`.
+        """
         if self.effects.depth is None:
-            image = band.to_image(transform, self.grid.shape, otf)
+            image = band.to_image(transform, self.grid.shape, otf, known if self.is_plain else None)
         else:
             image = band.to_image(in_one_thread(torch.mul, transform, otf).sum(0), self.grid.shape)
         self._gains = [gain.to(image) for gain in self._gains]  # once: there they stay

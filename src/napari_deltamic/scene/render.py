@@ -220,9 +220,12 @@ class Renderer:
             self._held_axes = self._held(z), self._held(y), self._held(x)
         return self._held_axes
 
-    def image(self, transform: Tensor, otf: Tensor) -> Tensor:
-        """Image (Z, Y, X): fluorophores seen in each voxel; its sum over all space is the total."""
-        return self._formation.image(transform, otf, self.band)
+    def image(self, transform: Tensor, otf: Tensor, known: Tensor | None = None) -> Tensor:
+        """Image (Z, Y, X): fluorophores seen in each voxel; its sum over all space is the total.
+
+        known : the image, where it was made before and only its gradients are wanted.
+        """
+        return self._formation.image(transform, otf, self.band, known)
 
     def rendered(self) -> Tensor:
         """The image of the scene itself."""
