@@ -39,13 +39,14 @@ class End:
     left: float
 
 
-def chosen(monkeypatch, start="start", **left):
+def chosen(monkeypatch, start="start", surely=True, **left):
     """The fit that goes on where each leaves so much; others leave 10 times as much."""
 
     def gone_on(fit):
         return End(fit, left.get(f"{fit.structure}_{fit.shape}", 10.0)), 3
 
     monkeypatch.setattr(rival_structures, "begun", lambda terms, fit, factored: fit)
+    monkeypatch.setattr(rival_structures, "_explains_more", lambda one, other: surely)
     monkeypatch.setattr(rival_structures, "gone_on", gone_on)
     fit, taken = best_of(Terms(), Fit(), start)
     assert taken == (15 if start else 9)
@@ -64,6 +65,12 @@ def test_both_from_the_start_go_on_where_they_explain_as_much(monkeypatch, left,
 @pytest.mark.parametrize(("left", "shape"), [(0.9, "start"), (0.97, "found"), (1.0, "found")])
 def test_membranes_from_the_start_have_to_explain_more(monkeypatch, left, shape):
     assert chosen(monkeypatch, both_found=1.0, membrane_start=left) == shape
+
+
+def test_membranes_have_to_explain_more_all_over(monkeypatch):
+    """Smooth ones make up for chromatin: onto it, a nucleus shrank to half its volume."""
+    left = {"both_found": 1.0, "membrane_start": 0.9}
+    assert chosen(monkeypatch, surely=False, **left) == "found"
 
 
 def test_what_explains_most_comes_first(monkeypatch):
