@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 import napari_deltamic as nd
 from napari_deltamic.fourier.solid import contrasts, solid_ft, solid_transform
 from napari_deltamic.geometry import Mesh, box, sphere
-from napari_deltamic.scene import Renderer, Scene
+from napari_deltamic.scene import Renderer, Scene, Solid
 from reference import DIGITS, exact_simplex
 
 BAR = {torch.float32: 1e-5, torch.float64: 1e-12}
@@ -270,3 +270,20 @@ def test_gradient_follows_from_finite_differences():
     with torch.no_grad():
         change = float(loss(v + step) - loss(v - step)) / 2
     assert float((gradient * step).sum()) == pytest.approx(change, rel=1e-6)
+
+
+@pytest.mark.parametrize("grown", [0.6, 1.0, 2.5])
+@pytest.mark.parametrize("accuracy", [1e-3, 2e-2])
+def test_a_plan_holds_for_what_a_fit_makes_of_the_mesh(grown, accuracy, way):
+    """What it takes to tell thick from thin, and shells from flux, is found once."""
+    grid, optics = nd.Grid((30, 30, 30), (1.0,) * 3), nd.GaussianPSF(1.2)
+    mesh = sphere((14.5,) * 3, 3.0, subdivisions=2)
+    renderer = Renderer(
+        Scene((Solid(mesh),), optics), grid, accuracy, margin=4.8, method="particle-mesh"
+    )
+    moved = mesh.with_vertices((mesh.vertices_numpy() - 14.5) * grown + 15.5)
+    image = renderer.image(
+        renderer.transform(torch.tensor(moved.vertices_numpy())), renderer.otf(optics)
+    )
+    exact = Renderer(Scene((Solid(moved),), optics), grid, 0.0).rendered()
+    assert (image - exact).norm() < accuracy * exact.norm()
