@@ -119,7 +119,9 @@ class RealFFT:
         box = torch.fft.rfft(real, n=self.shape[2], dim=2).narrow(2, 0, self.half[2] + 1)
         box = torch.fft.fftn(box, s=self.shape[:2], dim=(0, 1))
         z, y = self._indices(real.device)
-        return box[z[:, None], y] * self._whole("to_box", real.dtype, real.device)
+        # Pairs of real numbers: not every device indexes complex ones.
+        box = torch.view_as_complex(torch.view_as_real(box)[z[:, None], y])
+        return box * self._whole("to_box", real.dtype, real.device)
 
     def _torch_real(self, box: Tensor) -> Tensor:
         real = torch.float32 if box.dtype == torch.complex64 else torch.float64
@@ -127,9 +129,9 @@ class RealFFT:
         z, y = self._indices(box.device)
         for axis in (0, 1):
             box = _wrapped(box, axis, self.half[axis], self.shape[axis])
-        spectrum = box.new_zeros(*self.shape[:2], box.shape[2])
-        spectrum[z[: box.shape[0], None], y[: box.shape[1]]] = box
-        spectrum = torch.fft.ifftn(spectrum, dim=(0, 1), norm="forward")
+        pairs = torch.zeros(*self.shape[:2], box.shape[2], 2, dtype=real, device=box.device)
+        pairs[z[: box.shape[0], None], y[: box.shape[1]]] = torch.view_as_real(box.resolve_conj())
+        spectrum = torch.fft.ifftn(torch.view_as_complex(pairs), dim=(0, 1), norm="forward")
         spectrum = spectrum[: self.count[0], : self.count[1]]
         found = torch.fft.irfft(spectrum, n=self.shape[2], dim=2, norm="forward")
         return found.narrow(2, 0, self.count[2])
