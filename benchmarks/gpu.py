@@ -262,7 +262,7 @@ def iterations(place: Place) -> list[Row]:
     """Images and iterations of a fit by size; with the guard against collisions as well."""
     count = 10 if place.quick else 41
     rows = []
-    for voxels, faces, image_bar, bar in SIZES:
+    for voxels, faces, image_bar, bar in SIZES[-2:] if place.dry else SIZES:
         n = place.size(voxels)
         mesh = _cow(place, n) if faces is None else _ball(place, faces, n)
         name = f"{voxels}^3, {len(mesh.faces):,} faces"
@@ -319,8 +319,8 @@ def sphere_to_cow(place: Place) -> list[Row]:
 
 
 FIGURES: dict[str, Callable[[Place], list[Row]]] = {
-    "tests": tests,
     "first-use": first_use,
+    "tests": tests,
     "rates": rates,
     "iterations": iterations,
     "sphere-to-cow": sphere_to_cow,
@@ -337,18 +337,20 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--cpu", action="store_true", help="images and iterations, on the CPU")
     parser.add_argument("--dry", action="store_true", help="on the CPU, to see whether it runs")
     given = parser.parse_args(arguments)
+    if given.cpu and (given.only or given.page):
+        parser.error("--cpu measures images and iterations, and writes no page")
     if not (given.dry or given.cpu) and (reason := missing()):
         print(f"nothing to measure: {reason}", file=sys.stderr)
         return 2
     place = Place(given.quick or given.dry, dry=given.dry, cpu=given.cpu)
     place = replace(place, data=given.data) if given.data else place
-    said = "on the CPU" if place.here else _device()
+    said = "a dry run on the CPU" if given.dry else "on the CPU" if given.cpu else _device()
     rows: list[Row] = []
     for name in ["iterations"] if given.cpu else given.only or FIGURES:
         begun = time.perf_counter()
         figure = FIGURES[name]
         found = measure(lambda _, figure=figure: figure(place), name, place)
-        if given.dry:
+        if place.here:  # where the bars of a GPU do not hold
             found = [replace(row, passed=None) for row in found]
         rows += found
         print(f"{name}: {time.perf_counter() - begun:.0f} s\n{as_table(found)}\n", flush=True)

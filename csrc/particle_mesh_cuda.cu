@@ -1,5 +1,5 @@
-// Spreading and gathering on GPUs: what particle_mesh.cpp does, a thread for each point. Compiled at
-// run time by NVRTC, once with DELTAMIC_REAL=float and once with double; launched by
+// Spreading and gathering on GPUs: what particle_mesh.cpp does, a thread for each point (when
+// spreading, for each point and plane of its nodes). Compiled at run time by NVRTC, once with DELTAMIC_REAL=float and once with double; launched by
 // napari_deltamic/fourier/cuda/point_transform.py.
 //
 // Polynomials are evaluated anew at every node: that costs less than keeping their values would.
@@ -97,7 +97,7 @@ KERNEL locate(const double* vertices, const long long* elements, const double* d
         p.at[axis] = somewhere ? static_cast<int>(first - n * floor(first / n)) : 0;
     }
     double strength = density[e] * rules.weights[place[i]];
-    if (!somewhere) strength *= __longlong_as_double(0x7ff8000000000000ll);  // what is nowhere is not a number
+    if (!somewhere) strength *= __longlong_as_double(0x7ff8000000000000ll);  // a point that lies nowhere finite makes the result NaN
     if (vectors) {
         // By the place of the point; the kernel is seen from the grid.
 #pragma unroll

@@ -9,7 +9,7 @@ gpu = pytest.importorskip("benchmarks.gpu")
 
 def rows_of(capsys, *figures):
     assert gpu.main(["--dry", "--only", *figures]) == 0
-    return capsys.readouterr().out.split("on the CPU")[1]
+    return capsys.readouterr().out.split("a dry run on the CPU")[1]
 
 
 def test_iterations(capsys):

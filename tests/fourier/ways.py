@@ -8,7 +8,7 @@ WAYS = ("compiled", "torch", "GPU")
 
 
 def use_torch(monkeypatch, instead=True):
-    for module in (particle_mesh, real_fft, solid_plan):
+    for module in (particle_mesh, real_fft):
         monkeypatch.setattr(module, "compiled", lambda device: not instead)
 
 
@@ -16,6 +16,7 @@ def use_gpu_kernels(monkeypatch):
     monkeypatch.setattr(
         particle_mesh, "_kernels", lambda device, single: Emulated(single, SMALL_POINTS[single])
     )
+    monkeypatch.setattr(solid_plan, "_has_atomics", lambda device: True)
 
 
 def take(way, monkeypatch):

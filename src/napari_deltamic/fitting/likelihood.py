@@ -162,7 +162,8 @@ def total(values: Tensor) -> Tensor:
     """The sum of values (N,), to the same bits on every number of threads.
 
     Blocks are summed on their own and their sums in turn; a sum or a dot product over all is cut
-    where threads meet. A GPU has no such threads, and waits for each of the sums.
+    where threads meet. On a GPU one plain sum is taken: it
+    is cut the same way every time, and each further sum is another launch.
     """
     whole = values.numel() - values.numel() % _BLOCK
     if not whole or values.device.type != "cpu":

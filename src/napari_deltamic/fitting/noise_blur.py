@@ -30,8 +30,8 @@ class NoiseBlurRules:
         Width of the noise over that of the PSF along each axis, from which an image was
         deconvolved. Measured (benchmarks.defaults): up to 0.35 in 48 fits of images as a camera
         takes them, 0.65 in four of images smoothed by a voxel, 0.82 to 1.7 in 20 after 5 to 100
-        iterations of Richardson-Lucy or by Wiener's filter, 0.71 to 0.75 in five nuclei after 20;
-        0.19 along Z and 0.9 across in a real stack of nuclei, one PSF to a voxel.
+        iterations of Richardson-Lucy or by Wiener's filter, 0.71 to 0.75 in five nuclei, each after
+        20 iterations; 0.19 along Z and 0.9 across in a real stack of nuclei, one PSF to a voxel.
     most
         Voxels that are looked at along each axis, about; chosen: more would take longer than a
         tenth of a second.

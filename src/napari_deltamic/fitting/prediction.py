@@ -70,7 +70,8 @@ class _Shining:
     light
         How much of each does.
     image
-        (Z, Y, X) of the spectrum, without gradients; None where it took none to find the light.
+        (Z, Y, X) of the spectrum, without gradients; None where no image was needed to find the
+        light.
     """
 
     spectrum: Tensor
@@ -79,7 +80,7 @@ class _Shining:
 
 
 def _mixed(parts: Sequence[tuple[float, Tensor]]) -> Tensor:
-    """Sum of factors times tensors, which has one of each at least."""
+    """Weighted sum of one or two tensors."""
     each = [part if by == 1 else by * part for by, part in parts]
     return each[0] if len(each) == 1 else each[0] + each[1]
 

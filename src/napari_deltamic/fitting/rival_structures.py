@@ -62,8 +62,9 @@ class RivalRules:
         taken where insides were alone: less than 0 in eight fits of nuclei, measured as well.
     errors
         Of the sum over blocks, which that must exceed as well: chromatin is correlated. Measured:
-        3.2 to 11 where membranes were real; around nuclei with chromatin -7 to 2.7, once 3.5. A
-        membrane that left 5 % less than both did so by 1.8, and ended at half a nucleus's volume.
+        3.2 to 11 where membranes were real; around nuclei with chromatin -7 to 2.7, once 3.5. One
+        membrane that left 5 % less than both reached only 1.8; taken, it ended at half the volume
+        of a nucleus.
     uneven
         Times as many squares left of insides as they are as of evened ones, from which on they are
         uneven. Measured: 1.2 to 2.1 with chromatin; 1.00 to 1.16 on cells that are even, and all

@@ -9,8 +9,8 @@ from ..errors import InputError
 from .cuda import missing
 
 # Iterations of a fit on an H100 against two cores of a Xeon, measured (ms): 9.8 and 10.1 at 40^3
-# voxels, 9.4 and 16 at 64^3, 13 and 56 at 128^3, 16 and 181 at 200^3. The first takes half a second
-# longer there.
+# voxels, 9.4 and 16 at 64^3, 13 and 56 at 128^3, 16 and 181 at 200^3. The first took 0.4 to
+# 0.5 s at 64^3, and 0.2 s on the CPU.
 GPU_PAYS = 100**3
 
 

@@ -60,7 +60,8 @@ def elements_ft(
     Raises
     ------
     ValueError
-        If a vertex is not finite, or an element names a vertex that is not there.
+        By the compiled loops: if a vertex is not finite, or an element names a vertex that is not
+        there. Elsewhere vertices that are not finite give NaN, and elements are not looked at.
     """
     there = vertices.device if device is None else device
     return _Transform.apply(vertices, density, elements, points, spreading, single, there)

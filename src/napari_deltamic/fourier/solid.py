@@ -29,8 +29,8 @@ from ..errors import InputError
 from .closed_form import as_mesh_tensors, band_ft, mesh_ft, row_wavevectors
 from .flux import flux_ft, inverse_square, within
 from .plan import Plan
-from .solid_plan import EXACT, NEAR, SolidPlan, nodes
-from .triangle import cross, triangle_transform
+from .solid_plan import EXACT, NEAR, SolidPlan, area_vectors, frame_of, nodes, reach_of
+from .triangle import triangle_transform
 
 
 def solid_ft(
@@ -73,7 +73,8 @@ def solid_ft(
     if xi.ndim != 2 or xi.shape[1] != 3:
         raise InputError(f"wavevectors must have shape (K, 3), not {tuple(xi.shape)}")
     x = v.to(torch.float64)
-    centre, reach = _frame(x)
+    centre = frame_of(x)
+    reach = reach_of(x, centre)
     near = (xi.abs() * reach).amax(1) <= NEAR
     u = torch.zeros(len(xi), dtype=torch.complex128, device=x.device)
     u = u.index_put((near.nonzero()[:, 0],), _shells(x, f, jump, xi[near], centre))
@@ -134,8 +135,8 @@ def solid_transform(
     Parameters
     ----------
     plan
-        Made for this mesh, or one near it. That of the surface will do; what it lacks is then found
-        each time.
+        Made for this mesh, or one near it. A surface's plan works too; the rest is then planned at
+        every call.
     vertices
         (V, 3) um relative to the centre of the grid's first voxel, as in :meth:`Plan.transform`.
     faces
@@ -158,31 +159,17 @@ def solid_transform(
     _, spreading, single = plan.flux
     points, near_points = plan.points_of(contrast)
     corners = x.detach()[faces]
-    areas = _area_vectors(corners)
+    areas = area_vectors(corners)
     far = flux_ft(x, faces, areas, contrast, points, spreading, plan.low.half, single)
-    near = plan.low_shells(near_points, corners, areas, contrast)
+    near = plan.low_shells(near_points, frame_of(x), corners, areas, contrast)
     return far.to(near.dtype) + _embedded(near, plan.low.half, plan.plan.band.half)
 
 
 # ------------------------------------------------------------------------------------ geometry
 
 
-def _frame(vertices: Tensor) -> tuple[Tensor, float]:
-    """Centre (3,) and how far the vertices reach from it, um."""
-    v = vertices.detach()
-    if not len(v):
-        return v.new_zeros(3), 0.0
-    centre = (v.amin(0) + v.amax(0)) / 2
-    return centre, float((v - centre).norm(dim=1).max())
-
-
-def _area_vectors(corners: Tensor) -> Tensor:
-    """(F, 3) normal times area; Z, Y, X components are left-handed, hence the sign."""
-    return -cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
-
-
 def _normals(vertices: Tensor, faces: Tensor) -> Tensor:
-    area = _area_vectors(vertices[faces])
+    area = area_vectors(vertices[faces])
     size = torch.linalg.vector_norm(area, dim=1, keepdim=True)
     return area / torch.where(size > 0, size, 1.0)
 
@@ -226,13 +213,13 @@ def _empty_flux(
     A surface's kernel sees length of a normal and its direction apart, and there is none. With
     ``along`` (V, 3), the component (K, 1) along it, which is the same at all corners of a face.
     """
-    is_empty = (_area_vectors(vertices.detach()[faces]) == 0).all(1)
+    is_empty = (area_vectors(vertices.detach()[faces]) == 0).all(1)
     if not bool(is_empty.any()):
         columns = 3 if along is None else 1
         return torch.zeros(1, columns, dtype=torch.complex128, device=vertices.device)
     empty = faces[is_empty]
     corners = vertices[empty]
-    vectors = _area_vectors(corners) * contrast[is_empty][:, None]
+    vectors = area_vectors(corners) * contrast[is_empty][:, None]
     if along is not None:
         vectors = (along[empty][:, 0] * vectors).sum(1, keepdim=True)
     c = corners.detach()
@@ -267,7 +254,6 @@ def _closed_form(plan: SolidPlan, vertices: Tensor, faces: Tensor, contrast: Ten
     where = (inside & kept.reshape(band.box_shape)).nonzero()
     first = torch.tensor([-band.half[0], -band.half[1], 0])
     xi = (where + first).to(torch.float64) * torch.tensor(band.spacing, dtype=torch.float64)
-    centre = vertices.new_tensor(plan.centre)
-    near = _shells(vertices, faces, contrast, xi.to(there), centre)
+    near = _shells(vertices, faces, contrast, xi.to(there), frame_of(vertices))
     u = u.index_put(where.to(there).unbind(1), near)
     return u.to(torch.complex64) if plan.plan.single else u

@@ -19,8 +19,8 @@ from .particle_mesh import elements_ft
 from .plan import RULE_SHARE, Plan
 from .points import Points, placed
 from .quadrature import Rule, choose_rules
-from .real_fft import compiled
 from .spreading import Spreading, choose_spreading, flat
+from .triangle import cross
 
 # Shells are taken where each component of xi is at most this over R.
 NEAR = 1.0
@@ -31,6 +31,8 @@ _POINT = Rule(0, 1, np.ones((1, 1)), np.ones(1))
 # solids and four PSFs (test_plan.py), which keep to it up to 3.6 and not always from 4 on.
 _THICK = 3.0
 _AT_ONCE = 128  # sums side by side, about as many as a GPU has multiprocessors
+# Points (or sums) times wavevectors of a direct sum: 1 GB in double precision.
+_MOST_DIRECT = 1 << 26
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,10 +43,8 @@ class SolidPlan:
     ----------
     plan
         Of the surface.
-    centre
-        (3,) um, about which shells are taken.
     low
-        The part of the band where they are; zero always is.
+        The part of the band where shells are taken; zero always is.
     flux
         Points of the flux, grid and kernels, and whether in single precision.
     shells
@@ -52,7 +52,6 @@ class SolidPlan:
     """
 
     plan: Plan
-    centre: np.ndarray = field(repr=False)
     low: Band
     flux: tuple[Points, Spreading, bool] | None = field(repr=False)
     shells: tuple[Points, Spreading] | None = field(repr=False)
@@ -68,6 +67,9 @@ class SolidPlan:
     ) -> SolidPlan:
         """For a mesh and what becomes of it.
 
+        Whether it is thin is told by the brightness given: thin cells that become far brighter than
+        thick ones are less accurate than the plan says.
+
         Parameters
         ----------
         plan
@@ -78,10 +80,10 @@ class SolidPlan:
         stretch
             By how much it may grow.
         """
-        centre, reach = frame_of(vertices)
+        reach = float(reach_of(torch.from_numpy(vertices), frame_of(torch.from_numpy(vertices))))
         low = _low_band(plan.band, stretch * reach)
         if plan.method == "closed form":
-            return cls(plan, centre, low, None, None)
+            return cls(plan, low, None, None)
         corners = vertices[faces]
         edges = stretch * np.abs(corners - np.roll(corners, 1, 1))
         phases = np.linalg.norm(edges, axis=2).max(1, initial=0.0)
@@ -90,7 +92,7 @@ class SolidPlan:
         count = near.count * len(nodes(plan.tolerance)[0])
         given = low.half, low.spacing, flat, plan.tolerance, count, plan.single
         shells = near, choose_spreading(*given)
-        return cls(plan, centre, low, _flux(plan, corners, edges, contrast), shells)
+        return cls(plan, low, _flux(plan, corners, edges, contrast), shells)
 
     def points_of(self, contrast: Tensor) -> tuple[Points, Points]:
         """Of the flux and of the shells: walls between regions that shine alike show nothing."""
@@ -102,20 +104,27 @@ class SolidPlan:
         seen = contrast.cpu().numpy() != 0
         if seen.all():
             return every
-        # The same walls are asked for again and again.
+        # The same walls are asked for again and again; two, where the PSF changes with depth.
         key = seen.tobytes()
-        if key not in self._seen:
-            self._seen.clear()
-            self._seen[key] = every[0].of(seen), every[1].of(seen)
-        return self._seen[key]
+        found = self._seen.get(key)
+        if found is None:
+            found = every[0].of(seen), every[1].of(seen)
+            if len(self._seen) > 1:
+                self._seen.clear()
+            self._seen[key] = found
+        return found
 
-    def low_shells(self, points: Points, corners: Tensor, vectors: Tensor, jump: Tensor) -> Tensor:
+    def low_shells(
+        self, points: Points, centre: Tensor, corners: Tensor, vectors: Tensor, jump: Tensor
+    ) -> Tensor:
         """u_hat on the low box by shells of points; differentiable in the contrast alone.
 
         Parameters
         ----------
         points
             As :meth:`points_of` says.
+        centre
+            (3,) um, of the mesh as it is now.
         corners, vectors
             (F, 3, 3) um; (F, 3) area vectors, um^2.
         jump
@@ -125,7 +134,7 @@ class SolidPlan:
         device, real = corners.device, corners.dtype
         kind = torch.complex64 if self.plan.single else torch.complex128
         arms, volumes = [], []
-        centre, t, weight = self._numbers(real, device)
+        t, weight, *_ = self._numbers(real, device)
         for mix, size, of in points.groups(real, device):
             each = mix @ (corners.index_select(0, of) - centre)
             share = (each * vectors.index_select(0, of)[:, None]).sum(2) * size
@@ -137,44 +146,31 @@ class SolidPlan:
         if self.low.half == (0, 0, 0):
             return strengths.sum().reshape(1, 1, 1).to(kind)
         shells = (t[:, None, None] * torch.cat(arms)).reshape(-1, 3)
-        if not compiled(device):
-            return self._directly(shells, strengths).to(kind)
+        terms = max(len(shells), _AT_ONCE) * int(np.prod(self.low.box_shape))
+        if _has_atomics(device) and terms <= _MOST_DIRECT:
+            return self._directly(centre, shells, strengths).to(kind)
         one, indices = _one_by_one(len(shells)), torch.arange(len(shells), device=device)[:, None]
         given = shells + centre, indices, strengths, one, self.shells[1], self.plan.single
         return elements_ft(*given)
 
-    def _directly(self, arms: Tensor, strengths: Tensor) -> Tensor:
-        """The sum over points (P, 3) about the centre, on the low box, wavevector by wavevector.
-
-        On a grid as small as that of this box, atomics of a GPU would wait for one another.
-        """
-        axes, turned = self._waves(arms.dtype, arms.device)
+    def _directly(self, centre: Tensor, arms: Tensor, strengths: Tensor) -> Tensor:
+        """The sum over points (P, 3) about the centre, on the low box, wavevector by wavevector."""
+        _, _, *axes = self._numbers(arms.dtype, arms.device)
         rest = -len(arms) % _AT_ONCE
         arms = torch.nn.functional.pad(arms, (0, 0, 0, rest)).reshape(_AT_ONCE, -1, 3)
         strengths = torch.nn.functional.pad(strengths, (0, rest)).reshape(_AT_ONCE, -1, 1)
-        z, y, x = (
-            torch.polar(torch.ones_like(phase), phase)
-            for phase in (-arms[..., i : i + 1] * k for i, k in enumerate(axes))
-        )
+        z, y, x = (_turned(arms[..., i : i + 1] * k) for i, k in enumerate(axes))
         plane = (y[..., :, None] * x[..., None, :]).flatten(2)
         sums = torch.bmm((strengths * z).transpose(1, 2), plane).sum(0)
-        return sums.reshape(self.low.box_shape) * turned
-
-    def _waves(self, real: torch.dtype, device: torch.device) -> tuple[list[Tensor], Tensor]:
-        """Components of the low wavevectors along each axis, and the phases of the centre."""
-        key = real, device
-        if key not in self._low_waves:
-            axes = [k.to(real) for k in self.low.axes(torch.float64)]
-            phase = sum(c * k for c, k in zip(self.centre.tolist(), axes, strict=True))
-            turned = torch.exp(-1j * torch.as_tensor(phase)).to(device)
-            self._low_waves[key] = [k.reshape(-1).to(device) for k in axes], turned
-        return self._low_waves[key]
+        z, y, x = (_turned(c * k) for c, k in zip(centre, axes, strict=True))
+        return sums.reshape(self.low.box_shape) * (z[:, None, None] * (y[:, None] * x))
 
     def _numbers(self, real: torch.dtype, device: torch.device) -> list[Tensor]:
-        """The centre, and shells with their weights."""
+        """Shells and their weights; components of the low wavevectors along each axis."""
         key = real, device
         if key not in self._placed:
-            arrays = self.centre, *nodes(self.plan.tolerance)
+            axes = [k.reshape(-1).numpy() for k in self.low.axes(torch.float64)]
+            arrays = *nodes(self.plan.tolerance), *axes
             self._placed[key] = [placed(a, real, device) for a in arrays]
         return self._placed[key]
 
@@ -183,22 +179,35 @@ class SolidPlan:
         return {}
 
     @cached_property
-    def _low_waves(
-        self,
-    ) -> dict[tuple[torch.dtype, torch.device], tuple[list[Tensor], Tensor]]:
-        return {}
-
-    @cached_property
     def _seen(self) -> dict[bytes, tuple[Points, Points]]:
         return {}
 
 
-def frame_of(vertices: np.ndarray) -> tuple[np.ndarray, float]:
-    """Centre (3,) and how far the vertices (V, 3) reach from it, um."""
-    if not len(vertices):
-        return np.zeros(3), 0.0
-    centre = (vertices.min(0) + vertices.max(0)) / 2
-    return centre, float(np.linalg.norm(vertices - centre, axis=1).max())
+def frame_of(vertices: Tensor) -> Tensor:
+    """Centre (3,) of the bounds of vertices (V, 3), um."""
+    v = vertices.detach()
+    return (v.amin(0) + v.amax(0)) / 2 if len(v) else v.new_zeros(3)
+
+
+def reach_of(vertices: Tensor, centre: Tensor) -> Tensor:
+    """How far they reach from it, um."""
+    arms = vertices.detach() - centre
+    return arms.norm(dim=1).max() if len(arms) else centre.new_zeros(())
+
+
+def area_vectors(corners: Tensor) -> Tensor:
+    """(F, 3) normal times area; Z, Y, X components are left-handed, hence the sign."""
+    return -cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+
+
+def _has_atomics(device: torch.device) -> bool:
+    """Whether points are added with atomics, which on so small a grid wait for one another."""
+    return device.type == "cuda"
+
+
+def _turned(phase: Tensor) -> Tensor:
+    """exp(-i phase)"""
+    return torch.polar(torch.ones_like(phase), -phase)
 
 
 @cache
@@ -243,7 +252,7 @@ def _flux(
     are as many times larger relative to what lies inside. edges : (F, 3, 3) um along the axes.
     """
     assert plan.spreading is not None
-    vectors = -np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+    vectors = area_vectors(torch.from_numpy(corners)).numpy()
     middle = corners.reshape(-1, 3).mean(0) if len(corners) else np.zeros(3)
     volume = abs(float((((corners[:, 0] - middle) * vectors).sum(1) * contrast).sum())) / 3
     area = float((np.linalg.norm(vectors, axis=1) * np.abs(contrast)).sum())

@@ -21,7 +21,7 @@ INSTALL_BINDINGS = "pip install 'napari-deltamic[gpu]'"
 
 
 class NoGpuWarning(UserWarning):
-    """There is a GPU, but something is missing to use it; everything runs on the CPU."""
+    """There is a GPU, but something is missing to use it as it could be."""
 
 
 @cache

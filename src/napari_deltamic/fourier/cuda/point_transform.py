@@ -1,6 +1,6 @@
 """What the kernels of ``csrc/particle_mesh_cuda.cu`` are launched on, and in which order.
 
-As of :mod:`.transform`, independent of where they run.
+Like :mod:`.transform`, it does not depend on where they run.
 """
 
 from __future__ import annotations

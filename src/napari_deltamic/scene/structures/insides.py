@@ -79,7 +79,10 @@ class Solid:
         changes with depth: what is seen through that of the first slice, and through that of the
         last.
         """
-        there = device if not act_on_object(effects) else CPU
+        there, count = device if not act_on_object(effects) else CPU, len(self.mesh.region_ids())
+        if factors is not None and factors.shape != (count,):
+            shape = tuple(factors.shape)
+            raise InputError(f"one number per region is needed: shape ({count},), not {shape}")
         own = self.densities().to(there, torch.float64)
         own = own if factors is None else own * factors.to(own)
         seen = shares(own, lambda: self._middles, frame, effects)
