@@ -1,9 +1,10 @@
 """All that a GPU is asked for, in one table: ``python -m benchmarks.gpu``.
 
-Runs the GPU tests, then measures: rates of the closed form and its share of the chip's peak, an
-iteration of a fit, a whole fit. Each figure is printed, and put into the page, as soon as it is
-there. Without a GPU it says what is missing and ends; ``--dry`` goes through all of it on the CPU,
-with problems so small that the numbers mean nothing, to find out whether the script runs.
+Runs the GPU tests and measures: rates of the closed form and its share of the chip's peak, images
+with their gradients, iterations of a fit, a whole fit. Each figure is printed, and put into the
+page, as soon as it is there. Without a GPU it says what is missing and ends; ``--dry`` goes through
+all of it on the CPU, with problems so small that the numbers mean nothing, to find out whether the
+script runs.
 """
 
 from __future__ import annotations

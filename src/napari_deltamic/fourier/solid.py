@@ -29,7 +29,7 @@ from ..errors import InputError
 from .closed_form import as_mesh_tensors, band_ft, mesh_ft, row_wavevectors
 from .flux import flux_ft, inverse_square, within
 from .plan import Plan
-from .solid_plan import EXACT, NEAR, SolidPlan, area_vectors, frame_of, nodes, reach_of
+from .solid_plan import EXACT, NEAR, SolidPlan, area_vectors, centre_of, nodes, reach_of
 from .triangle import triangle_transform
 
 
@@ -73,7 +73,7 @@ def solid_ft(
     if xi.ndim != 2 or xi.shape[1] != 3:
         raise InputError(f"wavevectors must have shape (K, 3), not {tuple(xi.shape)}")
     x = v.to(torch.float64)
-    centre = frame_of(x)
+    centre = centre_of(x)
     reach = reach_of(x, centre)
     near = (xi.abs() * reach).amax(1) <= NEAR
     u = torch.zeros(len(xi), dtype=torch.complex128, device=x.device)
@@ -161,7 +161,7 @@ def solid_transform(
     corners = x.detach()[faces]
     areas = area_vectors(corners)
     far = flux_ft(x, faces, areas, contrast, points, spreading, plan.low.half, single)
-    near = plan.low_shells(near_points, frame_of(x), corners, areas, contrast)
+    near = plan.low_shells(near_points, centre_of(x), corners, areas, contrast)
     return far.to(near.dtype) + _embedded(near, plan.low.half, plan.plan.band.half)
 
 
@@ -254,6 +254,6 @@ def _closed_form(plan: SolidPlan, vertices: Tensor, faces: Tensor, contrast: Ten
     where = (inside & kept.reshape(band.box_shape)).nonzero()
     first = torch.tensor([-band.half[0], -band.half[1], 0])
     xi = (where + first).to(torch.float64) * torch.tensor(band.spacing, dtype=torch.float64)
-    near = _shells(vertices, faces, contrast, xi.to(there), frame_of(vertices))
+    near = _shells(vertices, faces, contrast, xi.to(there), centre_of(vertices))
     u = u.index_put(where.to(there).unbind(1), near)
     return u.to(torch.complex64) if plan.plan.single else u

@@ -48,7 +48,7 @@ class SolidPlan:
     flux
         Points of the flux, grid and kernels, and whether in single precision.
     shells
-        The same of shells; precision is that of the plan.
+        Points of the shells, grid and kernels; in the plan's precision.
     """
 
     plan: Plan
@@ -80,7 +80,7 @@ class SolidPlan:
         stretch
             By how much it may grow.
         """
-        reach = float(reach_of(torch.from_numpy(vertices), frame_of(torch.from_numpy(vertices))))
+        reach = float(reach_of(torch.from_numpy(vertices), centre_of(torch.from_numpy(vertices))))
         low = _low_band(plan.band, stretch * reach)
         if plan.method == "closed form":
             return cls(plan, low, None, None)
@@ -183,7 +183,7 @@ class SolidPlan:
         return {}
 
 
-def frame_of(vertices: Tensor) -> Tensor:
+def centre_of(vertices: Tensor) -> Tensor:
     """Centre (3,) of the bounds of vertices (V, 3), um."""
     v = vertices.detach()
     return (v.amin(0) + v.amax(0)) / 2 if len(v) else v.new_zeros(3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,6 +18,11 @@ class OutOfMemoryWarning(UserWarning):
 def tell_out_of_memory(what: str) -> None:
     """Warn that the device's memory is short and what is done about it."""
     warnings.warn(f"the memory of the GPU is short: {what}", OutOfMemoryWarning, stacklevel=2)
+
+
+def pointer(t: torch.Tensor) -> ctypes.c_void_p:
+    """Where its numbers lie, as a kernel takes it."""
+    return ctypes.c_void_p(t.data_ptr())
 
 
 @dataclass(frozen=True)

@@ -69,7 +69,7 @@ def kernels(device: torch.device, single: bool) -> DeviceKernels[ClosedFormBuild
 
 def point_kernels(device: torch.device, single: bool) -> DeviceKernels[PointBuild] | None:
     """Spreading and gathering; None (after one warning) where they cannot be had."""
-    return _loaded(device, POINTS[single], "the GPU computes ten times slower than it could")
+    return _loaded(device, POINTS[single], "the GPU computes several times slower than it could")
 
 
 def _loaded(device: torch.device, build: Made, otherwise: str) -> DeviceKernels[Made] | None:

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from ..points import Listed, Points
 from ..spreading import Spreading
-from .build import Kernels, PointBuild
+from .build import Kernels, PointBuild, pointer
 
 
 class _Grid(ctypes.Structure):
@@ -52,7 +52,6 @@ class _Elements:
         self.elements = elements.to(device, torch.int64).contiguous()
         self.listed: Listed = points.listed(device)
         self.count, self.corners = elements.shape
-        self.spreading = spreading
         coefficients = spreading.coefficients(self.real, device)
         sizes = [c.numel() for c in coefficients]
         first = (0, sizes[0], sizes[0] + sizes[1])
@@ -75,16 +74,16 @@ class _Elements:
             "locate",
             self.listed.count,
             1,
-            _pointer(self.vertices),
-            _pointer(self.elements),
-            _pointer(density),
-            ctypes.c_void_p(None) if vectors is None else _pointer(vectors),
-            _pointer(self.listed.element),
-            _pointer(self.listed.place),
+            pointer(self.vertices),
+            pointer(self.elements),
+            pointer(density),
+            ctypes.c_void_p(None) if vectors is None else pointer(vectors),
+            pointer(self.listed.element),
+            pointer(self.listed.place),
             self.rules,
             ctypes.c_int(self.listed.count),
             self.grid,
-            _pointer(out),
+            pointer(out),
         )
         return out
 
@@ -94,11 +93,11 @@ class _Elements:
             name,
             self.listed.count,
             planes,
-            _pointer(located),
+            pointer(located),
             ctypes.c_int(self.listed.count),
             self.grid,
-            _pointer(self.coefficients),
-            *map(_pointer, arrays),
+            pointer(self.coefficients),
+            *map(pointer, arrays),
         )
 
     def summed(self, field: Tensor, slopes: bool) -> Tensor:
@@ -114,13 +113,13 @@ class _Elements:
             f"sum_{what}",
             self.count,
             self.corners,
-            _pointer(values),
-            _pointer(self.listed.start),
-            _pointer(self.listed.place),
+            pointer(values),
+            pointer(self.listed.start),
+            pointer(self.listed.place),
             self.rules,
             ctypes.c_int(self.count),
             self.grid,
-            _pointer(sums),
+            pointer(sums),
         )
         return sums
 
@@ -134,14 +133,14 @@ class _Elements:
             "pull",
             self.count,
             1,
-            _pointer(self.vertices),
-            _pointer(self.elements),
-            _pointer(density),
+            pointer(self.vertices),
+            pointer(self.elements),
+            pointer(density),
             ctypes.c_int(self.corners),
             ctypes.c_int(self.count),
-            _pointer(sums),
-            _pointer(by_corner),
-            _pointer(by_density),
+            pointer(sums),
+            pointer(by_corner),
+            pointer(by_density),
         )
         return by_corner, by_density
 
@@ -204,7 +203,3 @@ def pull(
 
 def _double(t: Tensor, device: torch.device) -> Tensor:
     return t.detach().to(device, torch.float64).resolve_neg().contiguous()
-
-
-def _pointer(t: Tensor) -> ctypes.c_void_p:
-    return ctypes.c_void_p(t.data_ptr())

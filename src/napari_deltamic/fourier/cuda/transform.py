@@ -13,7 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .build import ClosedFormBuild, tell_out_of_memory
+from .build import ClosedFormBuild, pointer, tell_out_of_memory
 from .build import Kernels as KernelsOf
 from .layout import Layout, corners_of_vertices, layout_of
 
@@ -49,13 +49,13 @@ def band_forward(
             "band_forward",
             (across, parts),
             [
-                _pointer(prepared),
+                pointer(prepared),
                 ctypes.c_int(mesh.count),
                 ctypes.c_int(per_part),
-                _pointer(layout.table),
+                pointer(layout.table),
                 ctypes.c_int(layout.segments),
                 ctypes.c_longlong(layout.wavevectors),
-                _pointer(out),
+                pointer(out),
             ],
         )
 
@@ -86,16 +86,16 @@ def band_backward(
         "band_backward",
         (across, parts),
         [
-            _pointer(prepared),
+            pointer(prepared),
             ctypes.c_int(mesh.count),
-            _pointer(layout.table),
+            pointer(layout.table),
             ctypes.c_int(layout.segments),
             ctypes.c_int(per_part),
-            _pointer(incoming),
-            _pointer(sums),
+            pointer(incoming),
+            pointer(sums),
         ],
     )
-    arguments = [_pointer(sums), ctypes.c_int(parts), *(ctypes.c_double(s) for s in spacing)]
+    arguments = [pointer(sums), ctypes.c_int(parts), *(ctypes.c_double(s) for s in spacing)]
     return _gradients(kernels, "face_gradient", mesh, arguments, vertices, density)
 
 
@@ -118,12 +118,12 @@ def list_forward(
             "list_forward",
             (across, parts),
             [
-                _pointer(prepared),
+                pointer(prepared),
                 ctypes.c_int(mesh.count),
                 ctypes.c_int(per_part),
-                _pointer(xi),
+                pointer(xi),
                 ctypes.c_longlong(len(xi)),
-                _pointer(out),
+                pointer(out),
             ],
         )
 
@@ -153,16 +153,16 @@ def list_backward(
         "list_backward",
         (across, parts),
         [
-            _pointer(prepared),
+            pointer(prepared),
             ctypes.c_int(mesh.count),
-            _pointer(xi),
+            pointer(xi),
             ctypes.c_longlong(len(xi)),
             ctypes.c_int(per_part),
-            _pointer(incoming),
-            _pointer(sums),
+            pointer(incoming),
+            pointer(sums),
         ],
     )
-    arguments = [_pointer(sums), ctypes.c_int(parts)]
+    arguments = [pointer(sums), ctypes.c_int(parts)]
     return _gradients(kernels, "list_face_gradient", mesh, arguments, vertices, density)
 
 
@@ -181,9 +181,9 @@ class _Mesh:
     @property
     def pointers(self) -> list[Any]:
         return [
-            _pointer(self.vertices),
-            _pointer(self.faces),
-            _pointer(self.density),
+            pointer(self.vertices),
+            pointer(self.faces),
+            pointer(self.density),
             ctypes.c_int(self.count),
         ]
 
@@ -198,7 +198,7 @@ def _prepare_band(
         *(ctypes.c_double(s) for s in spacing),
         *(ctypes.c_int(k) for k in layout.largest),
         ctypes.c_int(backward),
-        _pointer(out),
+        pointer(out),
     ]
     kernels.launch("prepare_band", (_blocks(kernels, mesh.count), 1), arguments)
     return out
@@ -207,7 +207,7 @@ def _prepare_band(
 def _prepare_list(kernels: Kernels, mesh: _Mesh, backward: bool) -> Tensor:
     size = mesh.count * _TRIANGLE_BYTES
     out = torch.empty(size, dtype=torch.uint8, device=mesh.vertices.device)
-    arguments = [*mesh.pointers, ctypes.c_int(backward), _pointer(out)]
+    arguments = [*mesh.pointers, ctypes.c_int(backward), pointer(out)]
     kernels.launch("prepare_list", (_blocks(kernels, mesh.count), 1), arguments)
     return out
 
@@ -255,7 +255,7 @@ def _summed(
     if parts == 1:
         return sums
     total, reals = _new(kernels, mesh, wavevectors), 2 * wavevectors
-    arguments = [_pointer(sums), ctypes.c_int(parts), ctypes.c_longlong(reals), _pointer(total)]
+    arguments = [pointer(sums), ctypes.c_int(parts), ctypes.c_longlong(reals), pointer(total)]
     kernels.launch("add_parts", (_blocks(kernels, reals), 1), arguments)
     return total
 
@@ -273,26 +273,22 @@ def _gradients(
     corners = torch.empty(9 * mesh.count, dtype=torch.float64, device=device)
     by_density = torch.empty(mesh.count, dtype=torch.float64, device=device)
     blocks = _blocks(kernels, mesh.count)
-    arguments = [*mesh.pointers, *sums, _pointer(corners), _pointer(by_density)]
+    arguments = [*mesh.pointers, *sums, pointer(corners), pointer(by_density)]
     kernels.launch(name, (blocks, 1), arguments)
     order, start = corners_of_vertices(mesh.faces, number)
     by_vertex = torch.empty(number, 3, dtype=torch.float64, device=device)
     arguments = [
-        _pointer(corners),
-        _pointer(order),
-        _pointer(start),
+        pointer(corners),
+        pointer(order),
+        pointer(start),
         ctypes.c_int(number),
-        _pointer(by_vertex),
+        pointer(by_vertex),
     ]
     kernels.launch("vertex_gradient", (_blocks(kernels, number), 1), arguments)
     return by_vertex.to(vertices.dtype), by_density.to(density.dtype)
 
 
 # ------------------------------------------------------------------------------------- helpers
-
-
-def _pointer(t: Tensor) -> ctypes.c_void_p:
-    return ctypes.c_void_p(t.data_ptr())
 
 
 def _complex(kernels: Kernels) -> torch.dtype:
