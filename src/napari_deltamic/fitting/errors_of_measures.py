@@ -8,11 +8,9 @@ from ..errors import InputError
 from ..runs.settings import FitSettings
 from ..scene import Grid
 from ..scene.light import structure_of
-from .checks import check_image, hot_voxels
 from .default_accuracy import accuracy_for_image
 from .density import Density
 from .imaging import Imaging
-from .level import Level
 from .pose import pose
 from .posed import Posed
 from .problem import Problem
@@ -48,14 +46,11 @@ def posed_at(
     settings = settings or FitSettings()
     if state.effects.view is not None:
         raise InputError("exact errors are there for one view only")
-    pixels, known = check_image(image, grid)
-    known = known if may_count is None else known & may_count
-    problem = Problem(pixels, known & ~hot_voxels(pixels, known), grid)
-    accuracy = accuracy_for_image(pixels, known) if settings.accuracy is None else settings.accuracy
-    settings = settings.model_copy(update={"accuracy": accuracy})
-    counted = problem.counted_with(state.effects)
-    given = problem.image, counted, grid, state.optics, settings, state.effects
-    level = Level(*given, 1.0, spread=state.effects.spread)
+    problem = Problem.of(image, grid, may_count)
+    if settings.accuracy is None:
+        accuracy = accuracy_for_image(problem.image, problem.counted)
+        settings = settings.model_copy(update={"accuracy": accuracy})
+    level, _ = problem.levels(state.optics, settings, state.effects, 1.0, state.effects.spread)
     density = Density(state.mesh, settings.density, min(state.optics.sigma_um))
     log = None if state.density is None else density.of_faces(state.density)
     shape = Shape.begun(state.mesh, settings.density).moved(state.mesh.vertices_numpy(), log)

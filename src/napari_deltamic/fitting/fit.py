@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from ..runs.settings import WIDE_LEVELS, FitSettings
 from ..scene import Grid
 from ..scene.effects import Effects, as_effects
 from .change import Change
-from .checks import check_image, check_mesh, check_psf, hot_voxels
+from .checks import check_mesh, check_psf
 from .default_accuracy import accuracy_for_image
 from .paper import as_in_the_paper
 from .problem import Problem
@@ -92,29 +93,26 @@ def fit(
     check_accuracy(settings.image_accuracy)
     choose_device(settings.device)  # one that cannot be used is told now
     effects = as_effects(effects)
-    pixels, known = check_image(image, grid, counted)
-    hot = hot_voxels(pixels, known)
-    known = known & ~hot
+    problem = Problem.of(image, grid, counted)
     mesh = right_side_out(mesh)
     check_mesh(mesh, grid)
     check_psf(optics, grid)
-    settings = _completed(settings, pixels, known)
+    settings = _completed(settings, problem.image, problem.counted)
     if settings.as_in_the_paper:
-        return as_in_the_paper(Problem(pixels, known, grid), mesh, optics, settings, effects)
+        return as_in_the_paper(problem, mesh, optics, settings, effects)
     mesh, repairs = _apart(mesh, settings)
-    view = None
     if effects.view is not None:
         view = Pixels(second, grid, effects.view)
         if counted is not None:
             view.restricted(counted)
-    problem = Problem(pixels, known, grid, view)
+        problem = replace(problem, second=view)
     problem.counted_with(effects)  # refuses what leaves too few
     run = Run(problem, mesh, optics, settings, effects)
     if resume is not None:
         run = resumed(run, load_checkpoint(resume))
     run.say(*repairs)
-    if hot.any():
-        run.say(f"{hot.sum()} hot voxels, brighter than any PSF can make one, are left out")
+    if problem.hot:
+        run.say(f"{problem.hot} hot voxels, brighter than any PSF can make one, are left out")
     return _states(run)
 
 

@@ -128,6 +128,8 @@ class Level:
         The PSF of this image, where it is not that of the fit.
     spread
         um: voxels count as far from the surface's own image as this, where effects spread light.
+    foreign
+        (Z, Y, X) bool: voxels of what no mesh describes; None for none, and at blurred levels.
     """
 
     def __init__(
@@ -142,8 +144,10 @@ class Level:
         second: GaussianPSF | None = None,
         spread: float = 0.0,
         own_optics: GaussianPSF | None = None,
+        foreign: np.ndarray | None = None,
     ) -> None:
         self.factor = factor
+        self.foreign = foreign
         self.optics = own_optics
         self.settings = settings
         self.frame = grid

@@ -13,7 +13,7 @@ from ..geometry import Mesh
 from ..geometry.carry import carried
 from ..optics import Optics
 from .change import Change
-from .checks import check_image, check_mesh, check_psf
+from .checks import check_mesh, check_psf
 from .job import FitInput
 from .problem import Problem
 
@@ -120,5 +120,4 @@ def usable(change: Change, mesh: Mesh, optics: Optics, job: FitInput) -> None:
     if change.optics is not None:
         check_psf(change.optics, job.grid)
     if change.effects is not None:
-        given = check_image(job.image, job.grid, job.counted)
-        Problem(*given, job.grid).counted_with(change.effects)
+        Problem.of(job.image, job.grid, job.counted).counted_with(change.effects)

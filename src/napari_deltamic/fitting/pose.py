@@ -22,6 +22,7 @@ from .amplitudes import inside_over_membrane, light_of
 from .density import Density
 from .evening import RULES as EVENING
 from .evening import unevenness
+from .foreign_light import foreign_light
 from .imaging import Imaging
 from .level import Level, Voxels, differences
 from .likelihood import Match, explained, total
@@ -121,16 +122,18 @@ def pose(
         prior = Prior(*bending, stiffness, density, insides, imaging)
         return Posterior(level, renderer, views, prior, density_fitted, structure)
 
-    found, views, whole = look.found(voxels, rendered), list(held), voxels
-    if not held:
-        whole = look.completed(voxels, rendered, found)
+    views, whole = list(held), voxels
+    if held:
+        found = look.found(voxels, rendered)
+    else:
+        whole = look.completed(voxels, rendered)
         # Before they are evened, or what cells differ by is taken for unevenness. As cut insides
         # are found to be brighter, the others are less bright beside them.
         if len(insides) and (whole.full is not None or not shone.cells):
             told = look.view(whole, rendered, look.found(whole, rendered), tempered)
             at = _with_insides(posterior_of(replace(insides, held=False), [told]), at)
             rendered = look.rendered(at, light)
-            whole = look.completed(voxels, rendered, look.found(whole, rendered))
+            whole = look.completed(voxels, rendered)
         plain, voxels = voxels, whole
         if level.factor == 1 and density.model != "uniform" and shone.interior > 0:
             voxels = look.evened(voxels, at, light, look.found(whole, rendered), plain.weights)
@@ -317,12 +320,29 @@ class _Look:
         image.reshape(-1)[index] = expected + share * (measured - expected)
         return image
 
-    def completed(self, voxels: Voxels, rendered: Tensor, found: Match) -> Voxels:
+    def completed(self, voxels: Voxels, rendered: Tensor) -> Voxels:
+        """With what is known of voxels that were cut, and without light of other things."""
+        voxels = self._uncut(voxels, rendered)
+        level, found = self.level, self.found(voxels, rendered)
+        if level.foreign is None:
+            return voxels
+        added = level.offset(self.imaging.effects)
+        image = as_floats(level.target if added is None else level.target - added)
+        own = found.amplitude * as_floats(rendered)
+        widths = np.asarray(self.imaging.optics.sigma_um) / np.asarray(level.grid.voxel_size)
+        masks = level.foreign, level.counted.cpu().numpy()
+        light = foreign_light(image - own - found.background, own, *masks, widths)
+        if light is None:
+            return voxels
+        here = torch.from_numpy(light).to(voxels.measured)
+        return replace(voxels, measured=voxels.measured - here.reshape(-1)[voxels.index])
+
+    def _uncut(self, voxels: Voxels, rendered: Tensor) -> Voxels:
         """With what is known of voxels that were cut (:mod:`.saturation`)."""
-        cut = self.level.cut
+        cut, given = self.level.cut, voxels
         if cut is None or not bool((voxels.measured >= cut).any()):
             return voxels
-        given = voxels
+        found = self.found(voxels, rendered)
         for _ in range(_BRIGHTER):
             ended = found
             voxels = self._censored(given, rendered, found, cut)

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from torch import Tensor
 
 from ..errors import InputError
 from ..optics import Optics
 from ..runs.settings import FitSettings
 from ..scene import Grid
 from ..scene.effects import Effects, VoxelEffect
-from .checks import FEWEST_VOXELS
+from .checks import FEWEST_VOXELS, check_image, hot_voxels
 from .level import Level
 from .second_view import Pixels
 
@@ -30,6 +31,10 @@ class Problem:
         Where they lie.
     second
         A second image of the same scene.
+    foreign
+        (Z, Y, X) bool: voxels that were measured, of what no mesh describes; None for none.
+    hot
+        How many voxels were left out because no PSF can have made them.
 
     Raises
     ------
@@ -41,11 +46,33 @@ class Problem:
     counted: np.ndarray
     grid: Grid
     second: Pixels | None = None
+    foreign: np.ndarray | None = None
+    hot: int = 0
 
     def __post_init__(self) -> None:
         _check_enough(self.counted)
         if self.second is not None:
             _check_enough(self.second.known, "second view: ")
+
+    @classmethod
+    def of(
+        cls,
+        image: np.ndarray | Tensor,
+        grid: Grid,
+        counted: np.ndarray | None = None,
+        second: Pixels | None = None,
+    ) -> Problem:
+        """Of an image as it was given; counted : (Z, Y, X) bool, voxels that may count.
+
+        Raises
+        ------
+        InputError
+            As :func:`~.checks.check_image` does, and if fewer than 64 voxels count.
+        """
+        pixels, known = check_image(image, grid, counted)
+        hot = hot_voxels(pixels, known)
+        foreign = None if counted is None else check_image(image, grid)[1] & ~known
+        return cls(pixels, known & ~hot, grid, second, foreign, int(hot.sum()))
 
     def counted_with(self, effects: Effects) -> np.ndarray:
         """(Z, Y, X) bool: the voxels that may count with these effects.
@@ -55,12 +82,16 @@ class Problem:
         InputError
             If fewer than 64 are left.
         """
-        counted = self.counted
-        for effect in effects.present():
-            if isinstance(effect, VoxelEffect):
-                counted = counted & ~effect.missing(self.image)
+        counted = self.counted & self._known_with(effects)
         _check_enough(counted)
         return counted
+
+    def _known_with(self, effects: Effects) -> np.ndarray:
+        known = np.ones(self.image.shape, bool)
+        for effect in effects.present():
+            if isinstance(effect, VoxelEffect):
+                known &= ~effect.missing(self.image)
+        return known
 
     def levels(
         self,
@@ -82,7 +113,10 @@ class Problem:
         given = self.grid, optics, settings, effects, factor
         counted, second = self.counted_with(effects), self.second
         other = None if second is None else second.optics
-        level = Level(self.image, counted, *given, other, spread)
+        foreign = None
+        if self.foreign is not None and factor == 1:
+            foreign = self.foreign & self._known_with(effects)
+        level = Level(self.image, counted, *given, other, spread, foreign=foreign)
         seen = None if second is None else second.level(*given)
         return level, seen if seen is not None and seen.usable else None
 
