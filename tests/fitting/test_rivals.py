@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 
 from napari_deltamic.fitting import rival_structures
-from napari_deltamic.fitting.rival_structures import _explains_more, _further_in, best_of
+from napari_deltamic.fitting.rival_structures import (
+    _explains_more,
+    _followed,
+    _further_in,
+    best_of,
+)
 from napari_deltamic.fitting.shape import Shape
 from napari_deltamic.geometry import box
 from napari_deltamic.geometry.remeshing import can_remesh
@@ -145,3 +150,34 @@ def test_the_bound_is_what_a_membrane_must_differ_by():
     just = (rival_structures.RULES.nats + 0.1) / 100 * EVERYWHERE
     assert compared(just, just)
     assert not compared(just - 0.002, just)
+
+
+def followed(monkeypatch, *gains):
+    """After how many legs a rival stops that has gained so much by then, and what it has taken."""
+
+    def rival(leg):
+        return SimpleNamespace(leg=leg, structure=lambda: SimpleNamespace(structure="both"))
+
+    monkeypatch.setattr(rival_structures, "gone_on", lambda one: (rival(one.leg + 1), 3))
+    monkeypatch.setattr(
+        rival_structures, "_gains", lambda one, other: [np.full(4, gains[one.leg] / 4)] * 2
+    )
+    terms = SimpleNamespace(settings=SimpleNamespace(structure="both"))
+    end, taken, found = _followed(rival(0), SimpleNamespace(terms=terms))
+    assert found[0].sum() == gains[end.leg]
+    assert taken == 3 * end.leg
+    return end.leg
+
+
+@pytest.mark.parametrize(
+    ("gains", "legs"),
+    [
+        ((20.0,), 0),  # enough
+        ((-75.0, 4.0, 8.0, 12.0, 13.0), 4),
+        ((-75.0, -7.0), 1),
+        ((4.0, 5.0, 5.1, 20.0), 2),  # it hardly grows any more
+        ((1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 13.0), 6),  # it would take too long
+    ],
+)
+def test_a_rival_is_followed_while_it_gains(monkeypatch, gains, legs):
+    assert followed(monkeypatch, *gains) == legs

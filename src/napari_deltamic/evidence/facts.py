@@ -109,6 +109,8 @@ class Facts:
         Of the brightest light of the model, how high a dome of haze it has taken for background.
     sharpened
         Whether insides shine in an image that looks deconvolved.
+    unsure
+        Whether membranes may shine as well, with surfaces further in.
     accuracy
         Relative error that the rendered images might have.
     """
@@ -125,4 +127,5 @@ class Facts:
     dome: float = 0.0
     slices: SlicesApart = field(default_factory=SlicesApart)
     sharpened: bool = False
+    unsure: bool = False
     accuracy: float = 0.0

@@ -71,6 +71,7 @@ def facts_of(
         compressed=compressed(pixels),
         sharpened=state.light.interior > 0
         and is_sharpened(seen - shown, state.optics.sigma_um, size),
+        unsure=state.unsure,
         accuracy=job.settings.fit.image_accuracy,
     )
 

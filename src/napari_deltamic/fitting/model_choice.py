@@ -124,19 +124,23 @@ class ModelChoice:
     @staticmethod
     def with_both_again(
         terms: Terms, objective: Objective, fitted: Fitted, factored: Preconditioners
-    ) -> tuple[Fitted, int]:
-        """With what shines where both may again, and evaluations; itself where one alone does."""
+    ) -> tuple[Fitted, int, bool]:
+        """With what shines where both may again; itself where one alone does.
+
+        And the evaluations, and whether membranes may shine as well.
+        """
         wanted = fitted.structure == "both"
         if wanted and objective.structure().structure != "interior":
-            return fitted, 0
+            return fitted, 0, False
         if wanted or fitted.structure == "interior":
-            found, taken = membranes_as_well(terms, objective, factored)
-            return (fitted if found is None else found), taken
+            found, taken, unsure = membranes_as_well(terms, objective, factored)
+            return (fitted if found is None else found), taken, unsure
         both = fitted.with_structure("both")
         again = Objective(terms, both, CollisionGuard(terms.settings.collisions), factored)
         structure = again.structure().structure
         taken = again.evaluations()
-        return (fitted if structure == "membrane" else both.with_structure(structure)), taken
+        found = fitted if structure == "membrane" else both.with_structure(structure)
+        return found, taken, False
 
     def anew(self, fitted: Fitted) -> Fitted:
         """With all that may shine, for other settings; of small cells, what was found stays."""

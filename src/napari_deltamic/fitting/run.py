@@ -318,8 +318,8 @@ class Run:
         found, progress = self.fitted, self.stage.progress
         given, taken = (self.terms, self.objective, found, self._factored), 0
         if self._choice.asked_again(found, self.stage):
-            found, taken = self._choice.with_both_again(*given)
-            progress = replace(progress, again=True)
+            found, taken, unsure = self._choice.with_both_again(*given)
+            progress = replace(progress, again=True, unsure=unsure)
         elif self._choice.asked_at_rest(found, self.stage):
             found, taken = self._choice.at_rest(*given)
             progress = replace(progress, answered=True)

@@ -122,6 +122,8 @@ class Progress:
         Whether that was asked at rest since the surface last went elsewhere.
     again
         Whether insides that had left were asked for again.
+    unsure
+        Whether membranes as well explained more then, but not surely.
     """
 
     iterations: int = 0
@@ -136,6 +138,7 @@ class Progress:
     sure: bool = False
     answered: bool = False
     again: bool = False
+    unsure: bool = False
 
     def posed(
         self,

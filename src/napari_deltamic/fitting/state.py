@@ -53,6 +53,8 @@ class FitState:
     cone
         Whether the image shows the light cone of an objective, which this PSF lacks; asked at the
         end of a fit.
+    unsure
+        Whether membranes may shine as well as the insides, with surfaces further in.
     """
 
     iteration: int
@@ -73,6 +75,7 @@ class FitState:
     events: tuple[str, ...] = ()
     evaluations: int = 0
     cone: bool = False
+    unsure: bool = False
     _render: Callable[[], np.ndarray] = field(repr=False, default=lambda: np.zeros(0))
     _checkpoint: Callable[[], dict[str, np.ndarray]] = field(repr=False, default=dict)
 

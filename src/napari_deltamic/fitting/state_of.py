@@ -60,6 +60,7 @@ def state_of(
         light=fitted.light,
         pinned=fitted.shape.pinned if fitted.shape.pinned.any() else None,
         evaluations=stage.evaluations,
+        unsure=stage.progress.unsure and fitted.structure == "interior",
         _render=rendered,
         _checkpoint=lambda: kept,
     )

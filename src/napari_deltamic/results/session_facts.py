@@ -64,6 +64,7 @@ class StateFacts:
     light: Plain = field(default_factory=dict)
     pinned: bool = False
     cone: bool = False
+    unsure: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
