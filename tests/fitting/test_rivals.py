@@ -152,19 +152,23 @@ def test_the_bound_is_what_a_membrane_must_differ_by():
     assert not compared(just - 0.002, just)
 
 
-def followed(monkeypatch, *gains):
+# Of nats by block: with it, 100 of them are three standard errors.
+SCATTER = 5.5 * (-1.0) ** np.arange(16)
+
+
+def followed(monkeypatch, *gains, shines="both"):
     """After how many legs a rival stops that has gained so much by then, and what it has taken."""
 
     def rival(leg):
-        return SimpleNamespace(leg=leg, structure=lambda: SimpleNamespace(structure="both"))
+        return SimpleNamespace(leg=leg, structure=lambda: SimpleNamespace(structure=shines))
 
     monkeypatch.setattr(rival_structures, "gone_on", lambda one: (rival(one.leg + 1), 3))
     monkeypatch.setattr(
-        rival_structures, "_gains", lambda one, other: [np.full(4, gains[one.leg] / 4)] * 2
+        rival_structures, "_gains", lambda one, other: [gains[one.leg] / 16 + SCATTER] * 2
     )
-    terms = SimpleNamespace(settings=SimpleNamespace(structure="both"))
+    terms = SimpleNamespace(settings=SimpleNamespace(structure="auto"))
     end, taken, found = _followed(rival(0), SimpleNamespace(terms=terms))
-    assert found[0].sum() == gains[end.leg]
+    assert found[0].sum() == pytest.approx(gains[end.leg])
     assert taken == 3 * end.leg
     return end.leg
 
@@ -172,12 +176,16 @@ def followed(monkeypatch, *gains):
 @pytest.mark.parametrize(
     ("gains", "legs"),
     [
-        ((20.0,), 0),  # enough
-        ((-75.0, 4.0, 8.0, 12.0, 13.0), 4),
+        ((120.0, 130.0), 0),
+        ((-75.0, 44.0, 80.0, 90.0, 120.0), 4),
         ((-75.0, -7.0), 1),
-        ((4.0, 5.0, 5.1, 20.0), 2),  # it hardly grows any more
-        ((1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 13.0), 6),  # it would take too long
+        ((14.0, 20.0, 20.5, 99.0), 2),  # it hardly grows any more
+        ((14.0, 15.0, 16.0, 17.0, 18.0, 19.0, 20.0, 99.0), 6),  # it would take too long
     ],
 )
 def test_a_rival_is_followed_while_it_gains(monkeypatch, gains, legs):
     assert followed(monkeypatch, *gains) == legs
+
+
+def test_a_rival_whose_membranes_do_not_show_is_followed_no_further(monkeypatch):
+    assert followed(monkeypatch, 1.0, 99.0, shines="interior") == 0

@@ -56,11 +56,15 @@ def check_image(
             "to an ordinary range, 0 to 1000 for example"
         )
     pixels = np.where(known, pixels, 0).astype(np.float32)
-    if counted is None:
-        return pixels, known
+    return pixels, known if counted is None else known & checked_mask(counted, grid)
+
+
+def checked_mask(counted: np.ndarray, grid: Grid) -> np.ndarray:
+    """(Z, Y, X) bool: the voxels that may count; InputError where it does not fit the grid."""
     if counted.shape != grid.shape:
         raise InputError(f"counted has shape {counted.shape}, the image {grid.shape}")
-    return pixels, known & (np.asarray(unmasked(counted, 0)) != 0)
+    found: np.ndarray = np.asarray(unmasked(counted, 0)) != 0
+    return found
 
 
 def check_mesh(mesh: Mesh, grid: Grid) -> None:

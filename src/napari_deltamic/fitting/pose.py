@@ -327,11 +327,12 @@ class _Look:
         if level.foreign is None:
             return voxels
         added = level.offset(self.imaging.effects)
-        image = as_floats(level.target if added is None else level.target - added)
-        own = found.amplitude * as_floats(rendered)
+        image = level.target if added is None else level.target - added.to(level.target)
+        own = (found.amplitude * rendered.to(image)).cpu().numpy()
         widths = np.asarray(self.imaging.optics.sigma_um) / np.asarray(level.grid.voxel_size)
         masks = level.foreign, level.counted.cpu().numpy()
-        light = foreign_light(image - own - found.background, own, *masks, widths)
+        left = image.cpu().numpy() - own - found.background
+        light = foreign_light(left, own, *masks, widths)
         if light is None:
             return voxels
         here = torch.from_numpy(light).to(voxels.measured)

@@ -12,7 +12,7 @@ from ..optics import Optics
 from ..runs.settings import FitSettings
 from ..scene import Grid
 from ..scene.effects import Effects, VoxelEffect
-from .checks import FEWEST_VOXELS, check_image, hot_voxels
+from .checks import FEWEST_VOXELS, check_image, checked_mask, hot_voxels
 from .level import Level
 from .second_view import Pixels
 
@@ -56,23 +56,24 @@ class Problem:
 
     @classmethod
     def of(
-        cls,
-        image: np.ndarray | Tensor,
-        grid: Grid,
-        counted: np.ndarray | None = None,
-        second: Pixels | None = None,
+        cls, image: np.ndarray | Tensor, grid: Grid, counted: np.ndarray | None = None
     ) -> Problem:
         """Of an image as it was given; counted : (Z, Y, X) bool, voxels that may count.
+
+        What was measured elsewhere is foreign.
 
         Raises
         ------
         InputError
             As :func:`~.checks.check_image` does, and if fewer than 64 voxels count.
         """
-        pixels, known = check_image(image, grid, counted)
-        hot = hot_voxels(pixels, known)
-        foreign = None if counted is None else check_image(image, grid)[1] & ~known
-        return cls(pixels, known & ~hot, grid, second, foreign, int(hot.sum()))
+        pixels, measured = check_image(image, grid)
+        may = None if counted is None else checked_mask(counted, grid)
+        hot = hot_voxels(pixels, measured)
+        measured &= ~hot
+        if may is None:
+            return cls(pixels, measured, grid, hot=int(hot.sum()))
+        return cls(pixels, measured & may, grid, foreign=measured & ~may, hot=int(hot.sum()))
 
     def counted_with(self, effects: Effects) -> np.ndarray:
         """(Z, Y, X) bool: the voxels that may count with these effects.

@@ -68,6 +68,8 @@ class JunctionBending:
 
     def __call__(self, vertices: FloatArray) -> tuple[float, FloatArray]:
         """The energy and its gradient (V, 3) 1/um, at vertices (V, 3) um."""
+        if not len(self._middle):
+            return 0.0, np.zeros((self._count, 3))
         t, u, first, second = self._directions(vertices)
         whole = first + second
         turn = self._unlike @ (u - t)

@@ -56,7 +56,11 @@ def resolution_of(optics: Optics) -> float:
 
 
 def replicas_at(
-    image: np.ndarray, grid: Grid, state: FitState, settings: FitSettings | None = None
+    image: np.ndarray,
+    grid: Grid,
+    state: FitState,
+    settings: FitSettings | None = None,
+    counted: np.ndarray | None = None,
 ) -> Replicas:
     """Displacements as likely as the fit's own end, for the errors of what is measured there.
 
@@ -66,7 +70,7 @@ def replicas_at(
         For a fit whose errors cannot be told: one with a second view.
     """
     try:
-        posed = posed_at(image, grid, state, settings)
+        posed = posed_at(image, grid, state, settings, counted)
         responses = responses_of(posed, state, settings or FitSettings())
         return replicas_of(posed, responses, state.mesh)
     except np.linalg.LinAlgError:
