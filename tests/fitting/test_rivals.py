@@ -178,7 +178,8 @@ def followed(monkeypatch, *gains, shines="both"):
     [
         ((120.0, 130.0), 0),
         ((-75.0, 44.0, 80.0, 90.0, 120.0), 4),
-        ((-75.0, -7.0), 1),
+        ((-620.0, -40.0, 60.0, 120.0), 3),
+        ((-300.0, -177.0, 120.0), 1),  # another such step would not do
         ((14.0, 20.0, 20.5, 99.0), 2),  # it hardly grows any more
         ((14.0, 15.0, 16.0, 17.0, 18.0, 19.0, 20.0, 99.0), 6),  # it would take too long
     ],

@@ -89,7 +89,7 @@ def _cells(
     job: FitInput, state: FitState, left: Residual, images: _Images
 ) -> tuple[CellFacts, ...]:
     mesh, modelled = state.mesh, state.light.interior != 0
-    unsure = job.settings.fit.structure == "auto" and not modelled
+    asked = job.settings.fit.structure == "auto" and not modelled
     explained = {cell.region: cell.explained for cell in left.cells}
     stray = _stray(left, state, images.shown)
     growth, compact = _growth(job.mesh, mesh), _compactness(job.mesh, mesh)
@@ -116,7 +116,7 @@ def _cells(
             cut=region in cut,
             inside=inside.get(region),
             compact=compact.get(region),
-            small=unsure and hardly_wider(volumes[region], job.optics),
+            small=asked and hardly_wider(volumes[region], job.optics),
             outgrowth=grown_out.get(region),
             uneven=uneven.get(region, 0.0),
             inside_share=share[region],

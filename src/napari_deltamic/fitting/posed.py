@@ -39,7 +39,7 @@ class Posed:
         Second derivative of its misfit by a displacement of a piece of surface along its normal,
         for each um^2 of it: nats / um^4.
     whole
-        The voxels that count, before insides were evened.
+        The voxels that count, without foreign light, before insides were evened.
     """
 
     posterior: Posterior
