@@ -60,7 +60,7 @@ def built(tmp_path, **variables):
     done = subprocess.run(
         [
             sys.executable, "-m", "pip", "wheel", "-v", "--no-deps", "--no-build-isolation",
-            "-w", str(tmp_path), "-C", f"build-dir={tmp_path / 'build'}", str(ROOT),
+            "-w", str(tmp_path), "--config-settings", f"build-dir={tmp_path / 'build'}", str(ROOT),
         ],
         env={**kept, "CXX": "/bin/false", **variables}, capture_output=True, text=True,
     )  # fmt: skip
