@@ -52,7 +52,7 @@ def test_a_fit_without_fault_is_good():
         ({"cut": 0.6}, "fair", "60% of the bright voxels are saturated"),
         ({"cut": 0.3}, "good", "good"),
         ({"compressed": True}, "fair", "look log-scaled"),
-        ({"unsure": True}, "fair", "membranes may be labelled as well"),
+        ({"unsure": True}, "fair", "membranes may be fluorescent as well"),
         (
             {"slices": SlicesApart(shift=0.43)},
             "fair",

@@ -245,7 +245,7 @@ def _of_whole(facts: Facts) -> list[tuple[Grade, str]]:
         text = "the image looks deconvolved or smoothed, so bright rims may be artefacts"
         found.append(("fair", f"{text} (use the image as the camera took it)"))
     if facts.unsure:
-        text = "membranes may be labelled as well, and the surfaces then lie further in"
+        text = "membranes may be fluorescent as well, and the surfaces then lie further in"
         found.append(("fair", f"{text} (try --structure both)"))
     if facts.accuracy > RULES.accuracy:
         text = f"images are rendered with an error of {facts.accuracy:.0%}, too coarse to judge by"

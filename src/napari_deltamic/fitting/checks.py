@@ -60,7 +60,7 @@ def check_image(
 
 
 def checked_mask(counted: np.ndarray, grid: Grid) -> np.ndarray:
-    """(Z, Y, X) bool: the voxels that may count; InputError where it does not fit the grid."""
+    """(Z, Y, X) bool: the voxels that may count; InputError if the mask does not fit the grid."""
     if counted.shape != grid.shape:
         raise InputError(f"counted has shape {counted.shape}, the image {grid.shape}")
     found: np.ndarray = np.asarray(unmasked(counted, 0)) != 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
@@ -52,6 +53,23 @@ class Cells:
     optics: Optics
     grid: Grid
 
+    @cached_property
+    def labels(self) -> np.ndarray:
+        """(Z, Y, X) the region that each voxel lies in, 0 for none."""
+        return voxel_labels(self.mesh, self.grid.shape, self.grid.voxel_size, self.grid.origin)
+
+    @cached_property
+    def surface(self) -> np.ndarray:
+        """(Z, Y, X) bool: the voxels that hold a part of the surface."""
+        return surface_voxels(self.mesh, self.grid)
+
+    @cached_property
+    def away(self) -> np.ndarray:
+        """(Z, Y, X) widths of the PSF from the surface."""
+        widths = np.asarray(self.grid.voxel_size) / np.asarray(self.optics.sigma_um)
+        found: np.ndarray = distance_transform_edt(~self.surface, sampling=widths)
+        return found
+
 
 def deep_brightness(
     cells: Cells, image: np.ndarray, counted: np.ndarray, far: float = RULES.far
@@ -69,24 +87,21 @@ def deep_brightness(
     far
         Widths of the PSF from the surface, up to where the outside is read.
     """
-    mesh, grid = cells.mesh, cells.grid
     known = np.isfinite(image) & counted
-    labels = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
-    surface = surface_voxels(mesh, grid)
-    if not (surface & known).any():
+    surface = cells.surface & known
+    if not surface.any():
         return {}
-    widths = np.asarray(grid.voxel_size) / np.asarray(cells.optics.sigma_um)
-    away = distance_transform_edt(~surface, sampling=widths)
-    deep = known & (away > RULES.deep)
-    outer = deep & (labels == 0) & (away < far)
+    deep = known & (cells.away > RULES.deep)
+    outer = deep & (cells.labels == 0) & (cells.away < far)
     if outer.sum() < RULES.fewest:
         return {}
-    dark, bright = float(image[outer].mean()), float(np.median(image[surface & known]))
+    dark, bright = float(image[outer].mean()), float(np.median(image[surface]))
+    values, labels = image[deep].astype(float), cells.labels[deep]
+    number, total = np.bincount(labels), np.bincount(labels, values)
     found = {}
-    for region in mesh.region_ids():
-        own = deep & (labels == region)
-        if own.sum() >= RULES.fewest:
-            level = float(image[own].mean())
+    for region in cells.mesh.region_ids():
+        if region < len(number) and number[region] >= RULES.fewest:
+            level = float(total[region] / number[region])
             found[int(region)] = (level - dark) / max(bright - min(level, dark), 1e-30)
     return found
 

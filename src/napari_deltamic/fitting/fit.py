@@ -68,9 +68,10 @@ def fit(
     settings
         Everything else; see :class:`napari_deltamic.runs.settings.FitSettings`.
     counted
-        (Z, Y, X) bool: voxels that may count. Ground that belongs to what no mesh describes should
-        be left out, or it pulls; its light is estimated, and what the PSF carries from it to the
-        others is subtracted. To leave voxels out for another reason, set them to NaN.
+        (Z, Y, X) bool: voxels that may count. Voxels of objects that no mesh describes should be
+        left out, or they attract the mesh; their light is estimated, and what the PSF spreads from
+        them into the others is subtracted. To leave voxels out for another reason, set them to
+        NaN.
     effects
         Optional parts of image formation, or their names, which stand for their defaults. Their
         numbers are fitted together with the PSF unless they say ``fit=False``.

@@ -129,7 +129,8 @@ class Level:
     spread
         um: voxels count as far from the surface's own image as this, where effects spread light.
     foreign
-        (Z, Y, X) bool: voxels of what no mesh describes; None for none, and at blurred levels.
+        (Z, Y, X) bool: voxels of objects that no mesh describes; None if there are none, and at
+        blurred levels.
     """
 
     def __init__(

@@ -125,9 +125,9 @@ class ModelChoice:
     def with_both_again(
         terms: Terms, objective: Objective, fitted: Fitted, factored: Preconditioners
     ) -> tuple[Fitted, int, bool]:
-        """With what shines where both may again; itself where one alone does.
+        """The fit with what shines if both may again; the same fit if one alone does.
 
-        And the evaluations, and whether membranes may shine as well.
+        Also the evaluations, and whether membranes may shine as well.
         """
         wanted = fitted.structure == "both"
         if wanted and objective.structure().structure != "interior":

@@ -321,11 +321,11 @@ class _Look:
         return image
 
     def completed(self, voxels: Voxels, rendered: Tensor) -> Voxels:
-        """With what is known of voxels that were cut, and without light of other things."""
+        """With what is known of voxels that were cut, and without light of other objects."""
         voxels = self._uncut(voxels, rendered)
         level, found = self.level, self.found(voxels, rendered)
-        # How bright cut cells are is a guess, and so is what is left around them: the halo of cut
-        # nuclei was taken for other things, and they ended 0.47 voxel off, not 0.30.
+        # How bright cut cells are is a guess, and so is the residual around them: the halo of cut
+        # nuclei was taken for other objects, and these nuclei ended 0.47 voxel off, not 0.30.
         if level.foreign is None or voxels.full is not None:
             return voxels
         added = level.offset(self.imaging.effects)

@@ -32,9 +32,9 @@ class Problem:
     second
         A second image of the same scene.
     foreign
-        (Z, Y, X) bool: voxels that were measured, of what no mesh describes; None for none.
+        (Z, Y, X) bool: measured voxels of objects that no mesh describes; None if there are none.
     hot
-        How many voxels were left out because no PSF can have made them.
+        How many voxels were left out because no PSF can have made them so bright.
 
     Raises
     ------
@@ -58,9 +58,9 @@ class Problem:
     def of(
         cls, image: np.ndarray | Tensor, grid: Grid, counted: np.ndarray | None = None
     ) -> Problem:
-        """Of an image as it was given; counted : (Z, Y, X) bool, voxels that may count.
+        """The problem of an image as given; counted : (Z, Y, X) bool, voxels that may count.
 
-        What was measured elsewhere is foreign.
+        All other measured voxels are foreign.
 
         Raises
         ------

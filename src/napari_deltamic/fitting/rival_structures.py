@@ -36,10 +36,10 @@ class RivalRules:
         Of each. Fits of ``mixed`` scenes (benchmarks.defaults) that were stuck 3 voxels from their
         membranes had passed the others by then.
     further, growing
-        Times that so many more are taken, at most, beside insides at rest, and share by which what
-        both explain more must grow each time. Measured where labels are two voxels too large: from
-        2 to 6 times until it was enough, growing by 5 % and more; one of seven crowds was found
-        with one time, four with six.
+        How many times, at most, that many steps are added where the fit is at rest with insides
+        alone, and the share by which the gain of both over these must grow each time. Measured
+        where labels are two voxels too large: it took 2 to 6 times until the gain was enough, and
+        it grew by 5 % and more; one of seven crowds was found with one time, four with six.
     renewed_every
         Steps after which voxels and weights are chosen anew.
     levels
@@ -71,9 +71,9 @@ class RivalRules:
         membrane that left 5 % less than both reached only 1.8; taken, it ended at half the volume
         of a nucleus.
     unsure
-        Of those errors, from which on a fit says that membranes may shine as well. Chosen, between
-        crowds a voxel too large (2.8) and most nuclei with chromatin: of 24 fits two reached 2.2
-        and 2.5, which were fair for that already.
+        How many of those errors are enough for a fit to say that membranes may shine as well.
+        Chosen, between crowds whose surfaces are a voxel too far out (2.8) and most nuclei with
+        chromatin: of 24 fits, two reached 2.2 and 2.5, which were graded fair for that already.
     uneven
         Times as many squares left of insides as they are as of evened ones, from which on they are
         uneven. Measured: 1.2 to 2.1 with chromatin; 1.00 to 1.16 on cells that are even, and all
@@ -176,9 +176,9 @@ def without_rim(
 def membranes_as_well(
     terms: Terms, objective: Objective, factored: Preconditioners
 ) -> tuple[Fitted | None, int, bool]:
-    """The fit with membranes further in, where both surely explain more than insides alone.
+    """The fit with membranes further in, if both surely explain more than insides alone.
 
-    And the evaluations, and whether both may explain more where that is not sure.
+    Also the evaluations and, where that is not sure, whether both may explain more.
 
     Labels of whole cells often reach out to where the light of their membranes ends. From there,
     insides alone with a narrow PSF look like both, and a fit with few blurred levels stays there.
@@ -202,7 +202,7 @@ def membranes_as_well(
 
 
 def _followed(rival: Objective, alone: Objective) -> tuple[Objective, int, list[FloatArray]]:
-    """A rival of insides alone, further down while that gains; evaluations, and its gains."""
+    """A rival of insides alone, after more steps while these gain; evaluations, and its gains."""
     errors, gains, taken = _errors(alone), _gains(rival, alone), 0
     for _ in range(RULES.further):
         if _enough(gains, errors) or rival.structure().structure != "both":
@@ -211,7 +211,7 @@ def _followed(rival: Objective, alone: Objective) -> tuple[Objective, int, list[
         rival, more = gone_on(rival)
         taken, gains = taken + more, _gains(rival, alone)
         now = min(gain.sum() for gain in gains)
-        # The second: it would not do if it gained as much again.
+        # The second condition: gaining as much again would still not be enough.
         if now - before < RULES.growing * abs(before) or 2 * now - before < RULES.nats:
             break
     return rival, taken, gains
@@ -230,7 +230,7 @@ def _explains_more(one: Objective, other: Objective) -> bool:
 
 
 def _gains(one: Objective, other: Objective) -> list[FloatArray]:
-    """(B,) nats by block that one explains more than another: with evened insides, and without."""
+    """(B,) nats by block by which one explains more than another: insides evened, and not."""
     either = True, False
     return [(one.nats_over(other, even) - other.nats_over(one, even)) / 2 for even in either]
 

@@ -123,7 +123,7 @@ class Progress:
     again
         Whether insides that had left were asked for again.
     unsure
-        Whether membranes as well explained more then, but not surely.
+        Whether membranes and insides together explained more then, but not surely.
     """
 
     iterations: int = 0

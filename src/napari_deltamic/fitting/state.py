@@ -54,7 +54,7 @@ class FitState:
         Whether the image shows the light cone of an objective, which this PSF lacks; asked at the
         end of a fit.
     unsure
-        Whether membranes may shine as well as the insides, with surfaces further in.
+        Whether membranes may shine in addition to the insides, with surfaces further in.
     """
 
     iteration: int

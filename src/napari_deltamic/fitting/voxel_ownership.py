@@ -259,18 +259,19 @@ def _dark_regions(image: np.ndarray, grid: Grid, mesh: Mesh, starts: Labels) -> 
 
 def surface_voxels(mesh: Mesh, grid: Grid) -> np.ndarray:
     """(Z, Y, X) bool: the voxels that hold a part of the surface."""
-    corners = mesh.vertices_numpy()[mesh.faces]
-    size = np.asarray(grid.voxel_size)
-    longest = np.abs((corners - np.roll(corners, 1, axis=1)) / size).max() if len(corners) else 0
+    first, size = np.asarray(grid.origin), np.asarray(grid.voxel_size)
+    corners = (mesh.vertices_numpy()[mesh.faces] - first) / size
+    longest = np.abs(corners - np.roll(corners, 1, axis=1)).max((1, 2))
     closer = 1.5  # points along an edge to a voxel, so that none is passed over
-    n = max(1, int(np.ceil(closer * min(longest, 2 * max(grid.shape)))))
-    i, j = (k.ravel() for k in np.mgrid[0 : n + 1, 0 : n + 1])
-    inside = i + j <= n
-    weights = np.stack([i, j, n - i - j], 1)[inside] / n
+    points = np.ceil(closer * np.minimum(longest, 2 * max(grid.shape))).astype(int)
+    points = np.maximum(points, 1)
     out = np.zeros(grid.shape, bool)
-    for part in np.array_split(corners, max(1, len(corners) * len(weights) // 4_000_000)):
-        points = (weights @ part).reshape(-1, 3)
-        index = np.rint((points - np.asarray(grid.origin)) / size).astype(np.int64)
-        index = index[((index >= 0) & (index < np.asarray(grid.shape))).all(1)]
-        out[tuple(index.T)] = True
+    for n in np.unique(points).tolist():
+        faces = corners[points == n]
+        i, j = (k.ravel() for k in np.mgrid[0 : n + 1, 0 : n + 1])
+        weights = np.stack([i, j, n - i - j], 1)[i + j <= n] / n
+        for part in np.array_split(faces, max(1, len(faces) * len(weights) // 4_000_000)):
+            index = np.rint((weights @ part).reshape(-1, 3)).astype(np.int64)
+            index = index[((index >= 0) & (index < np.asarray(grid.shape))).all(1)]
+            out[tuple(index.T)] = True
     return out
