@@ -17,6 +17,7 @@ from napari_deltamic.fitting.light_cone import (
     GOES_ON,
     confocal_of,
     is_of_light,
+    objective_instead,
     widefield_of,
 )
 from napari_deltamic.fitting.rival_structures import gone_on
@@ -278,6 +279,30 @@ def test_a_psf_of_light_that_no_dye_emits_is_not_kept(excitation, possible):
     assert following is (None if possible else former)
     assert not cone
     assert said == ([] if possible else [IMPLAUSIBLE])
+
+
+@pytest.mark.parametrize(
+    ("excitation", "left", "taken"), [(0.55, 0.9, 1), (0.3, 0.9, 0), (0.55, 1.1, 0)]
+)
+def test_an_objective_is_tried_where_a_few_steps_explain_more_with_light_of_dyes(
+    monkeypatch, excitation, left, taken
+):
+    def posed(optics, left):
+        run = resting(optics, left)
+        return SimpleNamespace(fitted=run.fitted, left=left, posed=run.objective.posed)
+
+    def after_steps(rival, hopeless):
+        return posed(nd.ConfocalPSF(OBJECTIVE, excitation), left), 7
+
+    module = "napari_deltamic.fitting.light_cone"
+    monkeypatch.setattr(f"{module}._posed", lambda optics, *_: posed(optics, 0.95))
+    monkeypatch.setattr(f"{module}.gone_on", after_steps)
+    fitted = SimpleNamespace(optics=GAUSSIAN, first_optics=GAUSSIAN)
+    level = SimpleNamespace(grid=GRID)
+    terms = SimpleNamespace(settings=FitSettings(), second=None, level=level)
+    found, evaluations = objective_instead(terms, fitted, None)
+    assert (found is not None) == taken
+    assert evaluations == 7
 
 
 @pytest.mark.slow

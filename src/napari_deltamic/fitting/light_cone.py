@@ -76,15 +76,16 @@ def objective_instead(
 
     Widefield or confocal, as wide as that was at the start (or, where it began at the default
     width, as it has become): whichever leaves least of the same voxels at the end of the fit is
-    followed for a few steps from there. (Of 18 simulated widefield
-    and confocal stacks of six kinds, it was the one that following both would have chosen in 16,
-    and neither was in two; both took a fifth of the time of a fit of 56 cells.) Asked where the
-    Gaussian was, or has become, as long as the roundest PSF of an objective: in a haze it ends
-    rounder, else a cone makes it longer. Not where the Gaussian became narrower than voxels tell:
-    it stands in for light that the model lacks, and so would any other.
+    followed for a few steps from there. (Of 18 simulated widefield and confocal stacks of six
+    kinds, it was the one that following both would have chosen in 16, and neither was in two; both
+    took a fifth of the time of a fit of 56 cells.) Asked where the Gaussian was, or has become, as
+    long as the roundest PSF of an objective: in a haze it ends rounder, else a cone makes it
+    longer. Not where the Gaussian became narrower than voxels tell: it stands in for light that the
+    model lacks, and so would any other.
 
     Returns that PSF as it was before the steps, None where the Gaussian is held or explains as
-    much; and evaluations that finding out took.
+    much, or where the steps led to a PSF that is not that of a microscope (in six simulated
+    confocal stacks they never did); and evaluations that finding out took.
 
     Parameters
     ----------
@@ -112,8 +113,9 @@ def objective_instead(
     rival = _posed(widefield, terms, fitted)
     if _share(rival, image) > of_confocal:
         nearer, rival = confocal, _posed(confocal, terms, fitted)
-    share, taken = _followed(rival, image)
-    return (nearer if share < 1 else None), taken
+    rival, taken = _followed(rival, image)
+    explains = _share(rival, image) < 1 and is_of_light(rival.fitted.optics)
+    return (nearer if explains else None), taken
 
 
 def _posed(optics: ThroughObjective, terms: Terms, fitted: Fitted) -> Objective:
@@ -128,8 +130,8 @@ def _share(objective: Objective, image: Tensor) -> float:
     return objective.left / objective.posed.left_by(image)[0]
 
 
-def _followed(rival: Objective, image: Tensor) -> tuple[float, int]:
-    """What is left after a few steps, over what the fit has left; and evaluations taken."""
+def _followed(rival: Objective, image: Tensor) -> tuple[Objective, int]:
+    """The objective after a few steps, and evaluations taken."""
     looked: list[float] = []
 
     def hopeless(objective: Objective) -> bool:
@@ -139,8 +141,7 @@ def _followed(rival: Objective, image: Tensor) -> tuple[float, int]:
             return objective.left - noise > RULES.hopeless * max(left - noise, 0.0)
         return 2 * looked[-1] - looked[-2] >= 1  # would not do if it gained as much again
 
-    objective, taken = gone_on(rival, hopeless)
-    return _share(objective, image), taken
+    return gone_on(rival, hopeless)
 
 
 def is_of_light(optics: Optics) -> bool:
