@@ -4,7 +4,7 @@ from numpy.testing import assert_array_equal
 from scipy.ndimage import gaussian_filter
 
 from napari_deltamic import GaussianPSF, Grid, Mesh
-from napari_deltamic.fitting.bright_regions import STRANGER, bright_regions
+from napari_deltamic.fitting.bright_regions import STRANGER, bright_regions, without_start
 from napari_deltamic.fitting.voxel_ownership import counted_around, counted_voxels
 from napari_deltamic.geometry import sphere
 
@@ -121,3 +121,28 @@ def test_a_speck_beside_a_nucleus_is_a_stranger():
 def test_dark_cores_have_no_bright_region():
     image = photographed(OWN & ~ball(CENTER, 0.7 * RADIUS))
     assert bright_regions(image, GRID, OWN.astype(np.int32)) is None
+
+
+def beside_starts(image, *starts):
+    """What of an image is a thing without a start."""
+    light = gaussian_filter(image, 0.7)
+    light -= np.percentile(light, 20)
+    labels = sum(number * start for number, start in enumerate(starts, 1))
+    return without_start(light > 8, light, labels, GRID)
+
+
+@pytest.mark.parametrize("brightness", [0.6, 1, 3])
+def test_a_nucleus_without_a_start_is_found_beside_one_that_has_one(brightness):
+    found = beside_starts(photographed(OWN + brightness * OTHER), OWN)
+    assert found[WITHIN_OTHER].mean() > 0.9
+    assert not found[OWN].any()
+
+
+def test_light_between_nuclei_that_have_starts_is_no_nucleus():
+    # A haze that is brighter between them than elsewhere, and thicker than a speck.
+    third = ball((20, 13, 38.5), 5.0)
+    gap = gaussian_filter(ball((20, 13, 25.5), 7.0).astype(float), 2.0) * ~(OWN | third)
+    image = photographed(OWN + third + 0.6 * gap)
+    assert not beside_starts(image, OWN, third).any()
+    # The same light, where nothing brighter borders on it, is one.
+    assert beside_starts(photographed(third + 0.6 * gap), third).any()

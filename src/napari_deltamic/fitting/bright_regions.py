@@ -6,7 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, find_objects, gaussian_filter, maximum
+from scipy.ndimage import (
+    binary_dilation,
+    distance_transform_edt,
+    find_objects,
+    gaussian_filter,
+    maximum,
+)
 from scipy.ndimage import label as label_components
 from skimage.morphology import local_maxima, reconstruction
 from skimage.segmentation import watershed
@@ -48,6 +54,12 @@ class BrightRegionRules:
         Radii of the largest start, around all: no thing of theirs reaches further; saves time.
     thin
         Radii of the smallest start: what is thinner than twice this is another thing.
+    rise
+        Of the brightness of starts: a thing of its own is brighter somewhere, by this, than on the
+        way from there to any start. Measured on packed nuclei, three draws of each kind: all with
+        starts and in a haze, they end 0.28 to 0.34 voxel off, and 0.32 to 0.39 where the haze in
+        gaps is taken for things; a third without starts, 0.11 to 0.15, not 0.11 to 0.18. 0.05 is as
+        good; with 0.2 three were swallowed.
     corner
         Times the rounding: what sticks out of the rounded rest further than the corner of a cube,
         whose tip lies at 3**0.5 of the rounding, is a speck and no corner.
@@ -62,6 +74,7 @@ class BrightRegionRules:
     most: float = 0.5
     far: float = 4.0
     thin: float = 0.35
+    rise: float = 0.1
     corner: float = 1.75
 
 
@@ -118,7 +131,44 @@ def without_start(bright: Mask, light: np.ndarray, starts: Labels, grid: Grid) -
     cores, brightest = _cores(light, starts, radii, size)
     if np.median(cores - RULES.full * brightest) <= 0:
         return np.zeros(starts.shape, bool)
-    return _without_thin(bright & (starts == 0), RULES.thin * radii.min(), size)[0]
+    things = _without_thin(bright & (starts == 0), RULES.thin * radii.min(), size)[0]
+    return _rising(things, light, starts, RULES.rise * float(np.median(light[starts > 0])))
+
+
+def _rising(things: Mask, light: np.ndarray, starts: Labels, rise: float) -> Mask:
+    """Those of things, and parts of them, that are brighter than the way to a start, by so much."""
+    rim = binary_dilation(things, np.ones((3, 3, 3))) & (starts > 0)
+    if not rim.any():
+        return things
+    mask = things | rim
+    tops = local_maxima(np.where(mask, light, light.min()), connectivity=3) & things
+    peaks, count = label_components(tops, np.ones((3, 3, 3)))
+    start = count + 1  # all of them, and what the light of things rises to
+    parts = watershed(-light, np.where(rim, start, peaks), mask=mask)
+    heights = maximum(light, parts, np.arange(start + 1))
+    heights[start] = np.inf
+    joined = np.arange(start + 1)
+    for saddle, one, other in _saddles(parts, light):
+        low, high = sorted((int(joined[one]), int(joined[other])), key=lambda k: heights[k])
+        if low != high and heights[low] - saddle < rise:
+            joined[joined == low] = high
+    return things & (joined[parts] != start)
+
+
+def _saddles(parts: Labels, light: np.ndarray) -> list[tuple[float, int, int]]:
+    """Brightness at which two parts meet, and which: the brightest first."""
+    found: dict[tuple[int, int], float] = {}
+    for axis in range(3):
+        a, b = (np.moveaxis(parts, axis, 0)[k] for k in (slice(1, None), slice(None, -1)))
+        meet = (a != b) & (a > 0) & (b > 0)
+        x, y = (np.moveaxis(light, axis, 0)[k][meet] for k in (slice(1, None), slice(None, -1)))
+        pairs = np.sort(np.stack([a[meet], b[meet]], 1), axis=1)
+        kinds, which = np.unique(pairs, axis=0, return_inverse=True)
+        lowest = np.full(len(kinds), -np.inf)
+        np.maximum.at(lowest, which.ravel(), np.minimum(x, y))
+        for (one, other), saddle in zip(kinds.tolist(), lowest.tolist(), strict=True):
+            found[one, other] = max(saddle, found.get((one, other), -np.inf))
+    return sorted(((s, *pair) for pair, s in found.items()), reverse=True)
 
 
 def _radii(starts: Labels, size: np.ndarray) -> NDArray[np.floating]:
