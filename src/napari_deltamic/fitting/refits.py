@@ -196,21 +196,24 @@ class Refits:
         return self._refitted(-self.residual)
 
     @cached_property
-    def _imaging(self) -> list[np.ndarray]:
-        """(N,) each: columns of PSF and effects."""
-        columns = self._posterior.imaging_columns(self._at)[0]
-        return [column.astype(np.float32) for column in columns.T]
+    def _followers(self) -> tuple[list[FloatArray], FloatArray]:
+        """Columns (N,) of brightness, background, PSF and effects; inverse of their normal matrix.
+
+        Each column is scaled to a norm of 1.
+        """
+        imaging = self._posterior.imaging_columns(self._at)[0].T
+        own = [self._image, np.ones(len(self._image)), *imaging.astype(np.float32)]
+        own = [c / max(float(c @ (self._weights * c)), 1e-300) ** 0.5 for c in own]
+        gram = np.array([[float(a @ (self._weights * b)) for b in own] for a in own])
+        return own, np.linalg.pinv(gram, rcond=_RANK, hermitian=True)
 
     def _unexplained(self, column: FloatArray) -> FloatArray:
         """(N,) what is left of a column beside brightness, background, PSF and effects."""
-        own = [self._image, np.ones(len(column)), *self._imaging]
-        size = [1.0 / np.sqrt(max(float(c @ (self._weights * c)), 1e-300)) for c in own]
-        gram = [[float(a @ (self._weights * b)) for b in own] for a in own] * np.outer(size, size)
-        right = [s * float(c @ (self._weights * column)) for s, c in zip(size, own, strict=True)]
-        found = np.linalg.pinv(gram, rcond=_RANK, hermitian=True) @ right
+        own, inverse = self._followers
+        weighted = self._weights * column
         left = column
-        for share, s, c in zip(found, size, own, strict=True):
-            left = left - share * s * c
+        for share, c in zip(inverse @ [float(c @ weighted) for c in own], own, strict=True):
+            left = left - share * c
         return left
 
     def _refitted(self, added: FloatArray) -> _Ended:
