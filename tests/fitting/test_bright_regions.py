@@ -4,7 +4,7 @@ from numpy.testing import assert_array_equal
 from scipy.ndimage import gaussian_filter
 
 from napari_deltamic import GaussianPSF, Grid, Mesh
-from napari_deltamic.fitting.bright_regions import STRANGER, bright_regions, without_start
+from napari_deltamic.fitting.bright_regions import STRANGER, _rising, bright_regions, without_start
 from napari_deltamic.fitting.voxel_ownership import counted_around, counted_voxels
 from napari_deltamic.geometry import sphere
 
@@ -131,18 +131,53 @@ def beside_starts(image, *starts):
     return without_start(light > 8, light, labels, GRID)
 
 
-@pytest.mark.parametrize("brightness", [0.6, 1, 3])
-def test_a_nucleus_without_a_start_is_found_beside_one_that_has_one(brightness):
-    found = beside_starts(photographed(OWN + brightness * OTHER), OWN)
-    assert found[WITHIN_OTHER].mean() > 0.9
-    assert not found[OWN].any()
+@pytest.mark.parametrize("brightness", [0.5, 0.7, 1, 3])
+@pytest.mark.parametrize("x", [28.0, 29.5, 31.0])  # the other overlaps, touches, is apart
+def test_a_nucleus_without_a_start_is_found_beside_one_that_has_one(brightness, x):
+    other = ball((20, 13, x), 8.0) & ~OWN
+    core = ball((20, 13, x), 6.0) & ~ball(CENTER, RADIUS + 1.5)
+    found = beside_starts(photographed(OWN + brightness * other), ball(CENTER, RADIUS))
+    assert found[core].mean() > 0.85
+
+
+def test_what_a_start_misses_of_its_nucleus_is_no_thing():
+    found = beside_starts(photographed(OWN), ball(CENTER, 0.75 * RADIUS))
+    assert found[OWN].mean() < 0.05
 
 
 def test_light_between_nuclei_that_have_starts_is_no_nucleus():
     # A haze that is brighter between them than elsewhere, and thicker than a speck.
-    third = ball((20, 13, 38.5), 5.0)
-    gap = gaussian_filter(ball((20, 13, 25.5), 7.0).astype(float), 2.0) * ~(OWN | third)
-    image = photographed(OWN + third + 0.6 * gap)
-    assert not beside_starts(image, OWN, third).any()
+    third = ball((20, 13, 36.5), 8.0)
+    gap = 0.6 * gaussian_filter(ball((20, 13, 25.3), 6.0).astype(float), 1.5) * ~(OWN | third)
+    assert not beside_starts(photographed(OWN + third + gap), OWN, third).any()
     # The same light, where nothing brighter borders on it, is one.
-    assert beside_starts(photographed(third + 0.6 * gap), third).any()
+    elsewhere = np.roll(gap, -9, axis=2) * ~third
+    assert beside_starts(photographed(third + elsewhere), third).any()
+
+
+def rising(*rows):
+    """What is kept of a thing in one slice; a row is brightness, or S in a start."""
+    light = np.array([[9.0 if one == "S" else float(one) for one in row] for row in rows])[None]
+    starts = np.array([[one == "S" for one in row] for row in rows])[None].astype(np.int32)
+    return _rising((light > 0) & (starts == 0), light, starts, 2.0)[0].astype(int).tolist()
+
+
+def test_what_rises_to_a_start_is_none():
+    assert rising("S6543") == [[0, 0, 0, 0, 0]]
+    assert rising("S3456") == [[0, 0, 1, 1, 1]]
+    assert rising("3456") == [[1, 1, 1, 1]]  # no start near
+    # A top that is hardly higher than the way is that of noise, also by way of another.
+    assert rising("S545") == [[0, 0, 0, 0]]
+    assert rising("S45454") == [[0] * 6]
+    # A start that is dimmer than the thing is a start still.
+    assert rising("S")[0] == [0]
+
+
+def test_a_top_belongs_to_what_it_meets_at_the_brightest_place():
+    # 6 meets 8 at 5, and the start only at 1: it goes with 8, which is a thing.
+    assert rising("S185706") == [[0, 0, 1, 1, 1, 0, 1]]
+    assert rising("S1857576") == [[0, 0, 1, 1, 1, 1, 1, 1]]
+
+
+def test_corners_alone_connect_nothing():
+    assert rising("S0", "05") == [[0, 0], [0, 1]]

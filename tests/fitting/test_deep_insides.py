@@ -5,7 +5,7 @@ import pytest
 
 import napari_deltamic as nd
 from napari_deltamic.fitting.deep_insides import Cells, dark_insides_shown, deep_brightness
-from napari_deltamic.geometry import sphere
+from napari_deltamic.geometry import Mesh, sphere
 from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene.light import Light, structure_of
 
@@ -57,3 +57,13 @@ def test_a_fit_drops_dark_insides_that_the_image_does_not_show(shown, name, monk
     *_, last = nd.fit(noisy, GRID, start, OPTICS, settings=FitSettings(structure="auto"))
     assert structure_of(last.light) == name
     assert asked
+
+
+def test_names_of_cells_may_be_large():
+    name = 3_000_000_000
+    one = CELLS.mesh
+    named = Mesh(one.vertices_numpy(), one.faces, one.regions * name)
+    cells = Cells(named, CELLS.optics, CELLS.grid)
+    found = deep_brightness(cells, image(0.5), EVERYWHERE)
+    assert list(found) == [name]
+    assert found[name] == deep_brightness(CELLS, image(0.5), EVERYWHERE)[1]

@@ -295,14 +295,20 @@ def test_an_objective_is_tried_where_a_few_steps_explain_more_with_light_of_dyes
         return posed(nd.ConfocalPSF(OBJECTIVE, excitation), left), 7
 
     module = "napari_deltamic.fitting.light_cone"
-    monkeypatch.setattr(f"{module}._posed", lambda optics, *_: posed(optics, 0.95))
+    begun = {nd.ConfocalPSF: 0.95, nd.ScalarPSF: 0.99}
+    monkeypatch.setattr(f"{module}._posed", lambda optics, *_: posed(optics, begun[type(optics)]))
     monkeypatch.setattr(f"{module}.gone_on", after_steps)
     fitted = SimpleNamespace(optics=GAUSSIAN, first_optics=GAUSSIAN)
     level = SimpleNamespace(grid=GRID)
     terms = SimpleNamespace(settings=FitSettings(), second=None, level=level)
     found, evaluations = objective_instead(terms, fitted, None)
-    assert (found is not None) == taken
     assert evaluations == 7
+    if not taken:
+        assert found is None
+        return
+    # As it was before the steps.
+    assert isinstance(found, nd.ConfocalPSF)
+    assert found.described() == confocal_of(GAUSSIAN.sigma_um).described()
 
 
 @pytest.mark.slow

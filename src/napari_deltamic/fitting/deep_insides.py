@@ -96,13 +96,15 @@ def deep_brightness(
     if outer.sum() < RULES.fewest:
         return {}
     dark, bright = float(image[outer].mean()), float(np.median(image[surface]))
-    values, labels = image[deep].astype(float), cells.labels[deep]
-    number, total = np.bincount(labels), np.bincount(labels, values)
+    names = np.append(0, cells.mesh.region_ids())
+    which = np.searchsorted(names, cells.labels[deep])  # names may be large numbers
+    number = np.bincount(which, minlength=len(names))
+    total = np.bincount(which, image[deep].astype(float), len(names))
     found = {}
-    for region in cells.mesh.region_ids():
-        if region < len(number) and number[region] >= RULES.fewest:
-            level = float(total[region] / number[region])
-            found[int(region)] = (level - dark) / max(bright - min(level, dark), 1e-30)
+    for region, voxels, light in zip(names[1:].tolist(), number[1:], total[1:], strict=True):
+        if voxels >= RULES.fewest:
+            level = float(light / voxels)
+            found[region] = (level - dark) / max(bright - min(level, dark), 1e-30)
     return found
 
 

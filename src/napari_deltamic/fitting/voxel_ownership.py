@@ -258,7 +258,7 @@ def _dark_regions(image: np.ndarray, grid: Grid, mesh: Mesh, starts: Labels) -> 
 
 
 def surface_voxels(mesh: Mesh, grid: Grid) -> np.ndarray:
-    """(Z, Y, X) bool: the voxels that hold a part of the surface."""
+    """(Z, Y, X) bool: voxels nearest to points of the surface, at most two thirds of one apart."""
     first, size = np.asarray(grid.origin), np.asarray(grid.voxel_size)
     corners = (mesh.vertices_numpy()[mesh.faces] - first) / size
     longest = np.abs(corners - np.roll(corners, 1, axis=1)).max((1, 2))
