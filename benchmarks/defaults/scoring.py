@@ -89,6 +89,8 @@ def _distances(scene: Scene, mesh: Mesh, cell: int) -> Sequence[float]:
         # Where a cell leaves the stack nothing is known of it, nor of the face that closes it.
         margin = np.asarray(scene.voxel_size)
         seen = ((points > 0.5 * margin) & (points < end - margin)).all(1)
+        if not seen.any():  # a cell that has left the stack is as far off as it is
+            seen = np.ones(len(points), bool)
         pick = rng.choice(len(points), _SAMPLES, p=area * seen / (area * seen).sum())
         ways.append(distance_to_surface(points[pick], other))
         axial.append(np.abs(own.normals()[face[pick], 0]) > _AXIAL)

@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
+import napari_deltamic as nd
 from napari_deltamic import Mesh
-from napari_deltamic.fitting.convergence import Patches, vertex_normals
+from napari_deltamic.fitting.convergence import Patches, strayed_off, vertex_normals
 from napari_deltamic.geometry import sphere
+from napari_deltamic.runs.settings import FitSettings
 
 BALL = sphere((0, 0, 0), 1.0, subdivisions=3)
 PLACES = BALL.vertices_numpy()
@@ -64,3 +67,41 @@ def test_patches_of_another_surface_do_not_mix():
     found = worst(step, mesh=two)
     assert found.vertex < len(PLACES)
     assert found.move == pytest.approx(1, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("moved", "size", "off"),
+    [((0, 0, 1.9), 1.0, False), ((0, 0, 2.1), 1.0, True), ((-2.5, 0, 0), 2.0, False)],
+)
+def test_a_cell_has_strayed_off_where_it_does_not_overlap_with_its_start(moved, size, off):
+    start = sphere((0, 0, 0), 1.0, edge_length=0.5)
+    other = sphere((0, 0, 5.0), 1.0, edge_length=0.5)
+    cell = sphere(moved, size, edge_length=0.5)
+    before = Mesh.merge([start, Mesh(other.vertices_numpy(), other.faces, other.regions * 7)])
+    after = Mesh.merge([cell, Mesh(other.vertices_numpy(), other.faces, other.regions * 7)])
+    assert strayed_off(before, after) == off
+
+
+def test_a_coarse_level_that_a_cell_drifts_off_at_is_undone(monkeypatch):
+    grid, optics = nd.Grid((24, 24, 24), (0.2,) * 3), nd.GaussianPSF(0.25)
+    cell = sphere((2.3, 2.3, 2.3), 1.3, edge_length=0.35)
+    clean = nd.render(cell, grid, optics, 1e-3).numpy().clip(0)
+    image = np.random.default_rng(0).poisson(5 + 60 * clean / clean.max())
+    start = sphere((2.3, 2.3, 2.3), 1.0, edge_length=0.35)
+    asked = []
+
+    def off(before, after):
+        asked.append((before, after))
+        return len(asked) == 1
+
+    monkeypatch.setattr("napari_deltamic.fitting.run.strayed_off", off)
+    settings = FitSettings(levels=(2.0, 1.5, 1.0), structure="membrane", fit_psf=False)
+    states = list(nd.fit(image.astype(np.float32), grid, start, optics, settings=settings))
+    assert len(asked) == 2  # not of the last level
+    first, second = asked
+    assert_array_equal(first[0].vertices_numpy(), start.vertices_numpy())
+    # The second level began where the first had: neither moved nor remeshed.
+    assert second[0] is first[0]
+    assert any("undone" in state.message for state in states)
+    assert states[-1].converged
+    assert states[-1].mesh.volumes()[1] == pytest.approx(cell.volumes()[1], rel=0.03)

@@ -112,3 +112,16 @@ def vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
     found: FloatArray = np.stack([np.bincount(rows, np.tile(one, 3), n) for one in each], 1)
     length = lengths(found)[:, None]
     return np.divide(found, length, out=np.zeros_like(found), where=length > 0)
+
+
+def strayed_off(before: Mesh, after: Mesh) -> bool:
+    """Whether the box around some cell lies wholly beside that around where it was.
+
+    A cell overlaps with its start. In a haze, the light cone of a cell that had left the image
+    explained more at a blurred level.
+    """
+    for region in np.intersect1d(before.region_ids(), after.region_ids()).tolist():
+        (low, high), (first, last) = (m.region_surface(region).bounds() for m in (before, after))
+        if ((first > high) | (last < low)).any():
+            return True
+    return False

@@ -14,7 +14,7 @@ from ..scene.effects import Effects
 from .change import Change
 from .checkpoint import Checkpoint
 from .collisions import CollisionGuard
-from .convergence import Remaining
+from .convergence import Remaining, strayed_off
 from .fit_objective import Objective, Terms
 from .fitted import Arrays, Fitted, fingerprint
 from .level import Level
@@ -32,6 +32,7 @@ from .topology_trials import TopologyTrials
 from .triangle_quality import Remeshing
 
 _LEFT_OPEN = ("accuracy", "flatness", "levels")  # settings that the software may fill in
+_UNDONE = "a coarse level was undone: a cell had drifted off its start"
 
 
 class Run:
@@ -114,9 +115,18 @@ class Run:
             if self._level.usable or self._last:
                 if self._level.usable and self.stage.iteration == 0:
                     self.fitted = self._choice.of_small(self.terms, self.fitted)
+                before = self.fitted
                 following = yield from self._level_states()
                 if following is not None or self._over:
                     return following
+                if (
+                    not self._last
+                    and not self.stage.edited
+                    and strayed_off(before.mesh, self.fitted.mesh)
+                ):
+                    self.fitted = before
+                    self._reporter.say(_UNDONE)
+                    self._reporter.other_mesh(before.mesh)
             self._look_for_rivals()
             given = self.fitted, self._settings, self.stage.iteration
             self._surface(self._topology.end_level(*given))
