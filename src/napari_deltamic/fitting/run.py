@@ -119,19 +119,22 @@ class Run:
                 following = yield from self._level_states()
                 if following is not None or self._over:
                     return following
-                if (
-                    not self._last
-                    and not self.stage.edited
-                    and strayed_off(before.mesh, self.fitted.mesh)
-                ):
-                    self.fitted = before
-                    self._reporter.say(_UNDONE)
-                    self._reporter.other_mesh(before.mesh)
-            self._look_for_rivals()
+                if not self._undone(before):
+                    self._look_for_rivals()
             given = self.fitted, self._settings, self.stage.iteration
             self._surface(self._topology.end_level(*given))
             self.stage = replace(self.stage, level_number=self.stage.level_number + 1)
         return None
+
+    def _undone(self, before: Fitted) -> bool:
+        """Whether a coarse level led a cell off its start, so that it was for nothing."""
+        astray = not self._last and strayed_off(before.mesh, self.fitted.mesh)
+        if not astray or self.stage.edited:
+            return False
+        self.fitted = before
+        self._reporter.say(_UNDONE)
+        self._reporter.other_mesh(before.mesh)
+        return True
 
     def _look_for_rivals(self) -> None:
         """Go on with the best of what may shine, where the fit may be stuck."""
