@@ -169,8 +169,6 @@ def test_what_rises_to_a_start_is_none():
     # A top that is hardly higher than the way is that of noise, also by way of another.
     assert rising("S545") == [[0, 0, 0, 0]]
     assert rising("S45454") == [[0] * 6]
-    # A start that is dimmer than the thing is a start still.
-    assert rising("S")[0] == [0]
 
 
 def test_a_top_belongs_to_what_it_meets_at_the_brightest_place():

@@ -60,7 +60,7 @@ class Cells:
 
     @cached_property
     def surface(self) -> np.ndarray:
-        """(Z, Y, X) bool: the voxels that hold a part of the surface."""
+        """(Z, Y, X) bool: the voxels on the surface."""
         return surface_voxels(self.mesh, self.grid)
 
     @cached_property
