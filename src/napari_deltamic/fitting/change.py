@@ -12,6 +12,8 @@ from ..optics import Optics
 from ..runs.settings import FitSettings
 from ..scene.effects import Effects
 
+_LEFT_OPEN = ("accuracy", "flatness")  # settings that the software may have filled in
+
 
 @dataclass(frozen=True, eq=False)
 class Change:
@@ -58,3 +60,9 @@ class Change:
             raise InputError("the PSF has another number of parameters than that of the fit")
         if self.settings is not None and self.settings.levels not in (None, settings.levels):
             raise InputError("the levels of a fit cannot change while it runs")
+
+
+def taken_over(settings: FitSettings, before: FitSettings) -> FitSettings:
+    """What a fit goes on with: what new settings leave open stays as it was."""
+    kept = {name: getattr(before, name) for name in _LEFT_OPEN if getattr(settings, name) is None}
+    return settings.model_copy(update={**kept, "levels": before.levels})

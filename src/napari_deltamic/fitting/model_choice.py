@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ..runs.settings import FitSettings
 from .amplitudes import all_small, inside_over_membrane, may_shine
@@ -19,6 +19,7 @@ from .rival_structures import (
     nearer_of,
     without_rim,
 )
+from .schedule import Progress
 from .shape import Shape
 from .stage import Stage
 
@@ -81,12 +82,28 @@ class ModelChoice:
             return fitted, 0
         return best_of(terms, fitted, start)
 
-    def asked_at_rest(self, fitted: Fitted, stage: Stage) -> bool:
-        """Whether to ask what shines at rest, too: once for each surface."""
-        return self.is_open(fitted) and not stage.progress.answered
+    def asked_anew(
+        self,
+        terms: Terms,
+        objective: Objective,
+        fitted: Fitted,
+        factored: Preconditioners,
+        progress: Progress,
+    ) -> tuple[Fitted, int, Progress]:
+        """What shines at rest, the evaluations that it took to ask, and where that leaves the fit.
+
+        The same object where that is what had been clear on the way.
+        """
+        if self._asked_again(fitted, progress):
+            found, taken, unsure = self._with_both_again(terms, objective, fitted, factored)
+            return found, taken, replace(progress, again=True, unsure=unsure)
+        if self.is_open(fitted) and not progress.answered:  # once for each surface
+            found, taken = self._at_rest(terms, objective, fitted, factored)
+            return found, taken, replace(progress, answered=True)
+        return fitted, 0, progress
 
     @staticmethod
-    def at_rest(
+    def _at_rest(
         terms: Terms, objective: Objective, fitted: Fitted, factored: Preconditioners
     ) -> tuple[Fitted, int]:
         """With what shines at rest, and evaluations; itself where that is what did on the way."""
@@ -105,7 +122,7 @@ class ModelChoice:
         alone, taken = rival(terms, objective, factored)
         return (fitted if alone is None else alone), taken
 
-    def asked_again(self, fitted: Fitted, stage: Stage) -> bool:
+    def _asked_again(self, fitted: Fitted, progress: Progress) -> bool:
         """Whether, at rest, to ask once more for what left a fit of one level.
 
         Insides leave soon after the start, where walls that labels drew wrongly may hide them.
@@ -117,12 +134,12 @@ class ModelChoice:
         """
         asked = self.settings.structure
         open_still = asked == "both" or (asked == "auto" and fitted.structure != "both")
-        if not open_still or self.levels > 1 or stage.progress.again:
+        if not open_still or self.levels > 1 or progress.again:
             return False
         return may_shine("auto", fitted.mesh, fitted.optics) == "both"
 
     @staticmethod
-    def with_both_again(
+    def _with_both_again(
         terms: Terms, objective: Objective, fitted: Fitted, factored: Preconditioners
     ) -> tuple[Fitted, int, bool]:
         """The fit with what shines if both may again; the same fit if one alone does.

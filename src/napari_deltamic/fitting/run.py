@@ -11,9 +11,8 @@ from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..runs.settings import WIDE_LEVELS, FitSettings
 from ..scene.effects import Effects
-from .change import Change
+from .change import Change, taken_over
 from .checkpoint import Checkpoint
-from .collisions import CollisionGuard
 from .convergence import Remaining, strayed_off
 from .fit_objective import Objective, Terms
 from .fitted import Arrays, Fitted, fingerprint
@@ -28,10 +27,8 @@ from .stage import Stage
 from .state import FitState
 from .state_of import state_of
 from .successor import is_given_up, successor
-from .topology_trials import TopologyTrials
-from .triangle_quality import Remeshing
+from .surface_upkeep import SurfaceUpkeep
 
-_LEFT_OPEN = ("accuracy", "flatness", "levels")  # settings that the software may fill in
 _UNDONE = "a coarse level was undone: a cell had drifted off its start"
 
 
@@ -76,10 +73,8 @@ class Run:
         self.fitted = Fitted.begun(mesh, optics, effects, model, settings.structure)
         self.stage = stage or Stage(0, self.fitted.optics)
         self._former = former
-        self._topology = TopologyTrials(problem)
-        self._remeshing = Remeshing(mesh, min(optics.sigma_um))
-        self._reporter = Reporter(mesh)
-        self._guard, self._factored = CollisionGuard(settings.collisions), Preconditioners()
+        self._upkeep = SurfaceUpkeep(problem, mesh, min(optics.sigma_um), settings.collisions)
+        self._reporter, self._factored = Reporter(mesh), Preconditioners()
         self.objective: Objective
         self._level: Level
         self._second: Level | None
@@ -122,7 +117,7 @@ class Run:
                 if not self._undone(before):
                     self._look_for_rivals()
             given = self.fitted, self._settings, self.stage.iteration
-            self._surface(self._topology.end_level(*given))
+            self._go_on_with(self._upkeep.end_level(*given))
             self.stage = replace(self.stage, level_number=self.stage.level_number + 1)
         return None
 
@@ -220,7 +215,7 @@ class Run:
         self._make_level()
         if not begun:
             blurred = 0.0 if self._level.factor == 1 else self._level.width
-            self._remeshing.begin_level(self.fitted.mesh, blurred)
+            self._upkeep.begin_level(self.fitted.mesh, blurred)
 
     def _make_level(self) -> None:
         fitted, factor = self.fitted, self._levels[self.stage.level_number]
@@ -232,16 +227,18 @@ class Run:
     def _renew(self) -> None:
         """Good triangles, topology, and the objective from where the fit is."""
         stage, settings = self.stage, self._settings
-        if self._topology.trial is None:
+        if not self._upkeep.trying:
             self._kept = self.checkpoint().saved()  # before the look: a resumed fit looks again
         choice = self._choice
         after_one = stage.progress.iterations > 0  # objective, at most
         if after_one and choice.density_waits(self.fitted):
             self.fitted = self.fitted.with_density(settings.density)
         given = self.fitted, settings, self._level.factor, stage.iteration
-        self._surface(self._topology.look(*given))
-        if settings.remesh and self._remeshing.wanted(self.fitted.mesh, settings.flatness):
-            self._remesh()
+        self._go_on_with(self._upkeep.rearranged(*given))
+        before = self.fitted
+        self.fitted = self._upkeep.remeshed(before, settings)
+        if self.fitted is not before:
+            self._reporter.remeshed(before.mesh, self.fitted.mesh)
         held = self.stage.progress.held and self._last
         views = self.objective.posed.posterior.views if held else ()
         self.objective = self._posed(views)
@@ -277,7 +274,7 @@ class Run:
         )
 
     def _posed(self, views: Sequence[View]) -> Objective:
-        return Objective(self.terms, self.fitted, self._guard, self._factored, views)
+        return Objective(self.terms, self.fitted, self._upkeep.guard, self._factored, views)
 
     def _advance(self) -> None:
         """One step down."""
@@ -318,27 +315,19 @@ class Run:
         if self._other_structure():
             self._due = True
             return False
-        if self._topology.too_soon(self.stage.iteration) and progress.stuck <= 1:
+        if self._upkeep.too_soon(self.stage.iteration) and progress.stuck <= 1:
             return False
-        if self._topology.trial is not None:
-            self._due = self._surface(self._topology.judged(self.fitted, self._settings))
         given = self.fitted, self._settings, self._level.factor, self.stage.iteration
-        self._due = self._surface(self._topology.tried(*given)) or self._due
+        self._due = self._go_on_with(self._upkeep.at_rest(*given))
         return not self._due
 
     def _other_structure(self) -> bool:
         """Whether, at rest, something else shines than what had been clear on the way."""
-        found, progress = self.fitted, self.stage.progress
-        given, taken = (self.terms, self.objective, found, self._factored), 0
-        if self._choice.asked_again(found, self.stage):
-            found, taken, unsure = self._choice.with_both_again(*given)
-            progress = replace(progress, again=True, unsure=unsure)
-        elif self._choice.asked_at_rest(found, self.stage):
-            found, taken = self._choice.at_rest(*given)
-            progress = replace(progress, answered=True)
+        before = self.fitted
+        given = self.terms, self.objective, before, self._factored, self.stage.progress
+        self.fitted, taken, progress = self._choice.asked_anew(*given)
         self.spend(taken)
-        other = found is not self.fitted
-        self.fitted = found
+        other = self.fitted is not before
         self.stage = replace(self.stage, progress=progress.released() if other else progress)
         return other
 
@@ -348,25 +337,15 @@ class Run:
 
     # --------------------------------------------------------------------------- the surface
 
-    def _surface(self, fitted: Fitted) -> bool:
+    def _go_on_with(self, fitted: Fitted) -> bool:
         """Go on with what a change of topology made; whether it is another surface."""
-        self._reporter.happened(self._topology.events())
+        self._reporter.happened(self._upkeep.events())
         if fitted is self.fitted:
             return False
         self.fitted = fitted
         self.stage = replace(self.stage, progress=self.stage.progress.released())
         self._reporter.other_mesh(fitted.mesh)
         return True
-
-    def _remesh(self) -> None:
-        """Good triangles again."""
-        before = self.fitted.shape
-        settings = self._settings
-        given = before, self._guard, settings.collisions, settings.flatness
-        after = self._remeshing.of_shape(*given)
-        if after is not None:
-            self._reporter.remeshed(before.mesh, after.mesh)
-            self.fitted = self.fitted.retriangulated(after)
 
     # ------------------------------------------------------------------------------- changes
 
@@ -381,13 +360,12 @@ class Run:
         self.stage = replace(self.stage, changed_at=self.stage.iteration, progress=Progress())
         self._due = True
         if change.mesh is not None:
-            self._remeshing.given()
+            self._upkeep.edges_given()
             self._reporter.other_mesh(self.fitted.mesh)
         if change.mesh is not None or change.pinned is not None:
-            self._topology.drop()
-            self._topology.restart()
+            self._upkeep.restart()
         if (change.optics, change.settings, change.effects) != (None, None, None):
-            self._topology.drop()
+            self._upkeep.forget_trial()
             self._change_level()
 
     def _change_level(self) -> None:
@@ -400,11 +378,10 @@ class Run:
             self._make_level()
 
     def _take_settings(self, settings: FitSettings) -> None:
-        old = self._settings
-        open_ones = {k: getattr(old, k) for k in _LEFT_OPEN if getattr(settings, k) is None}
-        self._settings = settings.model_copy(update={**open_ones, "levels": self._levels})
-        if self._settings.collisions != old.collisions:
-            self._guard = CollisionGuard(self._settings.collisions)
+        before = self._settings.collisions
+        self._settings = taken_over(settings, self._settings)
+        if self._settings.collisions != before:
+            self._upkeep.guarded(self._settings.collisions)
 
     # ---------------------------------------------------------------------------- reporting
 
@@ -418,7 +395,7 @@ class Run:
     def _told(self, state: FitState, ends: bool, finished: bool) -> FitState:
         """With what there is to say, and with a verdict where it is the last."""
         fitted, stage = self.fitted, self.stage
-        self._reporter.say(self._guard.remark())
+        self._reporter.say(self._upkeep.guard.remark())
         message, events = self._reporter.told(fitted.mesh, stage.iteration, ends)
         if ends:
             left, found = stage.remaining, self.objective.now.match
@@ -428,14 +405,9 @@ class Run:
         return replace(state, message=message, events=events, converged=ends and finished)
 
     def _state(self) -> FitState:
-        found, level, accuracy = (
-            self.objective.now.match,
-            self._level,
-            self._settings.image_accuracy,
-        )
-        place = self._problem.grid, len(self._levels), level.factor, accuracy
-        given = self.fitted, self.stage, found, self._face_densities()
-        return state_of(*given, *place, self._kept)
+        now, accuracy = self.objective.now.match, self._settings.image_accuracy
+        place = self._problem.grid, len(self._levels), self._level.factor, accuracy
+        return state_of(self.fitted, self.stage, now, self._face_densities(), *place, self._kept)
 
     # -------------------------------------------------------------------------- checkpoints
 
@@ -447,8 +419,8 @@ class Run:
             self.fitted,
             self.stage,
             self._levels,
-            self._topology.policy,
-            self._remeshing.to_dict(),
+            self._upkeep.policy,
+            self._upkeep.saved(),
             None if self._former is None else self._former.checkpoint().saved(),
         )
 
@@ -464,6 +436,5 @@ class Run:
         # Held voxels are those of an objective that is not there any more.
         self.fitted = found.fitted
         self.stage = replace(found.stage, progress=found.stage.progress.freed())
-        self._topology = TopologyTrials(self._problem, found.policy)
-        self._remeshing.resume(found.remeshing)
+        self._upkeep.resume(found.policy, found.remeshing)
         self._reporter.other_mesh(found.fitted.mesh)
