@@ -167,7 +167,7 @@ def _growth_table(what: str, heading: Sequence[str], curves: dict[str, list[Poin
     for name, points in curves.items():
         cells = [duration(p.seconds) + (" *" if p.reckoned else "") for p in points]
         lines.append("| " + " | ".join([name.replace("|", "\\|"), *cells]) + " |")
-    return "\n".join([*lines, "", "\\* reckoned from a part of the wavevectors."])
+    return "\n".join([*lines, "", "\\* extrapolated from some of the wavevectors."])
 
 
 def _plain(curves: dict[str, list[Point]]) -> dict[str, Any]:

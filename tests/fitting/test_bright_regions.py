@@ -124,7 +124,7 @@ def test_dark_cores_have_no_bright_region():
 
 
 def beside_starts(image, *starts):
-    """What of an image is a thing without a start."""
+    """The bright things in an image that have no start."""
     light = gaussian_filter(image, 0.7)
     light -= np.percentile(light, 20)
     labels = sum(number * start for number, start in enumerate(starts, 1))
@@ -166,7 +166,7 @@ def test_what_rises_to_a_start_is_none():
     assert rising("S6543") == [[0, 0, 0, 0, 0]]
     assert rising("S3456") == [[0, 0, 1, 1, 1]]
     assert rising("3456") == [[1, 1, 1, 1]]  # no start near
-    # A top that is hardly higher than the way is that of noise, also by way of another.
+    # A peak with hardly a dip on its way to the start is noise, even if another lies between.
     assert rising("S545") == [[0, 0, 0, 0]]
     assert rising("S45454") == [[0] * 6]
 

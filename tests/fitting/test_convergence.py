@@ -82,7 +82,7 @@ def test_a_cell_has_strayed_off_where_it_does_not_overlap_with_its_start(moved, 
     assert strayed_off(before, after) == off
 
 
-def test_a_coarse_level_that_a_cell_drifts_off_at_is_undone(monkeypatch):
+def test_a_coarse_level_is_undone_if_a_cell_drifts_away_from_its_start(monkeypatch):
     grid, optics = nd.Grid((24, 24, 24), (0.2,) * 3), nd.GaussianPSF(0.25)
     cell = sphere((2.3, 2.3, 2.3), 1.3, edge_length=0.35)
     clean = nd.render(cell, grid, optics, 1e-3).numpy().clip(0)

@@ -62,7 +62,7 @@ def test_a_length_is_what_is_predicted(length):
     asked = FitSettings(shape_error=length).shape_error
     found = dialled(asked, NOW)
     number = float(asked[:-2]) * (1.0 if asked.endswith("um") else 1e-3)
-    # Edges and the others have bounds: they are no coarser than that.
+    # Edges, accuracy and tolerance have bounds, and are no coarser than these.
     coarsest = found.edge == pytest.approx(0.35 * NOW.radius)
     assert coarsest == (number > 0.012)
     assert found.predicted <= 1.02 * number

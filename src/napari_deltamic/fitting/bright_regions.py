@@ -55,15 +55,15 @@ class BrightRegionRules:
     thin
         Radii of the smallest start: what is thinner than twice this is another thing.
     rise
-        Of the brightness of starts: a thing of its own is brighter somewhere, by this, than on the
-        way from there to any start. Measured on packed nuclei, three draws of each kind: all with
-        starts and in a haze, they end 0.28 to 0.34 voxel off, and 0.32 to 0.39 where the haze in
-        gaps is taken for things; a third without starts, 0.11 to 0.15, not 0.11 to 0.18. 0.05 is as
-        good; with 0.2 three were swallowed.
+        Of the brightness of starts: a thing is one of its own if the light dips by at least this on
+        every way from its brightest place to a start. Measured on packed nuclei, three draws of
+        each kind. Where all have starts, in a haze, they end 0.28 to 0.34 voxel off, and 0.32 to
+        0.39 if the haze in gaps is taken for things. Where a third have none, they end 0.11 to 0.15
+        off, not 0.11 to 0.18. 0.05 is as good; with 0.2, three were swallowed.
     thick
-        Radii of the median start: what is thicker than twice this is a thing however dim, as one
-        that touches a brighter one. Measured on the same: 0.6 and 0.8 are as good, with 0.5 gaps
-        are things.
+        Radii of the median start: what is thicker than twice this is a thing even if it is dim, for
+        example beside a brighter one. Measured on the same nuclei: 0.6 and 0.8 are equally good;
+        with 0.5, gaps are taken for things.
     corner
         Times the rounding: what sticks out of the rounded rest further than the corner of a cube,
         whose tip lies at 3**0.5 of the rounding, is a speck and no corner.
@@ -116,10 +116,10 @@ def bright_regions(image: np.ndarray, grid: Grid, starts: Labels) -> Labels | No
 
 
 def without_start(bright: Mask, light: np.ndarray, starts: Labels, grid: Grid) -> Mask:
-    """(Z, Y, X) bool: bright things without a start, beside starts that lie close to their own.
+    """(Z, Y, X) bool: bright things without a start, where starts nearly match their own things.
 
-    Those that are brighter somewhere than on the way to any start, or as thick as a cell: the rest
-    is light in the gaps between starts. Nothing where most starts lie on dark ground: there
+    Things count if the light dips between them and every start, or if they are as thick as a cell;
+    the rest is light in the gaps between starts. All False if most starts lie on dark ground: there
     membranes shine.
 
     Parameters
@@ -146,9 +146,9 @@ def without_start(bright: Mask, light: np.ndarray, starts: Labels, grid: Grid) -
 
 
 def _rising(things: Mask, light: np.ndarray, starts: Labels, rise: float) -> Mask:
-    """Those of things, and parts of them, that are brighter than the way to a start, by so much.
+    """Things, or parts of them, whose light dips by at least ``rise`` on every way to a start.
 
-    Voxels are neighbours by their faces.
+    Voxels are neighbours if they share a face.
     """
     rim = binary_dilation(things) & (starts > 0)
     if not rim.any():
@@ -156,7 +156,7 @@ def _rising(things: Mask, light: np.ndarray, starts: Labels, rise: float) -> Mas
     mask = things | rim
     tops = local_maxima(np.where(mask, light, light.min()), connectivity=1) & things
     peaks, count = label_components(tops)
-    start = count + 1  # all of them
+    start = count + 1  # all starts as one part
     parts = watershed(-light, np.where(rim, start, peaks), mask=mask)
     heights = maximum(light, parts, np.arange(start + 1))
     heights[start] = np.inf
@@ -177,7 +177,7 @@ def _rising(things: Mask, light: np.ndarray, starts: Labels, rise: float) -> Mas
 
 
 def _saddles(parts: Labels, light: np.ndarray) -> list[tuple[float, int, int]]:
-    """Brightness at which two parts meet, and which: the brightest first."""
+    """Brightness at which two parts meet, and their numbers; the brightest first."""
     found: dict[int, float] = {}
     several = int(parts.max()) + 1
     for axis in range(3):

@@ -115,10 +115,10 @@ def vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
 
 
 def strayed_off(before: Mesh, after: Mesh) -> bool:
-    """Whether the box around some cell lies wholly beside that around where it was.
+    """Whether the bounding box of some cell no longer overlaps with the one it had before.
 
-    A cell overlaps with its start. In a haze, the light cone of a cell that had left the image
-    explained more at a blurred level.
+    A cell overlaps with its start. In a haze, a cell that had left the image explained more of it
+    at a blurred level, by its light cone.
     """
     for region in np.intersect1d(before.region_ids(), after.region_ids()).tolist():
         (low, high), (first, last) = (m.region_surface(region).bounds() for m in (before, after))

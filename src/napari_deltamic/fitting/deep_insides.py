@@ -65,7 +65,7 @@ class Cells:
 
     @cached_property
     def away(self) -> np.ndarray:
-        """(Z, Y, X) widths of the PSF from the surface."""
+        """(Z, Y, X) distance from the surface, in widths of the PSF."""
         widths = np.asarray(self.grid.voxel_size) / np.asarray(self.optics.sigma_um)
         found: np.ndarray = distance_transform_edt(~self.surface, sampling=widths)
         return found

@@ -29,8 +29,8 @@ class ForeignLightRules:
     Attributes
     ----------
     reach
-        How many widths of the PSF sources may lie from the voxels that count, along each axis.
-        Chosen: further away, their blur has ended.
+        How far sources may lie from the voxels that count along each axis, in widths of the PSF.
+        Chosen: beyond that, their blur has ended.
     own
         Share of the brightest voxel of the model: where the model is brighter than this, the light
         is its own, and no source is placed. Measured on cells among others without a seed: 0.3,
@@ -40,12 +40,12 @@ class ForeignLightRules:
         count are evidence of foreign light, too. Measured on cells among others without a seed:
         0.2 is no better, and without these voxels surfaces ended 0.003 voxel further off.
     rounds, faintest
-        Iterations, and the share of its maximum to which the residual is raised where it is lower,
-        before its square gives the first sources. Measured on the same: from these, 10 rounds are
-        as good as 20 from uniform sources, on which 30 do not improve.
+        Number of iterations. The first sources are the square of the residual, clipped from below
+        at this share of its maximum. Measured on the same cells: from these, 10 rounds are as good
+        as 20 from uniform sources, and 30 are no better than 20.
     power
-        To which each factor is raised. Measured: from uniform sources, 30 rounds with it were as
-        good as 100 without.
+        Exponent of each factor. Measured: from uniform sources, 30 rounds with it were as good as
+        100 without.
     step
         Side of a source in widths of the PSF, rounded down to whole voxels, at least one. Chosen:
         the blurs of adjacent sources then leave no gaps.
@@ -128,7 +128,7 @@ def _sources(
 
 
 def _blurred(values: NDArray[np.floating], widths: FloatArray) -> NDArray[np.float32]:
-    """By a Gaussian, 0 beyond the border; on all threads, unlike SciPy's."""
+    """Values blurred by a Gaussian, 0 beyond the border; on all threads, unlike SciPy's filter."""
     image = torch.from_numpy(np.ascontiguousarray(values, np.float32))
     for axis, width in enumerate(widths.tolist()):
         voxels = image.shape[axis]

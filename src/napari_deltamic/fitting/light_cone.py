@@ -74,18 +74,18 @@ def objective_instead(
 ) -> tuple[ThroughObjective | None, int]:
     """The PSF of an objective that explains an image better than the Gaussian that was fitted.
 
-    Widefield or confocal, as wide as that was at the start (or, where it began at the default
-    width, as it has become): whichever leaves least of the same voxels at the end of the fit is
-    followed for a few steps from there. (Of 18 simulated widefield and confocal stacks of six
-    kinds, it was the one that following both would have chosen in 16, and neither was in two; both
-    took a fifth of the time of a fit of 56 cells.) Asked where the Gaussian was, or has become, as
-    long as the roundest PSF of an objective: in a haze it ends rounder, else a cone makes it
-    longer. Not where the Gaussian became narrower than voxels tell: it stands in for light that the
-    model lacks, and so would any other.
+    It is widefield or confocal, and as wide as the Gaussian was at the start (or, if that was the
+    default width, as it has become). The one that leaves less of the same voxels unexplained at the
+    end of the fit is followed for a few steps from there. (Of 18 simulated widefield and confocal
+    stacks of six kinds, following both would have chosen the same one in 16, and neither in two;
+    following both took a fifth of the time of a fit of 56 cells.) Tried where the Gaussian was, or
+    has become, as long as the roundest PSF of an objective: in a haze it ends rounder, elsewhere a
+    cone makes it longer. Not tried where the Gaussian became narrower than voxels can resolve: it
+    stands in for light that the model lacks, and so would any other PSF.
 
-    Returns that PSF as it was before the steps, None where the Gaussian is held or explains as
-    much, or where the steps led to a PSF that is not that of a microscope (in six simulated
-    confocal stacks they never did); and evaluations that finding out took.
+    Returns that PSF as it was before the steps; None if the Gaussian is held or explains as much,
+    or if the steps led to a PSF that no microscope has (in six simulated confocal stacks they never
+    did). Also the evaluations that this took.
 
     Parameters
     ----------

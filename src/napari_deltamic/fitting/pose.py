@@ -324,8 +324,8 @@ class _Look:
         """With what is known of voxels that were cut, and without light of other objects."""
         voxels = self._uncut(voxels, rendered)
         level, found = self.level, self.found(voxels, rendered)
-        # How bright cut cells are is a guess, and so is the residual around them: the halo of cut
-        # nuclei was taken for other objects, and these nuclei ended 0.47 voxel off, not 0.30.
+        # How bright saturated cells are is a guess, and so is the residual around them: when the
+        # halo of such nuclei was taken for other objects, they ended 0.47 voxel off, not 0.30.
         if level.foreign is None or voxels.full is not None:
             return voxels
         added = level.offset(self.imaging.effects)

@@ -36,10 +36,10 @@ class RivalRules:
         Of each. Fits of ``mixed`` scenes (benchmarks.defaults) that were stuck 3 voxels from their
         membranes had passed the others by then.
     further, growing
-        How many times, at most, that many steps are added where the fit is at rest with insides
-        alone, and the share by which the gain of both over these must grow each time. Measured
-        where labels are two voxels too large: it took 2 to 6 times until the gain was enough, and
-        it grew by 5 % and more; one of seven crowds was found with one time, four with six.
+        How often, at most, another ``steps`` are taken with both where the fit is at rest with
+        insides alone, and the share by which their gain over insides alone must grow each time.
+        Measured where labels are two voxels too large: the gain was enough after 2 to 6 times, and
+        grew by 5 % and more; of seven crowds, one was found with one time, four with six.
     renewed_every
         Steps after which voxels and weights are chosen anew.
     levels
@@ -230,7 +230,7 @@ def _explains_more(one: Objective, other: Objective) -> bool:
 
 
 def _gains(one: Objective, other: Objective) -> list[FloatArray]:
-    """(B,) nats by block by which one explains more than another: insides evened, and not."""
+    """(B,) nats per block that one gains over another: with insides evened, and as measured."""
     either = True, False
     return [(one.nats_over(other, even) - other.nats_over(one, even)) / 2 for even in either]
 

@@ -29,7 +29,7 @@ from .state_of import state_of
 from .successor import is_given_up, successor
 from .surface_upkeep import SurfaceUpkeep
 
-_UNDONE = "a coarse level was undone: a cell had drifted off its start"
+_UNDONE = "a coarse level was undone: a cell had drifted away from its start"
 
 
 class Run:
@@ -122,7 +122,7 @@ class Run:
         return None
 
     def _undone(self, before: Fitted) -> bool:
-        """Whether a coarse level led a cell off its start, so that it was for nothing."""
+        """Undo a coarse level at which a cell drifted away from its start; True if undone."""
         astray = not self._last and strayed_off(before.mesh, self.fitted.mesh)
         if not astray or self.stage.edited:
             return False

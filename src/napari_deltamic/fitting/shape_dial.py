@@ -3,10 +3,10 @@
 The mean distance of a fitted surface to the true one has six parts, which add in squares:
 
 - the noise of the image, which moves surfaces further near rims, where walls meet,
-- rims, which blur and prior round even without noise,
-- voxels: how far the model is off in what they measure (no setting changes these three),
-- flat triangles: of edges h on a surface of curvature k they are off by ``0.028 h^2 k``, and a
-  fitted surface, which lies on both sides of the true one, by 0.6 of that,
+- rims, which blur and prior make rounder even without noise,
+- voxels: the error of the model of what they measure (no setting changes these three),
+- flat triangles: with edges h, they lie ``0.028 h^2 k`` off a surface of curvature k; a fitted
+  surface, which lies on both sides of the true one, is off by 0.6 of that,
 - the rendering: an accuracy A moves the surface by ``0.03 (A / 0.1)^1.25`` voxels,
 - iterations that are left out: 0.15 of the tolerance.
 """
@@ -32,21 +32,22 @@ class DialRules:
     """What the parts are, and what the names stand for.
 
     Noise, rims, voxels and triangles were fitted to 264 errors of 88 scenes like those of
-    benchmarks.dial, of 1 to 32 cells, at the three named choices: of each choice, 90 to 93 % were
-    predicted within 1.25 times. With numbers from half of the scenes it was 89 to 95 % of each
-    half.
+    benchmarks.dial, of 1 to 32 cells, at the three named choices: for each choice, 90 to 93 % were
+    predicted within a factor of 1.25. With values fitted to half of the scenes, it was 89 to 95 %
+    of each half.
 
     Attributes
     ----------
     noise
-        Of the noise ratio times root of voxel volume over PSF width, um; measured as above.
+        Factor of the noise ratio times the root of voxel volume over PSF width, um. Measured as
+        above.
     rims, noise_at_rims
-        Of the PSF's width, and of what ``noise`` is of; both times the root of the share of the
-        surface that lies within a PSF width of a rim. Measured as above.
+        Factors of the PSF's width, and of the same product as ``noise``; each times the root of the
+        share of the surface that lies within a PSF width of a rim. Measured as above.
     voxels
-        Of a voxel; measured as above.
+        Error in voxels. Measured as above.
     triangles
-        Of what flat triangles are off by; measured as above.
+        Factor of the distance at which flat triangles lie from the surface. Measured as above.
     curvature
         Of 1 over the radius of a ball as large as the cell: cells are less round. Chosen, not
         measured.
@@ -60,11 +61,12 @@ class DialRules:
         32 cells, mended 17 of 69 wrong contacts, and brought the surface no nearer
         (benchmarks.clusters).
     flat, flattest
-        Of the noise, what triangles may add where a surface is more curved than a ball; of the
-        PSF's width, how far they may be off where there is hardly any noise. Chosen: as much as
-        adds 10 % to it.
+        Share of the noise that triangles may add where a surface is more curved than a ball; share
+        of the PSF's width that they may be off where there is hardly any noise. Chosen: added in
+        squares, the first adds 10 % to the noise.
     careful_share, careful_tolerance
-        Of the noise, what triangles may add; widths of the PSF. Chosen: as much as adds 5 % to it.
+        Share of the noise that triangles may add; widths of the PSF. Chosen: added in squares, the
+        first adds 5 % to the noise.
     finest, longest
         Edges: of the PSF's narrowest width; of the radius of the cell.
     shares
@@ -152,7 +154,7 @@ class Situation:
         return cls(noise, voxel, width, radius, mesh.median_edge(), rims)
 
     def floor(self) -> float:
-        """um: the part of the noise, away from rims."""
+        """um: what noise contributes, away from rims."""
         return RULES.noise * self._scatter
 
     def fixed(self) -> float:
@@ -164,7 +166,7 @@ class Situation:
 
     @property
     def _scatter(self) -> float:
-        """um: how noise scatters a surface, but for a factor."""
+        """um: how far noise scatters a surface, up to a factor."""
         return self.noise * sqrt(self.voxel**3 / self.width)
 
     def predicted(self, edge: float, accuracy: float, tolerance: float) -> float:

@@ -258,11 +258,11 @@ def _dark_regions(image: np.ndarray, grid: Grid, mesh: Mesh, starts: Labels) -> 
 
 
 def surface_voxels(mesh: Mesh, grid: Grid) -> np.ndarray:
-    """(Z, Y, X) bool: voxels nearest to points of the surface, at most two thirds of one apart."""
+    """(Z, Y, X) bool: voxels nearest to points on the surface that are at most 2/3 voxel apart."""
     first, size = np.asarray(grid.origin), np.asarray(grid.voxel_size)
     corners = (mesh.vertices_numpy()[mesh.faces] - first) / size
     longest = np.abs(corners - np.roll(corners, 1, axis=1)).max((1, 2))
-    closer = 1.5  # points along an edge to a voxel, so that none is passed over
+    closer = 1.5  # points per voxel along an edge, so that no voxel is skipped
     points = np.ceil(closer * np.minimum(longest, 2 * max(grid.shape))).astype(int)
     points = np.maximum(points, 1)
     out = np.zeros(grid.shape, bool)
