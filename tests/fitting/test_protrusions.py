@@ -62,3 +62,12 @@ def test_walls_of_a_neighbour_without_a_seed_are_not():
     image = np.random.default_rng(0).poisson(5 + 60 * clean / clean.max()).astype(np.float32)
     counted = counted_around(image, GRID, BODY, PSF)
     assert not counted[18:23, 18:23, 45:].any()
+
+
+def test_a_small_neighbour_that_hardly_shows_its_inside_is_not():
+    """Blurred, it is as thin as a finger and joined to the cell, but dimmer in its middle."""
+    small = sphere(MIDDLE + np.array([0, 0, 1.4]), 0.34, subdivisions=4)
+    clean = sum(expected_image(m, GRID, PSF, 1e-3, 1.0, 0.0) for m in (with_finger(0.0), small))
+    image = np.random.default_rng(0).poisson(5 + 200 * clean / clean.max()).astype(np.float32)
+    counted = counted_around(image, GRID, BODY, PSF)
+    assert not counted[18:23, 18:23, 35:].any()

@@ -34,6 +34,9 @@ class CellFacts:
         Whether nobody said what shines, and it is too small for the image to tell.
     outgrowth
         Where a thin one ends, um, Z Y X (:func:`~.outgrowths.outgrowths`); None without one.
+    beyond_neck
+        The middle of a thick part that its start did not have, um, Z Y X
+        (:func:`~.necks.beyond_necks`); None without one.
     uneven
         Standard deviation of the relative brightness deep inside
         (:func:`~.uneven_insides.uneven_insides`).
@@ -66,6 +69,7 @@ class CellFacts:
     compact: float | None = None
     small: bool = False
     outgrowth: tuple[float, float, float] | None = None
+    beyond_neck: tuple[float, float, float] | None = None
     uneven: float = 0.0
     inside_share: float = 1.0
     lit: float = 1.0

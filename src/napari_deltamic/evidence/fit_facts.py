@@ -23,6 +23,7 @@ from .compressed_brightness import compressed
 from .facts import CellFacts, Facts
 from .first_sigma import first_sigma
 from .folds import folds
+from .necks import beyond_necks
 from .outgrowths import outgrowths
 from .predicted_error import predicted_error
 from .residual import Residual
@@ -106,6 +107,7 @@ def _cells(
     points = shrunken(mesh, min(state.optics.sigma_um))
     share = inside_shares(state)
     grown_out = outgrowths(mesh, job.grid, state.optics)
+    swallowed = beyond_necks(job.mesh, mesh, job.grid, state.optics)
     folded, unseen = folds(state), unseen_walls(state)
     return tuple(
         CellFacts(
@@ -118,6 +120,7 @@ def _cells(
             compact=compact.get(region),
             small=asked and hardly_wider(volumes[region], job.optics),
             outgrowth=grown_out.get(region),
+            beyond_neck=swallowed.get(region),
             uneven=uneven.get(region, 0.0),
             inside_share=share[region],
             lit=lit.get(region, 1.0),

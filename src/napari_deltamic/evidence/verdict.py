@@ -327,6 +327,10 @@ def _of_cell(cell: CellFacts, usual: float, facts: Facts) -> CellVerdict:
         z, y, x = cell.outgrowth
         text = f"a thin outgrowth reaches to ({z:.1f}, {y:.1f}, {x:.1f}) um"
         found.append(("fair", f"{text}: is it part of the cell, or something bright beside it?"))
+    if cell.beyond_neck is not None:
+        z, y, x = cell.beyond_neck
+        text = f"it has grown through a neck to ({z:.1f}, {y:.1f}, {x:.1f}) um"
+        found.append(("fair", f"{text}: is there another cell? Then give it a seed"))
     if cell.uneven * cell.inside_share > RULES.uneven:
         text = f"its interior brightness varies by {cell.uneven:.0%}"
         found.append(("fair", f"{text}: the border may be off where it is dim or bright"))

@@ -237,7 +237,7 @@ def _things_of(starts: Labels, bright: Mask, far: float, size: np.ndarray) -> tu
     connected, _ = label_components(bright[box])
     touched = np.unique(connected[(starts[box] > 0) & bright[box]])
     depth = distance_transform_edt(np.isin(connected, touched), sampling=size)
-    things[box] = _parted(depth)
+    things[box] = parted(depth, RULES.neck)
     volume = np.bincount(things.ravel())
     covered = np.bincount(things.ravel(), starts.ravel() > 0)
     theirs = covered > RULES.most * volume
@@ -259,11 +259,14 @@ def _without_thin(things: Mask, thin: float, size: np.ndarray) -> tuple[Mask, Ma
     return things & (near <= thin), out[rest]
 
 
-def _parted(depth: NDArray[np.floating]) -> Labels:
-    """Number what is deep (0 elsewhere), in parts that meet where both are deeper."""
+def parted(depth: NDArray[np.floating], neck: float) -> Labels:
+    """Number what is deep (0 elsewhere), in parts that meet where both are deeper.
+
+    neck : share of the depth of either to which the way between two parts comes, at most.
+    """
     inside = depth > 0
-    log = np.log(np.where(inside, depth, RULES.neck**2 * depth[inside].min()))
-    flooded = reconstruction(log + np.log(RULES.neck), log)
+    log = np.log(np.where(inside, depth, neck**2 * depth[inside].min()))
+    flooded = reconstruction(log + np.log(neck), log)
     peaks, _ = label_components(local_maxima(flooded, connectivity=3) & inside, np.ones((3, 3, 3)))
     parts: Labels = watershed(-depth, peaks, mask=inside)
     return parts

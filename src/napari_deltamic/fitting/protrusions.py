@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, find_objects, maximum
 from scipy.ndimage import label as label_components
+from skimage.morphology import reconstruction
 
 Labels = NDArray[np.signedinteger]
 Mask = NDArray[np.bool_]
@@ -33,6 +34,10 @@ class ProtrusionRules:
         Widths: dark ground this deep that membranes enclose is the inside of another cell; less
         may lie between a protrusion and its cell. Of a membrane: as bright such walls are, the
         dimmest first, as free walls are dimmer than shared ones. Chosen.
+    hollow
+        Of a membrane: what is dimmer in its middle than all around by this, and by more than noise,
+        has an inside of its own. Measured: 0 in 12 simulated fingers, 0.27 in a small cell that
+        touched another one, by which it was swallowed.
     """
 
     thick: float = 4.0
@@ -41,6 +46,7 @@ class ProtrusionRules:
     alone: float = 0.9
     closed: float = 1.5
     walls: tuple[float, ...] = (0.1, 0.15, 0.2, 0.3, 0.4, 0.6)
+    hollow: float = 0.05
 
 
 RULES = ProtrusionRules()
@@ -60,8 +66,9 @@ def protrusions(
     """(Z, Y, X) bright things that belong to a start though they are far from its dark inside.
 
     Fins and fingers, in which the blur joins the membranes of both sides: they are connected with
-    its membrane, and no thicker or brighter than two. None where membranes enclose anything else,
-    as they may be walls of a neighbour, or where much else is bright, as they may be more of it.
+    its membrane, no thicker or brighter than two, and have no inside of their own. None where
+    membranes enclose anything else, as they may be walls of a neighbour, or where much else is
+    bright, as they may be more of it.
 
     Parameters
     ----------
@@ -91,7 +98,8 @@ def protrusions(
     size = np.bincount(things.ravel())[1:]
     if size[theirs].sum() < RULES.alone * size.sum():
         return nothing
-    return np.isin(things, known[theirs])
+    things[~np.isin(things, known[theirs])] = 0
+    return np.isin(things, known[_hollow(things, height) <= max(noise, RULES.hollow)])
 
 
 def _thin(things: Labels, bright: Mask, spacing: np.ndarray) -> Mask:
@@ -105,6 +113,19 @@ def _thin(things: Labels, bright: Mask, spacing: np.ndarray) -> Mask:
         depth = distance_transform_edt(bright[around], sampling=spacing)
         depths.append(depth[things[around] == number].max())
     return np.array(depths) <= RULES.thick
+
+
+def _hollow(things: Labels, height: np.ndarray) -> NDArray[np.floating]:
+    """(n,) by how much each thing is dimmer in its middle than all around, at most."""
+    (inner,) = find_objects((things > 0).astype(np.int8))
+    box = tuple(slice(max(side.start - 1, 0), side.stop + 1) for side in inner)
+    around = height[box]
+    full = np.pad(np.full(np.subtract(around.shape, 2), around.max()), 1)
+    filled = reconstruction(np.maximum(full, around), around, method="erosion")
+    depths: NDArray[np.floating] = maximum(
+        filled - around, things[box], np.arange(1, things.max() + 1)
+    )
+    return depths
 
 
 def _joined(things: Labels, beside: Mask, height: np.ndarray, bounds: np.ndarray) -> Mask:

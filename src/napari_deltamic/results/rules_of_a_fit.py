@@ -13,6 +13,7 @@ from typing import Any
 from ..evidence import (
     compressed_brightness,
     fainter_membranes,
+    necks,
     outgrowths,
     predicted_error,
     sanity,
@@ -75,6 +76,7 @@ RULES_OF_A_FIT: dict[str, dict[str, Any]] = {
     "topology": asdict(topology.RULES),
     "camera": asdict(CAMERA),
     "residual": asdict(RESIDUAL),
+    "necks": asdict(necks.RULES),
     "outgrowths": asdict(outgrowths.RULES),
     "strays": asdict(unseeded_objects.RULES),
     "changed images": asdict(refits.RULES),
