@@ -282,17 +282,32 @@ def test_a_psf_of_light_that_no_dye_emits_is_not_kept(excitation, possible):
 
 
 @pytest.mark.parametrize(
-    ("excitation", "left", "taken"), [(0.55, 0.9, 1), (0.3, 0.9, 0), (0.55, 1.1, 0)]
+    ("excitation", "confocal", "widefield", "expected"),
+    [
+        (0.55, 0.9, 0.8, confocal_of(GAUSSIAN.sigma_um)),
+        (0.55, 1.1, 0.8, None),
+        # A cone is there, but no microscope has this one.
+        (0.3, 0.9, 0.8, widefield_of(GAUSSIAN.sigma_um)),
+        (0.3, 0.9, 1.1, None),
+    ],
 )
 def test_an_objective_is_tried_where_a_few_steps_explain_more_with_light_of_dyes(
-    monkeypatch, excitation, left, taken
+    monkeypatch, excitation, confocal, widefield, expected
 ):
+    """The confocal one explains more at first; left : in the end, after 7 evaluations each."""
+
     def posed(optics, left):
         run = resting(optics, left)
         return SimpleNamespace(fitted=run.fitted, left=left, posed=run.objective.posed)
 
+    ends = [
+        (nd.ConfocalPSF(OBJECTIVE, excitation), confocal),
+        (OBJECTIVE, widefield),
+    ]
+
     def after_steps(rival, hopeless):
-        return posed(nd.ConfocalPSF(OBJECTIVE, excitation), left), 7
+        (end,) = (e for e in ends if type(e[0]) is type(rival.fitted.optics))
+        return posed(*end), 7
 
     module = "napari_deltamic.fitting.light_cone"
     begun = {nd.ConfocalPSF: 0.95, nd.ScalarPSF: 0.99}
@@ -302,13 +317,13 @@ def test_an_objective_is_tried_where_a_few_steps_explain_more_with_light_of_dyes
     level = SimpleNamespace(grid=GRID)
     terms = SimpleNamespace(settings=FitSettings(), second=None, level=level)
     found, evaluations = objective_instead(terms, fitted, None)
-    assert evaluations == 7
-    if not taken:
+    assert evaluations == (14 if excitation < 0.5 else 7)
+    if expected is None:
         assert found is None
         return
     # As it was before the steps.
-    assert isinstance(found, nd.ConfocalPSF)
-    assert found.described() == confocal_of(GAUSSIAN.sigma_um).described()
+    assert type(found) is type(expected)
+    assert found.described() == expected.described()
 
 
 @pytest.mark.slow

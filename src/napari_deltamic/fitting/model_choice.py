@@ -113,7 +113,9 @@ class ModelChoice:
         if objective.dark_insides_denied():
             return fitted.with_structure("membrane"), 0
         rival = None
-        if found.outshone and objective.unevenness() > RIVALS.uneven:
+        over = inside_over_membrane(objective.now.light, fitted.optics.sigma_um)
+        uneven = over > RIVALS.drowned or objective.unevenness() > RIVALS.uneven
+        if found.outshone and uneven:
             rival = without_rim
         elif found.faint:
             rival = insides_alone
