@@ -5,6 +5,7 @@ import pytest
 
 from napari_deltamic import GaussianPSF, Grid
 from napari_deltamic.fitting import counted_voxels
+from napari_deltamic.fitting.protrusions import protrusions
 from napari_deltamic.fitting.voxel_ownership import counted_around
 from napari_deltamic.geometry import sphere
 from napari_deltamic.scene.render import expected_image
@@ -46,6 +47,21 @@ def test_a_speck_that_no_membrane_leads_to_is_not(ground):
     speck = 2.0, 2.0, 3.9
     counted = ground(image_of(with_finger(0.0), [speck]), GRID, BODY, PSF)
     assert not counted[19:22, 19:22, 38:41].any()
+
+
+@pytest.mark.parametrize("place", [2, 37])
+def test_a_crumb_of_noise_beside_a_finger_changes_nothing(monkeypatch, place):
+    """Whether it is numbered before the finger or after it."""
+    crumb = np.s_[place, 20, 20:23]
+
+    def crumbed(foreign, bright, *others):
+        foreign[crumb] = bright[crumb] = True
+        return protrusions(foreign, bright, *others)
+
+    monkeypatch.setattr("napari_deltamic.fitting.voxel_ownership.protrusions", crumbed)
+    counted = counted_around(image_of(with_finger(1.6)), GRID, BODY, PSF)
+    assert counted[18:23, 18:23, 40:46].all()
+    assert not counted[crumb].any()
 
 
 def test_a_finger_among_specks_may_be_one():

@@ -98,8 +98,9 @@ def protrusions(
     size = np.bincount(things.ravel())[1:]
     if size[theirs].sum() < RULES.alone * size.sum():
         return nothing
-    things[~np.isin(things, known[theirs])] = 0
-    return np.isin(things, known[_hollow(things, height) <= max(noise, RULES.hollow)])
+    known = known[theirs]
+    things = np.where(np.isin(things, known), things, 0)
+    return np.isin(things, known[_hollow(things, known, height) <= max(noise, RULES.hollow)])
 
 
 def _thin(things: Labels, bright: Mask, spacing: np.ndarray) -> Mask:
@@ -115,17 +116,14 @@ def _thin(things: Labels, bright: Mask, spacing: np.ndarray) -> Mask:
     return np.array(depths) <= RULES.thick
 
 
-def _hollow(things: Labels, height: np.ndarray) -> NDArray[np.floating]:
-    """(n,) by how much each thing is dimmer in its middle than all around, at most."""
+def _hollow(things: Labels, known: np.ndarray, height: np.ndarray) -> NDArray[np.floating]:
+    """(n,) by how much things are dimmer in their middle than all around; known : their numbers."""
     (inner,) = find_objects((things > 0).astype(np.int8))
     box = tuple(slice(max(side.start - 1, 0), side.stop + 1) for side in inner)
     around = height[box]
     full = np.pad(np.full(np.subtract(around.shape, 2), around.max()), 1)
     filled = reconstruction(np.maximum(full, around), around, method="erosion")
-    depths: NDArray[np.floating] = maximum(
-        filled - around, things[box], np.arange(1, things.max() + 1)
-    )
-    return depths
+    return np.asarray(maximum(filled - around, things[box], known))
 
 
 def _joined(things: Labels, beside: Mask, height: np.ndarray, bounds: np.ndarray) -> Mask:
