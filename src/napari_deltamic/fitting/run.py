@@ -11,6 +11,7 @@ from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..runs.settings import WIDE_LEVELS, FitSettings
 from ..scene.effects import Effects
+from .amplitudes import all_small
 from .change import Change, taken_over
 from .checkpoint import Checkpoint
 from .convergence import Remaining, strayed_off
@@ -81,6 +82,7 @@ class Run:
         self._due = True  # whether the objective is to be posed anew
         self._kept: Arrays = {}
         self._begun = self.fitted.shape
+        self._begun_small = mesh.is_closed() and all_small(mesh, optics)
 
     def say(self, *remarks: str) -> None:
         """Tell this with the next state."""
@@ -196,7 +198,7 @@ class Run:
 
     @property
     def _choice(self) -> ModelChoice:
-        return ModelChoice(self._settings, len(self._levels))
+        return ModelChoice(self._settings, len(self._levels), self._begun_small)
 
     @property
     def _last(self) -> bool:
