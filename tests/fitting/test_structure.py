@@ -1,6 +1,7 @@
 """What shines is found with the shape."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import torch
 
 import napari_deltamic as nd
 from napari_deltamic.errors import InputError
-from napari_deltamic.fitting import structure_choice
+from napari_deltamic.fitting import model_choice, structure_choice
 from napari_deltamic.fitting.amplitudes import mixture
 from napari_deltamic.fitting.errors_of_measures import posed_at
 from napari_deltamic.fitting.fit_objective import Objective
@@ -173,3 +174,31 @@ def test_membranes_come_back_where_both_are_asked_for(inside, larger):
     *_, last = nd.fit(image_of(Light(1.0, inside)), GRID, start, OPTICS, settings=settings)
     assert last.light.interior == pytest.approx(inside, rel=0.1)
     assert abs(last.mesh.region_volume(1) / cell().region_volume(1) - 1) < 0.03
+
+
+@pytest.mark.parametrize(
+    ("light", "name"), [(Light(1.0, 2.5), "both"), (MEMBRANES, "membrane"), (INSIDES, "interior")]
+)
+def test_insides_come_back_where_cells_began_too_small_to_show_them(light, name):
+    """A start inside the cell, in which membranes and insides look alike."""
+    start = sphere(MIDDLE, 0.6, edge_length=0.15)
+    *_, last = nd.fit(image_of(light), GRID, start, OPTICS, settings=FitSettings(fit_psf=True))
+    assert structure_of(last.light) == name
+    assert abs(last.mesh.region_volume(1) / cell().region_volume(1) - 1) < 0.03
+
+
+@pytest.mark.parametrize(("over", "believed"), [(9.0, False), (3.0, True)])
+def test_a_membrane_that_is_drowned_by_the_inside_is_not_believed(monkeypatch, over, believed):
+    """Nor where insides are even; over : brightness of the inside, of the membrane's peak."""
+    begun = fitted(image_of(INSIDES), max_iterations=1)
+    peak = 1 / (np.sqrt(2 * np.pi) * np.prod(OPTICS.sigma_um) ** (1 / 3))
+    objective = SimpleNamespace(
+        structure=lambda: structure_choice.Chosen("both", False, outshone=True),
+        dark_insides_denied=lambda: False,
+        unevenness=lambda: 1.0,
+        now=SimpleNamespace(light=Light(1.0, over * peak)),
+    )
+    alone = object()
+    monkeypatch.setattr(model_choice, "without_rim", lambda *_: (alone, 7))
+    found, taken = model_choice.ModelChoice._at_rest(None, objective, begun, None)
+    assert (found, taken) == ((begun, 0) if believed else (alone, 7))

@@ -14,8 +14,8 @@ from .preconditioner import Preconditioners
 from .rival_structures import RULES as RIVALS
 from .rival_structures import (
     best_of,
-    both_as_well,
     insides_alone,
+    membranes_as_well,
     nearer_of,
     without_rim,
 )
@@ -34,13 +34,10 @@ class ModelChoice:
         Of the fit.
     levels
         How many there are.
-    begun_small
-        Whether cells were so small where the fit began that membranes and insides look alike.
     """
 
     settings: FitSettings
     levels: int
-    begun_small: bool
 
     def first(self, stage: Stage) -> bool:
         """Whether a level still follows the first one, whose shape is found without PSF, effects
@@ -68,6 +65,17 @@ class ModelChoice:
         if asked and mesh.is_closed() and all_small(mesh, fitted.optics):
             return fitted.with_structure(nearer_of(terms, fitted))
         return fitted
+
+    def grown(self, fitted: Fitted) -> Fitted:
+        """With all that may shine, at a level that finds cells no longer small.
+
+        Measured on a cell 5 widths of the PSF in radius, from 0.44 radii: its inside alone had been
+        fitted as a membrane at a third of its volume.
+        """
+        if self.settings.structure != "auto" or fitted.structure == "both":
+            return fitted
+        large = may_shine("auto", fitted.mesh, fitted.optics) == "both"
+        return fitted.with_structure("both") if large else fitted
 
     def beside_rivals(
         self, terms: Terms, objective: Objective, fitted: Fitted, stage: Stage, start: Shape | None
@@ -128,25 +136,24 @@ class ModelChoice:
         return (fitted if alone is None else alone), taken
 
     def _asked_again(self, fitted: Fitted, progress: Progress) -> bool:
-        """Whether, at rest, to ask once more for what left a fit of one level, or of small starts.
+        """Whether, at rest, to ask once more for what left a fit of one level.
 
         Insides leave soon after the start, where walls that labels drew wrongly may hide them.
         Measured on cells that fill the stack, 40 % as bright inside (``confluent-0``,
         benchmarks.defaults): 0.9 standard errors after 7 iterations; had they stayed, 27 after 43.
         Membranes leave where labels are too large. Measured on labels of both, grown by two or
         three voxels: eight of twelve fits ended 1.0 to 1.2 voxel too far out, with insides alone;
-        a fit of both, where a user asks for both, can end there with next to no membrane. And cells
-        may be larger than starts that were too small to tell.
+        a fit of both, where a user asks for both, can end there with next to no membrane.
         """
         asked = self.settings.structure
         open_still = asked == "both" or (asked == "auto" and fitted.structure != "both")
-        early = self.levels == 1 or self.begun_small
-        if not (open_still and early) or progress.again:
+        if not open_still or self.levels > 1 or progress.again:
             return False
         return may_shine("auto", fitted.mesh, fitted.optics) == "both"
 
+    @staticmethod
     def _with_both_again(
-        self, terms: Terms, objective: Objective, fitted: Fitted, factored: Preconditioners
+        terms: Terms, objective: Objective, fitted: Fitted, factored: Preconditioners
     ) -> tuple[Fitted, int, bool]:
         """The fit with what shines if both may again; the same fit if one alone does.
 
@@ -155,8 +162,8 @@ class ModelChoice:
         wanted = fitted.structure == "both"
         if wanted and objective.structure().structure != "interior":
             return fitted, 0, False
-        if wanted or fitted.structure == "interior" or self.begun_small:
-            found, taken, unsure = both_as_well(terms, objective, factored)
+        if wanted or fitted.structure == "interior":
+            found, taken, unsure = membranes_as_well(terms, objective, factored)
             return (fitted if found is None else found), taken, unsure
         both = fitted.with_structure("both")
         again = Objective(terms, both, CollisionGuard(terms.settings.collisions), factored)

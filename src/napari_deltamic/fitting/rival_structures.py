@@ -179,23 +179,20 @@ def without_rim(
     return (None if stays else rival.fitted), taken + more
 
 
-def both_as_well(
+def membranes_as_well(
     terms: Terms, objective: Objective, factored: Preconditioners
 ) -> tuple[Fitted | None, int, bool]:
-    """The fit of both, if they surely explain more than membranes or insides alone.
+    """The fit with membranes further in, if both surely explain more than insides alone.
 
     Also the evaluations and, where that is not sure, whether both may explain more.
 
     Labels of whole cells often reach out to where the light of their membranes ends. From there,
-    insides alone with a narrow PSF look like both, and a fit with few blurred levels stays there:
-    so both begin further in. Membranes alone, inside a small cell, look like both as well: measured
-    on one that had begun at 0.6 radii, 1.1 voxel off.
+    insides alone with a narrow PSF look like both, and a fit with few blurred levels stays there.
     """
     alone = objective.anew()
     fitted = alone.fitted
     width = float(np.prod(fitted.first_optics.sigma_um) ** (1 / 3))
-    depth = RULES.further_in * width if fitted.structure == "interior" else 0.0
-    vertices = _further_in(fitted.shape, depth, terms.settings.collisions)
+    vertices = _further_in(fitted.shape, RULES.further_in * width, terms.settings.collisions)
     # One brightness for each wall: cells differ, and a smooth one could make up for a shape.
     both = fitted.displaced(vertices, fitted.first_optics).with_density("interface")
     terms = replace(terms, density_fitted=True)

@@ -11,7 +11,6 @@ from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..runs.settings import WIDE_LEVELS, FitSettings
 from ..scene.effects import Effects
-from .amplitudes import all_small
 from .change import Change, taken_over
 from .checkpoint import Checkpoint
 from .convergence import Remaining, strayed_off
@@ -82,7 +81,6 @@ class Run:
         self._due = True  # whether the objective is to be posed anew
         self._kept: Arrays = {}
         self._begun = self.fitted.shape
-        self._begun_small = mesh.is_closed() and all_small(mesh, optics)
 
     def say(self, *remarks: str) -> None:
         """Tell this with the next state."""
@@ -198,7 +196,7 @@ class Run:
 
     @property
     def _choice(self) -> ModelChoice:
-        return ModelChoice(self._settings, len(self._levels), self._begun_small)
+        return ModelChoice(self._settings, len(self._levels))
 
     @property
     def _last(self) -> bool:
@@ -212,6 +210,8 @@ class Run:
         if not begun:
             self.stage = replace(self.stage, blurred_for=self.fitted.optics, progress=Progress())
             self.fitted = self.fitted.taught(None)
+            if self.stage.level_number > 0:
+                self.fitted = self._choice.grown(self.fitted)
             if not self._last:  # how bright each inside is, is found anew where the surface is now
                 self.fitted = self.fitted.shining(replace(self.fitted.light, cells=()))
         self._make_level()
