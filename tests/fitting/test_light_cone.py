@@ -226,9 +226,9 @@ def test_a_fit_goes_back_where_the_psf_of_an_objective_explains_less(always_trie
 
 
 def resting(optics, left=1.0, edited=False, answered=False):
-    """A run at rest that leaves so much on its own voxels and on those of another."""
+    """A run at rest that leaves so much, over what another does."""
     posed = SimpleNamespace(left_by=lambda image: (1.0, 0.0))
-    objective = SimpleNamespace(left=left, posed=posed, now=SimpleNamespace(rendered=None))
+    objective = SimpleNamespace(left=left, posed=posed, leaves_over=lambda other: left)
     return SimpleNamespace(
         stage=SimpleNamespace(edited=edited, progress=SimpleNamespace(answered=answered)),
         fitted=SimpleNamespace(optics=optics),
@@ -261,18 +261,13 @@ def test_a_psf_of_light_that_no_dye_emits_is_not_kept(excitation, possible):
     assert is_of_light(OBJECTIVE)
     strange = nd.ConfocalPSF(nd.ScalarPSF(1.2, 0.6, 1.33), excitation)
     assert is_of_light(strange) == possible
-    former = SimpleNamespace(come_back=lambda stage: None, posed_here=lambda: left)
-    left = SimpleNamespace(
-        left=2.0,
-        posed=SimpleNamespace(left_by=lambda image: (1.0, 0.0)),
-        now=SimpleNamespace(rendered=None),
-    )
+    former = SimpleNamespace(come_back=lambda stage: None, posed_here=lambda: None)
     said = []
     run = SimpleNamespace(
         let_former_go=lambda: former,
         stage=SimpleNamespace(edited=False),
         fitted=SimpleNamespace(optics=strange),
-        objective=SimpleNamespace(left=1.0, posed=left.posed, now=left.now),
+        objective=SimpleNamespace(leaves_over=lambda other: 0.5),
         say=said.append,
     )
     following, cone = successor(run, True)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from napari_deltamic.fitting import rival_structures
+from napari_deltamic.fitting.fit_objective import Objective
 from napari_deltamic.fitting.rival_structures import (
     _explains_more,
     _followed,
@@ -190,3 +191,28 @@ def test_a_rival_is_followed_while_it_gains(monkeypatch, gains, legs):
 
 def test_a_rival_whose_membranes_do_not_show_is_followed_no_further(monkeypatch):
     assert followed(monkeypatch, 1.0, 99.0, shines="interior") == 0
+
+
+def test_what_one_leaves_over_another_is_a_mean_over_the_voxels_of_each():
+    def at(left, its):
+        posed = SimpleNamespace(left_by=lambda image: (its, 0.0))
+        return SimpleNamespace(left=left, posed=posed, now=SimpleNamespace(rendered=None))
+
+    assert Objective.leaves_over(at(2.0, 1.0), at(1.5, 3.0)) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(("over", "taken"), [(3.0, False), (1.1, True)])
+def test_insides_that_leave_far_more_do_not_explain_as_much(monkeypatch, over, taken):
+    """However few errors a small cell reaches."""
+    alone = SimpleNamespace(leaves_over=lambda other: over, fitted=object())
+    both = SimpleNamespace(
+        evaluations=lambda: 1, fitted=SimpleNamespace(with_structure=lambda name: None)
+    )
+    monkeypatch.setattr(rival_structures, "begun", lambda *_: None)
+    monkeypatch.setattr(rival_structures, "gone_on", lambda *_: (alone, 5))
+    monkeypatch.setattr(rival_structures, "_explains_more", lambda *_: False)
+    found, evaluations = rival_structures.insides_alone(
+        None, SimpleNamespace(anew=lambda: both), None
+    )
+    assert found is (alone.fitted if taken else None)
+    assert evaluations == 6

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import sqrt
 from statistics import median
 
 import numpy as np
@@ -187,6 +188,17 @@ class Objective:
         index = posed.posterior.views[0].voxels.index.cpu().numpy()
         given = index, grid.shape, tuple(widths / np.asarray(grid.voxel_size))
         return block_sums(as_floats(its - mine), *given)
+
+    def leaves_over(self, other: Objective) -> float:
+        """What this leaves over what another does, as a mean over the voxels of each.
+
+        Over its own voxels alone, each may be the better one. Measured on nuclei of a cleared
+        brain, 4 voxels wide: an objective's PSF left 0.69 times as much as the Gaussian over its
+        own voxels, 1.69 times as much over the others.
+        """
+        here = self.left / self.posed.left_by(other.now.rendered)[0]
+        there = other.posed.left_by(self.now.rendered)[0] / other.left
+        return sqrt(here * there)
 
     def unevenness(self) -> float:
         """Squares left of insides as they were measured, over those of evened ones."""
