@@ -87,3 +87,16 @@ def test_a_small_neighbour_that_hardly_shows_its_inside_is_not():
     image = np.random.default_rng(0).poisson(5 + 200 * clean / clean.max()).astype(np.float32)
     counted = counted_around(image, GRID, BODY, PSF)
     assert not counted[18:23, 18:23, 35:].any()
+
+
+@pytest.mark.parametrize(("middle", "theirs"), [(0.0, False), (0.9, True)])
+def test_a_ring_around_dark_ground_is_another_cell(middle, theirs):
+    """Where noise is above all levels at which walls are looked for."""
+    places = np.moveaxis(np.indices((24, 24, 40)), 0, -1)
+    cell, other = (np.linalg.norm(places - c, axis=-1) for c in ((12, 12, 10), (12, 12, 24)))
+    inside, beside, ring = cell < 6, cell < 9, (other < 5.5) & (cell >= 9)
+    height = np.where(((cell > 6) & beside) | ring, 1.0, 0.0)
+    height[other < 3] = middle
+    given = ring & (height > 0.5), height > 0.5, inside, beside, height, 0.65, np.full(3, 0.5)
+    found = protrusions(*given)
+    assert found.any() == theirs

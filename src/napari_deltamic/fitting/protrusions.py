@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, find_objects, maximum
+from scipy.ndimage import binary_dilation, distance_transform_edt, find_objects, maximum
 from scipy.ndimage import label as label_components
 from skimage.morphology import reconstruction
 
@@ -100,7 +100,8 @@ def protrusions(
         return nothing
     known = known[theirs]
     things = np.where(np.isin(things, known), things, 0)
-    return np.isin(things, known[_hollow(things, known, height) <= max(noise, RULES.hollow)])
+    hollow = _hollow(things, height, inside | beside, max(noise, RULES.hollow))
+    return (things > 0) & ~np.isin(things, hollow)
 
 
 def _thin(things: Labels, bright: Mask, spacing: np.ndarray) -> Mask:
@@ -116,14 +117,18 @@ def _thin(things: Labels, bright: Mask, spacing: np.ndarray) -> Mask:
     return np.array(depths) <= RULES.thick
 
 
-def _hollow(things: Labels, known: np.ndarray, height: np.ndarray) -> NDArray[np.floating]:
-    """(n,) by how much things are dimmer in their middle than all around; known : their numbers."""
+def _hollow(things: Labels, height: np.ndarray, own: Mask, least: float) -> np.ndarray:
+    """Numbers of things around ground that is dimmer than all around it by at least so much.
+
+    own : (Z, Y, X) bool, ground of the starts, which is no other's inside.
+    """
     (inner,) = find_objects((things > 0).astype(np.int8))
     box = tuple(slice(max(side.start - 1, 0), side.stop + 1) for side in inner)
     around = height[box]
     full = np.pad(np.full(np.subtract(around.shape, 2), around.max()), 1)
     filled = reconstruction(np.maximum(full, around), around, method="erosion")
-    return np.asarray(maximum(filled - around, things[box], known))
+    holes = (filled - around > least) & ~own[box]
+    return np.unique(things[box][binary_dilation(holes, _ALL_AROUND)])
 
 
 def _joined(things: Labels, beside: Mask, height: np.ndarray, bounds: np.ndarray) -> Mask:
