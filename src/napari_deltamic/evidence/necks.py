@@ -32,14 +32,10 @@ class NeckRules:
     thick
         Widths of the PSF, axis by axis: half the thickness of a part, at least. Measured: 2.2 in
         the same cell; corners of other cells are up to 1.2.
-    known
-        Share of the part that its start held, at most. Chosen: where the start had it, somebody
-        meant it.
     """
 
     narrow: float = 0.5
     thick: float = 1.5
-    known: float = 0.5
 
 
 RULES = NeckRules()
@@ -48,7 +44,10 @@ RULES = NeckRules()
 def beyond_necks(
     start: Mesh, mesh: Mesh, grid: Grid, optics: Optics
 ) -> dict[int, tuple[float, float, float]]:
-    """The middle of the thickest such part of each cell, um, Z Y X; cells without are left out."""
+    """The middle of the thickest such part of each cell, um, Z Y X; cells without are left out.
+
+    A part whose middle lay in the start was meant by whoever placed that.
+    """
     given = grid.shape, grid.voxel_size, grid.origin
     labels, before = voxel_labels(mesh, *given), voxel_labels(start, *given)
     size, first = np.asarray(grid.voxel_size), np.asarray(grid.origin)
@@ -56,15 +55,17 @@ def beyond_necks(
     for region, box in label_boxes(labels):
         own = np.pad(labels[box] == region, 1)
         depth = distance_transform_edt(own, sampling=size / np.asarray(optics.sigma_um))
+        new = np.where(np.pad(before[box] == region, 1), 0, depth)
+        if new.max() <= RULES.thick:
+            continue
         parts = parted(depth, RULES.narrow)
         numbers = np.arange(1, parts.max() + 1)
         thick = np.asarray(maximum(depth, parts, numbers))
-        held = np.bincount(parts.ravel(), np.pad(before[box] == region, 1).ravel())[1:]
-        new = held < RULES.known * np.bincount(parts.ravel())[1:]
-        new[thick.argmax()] = False
-        thick = np.where(new, thick, 0)
-        if thick.max() > RULES.thick:
-            at = maximum_position(depth, parts, 1 + int(thick.argmax()))
+        beyond = (np.asarray(maximum(new, parts, numbers)) == thick) & (thick > RULES.thick)
+        beyond[thick.argmax()] = False
+        if beyond.any():
+            thickest = int(np.where(beyond, thick, 0).argmax())
+            at = maximum_position(new, parts, numbers[thickest])
             corner = np.array([side.start for side in box]) - 1
             z, y, x = ((np.asarray(at) + corner) * size + first).tolist()
             found[region] = (z, y, x)
