@@ -29,6 +29,11 @@ def test_a_ball_behind_a_thin_neck_is_told():
     assert found[1] == pytest.approx((5.0, 4.0, 7.6), abs=0.4)
 
 
+def test_a_larger_neighbour_that_a_small_cell_has_swallowed_is_told():
+    small = sphere((5.0, 4.0, 7.6), 0.9, subdivisions=4)
+    assert beyond_necks(small, cell(1.3), GRID, OPTICS)[1] == pytest.approx((5, 4, 4), abs=0.4)
+
+
 def test_a_thick_way_is_no_neck():
     assert beyond_necks(START, cell(5.0), GRID, OPTICS) == {}
 

@@ -228,7 +228,7 @@ def test_a_fit_goes_back_where_the_psf_of_an_objective_explains_less(always_trie
 def resting(optics, left=1.0, edited=False, answered=False):
     """A run at rest that leaves so much, over what another does."""
     posed = SimpleNamespace(left_by=lambda image: (1.0, 0.0))
-    objective = SimpleNamespace(left=left, posed=posed, leaves_over=lambda other: left)
+    objective = SimpleNamespace(left=left, posed=posed, leaves_over=lambda other: left / other.left)
     return SimpleNamespace(
         stage=SimpleNamespace(edited=edited, progress=SimpleNamespace(answered=answered)),
         fitted=SimpleNamespace(optics=optics),
@@ -261,13 +261,13 @@ def test_a_psf_of_light_that_no_dye_emits_is_not_kept(excitation, possible):
     assert is_of_light(OBJECTIVE)
     strange = nd.ConfocalPSF(nd.ScalarPSF(1.2, 0.6, 1.33), excitation)
     assert is_of_light(strange) == possible
-    former = SimpleNamespace(come_back=lambda stage: None, posed_here=lambda: None)
+    former = SimpleNamespace(come_back=lambda stage: None, posed_here=lambda: 2.0)
     said = []
     run = SimpleNamespace(
         let_former_go=lambda: former,
         stage=SimpleNamespace(edited=False),
         fitted=SimpleNamespace(optics=strange),
-        objective=SimpleNamespace(leaves_over=lambda other: 0.5),
+        objective=SimpleNamespace(leaves_over=lambda former: 1 / former),
         say=said.append,
     )
     following, cone = successor(run, True)
@@ -284,6 +284,7 @@ def test_a_psf_of_light_that_no_dye_emits_is_not_kept(excitation, possible):
         # A cone is there, but no microscope has this one.
         (0.3, 0.9, 0.8, widefield_of(GAUSSIAN.sigma_um)),
         (0.3, 0.9, 1.1, None),
+        (0.3, 0.7, 0.8, None),  # more than that one left
     ],
 )
 def test_an_objective_is_tried_where_a_few_steps_explain_more_with_light_of_dyes(

@@ -49,6 +49,22 @@ def test_a_speck_that_no_membrane_leads_to_is_not(ground):
     assert not counted[19:22, 19:22, 38:41].any()
 
 
+@pytest.mark.parametrize("ground", [counted_voxels, counted_around])
+def test_a_dead_voxel_in_a_finger_changes_nothing(ground):
+    image = image_of(with_finger(1.6))
+    image[20, 20, 42] = np.nan
+    counted = ground(image, GRID, BODY, PSF)
+    assert counted[18:23, 18:23, 40:46].sum() == 5 * 5 * 6 - 1
+
+
+def test_a_finger_in_a_single_slice():
+    """Its ground has no other side."""
+    grid = Grid((1, 40, 56), (0.1, 0.1, 0.1))
+    image = image_of(with_finger(1.6))[20:21]
+    body = BODY.with_vertices(BODY.vertices_numpy() - [2.0, 0, 0])
+    assert counted_voxels(image, grid, body, PSF)[0, 20, 20:30].all()
+
+
 @pytest.mark.parametrize("place", [2, 37])
 def test_a_crumb_of_noise_beside_a_finger_changes_nothing(monkeypatch, place):
     """Whether it is numbered before the finger or after it."""
@@ -97,6 +113,7 @@ def test_a_ring_around_dark_ground_is_another_cell(middle, theirs):
     inside, beside, ring = cell < 6, cell < 9, (other < 5.5) & (cell >= 9)
     height = np.where(((cell > 6) & beside) | ring, 1.0, 0.0)
     height[other < 3] = middle
-    given = ring & (height > 0.5), height > 0.5, inside, beside, height, 0.65, np.full(3, 0.5)
-    found = protrusions(*given)
+    known, spacing = np.ones(height.shape, bool), np.full(3, 0.5)
+    bright = height > 0.5
+    found = protrusions(ring & bright, bright, inside, beside, height, known, 0.65, spacing)
     assert found.any() == theirs

@@ -198,7 +198,9 @@ def test_what_one_leaves_over_another_is_a_mean_over_the_voxels_of_each():
         posed = SimpleNamespace(left_by=lambda image: (its, 0.0))
         return SimpleNamespace(left=left, posed=posed, now=SimpleNamespace(rendered=None))
 
-    assert Objective.leaves_over(at(2.0, 1.0), at(1.5, 3.0)) == pytest.approx(2.0)
+    # Twice as much on its own voxels, eight times as much on those of the other.
+    assert Objective.leaves_over(at(2.0, 1.0), at(1.5, 12.0)) == pytest.approx(4.0)
+    assert np.isfinite(Objective.leaves_over(at(0.0, 0.0), at(0.0, 0.0)))
 
 
 @pytest.mark.parametrize(("over", "taken"), [(3.0, False), (1.1, True)])

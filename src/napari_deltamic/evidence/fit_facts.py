@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..fitting.amplitudes import RULES as AMPLITUDES
 from ..fitting.amplitudes import hardly_wider
 from ..fitting.deep_insides import Cells, dark_insides_shown, deep_brightness
 from ..fitting.growth_alarm import shrunken
@@ -118,7 +119,7 @@ def _cells(
             cut=region in cut,
             inside=inside.get(region),
             compact=compact.get(region),
-            small=asked and hardly_wider(volumes[region], job.optics),
+            small=asked and hardly_wider(volumes[region], job.optics, AMPLITUDES.clearly),
             outgrowth=grown_out.get(region),
             beyond_neck=swallowed.get(region),
             uneven=uneven.get(region, 0.0),

@@ -62,7 +62,8 @@ def beyond_necks(
         numbers = np.arange(1, parts.max() + 1)
         thick = np.asarray(maximum(depth, parts, numbers))
         beyond = (np.asarray(maximum(new, parts, numbers)) == thick) & (thick > RULES.thick)
-        beyond[thick.argmax()] = False
+        held = np.bincount(parts.ravel(), np.pad(before[box] == region, 1).ravel())[1:]
+        beyond[held.argmax() if held.any() else thick.argmax()] = False  # the cell itself
         if beyond.any():
             thickest = int(np.where(beyond, thick, 0).argmax())
             at = maximum_position(new, parts, numbers[thickest])

@@ -196,8 +196,8 @@ class Objective:
         brain, 4 voxels wide: an objective's PSF left 0.69 times as much as the Gaussian over its
         own voxels, 1.69 times as much over the others.
         """
-        here = self.left / self.posed.left_by(other.now.rendered)[0]
-        there = other.posed.left_by(self.now.rendered)[0] / other.left
+        here = self.left / max(self.posed.left_by(other.now.rendered)[0], 1e-300)
+        there = other.posed.left_by(self.now.rendered)[0] / max(other.left, 1e-300)
         return sqrt(here * there)
 
     def unevenness(self) -> float:

@@ -79,11 +79,13 @@ def objective_instead(
     end of the fit is followed for a few steps from there. (Of 18 simulated widefield and confocal
     stacks of six kinds, following both would have chosen the same one in 16, and neither in two;
     following both took a fifth of the time of a fit of 56 cells.) If these steps lead to a confocal
-    PSF that no microscope has, the widefield one is followed as well: measured in a widefield stack
-    of small cells, which ended 0.98 voxel off with a Gaussian. Tried where the Gaussian was, or has
-    become, as long as the roundest PSF of an objective: in a haze it ends rounder, elsewhere a cone
-    makes it longer. Not tried where the Gaussian became narrower than voxels can resolve: it stands
-    in for light that the model lacks, and so would any other PSF.
+    PSF that no microscope has, the widefield one is followed as well, and has to leave less than
+    that: measured in a widefield stack of small cells, 0.98 voxel off with a Gaussian.
+
+    Tried where the Gaussian was, or has become, as long as the roundest PSF of an objective: in a
+    haze it ends rounder, elsewhere a cone makes it longer. Not tried where the Gaussian became
+    narrower than voxels can resolve: it stands in for light that the model lacks, and so would any
+    other PSF.
 
     Returns that PSF as it was before the steps; None if the Gaussian is held or explains as much
     (in six simulated confocal stacks, steps never led to a PSF that no microscope has). Also the
@@ -110,17 +112,23 @@ def objective_instead(
         return None, 0
     confocal, widefield = confocal_of(about), widefield_of(about)
     # One is let go before the other is posed, to save memory.
-    of_confocal = _share(_posed(confocal, terms, fitted), image)
-    rival, taken = _posed(widefield, terms, fitted), 0
-    if _share(rival, image) > of_confocal:
-        rival, taken = _followed(_posed(confocal, terms, fitted), image)
-        if _share(rival, image) >= 1:
-            return None, taken
-        if is_of_light(rival.fitted.optics):
-            return confocal, taken
-        rival = _posed(widefield, terms, fitted)
-    rival, further = _followed(rival, image)
-    return (widefield if _share(rival, image) < 1 else None), taken + further
+    begin = [_share(_posed(optics, terms, fitted), image) for optics in (confocal, widefield)]
+    enough, taken = 1.0, 0
+    if begin[0] < begin[1]:
+        left, of_light, taken = _end(confocal, terms, fitted, image)
+        if left >= 1 or of_light:
+            return (confocal if left < 1 else None), taken
+        enough = left
+    left, _, further = _end(widefield, terms, fitted, image)
+    return (widefield if left < enough else None), taken + further
+
+
+def _end(
+    optics: ThroughObjective, terms: Terms, fitted: Fitted, image: Tensor
+) -> tuple[float, bool, int]:
+    """After a few steps, the share that is left, whether dyes shine so, and evaluations."""
+    rival, taken = _followed(_posed(optics, terms, fitted), image)
+    return _share(rival, image), is_of_light(rival.fitted.optics), taken
 
 
 def _posed(optics: ThroughObjective, terms: Terms, fitted: Fitted) -> Objective:

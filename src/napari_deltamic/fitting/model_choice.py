@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from ..runs.settings import FitSettings
-from .amplitudes import all_small, inside_over_membrane, may_shine
+from .amplitudes import RULES, all_small, inside_over_membrane, may_shine
 from .collisions import CollisionGuard
 from .density import RULES as DENSITY
 from .fit_objective import Objective, Terms
@@ -66,16 +66,17 @@ class ModelChoice:
             return fitted.with_structure(nearer_of(terms, fitted))
         return fitted
 
-    def grown(self, fitted: Fitted) -> Fitted:
-        """With all that may shine, at a level that finds cells no longer small.
+    def grown(self, fitted: Fitted, stage: Stage) -> Fitted:
+        """With all that may shine, where the last level finds cells that began small to be larger.
 
-        Measured on a cell 5 widths of the PSF in radius, from 0.44 radii: its inside alone had been
-        fitted as a membrane at a third of its volume.
+        From starts inside them, cells had been fitted as membranes: insides alone at a third of
+        their volume. Earlier levels do not tell: a haze makes small cells twice as large there.
         """
-        if self.settings.structure != "auto" or fitted.structure == "both":
+        known = self.settings.structure != "auto" or fitted.structure == "both"
+        if known or not self.last(stage) or not fitted.mesh.is_closed():
             return fitted
-        large = may_shine("auto", fitted.mesh, fitted.optics) == "both"
-        return fitted.with_structure("both") if large else fitted
+        small = all_small(fitted.mesh, fitted.optics, RULES.clearly)
+        return fitted if small else fitted.with_structure("both")
 
     def beside_rivals(
         self, terms: Terms, objective: Objective, fitted: Fitted, stage: Stage, start: Shape | None

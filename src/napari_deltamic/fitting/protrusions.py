@@ -60,6 +60,7 @@ def protrusions(
     inside: Mask,
     beside: Mask,
     height: np.ndarray,
+    known: Mask,
     noise: float,
     spacing: np.ndarray,
 ) -> Mask:
@@ -81,6 +82,8 @@ def protrusions(
     height, noise
         (Z, Y, X) brightness above the dark level, and what stands out from noise, both as parts of
         that of a membrane.
+    known
+        (Z, Y, X) where the height is that of measured voxels.
     spacing
         (3,) of voxels, widths of the PSF.
     """
@@ -91,17 +94,16 @@ def protrusions(
     if any(_encloses((height > level) | inside, spacing) for level in levels):
         return nothing
     things, count = label_components(foreign, _ALL_AROUND)
-    known = np.arange(1, count + 1)
-    peak = np.asarray(maximum(height, things, known))
+    numbers = np.arange(1, count + 1)
+    peak = np.asarray(maximum(height, things, numbers))
     theirs = (peak <= RULES.double) & _thin(things, bright, spacing)
     theirs &= _joined(things, beside, height, RULES.joined * np.minimum(peak, 1))
     size = np.bincount(things.ravel())[1:]
     if size[theirs].sum() < RULES.alone * size.sum():
         return nothing
-    known = known[theirs]
-    things = np.where(np.isin(things, known), things, 0)
-    hollow = _hollow(things, height, inside | beside, max(noise, RULES.hollow))
-    return (things > 0) & ~np.isin(things, hollow)
+    things[~np.isin(things, numbers[theirs])] = 0
+    hollow = _hollow(things, height, inside | beside, known, max(noise, RULES.hollow))
+    return (things > 0) & ~np.isin(things, 1 + np.flatnonzero(hollow))
 
 
 def _thin(things: Labels, bright: Mask, spacing: np.ndarray) -> Mask:
@@ -117,18 +119,25 @@ def _thin(things: Labels, bright: Mask, spacing: np.ndarray) -> Mask:
     return np.array(depths) <= RULES.thick
 
 
-def _hollow(things: Labels, height: np.ndarray, own: Mask, least: float) -> np.ndarray:
-    """Numbers of things around ground that is dimmer than all around it by at least so much.
+def _hollow(things: Labels, height: np.ndarray, own: Mask, known: Mask, least: float) -> Mask:
+    """(n,) things around ground that is dimmer than all around it by at least so much.
 
-    own : (Z, Y, X) bool, ground of the starts, which is no other's inside.
+    own : (Z, Y, X) bool, ground of the starts, which is no other's inside. known : where that is
+    known.
     """
-    (inner,) = find_objects((things > 0).astype(np.int8))
-    box = tuple(slice(max(side.start - 1, 0), side.stop + 1) for side in inner)
-    around = height[box]
-    full = np.pad(np.full(np.subtract(around.shape, 2), around.max()), 1)
-    filled = reconstruction(np.maximum(full, around), around, method="erosion")
-    holes = (filled - around > least) & ~own[box]
-    return np.unique(things[box][binary_dilation(holes, _ALL_AROUND)])
+    found = []
+    for number, inner in enumerate(find_objects(things), 1):
+        if inner is None:
+            found.append(False)
+            continue
+        box = tuple(slice(max(side.start - 1, 0), side.stop + 1) for side in inner)
+        around = np.where(known[box], height[box], height[box].max())
+        full = around.copy()
+        full[tuple(slice(1, -1) if n > 1 else slice(None) for n in full.shape)] = around.max()
+        filled = reconstruction(full, around, method="erosion")
+        holes = (filled - around > least) & ~own[box]
+        found.append((binary_dilation(holes, _ALL_AROUND) & (things[box] == number)).any())
+    return np.array(found, bool)
 
 
 def _joined(things: Labels, beside: Mask, height: np.ndarray, bounds: np.ndarray) -> Mask:

@@ -182,8 +182,7 @@ def without_rim(
     rival, more = gone_on(begun(terms, alone, factored))
     over = inside_over_membrane(even.now.light, even.fitted.optics.sigma_um)
     stays = over <= RULES.hidden and _explains_more(even, rival)
-    far_more = rival.leaves_over(even) > RULES.far_more
-    return (None if stays or far_more else rival.fitted), taken + more
+    return (None if stays else rival.fitted), taken + more
 
 
 def membranes_as_well(

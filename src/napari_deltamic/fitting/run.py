@@ -64,8 +64,9 @@ class Run:
         stage: Stage | None = None,
         former: Run | None = None,
     ) -> None:
-        self._problem, self._settings, self._schedule = problem, settings, Schedule()
+        self._problem, self._schedule = problem, Schedule()
         self._levels = settings.levels or WIDE_LEVELS
+        self._settings = settings.model_copy(update={"levels": self._levels})
         self._start = fingerprint(mesh)
         # Where many cells begin near their walls, those differ more than places within a wall do.
         several = len(self._levels) == 1 and len(mesh.region_ids()) > 1
@@ -210,8 +211,7 @@ class Run:
         if not begun:
             self.stage = replace(self.stage, blurred_for=self.fitted.optics, progress=Progress())
             self.fitted = self.fitted.taught(None)
-            if self.stage.level_number > 0:
-                self.fitted = self._choice.grown(self.fitted)
+            self.fitted = self._choice.grown(self.fitted, self.stage)
             if not self._last:  # how bright each inside is, is found anew where the surface is now
                 self.fitted = self.fitted.shining(replace(self.fitted.light, cells=()))
         self._make_level()
@@ -320,7 +320,9 @@ class Run:
         if self._upkeep.too_soon(self.stage.iteration) and progress.stuck <= 1:
             return False
         given = self.fitted, self._settings, self._level.factor, self.stage.iteration
-        self._due = self._go_on_with(self._upkeep.at_rest(*given))
+        judging = self._upkeep.trying  # what it is judged by has just been posed
+        changed = self._go_on_with(self._upkeep.at_rest(*given))
+        self._due = changed or (self._due and not judging)
         return not self._due
 
     def _other_structure(self) -> bool:

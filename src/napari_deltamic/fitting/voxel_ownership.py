@@ -177,7 +177,10 @@ def _shared_out(
     above = max(float(membrane - dark), 1e-30)
     noise = RULES.above * _noise(pixels[known]) / above
     height = np.where(known, pixels - haze - dark, 0) / above
-    foreign &= ~protrusions(foreign, bright & known, inside, beside, height, noise, spacing)
+    # What is missing dims what is smoothed beside it.
+    sure = known.all() or distance_transform_edt(known, sampling=spacing) > 2 * RULES.smooth
+    given = inside, beside, height, known & sure, noise, spacing
+    foreign &= ~protrusions(foreign, bright & known, *given)
     foreign |= known & (labels == STRANGER)
     if close:
         shining = pixels - haze > dark + RULES.beside * (crest - dark)
