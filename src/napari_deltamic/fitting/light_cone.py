@@ -112,22 +112,21 @@ def objective_instead(
         return None, 0
     confocal, widefield = confocal_of(about), widefield_of(about)
     # One is let go before the other is posed, to save memory.
-    begin = [_share(_posed(optics, terms, fitted), image) for optics in (confocal, widefield)]
-    enough, taken = 1.0, 0
-    if begin[0] < begin[1]:
-        left, of_light, taken = _end(confocal, terms, fitted, image)
+    of_confocal = _share(_posed(confocal, terms, fitted), image)
+    rival, enough, taken = _posed(widefield, terms, fitted), 1.0, 0
+    if of_confocal < _share(rival, image):
+        del rival
+        left, of_light, taken = _end(_posed(confocal, terms, fitted), image)
         if left >= 1 or of_light:
             return (confocal if left < 1 else None), taken
-        enough = left
-    left, _, further = _end(widefield, terms, fitted, image)
+        rival, enough = _posed(widefield, terms, fitted), left
+    left, _, further = _end(rival, image)
     return (widefield if left < enough else None), taken + further
 
 
-def _end(
-    optics: ThroughObjective, terms: Terms, fitted: Fitted, image: Tensor
-) -> tuple[float, bool, int]:
+def _end(rival: Objective, image: Tensor) -> tuple[float, bool, int]:
     """After a few steps, the share that is left, whether dyes shine so, and evaluations."""
-    rival, taken = _followed(_posed(optics, terms, fitted), image)
+    rival, taken = _followed(rival, image)
     return _share(rival, image), is_of_light(rival.fitted.optics), taken
 
 
