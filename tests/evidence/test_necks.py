@@ -39,7 +39,7 @@ def test_a_thick_way_is_no_neck():
 
 
 def test_what_the_start_had_is_meant():
-    assert beyond_necks(cell(1.3), cell(2.2), GRID, OPTICS) == {}
+    assert beyond_necks(cell(1.3), cell(1.3), GRID, OPTICS) == {}
 
 
 def test_a_part_that_the_image_hardly_shows_is_none():

@@ -57,12 +57,17 @@ def test_a_dead_voxel_in_a_finger_changes_nothing(ground):
     assert counted[18:23, 18:23, 40:46].sum() == 5 * 5 * 6 - 1
 
 
-def test_a_finger_in_a_single_slice():
-    """Its ground has no other side."""
-    grid = Grid((1, 40, 56), (0.1, 0.1, 0.1))
-    image = image_of(with_finger(1.6))[20:21]
+@pytest.mark.parametrize("ground", [counted_voxels, counted_around])
+def test_a_finger_in_a_single_slice(ground):
+    """Nothing lies on either side of it."""
+    grid = Grid((1, 40, 56), (0.5, 0.1, 0.1))
+    y, x = np.indices((40, 56)) * 0.1 - 2.0
+    ring = np.exp(-0.5 * ((np.hypot(y, x) - 1) / 0.12) ** 2)
+    finger = np.exp(-0.5 * (y / 0.14) ** 2) * ((x > 0.9) & (x < 2.6))
+    shown = 5 + 200 * np.clip(ring + finger, 0, 1.2)
+    image = np.random.default_rng(0).poisson(shown)[None].astype(np.float32)
     body = BODY.with_vertices(BODY.vertices_numpy() - [2.0, 0, 0])
-    assert counted_voxels(image, grid, body, PSF)[0, 20, 20:30].all()
+    assert ground(image, grid, body, GaussianPSF((0.3, 0.12, 0.12)))[0, 19:22, 36:44].all()
 
 
 @pytest.mark.parametrize("place", [2, 37])

@@ -46,7 +46,7 @@ def beyond_necks(
 ) -> dict[int, tuple[float, float, float]]:
     """The middle of the thickest such part of each cell, um, Z Y X; cells without are left out.
 
-    A part whose middle lay in the start was meant by whoever placed that.
+    start : where the fit began; a part whose middle lay in it does not count.
     """
     given = grid.shape, grid.voxel_size, grid.origin
     labels, before = voxel_labels(mesh, *given), voxel_labels(start, *given)

@@ -133,7 +133,7 @@ def _hollow(things: Labels, height: np.ndarray, own: Mask, known: Mask, least: f
         box = tuple(slice(max(side.start - 1, 0), side.stop + 1) for side in inner)
         around = np.where(known[box], height[box], height[box].max())
         full = around.copy()
-        full[tuple(slice(1, -1) if n > 1 else slice(None) for n in full.shape)] = around.max()
+        full[1:-1, 1:-1, 1:-1] = around.max()
         filled = reconstruction(full, around, method="erosion")
         holes = (filled - around > least) & ~own[box]
         found.append((binary_dilation(holes, _ALL_AROUND) & (things[box] == number)).any())

@@ -320,7 +320,7 @@ class Run:
         if self._upkeep.too_soon(self.stage.iteration) and progress.stuck <= 1:
             return False
         given = self.fitted, self._settings, self._level.factor, self.stage.iteration
-        judging = self._upkeep.trying  # what it is judged by has just been posed
+        judging = self._upkeep.trying  # a change that is kept needs no other objective
         changed = self._go_on_with(self._upkeep.at_rest(*given))
         self._due = changed or (self._due and not judging)
         return not self._due
