@@ -35,8 +35,8 @@ class AmplitudeRules:
         Times that radius, from which on cells that began smaller are asked again. Measured on 108
         fits of cells of 2 to 5 widths, with and without a haze: when the last level begins, those
         of up to 2.4 are found to be 2.6 or less. Volumes were off by at most 0.03 more than without
-        asking. Those of insides of 4 widths without a haze and of 5, and of both of 3.3 and more but
-        for the strongest haze, were off by at most 0.08, not by 0.26 to 0.66.
+        asking. Those of insides of 4 widths without a haze and of 5, and of both of 3.3 without the
+        strongest haze and of 4 and 5, were off by at most 0.08, not by 0.26 to 0.66.
     unseen
         Of the insides' image: where membranes are dimmer than this beside it, they cannot be seen,
         and their amplitude is no scale.
