@@ -110,6 +110,14 @@ def test_a_small_neighbour_that_hardly_shows_its_inside_is_not():
     assert not counted[18:23, 18:23, 35:].any()
 
 
+def test_beside_a_small_neighbour_what_looks_like_a_finger_may_be_another():
+    small = sphere(MIDDLE - np.array([0, 1.4, 0]), 0.34, subdivisions=4)
+    clean = sum(expected_image(m, GRID, PSF, 1e-3, 1.0, 0.0) for m in (with_finger(1.6), small))
+    image = np.random.default_rng(0).poisson(5 + 200 * clean / clean.max()).astype(np.float32)
+    counted = counted_around(image, GRID, BODY, PSF)
+    assert not counted[18:23, 18:23, 43:46].any()
+
+
 @pytest.mark.parametrize(("middle", "theirs"), [(0.0, False), (0.9, True)])
 def test_a_ring_around_dark_ground_is_another_cell(middle, theirs):
     """Where noise is above all levels at which walls are looked for."""

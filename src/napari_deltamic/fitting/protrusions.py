@@ -29,7 +29,9 @@ class ProtrusionRules:
         where a speck comes near, less. Chosen.
     alone
         Share of the bright things far from starts that are protrusions: where less is, others are
-        about. Chosen: crumbs of noise are not counted.
+        about. Chosen: crumbs of noise are not counted. Measured on a cell among three without seeds
+        (radii of 4 to 6 voxels), of which one had an inside that showed: without it, the cell
+        swallowed the other two.
     closed, walls
         Widths: dark ground this deep that membranes enclose is the inside of another cell; less
         may lie between a protrusion and its cell. Of a membrane: as bright such walls are, the
@@ -98,12 +100,11 @@ def protrusions(
     peak = np.asarray(maximum(height, things, numbers))
     theirs = (peak <= RULES.double) & _thin(things, bright, spacing)
     theirs &= _joined(things, beside, height, RULES.joined * np.minimum(peak, 1))
+    theirs &= ~_hollow(things, height, inside | beside, known, max(noise, RULES.hollow))
     size = np.bincount(things.ravel())[1:]
     if size[theirs].sum() < RULES.alone * size.sum():
         return nothing
-    things[~np.isin(things, numbers[theirs])] = 0
-    hollow = _hollow(things, height, inside | beside, known, max(noise, RULES.hollow))
-    return (things > 0) & ~np.isin(things, 1 + np.flatnonzero(hollow))
+    return np.isin(things, numbers[theirs])
 
 
 def _thin(things: Labels, bright: Mask, spacing: np.ndarray) -> Mask:
@@ -127,9 +128,6 @@ def _hollow(things: Labels, height: np.ndarray, own: Mask, known: Mask, least: f
     """
     found = []
     for number, inner in enumerate(find_objects(things), 1):
-        if inner is None:
-            found.append(False)
-            continue
         box = tuple(slice(max(side.start - 1, 0), side.stop + 1) for side in inner)
         around = np.where(known[box], height[box], height[box].max())
         full = around.copy()
