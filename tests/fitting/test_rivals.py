@@ -12,6 +12,7 @@ from napari_deltamic.fitting.rival_structures import (
     _explains_more,
     _followed,
     _further_in,
+    _stand,
     best_of,
 )
 from napari_deltamic.fitting.shape import Shape
@@ -167,9 +168,9 @@ def followed(monkeypatch, *gains, shines="both"):
     monkeypatch.setattr(
         rival_structures, "_gains", lambda one, other: [gains[one.leg] / 16 + SCATTER] * 2
     )
-    terms = SimpleNamespace(settings=SimpleNamespace(structure="auto"))
-    end, taken, found = _followed(rival(0), SimpleNamespace(terms=terms))
-    assert found[0].sum() == pytest.approx(gains[end.leg])
+    monkeypatch.setattr(rival_structures, "_stand", lambda one, other: gains[one.leg] > 100)
+    end, taken, stands = _followed(rival(0), None)
+    assert stands == (gains[end.leg] > 100)
     assert taken == 3 * end.leg
     return end.leg
 
@@ -203,18 +204,50 @@ def test_what_one_leaves_over_another_is_a_mean_over_the_voxels_of_each():
     assert np.isfinite(Objective.leaves_over(at(0.0, 0.0), at(0.0, 0.0)))
 
 
-@pytest.mark.parametrize(("over", "taken"), [(3.0, False), (1.1, True)])
-def test_insides_that_leave_far_more_do_not_explain_as_much(monkeypatch, over, taken):
-    """However few errors a small cell reaches."""
-    alone = SimpleNamespace(leaves_over=lambda other: over, fitted=object())
+def fit_of_both(evened, measured, interior=1.0, leaves=0.9):
+    """With membranes of 1; it explains so many nats more than insides, and leaves so much."""
+    # The peak of the image of a membrane of 1, through a PSF of this width, is 1.
+    optics = SimpleNamespace(sigma_um=(1 / np.sqrt(2 * np.pi),) * 3)
+    return SimpleNamespace(
+        **vars(answer({True: evened, False: measured})),
+        leaves_over=lambda other: leaves,
+        now=SimpleNamespace(light=SimpleNamespace(membrane=1.0, interior=interior)),
+        fitted=SimpleNamespace(optics=optics),
+    )
+
+
+FEW = np.array([20.0, 15.0, 10.0, 5.0, 3.0])  # nats of a small cell, 1.9 errors at most
+SURE = np.concatenate([FEW, FEW])  # 2.7 errors
+
+
+@pytest.mark.parametrize(
+    ("given", "stand"),
+    [
+        ({"evened": EVERYWHERE, "measured": EVERYWHERE, "interior": 9.0, "leaves": 2.0}, True),
+        ({"evened": FEW, "measured": SURE}, True),  # insides alone were evened
+        ({"evened": -FEW, "measured": SURE}, True),
+        ({"evened": FEW, "measured": FEW}, False),
+        ({"evened": FEW, "measured": SURE, "leaves": 1.1}, False),
+        ({"evened": FEW, "measured": SURE, "interior": 2.6}, False),
+        ({"evened": 0.1 * SURE, "measured": 0.1 * SURE}, False),  # 11 nats
+    ],
+)
+def test_membranes_that_are_clear_stand_by_what_was_measured(given, stand):
+    alone = answer({True: -given["evened"], False: -given["measured"]})
+    assert _stand(fit_of_both(**given), alone) is stand
+
+
+@pytest.mark.parametrize("stand", [False, True])
+def test_insides_alone_are_taken_where_membranes_do_not_stand(monkeypatch, stand):
+    alone = SimpleNamespace(fitted=object())
     both = SimpleNamespace(
         evaluations=lambda: 1, fitted=SimpleNamespace(with_structure=lambda name: None)
     )
     monkeypatch.setattr(rival_structures, "begun", lambda *_: None)
     monkeypatch.setattr(rival_structures, "gone_on", lambda *_: (alone, 5))
-    monkeypatch.setattr(rival_structures, "_explains_more", lambda *_: False)
+    monkeypatch.setattr(rival_structures, "_stand", lambda *_: stand)
     found, evaluations = rival_structures.insides_alone(
         None, SimpleNamespace(anew=lambda: both), None
     )
-    assert found is (alone.fitted if taken else None)
+    assert found is (None if stand else alone.fitted)
     assert evaluations == 6

@@ -85,6 +85,18 @@ def test_of_many_voxels_some_are_asked(light: Light, asked: str, monkeypatch) ->
         assert 0.3 * every.errors < found.errors < every.errors
 
 
+@pytest.mark.parametrize(("light", "name"), [(MEMBRANES, "both"), (INSIDES, "interior")])
+def test_an_inside_that_is_dimmer_than_the_membrane_does_not_outshine_it(light, name, monkeypatch):
+    """However many standard errors it differs from 0 by, and an uneven membrane does not."""
+    image = image_of(light)
+    last = replace(fitted(image), light=Light(1.0, 1.0))
+    posed = posed_at(image, GRID, last, FitSettings())
+    given = posed.posterior, posed.at, posed.posterior(posed.at), last.mesh
+    found = structure_choice.Told(0.7, 1.0), structure_choice.Told(-9.0, 1.0)
+    monkeypatch.setattr(structure_choice, "told", lambda *_: found)
+    assert structure_choice.chosen(*given, lambda: False).structure == name
+
+
 def test_a_membrane_alone_does_not_explain_an_inside() -> None:
     """What the test above would not see if it could not fail."""
     last = fitted(image_of(INSIDES), structure="membrane")
