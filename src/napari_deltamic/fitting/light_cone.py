@@ -112,15 +112,15 @@ def objective_instead(
         return None, 0
     confocal, widefield = confocal_of(about), widefield_of(about)
     # One is let go before the other is posed, to save memory.
-    of_confocal = _share(_posed(confocal, terms, fitted), image)
-    rival, enough, taken = _posed(widefield, terms, fitted), 1.0, 0
-    if of_confocal < _share(rival, image):
-        del rival
-        left, of_light, taken = _end(_posed(confocal, terms, fitted), image)
+    of_widefield = _share(_posed(widefield, terms, fitted), image)
+    rival, enough, taken = _posed(confocal, terms, fitted), 1.0, 0
+    if _share(rival, image) < of_widefield:
+        left, of_light, taken = _end(rival, image)
         if left >= 1 or of_light:
             return (confocal if left < 1 else None), taken
-        rival, enough = _posed(widefield, terms, fitted), left
-    left, _, further = _end(rival, image)
+        enough = left
+    del rival
+    left, _, further = _end(_posed(widefield, terms, fitted), image)
     return (widefield if left < enough else None), taken + further
 
 
