@@ -20,7 +20,7 @@ from napari_deltamic.fitting.light_cone import (
     objective_instead,
     widefield_of,
 )
-from napari_deltamic.fitting.rival_structures import gone_on
+from napari_deltamic.fitting.rival_structures import gone_on, stepped
 from napari_deltamic.fitting.successor import BACK, IMPLAUSIBLE, is_given_up, successor
 from napari_deltamic.fitting.topology_trials import TopologyTrials
 from napari_deltamic.geometry import sphere
@@ -153,7 +153,7 @@ def test_a_rival_that_does_not_move_is_left():
         def evaluations(self):
             return 1
 
-    *_, taken = gone_on(Stuck())
+    *_, taken = stepped(Stuck())
     assert (taken, len(posed)) == (1, 1)  # not posed anew
 
 
@@ -308,7 +308,7 @@ def test_an_objective_is_tried_where_a_few_steps_explain_more_with_light_of_dyes
     module = "napari_deltamic.fitting.light_cone"
     begun = {nd.ConfocalPSF: 0.95, nd.ScalarPSF: 0.99}
     monkeypatch.setattr(f"{module}._posed", lambda optics, *_: posed(optics, begun[type(optics)]))
-    monkeypatch.setattr(f"{module}.gone_on", after_steps)
+    monkeypatch.setattr(f"{module}.stepped", after_steps)
     fitted = SimpleNamespace(optics=GAUSSIAN, first_optics=GAUSSIAN)
     level = SimpleNamespace(grid=GRID)
     terms = SimpleNamespace(settings=FitSettings(), second=None, level=level)
@@ -320,6 +320,28 @@ def test_an_objective_is_tried_where_a_few_steps_explain_more_with_light_of_dyes
     # As it was before the steps.
     assert type(found) is type(expected)
     assert found.described() == expected.described()
+
+
+def test_a_widefield_objective_that_is_far_off_is_not_followed(monkeypatch):
+    """Where the confocal one leads to a PSF that no microscope has."""
+    followed = []
+
+    def posed(optics, left):
+        run = resting(optics, left)
+        return SimpleNamespace(fitted=run.fitted, left=left, posed=run.objective.posed)
+
+    def after_steps(rival, hopeless):
+        followed.append(rival.fitted.optics)
+        return posed(nd.ConfocalPSF(OBJECTIVE, 0.3), 0.9), 7
+
+    module = "napari_deltamic.fitting.light_cone"
+    begun = {nd.ConfocalPSF: 0.95, nd.ScalarPSF: 2.1}
+    monkeypatch.setattr(f"{module}._posed", lambda optics, *_: posed(optics, begun[type(optics)]))
+    monkeypatch.setattr(f"{module}.stepped", after_steps)
+    fitted = SimpleNamespace(optics=GAUSSIAN, first_optics=GAUSSIAN)
+    terms = SimpleNamespace(settings=FitSettings(), second=None, level=SimpleNamespace(grid=GRID))
+    assert objective_instead(terms, fitted, None) == (None, 7)
+    assert [type(optics) for optics in followed] == [nd.ConfocalPSF]
 
 
 @pytest.mark.slow
@@ -403,7 +425,7 @@ def test_a_rival_is_dropped_before_it_is_posed_anew():
         looks.append(objective)
         return len(looks) > 1
 
-    objective, taken = gone_on(Slow(), hopeless)
+    objective, taken = stepped(Slow(), hopeless)
     assert (objective, looks) == (posed[0], [posed[0], posed[0]])
     assert (taken, len(posed)) == (6, 1)
     objective, taken = gone_on(Slow())  # to the end, where it is posed anew

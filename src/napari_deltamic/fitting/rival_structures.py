@@ -312,11 +312,18 @@ def begun(terms: Terms, fitted: Fitted, factored: Preconditioners) -> Objective:
     return Objective(terms, fitted, CollisionGuard(terms.settings.collisions), factored)
 
 
-def gone_on(
+def gone_on(objective: Objective) -> tuple[Objective, int]:
+    """A few steps down; the objective as it is posed there, and evaluations."""
+    there, taken = stepped(objective)
+    end = there.anew()
+    return end, taken + end.evaluations()
+
+
+def stepped(
     objective: Objective,
     hopeless: Callable[[Objective], bool] = lambda objective: False,
 ) -> tuple[Objective, int]:
-    """A few steps down; the objective as it is posed there, and evaluations.
+    """A few steps down; the objective in which the last was taken, and evaluations.
 
     hopeless : whether to go no further; asked where it begins, and before it is posed anew.
     """
@@ -325,13 +332,12 @@ def gone_on(
         return objective, objective.evaluations()
     for step in range(1, RULES.steps + 1):
         moved, since = objective.step(), since + 1
-        if not moved and since == 1:  # posed anew here, it would not move either
+        if step == RULES.steps or (not moved and since == 1):  # posed anew, it would not move
             break
-        last, strayed = step == RULES.steps, objective.strayed()
-        if moved and since < RULES.renewed_every and not strayed and not last:
+        if moved and since < RULES.renewed_every and not objective.strayed():
             continue
         taken += objective.evaluations()
-        if not last and hopeless(objective):
+        if hopeless(objective):
             return objective, taken
         objective, since = objective.anew(), 0
     return objective, taken + objective.evaluations()
