@@ -1,0 +1,177 @@
+"""The ball around a point that is brighter than what lies around it, for lack of anything better.
+
+In haze, in noise, and where light fades with depth, no threshold tells a cell from what is around
+it; a mean over a ball does. As a scale-space does (T. Lindeberg, Int. J. Comput. Vis. 30, 1998),
+each radius is asked how much brighter the ball is than a shell of the same volume around it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
+
+from napari_deltamic.geometry.mesh import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class BallRules:
+    """When a ball is brighter than its surroundings.
+
+    Attributes
+    ----------
+    smallest, step
+        The first radius, sides of a voxel, and the ratio of one to the next. Chosen: a ball has 33
+        voxels at least, and is off by up to a tenth of its radius.
+    errors
+        Standard errors by which it must be brighter. Chosen: more than five, as noise is alike in
+        voxels nearby. Measured: 25 and 240 in two simulated nuclei at which nothing else was found,
+        one of which cannot be seen in single slices.
+    core, half
+        Of its radius; and of the difference of ball and shell, by which this core must be brighter
+        than the shell, too: else the light is beside the point. By definition and chosen.
+    span
+        By how much it must be brighter, of the span of all means over cubes as large in the image,
+        less the median of each slice: else it may be the halo of something else. Measured at random
+        places of real images where nothing else was found: less than 0.5 in 32 of 35, most of them
+        background; 0.68 and 0.96 in those two nuclei.
+    larger
+        Times its volume: a region that is larger may hold light around it as well. Chosen: cells
+        are seldom longer than three times their width. Measured on nuclei in a haze that fades with
+        depth: 3 to 25 times.
+    sure
+        Standard errors taken off a difference before radii are compared. Chosen: of few voxels a
+        large one is chance.
+    """
+
+    smallest: float = 2.0
+    step: float = 2**0.25
+    errors: float = 10.0
+    core: float = 0.5
+    half: float = 0.5
+    span: float = 0.5
+    larger: float = 3.0
+    sure: float = 3.0
+
+
+RULES = BallRules()
+_TWICE = 2 ** (1 / 3)  # by definition: the radius of twice the volume
+# By definition: the side of a cube as large as a ball of radius 1.
+_CUBE = (4 * np.pi / 3) ** (1 / 3)
+
+
+@dataclass(frozen=True, eq=False)
+class Ball:
+    """One around a point; the shell around it is as large.
+
+    Attributes
+    ----------
+    radius
+        um.
+    brighter, error
+        By how much it is brighter than the shell, and the standard error of that.
+    clear
+        Whether its core is bright, too.
+    """
+
+    radius: float
+    brighter: float
+    error: float
+    clear: bool
+
+    @property
+    def surely(self) -> float:
+        """By how much it is brighter, chance aside."""
+        return self.brighter - RULES.sure * self.error
+
+
+def bright_ball(
+    data: FloatArray, size: FloatArray, voxel: IntArray, largest: float | None = None
+) -> Ball | None:
+    """The ball around a voxel that is brightest beside its shell; None if none is.
+
+    Parameters
+    ----------
+    data : (Z, Y, X).
+    size : (3,) um, sides of a voxel.
+    voxel : (3,) index of the middle.
+    largest : um; a radius that its own may not reach. None: as the image is large.
+    """
+    # Stacks of cells may be flat.
+    largest = largest or float(np.sort(np.multiply(data.shape, size))[1]) / 2
+    radius, balls = RULES.smallest * float(np.cbrt(np.prod(size))), []
+    while radius < largest:
+        balls.append(_ball(data, size, voxel, radius))
+        radius *= RULES.step
+    if not balls:
+        return None
+    best = max(balls, key=lambda ball: ball.surely)
+    # The largest one may be part of something larger: light that rises towards the point.
+    sure = best.brighter > RULES.errors * best.error
+    return best if sure and best.clear and best is not balls[-1] else None
+
+
+def stands_out(data: FloatArray, size: FloatArray, ball: Ball) -> bool:
+    """Whether a ball is bright for the image: else it may be the halo of something else."""
+    sides = np.maximum(np.rint(_CUBE * ball.radius / size).astype(int), 1)
+    means = even_slices(uniform_filter(data, sides.tolist(), mode="nearest"))
+    return bool(ball.brighter >= RULES.span * np.ptp(means))
+
+
+def is_more_than(
+    ball: Ball, data: FloatArray, size: FloatArray, voxel: IntArray, region: NDArray[np.bool_]
+) -> bool:
+    """Whether a region is far larger than a ball in it, and the rest of it dark.
+
+    data : (Z, Y, X), less what light fades by with depth. region : (Z, Y, X) bool.
+    """
+    rest = region.copy()
+    box, within = ball_at(data.shape, size, voxel, ball.radius)
+    rest[box] &= ~within
+    if rest.sum() < (RULES.larger - 1) * within.sum():
+        return False
+    return bool(data[rest].mean() < RULES.half * data[box][within].mean())
+
+
+def even_slices(data: FloatArray) -> FloatArray:
+    """Less the median of each slice: without light that fades with depth."""
+    found: FloatArray = data - np.median(data, axis=(1, 2), keepdims=True)
+    return found
+
+
+def ball_at(
+    shape: tuple[int, ...], size: FloatArray, voxel: IntArray, radius: float
+) -> tuple[tuple[slice, ...], NDArray[np.bool_]]:
+    """The box around a ball, and in it the voxels of the ball."""
+    box, far = _squares(shape, size, voxel, radius)
+    return box, far <= radius**2
+
+
+def _ball(data: FloatArray, size: FloatArray, voxel: IntArray, radius: float) -> Ball:
+    box, far = _squares(data.shape, size, voxel, _TWICE * radius)
+    within = far <= radius**2
+    ball, shell = data[box][within], data[box][~within & (far <= (_TWICE * radius) ** 2)]
+    if len(shell) < 2:
+        return Ball(radius, 0.0, 0.0, False)
+    error = np.sqrt(ball.var() / len(ball) + shell.var() / len(shell))
+    dark = shell.mean()
+    brighter = float(ball.mean() - dark)
+    core = data[box][far <= (RULES.core * radius) ** 2].mean() - dark
+    return Ball(radius, brighter, float(error), bool(core > RULES.half * brighter))
+
+
+def _squares(
+    shape: tuple[int, ...], size: FloatArray, voxel: IntArray, radius: float
+) -> tuple[tuple[slice, ...], FloatArray]:
+    """The box around a ball, and in it the squared distances to its middle, um^2."""
+    reach = np.ceil(radius / size).astype(int)
+    low, high = np.maximum(voxel - reach, 0), np.minimum(voxel + reach + 1, shape)
+    box = tuple(slice(*ends) for ends in zip(low.tolist(), high.tolist(), strict=True))
+    places = np.ogrid[box]
+    far: FloatArray = sum(
+        ((place - middle) * side) ** 2
+        for place, middle, side in zip(places, voxel.tolist(), size.tolist(), strict=True)
+    )
+    return box, far
