@@ -7,7 +7,8 @@ import pytest
 
 from napari_deltamic import GaussianPSF, Grid, render
 from napari_deltamic.evidence import first_sigma as module
-from napari_deltamic.evidence.first_sigma import first_sigma
+from napari_deltamic.evidence.estimate import Finding
+from napari_deltamic.evidence.first_sigma import FirstSigma, first_sigma, plausible_sigma
 from napari_deltamic.geometry import sphere
 
 
@@ -62,3 +63,23 @@ def test_a_part_that_holds_only_the_caps_of_a_large_cell_does_not_decide(monkeyp
     found = first_sigma(image, grid.voxel_size)
     assert found.yx.value == pytest.approx(1.3, rel=0.2)
     assert found.z.value == pytest.approx(2.0, rel=0.25)
+
+
+@pytest.mark.parametrize(
+    ("widths", "usable"),
+    [((6.5, 3.0), True), ((9.0, 3.0), False), ((6.5, 4.5), False), ((0.9, 0.4), False)],
+)
+def test_a_psf_may_be_wide_along_z_alone(widths, usable, monkeypatch):
+    """Voxels; in a haze, the spectrum tells great widths in the plane as well."""
+    z, yx = (Finding(width * side, 0.01, "") for width, side in zip(widths, (0.3, 0.2)))  # noqa: B905
+    monkeypatch.setattr(module, "first_sigma", lambda *_: FirstSigma(z, yx))
+    found = plausible_sigma(np.zeros((20, 20, 20)), (0.3, 0.2, 0.2))
+    assert found == ((z.value, yx.value, yx.value) if usable else None)
+
+
+def test_a_psf_six_voxels_long_is_told():
+    grid, true = Grid((60, 60, 60), (0.2, 0.2, 0.2)), (1.2, 0.5, 0.5)
+    cell = sphere((5.9, 5.9, 5.9), 2.8, edge_length=0.4)
+    image = render(cell, grid, GaussianPSF(true), 1e-2).numpy().clip(0)
+    image = np.random.default_rng(0).poisson(2 + 60 * image / image.max())
+    assert plausible_sigma(image, grid.voxel_size) == pytest.approx(true, rel=0.25)

@@ -63,8 +63,8 @@ def plausible_sigma(
         return None
     z, yx = found.z.value, found.yx.value
     in_voxels = z / voxel_size[0], yx / max(voxel_size[1:])
-    low, high = SPECTRUM.in_voxels
-    if not all(low <= width <= high for width in in_voxels):
+    bounds = zip(in_voxels, SPECTRUM.in_voxels, strict=True)
+    if not all(low <= width <= high for width, (low, high) in bounds):
         return None
     if not SPECTRUM.z_over_yx[0] <= z / yx <= SPECTRUM.z_over_yx[1]:
         return None
