@@ -35,31 +35,36 @@ def test_a_nucleus_in_a_haze_that_fades_with_depth(radius, photons):
     assert stands_out(stack, SIZE, ball)
 
 
-@pytest.mark.parametrize("found", [True, False])
-def test_a_point_in_it_is_enough(found, monkeypatch):
-    """Where half of the stack is taken for its region, or no region is found."""
-    stack = image(2.4, photons=0.3)
-    whole = 4 / 3 * np.pi * 2.4**3
-    given = stack, SIZE, MIDDLE[None], [1]
-    if found:
-        labels, _ = regions_at_points._regions(*given)
-        assert (labels == 1).sum() * np.prod(SIZE) > 5 * whole, "or this tests nothing"
-    else:
-        nothing = np.zeros(SHAPE, np.int32), {1: Refused("point 1 lies in no region", (1,))}
-        monkeypatch.setattr(regions_at_points, "_regions", lambda *_: nothing)
-    mesh = seeds_from_points(stack, SIZE, [MIDDLE * SIZE])
-    assert mesh.region_volume(1) == pytest.approx(whole, rel=0.35)
+def nothing_found(monkeypatch, labels=None):
+    """As where neither darkness nor a threshold tells what a point lies in."""
+    told = Refused("point 1 lies in no region", (1,))
+    labels = np.zeros(SHAPE, np.int32) if labels is None else labels
+    monkeypatch.setattr(regions_at_points, "_regions", lambda *_: (labels.copy(), {1: told}))
+    return told
 
 
-def test_a_rod_keeps_its_length():
-    """It is far larger than the ball in its middle, but as bright."""
-    places = np.moveaxis(np.indices(SHAPE), 0, -1) - MIDDLE
-    across = np.linalg.norm(places[..., :2] * SIZE[:2], axis=-1)
-    rod = (across < 0.7) & (np.abs(places[..., 2]) < 20)
-    stack = np.random.default_rng(0).poisson(5.0 + 30 * rod).astype(float)
+def test_a_point_in_it_is_enough(monkeypatch):
+    nothing_found(monkeypatch)
+    mesh = seeds_from_points(image(2.4, photons=0.3), SIZE, [MIDDLE * SIZE])
+    assert mesh.region_volume(1) == pytest.approx(4 / 3 * np.pi * 2.4**3, rel=0.3)
+
+
+def test_a_region_that_was_found_stays():
+    """Of a nucleus with a bright nucleolus under the point, all."""
+    stack = image(3.0, slope=0) + 60 * (distances() < 1.0)
     labels, left = regions_at_points.regions_at(stack, SIZE, MIDDLE[None], [1])
     assert not left
-    assert (labels == 1).sum() == pytest.approx(rod.sum(), rel=0.3)
+    assert (labels == 1).sum() * np.prod(SIZE) > 0.7 * 4 / 3 * np.pi * 3.0**3
+
+
+def test_a_ball_does_not_reach_into_the_region_of_another_point(monkeypatch):
+    other = np.zeros(SHAPE, np.int32)
+    other[tuple(MIDDLE + np.array([0, 0, 10]))] = 2
+    told = nothing_found(monkeypatch, other)
+    given = image(2.4, slope=0), SIZE, MIDDLE[None], [1]
+    labels, left = regions_at_points.regions_at(*given)
+    assert left == [told]
+    np.testing.assert_array_equal(labels, other)
 
 
 def test_noise_is_none():
@@ -67,15 +72,22 @@ def test_noise_is_none():
     assert found == [None] * 20
 
 
-def test_nor_is_light_that_rises_towards_the_point():
+def test_light_that_rises_towards_the_point_is_none():
     assert bright_ball(100 - distances(), SIZE, MIDDLE) is None
 
 
-def test_nor_is_a_ball_beside_the_point():
-    """The largest ball around it has the light at its edge."""
+def test_a_point_beside_a_ball_has_none():
     beside = MIDDLE + np.array([0, 16, 0])
     assert distances()[tuple(beside)] > 2.4
     assert bright_ball(image(2.4, slope=0), SIZE, beside) is None
+
+
+@pytest.mark.parametrize("apart", [14, 17])
+def test_a_point_between_two_balls_has_none(apart):
+    """The ball that holds both is the brightest."""
+    both = sum(distances(MIDDLE + np.array([0, 0, side])) < 2.2 for side in (-apart, apart))
+    stack = np.random.default_rng(0).poisson(5.0 + 30 * both).astype(float)
+    assert bright_ball(stack, SIZE, MIDDLE) is None
 
 
 @pytest.mark.parametrize(("others", "stands"), [(0, True), (200, False)])
@@ -88,9 +100,7 @@ def test_what_is_far_dimmer_than_other_things_does_not_stand_out(others, stands)
 def test_a_point_at_what_does_not_stand_out_is_told(monkeypatch):
     stack = image(2.0, slope=0)
     stack[:, :24, :12] += 200
-    told = Refused("point 1 lies in no region", (1,))
-    nothing = np.zeros(SHAPE, np.int32), {1: told}
-    monkeypatch.setattr(regions_at_points, "_regions", lambda *_: nothing)
+    told = nothing_found(monkeypatch)
     labels, left = regions_at_points.regions_at(stack, SIZE, MIDDLE[None], [1])
     assert left == [told]
     assert not labels.any()

@@ -30,8 +30,8 @@ class ProtrusionRules:
     alone
         Share of the bright things far from starts that are protrusions: where less is, others are
         about. Chosen: crumbs of noise are not counted. Measured on a cell among three without seeds
-        (radii of 4 to 6 voxels), of which one had an inside that showed: without it, the cell
-        swallowed the other two.
+        (radii of 4 to 6 voxels), only one of which had a visible inside: when the other two counted
+        as fingers, the cell swallowed them.
     closed, walls
         Widths: dark ground this deep that membranes enclose is the inside of another cell; less
         may lie between a protrusion and its cell. Of a membrane: as bright such walls are, the

@@ -42,9 +42,9 @@ class StructureRules:
         was off, with insides at one to five times as many.
     over
         Of the peak of a membrane's image: dimmer insides do not outshine it, by definition.
-        Measured: 0.06 in an uneven membrane 4 widths in radius, which differed from 0 by 0.7
-        standard errors (were it even) beside -9 of its inside, and had been fitted as an inside of
-        2.1 times its volume.
+        Measured: 0.06 in an uneven membrane 4 widths in radius, which had been fitted as an inside
+        of 2.1 times its volume; taken as even, it differed from 0 by 0.7 standard errors, its
+        inside by -9.
     faint
         Times as many of their errors, up to which such membranes are tried without once the fit has
         come to rest. Measured: 5 to 7.5 errors in three fits of nuclei alone that had ended with a

@@ -11,13 +11,7 @@ from skimage.segmentation import watershed
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.labels.basins import content_of, label_basins
-from napari_deltamic.geometry.labels.bright_ball import (
-    ball_at,
-    bright_ball,
-    even_slices,
-    is_more_than,
-    stands_out,
-)
+from napari_deltamic.geometry.labels.bright_ball import ball_at, bright_ball, stands_out
 from napari_deltamic.geometry.mesh import FloatArray, IntArray
 from napari_deltamic.geometry.refused import Refused
 
@@ -39,42 +33,21 @@ def regions_at(
 
     That of :func:`~.basins.label_basins`. Where nothing dark closes around a point, or it is the
     ground between bright cells, such as nuclei, it is the cell that is found there without help;
-    of several points in a bright one, each gets the part on its side of a neck. Without either, it
-    is a ball that is brighter than what is around it; points without that are told.
+    of several points in a bright one, each gets the part on its side of a neck. Where neither is
+    found, it is a ball around the point, if one is clearly brighter than what is around it and
+    reaches into no other region; points without that are told.
     """
     labels, left = _regions(data, size, voxels, names)
     at = dict(zip(names, voxels, strict=True))
-    _without_haze(labels, data, size, at)
     for name in [k for k, one in left.items() if len(one.points) == 1]:
         ball = None if (labels == name).any() else bright_ball(data, size, at[name])
-        if ball is not None and stands_out(data, size, ball):
-            box, within = ball_at(data.shape, size, at[name], ball.radius)
-            own = within & (labels[box] == 0)
-            if own.sum() > _OWN * within.sum():
-                labels[box][own] = name
-                del left[name]
+        if ball is None or not stands_out(data, size, ball):
+            continue
+        box, within = ball_at(data.shape, size, at[name], ball.radius)
+        if not labels[box][within].any():  # else it may reach over them
+            labels[box][within] = name
+            del left[name]
     return labels, [left[name] for name in sorted(left)]
-
-
-def _without_haze(
-    labels: Labels, data: FloatArray, size: FloatArray, at: dict[int, IntArray]
-) -> None:
-    """Of regions that are mostly haze, leave the bright ball around the point."""
-    even = None
-    for name, box in enumerate(ndimage.find_objects(labels), 1):
-        if box is None:
-            continue
-        own = labels[box] == name
-        radius = float(np.cbrt(3 / (4 * np.pi) * own.sum() * np.prod(size)))
-        ball = bright_ball(data, size, at[name], radius)
-        if ball is None:
-            continue
-        even = even_slices(data) if even is None else even
-        region = labels == name
-        if is_more_than(ball, even, size, at[name], region):
-            inner, within = ball_at(data.shape, size, at[name], ball.radius)
-            labels[region] = 0
-            labels[inner][within & (labels[inner] == 0)] = name
 
 
 def _regions(
