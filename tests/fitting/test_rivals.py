@@ -171,7 +171,15 @@ def followed(monkeypatch, *gains, shines="both"):
         # Evened, it hardly gains: insides alone are too uneven.
         lambda one, other: [np.ones(16) - one.leg, gains[one.leg] / 16 + SCATTER],
     )
-    monkeypatch.setattr(rival_structures, "_stand", lambda one, other, known: known[1].sum() > 100)
+    monkeypatch.setattr(
+        rival_structures,
+        "_stand",
+        lambda one, other, known: one.leg == 0 and known[1].sum() > 100,  # asked once
+    )
+    monkeypatch.setattr(rival_structures, "_errors", lambda one: 3.0)
+    monkeypatch.setattr(
+        rival_structures, "_enough", lambda known, errors: known[1].sum() > 100 and errors == 3.0
+    )
     end, taken, stands = _followed(rival(0), None)
     assert stands == (gains[end.leg] > 100)
     assert taken == 3 * end.leg
