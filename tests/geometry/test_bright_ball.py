@@ -111,3 +111,5 @@ def test_a_stack_of_few_slices():
     ball = bright_ball(flat, SIZE, np.array([4, 24, 24]))
     assert ball.radius == pytest.approx(2.4, rel=0.2)
     assert bright_ball(flat[:, :3, :3], SIZE, np.array([4, 1, 1])) is None
+    thin = np.array([0.05, 0.2, 0.2])  # less high than a block of the ball
+    assert stands_out(flat[:3], thin, bright_ball(flat[:3], thin, np.array([1, 24, 24])))
