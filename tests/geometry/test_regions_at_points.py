@@ -87,3 +87,16 @@ def test_a_second_point_in_one_of_the_parts_is_told():
     with pytest.warns(RepairWarning, match="points 2 and 3 lie in the same region"):
         found = labels_from_points(image, SIZE, [(16, 16, 11), (16, 16, 21), (16, 16, 21.2)])
     assert set(np.unique(found)) == {0, 1, 2}
+
+
+def test_the_dim_middle_of_a_nucleus_is_not_a_cell():
+    """Chromatin often leaves the middle of a nucleus dimmer, and it closes around a point there."""
+    (whole,), (middle,) = (balls((20, 20, 24), shape=(40, 40, 48), radius=r) for r in (14.0, 6.0))
+    found = labels_from_points(seen(whole - 0.15 * middle), SIZE, [(20, 20, 24)])
+    assert overlap(found == 1, whole) > 0.9
+
+
+def test_a_membrane_around_a_dim_inside_ends_at_its_crest():
+    (outer,), (inner,) = (balls((16, 16, 24), radius=r) for r in (9.0, 7.0))
+    found = labels_from_points(seen(outer - 0.5 * inner), SIZE, [(16, 16, 24)])
+    assert (found == 1).sum() < 1.15 * inner.sum()

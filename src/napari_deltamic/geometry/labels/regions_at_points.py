@@ -24,6 +24,12 @@ _OWN = 0.5  # chosen: most of a cell must be left by regions that other points n
 # is 1, where spheres overlap by a third of a radius 0.75.
 _NECK = 0.9
 _BRIGHT = 90.0  # percentile of a region; chosen: a point above it may lie in what is bright
+_DARK = 20  # percentile of the image; chosen: most images show more ground than that
+# The dim middle of something bright: brightness over that of its crest, at least, and share of the
+# bright cell around it that is at least so bright. Measured on 18 points with a bright cell around
+# a dark region: 0.89 to 0.99 and 0.54 to 0.75 where that was the middle of a nucleus, up to 0.90
+# and 0.48 inside membranes, and once 0.84 and 0.72, where cells had merged.
+_DIM, _WIDE, _NEARLY = 0.87, 0.5, 0.8
 
 
 def regions_at(
@@ -32,7 +38,8 @@ def regions_at(
     """Label the region of each voxel in ``voxels`` (n, 3) with its name; 0 elsewhere.
 
     That of :func:`~.basins.label_basins`. Where nothing dark closes around a point, or it is the
-    ground between bright cells, such as nuclei, it is the cell that is found there without help;
+    ground between bright cells, such as nuclei, or the dim middle of one, it is the cell that is
+    found there without help;
     of several points in a bright one, each gets the part on its side of a neck. Where neither is
     found, it is a ball around the point, if one is clearly brighter than what is around it and
     reaches into no other region; points without that are told.
@@ -57,14 +64,15 @@ def _regions(
     labels, refused = label_basins(data, size, voxels, names)
     at = {name: tuple(voxel) for name, voxel in zip(names, voxels.tolist(), strict=True)}
     why = {one.points[-1]: one for one in refused}
-    bright = _in_bright(data, size, labels, at)
-    found = _cells(data, size) if bright or why else None
+    smooth = ndimage.gaussian_filter(data, float(size.min()) / size, mode="nearest")
+    bright, dim = _in_bright(smooth, labels, at), _hardly_dark(smooth, labels)
+    found = _cells(data, size) if bright or dim or why else None
     if found is None:
         return labels, why
     if found.bright:
-        for name in bright:
-            if found.labels[at[name]]:
-                labels[labels == name] = 0
+        bright += [k for k in dim if k not in bright and _shines_around(smooth, labels == k, found)]
+        bright = [k for k in bright if found.labels[at[k]]]
+        labels[np.isin(labels, bright)] = 0
     left = {name: one for name, one in why.items() if not found.bright and len(one.points) > 1}
     cells: dict[int, list[int]] = {}  # the points in each
     for name in sorted({*why, *(bright if found.bright else ())} - set(left)):
@@ -134,17 +142,42 @@ def _without_neck(parts: Labels, deep: FloatArray) -> tuple[int, int] | None:
     return None
 
 
-def _in_bright(
-    data: FloatArray, size: FloatArray, labels: Labels, at: dict[int, tuple[int, ...]]
-) -> list[int]:
+def _in_bright(smooth: FloatArray, labels: Labels, at: dict[int, tuple[int, ...]]) -> list[int]:
     """Points that are brighter than nearly all of the dark region that they name."""
-    smooth = ndimage.gaussian_filter(data, float(size.min()) / size, mode="nearest")
     found = []
     for name, box in enumerate(ndimage.find_objects(labels), 1):
         if box is not None:
             level = np.percentile(smooth[box][labels[box] == name], _BRIGHT)
             found += [name] if smooth[at[name]] > level else []
     return found
+
+
+def _hardly_dark(smooth: FloatArray, labels: Labels) -> list[int]:
+    """Dark regions that are nearly as bright as their crests."""
+    ground, found = np.percentile(smooth, _DARK), []
+    for name, box in enumerate(ndimage.find_objects(labels), 1):
+        if box is not None:
+            own = labels[box] == name
+            above = float(np.median(smooth[box][own])) - ground
+            found += [name] if above > _DIM * (_crest(smooth[box], own) - ground) else []
+    return found
+
+
+def _crest(smooth: FloatArray, region: np.ndarray) -> float:
+    """How bright it is where a region ends; the same in all of the image."""
+    return float(np.median(smooth[region & ~ndimage.binary_erosion(region)]))
+
+
+def _shines_around(smooth: FloatArray, region: np.ndarray, found: CellsFound) -> bool:
+    """Whether light as bright as the crest of a dark region fills the bright cell that it is in.
+
+    Beyond a membrane it falls at once.
+    """
+    ground = np.percentile(smooth, _DARK)
+    cell = np.bincount(found.labels[region]).argmax()
+    around = (found.labels == cell) & ~region & (cell > 0)
+    least = ground + _NEARLY * (_crest(smooth, region) - ground)
+    return bool(around.any() and (smooth[around] > least).mean() > _WIDE)
 
 
 # The cells of the image that was looked at last: every click of a user asks for them again.
