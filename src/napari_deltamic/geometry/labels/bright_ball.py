@@ -124,7 +124,7 @@ def ball_at(
     shape: tuple[int, ...], size: FloatArray, voxel: IntArray, radius: float
 ) -> tuple[tuple[slice, ...], NDArray[np.bool_]]:
     """The box around a ball, and in it the voxels of the ball."""
-    box, far = _squares(shape, size, voxel, radius)
+    box, far = squares(shape, size, voxel, radius)
     return box, far <= radius**2
 
 
@@ -134,7 +134,7 @@ def _balls(data: FloatArray, size: FloatArray, voxel: IntArray, largest: float) 
     if largest <= first:
         return []
     count = 1 + int(_STEPS * np.log2(largest / first))
-    box, far = _squares(data.shape, size, voxel, first * 2 ** ((count + _TWICE) / _STEPS))
+    box, far = squares(data.shape, size, voxel, first * 2 ** ((count + _TWICE) / _STEPS))
     every = max(int(np.cbrt(far.size / RULES.most)), 1)
     some = (slice(None, None, every),) * 3
     values, far = data[box][some].ravel(), far[some].ravel()
@@ -163,7 +163,7 @@ def _mean(sums: FloatArray) -> tuple[float, float]:
     return total / n, float(np.sqrt(max(squares / n - (total / n) ** 2, 0.0) / n))
 
 
-def _squares(
+def squares(
     shape: tuple[int, ...], size: FloatArray, voxel: IntArray, radius: float
 ) -> tuple[tuple[slice, ...], FloatArray]:
     """The box around a ball, and in it the squared distances to its middle, um^2."""

@@ -12,6 +12,7 @@ from skimage.segmentation import watershed
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.labels.basins import content_of, label_basins
 from napari_deltamic.geometry.labels.bright_ball import ball_at, bright_ball, stands_out
+from napari_deltamic.geometry.labels.hollow_ball import hollow_ball
 from napari_deltamic.geometry.mesh import FloatArray, IntArray
 from napari_deltamic.geometry.refused import Refused
 
@@ -39,22 +40,35 @@ def regions_at(
 
     That of :func:`~.basins.label_basins`. Where nothing dark closes around a point, or it is the
     ground between bright cells, such as nuclei, or the dim middle of one, it is the cell that is
-    found there without help;
-    of several points in a bright one, each gets the part on its side of a neck. Where neither is
-    found, it is a ball around the point, if one is clearly brighter than what is around it and
-    reaches into no other region; points without that are told.
+    found there without help; of several points in a bright one, each gets the part on its side of
+    a neck. Where neither is found, it is a ball that the point lies in, if its shell or all of
+    it is clearly brighter than what is around, and it reaches into no other region; points
+    without that are told.
     """
     labels, left = _regions(data, size, voxels, names)
     at = dict(zip(names, voxels, strict=True))
     for name in [k for k, one in left.items() if len(one.points) == 1]:
-        ball = None if (labels == name).any() else bright_ball(data, size, at[name])
-        if ball is None or not stands_out(data, size, ball):
+        found = None if (labels == name).any() else _ball(data, size, at[name])
+        if found is None:
             continue
-        box, within = ball_at(data.shape, size, at[name], ball.radius)
+        box, within = found
         if not labels[box][within].any():  # else it may reach over them
             labels[box][within] = name
             del left[name]
     return labels, [left[name] for name in sorted(left)]
+
+
+def _ball(
+    data: FloatArray, size: FloatArray, voxel: IntArray
+) -> tuple[tuple[slice, ...], NDArray[np.bool_]] | None:
+    """A box, and in it the voxels of the ball that a voxel lies in: hollow, or else bright."""
+    hollow = hollow_ball(data, size, voxel)
+    if hollow is not None:
+        return ball_at(data.shape, size, hollow.middle, hollow.radius)
+    ball = bright_ball(data, size, voxel)
+    if ball is None or not stands_out(data, size, ball):
+        return None
+    return ball_at(data.shape, size, voxel, ball.radius)
 
 
 def _regions(

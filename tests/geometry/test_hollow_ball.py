@@ -1,0 +1,62 @@
+"""Cells whose membrane shows only as a whole."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from napari_deltamic.geometry import labels_from_points
+from napari_deltamic.geometry.labels import hollow_ball as module
+from napari_deltamic.geometry.labels.hollow_ball import hollow_ball
+
+SIZE = np.array([0.4, 0.2, 0.2])
+MIDDLE = np.array([12, 26, 24])
+
+
+def image(photons, radius=1.6, shape=(24, 48, 52), seed=0, filled=False):
+    """An uneven shell, or a ball, around the middle, on a background of 10 photons."""
+    far = np.sqrt(
+        sum(((n - m) * s) ** 2 for n, m, s in zip(np.indices(shape), MIDDLE, SIZE, strict=True))
+    )
+    light = (far < radius).astype(float) if filled else (np.abs(far - radius) < 0.15).astype(float)
+    light *= np.linspace(0.6, 1.4, shape[2])
+    light = gaussian_filter(light, 0.2 / SIZE)
+    rng = np.random.default_rng(seed)
+    return rng.poisson(10 + photons * light / light.max()).astype(float)
+
+
+def test_it_is_found_where_no_level_closes():
+    found = hollow_ball(image(6.0), SIZE, MIDDLE)
+    assert found.radius == pytest.approx(1.6, rel=0.12)
+    assert np.linalg.norm((found.middle - MIDDLE) * SIZE) < 0.3
+
+
+def test_its_middle_is_found_from_beside_it():
+    found = hollow_ball(image(8.0), SIZE, MIDDLE + np.array([0, 3, -2]))
+    assert found.radius == pytest.approx(1.6, rel=0.12)
+    assert np.linalg.norm((found.middle - MIDDLE) * SIZE) < 0.35
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_and_filled_balls_have_none(seed):
+    assert hollow_ball(image(0.0, seed=seed), SIZE, MIDDLE) is None
+    assert hollow_ball(image(20.0, seed=seed, filled=True), SIZE, MIDDLE) is None
+
+
+def test_ground_beside_it_has_none():
+    assert hollow_ball(image(20.0), SIZE, np.array([12, 5, 45])) is None
+
+
+def test_of_large_surroundings_some_voxels_are_enough(monkeypatch):
+    monkeypatch.setattr(module, "RULES", module.HollowRules(most=20_000))
+    assert hollow_ball(image(8.0), SIZE, MIDDLE).radius == pytest.approx(1.6, rel=0.15)
+
+
+@pytest.mark.parametrize("shape", [(3, 3, 3), (3, 48, 52), (1, 8, 8)])
+def test_stacks_that_are_too_small_for_one(shape):
+    flat = np.random.default_rng(0).poisson(10, shape).astype(float)
+    assert hollow_ball(flat, SIZE, np.array(shape) // 2) is None
+
+
+def test_a_point_in_it_names_it():
+    labels = labels_from_points(image(6.0), SIZE, [MIDDLE * SIZE])
+    assert (labels == 1).sum() * np.prod(SIZE) == pytest.approx(4 / 3 * np.pi * 1.6**3, rel=0.35)
