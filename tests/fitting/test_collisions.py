@@ -1,9 +1,11 @@
 """Surfaces do not come to cross."""
 
+import sys
+
 import numpy as np
 import pytest
 
-from napari_deltamic import Change, Mesh, fit
+from napari_deltamic import Change, Mesh, fit, geometry
 from napari_deltamic.fitting import collisions as module
 from napari_deltamic.fitting.collisions import CollisionGuard
 from napari_deltamic.fitting.triangle_quality import Remeshing
@@ -240,6 +242,13 @@ def test_cells_that_touch_do_not_cross(two):
     assert any(crosses(s.mesh) for s in unguarded)  # or this shows nothing
     assert error < max(0.1, 1.1 * other)
     assert states[-1].converged
+
+
+def test_without_the_extension_two_cells_are_fitted_as_they_are(two, monkeypatch):
+    monkeypatch.setitem(sys.modules, "napari_deltamic.geometry._remesh", None)
+    monkeypatch.delattr(geometry, "_remesh", raising=False)
+    states, _ = fitted(two, True)
+    assert len(states[-1].mesh.region_ids()) == 2
 
 
 def test_a_start_that_crosses_is_fitted_and_told():

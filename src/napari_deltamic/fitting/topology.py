@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..geometry.mesh import OUTSIDE, Mesh
+from ..geometry.remeshing import can_remesh
 from ..geometry.topology.small_pieces import small_pieces
 from ..geometry.topology.thin_places import ThinPlace, short_junctions, small_walls, thin_places
 from .fitted import Fitted
@@ -288,8 +289,8 @@ class TopologyPolicy:
 
 
 def may_change(mesh: Mesh) -> bool:
-    """Whether the topology of a mesh may change: several closed regions."""
-    return len(mesh.region_ids()) > 1 and mesh.is_closed()
+    """Whether the topology of a mesh can change: several closed regions, and what changes them."""
+    return len(mesh.region_ids()) > 1 and mesh.is_closed() and can_remesh()
 
 
 def _needs_evidence(place: ThinPlace, tried: bool) -> bool:
