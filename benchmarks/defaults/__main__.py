@@ -23,6 +23,7 @@ import numpy as np
 from ..page import put_between
 from ..page import table as table_of
 from ..tree import commit
+from .anything import ANYTHING
 from .command import Outcome, fitted, renumbered
 from .processing import BASES, PROCESSINGS
 from .scenes import KINDS, made
@@ -102,6 +103,9 @@ def main(argv: Sequence[str]) -> int:
         metavar="HOW",
         help=f"after each of {', '.join(PROCESSINGS)}, or of those named; of {', '.join(BASES)}",
     )
+    parser.add_argument(
+        "--anything", type=int, metavar="N", help="N scenes in which all is random, not the kinds"
+    )
     chosen = parser.parse_args(argv)
     names = chosen.only or list(KINDS if chosen.processed is None else BASES)
     unknown = [name for name in names if name not in KINDS]
@@ -113,23 +117,27 @@ def main(argv: Sequence[str]) -> int:
             parser.error(f"no {', '.join(unknown)}; there are {', '.join(PROCESSINGS)}")
         names = [f"{name}~{how}" for how in chosen.processed or PROCESSINGS for name in names]
     further = ["--shape-error", chosen.shape_error] if chosen.shape_error else []
+    asked = [(n, d) for d in range(chosen.first, chosen.first + chosen.draws) for n in names]
+    if chosen.anything:  # odd draws follow from the commit
+        asked = [(ANYTHING, 2 * k + 1) for k in range(chosen.first, chosen.first + chosen.anything)]
     measured_commit, rows = commit(), []
     print(f"commit {measured_commit}, {time.strftime('%Y-%m-%d %H:%M')}, {os.cpu_count()} cores")
     print(HEAD, flush=True)
     with tempfile.TemporaryDirectory() as temporary:
         folder = chosen.folder or Path(temporary)
-        for draw in range(chosen.first, chosen.first + chosen.draws):
-            for name in names:
-                given = folder, not chosen.no_told, chosen.patience, further
-                rows.append(measured(name, draw, measured_commit, *given))
-                print(line(rows[-1]), flush=True)
-                if chosen.json:
-                    facts = {"commit": measured_commit, "rows": rows}
-                    chosen.json.write_text(json.dumps(facts, indent=1) + "\n")
-    found, processed = figures(rows), chosen.processed is not None
+        for name, draw in asked:
+            given = folder, not chosen.no_told, chosen.patience, further
+            rows.append(measured(name, draw, measured_commit, *given))
+            print(line(rows[-1]), flush=True)
+            if chosen.json:
+                facts = {"commit": measured_commit, "rows": rows}
+                chosen.json.write_text(json.dumps(facts, indent=1) + "\n")
+    found = figures(rows)
     print("\n" + table_of(found))
     if chosen.page:
-        put_between(chosen.page, "processed" if processed else "defaults", whole(rows, processed))
+        section = "defaults" if chosen.processed is None else "processed"
+        section = ANYTHING if chosen.anything else section
+        put_between(chosen.page, section, whole(rows, section))
     return int(any(row.passed is False for row in found))
 
 

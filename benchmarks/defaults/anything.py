@@ -12,6 +12,7 @@ import numpy as np
 
 from .recipes import Recipe
 
+ANYTHING = "anything"  # the name of the kind
 _SMALLEST, _LARGEST = 4.0, 32.0  # radii of cells, voxels in plane
 _GROUP = 13.0  # the largest radius in a group
 
@@ -70,7 +71,7 @@ def anything(rng: np.random.Generator) -> Recipe:
     places = np.array([c[:3] for c in cells])
     places -= (places.min(0) + places.max(0)) / 2 if what == "group" else places[0]
     reach = np.abs(places).max(0) * (what == "group") + 1.45 * max(c[3] for c in cells) + 5
-    cut = reach * rng.uniform(-0.5, 0.5, 3) * (rng.random(3) < 0.15) * (what != "strangers")
+    cut = reach * rng.uniform(-0.5, 0.5, 3) * (rng.random(3) < 0.15) * (what == "one")
     size = np.ceil(2 * reach / (aspect, 1, 1)).astype(int)
     widest = max(0.8, min(3.0, radius / 4))
     across = _log(rng, 0.6, widest)

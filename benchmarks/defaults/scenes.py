@@ -15,6 +15,7 @@ from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.remeshing import remesh
 
+from .anything import ANYTHING, anything
 from .imaging import (
     FINE,
     Array,
@@ -61,7 +62,8 @@ def made(name: str, draw: int, commit: str) -> Scene:
     """The scene of a kind, or of ``KIND~PROCESSING``."""
     kind, _, processing = name.partition("~")
     rng = rng_of(kind, draw, commit)
-    scene = scene_of(f"{name}-{draw}", KINDS[kind](rng), rng)
+    recipe = anything(rng) if kind == ANYTHING else KINDS[kind](rng)
+    scene = scene_of(f"{name}-{draw}", recipe, rng)
     if not processing:
         return scene
     sigma = np.asarray(scene.sigma) / np.asarray(scene.voxel_size)

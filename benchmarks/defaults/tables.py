@@ -9,6 +9,7 @@ import numpy as np
 
 from ..figure import Row, at_most
 from ..page import table
+from .anything import ANYTHING
 from .recipes import WORDS
 
 OFF, NEAR = 0.5, 0.2  # voxels: more must not be called good, less not poor
@@ -84,6 +85,20 @@ def by_processing(rows: Scenes) -> str:
     return "\n".join(lines)
 
 
-def whole(rows: Scenes, processed: bool) -> str:
-    """What stands between the marks of the page."""
-    return by_processing(rows) if processed else f"{table(figures(rows))}\n\n{by_kind(rows)}"
+def by_grade(rows: Scenes) -> str:
+    """How far off the surfaces of each grade are."""
+    lines = ["| grade | scenes | error, voxel: median | 90 % | most |", "|---|---:|---:|---:|---:|"]
+    for grade in dict.fromkeys(("good", "fair", "poor", *(r["grade"] for r in rows))):
+        off = [r["surface"] for r in rows if r["grade"] == grade]
+        if off:
+            shown = " | ".join(f"{q:.2f}" for q in (*np.percentile(off, (50, 90)), max(off)))
+            lines.append(f"| {grade} | {len(off)} | {shown} |")
+    return "\n".join(lines)
+
+
+def whole(rows: Scenes, section: str) -> str:
+    """What stands between the marks of a section of the page."""
+    if section == "processed":
+        return by_processing(rows)
+    further = by_grade(rows) if section == ANYTHING else by_kind(rows)
+    return f"{table(figures(rows))}\n\n{further}"
