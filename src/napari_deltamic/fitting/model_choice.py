@@ -17,6 +17,7 @@ from .rival_structures import (
     insides_alone,
     membranes_as_well,
     nearer_of,
+    other_of_small,
     without_rim,
 )
 from .schedule import Progress
@@ -77,6 +78,19 @@ class ModelChoice:
             return fitted
         small = all_small(fitted.mesh, fitted.optics, RULES.clearly)
         return fitted if small else fitted.with_structure("both")
+
+    def either_of_small(self, terms: Terms, fitted: Fitted) -> tuple[Fitted, int]:
+        """With the other of membranes and insides, where cells are small and it explains more.
+
+        And the evaluations that finding out took.
+        """
+        open_still = self.settings.structure == "auto" and fitted.structure != "both"
+        if not open_still or not fitted.mesh.is_closed():
+            return fitted, 0
+        if not all_small(fitted.mesh, fitted.optics, RULES.clearly):
+            return fitted, 0
+        found, taken = other_of_small(terms, fitted)
+        return (fitted if found is None else found), taken
 
     def beside_rivals(
         self, terms: Terms, objective: Objective, fitted: Fitted, stage: Stage, start: Shape | None

@@ -114,6 +114,7 @@ class RivalRules:
 
 
 RULES = RivalRules()
+_ALIKE = (3 / 5) ** 0.5  # exact: of a ball and a sphere with equal second moments
 _FOLLOWED = 10  # edges from a rim, over which walls follow; chosen
 
 
@@ -313,6 +314,29 @@ def nearer_of(terms: Terms, fitted: Fitted) -> Structure:
     for structure in alone:
         left.append(begun(terms, plain.with_structure(structure), factored).posed.left)
     return alone[int(np.argmin(left))]
+
+
+def other_of_small(terms: Terms, fitted: Fitted) -> tuple[Fitted | None, int]:
+    """The fit with the other of membranes and insides, if it surely explains more; evaluations.
+
+    For small cells, whose light is spread alike where a membrane lies at 0.77 of the radius of an
+    inside: there the other begins. Measured on 18 fits: two of nuclei that began too small and had
+    become membranes at a quarter of their volumes, 3.9 and 4.9 errors; one at 2.1, which stays so;
+    of 15 that were right, up to 2.5. As measured, smooth membranes follow chromatin, so that does
+    not count.
+    """
+    volume = float(np.median(list(fitted.mesh.volumes().values())))
+    radius = float(np.cbrt(3 / (4 * np.pi) * abs(volume)))
+    outer = fitted.structure == "interior"
+    depth = radius * (1 - (_ALIKE if outer else 1 / _ALIKE))
+    vertices = _further_in(fitted.shape, depth, terms.settings.collisions)
+    moved = fitted.displaced(vertices, fitted.first_optics)
+    factored = Preconditioners()
+    stay, taken = gone_on(begun(terms, fitted, factored))
+    other = moved.with_structure("membrane" if outer else "interior")
+    rival, more = gone_on(begun(terms, other, factored))
+    evened, _ = _gains(rival, stay)
+    return (rival.fitted if _enough([evened], RULES.errors) else None), taken + more
 
 
 def begun(terms: Terms, fitted: Fitted, factored: Preconditioners) -> Objective:

@@ -107,10 +107,13 @@ class Run:
         begun = self.stage.iteration > 0  # a level of a checkpoint, or of another device
         while self.stage.level_number < len(self._levels):
             self._begin_level(begun)
-            begun = False
+            resumed, begun = begun, False
             if self._level.usable or self._last:
                 if self._level.usable and self.stage.iteration == 0:
                     self.fitted = self._choice.of_small(self.terms, self.fitted)
+                if self._last and not resumed:
+                    self.fitted, taken = self._choice.either_of_small(self.terms, self.fitted)
+                    self.spend(taken)
                 before = self.fitted
                 following = yield from self._level_states()
                 if following is not None or self._over:
@@ -309,8 +312,8 @@ class Run:
             self._due = True
             return False
         late = progress.iterations >= schedule.patience
-        if not (progress.settled or late) and progress.stuck <= 1:
-            self._due = True  # its variance is still that of a surface further off
+        if not (progress.final(schedule) or late) and progress.stuck <= 1:
+            self._due = True  # what it is judged by is that of a surface further off
             return False
         if is_given_up(self, self._former):
             return True
