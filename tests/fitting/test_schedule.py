@@ -109,3 +109,11 @@ def test_what_shines_is_asked_again_once_the_surface_goes_elsewhere():
     assert progress.posed(1.0, 4.0, S).stepped(0.9, True, S).answered
     assert progress.released().sure
     assert not progress.released().answered
+
+
+def test_an_objective_that_fell_much_is_posed_anew_before_the_end():
+    posed = after([100.0]).posed(100.0, 1.0, S)
+    assert posed.final(S)
+    assert posed.stepped(100.0 * (1 - 0.9 * S.fallen), True, S).final(S)
+    assert not posed.stepped(100.0 * (1 - 1.1 * S.fallen), True, S).final(S)
+    assert not after([100.0]).final(S)  # nothing to compare its variance with

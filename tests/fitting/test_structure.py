@@ -229,3 +229,23 @@ def test_a_membrane_that_is_drowned_by_the_inside_is_not_believed(monkeypatch, o
     monkeypatch.setattr(model_choice, "without_rim", lambda *_: (alone, 7))
     found, taken = model_choice.ModelChoice._at_rest(None, objective, begun, None)
     assert (found, taken) == ((begun, 0) if believed else (alone, 7))
+
+
+@pytest.mark.parametrize(("light", "name"), [(INSIDES, "interior"), (MEMBRANES, "membrane")])
+def test_small_cells_that_began_too_small_are_what_they_are(light, name):
+    """A membrane at 0.77 of the radius spreads its light as an inside does."""
+    grid, radius = nd.Grid((24, 34, 34), (0.2, 0.2, 0.2)), 1.05
+    centres = [(2.3, y, x) for y in (1.8, 4.8) for x in (1.8, 4.8)]
+    truth, start = (
+        nd.Mesh.merge([sphere(c, r, edge_length=0.25) for c in centres])
+        for r in (radius, 0.74 * radius)
+    )
+    shown = nd.scene.expected_image(truth, grid, OPTICS, 1e-3, 1.0, 0.0, light=light)
+    image = np.random.default_rng(4).poisson(60 * shown / shown.max() + 8.0).astype(np.float32)
+    wide = nd.GaussianPSF((0.39, 0.31, 0.31))
+    *_, last = nd.fit(
+        image, grid, start, wide, settings=FitSettings(structure="auto", fit_psf=True)
+    )
+    assert structure_of(last.light) == name
+    for region, volume in truth.volumes().items():
+        assert last.mesh.region_volume(region) == pytest.approx(volume, rel=0.05)

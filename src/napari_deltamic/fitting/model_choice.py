@@ -67,30 +67,21 @@ class ModelChoice:
             return fitted.with_structure(nearer_of(terms, fitted))
         return fitted
 
-    def grown(self, fitted: Fitted, stage: Stage) -> Fitted:
-        """With all that may shine, where the last level finds cells that began small to be larger.
+    def of_small_again(self, terms: Terms, fitted: Fitted) -> tuple[Fitted, int]:
+        """At the last level, where cells began small: the other of both if it explains more.
 
-        From starts inside them, cells had been fitted as membranes: insides alone at a third of
-        their volume. Earlier levels do not tell: a haze makes small cells twice as large there.
+        With all that may shine, where cells are found to be larger. From starts inside them, cells
+        had been fitted as membranes: insides alone at a third of their volume. Earlier levels do
+        not tell: a haze makes small cells twice as large there. And the evaluations that finding
+        out took.
         """
         known = self.settings.structure != "auto" or fitted.structure == "both"
-        if known or not self.last(stage) or not fitted.mesh.is_closed():
-            return fitted
-        small = all_small(fitted.mesh, fitted.optics, RULES.clearly)
-        return fitted if small else fitted.with_structure("both")
-
-    def either_of_small(self, terms: Terms, fitted: Fitted) -> tuple[Fitted, int]:
-        """With the other of membranes and insides, where cells are small and it explains more.
-
-        And the evaluations that finding out took.
-        """
-        open_still = self.settings.structure == "auto" and fitted.structure != "both"
-        if not open_still or not fitted.mesh.is_closed():
-            return fitted, 0
-        if not all_small(fitted.mesh, fitted.optics, RULES.clearly):
+        if known or not fitted.mesh.is_closed():
             return fitted, 0
         found, taken = other_of_small(terms, fitted)
-        return (fitted if found is None else found), taken
+        fitted = fitted if found is None else found
+        small = all_small(fitted.mesh, fitted.optics, RULES.clearly)
+        return (fitted if small else fitted.with_structure("both")), taken
 
     def beside_rivals(
         self, terms: Terms, objective: Objective, fitted: Fitted, stage: Stage, start: Shape | None

@@ -107,13 +107,8 @@ class Run:
         begun = self.stage.iteration > 0  # a level of a checkpoint, or of another device
         while self.stage.level_number < len(self._levels):
             self._begin_level(begun)
-            resumed, begun = begun, False
+            begun = False
             if self._level.usable or self._last:
-                if self._level.usable and self.stage.iteration == 0:
-                    self.fitted = self._choice.of_small(self.terms, self.fitted)
-                if self._last and not resumed:
-                    self.fitted, taken = self._choice.either_of_small(self.terms, self.fitted)
-                    self.spend(taken)
                 before = self.fitted
                 following = yield from self._level_states()
                 if following is not None or self._over:
@@ -214,13 +209,22 @@ class Run:
         if not begun:
             self.stage = replace(self.stage, blurred_for=self.fitted.optics, progress=Progress())
             self.fitted = self.fitted.taught(None)
-            self.fitted = self._choice.grown(self.fitted, self.stage)
             if not self._last:  # how bright each inside is, is found anew where the surface is now
                 self.fitted = self.fitted.shining(replace(self.fitted.light, cells=()))
         self._make_level()
         if not begun:
+            self._ask_of_small()
             blurred = 0.0 if self._level.factor == 1 else self._level.width
             self._upkeep.begin_level(self.fitted.mesh, blurred)
+
+    def _ask_of_small(self) -> None:
+        """Which of membranes and insides shine, where cells are too small to fit both."""
+        choice = self._choice
+        if self._level.usable and self.stage.iteration == 0:
+            self.fitted = choice.of_small(self.terms, self.fitted)
+        if self._last:
+            self.fitted, taken = choice.of_small_again(self.terms, self.fitted)
+            self.spend(taken)
 
     def _make_level(self) -> None:
         fitted, factor = self.fitted, self._levels[self.stage.level_number]
