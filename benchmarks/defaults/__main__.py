@@ -90,7 +90,7 @@ def main(argv: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.defaults", description=__doc__)
     parser.add_argument("--only", nargs="+", metavar="KIND", help=f"of {', '.join(KINDS)}")
     parser.add_argument("--draws", type=int, default=3, help="scenes of each kind")
-    parser.add_argument("--first", type=int, default=0, help="number of the first draw")
+    parser.add_argument("--first", type=int, default=0, help="number of the first one")
     parser.add_argument("--no-told", action="store_true", help="leave out the fit given the truth")
     parser.add_argument("--shape-error", metavar="E", help="a choice of the dial; default: normal")
     parser.add_argument("--patience", type=float, default=600, help="seconds for one fit")
@@ -118,7 +118,9 @@ def main(argv: Sequence[str]) -> int:
         names = [f"{name}~{how}" for how in chosen.processed or PROCESSINGS for name in names]
     further = ["--shape-error", chosen.shape_error] if chosen.shape_error else []
     asked = [(n, d) for d in range(chosen.first, chosen.first + chosen.draws) for n in names]
-    if chosen.anything:  # odd draws follow from the commit
+    if chosen.anything is not None:  # odd draws follow from the commit
+        if chosen.only or chosen.processed is not None:
+            parser.error("--anything goes with neither --only nor --processed")
         asked = [(ANYTHING, 2 * k + 1) for k in range(chosen.first, chosen.first + chosen.anything)]
     measured_commit, rows = commit(), []
     print(f"commit {measured_commit}, {time.strftime('%Y-%m-%d %H:%M')}, {os.cpu_count()} cores")
@@ -136,7 +138,7 @@ def main(argv: Sequence[str]) -> int:
     print("\n" + table_of(found))
     if chosen.page:
         section = "defaults" if chosen.processed is None else "processed"
-        section = ANYTHING if chosen.anything else section
+        section = section if chosen.anything is None else ANYTHING
         put_between(chosen.page, section, whole(rows, section))
     return int(any(row.passed is False for row in found))
 

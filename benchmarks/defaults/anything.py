@@ -1,7 +1,7 @@
 """Scenes in which everything is drawn at random: what no kind of the suite shows by itself.
 
-One cell, one among strangers, or a group; membranes, insides or both; 4 to 40 voxels in radius. The
-ranges are those of the stacks that people bring, as far as one process can fit them in a minute.
+One cell of 4 to 32 voxels in radius, one among strangers, or a group; membranes, insides or both.
+The ranges are those of the stacks that people bring, as far as a process fits them in a minute.
 """
 
 from __future__ import annotations

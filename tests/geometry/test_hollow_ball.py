@@ -60,3 +60,16 @@ def test_stacks_that_are_too_small_for_one(shape):
 def test_a_point_in_it_names_it():
     labels = labels_from_points(image(6.0), SIZE, [MIDDLE * SIZE])
     assert (labels == 1).sum() * np.prod(SIZE) == pytest.approx(4 / 3 * np.pi * 1.6**3, rel=0.35)
+
+
+@pytest.mark.parametrize("blur", [1.0, 2.0])
+def test_noise_that_was_smoothed_has_none(blur):
+    for seed in range(12):
+        noise = gaussian_filter(image(0.0, seed=seed), blur)
+        assert hollow_ball(noise, SIZE, MIDDLE) is None
+
+
+def test_whole_numbers_are_as_good():
+    whole = np.minimum(image(20.0), 255).astype(np.uint8)
+    same = hollow_ball(whole.astype(float), SIZE, MIDDLE)
+    assert hollow_ball(whole, SIZE, MIDDLE).radius == same.radius

@@ -100,3 +100,15 @@ def test_a_membrane_around_a_dim_inside_ends_at_its_crest():
     (outer,), (inner,) = (balls((16, 16, 24), radius=r) for r in (9.0, 7.0))
     found = labels_from_points(seen(outer - 0.5 * inner), SIZE, [(16, 16, 24)])
     assert (found == 1).sum() < 1.15 * inner.sum()
+
+
+def test_cells_in_flat_stacks_end_at_their_membranes():
+    """What lies at the first and last slice is no end of a region."""
+    _, y, x = np.indices((5, 64, 64))
+    centres = [(16, 16), (16, 48), (48, 16), (48, 48)]
+    far = np.min([np.hypot(y - a, x - b) for a, b in centres], axis=0)
+    light = np.where(np.abs(far - 13) < 1, 1.0, np.where(far < 13, 0.4, 0.0))
+    image = np.random.default_rng(0).poisson(5 + 100 * gaussian_filter(light, (0.5, 1.5, 1.5)))
+    found = labels_from_points(image.astype(float), (3.0, 1.0, 1.0), [(6, *c) for c in centres])
+    for name in range(1, 5):
+        assert (found == name).sum() / 5 < 1.1 * np.pi * 13**2

@@ -68,12 +68,13 @@ class ModelChoice:
         return fitted
 
     def of_small_again(self, terms: Terms, fitted: Fitted) -> tuple[Fitted, int]:
-        """At the last level, where cells began small: the other of both if it explains more.
+        """The fit of cells that began small, at the last level; and evaluations that this took.
 
-        With all that may shine, where cells are found to be larger. From starts inside them, cells
-        had been fitted as membranes: insides alone at a third of their volume. Earlier levels do
-        not tell: a haze makes small cells twice as large there. And the evaluations that finding
-        out took.
+        With the other of membranes and insides, if it explains more: its shape is wanted also where
+        cells are larger by now, as membranes that were taken for insides end at twice their volume.
+        Cells that are found to be larger go on with all that may shine: from starts inside them,
+        they had been fitted as membranes. Earlier levels do not tell: a haze makes small cells
+        twice as large there.
         """
         known = self.settings.structure != "auto" or fitted.structure == "both"
         if known or not fitted.mesh.is_closed():

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.sparse import coo_array
 
 from ..common.choices import Structure
-from ..geometry.mesh import FloatArray
+from ..geometry.mesh import FloatArray, Mesh
 from ..geometry.outwards import outwards
 from .amplitudes import inside_over_membrane
 from .collisions import CollisionGuard
@@ -286,10 +286,22 @@ def _enough(gains: Sequence[FloatArray], errors: float) -> bool:
     return all(gain.sum() > enough for gain, enough in zip(gains, least, strict=True))
 
 
-def _further_in(shape: Shape, depth: float, collisions: bool) -> FloatArray:
+def _radii(mesh: Mesh) -> FloatArray:
+    """(V, 1) um: of the ball as large as the smallest cell at each vertex."""
+    radius = np.full(max(mesh.region_ids()) + 1, np.inf)
+    for region, volume in mesh.volumes().items():
+        radius[region] = np.cbrt(3 / (4 * np.pi) * abs(volume))
+    radius[0] = np.inf  # the outside
+    found = np.full(len(mesh.vertices), np.inf)
+    for corner in range(3):
+        np.minimum.at(found, mesh.faces[:, corner], radius[mesh.regions].min(1))
+    return found[:, None]
+
+
+def _further_in(shape: Shape, depth: float | FloatArray, collisions: bool) -> FloatArray:
     """(V, 3) um: its vertices so much further in, where neither pins nor thin places hold them.
 
-    Further out where the depth is negative.
+    depth : um, of all or (V, 1) of each; further out where it is negative.
 
     Those of walls between cells follow what is around them, so that rims do not fold.
     """
@@ -333,10 +345,8 @@ def other_of_small(terms: Terms, fitted: Fitted) -> tuple[Fitted | None, int]:
     2.3 and -1.3; at most 0.6 in the others. Of eight from insides, one of membranes at twice their
     volume: 2.8; the others had at most 2.5, and insides that need no evening (1.0 to 1.1).
     """
-    volume = float(np.median(list(fitted.mesh.volumes().values())))
-    radius = float(np.cbrt(3 / (4 * np.pi) * abs(volume)))
     outer = fitted.structure == "interior"
-    depth = radius * (1 - (_ALIKE if outer else 1 / _ALIKE))
+    depth = _radii(fitted.mesh) * (1 - (_ALIKE if outer else 1 / _ALIKE))
     vertices = _further_in(fitted.shape, depth, terms.settings.collisions)
     moved = fitted.displaced(vertices, fitted.first_optics)
     factored = Preconditioners()

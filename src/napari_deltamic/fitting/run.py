@@ -104,7 +104,8 @@ class Run:
 
         Returns the run that follows, if the image calls for another PSF.
         """
-        begun = self.stage.iteration > 0  # a level of a checkpoint, or of another device
+        # A level of a checkpoint, or of another device.
+        begun = self.stage.iteration > 0 or self.stage.evaluations > 0
         while self.stage.level_number < len(self._levels):
             self._begin_level(begun)
             begun = False

@@ -41,11 +41,11 @@ class StructureRules:
         30 to 60 times as many; where there were membranes, 8 to 300, and 1 to 5 while their shape
         was off, with insides at one to five times as many.
     over
-        Of the peak of a membrane's image: dimmer insides do not outshine it. Chosen between what
-        was measured: 0.06, and 0.45 to 0.58, in two cells whose uneven membranes differed from 0 by
-        0.7 and 1.3 to 5 standard errors, insides by -9 and 6 to 30 (as insides alone, they ended at
-        2.1 and 2.0 times their volumes); 0.86 to 0.95 in a nucleus with chromatin and nucleoli (as
-        both, at two thirds of its volume).
+        Of the peak of a membrane's image, below which insides do not outshine it. Chosen between
+        what was measured: 0.06, and 0.45 to 0.58, in two cells whose uneven membranes differed from
+        0 by 0.7 and 1.3 to 5 standard errors, insides by -9 and 6 to 30 (as insides alone, they
+        ended at 2.1 and 2.0 times their volumes); 0.86 to 0.95 in a nucleus with chromatin and
+        nucleoli (as both, at two thirds of its volume).
     faint
         Times as many of their errors, up to which such membranes are tried without once the fit has
         come to rest. Measured: 5 to 7.5 errors in three fits of nuclei alone that had ended with a

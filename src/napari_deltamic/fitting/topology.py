@@ -289,7 +289,7 @@ class TopologyPolicy:
 
 
 def may_change(mesh: Mesh) -> bool:
-    """Whether the topology of a mesh can change: several closed regions, and what changes them."""
+    """Whether a mesh has several closed regions, and the compiled extension can change them."""
     return len(mesh.region_ids()) > 1 and mesh.is_closed() and can_remesh()
 
 

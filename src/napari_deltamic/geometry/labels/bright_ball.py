@@ -134,10 +134,9 @@ def _balls(data: FloatArray, size: FloatArray, voxel: IntArray, largest: float) 
     if largest <= first:
         return []
     count = 1 + int(_STEPS * np.log2(largest / first))
-    box, far = squares(data.shape, size, voxel, first * 2 ** ((count + _TWICE) / _STEPS))
-    every = max(int(np.cbrt(far.size / RULES.most)), 1)
-    some = (slice(None, None, every),) * 3
-    values, far = data[box][some].ravel(), far[some].ravel()
+    reach = first * 2 ** ((count + _TWICE) / _STEPS)
+    box, far = squares(data.shape, size, voxel, reach, RULES.most)
+    values, far = data[box].ravel(), far.ravel()
     log = _STEPS / 2 * np.log2(np.maximum(far / first**2, 1e-30))  # steps beyond the first radius
     shell = np.clip(np.ceil(log).astype(int), 0, count + _TWICE)
     sums = [np.bincount(shell, w, count + _TWICE + 1) for w in (None, values, values**2)]
@@ -164,13 +163,21 @@ def _mean(sums: FloatArray) -> tuple[float, float]:
 
 
 def squares(
-    shape: tuple[int, ...], size: FloatArray, voxel: IntArray, radius: float
+    shape: tuple[int, ...],
+    size: FloatArray,
+    voxel: IntArray,
+    radius: float,
+    most: int | None = None,
 ) -> tuple[tuple[slice, ...], FloatArray]:
-    """The box around a ball, and in it the squared distances to its middle, um^2."""
+    """The box around a ball, and in it the squared distances to its middle, um^2.
+
+    most : voxels, about; of a larger box, some of each axis.
+    """
     reach = np.ceil(radius / size).astype(int)
     low, high = np.maximum(voxel - reach, 0), np.minimum(voxel + reach + 1, shape)
-    box = tuple(slice(*ends) for ends in zip(low.tolist(), high.tolist(), strict=True))
-    places = np.ogrid[box]
+    every = 1 if most is None else max(int(np.cbrt(np.prod((high - low).astype(float)) / most)), 1)
+    box = tuple(slice(*ends, every) for ends in zip(low.tolist(), high.tolist(), strict=True))
+    places = np.ix_(*(np.arange(one.start, one.stop, every) for one in box))
     far: FloatArray = sum(
         ((place - middle) * side) ** 2
         for place, middle, side in zip(places, voxel.tolist(), size.tolist(), strict=True)

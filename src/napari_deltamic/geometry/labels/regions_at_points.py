@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -48,27 +49,26 @@ def regions_at(
     labels, left = _regions(data, size, voxels, names)
     at = dict(zip(names, voxels, strict=True))
     for name in [k for k, one in left.items() if len(one.points) == 1]:
-        found = None if (labels == name).any() else _ball(data, size, at[name])
-        if found is None:
+        if (labels == name).any():
             continue
-        box, within = found
-        if not labels[box][within].any():  # else it may reach over them
-            labels[box][within] = name
-            del left[name]
+        for box, within in _balls(data, size, at[name]):
+            if not labels[box][within].any():  # else it may reach over them
+                labels[box][within] = name
+                del left[name]
+                break
     return labels, [left[name] for name in sorted(left)]
 
 
-def _ball(
+def _balls(
     data: FloatArray, size: FloatArray, voxel: IntArray
-) -> tuple[tuple[slice, ...], NDArray[np.bool_]] | None:
-    """A box, and in it the voxels of the ball that a voxel lies in: hollow, or else bright."""
+) -> Iterator[tuple[tuple[slice, ...], NDArray[np.bool_]]]:
+    """Boxes, and in each the voxels of a ball that a voxel lies in: a hollow, then a bright one."""
     hollow = hollow_ball(data, size, voxel)
     if hollow is not None:
-        return ball_at(data.shape, size, hollow.middle, hollow.radius)
+        yield ball_at(data.shape, size, hollow.middle, hollow.radius)
     ball = bright_ball(data, size, voxel)
-    if ball is None or not stands_out(data, size, ball):
-        return None
-    return ball_at(data.shape, size, voxel, ball.radius)
+    if ball is not None and stands_out(data, size, ball):
+        yield ball_at(data.shape, size, voxel, ball.radius)
 
 
 def _regions(
@@ -171,15 +171,17 @@ def _hardly_dark(smooth: FloatArray, labels: Labels) -> list[int]:
     ground, found = np.percentile(smooth, _DARK), []
     for name, box in enumerate(ndimage.find_objects(labels), 1):
         if box is not None:
-            own = labels[box] == name
-            above = float(np.median(smooth[box][own])) - ground
-            found += [name] if above > _DIM * (_crest(smooth[box], own) - ground) else []
+            around = tuple(slice(max(side.start - 1, 0), side.stop + 1) for side in box)
+            own = labels[around] == name
+            above = float(np.median(smooth[around][own])) - ground
+            found += [name] if above > _DIM * (_crest(smooth[around], own) - ground) else []
     return found
 
 
 def _crest(smooth: FloatArray, region: np.ndarray) -> float:
-    """How bright it is where a region ends; the same in all of the image."""
-    return float(np.median(smooth[region & ~ndimage.binary_erosion(region)]))
+    """How bright it is where a region ends, which it does not at the border of the image."""
+    ends = region & ~ndimage.binary_erosion(region, border_value=1)
+    return float(np.median(smooth[ends])) if ends.any() else np.inf
 
 
 def _shines_around(smooth: FloatArray, region: np.ndarray, found: CellsFound) -> bool:
