@@ -46,6 +46,17 @@ def test_a_resumed_fit_ends_as_the_uninterrupted_one(image, tmp_path, at, settin
     )
 
 
+def test_what_small_cells_show_is_asked_once(image, tmp_path):
+    """Also where the checkpoint is of the first state, before any step."""
+    optics, path = GaussianPSF(0.5), tmp_path / "checkpoint.npz"
+    settings = FitSettings(levels=(1.0,), structure="auto", max_iterations=12)
+    states = fit(image, GRID, start(2), optics, settings=settings)
+    next(states).save(path)
+    *_, last = states
+    resumed = fitted(image, start(2), optics=optics, settings=settings, resume=path)
+    assert (resumed.iteration, resumed.evaluations) == (last.iteration, last.evaluations)
+
+
 @pytest.fixture
 def checkpoint(image, tmp_path):
     path = tmp_path / "checkpoint.npz"

@@ -141,25 +141,26 @@ def _balls(data: FloatArray, size: FloatArray, voxel: IntArray, largest: float) 
     shell = np.clip(np.ceil(log).astype(int), 0, count + _TWICE)
     sums = [np.bincount(shell, w, count + _TWICE + 1) for w in (None, values, values**2)]
     upto = np.cumsum(np.array(sums, float), axis=1)
-    inner: list[tuple[float, float]] = []
+    inner: list[tuple[FloatArray, FloatArray]] = []
     found = []
     for k in range(count):
         around = upto[:, k + _TWICE] - upto[:, k]
         if around[0] < 2 or not upto[0, k]:
             continue
-        (mean, error), (dark, beyond) = _mean(upto[:, k]), _mean(around)
+        (mean, error), (dark, beyond) = mean_of(upto[:, k]), mean_of(around)
         least = dark + RULES.half * (mean - dark)
         clear = all(core + RULES.sure * chance > least for core, chance in inner)
         radius = first * 2 ** (k / _STEPS)
-        found.append(Ball(radius, mean - dark, float(np.hypot(error, beyond)), clear))
+        found.append(Ball(radius, float(mean - dark), float(np.hypot(error, beyond)), clear))
         inner.append((mean, error))
     return found
 
 
-def _mean(sums: FloatArray) -> tuple[float, float]:
-    """Of values whose number, sum and sum of squares are given; and its standard error."""
-    n, total, squares = (float(one) for one in sums)
-    return total / n, float(np.sqrt(max(squares / n - (total / n) ** 2, 0.0) / n))
+def mean_of(sums: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Means of values whose number, sum and sum of squares are given; and their standard errors."""
+    n, total, squared = np.maximum(sums[0], 1e-30), sums[1], sums[2]
+    mean = total / n
+    return mean, np.sqrt(np.maximum(squared / n - mean**2, 0.0) / n)
 
 
 def squares(

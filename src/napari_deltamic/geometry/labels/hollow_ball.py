@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from napari_deltamic.geometry.labels.bright_ball import squares
+from napari_deltamic.geometry.labels.bright_ball import mean_of, squares
 from napari_deltamic.geometry.mesh import FloatArray, IntArray
 
 
@@ -80,9 +80,10 @@ class HollowBall:
     step
         Number of the radius.
     surely
-        By how much the shell is brighter, chance aside.
+        By how much the shell is brighter than what is in it and beyond it, the lesser of the two,
+        chance aside.
     errors
-        The same, in standard errors.
+        The lesser of these differences in standard errors.
     octants
         In which it is brighter.
     """
@@ -183,9 +184,10 @@ def _balls(data: FloatArray, size: FloatArray, middle: IntArray, radii: range) -
         full = 4 / 3 * np.pi * float(np.subtract(*(r**3 for r in ends))) / each
         if counts[0] < _FEWEST[0] or min(counts[1:]) < _FEWEST[1] or counts[1] < RULES.whole * full:
             continue
-        (dark, e), (bright, f), (far, g) = (_mean(part.sum(1)) for part in (core, shell, beyond))
-        rise, fall, errors = bright - dark, bright - far, (np.hypot(e, f), np.hypot(f, g))
-        shells, beyonds = _mean(shell)[0], _mean(beyond)[0]
+        (dark, e), (bright, f), (far, g) = (mean_of(part.sum(1)) for part in (core, shell, beyond))
+        rise, fall = bright - dark, bright - far
+        errors = [max(float(np.hypot(*pair)), 1e-30) for pair in ((e, f), (f, g))]
+        shells, beyonds = mean_of(shell)[0], mean_of(beyond)[0]
         shows = (shells > dark + RULES.shows * rise) & (shells > beyonds + RULES.shows * fall)
         balls.append(
             HollowBall(
@@ -217,10 +219,3 @@ def _sums(
     key, length = (shell * _OCTANTS + octant).ravel(), (last + 2) * _OCTANTS
     sums = [np.bincount(key, w, length) for w in (None, values, values**2)]
     return np.cumsum(np.array(sums, float).reshape(3, -1, _OCTANTS), axis=1), box[0].step ** 3
-
-
-def _mean(sums: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Of values whose number, sum and sum of squares are given; and its standard error."""
-    n, total, squared = np.maximum(sums[0], 1e-30), sums[1], sums[2]
-    mean = total / n
-    return mean, np.sqrt(np.maximum(squared / n - mean**2, 1e-30) / n)
