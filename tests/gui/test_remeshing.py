@@ -1,5 +1,7 @@
 """A fit that gets other triangles on the way: all that hangs on its vertices goes along."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -92,6 +94,23 @@ def test_pins_shown_are_those_of_the_fit(begun, with_image, gate, spin):
     assert begun.running.edit.pins.text().startswith(f"Free {state.pinned.sum()} ")
 
 
+def test_pins_are_those_of_the_newest_state_before_the_window_has_shown_it(begun, gate):
+    pin_right(begun)
+    run, asked_of = begun.doc.run, begun.doc.present().state.mesh
+    until = time.monotonic() + 30
+    while run.state.pinned is None and time.monotonic() < until:
+        time.sleep(0.01)  # the thread goes on; the window does not
+    gate.clear()
+    while same_triangles(run.state.mesh, asked_of) and time.monotonic() < until:
+        time.sleep(0.01)
+    run.paused = True
+    state = None
+    while state is not run.state:
+        state = run.state
+        time.sleep(0.2)
+    np.testing.assert_array_equal(begun.edits.pinned, state.pinned)
+
+
 def test_undo_and_redo_of_pins_across_a_remeshing(begun, gate, spin):
     pin_right(begun)
     spin(lambda: begun.doc.run.state.pinned is not None)
@@ -109,9 +128,10 @@ def test_undo_and_redo_of_pins_across_a_remeshing(begun, gate, spin):
 def test_undo_of_a_nudge_brings_the_triangles_and_the_pins_back(begun, gate, spin):
     pin_right(begun)
     spin(lambda: begun.doc.run.state.pinned is not None)
-    old = begun.doc.run.state.mesh
-    pinned = begun.doc.run.state.pinned.copy()
+    pause(begun, spin)
+    old, pinned = begun.doc.run.state.mesh, begun.doc.run.state.pinned.copy()
     begun.edits.shift(np.full((len(old.vertices), 3), 0.05), "nudge", old)
+    begun.footer.pause_button.click()
     spin(lambda: any(m.note == "nudge" for m in begun.doc.timeline.moments))
     remesh(begun, gate, spin)
     pause(begun, spin)

@@ -116,9 +116,10 @@ class Document:
         """What there is to change: the newest state of the fit, or its result."""
         run = self.run
         if self.running:
-            if not self.begun or run.state is None or run.job is None:
+            reached, job = run.reached, run.job
+            if not self.begun or reached is None or job is None:
                 return None  # all that is known belongs to another mesh
-            return Present(run.state, run.job, True)
+            return Present(reached[0], job, True, changes=reached[1])
         return None if self.result is None else Present(*self.result.of_fit(), False)
 
     def run_settings(self, seeds: str = "") -> RunSettings:

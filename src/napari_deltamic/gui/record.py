@@ -74,8 +74,10 @@ class Present:
     """What there is to change.
 
     running : whether a fit goes on from it.
+    changes : the number of the last change that the state includes, while a fit runs.
     """
 
     state: FitState
     job: FitInput
     running: bool
+    changes: int = 0

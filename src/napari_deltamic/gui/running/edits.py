@@ -180,7 +180,7 @@ class Edits(QObject):
     def _pins(self, present: Present) -> NDArray[np.bool_]:
         """(V,) what is pinned of the newest mesh, or will be once the fit has taken it over."""
         state, asked = present.state, self._asked
-        if present.running and asked is not None:
+        if present.running and asked is not None and asked.number > present.changes:
             return carried(asked.pinned, asked.mesh, state.mesh)
         if state.pinned is None:
             return np.zeros(len(state.mesh.vertices), bool)

@@ -96,7 +96,7 @@ class FitRun(Task):
         self.forecast: Forecaster | None = None
         self.first_forecast: Forecaster | None = None  # before anything was changed
         self.settings_changed = False  # by the user, on the way
-        self.state: FitState | None = None
+        self.reached: tuple[FitState, int] | None = None  # and the last change that it includes
         self.history = History()
         self.seconds = 0.0
         self.stage = "starting"
@@ -105,6 +105,12 @@ class FitRun(Task):
         self._due = self._render_due = self._forecast_due = 0.0
         self._left: float | None = None
         self._lately: deque[tuple[float, int]] = deque()  # s of fitting, iterations
+
+    @property
+    def state(self) -> FitState | None:
+        """The newest state; None before there is one."""
+        reached = self.reached
+        return None if reached is None else reached[0]
 
     @property
     def left(self) -> Change | None:
@@ -153,7 +159,7 @@ class FitRun(Task):
         states: Any = start(job)
         state, change = next(states, None), None
         while state is not None:
-            self.state = state
+            self.reached = state, self._changes  # both at once: the main thread looks whenever
             self._follow(state)
             self._messages += [state.message] if state.message else []
             self.history.add(state)
