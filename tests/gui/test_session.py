@@ -120,7 +120,8 @@ def test_saving_again_gives_the_same_session(seeded, spin, tmp_path, reopened):
         one, other = (getattr(r, part) for r in (a.result, b.result))
         one, other = (getattr(r, "mesh", r) for r in (one, other))
         np.testing.assert_array_equal(one.vertices, other.vertices)
-    assert len(a.result.moments) == len(b.result.moments) > 1
+    told = [[(m.iteration, m.loss, m.note) for m in r.moments] for r in (a.result, b.result)]
+    assert told[0] == told[1] != []  # a quick fit may have shown only its last state
 
 
 def test_a_reopened_session_goes_on(seeded, spin, tmp_path, reopened):
