@@ -10,10 +10,8 @@ from napari_deltamic.fitting import rival_structures
 from napari_deltamic.fitting.fit_objective import Objective
 from napari_deltamic.fitting.rival_structures import (
     _explains_more,
-    _followed,
-    _further_in,
-    _stand,
     best_of,
+    moved_in,
 )
 from napari_deltamic.fitting.shape import Shape
 from napari_deltamic.geometry import box
@@ -94,17 +92,17 @@ def test_a_surface_that_begins_further_in_does_not_cross_itself():
     """A plate thinner than twice the depth."""
     mesh = box((0.0, 0.0, 0.0), (0.6, 4.0, 4.0), edge_length=0.4)
     shape, places = Shape.begun(mesh, "uniform"), mesh.vertices_numpy()
-    moved = _further_in(shape, 0.4, True)
+    moved = moved_in(shape, 0.4, True)
     assert np.abs(moved - places).max(0).min() > 0.1
     assert not crosses(mesh.with_vertices(moved))
-    assert crosses(mesh.with_vertices(_further_in(shape, 0.4, False)))
+    assert crosses(mesh.with_vertices(moved_in(shape, 0.4, False)))
 
 
 def test_a_surface_that_begins_further_in_keeps_its_pins():
     mesh = box((0.0, 0.0, 0.0), (2.0, 2.0, 2.0), edge_length=0.5)
     places = mesh.vertices_numpy()
     pinned = places[:, 1] > 0.9
-    moved = _further_in(Shape.begun(mesh, "uniform").with_pins(pinned), 0.1, False)
+    moved = moved_in(Shape.begun(mesh, "uniform").with_pins(pinned), 0.1, False)
     np.testing.assert_array_equal(moved[pinned], places[pinned])
     away = np.linalg.norm(moved - places, axis=1)[~pinned]
     np.testing.assert_allclose(away, 0.1, rtol=1e-6)
@@ -154,58 +152,6 @@ def test_the_bound_is_what_a_membrane_must_differ_by():
     assert not compared(just - 0.002, just)
 
 
-# Of nats by block: with it, 100 of them are three standard errors.
-SCATTER = 5.5 * (-1.0) ** np.arange(16)
-
-
-def followed(monkeypatch, *gains, shines="both"):
-    """After how many legs a rival stops that has gained so much by then, and what it has taken."""
-
-    def rival(leg):
-        return SimpleNamespace(leg=leg, structure=lambda: SimpleNamespace(structure=shines))
-
-    monkeypatch.setattr(rival_structures, "gone_on", lambda one: (rival(one.leg + 1), 3))
-    monkeypatch.setattr(
-        rival_structures,
-        "_gains",
-        # Evened, it hardly gains: insides alone are too uneven.
-        lambda one, other: [np.ones(16) - one.leg, gains[one.leg] / 16 + SCATTER],
-    )
-    monkeypatch.setattr(
-        rival_structures,
-        "_stand",
-        lambda one, other, known: one.leg == 0 and known[1].sum() > 100,  # asked once
-    )
-    monkeypatch.setattr(rival_structures, "_errors", lambda one: 3.0)
-    monkeypatch.setattr(
-        rival_structures, "_enough", lambda known, errors: known[1].sum() > 100 and errors == 3.0
-    )
-    end, taken, stands = _followed(rival(0), None)
-    assert stands == (gains[end.leg] > 100)
-    assert taken == 3 * end.leg
-    return end.leg
-
-
-@pytest.mark.parametrize(
-    ("gains", "legs"),
-    [
-        ((120.0, 130.0), 0),
-        ((-75.0, 44.0, 80.0, 90.0, 120.0), 4),
-        ((-620.0, -40.0, 60.0, 120.0), 3),
-        ((-300.0, -177.0, 120.0), 1),  # another such step would not do
-        ((14.0, 20.0, 20.5, 99.0), 2),  # it hardly grows any more
-        ((14.0, 15.0, 16.0, 17.0, 18.0, 19.0, 20.0, 99.0), 6),  # it would take too long
-    ],
-)
-def test_a_rival_is_followed_while_it_gains(monkeypatch, gains, legs):
-    assert followed(monkeypatch, *gains) == legs
-
-
-@pytest.mark.parametrize(("shines", "legs"), [("interior", 0), ("membrane", 1), ("both", 1)])
-def test_a_rival_whose_membranes_do_not_show_is_followed_no_further(monkeypatch, shines, legs):
-    assert followed(monkeypatch, 20.0, 120.0, shines=shines) == legs
-
-
 def test_what_one_leaves_over_another_is_a_mean_over_the_voxels_of_each():
     def at(left, its):
         posed = SimpleNamespace(left_by=lambda image: (its, 0.0))
@@ -247,7 +193,7 @@ SURE = np.concatenate([FEW, FEW])  # 2.7 errors
 )
 def test_membranes_that_are_clear_stand_by_what_was_measured(given, stand):
     alone = answer({True: -given["evened"], False: -given["measured"]})
-    assert _stand(fit_of_both(**given), alone) is stand
+    assert rival_structures.stand(fit_of_both(**given), alone) is stand
 
 
 @pytest.mark.parametrize("stand", [False, True])
@@ -258,7 +204,7 @@ def test_insides_alone_are_taken_where_membranes_do_not_stand(monkeypatch, stand
     )
     monkeypatch.setattr(rival_structures, "begun", lambda *_: None)
     monkeypatch.setattr(rival_structures, "gone_on", lambda *_: (alone, 5))
-    monkeypatch.setattr(rival_structures, "_stand", lambda *_: stand)
+    monkeypatch.setattr(rival_structures, "stand", lambda *_: stand)
     found, evaluations = rival_structures.insides_alone(
         None, SimpleNamespace(anew=lambda: both), None
     )

@@ -9,10 +9,11 @@ import torch
 
 import napari_deltamic as nd
 from napari_deltamic.errors import InputError
-from napari_deltamic.fitting import model_choice, structure_choice
+from napari_deltamic.fitting import hidden_membranes, model_choice, structure_choice
 from napari_deltamic.fitting.amplitudes import mixture
 from napari_deltamic.fitting.errors_of_measures import posed_at
 from napari_deltamic.fitting.fit_objective import Objective
+from napari_deltamic.fitting.surface_upkeep import SurfaceUpkeep
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene.light import INSIDES, MEMBRANES, Light, structure_of
@@ -175,6 +176,29 @@ def test_membranes_come_back_where_labels_reached_out_too_far(light, name):
     settings = FitSettings(structure="auto", levels=(1.0,), fit_psf=True)
     *_, last = nd.fit(image_of(light), GRID, start, OPTICS, settings=settings)
     assert structure_of(last.light) == name
+    assert abs(last.mesh.region_volume(1) / cell().region_volume(1) - 1) < 0.03
+
+
+def test_membranes_come_back_from_the_start(monkeypatch):
+    """With other triangles than the fit had come to, and no more of what it was trying."""
+    monkeypatch.setattr(
+        hidden_membranes,
+        "_from_further_in",
+        lambda terms, alone, factored: hidden_membranes._Trial(alone, 0, False, True),
+    )
+    forgotten, restarted = [], []  # with what is still on trial, the surface before would be back
+    monkeypatch.setattr(SurfaceUpkeep, "forget_trial", lambda self: forgotten.append(1))
+    monkeypatch.setattr(SurfaceUpkeep, "restart", lambda self: restarted.append(1))
+    places = (cell().vertices_numpy() - MIDDLE) * 1.35
+    rough = places + np.random.default_rng(1).normal(0, 0.08, places.shape)  # it is remeshed
+    rough *= np.linalg.norm(places, axis=1, keepdims=True) / np.linalg.norm(
+        rough, axis=1, keepdims=True
+    )
+    start = cell().with_vertices(MIDDLE + rough)
+    settings = FitSettings(structure="auto", levels=(1.0,), fit_psf=True)
+    *_, last = nd.fit(image_of(Light(1.0, 3.0)), GRID, start, OPTICS, settings=settings)
+    assert len(forgotten) == len(restarted) == 1
+    assert structure_of(last.light) == "both"
     assert abs(last.mesh.region_volume(1) / cell().region_volume(1) - 1) < 0.03
 
 

@@ -10,12 +10,12 @@ from .collisions import CollisionGuard
 from .density import RULES as DENSITY
 from .fit_objective import Objective, Terms
 from .fitted import Fitted
+from .hidden_membranes import membranes_as_well
 from .preconditioner import Preconditioners
 from .rival_structures import RULES as RIVALS
 from .rival_structures import (
     best_of,
     insides_alone,
-    membranes_as_well,
     nearer_of,
     other_of_small,
     without_rim,
@@ -107,13 +107,14 @@ class ModelChoice:
         fitted: Fitted,
         factored: Preconditioners,
         progress: Progress,
+        start: Shape | None,
     ) -> tuple[Fitted, int, Progress]:
         """What shines at rest, the evaluations that it took to ask, and where that leaves the fit.
 
-        The same object where that is what had been clear on the way.
+        The same object where that is what had been clear on the way. start : as for rivals.
         """
         if self._asked_again(fitted, progress):
-            found, taken, unsure = self._with_both_again(terms, objective, fitted, factored)
+            found, taken, unsure = self._with_both_again(terms, objective, fitted, factored, start)
             return found, taken, replace(progress, again=True, unsure=unsure)
         if self.is_open(fitted) and not progress.answered:  # once for each surface
             found, taken = self._at_rest(terms, objective, fitted, factored)
@@ -160,7 +161,11 @@ class ModelChoice:
 
     @staticmethod
     def _with_both_again(
-        terms: Terms, objective: Objective, fitted: Fitted, factored: Preconditioners
+        terms: Terms,
+        objective: Objective,
+        fitted: Fitted,
+        factored: Preconditioners,
+        start: Shape | None,
     ) -> tuple[Fitted, int, bool]:
         """The fit with what shines if both may again; the same fit if one alone does.
 
@@ -170,7 +175,7 @@ class ModelChoice:
         if wanted and objective.structure().structure != "interior":
             return fitted, 0, False
         if wanted or fitted.structure == "interior":
-            found, taken, unsure = membranes_as_well(terms, objective, factored)
+            found, taken, unsure = membranes_as_well(terms, objective, factored, start)
             return (fitted if found is None else found), taken, unsure
         both = fitted.with_structure("both")
         again = Objective(terms, both, CollisionGuard(terms.settings.collisions), factored)

@@ -35,11 +35,6 @@ class RivalRules:
     steps
         Of each. Fits of ``mixed`` scenes (benchmarks.defaults) that were stuck 3 voxels from their
         membranes had passed the others by then.
-    further, growing
-        How often, at most, another ``steps`` are taken with both where the fit is at rest with
-        insides alone, and the share by which their gain, as measured, must grow each time.
-        Measured where labels are two voxels too large: the gain was enough after 2 to 6 times, and
-        grew by 5 % and more; of seven crowds, one was found with one time, four with six.
     renewed_every
         Steps after which voxels and weights are chosen anew.
     levels
@@ -55,10 +50,6 @@ class RivalRules:
         (volumes 9 and 11 % too large) they left 0.2 % more, and 10 % less, and both ended within
         0.5 %; half and twice change neither. From spheres, whose fits in two such hazes are 0.95
         and 0.56 voxels off, they left 7 and 12 % more: those stay wrong.
-    further_in
-        Widths of the PSF at the start, by which surfaces begin further in where membranes are tried
-        beside insides at rest. Chosen: of 0.4, 0.6 and 0.8, from this one most crowds were found
-        whose labels are two voxels too large (``crowd-grown``, benchmarks.defaults).
     nats
         By which insides alone may explain less than with faint membranes, and be taken: half the
         square of the errors that membranes have to differ from 0 by (S. S. Wilks, 1938). Measured:
@@ -70,10 +61,6 @@ class RivalRules:
         3.2 to 11 where membranes were real; around nuclei with chromatin -7 to 2.7, once 3.5. One
         membrane that left 5 % less than both reached only 1.8; taken, it ended at half the volume
         of a nucleus.
-    unsure
-        How many of those errors are enough for a fit to say that membranes may shine as well.
-        Chosen, between crowds whose surfaces are a voxel too far out (2.8) and most nuclei with
-        chromatin: of 24 fits, two reached 2.2 and 2.5, which were graded fair for that already.
     uneven
         Times as many squares left of insides as they are as of evened ones, from which on they are
         uneven. Measured: 1.2 to 2.1 with chromatin; 1.00 to 1.16 on cells that are even, and all
@@ -100,16 +87,12 @@ class RivalRules:
     """
 
     steps: int = 12
-    further: int = 6
-    growing: float = 0.05
     renewed_every: int = 6
     levels: int = 2
     less: float = 0.05
     alike: float = 0.02
-    further_in: float = 0.6
     nats: float = 12.5
     errors: float = 3.0
-    unsure: float = 2.0
     uneven: float = 1.1
     hidden: float = 2.5
     clear: float = 2.0
@@ -166,7 +149,7 @@ def insides_alone(
     alone = both.fitted.with_structure("interior")
     rival, taken = gone_on(begun(terms, alone, factored))
     taken += both.evaluations()
-    return (None if _stand(both, rival) else rival.fitted), taken
+    return (None if stand(both, rival) else rival.fitted), taken
 
 
 def without_rim(
@@ -182,80 +165,33 @@ def without_rim(
     even, taken = gone_on(begun(terms, fitted.with_density("interface"), factored))
     width = float(np.prod(fitted.first_optics.sigma_um) ** (1 / 3))
     depth = min(abs(light.membrane / light.interior), width)
-    vertices = _further_in(fitted.shape, -depth, terms.settings.collisions)
+    vertices = moved_in(fitted.shape, -depth, terms.settings.collisions)
     alone = fitted.displaced(vertices, fitted.first_optics).with_structure("interior")
     rival, more = gone_on(begun(terms, alone, factored))
-    stay = _over(even) <= RULES.hidden and _stand(even, rival)
+    stay = insides_over(even) <= RULES.hidden and stand(even, rival)
     return (None if stay else rival.fitted), taken + more
 
 
-def membranes_as_well(
-    terms: Terms, objective: Objective, factored: Preconditioners
-) -> tuple[Fitted | None, int, bool]:
-    """The fit with membranes further in, if both surely explain more than insides alone.
-
-    Also the evaluations and, where that is not sure, whether both may explain more.
-
-    Labels of whole cells often reach out to where the light of their membranes ends. From there,
-    insides alone with a narrow PSF look like both, and a fit with few blurred levels stays there.
-    """
-    alone = objective.anew()
-    fitted = alone.fitted
-    width = float(np.prod(fitted.first_optics.sigma_um) ** (1 / 3))
-    vertices = _further_in(fitted.shape, RULES.further_in * width, terms.settings.collisions)
-    # One brightness for each wall: cells differ, and a smooth one could make up for a shape.
-    both = fitted.displaced(vertices, fitted.first_optics).with_density("interface")
-    terms = replace(terms, density_fitted=True)
-    rival, taken = gone_on(begun(terms, both.with_structure("both"), factored))
-    rival, more, stands = _followed(rival, alone)
-    guard = CollisionGuard(terms.settings.collisions)
-    guard.watch(fitted.mesh)
-    may_be = guard.allows(rival.fitted.mesh) and _shows_membranes(rival)
-    taken += more + alone.evaluations()
-    if may_be and stands:
-        return rival.fitted, taken, False
-    return None, taken, may_be and _enough(_gains(rival, alone), RULES.unsure)
-
-
-def _followed(rival: Objective, alone: Objective) -> tuple[Objective, int, bool]:
-    """A rival of insides alone, after more steps while it gains; evaluations, and if it stands.
-
-    Clear membranes stand at once or not at all: with more steps, they imitate fine chromatin.
-    (Measured on a nucleus: 2.6 errors, and no more left, after 36 steps; it ended 1.1 voxels off.)
-    """
-    taken, gains = 0, _gains(rival, alone)
-    stands = _stand(rival, alone, gains)
-    for _ in range(RULES.further):
-        if stands or not _shows_membranes(rival):
-            break
-        before = gains[1].sum()
-        rival, more = gone_on(rival)
-        taken, gains = taken + more, _gains(rival, alone)
-        stands, now = _enough(gains, _errors(rival)), gains[1].sum()
-        # The second condition: gaining as much again would still not be enough.
-        if now - before < RULES.growing * abs(before) or 2 * now - before < RULES.nats:
-            break
-    return rival, taken, stands
-
-
-def _shows_membranes(objective: Objective) -> bool:
+def shows_membranes(objective: Objective) -> bool:
+    """Whether membranes would stay in a fit of both."""
     return objective.structure().structure != "interior"
 
 
-def _stand(both: Objective, alone: Objective, gains: Sequence[FloatArray] | None = None) -> bool:
+def stand(both: Objective, alone: Objective, gains: Sequence[FloatArray] | None = None) -> bool:
     """Whether both surely explain more than insides alone, or the membranes of both are clear.
 
     Insides alone follow a membrane as unevenness, so once insides are evened, both gain little over
     them; and sums over few blocks never reach many errors.
     """
-    gains = _gains(both, alone) if gains is None else gains
-    if _enough(gains, _errors(both)):
+    gains = gains_over(both, alone) if gains is None else gains
+    if enough(gains, errors_asked(both)):
         return True
-    clear = both.now.light.membrane > 0 and _over(both) <= RULES.hidden
-    return bool(clear and both.leaves_over(alone) <= 1 and _enough(gains[1:], RULES.clear))
+    clear = both.now.light.membrane > 0 and insides_over(both) <= RULES.hidden
+    return bool(clear and both.leaves_over(alone) <= 1 and enough(gains[1:], RULES.clear))
 
 
-def _over(objective: Objective) -> float:
+def insides_over(objective: Objective) -> float:
+    """How bright insides are, of the peak of a membrane's image."""
     return inside_over_membrane(objective.now.light, objective.fitted.optics.sigma_um)
 
 
@@ -268,25 +204,27 @@ def _explains_more(one: Objective, other: Objective) -> bool:
     for unevenness speaks for it, and unevenness itself speaks for whatever has more of it
     (chromatin, for a membrane).
     """
-    return _enough(_gains(one, other), _errors(one))
+    return enough(gains_over(one, other), errors_asked(one))
 
 
-def _gains(one: Objective, other: Objective) -> list[FloatArray]:
+def gains_over(one: Objective, other: Objective) -> list[FloatArray]:
     """(B,) nats per block that one gains over another: with insides evened, and as measured."""
     either = True, False
     return [(one.nats_over(other, even) - other.nats_over(one, even)) / 2 for even in either]
 
 
-def _errors(one: Objective) -> float:
+def errors_asked(one: Objective) -> float:
+    """How many errors a rival has to explain more by."""
     return RULES.errors if one.terms.settings.structure == "auto" else 0.0
 
 
-def _enough(gains: Sequence[FloatArray], errors: float) -> bool:
+def enough(gains: Sequence[FloatArray], errors: float) -> bool:
+    """Whether each of these sums over blocks is so many times its error, and enough nats."""
     least = [max(RULES.nats, errors * np.sqrt((gain**2).sum())) for gain in gains]
-    return all(gain.sum() > enough for gain, enough in zip(gains, least, strict=True))
+    return all(gain.sum() > most for gain, most in zip(gains, least, strict=True))
 
 
-def _radii(mesh: Mesh) -> FloatArray:
+def radii_of(mesh: Mesh) -> FloatArray:
     """(V, 1) um: of the ball as large as the smallest cell at each vertex."""
     radius = np.full(max(mesh.region_ids()) + 1, np.inf)
     for region, volume in mesh.volumes().items():
@@ -298,7 +236,7 @@ def _radii(mesh: Mesh) -> FloatArray:
     return found[:, None]
 
 
-def _further_in(shape: Shape, depth: float | FloatArray, collisions: bool) -> FloatArray:
+def moved_in(shape: Shape, depth: float | FloatArray, collisions: bool) -> FloatArray:
     """(V, 3) um: its vertices so much further in, where neither pins nor thin places hold them.
 
     depth : um, of all or (V, 1) of each; further out where it is negative.
@@ -346,18 +284,18 @@ def other_of_small(terms: Terms, fitted: Fitted) -> tuple[Fitted | None, int]:
     volume: 2.8; the others had at most 2.5, and insides that need no evening (1.0 to 1.1).
     """
     outer = fitted.structure == "interior"
-    depth = _radii(fitted.mesh) * (1 - (_ALIKE if outer else 1 / _ALIKE))
-    vertices = _further_in(fitted.shape, depth, terms.settings.collisions)
+    depth = radii_of(fitted.mesh) * (1 - (_ALIKE if outer else 1 / _ALIKE))
+    vertices = moved_in(fitted.shape, depth, terms.settings.collisions)
     moved = fitted.displaced(vertices, fitted.first_optics)
     factored = Preconditioners()
     stay, taken = gone_on(begun(terms, fitted, factored))
     other = moved.with_structure("membrane" if outer else "interior")
     rival, more = gone_on(begun(terms, other, factored))
-    evened, measured = _gains(rival, stay)
+    evened, measured = gains_over(rival, stay)
     if outer:
-        surely = stay.unevenness() > RULES.hollow and _enough([measured], RULES.clear)
+        surely = stay.unevenness() > RULES.hollow and enough([measured], RULES.clear)
     else:
-        surely = _enough([evened], RULES.errors)
+        surely = enough([evened], RULES.errors)
     return (rival.fitted if surely else None), taken + more
 
 

@@ -23,6 +23,7 @@ from .prediction import View
 from .problem import Problem
 from .reporting import Reporter, verdict
 from .schedule import Progress, Schedule
+from .shape import Shape
 from .stage import Stage
 from .state import FitState
 from .state_of import state_of
@@ -135,18 +136,18 @@ class Run:
         """Go on with the best of what may shine, where the fit may be stuck."""
         if not self._level.usable:
             return
-        start = None if self.stage.edited or not self._same_cells() else self._begun
-        given = self.objective, self.fitted, self.stage, start
+        given = self.objective, self.fitted, self.stage, self._first_shape()
         before = self.fitted.mesh
         self.fitted, taken = self._choice.beside_rivals(self.terms, *given)
         self.spend(taken)
         if not np.array_equal(self.fitted.mesh.faces, before.faces):
             self._reporter.other_mesh(self.fitted.mesh)
 
-    def _same_cells(self) -> bool:
-        """Whether the cells are those that the fit began with."""
+    def _first_shape(self) -> Shape | None:
+        """Where the fit began, if it is still of the same cells."""
         first, now = self._begun.mesh.region_ids(), self.fitted.mesh.region_ids()
-        return np.array_equal(first, now)
+        same = np.array_equal(first, now) and not self.stage.edited
+        return self._begun if same else None
 
     def _level_states(self) -> Generator[FitState, Change | None, Run | None]:
         self._due = True
@@ -337,11 +338,21 @@ class Run:
         """Whether, at rest, something else shines than what had been clear on the way."""
         before = self.fitted
         given = self.terms, self.objective, before, self._factored, self.stage.progress
-        self.fitted, taken, progress = self._choice.asked_anew(*given)
+        self.fitted, taken, progress = self._choice.asked_anew(*given, self._first_shape())
         self.spend(taken)
         other = self.fitted is not before
+        if other:
+            self._upkeep.forget_trial()
+        if not np.array_equal(self.fitted.mesh.faces, before.mesh.faces):
+            self._begin_surface_anew()
         self.stage = replace(self.stage, progress=progress.released() if other else progress)
         return other
+
+    def _begin_surface_anew(self) -> None:
+        """The fit goes on from where it began."""
+        self._upkeep.restart()
+        self._upkeep.begin_level(self.fitted.mesh, 0.0)
+        self._reporter.other_mesh(self.fitted.mesh)
 
     @property
     def _tolerance(self) -> float:

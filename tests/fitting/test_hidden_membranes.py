@@ -1,0 +1,123 @@
+"""Membranes that a fit of one level has lost: how long both are followed, and from where."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import napari_deltamic as nd
+from napari_deltamic.fitting import hidden_membranes
+from napari_deltamic.fitting.hidden_membranes import _followed, _grown, _Trial, membranes_as_well
+from napari_deltamic.geometry import sphere
+
+MIDDLE = np.full(3, 2.3)
+
+# Of nats by block: with it, 100 of them are three standard errors.
+SCATTER = 5.5 * (-1.0) ** np.arange(16)
+
+
+def followed(monkeypatch, *gains, evened=(), shines="both", over=1.0):
+    """After how many legs a rival stops that has gained so much by then, and what it has taken."""
+
+    def rival(leg):
+        return SimpleNamespace(leg=leg, structure=lambda: SimpleNamespace(structure=shines))
+
+    def gained(one, other):
+        # Evened, it gains no more unless given: insides alone are too uneven.
+        even = evened[one.leg] if evened else 1.0
+        return [even * np.ones(16), gains[one.leg] / 16 + SCATTER]
+
+    monkeypatch.setattr(hidden_membranes, "gone_on", lambda one: (rival(one.leg + 1), 3))
+    monkeypatch.setattr(hidden_membranes, "gains_over", gained)
+    monkeypatch.setattr(hidden_membranes, "errors_asked", lambda one: 3.0)
+    monkeypatch.setattr(hidden_membranes, "insides_over", lambda one: over)
+    bounds = {3.0: 100, 2.0: 60}
+    monkeypatch.setattr(
+        hidden_membranes, "enough", lambda known, errors: known[1].sum() > bounds[errors]
+    )
+    trial = _followed(_Trial(rival(0), 5, False, False), None, 6)
+    leg, may = trial.rival.leg, shines != "interior"
+    assert trial.stands == (may and gains[leg] > 100 and over <= 2.5)
+    assert trial.hints == (may and max(gains[: leg + 1]) > 60)
+    assert trial.evaluations == 5 + 3 * leg
+    return leg
+
+
+@pytest.mark.parametrize(
+    ("gains", "legs"),
+    [
+        ((120.0, 130.0), 0),
+        ((-75.0, 44.0, 80.0, 90.0, 120.0), 4),
+        ((-620.0, -40.0, 60.0, 120.0), 3),
+        ((-300.0, -177.0, 120.0), 1),  # another such step would not do
+        ((14.0, 20.0, 20.5, 99.0), 2),  # it hardly grows any more
+        ((14.0, 80.0, 30.0, 99.0), 2),  # it could be, on the way
+        ((14.0, 15.0, 16.0, 17.0, 18.0, 19.0, 20.0, 99.0), 6),  # it would take too long
+    ],
+)
+def test_a_rival_is_followed_while_it_gains(monkeypatch, gains, legs):
+    assert followed(monkeypatch, *gains) == legs
+
+
+def test_a_rival_that_gains_over_evened_insides_is_followed_too(monkeypatch):
+    gains = (90.0, 90.0, 90.0, 90.0)
+    assert followed(monkeypatch, *gains) == 1
+    assert followed(monkeypatch, *gains, evened=(-9.0, 1.0, 4.0, 4.1)) == 3
+
+
+@pytest.mark.parametrize(("shines", "legs"), [("interior", 0), ("membrane", 1), ("both", 1)])
+def test_a_rival_whose_membranes_do_not_show_is_followed_no_further(monkeypatch, shines, legs):
+    assert followed(monkeypatch, 20.0, 120.0, shines=shines) == legs
+
+
+def test_a_rival_whose_insides_would_hide_membranes_does_not_stand(monkeypatch):
+    assert followed(monkeypatch, 80.0, 120.0, 121.0, over=2.6) == 2
+
+
+@pytest.mark.parametrize(("times", "grown"), [(1.2, False), (1.3, True)])
+def test_a_cell_twice_as_large_has_left_its_start(times, grown):
+    two = nd.Mesh.merge([sphere(MIDDLE, 0.5), sphere(MIDDLE + 2.0, 0.5)])
+    places = two.vertices_numpy()
+    first = places[:, 0] < MIDDLE[0] + 1
+    places = np.where(first[:, None], MIDDLE + times * (places - MIDDLE), places)
+    assert _grown(two, two.with_vertices(places)) == grown
+
+
+def found(monkeypatch, further_in, from_start, start=True, crosses=False):
+    """Which of both trials goes on, each given as (stands, hints), and whether it is unsure."""
+    mesh = sphere(MIDDLE, 1.0)
+    alone = SimpleNamespace(fitted=SimpleNamespace(mesh=mesh), evaluations=lambda: 1)
+    objective = SimpleNamespace(anew=lambda: alone)
+
+    def trial(name, stands, hints):
+        fitted = SimpleNamespace(name=name, mesh=mesh)
+        terms = SimpleNamespace(settings=SimpleNamespace(collisions=True))
+        return _Trial(SimpleNamespace(fitted=fitted, terms=terms), 10, stands, hints)
+
+    guard = SimpleNamespace(watch=lambda mesh: None, allows=lambda mesh: not crosses)
+    monkeypatch.setattr(hidden_membranes, "CollisionGuard", lambda collisions: guard)
+    monkeypatch.setattr(hidden_membranes, "replace", lambda terms, **_: terms)
+    first, second = trial("further in", *further_in), trial("start", *from_start)
+    monkeypatch.setattr(hidden_membranes, "_from_further_in", lambda *_: first)
+    monkeypatch.setattr(hidden_membranes, "_from_start", lambda *_: second)
+    given = SimpleNamespace(mesh=mesh) if start else None
+    fitted, taken, unsure = membranes_as_well(None, objective, None, given)
+    return None if fitted is None else fitted.name, taken, unsure
+
+
+YES, MAYBE, NO = (True, True), (False, True), (False, False)
+
+
+def test_both_are_tried_from_the_start_where_it_is_not_sure(monkeypatch):
+    assert found(monkeypatch, YES, YES) == ("further in", 11, False)
+    assert found(monkeypatch, MAYBE, YES) == ("start", 21, False)
+    assert found(monkeypatch, MAYBE, NO) == (None, 21, True)
+    assert found(monkeypatch, MAYBE, YES, start=False) == (None, 11, True)
+    assert found(monkeypatch, NO, YES) == (None, 11, False)
+    assert found(monkeypatch, YES, YES, crosses=True) == (None, 21, True)
+
+
+def test_both_are_tried_from_the_start_where_a_cell_has_grown_far(monkeypatch):
+    monkeypatch.setattr(hidden_membranes, "_grown", lambda before, after: True)
+    assert found(monkeypatch, NO, YES) == ("start", 21, False)
+    assert found(monkeypatch, NO, NO) == (None, 21, False)
