@@ -16,8 +16,11 @@ MIDDLE = np.full(3, 2.3)
 SCATTER = 5.5 * (-1.0) ** np.arange(16)
 
 
-def followed(monkeypatch, *gains, evened=(), shines="both", over=1.0):
-    """After how many legs a rival stops that has gained so much by then, and what it has taken."""
+def followed(monkeypatch, *gains, evened=(), shines="both", over=(), less=False):
+    """After how many legs a rival stops that has gained so much by then, and what it has taken.
+
+    over : brightness of insides after each, 1 unless given. less : what the trial should say.
+    """
 
     def rival(leg):
         return SimpleNamespace(leg=leg, structure=lambda: SimpleNamespace(structure=shines))
@@ -30,15 +33,18 @@ def followed(monkeypatch, *gains, evened=(), shines="both", over=1.0):
     monkeypatch.setattr(hidden_membranes, "gone_on", lambda one: (rival(one.leg + 1), 3))
     monkeypatch.setattr(hidden_membranes, "gains_over", gained)
     monkeypatch.setattr(hidden_membranes, "errors_asked", lambda one: 3.0)
-    monkeypatch.setattr(hidden_membranes, "insides_over", lambda one: over)
+    monkeypatch.setattr(
+        hidden_membranes, "insides_over", lambda one: over[one.leg] if over else 1.0
+    )
     bounds = {3.0: 100, 2.0: 60}
     monkeypatch.setattr(
-        hidden_membranes, "enough", lambda known, errors: known[1].sum() > bounds[errors]
+        hidden_membranes, "enough", lambda known, errors: known[-1].sum() > bounds[errors]
     )
-    trial = _followed(_Trial(rival(0), 5, False, False), None, 6)
+    trial = _followed(_Trial(rival(0), 5), None, 6)
     leg, may = trial.rival.leg, shines != "interior"
-    assert trial.stands == (may and gains[leg] > 100 and over <= 2.5)
+    assert trial.stands == (may and gains[leg] > 100 and (over[leg] <= 2.5 if over else True))
     assert trial.hints == (may and max(gains[: leg + 1]) > 60)
+    assert trial.less == (less or not may)
     assert trial.evaluations == 5 + 3 * leg
     return leg
 
@@ -63,6 +69,7 @@ def test_a_rival_that_gains_over_evened_insides_is_followed_too(monkeypatch):
     gains = (90.0, 90.0, 90.0, 90.0)
     assert followed(monkeypatch, *gains) == 1
     assert followed(monkeypatch, *gains, evened=(-9.0, 1.0, 4.0, 4.1)) == 3
+    assert followed(monkeypatch, *gains, evened=(-9.0, -7.0, 1.0), less=True) == 1  # too little
 
 
 @pytest.mark.parametrize(("shines", "legs"), [("interior", 0), ("membrane", 1), ("both", 1)])
@@ -71,7 +78,12 @@ def test_a_rival_whose_membranes_do_not_show_is_followed_no_further(monkeypatch,
 
 
 def test_a_rival_whose_insides_would_hide_membranes_does_not_stand(monkeypatch):
-    assert followed(monkeypatch, 80.0, 120.0, 121.0, over=2.6) == 2
+    assert followed(monkeypatch, 80.0, 120.0, 140.0, over=(2.8, 2.7, 2.4)) == 2
+
+
+def test_a_rival_whose_membranes_fade_is_followed_no_further(monkeypatch):
+    assert followed(monkeypatch, 20.0, 50.0, 120.0, over=(2.4, 2.6, 2.4)) == 1
+    assert followed(monkeypatch, 20.0, 50.0, 120.0, over=(2.2, 2.4, 2.3)) == 2
 
 
 @pytest.mark.parametrize(("times", "grown"), [(1.2, False), (1.3, True)])
@@ -84,15 +96,15 @@ def test_a_cell_twice_as_large_has_left_its_start(times, grown):
 
 
 def found(monkeypatch, further_in, from_start, start=True, crosses=False):
-    """Which of both trials goes on, each given as (stands, hints), and whether it is unsure."""
+    """Which of both trials goes on, each given as it is judged, and whether it is unsure."""
     mesh = sphere(MIDDLE, 1.0)
     alone = SimpleNamespace(fitted=SimpleNamespace(mesh=mesh), evaluations=lambda: 1)
     objective = SimpleNamespace(anew=lambda: alone)
 
-    def trial(name, stands, hints):
+    def trial(name, *judged):
         fitted = SimpleNamespace(name=name, mesh=mesh)
         terms = SimpleNamespace(settings=SimpleNamespace(collisions=True))
-        return _Trial(SimpleNamespace(fitted=fitted, terms=terms), 10, stands, hints)
+        return _Trial(SimpleNamespace(fitted=fitted, terms=terms), 10, *judged)
 
     guard = SimpleNamespace(watch=lambda mesh: None, allows=lambda mesh: not crosses)
     monkeypatch.setattr(hidden_membranes, "CollisionGuard", lambda collisions: guard)
@@ -105,13 +117,16 @@ def found(monkeypatch, further_in, from_start, start=True, crosses=False):
     return None if fitted is None else fitted.name, taken, unsure
 
 
-YES, MAYBE, NO = (True, True), (False, True), (False, False)
+# Whether a trial stands, hints at membranes, explains less.
+YES, MAYBE, OPEN, NO = (True, True, False), (False, True, False), (False,) * 3, (False, False, True)
 
 
 def test_both_are_tried_from_the_start_where_it_is_not_sure(monkeypatch):
     assert found(monkeypatch, YES, YES) == ("further in", 11, False)
     assert found(monkeypatch, MAYBE, YES) == ("start", 21, False)
     assert found(monkeypatch, MAYBE, NO) == (None, 21, True)
+    assert found(monkeypatch, OPEN, YES) == ("start", 21, False)
+    assert found(monkeypatch, OPEN, MAYBE) == (None, 21, False)
     assert found(monkeypatch, MAYBE, YES, start=False) == (None, 11, True)
     assert found(monkeypatch, NO, YES) == (None, 11, False)
     assert found(monkeypatch, YES, YES, crosses=True) == (None, 21, True)

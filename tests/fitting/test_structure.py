@@ -184,7 +184,7 @@ def test_membranes_come_back_from_the_start(monkeypatch):
     monkeypatch.setattr(
         hidden_membranes,
         "_from_further_in",
-        lambda terms, alone, factored: hidden_membranes._Trial(alone, 0, False, True),
+        lambda terms, alone, *_: hidden_membranes._Trial(alone, 0, less=False),
     )
     forgotten, restarted = [], []  # with what is still on trial, the surface before would be back
     monkeypatch.setattr(SurfaceUpkeep, "forget_trial", lambda self: forgotten.append(1))

@@ -155,7 +155,7 @@ class ModelChoice:
         """
         asked = self.settings.structure
         open_still = asked == "both" or (asked == "auto" and fitted.structure != "both")
-        if not open_still or self.levels > 1 or progress.again:
+        if not open_still or progress.again or (self.levels > 1 and fitted.structure != "interior"):
             return False
         return may_shine("auto", fitted.mesh, fitted.optics) == "both"
 
