@@ -1,4 +1,4 @@
-"""Membranes that a fit of one level has lost: how long both are followed, and from where."""
+"""Membranes that a fit has lost: how long both are followed, and from where."""
 
 from types import SimpleNamespace
 
@@ -113,7 +113,7 @@ def found(monkeypatch, further_in, from_start, start=True, crosses=False):
     monkeypatch.setattr(hidden_membranes, "_from_further_in", lambda *_: first)
     monkeypatch.setattr(hidden_membranes, "_from_start", lambda *_: second)
     given = SimpleNamespace(mesh=mesh) if start else None
-    fitted, taken, unsure = membranes_as_well(None, objective, None, given)
+    fitted, taken, unsure = membranes_as_well(None, objective, None, given, 6)
     return None if fitted is None else fitted.name, taken, unsure
 
 
@@ -129,7 +129,7 @@ def test_both_are_tried_from_the_start_where_it_is_not_sure(monkeypatch):
     assert found(monkeypatch, OPEN, MAYBE) == (None, 21, False)
     assert found(monkeypatch, MAYBE, YES, start=False) == (None, 11, True)
     assert found(monkeypatch, NO, YES) == (None, 11, False)
-    assert found(monkeypatch, YES, YES, crosses=True) == (None, 21, True)
+    assert found(monkeypatch, YES, YES, crosses=True) == (None, 21, False)
 
 
 def test_both_are_tried_from_the_start_where_a_cell_has_grown_far(monkeypatch):

@@ -180,14 +180,13 @@ def test_membranes_come_back_where_labels_reached_out_too_far(light, name):
 
 
 def test_membranes_come_back_from_the_start(monkeypatch):
-    """With other triangles than the fit had come to, and no more of what it was trying."""
+    """With other triangles than the fit had come to."""
     monkeypatch.setattr(
         hidden_membranes,
         "_from_further_in",
         lambda terms, alone, *_: hidden_membranes._Trial(alone, 0, less=False),
     )
-    forgotten, restarted = [], []  # with what is still on trial, the surface before would be back
-    monkeypatch.setattr(SurfaceUpkeep, "forget_trial", lambda self: forgotten.append(1))
+    restarted = []
     monkeypatch.setattr(SurfaceUpkeep, "restart", lambda self: restarted.append(1))
     places = (cell().vertices_numpy() - MIDDLE) * 1.35
     rough = places + np.random.default_rng(1).normal(0, 0.08, places.shape)  # it is remeshed
@@ -197,9 +196,20 @@ def test_membranes_come_back_from_the_start(monkeypatch):
     start = cell().with_vertices(MIDDLE + rough)
     settings = FitSettings(structure="auto", levels=(1.0,), fit_psf=True)
     *_, last = nd.fit(image_of(Light(1.0, 3.0)), GRID, start, OPTICS, settings=settings)
-    assert len(forgotten) == len(restarted) == 1
+    assert restarted == [1]
     assert structure_of(last.light) == "both"
     assert abs(last.mesh.region_volume(1) / cell().region_volume(1) - 1) < 0.03
+
+
+def test_a_change_on_trial_is_judged_before_what_shines_is_asked(monkeypatch):
+    """By another light, it would be undone, and the old light with it."""
+    order, asked, judged = [], model_choice.ModelChoice.asked_anew, SurfaceUpkeep.judged
+    monkeypatch.setattr(
+        model_choice.ModelChoice, "asked_anew", lambda *a: (order.append("asked"), asked(*a))[1]
+    )
+    monkeypatch.setattr(SurfaceUpkeep, "judged", lambda *a: (order.append("judged"), judged(*a))[1])
+    fitted(image_of(INSIDES), structure="auto")
+    assert order[:2] == ["judged", "asked"]
 
 
 @pytest.mark.parametrize(("inside", "larger"), [(0.8, 1.4), (1.0, 1.4), (2.0, 1.35)])

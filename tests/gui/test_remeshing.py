@@ -108,6 +108,7 @@ def test_pins_are_those_of_the_newest_state_before_the_window_has_shown_it(begun
     while state is not run.state:
         state = run.state
         time.sleep(0.2)
+    assert not same_triangles(state.mesh, asked_of)
     np.testing.assert_array_equal(begun.edits.pinned, state.pinned)
 
 

@@ -1,4 +1,4 @@
-"""Membranes that a fit of one level has lost: both are tried again, further in and from the start.
+"""Membranes that a fit has lost: both are tried again, further in and from the start.
 
 Labels of whole cells often reach out to where the light of their membranes ends. From there,
 insides alone with a narrow PSF look like both, and a fit without blurred levels stays there.
@@ -102,32 +102,41 @@ class _Trial:
     hints: bool = False
     less: bool = True
 
-    def fitted(self, before: Mesh) -> Fitted | None:
-        """The fit that goes on, if it stands and crosses nothing that the mesh before did not."""
+    def allowed(self, before: Mesh) -> bool:
+        """Whether it crosses nothing that the mesh it comes from did not."""
         guard = CollisionGuard(self.rival.terms.settings.collisions)
         guard.watch(before)
-        found = self.rival.fitted
-        return found if self.stands and guard.allows(found.mesh) else None
+        return guard.allows(self.rival.fitted.mesh)
 
 
 def membranes_as_well(
-    terms: Terms, objective: Objective, factored: Preconditioners, start: Shape | None
+    terms: Terms,
+    objective: Objective,
+    factored: Preconditioners,
+    start: Shape | None,
+    further: int,
 ) -> tuple[Fitted | None, int, bool]:
     """The fit with membranes, if both surely explain more than insides alone.
 
-    Also the evaluations and, where that is not sure, whether both may explain more.
-    start : where the fit began, if that is near. Then both are followed for longer, and tried from
-    there as well where the surface as it is does not tell, or has left its cell.
+    Also the evaluations and, where that is not sure, whether both may explain more, by what was
+    seen further in. start : where the fit began, if that is near; both are tried from there as
+    well, where the surface as it is does not tell, or has left its cell. further : how often, at
+    most, both take a few steps more from further in.
     """
     alone = objective.anew()
     # One brightness for each wall: cells differ, and a smooth one could make up for a shape.
     terms, mesh = replace(terms, density_fitted=True), alone.fitted.mesh
-    trial = _from_further_in(terms, alone, factored, 0 if start is None else RULES.further)
-    found, unsure, taken = trial.fitted(mesh), trial.hints, trial.evaluations
-    if found is None and start is not None and (not trial.less or _grown(start.mesh, mesh)):
+    trial = _from_further_in(terms, alone, factored, further)
+    taken, allowed = trial.evaluations + alone.evaluations(), trial.allowed(mesh)
+    if trial.stands and allowed:
+        return trial.rival.fitted, taken, False
+    unsure, less = trial.hints and allowed, trial.less
+    if start is not None and (not less or _grown(start.mesh, mesh)):
         trial = _from_start(terms, alone, start)
-        found, taken = trial.fitted(start.mesh), taken + trial.evaluations
-    return found, taken + alone.evaluations(), unsure and found is None
+        taken += trial.evaluations
+        if trial.stands and trial.allowed(start.mesh):
+            return trial.rival.fitted, taken, False
+    return None, taken, unsure
 
 
 def _from_further_in(

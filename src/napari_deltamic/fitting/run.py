@@ -31,6 +31,7 @@ from .successor import is_given_up, successor
 from .surface_upkeep import SurfaceUpkeep
 
 _UNDONE = "a coarse level was undone: a cell had drifted away from its start"
+_FURTHER_IN = "membranes shine as well: the fit goes on with surfaces further in"
 
 
 class Run:
@@ -144,10 +145,10 @@ class Run:
             self._reporter.other_mesh(self.fitted.mesh)
 
     def _first_shape(self) -> Shape | None:
-        """Where the fit began, if it is still of the same cells."""
+        """Where the fit began, if it is still of the same cells, and nobody has touched them."""
         first, now = self._begun.mesh.region_ids(), self.fitted.mesh.region_ids()
-        same = np.array_equal(first, now) and not self.stage.edited
-        return self._begun if same else None
+        touched = self.stage.edited or self.fitted.shape.pinned.any()
+        return self._begun if np.array_equal(first, now) and not touched else None
 
     def _level_states(self) -> Generator[FitState, Change | None, Run | None]:
         self._due = True
@@ -323,36 +324,46 @@ class Run:
             return False
         if is_given_up(self, self._former):
             return True
-        if self._other_structure():
+        too_soon = self._upkeep.too_soon(self.stage.iteration) and progress.stuck <= 1
+        judging = self._upkeep.trying  # a change that is kept needs no other objective
+        if judging and too_soon:
+            return False
+        # Before what shines is asked: judged by another light, it would bring the old one back.
+        judged = self._upkeep.judged(self.fitted, self._settings)
+        if self._go_on_with(judged) or self._other_structure():
             self._due = True
             return False
-        if self._upkeep.too_soon(self.stage.iteration) and progress.stuck <= 1:
+        if too_soon:
             return False
         given = self.fitted, self._settings, self._level.factor, self.stage.iteration
-        judging = self._upkeep.trying  # a change that is kept needs no other objective
-        changed = self._go_on_with(self._upkeep.at_rest(*given))
+        changed = self._go_on_with(self._upkeep.tried(*given))
         self._due = changed or (self._due and not judging)
         return not self._due
 
     def _other_structure(self) -> bool:
         """Whether, at rest, something else shines than what had been clear on the way."""
-        before = self.fitted
-        given = self.terms, self.objective, before, self._factored, self.stage.progress
-        self.fitted, taken, progress = self._choice.asked_anew(*given, self._first_shape())
+        before, progress = self.fitted, self.stage.progress
+        given = self.terms, self.objective, before, self._factored, progress
+        self.fitted, taken, after = self._choice.asked_anew(*given, self._first_shape())
         self.spend(taken)
-        other = self.fitted is not before
-        if other:
-            self._upkeep.forget_trial()
-        if not np.array_equal(self.fitted.mesh.faces, before.mesh.faces):
-            self._begin_surface_anew()
-        self.stage = replace(self.stage, progress=progress.released() if other else progress)
-        return other
+        self.stage = replace(self.stage, progress=after)
+        if self.fitted is before:
+            return False
+        self.stage = replace(self.stage, progress=replace(after.released(), stuck=0, rests=0))
+        if after.again != progress.again and self.fitted.mesh is not before.mesh:
+            self._go_on_elsewhere(before.mesh)
+        return True
 
-    def _begin_surface_anew(self) -> None:
-        """The fit goes on from where it began."""
+    def _go_on_elsewhere(self, before: Mesh) -> None:
+        """The surface was taken up again further in, or where the fit began."""
+        progress = self.stage.progress
+        fresh = Progress(again=True, unsure=progress.unsure)
+        self.stage = replace(self.stage, progress=fresh)
         self._upkeep.restart()
-        self._upkeep.begin_level(self.fitted.mesh, 0.0)
-        self._reporter.other_mesh(self.fitted.mesh)
+        self._reporter.say(_FURTHER_IN)
+        if not np.array_equal(self.fitted.mesh.faces, before.faces):
+            self._upkeep.begin_level(self.fitted.mesh, 0.0)
+            self._reporter.other_mesh(self.fitted.mesh)
 
     @property
     def _tolerance(self) -> float:

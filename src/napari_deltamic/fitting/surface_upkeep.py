@@ -83,12 +83,12 @@ class SurfaceUpkeep:
         """Whether rest that comes now is of the places that have not changed."""
         return self._topology.too_soon(iteration)
 
-    def at_rest(
-        self, fitted: Fitted, settings: FitSettings, factor: float, iteration: int
-    ) -> Fitted:
-        """Judge the last change, then change what only a trial can tell."""
-        if self.trying:
-            fitted = self._topology.judged(fitted, settings)
+    def judged(self, fitted: Fitted, settings: FitSettings) -> Fitted:
+        """Judge the last change, if any is still on trial."""
+        return self._topology.judged(fitted, settings) if self.trying else fitted
+
+    def tried(self, fitted: Fitted, settings: FitSettings, factor: float, iteration: int) -> Fitted:
+        """Change what only a trial can tell."""
         return self._topology.tried(fitted, settings, factor, iteration)
 
     # ---------------------------------------------------------------------- changes from outside
