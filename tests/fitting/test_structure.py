@@ -195,7 +195,9 @@ def test_membranes_come_back_from_the_start(monkeypatch):
     )
     start = cell().with_vertices(MIDDLE + rough)
     settings = FitSettings(structure="auto", levels=(1.0,), fit_psf=True)
-    *_, last = nd.fit(image_of(Light(1.0, 3.0)), GRID, start, OPTICS, settings=settings)
+    states = list(nd.fit(image_of(Light(1.0, 3.0)), GRID, start, OPTICS, settings=settings))
+    last = states[-1]
+    assert sum("surfaces further in" in state.message for state in states) == 1
     assert restarted == [1]
     assert structure_of(last.light) == "both"
     assert abs(last.mesh.region_volume(1) / cell().region_volume(1) - 1) < 0.03

@@ -58,7 +58,7 @@ class HiddenRules:
         alone; at most 2.4 at the end in two crowds with membranes that the start found.
     grown
         Times the volume that a cell began with, from which on both are tried from the start anyway.
-        Chosen: cells that had become the haze around them were 10 to 60 times as large, and labels
+        Chosen: cells that had become the haze around them were up to 60 times as large, and labels
         two voxels too small are of such cells as have a radius below ten voxels.
     alone
         How often membranes take so many steps alone from the start, through the PSF as it begins.

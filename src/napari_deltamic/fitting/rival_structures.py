@@ -177,13 +177,13 @@ def shows_membranes(objective: Objective) -> bool:
     return objective.structure().structure != "interior"
 
 
-def stand(both: Objective, alone: Objective, gains: Sequence[FloatArray] | None = None) -> bool:
+def stand(both: Objective, alone: Objective) -> bool:
     """Whether both surely explain more than insides alone, or the membranes of both are clear.
 
     Insides alone follow a membrane as unevenness, so once insides are evened, both gain little over
     them; and sums over few blocks never reach many errors.
     """
-    gains = gains_over(both, alone) if gains is None else gains
+    gains = gains_over(both, alone)
     if enough(gains, errors_asked(both)):
         return True
     clear = both.now.light.membrane > 0 and insides_over(both) <= RULES.hidden
@@ -221,10 +221,10 @@ def errors_asked(one: Objective) -> float:
 def enough(gains: Sequence[FloatArray], errors: float) -> bool:
     """Whether each of these sums over blocks is so many times its error, and enough nats."""
     least = [max(RULES.nats, errors * np.sqrt((gain**2).sum())) for gain in gains]
-    return all(gain.sum() > most for gain, most in zip(gains, least, strict=True))
+    return all(gain.sum() > bound for gain, bound in zip(gains, least, strict=True))
 
 
-def radii_of(mesh: Mesh) -> FloatArray:
+def _radii(mesh: Mesh) -> FloatArray:
     """(V, 1) um: of the ball as large as the smallest cell at each vertex."""
     radius = np.full(max(mesh.region_ids()) + 1, np.inf)
     for region, volume in mesh.volumes().items():
@@ -284,7 +284,7 @@ def other_of_small(terms: Terms, fitted: Fitted) -> tuple[Fitted | None, int]:
     volume: 2.8; the others had at most 2.5, and insides that need no evening (1.0 to 1.1).
     """
     outer = fitted.structure == "interior"
-    depth = radii_of(fitted.mesh) * (1 - (_ALIKE if outer else 1 / _ALIKE))
+    depth = _radii(fitted.mesh) * (1 - (_ALIKE if outer else 1 / _ALIKE))
     vertices = moved_in(fitted.shape, depth, terms.settings.collisions)
     moved = fitted.displaced(vertices, fitted.first_optics)
     factored = Preconditioners()
