@@ -94,7 +94,7 @@ def test_a_coarse_level_is_undone_if_a_cell_drifts_away_from_its_start(monkeypat
         asked.append((before, after))
         return len(asked) == 1
 
-    monkeypatch.setattr("napari_deltamic.fitting.run.strayed_off", off)
+    monkeypatch.setattr("napari_deltamic.fitting.level_run.strayed_off", off)
     settings = FitSettings(levels=(2.0, 1.5, 1.0), structure="membrane", fit_psf=False)
     states = list(nd.fit(image.astype(np.float32), grid, start, optics, settings=settings))
     assert len(asked) == 2  # not of the last level

@@ -17,8 +17,8 @@ import numpy as np
 import torch
 
 import napari_deltamic as nd
+from napari_deltamic.fitting.level_run import LevelRun
 from napari_deltamic.fitting.likelihood import ImageNoise, match
-from napari_deltamic.fitting.run import Run
 from napari_deltamic.geometry import Mesh, sphere
 from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene import Renderer, Scene
@@ -130,7 +130,7 @@ def never_ending() -> Iterator[None]:
 
     No setting asks for that: a fit ends when hardly anything is to be gained.
     """
-    with mock.patch.object(Run, "_finished", return_value=False):
+    with mock.patch.object(LevelRun, "_finished", return_value=False):
         yield
 
 

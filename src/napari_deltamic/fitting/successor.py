@@ -27,10 +27,12 @@ _BEHIND = 1.05
 class Ending(Protocol):
     """What is asked of a :class:`~.run.Run` at its end."""
 
-    fitted: Fitted
-    stage: Stage
-    objective: Objective
-
+    @property
+    def fitted(self) -> Fitted: ...
+    @property
+    def stage(self) -> Stage: ...
+    @property
+    def objective(self) -> Objective: ...
     @property
     def terms(self) -> Terms: ...
     def say(self, *remarks: str) -> None: ...

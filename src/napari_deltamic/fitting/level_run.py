@@ -1,0 +1,353 @@
+"""A fit at one level: objectives are posed and gone down until hardly anything is left to gain."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..geometry.mesh import FloatArray, Mesh
+from .change import Change, taken_over
+from .convergence import Remaining, strayed_off
+from .fit_objective import Objective, Terms
+from .fitted import Arrays, Fitted
+from .level import Level
+from .position import Position, RunContext
+from .prediction import View
+from .schedule import Progress
+from .state import FitState
+from .state_of import state_of
+
+_UNDONE = "a coarse level was undone: a cell had drifted away from its start"
+_FURTHER_IN = "membranes shine as well: the fit goes on with surfaces further in"
+
+
+class LevelRun:
+    """A fit at one level, between two iterations.
+
+    Parameters
+    ----------
+    context
+        What all levels of the run share.
+    at
+        Where this one begins.
+
+    Attributes
+    ----------
+    at
+        Where it is.
+    due
+        Whether the objective is to be posed anew.
+    objective
+        What the last step went down.
+    """
+
+    def __init__(self, context: RunContext, at: Position) -> None:
+        self._context, self.at = context, at
+        self.due = True
+        self.objective: Objective
+        self._before: Fitted
+        self._level: Level
+        self._second: Level | None
+
+    @property
+    def usable(self) -> bool:
+        """Whether a blur this wide leaves enough of the image."""
+        return self._level.usable
+
+    def spend(self, evaluations: int) -> None:
+        """Count evaluations that something about the fit took."""
+        self.at = self.at.spent(evaluations)
+
+    # ------------------------------------------------------------------------ begin and end
+
+    def begin(self) -> None:
+        """Take the level up where the one before has ended."""
+        at, upkeep = self.at, self._context.upkeep
+        fitted = at.fitted.taught(None)
+        if not at.last:  # how bright each inside is, is found anew where the surface is now
+            fitted = fitted.shining(replace(fitted.light, cells=()))
+        stage = replace(at.stage, blurred_for=at.fitted.optics, progress=Progress())
+        self.at = replace(at, fitted=fitted, stage=stage)
+        self._make_level()
+        self._ask_of_small()
+        upkeep.begin_level(self.at.fitted.mesh, self._blurred)
+        self._before = self.at.fitted
+
+    def go_on(self) -> None:
+        """Take the level up where it was left."""
+        self._make_level()
+        self._before = self.at.fitted
+
+    def end(self, went: bool) -> LevelRun:
+        """What is decided between this level and the next, and that one; went : it took steps."""
+        if went and not self._undone() and self.usable:
+            self._look_for_rivals()
+        at = self.at
+        given = at.fitted, at.settings, at.stage.iteration
+        self._go_on_with(self._context.upkeep.end_level(*given))
+        stage = replace(self.at.stage, level_number=at.stage.level_number + 1)
+        return LevelRun(self._context, replace(self.at, stage=stage))
+
+    def _ask_of_small(self) -> None:
+        """Which of membranes and insides shine, where cells are too small to fit both."""
+        at = self.at
+        if self.usable and at.stage.iteration == 0:
+            self.at = at.holding(at.choice.of_small(self.terms, at.fitted))
+        if at.last:
+            fitted, taken = at.choice.of_small_again(self.terms, self.at.fitted)
+            self.at = self.at.holding(fitted).spent(taken)
+
+    def _undone(self) -> bool:
+        """Undo a coarse level at which a cell drifted away from its start; True if undone."""
+        at, before = self.at, self._before
+        astray = not at.last and strayed_off(before.mesh, at.fitted.mesh)
+        if not astray or at.stage.edited:
+            return False
+        self.at = at.holding(before)
+        self._context.reporter.say(_UNDONE)
+        self._context.reporter.other_mesh(before.mesh)
+        return True
+
+    def _look_for_rivals(self) -> None:
+        """Go on with the best of what may shine, where the fit may be stuck."""
+        at, start = self.at, self._context.untouched(self.at)
+        given = self.terms, self.objective, at.fitted, at.stage, start
+        fitted, taken = at.choice.beside_rivals(*given)
+        self.at = at.holding(fitted).spent(taken)
+        if not np.array_equal(fitted.mesh.faces, at.fitted.mesh.faces):
+            self._context.reporter.other_mesh(fitted.mesh)
+
+    # --------------------------------------------------------------------------- the objective
+
+    @property
+    def _blurred(self) -> float:
+        """um: width of the blurred PSF; 0 if it is sharp."""
+        return 0.0 if self._level.factor == 1 else self._level.width
+
+    def _make_level(self) -> None:
+        at, fitted = self.at, self.at.fitted
+        factor = at.levels[at.stage.level_number]
+        # As wide as at the start, so that the voxels that count stay the same.
+        spread = fitted.first_effects.spread
+        given = at.stage.blurred_for, at.settings, fitted.effects, factor, spread
+        self._level, self._second = self._context.problem.levels(*given)
+
+    @property
+    def terms(self) -> Terms:
+        """What an objective is posed for."""
+        at = self.at
+        return Terms(
+            self._level,
+            self._second,
+            at.settings,
+            self._context.schedule,
+            at.choice.density_fitted(at.fitted, at.stage),
+            not at.choice.first(at.stage),
+            at.last,
+        )
+
+    def posed(self, views: Sequence[View] = ()) -> Objective:
+        """The objective where the fit is; views : of the objective before, whose voxels stay."""
+        context = self._context
+        return Objective(self.terms, self.at.fitted, context.upkeep.guard, context.factored, views)
+
+    # ------------------------------------------------------------------------------ iterations
+
+    def iterate(self, given_up: Callable[[], bool]) -> bool:
+        """One step down, or a new objective; whether the level is done.
+
+        given_up : whether, at rest, the fit goes back to the former one with nothing else tried.
+        """
+        if self.due:
+            self._renew()
+        else:
+            self._advance()
+        self.at = self.at.counted()
+        return self._finished(given_up)
+
+    def _renew(self) -> None:
+        """Good triangles, topology, and the objective from where the fit is."""
+        self._tidy()
+        at, choice = self.at, self.at.choice
+        held = at.stage.progress.held and at.last
+        self.objective = self.posed(self.objective.posed.posterior.views if held else ())
+        waits = choice.density_waits(at.fitted)
+        if waits and not choice.walls_first(self.objective, at.fitted):
+            self.at = at.holding(at.fitted.with_density(at.settings.density))
+            self.objective = self.posed()
+        if choice.asked(self.at.fitted, self.at.stage):
+            self._ask_what_shines()
+        posed, progress = self.objective.posed, self.at.stage.progress
+        progress = progress if posed.held else progress.freed()
+        value, schedule = self.objective.now.value, self._context.schedule
+        self._follow(progress.posed(value, posed.variance, schedule, posed.left))
+        self.due = False
+
+    def _tidy(self) -> None:
+        """Good triangles and topology."""
+        at, upkeep = self.at, self._context.upkeep
+        after_one = at.stage.progress.iterations > 0  # objective, at most
+        if after_one and at.choice.density_waits(at.fitted):
+            self.at = at.holding(at.fitted.with_density(at.settings.density))
+        given = self.at.fitted, at.settings, self._level.factor, at.stage.iteration
+        self._go_on_with(upkeep.rearranged(*given))
+        before = self.at.fitted
+        after = upkeep.remeshed(before, at.settings)
+        if after is not before:
+            self.at = self.at.holding(after)
+            self._context.reporter.remeshed(before.mesh, after.mesh)
+
+    def _ask_what_shines(self) -> None:
+        found, fitted = self.objective.structure(), self.at.fitted
+        progress = replace(self.at.stage.progress, sure=found.sure)
+        if found.structure != fitted.structure:
+            self.at = self.at.holding(fitted.with_structure(found.structure))
+            progress = progress.released()
+            self.objective = self.posed()
+        self.at = self.at.progressed(progress)
+
+    def _advance(self) -> None:
+        """One step down."""
+        schedule, progress = self._context.schedule, self.at.stage.progress
+        moved = self.objective.step()
+        progress = progress.stepped(self.objective.now.value, moved, schedule)
+        strayed = self.objective.strayed()
+        self._follow(progress.released() if strayed else progress)
+        since = progress.since_posed
+        self.due = since >= schedule.renewed_every or strayed or not moved
+
+    def _follow(self, progress: Progress) -> None:
+        """Take over where the objective is."""
+        spent = self.objective.evaluations()
+        self.at = self.at.holding(self.objective.fitted).spent(spent).progressed(progress)
+
+    # ------------------------------------------------------------------------------- the end
+
+    def _finished(self, given_up: Callable[[], bool]) -> bool:
+        """Whether the level is done; at the last one, topology is tried before."""
+        schedule, upkeep = self._context.schedule, self._context.upkeep
+        if not self.at.last:
+            return self.at.stage.progress.coarse_ends(schedule)
+        progress = self._looked()
+        if not progress.at_rest(schedule):
+            return False
+        late = progress.iterations >= schedule.patience
+        judged_far_off = not (progress.final(schedule) or late) and progress.stuck <= 1
+        if self.at.choice.density_waits(self.at.fitted) or judged_far_off:
+            self.due = True
+            return False
+        if given_up():
+            return True
+        too_soon = upkeep.too_soon(self.at.stage.iteration) and progress.stuck <= 1
+        judging = upkeep.trying  # a change that is kept needs no other objective
+        if judging and too_soon:
+            return False
+        # Before what shines is asked: judged by another light, it would bring the old one back.
+        judged = upkeep.judged(self.at.fitted, self.at.settings)
+        if self._go_on_with(judged) or self._other_structure():
+            self.due = True
+            return False
+        if too_soon:
+            return False
+        at = self.at
+        given = at.fitted, at.settings, self._level.factor, at.stage.iteration
+        changed = self._go_on_with(upkeep.tried(*given))
+        self.due = changed or (self.due and not judging)
+        return not self.due
+
+    def _looked(self) -> Progress:
+        """The progress after a look at what is still to come."""
+        schedule, at, remaining = self._context.schedule, self.at, Remaining(np.inf, np.inf, 0)
+        if at.stage.progress.since_posed >= schedule.window:
+            remaining = self.objective.remaining(at.tolerance)
+        progress = at.stage.progress.looked(remaining, at.tolerance, schedule)
+        self.at = replace(at, stage=replace(at.stage, remaining=remaining, progress=progress))
+        return progress
+
+    def _other_structure(self) -> bool:
+        """Whether, at rest, something else shines than what had been clear on the way."""
+        context, at, progress = self._context, self.at, self.at.stage.progress
+        given = self.terms, self.objective, at.fitted, context.factored, progress
+        fitted, taken, after = at.choice.asked_anew(*given, context.untouched(at))
+        self.at = at.holding(fitted).spent(taken).progressed(after)
+        if fitted is at.fitted:
+            return False
+        self.at = self.at.progressed(replace(after.released(), stuck=0, rests=0))
+        if after.again != progress.again and fitted.mesh is not at.fitted.mesh:
+            self._go_on_elsewhere(at.fitted.mesh)
+        return True
+
+    def _go_on_elsewhere(self, before: Mesh) -> None:
+        """The surface was taken up again further in, or where the fit began."""
+        reporter, upkeep = self._context.reporter, self._context.upkeep
+        self.at = self.at.progressed(Progress(again=True, unsure=self.at.stage.progress.unsure))
+        upkeep.restart()
+        reporter.say(_FURTHER_IN)
+        now = self.at.fitted.mesh
+        if not np.array_equal(now.faces, before.faces):
+            upkeep.begin_level(now, 0.0)
+            reporter.other_mesh(now)
+
+    def _go_on_with(self, fitted: Fitted) -> bool:
+        """Go on with what a change of topology made; whether it is another surface."""
+        reporter, at = self._context.reporter, self.at
+        reporter.happened(self._context.upkeep.events())
+        if fitted is at.fitted:
+            return False
+        self.at = at.holding(fitted).progressed(at.stage.progress.released())
+        reporter.other_mesh(fitted.mesh)
+        return True
+
+    # ------------------------------------------------------------------------------- changes
+
+    def take(self, change: Change) -> None:
+        """Go on from a changed state: the past says nothing about it."""
+        before, upkeep = self.at, self._context.upkeep
+        change.check(before.fitted.mesh, before.fitted.optics, before.settings)
+        settings = before.settings
+        if change.settings is not None:
+            settings = taken_over(change.settings, settings)
+            if settings.collisions != before.settings.collisions:
+                upkeep.guarded(settings.collisions)
+        stage = replace(before.stage, changed_at=before.stage.iteration, progress=Progress())
+        self.at = Position(before.fitted.changed(change, settings.density), stage, settings)
+        if (change.settings, change.effects) != (None, None):
+            self.at = self.at.holding(self.at.choice.anew(self.at.fitted))
+        self.due = True
+        if change.mesh is not None:
+            upkeep.edges_given()
+            self._context.reporter.other_mesh(self.at.fitted.mesh)
+        if change.mesh is not None or change.pinned is not None:
+            upkeep.restart()
+        if (change.optics, change.settings, change.effects) != (None, None, None):
+            upkeep.forget_trial()
+            self._change_level()
+
+    def _change_level(self) -> None:
+        """The level for another PSF, other effects or settings."""
+        before = self.at
+        stage = replace(before.stage, blurred_for=before.fitted.optics)
+        self.at = replace(before, stage=stage)
+        self._make_level()
+        if not self.usable:  # the blur of the new PSF is wider than the image
+            self.at = before
+            self._make_level()
+
+    # ---------------------------------------------------------------------------- what it shows
+
+    def state(self, kept: Arrays) -> FitState:
+        """Where the fit is; kept : its last checkpoint."""
+        at, now = self.at, self.objective.now.match
+        place = self._context.problem.grid, len(at.levels), self._level.factor
+        accuracy = at.settings.image_accuracy
+        return state_of(at.fitted, at.stage, now, self._densities(), *place, accuracy, kept)
+
+    def _densities(self) -> FloatArray:
+        """(F,) relative to the mean."""
+        fitted = self.at.fitted
+        if self.objective.fitted.mesh.faces is fitted.mesh.faces:
+            return self.objective.face_densities
+        # A change of topology has come since the objective was posed.
+        return fitted.shape.face_densities()

@@ -1,0 +1,108 @@
+"""Where a fit is, and what it works with wherever it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..runs.settings import FitSettings
+from .fitted import Fitted
+from .model_choice import ModelChoice
+from .preconditioner import Preconditioners
+from .problem import Problem
+from .reporting import Reporter
+from .schedule import Progress, Schedule
+from .shape import Shape
+from .stage import Stage
+from .surface_upkeep import SurfaceUpkeep
+
+
+@dataclass(frozen=True)
+class Position:
+    """Where a fit is.
+
+    Attributes
+    ----------
+    fitted
+        Surface, PSF and effects.
+    stage
+        Where in the schedule that is.
+    settings
+        With levels and accuracy.
+    """
+
+    fitted: Fitted
+    stage: Stage
+    settings: FitSettings
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """Widths of the blur of each, in widths of the PSF."""
+        return self.settings.levels or ()
+
+    @property
+    def choice(self) -> ModelChoice:
+        """Which structure and densities are fitted here."""
+        return ModelChoice(self.settings, len(self.levels))
+
+    @property
+    def last(self) -> bool:
+        """Whether no level follows."""
+        return self.choice.last(self.stage)
+
+    @property
+    def over(self) -> bool:
+        """Whether the iterations are used up."""
+        return self.stage.since_changed >= self.settings.max_iterations
+
+    @property
+    def tolerance(self) -> float:
+        """um."""
+        return self.settings.tolerance * min(self.fitted.optics.sigma_um)
+
+    def holding(self, fitted: Fitted) -> Position:
+        """With this in place of what is fitted."""
+        return replace(self, fitted=fitted)
+
+    def spent(self, evaluations: int) -> Position:
+        """After so many evaluations more."""
+        return replace(self, stage=self.stage.spent(evaluations))
+
+    def counted(self) -> Position:
+        """After one iteration more."""
+        return replace(self, stage=replace(self.stage, iteration=self.stage.iteration + 1))
+
+    def progressed(self, progress: Progress) -> Position:
+        """So far within the level."""
+        return replace(self, stage=replace(self.stage, progress=progress))
+
+
+@dataclass(frozen=True, eq=False)
+class RunContext:
+    """What all levels of a run share.
+
+    Attributes
+    ----------
+    problem
+        What is to be explained.
+    upkeep, reporter
+        What keeps the surface sound, and what tells of it.
+    begun
+        Where the run began.
+    schedule, factored
+        When levels end; factors of the metric that are there already.
+    """
+
+    problem: Problem
+    upkeep: SurfaceUpkeep
+    reporter: Reporter
+    begun: Shape
+    schedule: Schedule = field(default_factory=Schedule)
+    factored: Preconditioners = field(default_factory=Preconditioners)
+
+    def untouched(self, at: Position) -> Shape | None:
+        """Where the run began, if it is still of the same cells, and nobody has touched them."""
+        first, now = self.begun.mesh.region_ids(), at.fitted.mesh.region_ids()
+        touched = at.stage.edited or at.fitted.shape.pinned.any()
+        return self.begun if np.array_equal(first, now) and not touched else None
