@@ -102,7 +102,7 @@ def bright_regions(image: np.ndarray, grid: Grid, starts: Labels) -> Labels | No
     if ends is None:
         return None
     things, theirs = _things_of(starts, smooth > ends[1:].min(), RULES.far * radii.max(), size)
-    own, shed = _without_thin(theirs[things], RULES.thin * radii.min(), size)
+    own, shed = without_thin(theirs[things], RULES.thin * radii.min(), size)
     if not own.any():
         return None
     _, at = distance_transform_edt(starts == 0, sampling=size, return_indices=True)
@@ -138,10 +138,10 @@ def without_start(bright: Mask, light: np.ndarray, starts: Labels, grid: Grid) -
     cores, brightest = _cores(light, starts, radii, size)
     if np.median(cores - RULES.full * brightest) <= 0:
         return np.zeros(starts.shape, bool)
-    things = _without_thin(bright & (starts == 0), RULES.thin * radii.min(), size)[0]
+    things = without_thin(bright & (starts == 0), RULES.thin * radii.min(), size)[0]
     rise = RULES.rise * float(np.median(light[starts > 0]))
     alone = _rising(things, light, starts, rise)
-    thick = _without_thin(things & ~alone, RULES.thick * float(np.median(radii)), size)[0]
+    thick = without_thin(things & ~alone, RULES.thick * float(np.median(radii)), size)[0]
     return alone | thick
 
 
@@ -248,7 +248,7 @@ def _things_of(starts: Labels, bright: Mask, far: float, size: np.ndarray) -> tu
     return things, theirs
 
 
-def _without_thin(things: Mask, thin: float, size: np.ndarray) -> tuple[Mask, Mask]:
+def without_thin(things: Mask, thin: float, size: np.ndarray) -> tuple[Mask, Mask]:
     """What is thicker than twice a length, rounded by it, and what sticks out of that."""
     thick = distance_transform_edt(things, sampling=size) > thin
     if not thick.any():

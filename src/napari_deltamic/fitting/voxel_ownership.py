@@ -20,7 +20,6 @@ from scipy.ndimage import (
     label,
     maximum,
     maximum_filter,
-    mean,
     minimum_filter,
 )
 
@@ -32,6 +31,7 @@ from ..images.missing import filled
 from ..optics import Optics
 from ..scene import Grid
 from .bright_regions import STRANGER, Labels, Mask, alike, bright_regions, without_start
+from .missed_parts import dark_regions, missed, parted
 from .protrusions import protrusions
 
 
@@ -76,11 +76,6 @@ class OwnershipRules:
     haze
         Widths: what is as bright this far around on all sides is haze, and nobody's, since a
         membrane would have faded.
-    whole, core
-        Shares of a bright thing within ``near`` of what a start has missed, and of what it has
-        missed itself, from which on the thing is that. Measured on labels that lack a fifth to two
-        fifths of a nucleus or lie three voxels beside it: 1.0 and 0.1 to 0.8; 0.92 and 0.00 in a
-        nucleus without a start that would have been swallowed.
     """
 
     near: float = 2.0
@@ -97,8 +92,6 @@ class OwnershipRules:
     low: int = 10
     deviation: float = 1.2816
     haze: float = 4.0
-    whole: float = 0.9
-    core: float = 0.05
 
 
 RULES = OwnershipRules()
@@ -199,72 +192,16 @@ def _shared_out(
         strangers = known & without_start(shining, pixels - dark, labels, grid)
         foreign |= strangers
         if foreign.any():
-            regions = _dark_regions(image, grid, close, labels), bright_regions(image, grid, labels)
-            hollow, full = (_missed(found, labels) for found in regions)
+            dark_ones = dark_regions(pixels - dark, labels, foreign)
+            bright_ones = bright_regions(image, grid, labels)
+            hollow, full = (missed(found, labels, grid) for found in (dark_ones, bright_ones))
             full &= ~strangers | hollow
-            foreign, own, missed = _parted(foreign, own, hollow, full, reach, spacing)
-            inside |= missed
+            foreign, own, theirs = parted(foreign, own, hollow, full, reach, spacing)
+            inside |= theirs
     if not foreign.any():
         return known
     other = distance_transform_edt(~foreign, sampling=spacing)
     return known & ((own < other) | inside)
-
-
-def _missed(found: Labels | None, starts: Labels) -> Mask:
-    """(Z, Y, X) bool: what starts have missed of the regions of the image that they lie in.
-
-    Not where a start has missed more than it holds: there, more than one cell may lie.
-    """
-    missed = np.zeros(starts.shape, bool)
-    if found is None:
-        return missed
-    volumes = np.bincount(starts.ravel(), minlength=int(found.max()) + 1)
-    for region, box in enumerate(find_objects(np.maximum(found, 0)), 1):
-        if box is None:
-            continue
-        own, start = found[box] == region, starts[box]
-        rest, held = own & (start == 0), np.count_nonzero(own & (start == region))
-        if held > RULES.most * volumes[region] and np.count_nonzero(rest) < volumes[region]:
-            missed[box] |= rest
-    return missed
-
-
-def _parted(
-    foreign: Mask,
-    own: np.ndarray,
-    hollow: Mask,
-    full: Mask,
-    reach: float,
-    spacing: np.ndarray,
-) -> tuple[Mask, np.ndarray, Mask]:
-    """Foreign things without what close starts have missed, distances from the starts, and that.
-
-    Membranes that close around a dark inside part it from all others; nothing does so for a bright
-    one, so that is only theirs if no other thing is joined to it.
-
-    Parameters
-    ----------
-    foreign, own
-        (Z, Y, X) foreign things, and widths from the starts.
-    hollow, full
-        (Z, Y, X) missed parts of dark and of bright regions.
-    """
-    beside = _away(hollow, spacing)
-    own, foreign = np.minimum(own, beside), foreign & (beside > reach)
-    parts, count = label(foreign, np.ones((3, 3, 3)))
-    numbers = np.arange(1, count + 1)
-    near = mean(np.minimum(own, _away(full, spacing)) <= reach, parts, numbers)
-    theirs = (near > RULES.whole) & (mean(full, parts, numbers) > RULES.core)
-    foreign &= ~np.append(False, theirs)[parts]
-    missed = hollow | (full & ~foreign)
-    return foreign, np.minimum(own, _away(missed, spacing)), missed
-
-
-def _away(things: Mask, spacing: np.ndarray) -> np.ndarray:
-    """(Z, Y, X) widths from things; infinite where there are none."""
-    if not things.any():
-        return np.full(things.shape, np.inf)
-    return np.asarray(distance_transform_edt(~things, sampling=spacing))
 
 
 def _across(radius: np.ndarray) -> NDArray[np.signedinteger]:
