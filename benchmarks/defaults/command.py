@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 import tifffile
+from numpy.typing import NDArray
+from scipy.ndimage import find_objects
 from skimage.segmentation import expand_labels
 
 from napari_deltamic import Mesh, load_mesh, save_mesh
@@ -72,6 +74,17 @@ def fitted(
     return Outcome(report, load_mesh(out / "mesh.ply"), seconds, last)
 
 
+def _without_tops(labels: NDArray[np.integer], share: float) -> NDArray[np.integer]:
+    """Labels without that share of the height of each, at the top."""
+    result = labels.copy()
+    for name, box in enumerate(find_objects(labels), 1):
+        if box is not None:
+            first, last = box[0].start, box[0].stop
+            top = slice(first, first + round(share * (last - first)))
+            result[top][labels[top] == name] = 0
+    return result
+
+
 def _psf(scene: Scene) -> list[str]:
     """Options that say what the PSF is."""
     microscope = scene.recipe.microscope
@@ -100,7 +113,7 @@ def _seeds(scene: Scene, folder: Path, told: bool) -> str:
     if recipe.seeds == "labels":
         path = folder / "seeds.tif"
         known = scene.all_labels if told and scene.strangers else scene.labels
-        known = expand_labels(known, recipe.grown)
+        known = _without_tops(expand_labels(known, recipe.grown), recipe.topless)
         tifffile.imwrite(path, known.astype(np.uint16), imagej=True, metadata={"axes": "ZYX"})
     elif recipe.seeds == "mesh":
         path = folder / "seeds.ply"

@@ -45,6 +45,7 @@ class Recipe:
     )  # how the background rises along X, and squared; photons
     padded: float = 0.0  # share of the sum of Z and X below which nothing was measured
     grown: int = 0  # voxels by which labels reach out too far
+    topless: float = 0.0  # share of its height that each label lacks at the top
     seeds: SeedKind = "spheres"
     start: tuple[float, float] = (0.9, 0.1)  # radius of spheres and meshes, offset, in radii
     told: tuple[str, ...] = ()  # what the command that knows all is told besides the PSF
@@ -254,6 +255,14 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
     "crowd-both": lambda rng: _crowd(rng, interior=rng.uniform(0.2, 0.8)),
     "crowd-grown": lambda rng: _crowd(rng, interior=rng.uniform(0.3, 1.0), grown=2),
     "crowd-bright": lambda rng: _crowd(rng, interior=rng.uniform(1.0, 2.5)),
+    "topless": lambda rng: replace(
+        PLAIN,
+        membrane=float(rng.random() < 0.5),
+        interior=1.0,
+        seeds="labels",
+        topless=rng.uniform(0.2, 0.4),
+    ),
+    "topless-crowd": lambda rng: _crowd(rng, topless=rng.uniform(0.2, 0.4)),
     "tissue-both": lambda rng: replace(
         _labelled_tissue(rng), interior=rng.uniform(0.2, 0.8), unequal=0.4
     ),
@@ -337,6 +346,8 @@ WORDS = {
     "crowd-both": "eight cells, membranes and dimmer insides",
     "crowd-grown": "the same, labels two voxels too large",
     "crowd-bright": "eight cells, insides brighter than membranes",
+    "topless": "one cell, its label lacks a fifth to two fifths at the top",
+    "topless-crowd": "eight cells, their labels the same",
     "tissue-both": "four cells that share walls, membranes and unequal insides",
     "tissue-partial": "two of four cells that share walls, labelled",
     "packed-nuclei": "some 40 small nuclei, packed, dim and bright",

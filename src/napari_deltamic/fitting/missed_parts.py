@@ -14,7 +14,7 @@ from scipy.ndimage import binary_erosion, distance_transform_edt, find_objects, 
 from skimage.segmentation import watershed
 
 from ..scene import Grid
-from .bright_regions import Labels, Mask, without_thin
+from .bright_regions import Labels, Mask, bright_regions, without_thin
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,8 @@ class MissedPartRules:
         Percentile of what is seen where a start ends, which is on its membrane but where it misses
         a part; chosen.
     dark
-        Of that: an inside that is brighter is not enclosed by a membrane; chosen, as is ``full``
-        of :mod:`.bright_regions`.
+        Of that: an inside that is brighter is not enclosed by a membrane. Measured on a cell of
+        both, two fifths of which its label lacked: 1.21 voxels off with 0.75, 0.06 with this.
     levels
         From the inside to the crest: how far it is flooded, the highest at which it does not leak.
         Chosen.
@@ -58,6 +58,53 @@ class MissedPartRules:
 
 
 RULES = MissedPartRules()
+
+
+def without_missed(
+    image: np.ndarray,
+    grid: Grid,
+    starts: Labels,
+    light: NDArray[np.floating],
+    foreign: Mask,
+    strangers: Mask,
+    own: NDArray[np.floating],
+    reach: float,
+    spacing: NDArray[np.floating],
+) -> tuple[Mask, NDArray[np.floating], Mask]:
+    """Foreign things without what starts have missed, distances from the starts, and that.
+
+    Membranes that close around a dark inside part it from all others; nothing does so for a bright
+    one, so that is only theirs if no other thing is joined to it.
+
+    Parameters
+    ----------
+    image, grid
+        Of the fit.
+    starts
+        (Z, Y, X) regions of the starts.
+    light
+        (Z, Y, X) smoothed, above the dark level.
+    foreign, strangers
+        (Z, Y, X) bright things that seem to be no part of the starts; those of them that an inside
+        of their own tells from the starts.
+    own, reach
+        (Z, Y, X) widths from the starts, and how far their light reaches.
+    spacing
+        (3,) of voxels, widths.
+    """
+    if not foreign.any():
+        return foreign, own, np.zeros_like(foreign)
+    hollow = missed(dark_regions(light, starts, foreign), starts, grid)
+    full = missed(bright_regions(image, grid, starts), starts, grid) & (~strangers | hollow)
+    beside = _away(hollow, spacing)
+    own, foreign = np.minimum(own, beside), foreign & (beside > reach)
+    parts, count = label(foreign, np.ones((3, 3, 3)))
+    numbers = np.arange(1, count + 1)
+    near = mean(np.minimum(own, _away(full, spacing)) <= reach, parts, numbers)
+    theirs = (near > RULES.whole) & (mean(full, parts, numbers) > RULES.core)
+    foreign &= ~np.append(False, theirs)[parts]
+    both = hollow | (full & ~foreign)
+    return foreign, np.minimum(own, _away(both, spacing)), both
 
 
 def dark_regions(light: NDArray[np.floating], starts: Labels, foreign: Mask) -> Labels:
@@ -145,41 +192,6 @@ def missed(found: Labels | None, starts: Labels, grid: Grid) -> Mask:
         whole, _ = without_thin(own | (start == region), RULES.thin * radius, size)
         result[box] |= whole & (start == 0)
     return result
-
-
-def parted(
-    foreign: Mask,
-    own: np.ndarray,
-    hollow: Mask,
-    full: Mask,
-    reach: float,
-    spacing: np.ndarray,
-) -> tuple[Mask, np.ndarray, Mask]:
-    """Foreign things without what starts have missed, distances from the starts, and that.
-
-    Membranes that close around a dark inside part it from all others; nothing does so for a bright
-    one, so that is only theirs if no other thing is joined to it.
-
-    Parameters
-    ----------
-    foreign, own
-        (Z, Y, X) foreign things, and widths from the starts.
-    hollow, full
-        (Z, Y, X) missed parts of dark and of bright regions.
-    reach
-        Widths that the light of a start reaches.
-    spacing
-        (3,) of voxels, widths.
-    """
-    beside = _away(hollow, spacing)
-    own, foreign = np.minimum(own, beside), foreign & (beside > reach)
-    parts, count = label(foreign, np.ones((3, 3, 3)))
-    numbers = np.arange(1, count + 1)
-    near = mean(np.minimum(own, _away(full, spacing)) <= reach, parts, numbers)
-    theirs = (near > RULES.whole) & (mean(full, parts, numbers) > RULES.core)
-    foreign &= ~np.append(False, theirs)[parts]
-    both = hollow | (full & ~foreign)
-    return foreign, np.minimum(own, _away(both, spacing)), both
 
 
 def _away(things: Mask, spacing: np.ndarray) -> np.ndarray:

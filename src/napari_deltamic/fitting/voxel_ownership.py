@@ -31,7 +31,7 @@ from ..images.missing import filled
 from ..optics import Optics
 from ..scene import Grid
 from .bright_regions import STRANGER, Labels, Mask, alike, bright_regions, without_start
-from .missed_parts import dark_regions, missed, parted
+from .missed_parts import without_missed
 from .protrusions import protrusions
 
 
@@ -117,8 +117,7 @@ def counted_voxels(image: np.ndarray, grid: Grid, mesh: Mesh, optics: Optics) ->
     """
     labels = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
     given = surface_voxels(mesh, grid), labels, optics, RULES.near
-    close = mesh if _all_seen(image, mesh, labels) else None
-    return _shared_out(image, grid, *given, close)
+    return _shared_out(image, grid, *given, close=_all_seen(image, mesh, labels))
 
 
 def counted_around(image: np.ndarray, grid: Grid, mesh: Mesh, optics: Optics) -> np.ndarray | None:
@@ -155,7 +154,7 @@ def _shared_out(
     labels: Labels,
     optics: Optics,
     explained: float,
-    close: Mesh | None = None,
+    close: bool = False,
 ) -> np.ndarray:
     known, inside = np.isfinite(image), labels > 0
     if not (surface & known).any():
@@ -187,17 +186,13 @@ def _shared_out(
     given = inside, beside, height, known & sure, noise, spacing
     foreign &= ~protrusions(foreign, bright & known, *given)
     foreign |= known & (labels == STRANGER)
-    if close is not None:
+    if close:
         shining = pixels - haze > dark + RULES.beside * (crest - dark)
         strangers = known & without_start(shining, pixels - dark, labels, grid)
-        foreign |= strangers
-        if foreign.any():
-            dark_ones = dark_regions(pixels - dark, labels, foreign)
-            bright_ones = bright_regions(image, grid, labels)
-            hollow, full = (missed(found, labels, grid) for found in (dark_ones, bright_ones))
-            full &= ~strangers | hollow
-            foreign, own, theirs = parted(foreign, own, hollow, full, reach, spacing)
-            inside |= theirs
+        things = labels, pixels - dark, foreign | strangers, strangers
+        foreign, own, missed = without_missed(image, grid, *things, own, reach, spacing)
+        foreign &= strangers | ~_rims(foreign & ~strangers, own - reach)
+        inside |= missed
     if not foreign.any():
         return known
     other = distance_transform_edt(~foreign, sampling=spacing)
