@@ -10,6 +10,7 @@
 #include "bending.h"
 #include "checks.h"
 #include "connectivity.h"
+#include "flooding.h"
 #include "proximity.h"
 #include "remesh.h"
 
@@ -128,7 +129,7 @@ std::vector<std::array<std::int32_t, n>> table_of(const Given<std::int64_t>& num
 }  // namespace
 
 NB_MODULE(_remesh, m) {
-    m.doc() = "The remesher and the guard against crossings; use napari_deltamic.geometry instead.";
+    m.doc() = "The remesher, the guard against crossings and the flood of images; use napari_deltamic.geometry instead.";
     m.def("remesh", [](Given<double> vertices, Given<std::int64_t> faces, Given<std::int64_t> regions,
                        Given<double> length, Given<std::uint8_t> fixed, Given<double> carried,
                        Given<std::uint8_t> guard, int passes, bool smooth, double apart) {
@@ -223,6 +224,16 @@ NB_MODULE(_remesh, m) {
             sets.join(static_cast<std::int32_t>(links.data()[2 * i]), static_cast<std::int32_t>(links.data()[2 * i + 1]));
         const auto number = sets.numbers();
         return copied<std::int64_t>(number.data(), number.size(), 1);
+    });
+    m.def("flooded", [](Given<std::uint16_t> levels) {
+        require(levels.ndim() == 3 && levels.size() > 0, "levels: (Z, Y, X)");
+        deltamic_flooding::Tree tree;
+        {
+            nb::gil_scoped_release others_may_run;
+            tree = deltamic_flooding::flooded(levels.data(), levels.shape(0), levels.shape(1), levels.shape(2));
+        }
+        const auto n = tree.parent.size();
+        return nb::make_tuple(copied<std::int64_t>(tree.parent.data(), n, 1), copied<std::int64_t>(tree.order.data(), n, 1));
     });
     nb::class_<Guard>(m, "Guard")
         .def("__init__",

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.measure import block_reduce
-from skimage.morphology import max_tree
 from skimage.segmentation import watershed
 
 from napari_deltamic.geometry.labels.cell_rules import BASINS
+from napari_deltamic.geometry.labels.flood_tree import flood_tree
 from napari_deltamic.geometry.mesh import FloatArray, IntArray
 from napari_deltamic.geometry.refused import Refused
 
@@ -195,9 +195,8 @@ def _component_tree(ranked: Ranks, size: FloatArray) -> _Tree:
 
 
 def _new_tree(ranked: Ranks, size: FloatArray) -> _Tree:
-    parents, order = max_tree(65535 - ranked, connectivity=1)
+    parent, order = flood_tree(ranked)
     level = ranked.ravel().astype(np.int64)
-    parent = parents.ravel().astype(np.int64)
     # Most voxels are leaves at the level of their parent, and join it at once.
     leaf = level[parent] == level
     leaf[order[0]] = False  # its own parent

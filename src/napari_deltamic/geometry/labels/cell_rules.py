@@ -168,8 +168,8 @@ class BasinRules:
         Voxels along each axis of the blocks that are flooded first, the largest first. Chosen: with
         blocks of four, what remains takes longer.
     many
-        Voxels of an image from which on blocks of two are flooded first (700,000 take four seconds
-        otherwise); blocks of four from eight times as many on.
+        Voxels of an image from which on blocks of two are flooded first; blocks of four from eight
+        times as many on. Chosen: without the compiled extension, 700,000 take four seconds.
     blocks
         Of two voxels, in a basin, so many at least; of four, eight times as many. Measured: what is
         found with blocks and without has a Dice coefficient of 0.998 or more in 30 foams with cells

@@ -1,0 +1,31 @@
+"""How the dark parts of an image join as it is flooded."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from skimage.morphology import max_tree
+
+from napari_deltamic.geometry.compiled import native
+
+Ranks = NDArray[np.uint16]
+
+
+def flood_tree(ranked: Ranks) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The component tree of the sub-level sets of an image; neighbours share a face.
+
+    Compiled: for 3.2 million voxels of an embryo, that of scikit-image took 58 s and this 2 s, on
+    the same busy machine. Where there is no extension, that of scikit-image stands in.
+
+    Returns
+    -------
+    For each voxel, flat: the voxel that stands for its component at its level, or, if it does
+    so itself, for the component that holds it at the next one. And voxels in an order in which
+    those come before: first the root.
+    """
+    library = native()
+    if library is None:
+        parents, order = max_tree(np.iinfo(np.uint16).max - ranked, connectivity=1)
+        return parents.ravel().astype(np.int64), order.astype(np.int64)
+    parent, order = library.flooded(np.ascontiguousarray(ranked, np.uint16))
+    return parent.ravel(), order.ravel()
