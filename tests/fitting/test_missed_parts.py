@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from napari_deltamic import GaussianPSF, Grid
 from napari_deltamic.fitting import counted_voxels
@@ -59,6 +59,70 @@ def test_a_neighbour_in_place_of_a_top_is_another_cell(light):
     assert found[light(high) & (away(low) > RADIUS + 4)].mean() < 0.05
 
 
+def pair(distance, radius, wall=None):
+    """(Z, Y, X) light of a cell and of another above it, behind a wall so bright; the cells."""
+    low, high = (29.5, 19.5, 19.5), (29.5 - distance, 19.5, 19.5)
+    cell = away(low) < RADIUS
+    other = (away(high) < radius) & ~cell
+    if wall is None:
+        return (cell | other).astype(float), cell, other
+    around = away(low) - RADIUS
+    shell = np.abs(around) < 0.7
+    within = shell & (away(high) < radius + 0.7)
+    light = np.where(within, wall, shell.astype(float))
+    light[(np.abs(away(high) - radius) < 0.7) & (around > 0.7)] = 1.0
+    return light, cell, other
+
+
+@pytest.mark.parametrize("wall", [1.0, 0.8, 0.7, 0.6])
+def test_a_neighbour_behind_a_dim_wall_is_another_cell(wall):
+    light, cell, other = pair(16.0, 9.0, wall)
+    found = counted(seen(light), cell.astype(np.int32))
+    assert found[cell].all()
+    assert found[other & (distance_transform_edt(~cell) > 4)].mean() < 0.3
+
+
+@pytest.mark.parametrize(("distance", "radius"), [(18.0, 8.0), (17.6, 10.0)])
+def test_a_nucleus_joined_to_a_larger_one_is_another_cell(distance, radius):
+    light, cell, other = pair(distance, radius)
+    found = counted(seen(light), cell.astype(np.int32))
+    assert found[cell].all()
+    assert found[other & (distance_transform_edt(~cell) > 4)].mean() < 0.3
+
+
+def test_what_is_beyond_a_neck_is_another_cell():
+    _, cell, other = pair(16.0, 10.0)
+    both = (cell | other).astype(np.int32)
+    assert not missed(both, cell.astype(np.int32), GRID).any()
+    cut = cell.copy()
+    cut[:22] = False  # the top of this cell, on which the other lies
+    assert not missed(both, cut.astype(np.int32), GRID)[other].any()
+
+
+def test_flat_cells_have_tops_as_well():
+    z, y, x = np.indices(GRID.shape)
+    flat = ((z - 21.5) / 5) ** 2 + ((y - 19.5) / 15) ** 2 + ((x - 19.5) / 15) ** 2 < 1
+    label = flat.astype(np.int32)
+    label[:, :, :12] = 0
+    found = missed(flat.astype(np.int32), label, GRID)
+    assert found[flat & (label == 0)].mean() > 0.5
+
+
+def test_labels_may_have_large_numbers():
+    label = without_top(0.3) * 50_000_000
+    image = seen(nucleus())
+    assert counted(image, label).mean() > 0.99
+
+
+def test_voxels_may_be_tall_and_missing():
+    grid = Grid((22, 40, 40), (0.4, 0.2, 0.2))
+    image, label = seen(nucleus())[::2], without_top(0.4)[::2]
+    image[:, :, :4] = np.nan
+    found = counted_voxels(image, grid, mesh_from_labels(label, grid.voxel_size), OPTICS)
+    assert found[:, :, 4:].mean() > 0.99
+    assert not found[:, :, :4].any()
+
+
 def test_a_bright_thread_beside_a_nucleus_is_not_its_own():
     z, y, x = np.indices(GRID.shape)
     thread = (np.hypot(y - 19.5, x - 19.5) < 2.5) & (z < 12)
@@ -72,7 +136,8 @@ def test_a_membrane_that_is_open_encloses_nothing():
     ring[:, 15:25, 30:] = False
     light = gaussian_filter(ring.astype(float), 1.5)
     everywhere = np.ones(GRID.shape, bool)
-    assert not dark_regions(light, without_top(0.3), everywhere).any()
+    start = without_top(0.3)
+    assert not missed(dark_regions(light, start, everywhere), start, GRID).any()
     closed = gaussian_filter(membrane().astype(float), 1.5)
     found = dark_regions(closed, without_top(0.3), everywhere) == 1
     assert found[nucleus() & (away((21.5, 19.5, 19.5)) < RADIUS - 1)].all()

@@ -191,8 +191,9 @@ def _shared_out(
         strangers = known & without_start(shining, pixels - dark, labels, grid)
         things = labels, pixels - dark, foreign | strangers, strangers
         foreign, own, missed = without_missed(image, grid, *things, own, reach, spacing)
-        foreign &= strangers | ~_rims(foreign & ~strangers, own - reach)
-        inside |= missed
+        if missed.any():
+            foreign &= strangers | ~_rims(foreign & ~strangers, own - reach)
+            inside |= missed
     if not foreign.any():
         return known
     other = distance_transform_edt(~foreign, sampling=spacing)
