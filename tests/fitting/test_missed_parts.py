@@ -41,8 +41,7 @@ def counted(image, label):
     return counted_voxels(image, GRID, mesh_from_labels(label, GRID.voxel_size), OPTICS)
 
 
-@pytest.mark.parametrize("share", [0.2, 0.3, 0.4])
-@pytest.mark.parametrize("light", [membrane, nucleus])
+@pytest.mark.parametrize(("light", "share"), [(membrane, 0.4), (nucleus, 0.3), (nucleus, 0.4)])
 def test_the_top_that_a_label_lacks_belongs_to_its_cell(light, share):
     assert counted(seen(light()), without_top(share)).mean() > 0.99
 
@@ -129,6 +128,8 @@ def test_a_bright_thread_beside_a_nucleus_is_not_its_own():
     found = counted(seen(nucleus() | thread), without_top(0.0))
     assert found[nucleus()].all()
     assert not found[:4, 18:21, 18:21].any()
+    both = (nucleus() | thread).astype(np.int32)
+    assert not missed(both, without_top(0.0), GRID)[:7].any()
 
 
 def test_a_membrane_that_is_open_encloses_nothing():
@@ -142,6 +143,13 @@ def test_a_membrane_that_is_open_encloses_nothing():
     found = dark_regions(closed, without_top(0.3), everywhere) == 1
     assert found[nucleus() & (away((21.5, 19.5, 19.5)) < RADIUS - 1)].all()
     assert not found[away((21.5, 19.5, 19.5)) > RADIUS + 1].any()
+
+
+@pytest.mark.parametrize(("inside", "enclosed"), [(0.85, True), (0.95, False)])
+def test_an_inside_as_bright_as_its_membrane_is_not_enclosed(inside, enclosed):
+    light = np.where(membrane(), 1.0, inside * nucleus())
+    start = nucleus().astype(np.int32)
+    assert dark_regions(light, start, np.ones(GRID.shape, bool)).any() == enclosed
 
 
 def test_nothing_is_asked_where_no_other_thing_is_about():

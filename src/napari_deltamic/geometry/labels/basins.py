@@ -20,12 +20,11 @@ from skimage.measure import block_reduce
 from skimage.segmentation import watershed
 
 from napari_deltamic.geometry.labels.cell_rules import BASINS
-from napari_deltamic.geometry.labels.flood_tree import flood_tree
+from napari_deltamic.geometry.labels.flood_tree import Ranks, flood_tree
 from napari_deltamic.geometry.mesh import FloatArray, IntArray
 from napari_deltamic.geometry.refused import Refused
 
 Mask = NDArray[np.bool_]
-Ranks = NDArray[np.uint16]
 
 
 @dataclass(frozen=True)
