@@ -34,6 +34,12 @@ def test_a_larger_neighbour_that_a_small_cell_has_swallowed_is_told():
     assert beyond_necks(small, cell(1.3), GRID, OPTICS)[1] == pytest.approx((5, 4, 4), abs=0.4)
 
 
+def test_a_neck_need_not_be_thin():
+    """About 0.6 times as thick as the thinner ball; less of one is no neck."""
+    assert list(beyond_necks(START, cell(3.0), GRID, OPTICS)) == [1]
+    assert beyond_necks(START, cell(3.6), GRID, OPTICS) == {}
+
+
 def test_a_thick_way_is_no_neck():
     assert beyond_necks(START, cell(5.0), GRID, OPTICS) == {}
 

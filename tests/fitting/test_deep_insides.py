@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 
 import napari_deltamic as nd
-from napari_deltamic.fitting.deep_insides import Cells, dark_insides_shown, deep_brightness
+from napari_deltamic.fitting.deep_insides import (
+    Cells,
+    dark_insides_shown,
+    deep_brightness,
+    variation,
+)
 from napari_deltamic.geometry import Mesh, sphere
 from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene.light import Light, structure_of
@@ -37,6 +42,42 @@ def test_without_a_deep_inside_or_outside_nothing_is_read():
     small = Cells(sphere((3.1, 3.1, 3.1), 0.4, edge_length=0.2), OPTICS, GRID)
     assert deep_brightness(small, image(0.5), EVERYWHERE) == {}
     assert deep_brightness(CELLS, image(0.5), EVERYWHERE, far=2.0) == {}
+
+
+def waves(share: float) -> np.ndarray:
+    """(Z, Y, X) around 1, with this standard deviation."""
+    z, y, x = np.indices(GRID.shape)
+    return 1 + share * np.sqrt(8) * np.sin(z / 3) * np.sin(y / 3) * np.sin(x / 3)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.2])
+@pytest.mark.parametrize("noise", [0.0, 0.2])
+def test_how_much_insides_vary_is_told_without_noise_and_membranes(share, noise):
+    """With a bright rim, on a background of 2."""
+    far = np.linalg.norm(np.moveaxis(np.indices(GRID.shape), 0, -1) * 0.2 - 3.1, axis=-1)
+    rim = 5.0 * (abs(far - 1.8) < 0.4)
+    known = noise * np.random.default_rng(0).standard_normal(GRID.shape)
+    measured = 2 + np.where(far < 1.8, waves(share), 0) + rim + known
+    found = variation(CELLS, measured, known, 2.0, EVERYWHERE)
+    deep = waves(share)[CELLS.away > 2.5][CELLS.labels[CELLS.away > 2.5] == 1]
+    seen = np.exp(-1.5 * (1.2 / 3) ** 2)  # exact, of these waves through the PSF
+    assert found == pytest.approx(seen * np.std(deep) / deep.mean(), abs=0.02 + 0.2 * noise)
+
+
+def test_cells_of_different_brightness_do_not_vary():
+    two = nd.Mesh.merge([sphere((3.1, 3.1, z), 1.3, edge_length=0.3) for z in (1.6, 4.6)])
+    cells = Cells(two, nd.GaussianPSF((0.16,) * 3), GRID)
+    measured = np.where(cells.labels == 2, 3.0, 1.0) + 0.0 * waves(0)
+    assert variation(cells, measured, np.zeros(GRID.shape), 0.0, EVERYWHERE) < 1e-3
+
+
+def test_what_no_cell_has_deep_inside_is_not_told():
+    nothing = np.zeros(GRID.shape)
+    small = Cells(sphere((3.1, 3.1, 3.1), 0.7, edge_length=0.2), OPTICS, GRID)
+    assert variation(small, nothing + 1, nothing, 0.0, EVERYWHERE) == np.inf
+    assert variation(CELLS, nothing + 1, nothing, 0.0, ~EVERYWHERE) == np.inf
+    assert variation(CELLS, nothing + np.nan, nothing, 0.0, EVERYWHERE) == np.inf
+    assert variation(CELLS, nothing, nothing, 1.0, EVERYWHERE) == np.inf  # darker than that
 
 
 def test_dark_insides_are_shown_or_not():

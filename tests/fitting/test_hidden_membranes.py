@@ -16,10 +16,11 @@ MIDDLE = np.full(3, 2.3)
 SCATTER = 5.5 * (-1.0) ** np.arange(16)
 
 
-def followed(monkeypatch, *gains, evened=(), shines="both", over=(), less=False):
+def followed(monkeypatch, *gains, evened=(), shines="both", over=(), less=False, even=False):
     """After how many legs a rival stops that has gained so much by then, and what it has taken.
 
     over : brightness of insides after each, 1 unless given. less : what the trial should say.
+    even : whether brightness deep inside hardly varies.
     """
 
     def rival(leg):
@@ -32,7 +33,10 @@ def followed(monkeypatch, *gains, evened=(), shines="both", over=(), less=False)
 
     monkeypatch.setattr(hidden_membranes, "gone_on", lambda one: (rival(one.leg + 1), 3))
     monkeypatch.setattr(hidden_membranes, "gains_over", gained)
-    monkeypatch.setattr(hidden_membranes, "errors_asked", lambda one: 3.0)
+    monkeypatch.setattr(hidden_membranes, "are_even", lambda one: even)
+    monkeypatch.setattr(
+        hidden_membranes, "explains_more", lambda one, known: known[-1].sum() > bounds[3.0]
+    )
     monkeypatch.setattr(
         hidden_membranes, "insides_over", lambda one: over[one.leg] if over else 1.0
     )
@@ -42,7 +46,7 @@ def followed(monkeypatch, *gains, evened=(), shines="both", over=(), less=False)
     )
     trial = _followed(_Trial(rival(0), 5), None, 6)
     leg, may = trial.rival.leg, shines != "interior"
-    assert trial.stands == (may and gains[leg] > 100 and (over[leg] <= 2.5 if over else True))
+    assert trial.stands == (may and gains[leg] > 100 and (even or not over or over[leg] <= 2.5))
     assert trial.hints == (may and max(gains[: leg + 1]) > 60)
     assert trial.less == (less or not may)
     assert trial.evaluations == 5 + 3 * leg
@@ -86,6 +90,11 @@ def test_a_rival_whose_membranes_fade_is_followed_no_further(monkeypatch):
     assert followed(monkeypatch, 20.0, 50.0, 120.0, over=(2.2, 2.4, 2.3)) == 2
 
 
+def test_bright_insides_hide_no_membranes_if_they_are_even(monkeypatch):
+    assert followed(monkeypatch, 80.0, 120.0, 140.0, over=(2.8, 2.9, 2.4), even=True) == 1
+    assert followed(monkeypatch, 20.0, 50.0, 120.0, over=(2.4, 2.6, 2.8), even=True) == 2
+
+
 @pytest.mark.parametrize(("times", "grown"), [(1.2, False), (1.3, True)])
 def test_a_cell_twice_as_large_has_left_its_start(times, grown):
     two = nd.Mesh.merge([sphere(MIDDLE, 0.5), sphere(MIDDLE + 2.0, 0.5)])
@@ -95,10 +104,16 @@ def test_a_cell_twice_as_large_has_left_its_start(times, grown):
     assert _grown(two, two.with_vertices(places)) == grown
 
 
-def found(monkeypatch, further_in, from_start, start=True, crosses=False):
-    """Which of both trials goes on, each given as it is judged, and whether it is unsure."""
+def found(monkeypatch, further_in, from_start, start=True, crosses=False, wide=0.1):
+    """Which of both trials goes on, each given as it is judged, and whether it is unsure.
+
+    wide : um, of the PSF; the cell has a radius of 1.
+    """
     mesh = sphere(MIDDLE, 1.0)
-    alone = SimpleNamespace(fitted=SimpleNamespace(mesh=mesh), evaluations=lambda: 1)
+    optics = SimpleNamespace(sigma_um=(wide,) * 3)
+    alone = SimpleNamespace(
+        fitted=SimpleNamespace(mesh=mesh, first_optics=optics), evaluations=lambda: 1
+    )
     objective = SimpleNamespace(anew=lambda: alone)
 
     def trial(name, *judged):
@@ -112,6 +127,8 @@ def found(monkeypatch, further_in, from_start, start=True, crosses=False):
     first, second = trial("further in", *further_in), trial("start", *from_start)
     monkeypatch.setattr(hidden_membranes, "_from_further_in", lambda *_: first)
     monkeypatch.setattr(hidden_membranes, "_from_start", lambda *_: second)
+    membranes = SimpleNamespace(name="membranes")
+    monkeypatch.setattr(hidden_membranes, "membranes_instead", lambda *_: (membranes, 100))
     given = SimpleNamespace(mesh=mesh) if start else None
     fitted, taken, unsure = membranes_as_well(None, objective, None, given, 6)
     return None if fitted is None else fitted.name, taken, unsure
@@ -136,3 +153,13 @@ def test_both_are_tried_from_the_start_where_a_cell_has_grown_far(monkeypatch):
     monkeypatch.setattr(hidden_membranes, "_grown", lambda before, after: True)
     assert found(monkeypatch, NO, YES) == ("start", 21, False)
     assert found(monkeypatch, NO, NO) == (None, 21, False)
+
+
+@pytest.mark.parametrize(("wide", "small"), [(0.1, False), (0.16, False), (0.18, True)])
+def test_membranes_alone_are_tried_in_small_cells(monkeypatch, wide, small):
+    if small:
+        assert found(monkeypatch, NO, NO, wide=wide) == ("membranes", 111, False)
+        assert found(monkeypatch, MAYBE, NO, wide=wide) == ("membranes", 121, True)
+    else:
+        assert found(monkeypatch, NO, NO, wide=wide) == (None, 11, False)
+    assert found(monkeypatch, YES, NO, wide=wide) == ("further in", 11, False)

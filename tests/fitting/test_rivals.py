@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from napari_deltamic.fitting import rival_structures
+from napari_deltamic.fitting import rival_structures, small_cells
 from napari_deltamic.fitting.fit_objective import Objective
 from napari_deltamic.fitting.rival_structures import (
     _explains_more,
@@ -14,7 +14,7 @@ from napari_deltamic.fitting.rival_structures import (
     moved_in,
 )
 from napari_deltamic.fitting.shape import Shape
-from napari_deltamic.geometry import box
+from napari_deltamic.geometry import box, sphere
 from napari_deltamic.geometry.remeshing import can_remesh
 from napari_deltamic.geometry.topology.crossings import crosses
 
@@ -162,13 +162,17 @@ def test_what_one_leaves_over_another_is_a_mean_over_the_voxels_of_each():
     assert np.isfinite(Objective.leaves_over(at(0.0, 0.0), at(0.0, 0.0)))
 
 
-def fit_of_both(evened, measured, interior=1.0, leaves=0.9, membrane=1.0):
-    """It explains so many nats more than insides alone, and leaves so much of what they do."""
+def fit_of_both(evened, measured, interior=1.0, leaves=0.9, membrane=1.0, vary=np.inf):
+    """It explains so many nats more than insides alone, and leaves so much of what they do.
+
+    vary : how much brightness deep inside varies, of the peak of a membrane's image.
+    """
     # The peak of the image of a membrane of 1, through a PSF of this width, is 1.
     optics = SimpleNamespace(sigma_um=(1 / np.sqrt(2 * np.pi),) * 3)
     return SimpleNamespace(
         **vars(answer({True: evened, False: measured})),
         leaves_over=lambda other: leaves,
+        insides_vary=lambda: vary,
         now=SimpleNamespace(light=SimpleNamespace(membrane=membrane, interior=interior)),
         fitted=SimpleNamespace(optics=optics),
     )
@@ -189,6 +193,11 @@ SURE = np.concatenate([FEW, FEW])  # 2.7 errors
         ({"evened": FEW, "measured": SURE, "interior": 2.6}, False),
         ({"evened": 0.1 * SURE, "measured": 0.1 * SURE}, False),  # 11 nats
         ({"evened": FEW, "measured": SURE, "interior": 0.0, "membrane": 0.0}, False),
+        # A bright rim around even insides is no chromatin, however uneven it is.
+        ({"evened": -EVERYWHERE, "measured": EVERYWHERE, "vary": 0.1, "leaves": 1.2}, True),
+        ({"evened": -EVERYWHERE, "measured": EVERYWHERE, "vary": 0.2, "leaves": 1.2}, False),
+        ({"evened": FEW, "measured": 0.1 * SURE, "vary": 0.1}, False),
+        ({"evened": FEW, "measured": FEW, "vary": 0.1}, False),
     ],
 )
 def test_membranes_that_are_clear_stand_by_what_was_measured(given, stand):
@@ -196,17 +205,82 @@ def test_membranes_that_are_clear_stand_by_what_was_measured(given, stand):
     assert rival_structures.stand(fit_of_both(**given), alone) is stand
 
 
-@pytest.mark.parametrize("stand", [False, True])
-def test_insides_alone_are_taken_where_membranes_do_not_stand(monkeypatch, stand):
-    alone = SimpleNamespace(fitted=object())
-    both = SimpleNamespace(
-        evaluations=lambda: 1, fitted=SimpleNamespace(with_structure=lambda name: None)
-    )
+def fit_at(leg):
+    return SimpleNamespace(leg=leg, fitted=leg)
+
+
+# Nats that insides alone lack after each leg.
+@pytest.mark.parametrize(
+    ("lacking", "taken", "legs"),
+    [
+        ((-1,), 0, 0),
+        ((100, -50), 1, 1),  # a crowd of nuclei
+        ((100, 40, 10, -1), 3, 3),
+        ((100, 60, 20, -1), None, 1),  # another such leg would not do
+        ((100, 40, 15, 5, -1), None, 3),
+    ],
+)
+def test_insides_alone_are_followed_while_they_may_come_near(monkeypatch, lacking, taken, legs):
+    """Where the membranes of both do not stand, they are taken."""
+
+    def gains(one, other):  # both explain more than insides alone, and these than before
+        return [np.array([lacking[other.leg] - (0 if one is both else lacking[one.leg])])]
+
+    def stand(one, alone):
+        return lacking[alone.leg] > 0
+
+    both = SimpleNamespace(evaluations=lambda: 1)
+    monkeypatch.setattr(rival_structures, "_alone_further_out", lambda *_: None)
     monkeypatch.setattr(rival_structures, "begun", lambda *_: None)
-    monkeypatch.setattr(rival_structures, "gone_on", lambda *_: (alone, 5))
-    monkeypatch.setattr(rival_structures, "stand", lambda *_: stand)
-    found, evaluations = rival_structures.insides_alone(
-        None, SimpleNamespace(anew=lambda: both), None
+    monkeypatch.setattr(
+        rival_structures, "gone_on", lambda one: (fit_at(0 if one is None else one.leg + 1), 5)
     )
-    assert found is (None if stand else alone.fitted)
-    assert evaluations == 6
+    monkeypatch.setattr(rival_structures, "stand", stand)
+    monkeypatch.setattr(rival_structures, "gains_over", gains)
+    objective = SimpleNamespace(anew=lambda: both)
+    found, evaluations = rival_structures.insides_alone(None, objective, None)
+    assert found == taken
+    assert evaluations == 6 + 5 * legs
+
+
+def test_insides_alone_begin_where_they_look_like_both():
+    mesh = sphere((0.0, 0.0, 0.0), 2.0, edge_length=0.4)
+
+    def displaced(vertices, optics):
+        return SimpleNamespace(with_structure=lambda name: (name, vertices))
+
+    for membrane, further in ((0.1, 0.2), (-0.1, 0.2), (9.0, 0.3)):  # no more than a width
+        fitted = SimpleNamespace(
+            shape=Shape.begun(mesh, "uniform"),
+            first_optics=SimpleNamespace(sigma_um=(0.3, 0.3, 0.3)),
+            displaced=displaced,
+        )
+        now = SimpleNamespace(light=SimpleNamespace(membrane=membrane, interior=0.5))
+        terms = SimpleNamespace(settings=SimpleNamespace(collisions=False))
+        both = SimpleNamespace(fitted=fitted, now=now)
+        name, vertices = rival_structures._alone_further_out(terms, both)
+        assert name == "interior"
+        np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), 2 + further, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("evened", "measured", "leaves", "taken"),
+    [
+        (SURE, SURE, 0.6, True),
+        (FEW, SURE, 0.6, False),
+        (SURE, FEW, 0.6, False),
+        (-SURE, SURE, 0.6, False),  # a nucleus with chromatin
+        (SURE, SURE, 0.97, False),
+    ],
+)
+def test_membranes_alone_must_explain_much_more_than_insides(
+    monkeypatch, evened, measured, leaves, taken
+):
+    rival = SimpleNamespace(fitted="membranes", leaves_over=lambda other: leaves)
+    monkeypatch.setattr(small_cells, "_other_alone", lambda *_: None)
+    monkeypatch.setattr(small_cells, "begun", lambda *_: None)
+    monkeypatch.setattr(small_cells, "gone_on", lambda *_: (rival, 7))
+    monkeypatch.setattr(small_cells, "gains_over", lambda *_: [evened, measured])
+    insides = SimpleNamespace(fitted=None)
+    found = small_cells.membranes_instead(None, insides, None)
+    assert found == ("membranes" if taken else None, 7)

@@ -113,7 +113,7 @@ def may_shine(asked: StructureChoice, mesh: Mesh, optics: Optics) -> Structure:
     """What may shine when a fit begins; only what is closed has an inside.
 
     In cells that are hardly wider than the PSF an inside looks like a membrane, so they begin with
-    one of the two; :func:`~.rival_structures.nearer_of` asks the image which.
+    one of the two; :func:`~.small_cells.nearer_of` asks the image which.
     """
     if not mesh.is_closed():
         if asked in ("interior", "both"):

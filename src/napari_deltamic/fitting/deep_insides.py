@@ -1,4 +1,4 @@
-"""How bright an image is deep inside of cells, and whether it shows the dark insides of a model."""
+"""How bright an image is deep inside of cells, how evenly, and whether dark insides are shown."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import Mesh
@@ -33,6 +33,9 @@ class DeepRules:
         Where the model has insides that are darker than the medium around, least share of that
         difference that the image shows. Measured: 1.00 to 1.03 in six hazes, -0.02 to 0.05 in five
         thick layers, where a dark inside stands in for the flat top of their light.
+    places
+        Independent places, as large as the PSF, from which on they tell how much brightness varies.
+        By definition its variance is then known to 0.7 of itself, and so is the bound on it.
     """
 
     deep: float = 2.5
@@ -40,6 +43,7 @@ class DeepRules:
     fewest: int = 30
     darker: float = 0.03
     shown: float = 0.5
+    places: float = 4.0
 
 
 RULES = DeepRules()
@@ -130,3 +134,46 @@ def dark_insides_shown(
         for region, level in modelled.items()
         if level < -RULES.darker and region in measured
     }
+
+
+def variation(
+    cells: Cells, image: np.ndarray, noise: np.ndarray, background: float, counted: np.ndarray
+) -> float:
+    """By how much of itself brightness varies deep inside of cells, at most; inf if they are small.
+
+    Of means over places as large as the PSF, around the mean of each cell. What noise makes of it
+    is taken off; how well that is known is added.
+
+    Parameters
+    ----------
+    image
+        (Z, Y, X); NaN where it is missing.
+    noise
+        (Z, Y, X) as large as the noise of each voxel in the mean.
+    background
+        Of the image: there nothing shines.
+    counted
+        (Z, Y, X) bool: the voxels that may be read.
+    """
+    deep = np.isfinite(image) & counted & (cells.away > RULES.deep) & (cells.labels > 0)
+    widths = np.asarray(cells.optics.sigma_um) / np.asarray(cells.grid.voxel_size)
+    # Of the mean under a Gaussian filter: one voxel's variance over this.
+    independent = max(float(np.prod(2 * np.sqrt(np.pi) * widths)), 1.0)
+    places = deep.sum() / independent
+    if places < RULES.places:
+        return np.inf
+    box = tuple(slice(at.min(), at.max() + 1) for at in np.nonzero(deep))
+    here = deep[box]
+    # Cells are further apart than the filter reaches, so that it mixes none.
+    light = gaussian_filter(np.where(here, image[box], 0.0).astype(float), widths, mode="constant")
+    share = gaussian_filter(here.astype(float), widths, mode="constant")[here]
+    found = light[here] / share - background
+    _, which = np.unique(cells.labels[box][here], return_inverse=True)
+    number = np.bincount(which)
+    level = (np.bincount(which, found) / number)[which]
+    if (level <= 0).any():
+        return np.inf
+    varied = float(np.mean((found / level - 1) ** 2))
+    by_noise = float(np.mean((noise[box][here] / level) ** 2 / share)) / independent
+    unsure = np.sqrt(2 / places)  # of a variance of so many independent numbers
+    return float(np.sqrt(max(varied - by_noise, 0.0) + 2 * by_noise * unsure))

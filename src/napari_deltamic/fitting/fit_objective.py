@@ -17,13 +17,13 @@ from .amplitudes import inside_over_membrane
 from .collisions import CollisionGuard
 from .convergence import Patches, Remaining, vertex_normals
 from .deep_insides import RULES as DEEP
-from .deep_insides import Cells, dark_insides_shown
+from .deep_insides import Cells, dark_insides_shown, variation
 from .density import RULES as DENSITY
 from .density import Density
 from .descent import Descent
 from .fitted import Fitted
 from .imaging import Imaging
-from .level import Level
+from .level import Level, differences
 from .likelihood import total
 from .metric import Metric
 from .noise_blur import is_sharpened
@@ -253,6 +253,22 @@ class Objective:
         cells = Cells(fitted.mesh, fitted.optics, level.grid)
         shares = list(dark_insides_shown(cells, *images).values())
         return bool(shares) and median(shares) < DEEP.shown
+
+    def insides_vary(self) -> float:
+        """By how much brightness deep inside varies, at most, of the peak of a membrane's image.
+
+        inf where that is not known: few voxels are deep enough, or some were cut.
+        """
+        level, fitted = self.terms.level, self.fitted
+        if self.posed.whole.full is not None:
+            return np.inf
+        seen = self._seen_and_shown()[0]
+        noise = as_floats(differences(level.target))
+        cells = Cells(fitted.mesh, fitted.first_optics, level.grid)
+        given = seen, noise, self.now.match.background, level.counted.cpu().numpy()
+        return variation(cells, *given) * inside_over_membrane(
+            self.now.light, fitted.optics.sigma_um
+        )
 
     def _seen_and_shown(self) -> tuple[np.ndarray, np.ndarray]:
         """(Z, Y, X) images: measured, without what effects add, and as the descent has it."""

@@ -15,14 +15,14 @@ from .hidden_membranes import membranes_as_well
 from .preconditioner import Preconditioners
 from .rival_structures import RULES as RIVALS
 from .rival_structures import (
+    are_even,
     best_of,
     insides_alone,
-    nearer_of,
-    other_of_small,
     without_rim,
 )
 from .schedule import Progress
 from .shape import Shape
+from .small_cells import nearer_of, other_of_small
 from .stage import Stage
 
 
@@ -136,7 +136,8 @@ class ModelChoice:
             return fitted.with_structure("membrane"), 0
         rival = None
         over = inside_over_membrane(objective.now.light, fitted.optics.sigma_um)
-        uneven = over > RIVALS.drowned or objective.unevenness() > RIVALS.uneven
+        uneven = objective.unevenness() > RIVALS.uneven and not are_even(objective)
+        uneven |= over > RIVALS.drowned
         if found.outshone and uneven:
             rival = without_rim
         elif found.faint:
