@@ -35,7 +35,7 @@ def followed(monkeypatch, *gains, evened=(), shines="both", over=(), less=False,
     monkeypatch.setattr(hidden_membranes, "gains_over", gained)
     monkeypatch.setattr(hidden_membranes, "are_even", lambda one: even)
     monkeypatch.setattr(
-        hidden_membranes, "explains_more", lambda one, known: known[-1].sum() > bounds[3.0]
+        hidden_membranes, "more_than_insides", lambda one, known: known[-1].sum() > bounds[3.0]
     )
     monkeypatch.setattr(
         hidden_membranes, "insides_over", lambda one: over[one.leg] if over else 1.0
@@ -104,10 +104,20 @@ def test_a_cell_twice_as_large_has_left_its_start(times, grown):
     assert _grown(two, two.with_vertices(places)) == grown
 
 
-def found(monkeypatch, further_in, from_start, start=True, crosses=False, wide=0.1):
+def found(
+    monkeypatch,
+    further_in,
+    from_start,
+    start=True,
+    crosses=False,
+    wide=0.1,
+    asked="auto",
+    alone_wins=True,
+):
     """Which of both trials goes on, each given as it is judged, and whether it is unsure.
 
-    wide : um, of the PSF; the cell has a radius of 1.
+    wide : um, of the PSF; the cell has a radius of 1. asked : which structure. alone_wins : whether
+    membranes alone explain more.
     """
     mesh = sphere(MIDDLE, 1.0)
     optics = SimpleNamespace(sigma_um=(wide,) * 3)
@@ -127,10 +137,11 @@ def found(monkeypatch, further_in, from_start, start=True, crosses=False, wide=0
     first, second = trial("further in", *further_in), trial("start", *from_start)
     monkeypatch.setattr(hidden_membranes, "_from_further_in", lambda *_: first)
     monkeypatch.setattr(hidden_membranes, "_from_start", lambda *_: second)
-    membranes = SimpleNamespace(name="membranes")
-    monkeypatch.setattr(hidden_membranes, "membranes_instead", lambda *_: (membranes, 100))
+    third = trial("membranes").rival
+    monkeypatch.setattr(hidden_membranes, "membranes_instead", lambda *_: (third, 100, alone_wins))
     given = SimpleNamespace(mesh=mesh) if start else None
-    fitted, taken, unsure = membranes_as_well(None, objective, None, given, 6)
+    terms = SimpleNamespace(settings=SimpleNamespace(structure=asked))
+    fitted, taken, unsure = membranes_as_well(terms, objective, None, given, 6)
     return None if fitted is None else fitted.name, taken, unsure
 
 
@@ -159,7 +170,13 @@ def test_both_are_tried_from_the_start_where_a_cell_has_grown_far(monkeypatch):
 def test_membranes_alone_are_tried_in_small_cells(monkeypatch, wide, small):
     if small:
         assert found(monkeypatch, NO, NO, wide=wide) == ("membranes", 111, False)
-        assert found(monkeypatch, MAYBE, NO, wide=wide) == ("membranes", 121, True)
+        assert found(monkeypatch, MAYBE, NO, wide=wide) == ("membranes", 121, False)
     else:
         assert found(monkeypatch, NO, NO, wide=wide) == (None, 11, False)
     assert found(monkeypatch, YES, NO, wide=wide) == ("further in", 11, False)
+
+
+def test_membranes_alone_must_win_cross_nothing_and_be_wanted(monkeypatch):
+    assert found(monkeypatch, NO, NO, wide=0.2, alone_wins=False) == (None, 111, False)
+    assert found(monkeypatch, MAYBE, NO, wide=0.2, crosses=True) == (None, 121, False)
+    assert found(monkeypatch, NO, NO, wide=0.2, asked="both") == (None, 11, False)

@@ -6,12 +6,15 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import torch
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..scene import Grid
+from .level import differences
+from .prediction import as_floats
 from .voxel_ownership import surface_voxels
 
 
@@ -34,8 +37,8 @@ class DeepRules:
         difference that the image shows. Measured: 1.00 to 1.03 in six hazes, -0.02 to 0.05 in five
         thick layers, where a dark inside stands in for the flat top of their light.
     places
-        Independent places, as large as the PSF, from which on they tell how much brightness varies.
-        By definition its variance is then known to 0.7 of itself, and so is the bound on it.
+        Independent places, as large as the PSF, beyond the first of each cell, from which on they
+        tell how much brightness varies. By definition its variance is then known to 0.7 of itself.
     """
 
     deep: float = 2.5
@@ -73,6 +76,25 @@ class Cells:
         widths = np.asarray(self.grid.voxel_size) / np.asarray(self.optics.sigma_um)
         found: np.ndarray = distance_transform_edt(~self.surface, sampling=widths)
         return found
+
+
+def cells_in_their_box(
+    mesh: Mesh, optics: Optics, grid: Grid
+) -> tuple[Cells, tuple[slice, slice, slice]]:
+    """Cells on that part of a grid which holds them, and where it lies."""
+    size, first = np.asarray(grid.voxel_size), np.asarray(grid.origin)
+    low, high = (mesh.bounds() - first) / size
+    last = np.asarray(grid.shape) - 1
+    start = np.clip(np.floor(low), 0, last).astype(int)
+    z, y, x = (
+        slice(a, b + 1)
+        for a, b in zip(
+            start.tolist(), np.clip(np.ceil(high), start, last).astype(int).tolist(), strict=True
+        )
+    )
+    shape = (z.stop - z.start, y.stop - y.start, x.stop - x.start)
+    oz, oy, ox = (first + start * size).tolist()
+    return Cells(mesh, optics, Grid(shape, grid.voxel_size, (oz, oy, ox))), (z, y, x)
 
 
 def deep_brightness(
@@ -136,44 +158,55 @@ def dark_insides_shown(
     }
 
 
-def variation(
-    cells: Cells, image: np.ndarray, noise: np.ndarray, background: float, counted: np.ndarray
-) -> float:
+def variation(cells: Cells, image: np.ndarray, background: float, counted: np.ndarray) -> float:
     """By how much of itself brightness varies deep inside of cells, at most; inf if they are small.
 
     Of means over places as large as the PSF, around the mean of each cell. What noise makes of it
-    is taken off; how well that is known is added.
+    is taken off, and two standard errors are added.
 
     Parameters
     ----------
     image
-        (Z, Y, X); NaN where it is missing.
-    noise
-        (Z, Y, X) as large as the noise of each voxel in the mean.
+        (Z, Y, X)
     background
         Of the image: there nothing shines.
     counted
         (Z, Y, X) bool: the voxels that may be read.
     """
-    deep = np.isfinite(image) & counted & (cells.away > RULES.deep) & (cells.labels > 0)
+    deep = counted & (cells.away > RULES.deep) & (cells.labels > 0)
     widths = np.asarray(cells.optics.sigma_um) / np.asarray(cells.grid.voxel_size)
     # Of the mean under a Gaussian filter: one voxel's variance over this.
     independent = max(float(np.prod(2 * np.sqrt(np.pi) * widths)), 1.0)
-    places = deep.sum() / independent
-    if places < RULES.places:
+    names = np.asarray(cells.mesh.region_ids())
+    cell = np.searchsorted(names, cells.labels[deep])
+    places = np.bincount(cell, minlength=len(names)) / independent
+    places[places <= 1] = 0  # nothing is left without their mean
+    free = float((places[places > 0] - 1).sum())
+    if free < RULES.places:
         return np.inf
-    box = tuple(slice(at.min(), at.max() + 1) for at in np.nonzero(deep))
-    here = deep[box]
+    deep[deep] = (places > 0)[cell]
+    cell = cell[(places > 0)[cell]]
+    number = np.maximum(np.bincount(cell, minlength=len(names)), 1)
     # Cells are further apart than the filter reaches, so that it mixes none.
-    light = gaussian_filter(np.where(here, image[box], 0.0).astype(float), widths, mode="constant")
-    share = gaussian_filter(here.astype(float), widths, mode="constant")[here]
-    found = light[here] / share - background
-    _, which = np.unique(cells.labels[box][here], return_inverse=True)
-    number = np.bincount(which)
-    level = (np.bincount(which, found) / number)[which]
-    if (level <= 0).any():
+    light = gaussian_filter(np.where(deep, image, 0.0).astype(float), widths, mode="constant")
+    share = gaussian_filter(deep.astype(float), widths, mode="constant")[deep]
+    found = light[deep] / share - background
+    away = found - (np.bincount(cell, found, len(names)) / number)[cell]
+    squares = np.bincount(cell, away**2, len(names)) / number
+    level, varied = float(found.mean()), float((squares * places).sum()) / free
+    if level <= 0:
         return np.inf
-    varied = float(np.mean((found / level - 1) ** 2))
-    by_noise = float(np.mean((noise[box][here] / level) ** 2 / share)) / independent
-    unsure = np.sqrt(2 / places)  # of a variance of so many independent numbers
-    return float(np.sqrt(max(varied - by_noise, 0.0) + 2 * by_noise * unsure))
+    noise, told = _noise(image, counted)
+    told = told[deep]
+    by_noise = float(np.mean((noise[deep] ** 2 / share)[told])) / independent if told.any() else 0.0
+    unsure = 2 * np.sqrt(2 / free)  # of a variance of so many independent numbers
+    most = max(varied - by_noise, 0.0) + unsure * max(varied, by_noise)
+    return float(np.sqrt(most) / level)
+
+
+def _noise(image: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(Z, Y, X) as large as the noise of each voxel in the mean, and where that is told."""
+    told = known.copy()
+    told[..., 1:] &= known[..., :-1]
+    told[..., :-1] &= known[..., 1:]
+    return as_floats(differences(torch.from_numpy(np.ascontiguousarray(image, float)))), told

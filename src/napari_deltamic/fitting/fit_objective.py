@@ -9,6 +9,7 @@ from math import sqrt
 from statistics import median
 
 import numpy as np
+from torch import Tensor
 
 from ..geometry.mesh import FloatArray
 from ..geometry.vectors import lengths
@@ -17,13 +18,13 @@ from .amplitudes import inside_over_membrane
 from .collisions import CollisionGuard
 from .convergence import Patches, Remaining, vertex_normals
 from .deep_insides import RULES as DEEP
-from .deep_insides import Cells, dark_insides_shown, variation
+from .deep_insides import Cells, cells_in_their_box, dark_insides_shown, variation
 from .density import RULES as DENSITY
 from .density import Density
 from .descent import Descent
 from .fitted import Fitted
 from .imaging import Imaging
-from .level import Level, differences
+from .level import Level
 from .likelihood import total
 from .metric import Metric
 from .noise_blur import is_sharpened
@@ -128,6 +129,7 @@ class Objective:
         self._descent.begin(self.posed.posterior, self.posed.at)
         self._passed = deque([self.posed.at.vertices], maxlen=terms.schedule.window + 1)
         self.fitted = self.fitted.shining(self.now.light)
+        self._varies: tuple[Evaluation, float] | None = None
 
     def _metric(self, factored: Preconditioners) -> Metric:
         level = self.terms.level
@@ -259,24 +261,31 @@ class Objective:
 
         inf where that is not known: few voxels are deep enough, or some were cut.
         """
+        if self._varies is None or self._varies[0] is not self.now:
+            self._varies = self.now, self._variation()
+        return self._varies[1]
+
+    def _variation(self) -> float:
         level, fitted = self.terms.level, self.fitted
         if self.posed.whole.full is not None:
             return np.inf
-        seen = self._seen_and_shown()[0]
-        noise = as_floats(differences(level.target))
-        cells = Cells(fitted.mesh, fitted.first_optics, level.grid)
-        given = seen, noise, self.now.match.background, level.counted.cpu().numpy()
-        return variation(cells, *given) * inside_over_membrane(
-            self.now.light, fitted.optics.sigma_um
-        )
+        cells, box = cells_in_their_box(fitted.mesh, fitted.optics, level.grid)
+        seen = self._seen()[box].detach().cpu().numpy()
+        counted = level.counted[box].cpu().numpy()
+        varies = variation(cells, seen, self.now.match.background, counted)
+        return varies * inside_over_membrane(self.now.light, fitted.optics.sigma_um)
 
     def _seen_and_shown(self) -> tuple[np.ndarray, np.ndarray]:
         """(Z, Y, X) images: measured, without what effects add, and as the descent has it."""
-        level, found = self.terms.level, self.now.match
-        added = level.offset(self.fitted.effects)
-        seen = level.target if added is None else level.target - added.to(level.target)
+        found = self.now.match
         shown = found.amplitude * self.now.rendered + found.background
-        return seen.detach().cpu().numpy(), shown.detach().cpu().numpy()
+        return self._seen().detach().cpu().numpy(), shown.detach().cpu().numpy()
+
+    def _seen(self) -> Tensor:
+        """(Z, Y, X) measured, without what effects add."""
+        level = self.terms.level
+        added = level.offset(self.fitted.effects)
+        return level.target if added is None else level.target - added.to(level.target)
 
     def remaining(self, tolerance: float) -> Remaining:
         """What is still to come where most is; tolerance : um."""

@@ -14,7 +14,7 @@ import numpy as np
 from ..common.choices import Structure
 from ..geometry.mesh import FloatArray, Mesh
 from ..scene.light import MEMBRANES
-from .amplitudes import hardly_wider
+from .amplitudes import all_small
 from .collisions import CollisionGuard
 from .fit_objective import Objective, Terms
 from .fitted import Fitted
@@ -24,10 +24,10 @@ from .rival_structures import (
     are_even,
     begun,
     enough,
-    explains_more,
     gains_over,
     gone_on,
     insides_over,
+    more_than_insides,
     moved_in,
     shows_membranes,
     stand,
@@ -144,9 +144,13 @@ def membranes_as_well(
         taken += trial.evaluations
         if trial.stands and trial.allowed(start.mesh):
             return trial.rival.fitted, taken, False
-    if hardly_wider(_median_volume(mesh), alone.fitted.first_optics, RULES.small):
-        found, more = membranes_instead(terms, alone, factored)
-        return found, taken + more, unsure
+    if terms.settings.structure == "auto" and all_small(
+        mesh, alone.fitted.first_optics, RULES.small
+    ):
+        rival, more, surely = membranes_instead(terms, alone, factored)
+        taken += more
+        if surely and _Trial(rival, more).allowed(mesh):
+            return rival.fitted, taken, False
     return None, taken, unsure
 
 
@@ -191,8 +195,8 @@ def _followed(trial: _Trial, alone: Objective, most: int) -> _Trial:
     over = over_before = insides_over(rival)
     for leg in range(most + 1):
         shows = shows_membranes(rival)
-        seen = over <= RIVALS.hidden or are_even(rival)
-        stands = shows and seen and explains_more(rival, gains)
+        seen = shows and (over <= RIVALS.hidden or are_even(rival))
+        stands = seen and more_than_insides(rival, gains)
         hints |= shows and enough(gains, RULES.unsure)
         less &= not shows or enough([-gains[0]], RULES.less)
         fades = not seen and over > over_before
@@ -211,11 +215,6 @@ def _grows(before: Sequence[FloatArray] | None, now: Sequence[FloatArray]) -> bo
     sums = [(was.sum(), found.sum()) for was, found in zip(before, now, strict=True)]
     much = any(found - was >= RULES.growing * abs(was) for was, found in sums)
     return much and all(2 * found - was >= RIVALS.nats for was, found in sums)
-
-
-def _median_volume(mesh: Mesh) -> float:
-    """um^3."""
-    return float(np.median(list(mesh.volumes().values())))
 
 
 def _grown(before: Mesh, after: Mesh) -> bool:

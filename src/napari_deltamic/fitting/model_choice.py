@@ -15,9 +15,9 @@ from .hidden_membranes import membranes_as_well
 from .preconditioner import Preconditioners
 from .rival_structures import RULES as RIVALS
 from .rival_structures import (
-    are_even,
     best_of,
     insides_alone,
+    is_uneven,
     without_rim,
 )
 from .schedule import Progress
@@ -136,9 +136,7 @@ class ModelChoice:
             return fitted.with_structure("membrane"), 0
         rival = None
         over = inside_over_membrane(objective.now.light, fitted.optics.sigma_um)
-        uneven = objective.unevenness() > RIVALS.uneven and not are_even(objective)
-        uneven |= over > RIVALS.drowned
-        if found.outshone and uneven:
+        if found.outshone and (over > RIVALS.drowned or is_uneven(objective)):
             rival = without_rim
         elif found.faint:
             rival = insides_alone

@@ -61,16 +61,15 @@ def other_of_small(terms: Terms, fitted: Fitted) -> tuple[Fitted | None, int]:
 
 def membranes_instead(
     terms: Terms, insides: Objective, factored: Preconditioners
-) -> tuple[Fitted | None, int]:
-    """Membranes alone, if they surely explain more than insides alone do; and evaluations.
+) -> tuple[Objective, int, bool]:
+    """Membranes alone; evaluations; and whether they surely explain more than insides alone do.
 
-    Of evened insides as well: those follow a membrane, so no more than that is asked.
+    Of evened insides as well: those follow a membrane, so no more than that is asked. Smooth
+    membranes, unlike both: they have no inside to stand in for.
     """
-    fitted = insides.fitted
-    rival, taken = gone_on(begun(terms, _other_alone(terms, fitted), factored))
+    rival, taken = gone_on(begun(terms, _other_alone(terms, insides.fitted), factored))
     less = rival.leaves_over(insides) < 1 - RULES.less
-    surely = less and enough(gains_over(rival, insides), RULES.clear)
-    return (rival.fitted if surely else None), taken
+    return rival, taken, less and enough(gains_over(rival, insides), RULES.clear)
 
 
 def _other_alone(terms: Terms, fitted: Fitted) -> Fitted:
