@@ -14,7 +14,7 @@ from napari_deltamic.fitting.rival_structures import (
     moved_in,
 )
 from napari_deltamic.fitting.shape import Shape
-from napari_deltamic.geometry import box, sphere
+from napari_deltamic.geometry import Mesh, box, sphere
 from napari_deltamic.geometry.remeshing import can_remesh
 from napari_deltamic.geometry.topology.crossings import crosses
 
@@ -324,3 +324,13 @@ def test_the_other_alone_begins_where_its_light_is_spread_alike(name, other, rad
     found, vertices = small_cells._other_alone(terms, fitted)
     assert found == other
     np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), radius, atol=0.02)
+
+
+def test_radii_are_those_of_the_smallest_cell_at_a_vertex_whatever_cells_are_called():
+    two = Mesh.merge([sphere((0, 0, 0), 2.0, subdivisions=4), sphere((0, 0, 9), 1.0)])
+    names = np.array([0, 7, 2_000_000_000])
+    mesh = Mesh(two.vertices, two.faces, names[two.regions])
+    radii = small_cells._radii(mesh)
+    first = two.vertices_numpy()[:, 2] < 5
+    np.testing.assert_allclose(radii[first], 2.0, rtol=0.01)
+    np.testing.assert_allclose(radii[~first], 1.0, rtol=0.05)

@@ -69,8 +69,8 @@ class HiddenRules:
         once, and one of them went back to insides alone.
     small
         Times the radius of cells whose inside can be told from membranes, up to which membranes
-        alone are tried, too. Chosen: those were 1.4 and 1.5 times as large; from 2.4 times on,
-        cells have an inside that the image of no membrane reaches.
+        alone are tried, too. Chosen: a pair of cells that they mended were 1.5 times as large;
+        from 2.4 times on, cells have an inside that the image of no membrane reaches.
     from_start
         As ``further``, of a rival from the start: the gain was enough after 4 to 7 times there. In
         four fits of nuclei with chromatin it reached at most 2.3 errors in ten times.

@@ -76,8 +76,8 @@ class RivalRules:
         than ``hidden``. Measured on 66 fits of one cell each, from labels: seven of both, which
         insides alone had fitted 0.66 to 1.36 voxels off, reached 2.2 to 3.0 and ended 0.05 to 0.33
         off; of 34 nuclei one reached it, and no result changed. And of membranes that explain more
-        than insides alone, with these evened as well: 2.7 in two cells that had ended as insides,
-        -7 to 0.2 in five fits of nuclei, of which none left ``less``.
+        than insides alone, with these evened as well: 2.7 in a pair of cells that had ended as
+        insides, -7.0 to -1.1 in four fits of nuclei, of which none left ``less``.
     near
         How many are enough of both over insides alone that have been followed from where they look
         like both. Measured after two legs: 1.9 and 5.3 in small cells of both; 1.0 and

@@ -83,11 +83,13 @@ def _other_alone(terms: Terms, fitted: Fitted) -> Fitted:
 
 def _radii(mesh: Mesh) -> FloatArray:
     """(V, 1) um: of the ball as large as the smallest cell at each vertex."""
-    radius = np.full(max(mesh.region_ids()) + 1, np.inf)
-    for region, volume in mesh.volumes().items():
-        radius[region] = np.cbrt(3 / (4 * np.pi) * abs(volume))
-    radius[0] = np.inf  # the outside
+    volumes = mesh.volumes()
+    names = np.array(sorted(volumes))
+    radius = np.cbrt([3 / (4 * np.pi) * abs(volumes[name]) for name in names.tolist()])
+    beside = np.where(
+        mesh.regions > 0, radius[np.searchsorted(names, mesh.regions) % len(names)], np.inf
+    )
     found = np.full(len(mesh.vertices), np.inf)
     for corner in range(3):
-        np.minimum.at(found, mesh.faces[:, corner], radius[mesh.regions].min(1))
+        np.minimum.at(found, mesh.faces[:, corner], beside.min(1))
     return found[:, None]
