@@ -126,6 +126,10 @@ def test_what_no_cell_has_deep_inside_is_not_told():
     assert variation(small, nothing + 1, 0.0, EVERYWHERE) == np.inf
     assert variation(CELLS, nothing + 1, 0.0, ~EVERYWHERE) == np.inf
     assert variation(CELLS, nothing, 1.0, EVERYWHERE) == np.inf  # darker than that
+
+
+def test_an_even_cell_that_the_border_cuts_does_not_vary():
+    nothing = np.zeros(GRID.shape)
     beside = BALL.with_vertices(BALL.vertices_numpy() + np.array([0, 2.5, 0]))
     assert variation(Cells(beside, OPTICS, GRID), nothing + 1, 0.0, EVERYWHERE) < 1e-6
 
@@ -138,7 +142,8 @@ def test_cells_in_their_box_are_those_of_the_whole_grid(moved):
     cells, box = cells_in_their_box(beside, OPTICS, grid)
     np.testing.assert_array_equal(whole.labels[box], cells.labels)
     assert (whole.labels > 0).sum() == (cells.labels > 0).sum()
-    np.testing.assert_allclose(whole.away[box], cells.away) if moved < 3 else None
+    if moved < 50:  # else no cell is in the image
+        np.testing.assert_allclose(whole.away[box], cells.away)
     assert cells.labels.size < whole.labels.size
 
 

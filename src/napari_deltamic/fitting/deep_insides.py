@@ -86,15 +86,11 @@ def cells_in_their_box(
     low, high = (mesh.bounds() - first) / size
     last = np.asarray(grid.shape) - 1
     start = np.clip(np.floor(low), 0, last).astype(int)
-    z, y, x = (
-        slice(a, b + 1)
-        for a, b in zip(
-            start.tolist(), np.clip(np.ceil(high), start, last).astype(int).tolist(), strict=True
-        )
-    )
-    shape = (z.stop - z.start, y.stop - y.start, x.stop - x.start)
+    stop = np.clip(np.ceil(high), start, last).astype(int) + 1
+    z, y, x = (slice(a, b) for a, b in zip(start.tolist(), stop.tolist(), strict=True))
+    nz, ny, nx = (stop - start).tolist()
     oz, oy, ox = (first + start * size).tolist()
-    return Cells(mesh, optics, Grid(shape, grid.voxel_size, (oz, oy, ox))), (z, y, x)
+    return Cells(mesh, optics, Grid((nz, ny, nx), grid.voxel_size, (oz, oy, ox))), (z, y, x)
 
 
 def deep_brightness(
@@ -167,7 +163,7 @@ def variation(cells: Cells, image: np.ndarray, background: float, counted: np.nd
     Parameters
     ----------
     image
-        (Z, Y, X)
+        (Z, Y, X) measured; any number where it does not count.
     background
         Of the image: there nothing shines.
     counted

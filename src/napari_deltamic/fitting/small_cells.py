@@ -86,9 +86,8 @@ def _radii(mesh: Mesh) -> FloatArray:
     volumes = mesh.volumes()
     names = np.array(sorted(volumes))
     radius = np.cbrt([3 / (4 * np.pi) * abs(volumes[name]) for name in names.tolist()])
-    beside = np.where(
-        mesh.regions > 0, radius[np.searchsorted(names, mesh.regions) % len(names)], np.inf
-    )
+    # Of the outside, 0, the search finds the first cell.
+    beside = np.where(mesh.regions > 0, radius[np.searchsorted(names, mesh.regions)], np.inf)
     found = np.full(len(mesh.vertices), np.inf)
     for corner in range(3):
         np.minimum.at(found, mesh.faces[:, corner], beside.min(1))
