@@ -46,12 +46,15 @@ def test_missing_voxels_are_taken():
     assert not first_sigma(image, (0.3, 0.2, 0.2)).z.known
 
 
-def test_a_large_stack_may_miss_whole_parts(monkeypatch):
+@pytest.mark.parametrize("seed", range(4))
+def test_a_large_stack_may_miss_whole_parts(monkeypatch, seed):
     monkeypatch.setattr(module, "SPECTRUM", replace(module.SPECTRUM, looked_at=20_000))
-    image = np.random.default_rng(0).poisson(5, (20, 80, 80)).astype(np.float32)
+    image = np.random.default_rng(seed).poisson(5, (20, 80, 80)).astype(np.float32)
     image[:, :40], image[0, 60, 60] = np.nan, np.inf
-    reason = first_sigma(image, (0.3, 0.2, 0.2)).z.reason
-    assert reason == "the spectrum shows no structure above the noise"
+    found = first_sigma(image, (0.3, 0.2, 0.2))
+    assert not found.z.known
+    assert not found.yx.known
+    assert found.z.reason.startswith("the spectrum ")
 
 
 def test_a_part_that_holds_only_the_caps_of_a_large_cell_does_not_decide(monkeypatch):
@@ -83,3 +86,47 @@ def test_a_psf_six_voxels_long_is_told():
     image = render(cell, grid, GaussianPSF(true), 1e-2).numpy().clip(0)
     image = np.random.default_rng(0).poisson(2 + 60 * image / image.max())
     assert plausible_sigma(image, grid.voxel_size) == pytest.approx(true, rel=0.25)
+
+
+def disc(grid, sigma, seed=0):
+    """Photons of a flat cell, a third as high as it is wide."""
+    middle = (np.asarray(grid.shape) - 1) * np.asarray(grid.voxel_size) / 2
+    cell = sphere((0, 0, 0), 1.0, subdivisions=4).scaled((1.0, 3.2, 3.2)).translated(middle)
+    image = render(cell, grid, GaussianPSF(sigma), 1e-2).numpy().clip(0)
+    return np.random.default_rng(seed).poisson(2 + 60 * image / image.max()).astype(np.float32)
+
+
+@pytest.mark.parametrize("true", [(0.3, 0.3, 0.3), (0.45, 0.25, 0.25)])
+def test_flat_cells_do_not_look_like_a_short_psf(true):
+    """Else, 0.42 in the plane was found for 0.3."""
+    grid = Grid((36, 56, 56), (0.15, 0.15, 0.15))
+    found = first_sigma(disc(grid, true), grid.voxel_size)
+    assert found.z.value == pytest.approx(true[0], rel=0.25)
+    assert found.yx.value == pytest.approx(true[2], rel=0.25)
+
+
+def test_the_edge_of_what_is_missing_is_not_taken_for_a_sharp_structure():
+    """Else, 0.17 along Z was found for 0.45. A deskewed stack is missing beyond a slope."""
+    grid, true = Grid((36, 56, 56), (0.15, 0.15, 0.15)), (0.45, 0.25, 0.25)
+    z, y, _ = np.ogrid[:36, :56, :56]
+    missing = (z + y < 30) | (z + y > 60)
+    found = first_sigma(np.where(missing, np.nan, disc(grid, true)), grid.voxel_size)
+    assert found.z.value == pytest.approx(true[0], rel=0.25)
+    assert found.yx.value == pytest.approx(true[2], rel=0.15)
+
+
+def test_single_missing_voxels_change_little():
+    grid, true = Grid((36, 56, 56), (0.15, 0.15, 0.15)), (0.45, 0.25, 0.25)
+    dead = np.random.default_rng(1).random(grid.shape) < 0.02
+    found = first_sigma(np.where(dead, np.nan, disc(grid, true)), grid.voxel_size)
+    assert found.z.value == pytest.approx(true[0], rel=0.25)
+    assert found.yx.value == pytest.approx(true[2], rel=0.25)
+
+
+@pytest.mark.parametrize(("z", "used"), [(0.15, 0.15), (0.13, 0.2)])
+def test_a_psf_is_not_shorter_along_z_than_any_microscope_has(z, used, monkeypatch):
+    """Planes along the slices, such as the cover slip's, look sharp along Z."""
+    widths = Finding(z, 0.01, ""), Finding(0.2, 0.01, "")
+    monkeypatch.setattr(module, "first_sigma", lambda *_: FirstSigma(*widths))
+    found = plausible_sigma(np.zeros((20, 20, 20)), (0.1, 0.1, 0.1))
+    assert found == (used, 0.2, 0.2)

@@ -12,6 +12,9 @@ from napari_deltamic.geometry import sphere
 
 MIDDLE = np.full(3, 2.3)
 
+FEW = np.array([20.0, 15.0, 10.0, 5.0, 3.0])  # nats of a small cell, 1.9 errors at most
+SURE = np.concatenate([FEW, FEW])  # 2.7 errors
+
 # Of nats by block: with it, 100 of them are three standard errors.
 SCATTER = 5.5 * (-1.0) ** np.arange(16)
 
@@ -110,20 +113,17 @@ def found(
     from_start,
     start=True,
     crosses=False,
-    wide=0.1,
     asked="auto",
-    alone_wins=True,
+    alone_wins=False,
+    leaves=0.9,
 ):
     """Which of both trials goes on, each given as it is judged, and whether it is unsure.
 
-    wide : um, of the PSF; the cell has a radius of 1. asked : which structure. alone_wins : whether
-    membranes alone explain more.
+    asked : which structure. alone_wins : whether membranes alone explain more than insides do.
+    leaves : what they leave over what the trial that goes on does.
     """
     mesh = sphere(MIDDLE, 1.0)
-    optics = SimpleNamespace(sigma_um=(wide,) * 3)
-    alone = SimpleNamespace(
-        fitted=SimpleNamespace(mesh=mesh, first_optics=optics), evaluations=lambda: 1
-    )
+    alone = SimpleNamespace(fitted=SimpleNamespace(mesh=mesh), evaluations=lambda: 1)
     objective = SimpleNamespace(anew=lambda: alone)
 
     def trial(name, *judged):
@@ -138,7 +138,8 @@ def found(
     monkeypatch.setattr(hidden_membranes, "_from_further_in", lambda *_: first)
     monkeypatch.setattr(hidden_membranes, "_from_start", lambda *_: second)
     third = trial("membranes").rival
-    monkeypatch.setattr(hidden_membranes, "membranes_instead", lambda *_: (third, 100, alone_wins))
+    third.leaves_over = lambda other: leaves
+    monkeypatch.setattr(hidden_membranes, "_membranes_alone", lambda *_: (third, 100, alone_wins))
     given = SimpleNamespace(mesh=mesh) if start else None
     terms = SimpleNamespace(settings=SimpleNamespace(structure=asked))
     fitted, taken, unsure = membranes_as_well(terms, objective, None, given, 6)
@@ -150,33 +151,58 @@ YES, MAYBE, OPEN, NO = (True, True, False), (False, True, False), (False,) * 3, 
 
 
 def test_both_are_tried_from_the_start_where_it_is_not_sure(monkeypatch):
-    assert found(monkeypatch, YES, YES) == ("further in", 11, False)
-    assert found(monkeypatch, MAYBE, YES) == ("start", 21, False)
-    assert found(monkeypatch, MAYBE, NO) == (None, 21, True)
-    assert found(monkeypatch, OPEN, YES) == ("start", 21, False)
-    assert found(monkeypatch, OPEN, MAYBE) == (None, 21, False)
-    assert found(monkeypatch, MAYBE, YES, start=False) == (None, 11, True)
-    assert found(monkeypatch, NO, YES) == (None, 11, False)
-    assert found(monkeypatch, YES, YES, crosses=True) == (None, 21, False)
+    assert found(monkeypatch, YES, YES) == ("further in", 111, False)
+    assert found(monkeypatch, MAYBE, YES) == ("start", 121, False)
+    assert found(monkeypatch, MAYBE, NO) == (None, 121, True)
+    assert found(monkeypatch, OPEN, YES) == ("start", 121, False)
+    assert found(monkeypatch, OPEN, MAYBE) == (None, 121, False)
+    assert found(monkeypatch, MAYBE, YES, start=False) == (None, 111, True)
+    assert found(monkeypatch, NO, YES) == (None, 111, False)
+    assert found(monkeypatch, YES, YES, crosses=True) == (None, 121, False)
 
 
 def test_both_are_tried_from_the_start_where_a_cell_has_grown_far(monkeypatch):
     monkeypatch.setattr(hidden_membranes, "_grown", lambda before, after: True)
-    assert found(monkeypatch, NO, YES) == ("start", 21, False)
-    assert found(monkeypatch, NO, NO) == (None, 21, False)
+    assert found(monkeypatch, NO, YES) == ("start", 121, False)
+    assert found(monkeypatch, NO, NO) == (None, 121, False)
 
 
-@pytest.mark.parametrize(("wide", "small"), [(0.1, False), (0.16, False), (0.18, True)])
-def test_membranes_alone_are_tried_in_small_cells(monkeypatch, wide, small):
-    if small:
-        assert found(monkeypatch, NO, NO, wide=wide) == ("membranes", 111, False)
-        assert found(monkeypatch, MAYBE, NO, wide=wide) == ("membranes", 121, False)
-    else:
-        assert found(monkeypatch, NO, NO, wide=wide) == (None, 11, False)
-    assert found(monkeypatch, YES, NO, wide=wide) == ("further in", 11, False)
+@pytest.mark.parametrize(
+    ("both", "name"), [(NO, None), (MAYBE, None), (YES, "further in")], ids=["no", "maybe", "yes"]
+)
+def test_membranes_alone_are_tried_in_any_case(monkeypatch, both, name):
+    taken = 121 if both is MAYBE else 111
+    assert found(monkeypatch, both, NO, alone_wins=True) == ("membranes", taken, False)
+    same = found(monkeypatch, both, NO, alone_wins=True, leaves=0.98)
+    assert same == ("membranes" if name is None else name, taken, False)
+    assert found(monkeypatch, both, NO)[:2] == (name, taken)
+    asked = found(monkeypatch, both, NO, alone_wins=True, asked="both")
+    assert asked[:2] == (name, taken - 100)
+    crosses = found(monkeypatch, both, NO, alone_wins=True, crosses=True)
+    assert crosses[0] is None
 
 
-def test_membranes_alone_must_win_cross_nothing_and_be_wanted(monkeypatch):
-    assert found(monkeypatch, NO, NO, wide=0.2, alone_wins=False) == (None, 111, False)
-    assert found(monkeypatch, MAYBE, NO, wide=0.2, crosses=True) == (None, 121, False)
-    assert found(monkeypatch, NO, NO, wide=0.2, asked="both") == (None, 11, False)
+@pytest.mark.parametrize(
+    ("evened", "measured", "leaves", "wide", "taken"),
+    [
+        (SURE, SURE, 0.6, 0.1, True),
+        (FEW, SURE, 0.6, 0.1, False),
+        (SURE, FEW, 0.6, 0.1, False),
+        (-SURE, SURE, 0.6, 0.1, False),  # a nucleus with chromatin
+        (SURE, SURE, 0.75, 0.1, False),  # a bright droplet that fades
+        (SURE, SURE, 0.75, 0.18, True),  # of small cells
+        (SURE, SURE, 0.97, 0.18, False),
+    ],
+)
+def test_membranes_alone_must_explain_much_more_than_insides(
+    monkeypatch, evened, measured, leaves, wide, taken
+):
+    rival = SimpleNamespace(leaves_over=lambda other: leaves)
+    monkeypatch.setattr(hidden_membranes, "other_alone", lambda *_: None)
+    monkeypatch.setattr(hidden_membranes, "begun", lambda *_: None)
+    monkeypatch.setattr(hidden_membranes, "gone_on", lambda *_: (rival, 7))
+    monkeypatch.setattr(hidden_membranes, "gains_over", lambda *_: [evened, measured])
+    optics = SimpleNamespace(sigma_um=(wide,) * 3)
+    insides = SimpleNamespace(fitted=SimpleNamespace(mesh=sphere(MIDDLE, 1.0), first_optics=optics))
+    found = hidden_membranes._membranes_alone(None, insides, None)
+    assert found == (rival, 7, taken)

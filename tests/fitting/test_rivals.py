@@ -282,46 +282,30 @@ def test_insides_alone_begin_where_they_look_like_both():
 
 
 @pytest.mark.parametrize(
-    ("evened", "measured", "leaves", "taken"),
+    ("name", "other", "radius", "width"),
     [
-        (SURE, SURE, 0.6, True),
-        (FEW, SURE, 0.6, False),
-        (SURE, FEW, 0.6, False),
-        (-SURE, SURE, 0.6, False),  # a nucleus with chromatin
-        (SURE, SURE, 0.97, False),
+        ("interior", "membrane", 1.549, 0.5),
+        ("interior", "membrane", 1.76, 0.2),  # 1.2 widths further in
+        ("membrane", "interior", 2.582, 0.2),
     ],
 )
-def test_membranes_alone_must_explain_much_more_than_insides(
-    monkeypatch, evened, measured, leaves, taken
-):
-    rival = SimpleNamespace(leaves_over=lambda other: leaves)
-    monkeypatch.setattr(small_cells, "_other_alone", lambda *_: None)
-    monkeypatch.setattr(small_cells, "begun", lambda *_: None)
-    monkeypatch.setattr(small_cells, "gone_on", lambda *_: (rival, 7))
-    monkeypatch.setattr(small_cells, "gains_over", lambda *_: [evened, measured])
-    insides = SimpleNamespace(fitted=None)
-    found = small_cells.membranes_instead(None, insides, None)
-    assert found == (rival, 7, taken)
-
-
-@pytest.mark.parametrize(
-    ("name", "other", "radius"), [("interior", "membrane", 1.549), ("membrane", "interior", 2.582)]
-)
-def test_the_other_alone_begins_where_its_light_is_spread_alike(name, other, radius):
+def test_the_other_alone_begins_where_its_light_is_spread_alike(name, other, radius, width):
     mesh = sphere((0.0, 0.0, 0.0), 2.0, edge_length=0.4)
 
     def displaced(vertices, optics):
+        assert optics.sigma_um[0] == (width if name == "interior" else 0.1)
         return SimpleNamespace(with_structure=lambda structure: (structure, vertices))
 
     fitted = SimpleNamespace(
         mesh=mesh,
         structure=name,
         shape=Shape.begun(mesh, "uniform"),
-        first_optics=None,
+        optics=SimpleNamespace(sigma_um=(width,) * 3),
+        first_optics=SimpleNamespace(sigma_um=(0.1,) * 3),
         displaced=displaced,
     )
     terms = SimpleNamespace(settings=SimpleNamespace(collisions=False))
-    found, vertices = small_cells._other_alone(terms, fitted)
+    found, vertices = small_cells.other_alone(terms, fitted)
     assert found == other
     np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), radius, atol=0.02)
 

@@ -200,6 +200,14 @@ class SpectrumRules:
     log_widths, at_bound
         Logarithms of widths in voxels (0.2 to 12), and how near to either end a width is not told:
         narrower ones leave no trace below the largest wavenumber, wider ones only the frame.
+    log_flatness, log_flat
+        Logarithm of how many times as long along Z as across cells are: its standard deviation
+        where nothing is known, and its bounds. Chosen: from a fifth to five times. Measured on 53
+        random scenes: half of the widths along Z are off by more than 0.07, and by 0.10 if cells
+        are taken to be round; in the plane by 0.08 both times.
+    fades
+        Voxels from missing ones in which light fades. Measured on a flat cell of which a slope cuts
+        half away: with 2, 4 and 8, its 0.45 um along Z look like 0.21, 0.30 and 0.38.
     sharp, above_noise
         The light at the longest wave, blurred by so many voxels, must be so many times the noise:
         otherwise there is none. Measured: half and twice change nothing.
@@ -230,6 +238,9 @@ class SpectrumRules:
     log_widths: tuple[float, float] = (-1.6, 2.5)
     noise: tuple[float, float] = (-4.0, 6.0)
     at_bound: float = 0.01
+    log_flatness: float = 1.0
+    log_flat: tuple[float, float] = (-1.6, 1.6)
+    fades: float = 8.0
     sharp: float = 0.3
     above_noise: float = 3.0
     step: float = 1e-4

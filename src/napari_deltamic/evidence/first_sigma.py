@@ -1,9 +1,10 @@
 """A first width of the PSF, from where the spectrum of an image sinks into its noise.
 
-The power of thin surfaces that face every direction falls as one over the wavenumber squared
-(Porod's law for sheets); the PSF makes it fall as a Gaussian on top, down to the power of the
-noise, which is the same everywhere. The three are fitted to the periodogram by its own likelihood
-(P. Whittle, 1953).
+The power of thin surfaces falls as one over the wavenumber squared (Porod's law for sheets), and
+cells that are all flat or long show more of it along their short axis: in a direction, it is as
+strong as the Gaussian curvature is low where the surface faces that way. The PSF makes it fall as a
+Gaussian on top, down to the power of the noise, which is the same everywhere. All are fitted to the
+periodogram by its own likelihood (P. Whittle, 1953).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from math import hypot, pi
 
 import numpy as np
 from scipy.fft import rfftn
+from scipy.ndimage import binary_opening, distance_transform_edt
 from scipy.optimize import minimize
 
 from ..runs.scene_settings import SIGMA_IN_VOXELS
@@ -56,19 +58,21 @@ def plausible_sigma(
 ) -> tuple[float, float, float] | None:
     """um, Z Y X; a first PSF for a fit, as wide as the blur of the image.
 
-    None where the spectrum does not tell both widths, or tells what no light microscope has.
+    None where the spectrum does not tell both widths, or tells what no light microscope has. Where
+    the image is sharper along Z than any, Z is taken to be as in the plane.
     """
     found = first_sigma(image, voxel_size)
     if found.z.value is None or found.yx.value is None:
         return None
     z, yx = found.z.value, found.yx.value
+    least, most = SPECTRUM.z_over_yx
+    if z < least * yx:
+        z = yx  # of planes along the slices, such as the cover slip's, or a wrong step
     in_voxels = z / voxel_size[0], yx / max(voxel_size[1:])
     bounds = zip(in_voxels, SPECTRUM.in_voxels, strict=True)
     if not all(low <= width <= high for width, (low, high) in bounds):
         return None
-    if not SPECTRUM.z_over_yx[0] <= z / yx <= SPECTRUM.z_over_yx[1]:
-        return None
-    return z, yx, yx
+    return (z, yx, yx) if z <= most * yx else None
 
 
 def with_first_psf(scene: SceneSettings, image: np.ndarray) -> tuple[SceneSettings, bool]:
@@ -106,6 +110,9 @@ def _structure(part: np.ndarray) -> float:
 def _faded(part: np.ndarray) -> np.ndarray:
     finite = np.isfinite(part)
     part = np.where(finite, part - (part[finite].mean() if finite.any() else 0), 0)
+    gone = binary_opening(~finite, np.ones((3, 3, 3)))  # single voxels tell nothing wrong
+    if gone.any() and not gone.all():  # else the edge of what is missing would look sharp
+        part = part * np.minimum(distance_transform_edt(~gone) / SPECTRUM.fades, 1)
     for axis, n in enumerate(part.shape):
         window = np.hanning(n + 2)[1:-1] ** 0.5
         part = part * np.expand_dims(window, tuple(a for a in range(3) if a != axis))
@@ -153,19 +160,23 @@ def _fitted(
 ) -> FirstSigma:
     size = np.array([voxel_size[0], max(voxel_size[1:])])
     squared = kz**2 + k**2
+    unsure = 1 / SPECTRUM.log_flatness**2
     floor = float(np.quantile(power, SPECTRUM.noise_floor)) + 1e-30
     # The modes of one ring belong to one shape: they are not as many draws as they are.
     weight = np.minimum(count, SPECTRUM.most_modes)
 
     def model(p: np.ndarray) -> np.ndarray:
         width_z, width_yx = np.exp(p[1:3]) * size
-        signal = np.exp(p[0] - (width_z * kz) ** 2 - (width_yx * k) ** 2) / squared
+        along, flat = np.exp(2 * p[4]) * kz**2, np.exp(2 * p[4])
+        # Of ellipsoids of revolution, so many times as long along z as across.
+        signal = flat * squared / (k**2 + along) ** 2
+        signal = signal * np.exp(p[0] - (width_z * kz) ** 2 - (width_yx * k) ** 2)
         whole: np.ndarray = signal + np.exp(p[3])
         return whole
 
     def loss(p: np.ndarray) -> float:
         m = model(p)
-        return float((weight * (np.log(m) + power / m)).sum())
+        return float((weight * (np.log(m) + power / m)).sum() + unsure * p[4] ** 2 / 2)
 
     low = squared < np.quantile(squared, SPECTRUM.low_waves)
     start = float(np.log(np.median(power[low] * squared[low]) + 1e-30))
@@ -176,9 +187,10 @@ def _fitted(
         SPECTRUM.log_widths,
         SPECTRUM.log_widths,
         (noise + quieter, noise + louder),
+        SPECTRUM.log_flat,
     ]
     tried = (
-        minimize(loss, [start, w, w, noise], method="L-BFGS-B", bounds=bounds)
+        minimize(loss, [start, w, w, noise, 0.0], method="L-BFGS-B", bounds=bounds)
         for w in np.log(SPECTRUM.starts)
     )
     best = min(tried, key=lambda r: float(r.fun))
@@ -187,15 +199,20 @@ def _fitted(
     if not signal > SPECTRUM.above_noise * np.exp(p[3]):
         nothing = unknown("the spectrum shows no structure above the noise")
         return FirstSigma(nothing, nothing)
-    errors = _errors(model, p, weight)
+    errors = _errors(model, p, weight, np.diag([0, 0, 0, 0, unsure]))
     return FirstSigma(
         _width(p[1], float(errors[1]), size[0], "z"),
         _width(p[2], float(errors[2]), size[1], "y and x"),
     )
 
 
-def _errors(model, p: np.ndarray, weight: np.ndarray) -> np.ndarray:  # type: ignore[no-untyped-def]
-    """Standard deviations of the parameters, from the Fisher information of the periodogram."""
+def _errors(  # type: ignore[no-untyped-def]
+    model, p: np.ndarray, weight: np.ndarray, prior: np.ndarray
+) -> np.ndarray:
+    """Standard deviations of the parameters, from the Fisher information of the periodogram.
+
+    prior : (P, P) what is known of them beside.
+    """
     h = SPECTRUM.step
     base = model(p)
     columns = []
@@ -204,7 +221,7 @@ def _errors(model, p: np.ndarray, weight: np.ndarray) -> np.ndarray:  # type: ig
         step[i] = h
         columns.append((model(p + step) - model(p - step)) / (2 * h) / base)
     j = np.stack(columns, 1)
-    information = (j * weight[:, None]).T @ j + 1e-12 * np.eye(len(p))
+    information = (j * weight[:, None]).T @ j + prior + 1e-12 * np.eye(len(p))
     return np.sqrt(np.maximum(np.diag(np.linalg.pinv(information)), 0))
 
 

@@ -282,7 +282,8 @@ class LevelRun:
     def _go_on_elsewhere(self, before: Mesh) -> None:
         """The surface was taken up again further in, or where the fit began."""
         reporter, upkeep = self._context.reporter, self._context.upkeep
-        self.at = self.at.progressed(Progress(again=True, unsure=self.at.stage.progress.unsure))
+        again = self.at.fitted.structure != "membrane"  # beside which insides may shine, too
+        self.at = self.at.progressed(Progress(again=again, unsure=self.at.stage.progress.unsure))
         upkeep.restart()
         reporter.say(_FURTHER_IN)
         now = self.at.fitted.mesh

@@ -12,11 +12,12 @@ import numpy as np
 
 from ..common.choices import Structure
 from ..geometry.mesh import FloatArray, Mesh
-from .fit_objective import Objective, Terms
+from .fit_objective import Terms
 from .fitted import Fitted
 from .preconditioner import Preconditioners
 from .rival_structures import RULES, begun, enough, gains_over, gone_on, moved_in
 
+_WITHIN = 1.2  # widths of the PSF; chosen: from 0.6, membranes got there in twice as many steps
 _ALIKE = (3 / 5) ** 0.5  # exact: of a ball and a sphere with equal second moments
 
 
@@ -50,7 +51,7 @@ def other_of_small(terms: Terms, fitted: Fitted) -> tuple[Fitted | None, int]:
     """
     factored = Preconditioners()
     stay, taken = gone_on(begun(terms, fitted, factored))
-    rival, more = gone_on(begun(terms, _other_alone(terms, fitted), factored))
+    rival, more = gone_on(begun(terms, other_alone(terms, fitted), factored))
     evened, measured = gains_over(rival, stay)
     if fitted.structure == "interior":
         surely = stay.unevenness() > RULES.hollow and enough([measured], RULES.clear)
@@ -59,25 +60,19 @@ def other_of_small(terms: Terms, fitted: Fitted) -> tuple[Fitted | None, int]:
     return (rival.fitted if surely else None), taken + more
 
 
-def membranes_instead(
-    terms: Terms, insides: Objective, factored: Preconditioners
-) -> tuple[Objective, int, bool]:
-    """Membranes alone; evaluations; and whether they surely explain more than insides alone do.
+def other_alone(terms: Terms, fitted: Fitted) -> Fitted:
+    """The other of membranes and insides, where its light is spread as that of this one is.
 
-    Of evened insides as well: those follow a membrane, so no more than that is asked. Smooth
-    membranes, unlike both: they have no inside to stand in for.
+    Membranes never further in than their blur reaches, which tells where they may lie in cells that
+    are larger; through the PSF as it is, since from a narrow one they do not find the way back.
     """
-    rival, taken = gone_on(begun(terms, _other_alone(terms, insides.fitted), factored))
-    less = rival.leaves_over(insides) < 1 - RULES.less
-    return rival, taken, less and enough(gains_over(rival, insides), RULES.clear)
-
-
-def _other_alone(terms: Terms, fitted: Fitted) -> Fitted:
-    """The other of membranes and insides, where its light is spread as that of this one is."""
     outer = fitted.structure == "interior"
+    optics = fitted.optics if outer else fitted.first_optics
     depth = _radii(fitted.mesh) * (1 - (_ALIKE if outer else 1 / _ALIKE))
+    if outer:
+        depth = np.minimum(depth, _WITHIN * float(np.prod(optics.sigma_um) ** (1 / 3)))
     vertices = moved_in(fitted.shape, depth, terms.settings.collisions)
-    moved = fitted.displaced(vertices, fitted.first_optics)
+    moved = fitted.displaced(vertices, optics)
     return moved.with_structure("membrane" if outer else "interior")
 
 
