@@ -81,6 +81,8 @@ def test_what_concerns_all(change, grade, word):
         ({"growth": 5.0}, "fair", "swallowed"),
         ({"growth": 0.05}, "poor", "shrunk"),
         ({"point": True}, "poor", "shrunk to a point"),
+        ({"slices": 2.4}, "fair", "only 2.4 slices high"),
+        ({"slices": 3.1}, "good", "good"),
         ({"cut": True}, "fair", "border"),
         ({"inside": 0.4}, "fair", "light inside"),
         ({"inside": -0.4}, "fair", "light around"),
@@ -216,6 +218,7 @@ def test_facts_of_a_fit(monkeypatch):
     assert judged(capped).grade == "poor"
     assert judged(facts).grade == "good"
     assert not cell.point
+    assert cell.slices == pytest.approx(3.0 / size[0], rel=0.02)
     middle, places = np.full(3, 2.3), state.mesh.vertices_numpy()
     small = replace(state, mesh=state.mesh.with_vertices(middle + 0.1 * (places - middle)))
     assert facts_of(job, small, analyse_residual(image, grid, state)).cells[0].point

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import inf
 
 from .predicted_error import PredictedError
 from .slices_apart import SlicesApart
@@ -56,6 +57,8 @@ class CellFacts:
     unseen_wall
         A neighbour with which it may be one cell: the image hardly shows the wall between them
         (:func:`~.unseen_walls.unseen_walls`). None without one.
+    slices
+        Along Z, how many slices high it is.
     point
         Whether it is no more than a point beside the PSF (:func:`~.growth_alarm.shrunken`).
     """
@@ -76,6 +79,7 @@ class CellFacts:
     medium: float = 1.0
     seen: float = 1.0
     counted: float = 1.0
+    slices: float = inf
     point: bool = False
     fold: tuple[float, float, float] | None = None
     unseen_wall: int | None = None

@@ -109,7 +109,7 @@ def _cells(
     share = inside_shares(state)
     grown_out = outgrowths(mesh, job.grid, state.optics)
     swallowed = beyond_necks(job.mesh, mesh, job.grid, state.optics)
-    folded, unseen = folds(state), unseen_walls(state)
+    folded, unseen, heights = folds(state), unseen_walls(state), _heights(mesh)
     return tuple(
         CellFacts(
             region=region,
@@ -128,6 +128,7 @@ def _cells(
             medium=medium.get(region, 1.0),
             seen=seen.get(region, 1.0),
             counted=counted.get(region, 1.0),
+            slices=heights[region] / job.grid.voxel_size[0],
             point=region in points,
             fold=folded.get(region),
             unseen_wall=unseen.get(region),
@@ -187,6 +188,12 @@ def _dome(job: FitInput, state: FitState, shown: np.ndarray) -> float:
 def _areas(mesh: Mesh) -> dict[int, float]:
     areas = mesh.areas()
     return {r: float(areas[own].sum()) for r, own in mesh.faces_by_region().items()}
+
+
+def _heights(mesh: Mesh) -> dict[int, float]:
+    """um along Z, of each region."""
+    heights = mesh.vertices_numpy()[mesh.faces][..., 0]
+    return {r: float(np.ptp(heights[own])) for r, own in mesh.faces_by_region().items()}
 
 
 def _lit(state: FitState) -> dict[int, float]:
