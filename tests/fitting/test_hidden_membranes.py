@@ -1,5 +1,6 @@
 """Membranes that a fit has lost: how long both are followed, and from where."""
 
+from dataclasses import is_dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 import napari_deltamic as nd
 from napari_deltamic.fitting import hidden_membranes
 from napari_deltamic.fitting.hidden_membranes import _followed, _grown, _Trial, membranes_as_well
+from napari_deltamic.fitting.shape import Shape
 from napari_deltamic.geometry import sphere
 
 MIDDLE = np.full(3, 2.3)
@@ -115,12 +117,10 @@ def found(
     crosses=False,
     asked="auto",
     alone_wins=False,
-    leaves=0.9,
 ):
     """Which of both trials goes on, each given as it is judged, and whether it is unsure.
 
     asked : which structure. alone_wins : whether membranes alone explain more than insides do.
-    leaves : what they leave over what the trial that goes on does.
     """
     mesh = sphere(MIDDLE, 1.0)
     alone = SimpleNamespace(fitted=SimpleNamespace(mesh=mesh), evaluations=lambda: 1)
@@ -133,12 +133,15 @@ def found(
 
     guard = SimpleNamespace(watch=lambda mesh: None, allows=lambda mesh: not crosses)
     monkeypatch.setattr(hidden_membranes, "CollisionGuard", lambda collisions: guard)
-    monkeypatch.setattr(hidden_membranes, "replace", lambda terms, **_: terms)
+    monkeypatch.setattr(
+        hidden_membranes,
+        "replace",
+        lambda one, **new: replace(one, **new) if is_dataclass(one) else one,
+    )
     first, second = trial("further in", *further_in), trial("start", *from_start)
     monkeypatch.setattr(hidden_membranes, "_from_further_in", lambda *_: first)
     monkeypatch.setattr(hidden_membranes, "_from_start", lambda *_: second)
     third = trial("membranes").rival
-    third.leaves_over = lambda other: leaves
     monkeypatch.setattr(hidden_membranes, "_membranes_alone", lambda *_: (third, 100, alone_wins))
     given = SimpleNamespace(mesh=mesh) if start else None
     terms = SimpleNamespace(settings=SimpleNamespace(structure=asked))
@@ -173,8 +176,6 @@ def test_both_are_tried_from_the_start_where_a_cell_has_grown_far(monkeypatch):
 def test_membranes_alone_are_tried_in_any_case(monkeypatch, both, name):
     taken = 121 if both is MAYBE else 111
     assert found(monkeypatch, both, NO, alone_wins=True) == ("membranes", taken, False)
-    same = found(monkeypatch, both, NO, alone_wins=True, leaves=0.98)
-    assert same == ("membranes" if name is None else name, taken, False)
     assert found(monkeypatch, both, NO)[:2] == (name, taken)
     asked = found(monkeypatch, both, NO, alone_wins=True, asked="both")
     assert asked[:2] == (name, taken - 100)
@@ -182,27 +183,84 @@ def test_membranes_alone_are_tried_in_any_case(monkeypatch, both, name):
     assert crosses[0] is None
 
 
+def membranes_alone(monkeypatch, legs, wide=0.1):
+    """Whether membranes alone are taken, and after how many evaluations.
+
+    legs : of each, nats that they gain with insides evened and as measured, and the share of the
+    squares of insides, of both and of the leg before that they leave. wide : um, of the PSF; the
+    cell has a radius of 1.
+    """
+    optics = SimpleNamespace(sigma_um=(wide,) * 3)
+    insides = SimpleNamespace(fitted=SimpleNamespace(mesh=sphere(MIDDLE, 1.0), first_optics=optics))
+    both = SimpleNamespace()
+
+    def rival(leg):
+        def leaves_over(other):
+            return legs[leg][2 if other is insides else 3 if other is both else 4]
+
+        return SimpleNamespace(leg=leg, leaves_over=leaves_over)
+
+    monkeypatch.setattr(hidden_membranes, "other_alone", lambda *_: "small")
+    monkeypatch.setattr(hidden_membranes, "_where_membranes_may_lie", lambda *_: "large")
+    begin = []
+    monkeypatch.setattr(
+        hidden_membranes,
+        "begun",
+        lambda terms, one, factored: begin.append(one) or SimpleNamespace(leg=-1),
+    )
+    monkeypatch.setattr(hidden_membranes, "gone_on", lambda one: (rival(one.leg + 1), 7))
+    monkeypatch.setattr(hidden_membranes, "gains_over", lambda one, _: list(legs[one.leg][:2]))
+    found, taken, surely = hidden_membranes._membranes_alone(None, insides, both, None)
+    assert taken == 7 * (found.leg + 1)
+    assert begin == ["small" if wide > 1 / 6 else "large"]
+    return surely, found.leg
+
+
 @pytest.mark.parametrize(
-    ("evened", "measured", "leaves", "wide", "taken"),
+    ("evened", "measured", "leaves", "over_both", "wide", "taken"),
     [
-        (SURE, SURE, 0.6, 0.1, True),
-        (FEW, SURE, 0.6, 0.1, False),
-        (SURE, FEW, 0.6, 0.1, False),
-        (-SURE, SURE, 0.6, 0.1, False),  # a nucleus with chromatin
-        (SURE, SURE, 0.75, 0.1, False),  # a bright droplet that fades
-        (SURE, SURE, 0.75, 0.18, True),  # of small cells
-        (SURE, SURE, 0.97, 0.18, False),
+        (SURE, SURE, 0.6, 0.8, 0.1, True),
+        (FEW, SURE, 0.6, 0.8, 0.1, False),
+        (SURE, FEW, 0.6, 0.8, 0.1, False),
+        (-SURE, SURE, 0.6, 0.8, 0.1, False),  # a nucleus with chromatin
+        (SURE, SURE, 0.75, 0.8, 0.1, False),
+        (SURE, SURE, 0.6, 1.0, 0.1, False),  # a bright droplet that fades
+        (SURE, SURE, 0.75, 0.8, 0.18, True),  # of small cells
+        (SURE, SURE, 0.97, 0.8, 0.18, False),
     ],
 )
 def test_membranes_alone_must_explain_much_more_than_insides(
-    monkeypatch, evened, measured, leaves, wide, taken
+    monkeypatch, evened, measured, leaves, over_both, wide, taken
 ):
-    rival = SimpleNamespace(leaves_over=lambda other: leaves)
-    monkeypatch.setattr(hidden_membranes, "other_alone", lambda *_: None)
-    monkeypatch.setattr(hidden_membranes, "begun", lambda *_: None)
-    monkeypatch.setattr(hidden_membranes, "gone_on", lambda *_: (rival, 7))
-    monkeypatch.setattr(hidden_membranes, "gains_over", lambda *_: [evened, measured])
-    optics = SimpleNamespace(sigma_um=(wide,) * 3)
-    insides = SimpleNamespace(fitted=SimpleNamespace(mesh=sphere(MIDDLE, 1.0), first_optics=optics))
-    found = hidden_membranes._membranes_alone(None, insides, None)
-    assert found == (rival, 7, taken)
+    legs = [(evened, measured, leaves, over_both, 0.99)] * 2
+    assert membranes_alone(monkeypatch, legs, wide)[0] == taken
+
+
+def test_membranes_alone_are_followed_while_they_get_better(monkeypatch):
+    far, near = (-SURE, SURE, 1.2, 1.2, 0.8), (SURE, SURE, 0.5, 0.8, 0.7)
+    assert membranes_alone(monkeypatch, [far, near]) == (True, 1)
+    assert membranes_alone(monkeypatch, [far, far, far, near]) == (True, 3)
+    assert membranes_alone(monkeypatch, [far, far, far, far, near]) == (False, 3)
+    slow = (*far[:4], 0.97)
+    assert membranes_alone(monkeypatch, [far, slow, near]) == (False, 1)
+    assert membranes_alone(monkeypatch, [(SURE, FEW, *far[2:]), near]) == (False, 0)
+    small = [(SURE, SURE, 0.96, 1.2, 0.8), near]  # chromatin
+    assert membranes_alone(monkeypatch, small, wide=0.18) == (False, 0)
+
+
+def test_membranes_of_large_cells_begin_within_the_outer_half_of_their_light():
+    mesh = sphere((0.0, 0.0, 0.0), 2.0, edge_length=0.4)
+
+    def displaced(vertices, optics):
+        return SimpleNamespace(with_structure=lambda structure: (structure, vertices, optics))
+
+    fitted = SimpleNamespace(
+        shape=Shape.begun(mesh, "uniform"),
+        optics=SimpleNamespace(sigma_um=(0.2, 0.2, 0.2)),
+        displaced=displaced,
+    )
+    terms = SimpleNamespace(settings=SimpleNamespace(collisions=False))
+    name, vertices, optics = hidden_membranes._where_membranes_may_lie(terms, fitted)
+    assert name == "membrane"
+    assert optics is fitted.optics
+    np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), 2 - 1.2 * 0.2, atol=0.02)

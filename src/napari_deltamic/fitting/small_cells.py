@@ -17,7 +17,6 @@ from .fitted import Fitted
 from .preconditioner import Preconditioners
 from .rival_structures import RULES, begun, enough, gains_over, gone_on, moved_in
 
-_WITHIN = 1.2  # widths of the PSF; chosen: from 0.6, membranes got there in twice as many steps
 _ALIKE = (3 / 5) ** 0.5  # exact: of a ball and a sphere with equal second moments
 
 
@@ -61,18 +60,11 @@ def other_of_small(terms: Terms, fitted: Fitted) -> tuple[Fitted | None, int]:
 
 
 def other_alone(terms: Terms, fitted: Fitted) -> Fitted:
-    """The other of membranes and insides, where its light is spread as that of this one is.
-
-    Membranes never further in than their blur reaches, which tells where they may lie in cells that
-    are larger; through the PSF as it is, since from a narrow one they do not find the way back.
-    """
+    """The other of membranes and insides, where its light is spread as that of this one is."""
     outer = fitted.structure == "interior"
-    optics = fitted.optics if outer else fitted.first_optics
     depth = _radii(fitted.mesh) * (1 - (_ALIKE if outer else 1 / _ALIKE))
-    if outer:
-        depth = np.minimum(depth, _WITHIN * float(np.prod(optics.sigma_um) ** (1 / 3)))
     vertices = moved_in(fitted.shape, depth, terms.settings.collisions)
-    moved = fitted.displaced(vertices, optics)
+    moved = fitted.displaced(vertices, fitted.first_optics)
     return moved.with_structure("membrane" if outer else "interior")
 
 
