@@ -29,6 +29,7 @@ from napari_deltamic.geometry.labels.meshes import MOST_FACES, mesh_from_labels
 from napari_deltamic.geometry.mesh import Mesh
 from napari_deltamic.geometry.seed_points import (
     labels_from_points,
+    read_napari_points,
     read_points_csv,
     seeds_from_points,
 )
@@ -240,6 +241,33 @@ def test_bad_point_files(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(InputError, match=message) as caught:
         read_points_csv(path)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("index,axis-0,axis-1\n0,1,2\n", "2 coordinates, not Z, Y and X"),
+        ("index,axis-0,axis-1,axis-2,axis-3\n0,1,2,3,4\n", "4 coordinates"),
+        ("index,axis-0,axis-1,axis-2\n", "no points"),
+        ("index,axis-0,axis-1,axis-2\n0,1,2,3\n1,2,3\n", "line 3: .*"),
+        ("index,axis-0,axis-1,axis-2\n0,1,two,3\n", "line 2: .*two"),
+    ],
+)
+def test_bad_points_of_napari(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_napari_points(path)
+
+
+def test_points_of_napari(tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text("index,axis-0,axis-1,axis-2,size\n0.0,1.5,2,3,10\n1.0,4,5,6,10\n")
+    found = read_napari_points(path)
+    assert found is not None
+    assert found.tolist() == [[1.5, 2, 3], [4, 5, 6]]
+    path.write_text("z,y,x\n1,2,3\n")
+    assert read_napari_points(path) is None
 
 
 def test_missing_point_file(tmp_path: Path) -> None:

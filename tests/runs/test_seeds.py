@@ -54,6 +54,21 @@ def test_a_kind_makes_a_closed_surface_and_saves_itself(name, image, tmp_path):
     np.testing.assert_allclose(again.make(image, GRID).bounds(), mesh.bounds(), atol=0.01)
 
 
+def test_a_points_layer_that_napari_saved_is_in_voxels(image, tmp_path):
+    path = tmp_path / "points.csv"
+    place = (np.array(CENTER) - GRID.origin) / GRID.voxel_size
+    path.write_text("index,axis-0,axis-1,axis-2,label\n0,{},{},{},cell\n\n".format(*place))
+    seeds, same = seeds_of(str(path)), KINDS["points"][0]
+    expected = same.make(image, GRID).bounds()
+    np.testing.assert_allclose(seeds.make(image, GRID).bounds(), expected, atol=1e-6)
+    again = seeds_of(str(seeds.save(tmp_path, image, GRID)))
+    np.testing.assert_allclose(again.points, [CENTER], rtol=1e-12)
+    assert not again.in_voxels
+    assert seeds.kind == "image"
+    both = mixed([same, seeds])  # numbers of voxels and um stay apart
+    assert len(both.parts) == 2
+
+
 def test_of_a_mixture_all_parts_are_there(image):
     apart = MeshSeeds(sphere((2.9, 1.0, 4.2), 0.4, edge_length=0.2))
     both = mixed([KINDS["spheres"][0], apart])

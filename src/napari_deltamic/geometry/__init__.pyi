@@ -13,6 +13,7 @@ from .primitives import box, sphere, torus
 from .remeshing import Remeshed, remesh
 from .seed_points import (
     labels_from_points,
+    read_napari_points,
     read_points_csv,
     seeds_from_points,
 )
@@ -32,6 +33,7 @@ __all__ = [
     "load_mesh",
     "mesh_from_labels",
     "read_clicks_csv",
+    "read_napari_points",
     "read_points_csv",
     "remesh",
     "repair",

@@ -23,6 +23,7 @@ from napari_deltamic.images.missing import unmasked
 
 Triple = Sequence[float]
 FEWEST_SLICES = 3  # along each axis: else a region has no voxel with a crest on either side
+_ALL = slice(None)
 _NAMED = 10  # lines, at most, in a sentence: more would fill a window that nobody reads
 
 
@@ -156,22 +157,60 @@ def read_points_csv(path: str | Path) -> tuple[FloatArray, FloatArray | None]:
         The file cannot be read, has another header, no points, or lines without numbers, all of
         which the first are named.
     """
+    rows = _rows_of(path)
+    header = [field.lower() for field in rows[0]] if rows else []
+    if header not in (["z", "y", "x"], ["z", "y", "x", "radius"]):
+        raise InputError(
+            f"{path}: the first line must be z,y,x or z,y,x,radius, or the file a Points layer "
+            "that napari saved"
+        )
+    values = _values(path, rows[1:], len(header))
+    return values[:, :3], values[:, 3] if len(header) == 4 else None
+
+
+def read_napari_points(path: str | Path) -> FloatArray | None:
+    """Read the (n, 3) voxel numbers of a Points layer that napari saved as CSV.
+
+    None where the file is another table. What else napari wrote of each point is not read.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, its points are not in 3D, it has none, or lines without numbers.
+    """
+    rows = _rows_of(path)
+    header = rows[0] if rows else []
+    if header[:2] != ["index", "axis-0"]:
+        return None
+    axes = [name for name in header[1:] if name.startswith("axis-")]
+    if len(axes) != 3:
+        raise InputError(f"{path}: its points have {len(axes)} coordinates, not Z, Y and X")
+    return _values(path, rows[1:], len(header), slice(1, 4))
+
+
+def _rows_of(path: str | Path) -> list[list[str]]:
     with reading("points", path):
         try:
             lines = read_text(path).splitlines()
-            rows = [[field.strip() for field in row] for row in csv.reader(lines)]
+            return [[field.strip() for field in row] for row in csv.reader(lines)]
         except csv.Error as error:
             raise InputError(str(error)) from error
-    header = [field.lower() for field in rows[0]] if rows else []
-    if header not in (["z", "y", "x"], ["z", "y", "x", "radius"]):
-        raise InputError(f"{path}: the first line must be z,y,x or z,y,x,radius")
+
+
+def _values(
+    path: str | Path, rows: Sequence[Sequence[str]], columns: int, used: slice = _ALL
+) -> FloatArray:
+    """Numbers of the columns that are used, in the lines after the first; empty ones are left out.
+
+    columns : how many fields each line should have.
+    """
     table: list[list[float]] = []
     wrong: list[str] = []
-    for number, row in enumerate(rows[1:], 2):
+    for number, row in enumerate(rows, 2):
         if not any(row):
             continue
         try:
-            table.append(_numbers(row, len(header)))
+            table.append(_numbers(row, columns, used))
         except ValueError as error:
             wrong.append(f"line {number}: {one_reason(error)}")
     if wrong:  # the numbers of the others would not be those of their lines
@@ -179,8 +218,7 @@ def read_points_csv(path: str | Path) -> tuple[FloatArray, FloatArray | None]:
         raise InputError(f"{path}, {'; '.join(wrong[:_NAMED])}{more}")
     if not table:
         raise InputError(f"{path}: no points")
-    values = np.array(table)
-    return values[:, :3], values[:, 3] if len(header) == 4 else None
+    return np.array(table)
 
 
 # Checks ---------------------------------------------------------------------------------------
@@ -207,10 +245,11 @@ def _checked_points(points: ArrayLike) -> FloatArray:
     return array
 
 
-def _numbers(row: Sequence[str], columns: int) -> list[float]:
+def _numbers(row: Sequence[str], columns: int, used: slice) -> list[float]:
     """A line of a table of points; ValueError says what is wrong with it."""
     if len(row) != columns:
         raise ValueError(f"{len(row)} fields instead of {columns}")
+    row = row[used]
     values = [float(field) for field in (*row[:3], *(field or "nan" for field in row[3:]))]
     if not np.isfinite(values[:3]).all():
         raise ValueError("a coordinate is not finite")

@@ -100,8 +100,9 @@ class RunFields(Settings):
     )
     seeds: str = setting(
         title="cells",
-        tip="where the fit starts: a mesh, a label image, a CSV (z,y,x or z,y,x,radius; um), or "
-        "auto, which looks for the cells of the image (auto:12 for cells of about 12 um)",
+        tip="where the fit starts: a mesh, a label image, a CSV (z,y,x or z,y,x,radius; um; or a "
+        "Points layer that napari saved), or auto, which looks for the cells of the image (auto:12 "
+        "for cells of about 12 um)",
         metavar="FILE",
     )
 

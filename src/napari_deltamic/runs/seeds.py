@@ -19,6 +19,7 @@ from ..geometry import (
     Mesh,
     load_mesh,
     mesh_from_labels,
+    read_napari_points,
     read_points_csv,
     save_mesh,
     seeds_from_points,
@@ -57,11 +58,14 @@ class Seeds(Protocol):
 class PointSeeds:
     """A point inside each cell: a sphere where its radius (um) is known, else (nan, or without
     radii) the surface that the image gives.
+
+    Points are in um, or with ``in_voxels`` numbers of voxels.
     """
 
     points: FloatArray
     radii: FloatArray | None
     path: str = ""
+    in_voxels: bool = False
 
     @property
     def kind(self) -> SeedKind:
@@ -71,12 +75,19 @@ class PointSeeds:
 
     def make(self, image: NDArray[Any], grid: Grid) -> Mesh:
         """See ``Seeds``."""
-        whole = filled(image)
-        return seeds_from_points(whole, grid.voxel_size, self.points, self.radii, grid.origin)
+        points, whole = self._places(grid), filled(image)
+        return seeds_from_points(whole, grid.voxel_size, points, self.radii, grid.origin)
+
+    def _places(self, grid: Grid) -> FloatArray:
+        """(n, 3) um."""
+        if not self.in_voxels:
+            return self.points
+        return np.asarray(grid.origin) + self.points * np.asarray(grid.voxel_size)
 
     def save(self, folder: Path, image: NDArray[Any], grid: Grid) -> Path:
         """See ``Seeds``."""
-        rows = self.points if self.radii is None else np.column_stack([self.points, self.radii])
+        points = self._places(grid)
+        rows = points if self.radii is None else np.column_stack([points, self.radii])
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(["z", "y", "x", "radius"][: rows.shape[1]])
@@ -166,8 +177,8 @@ def mixed(parts: Sequence[Seeds]) -> Seeds:
 
     Points go together, so that two in one cell are seen even if they are in two layers.
     """
-    points = [part for part in parts if isinstance(part, PointSeeds)]
-    others = [part for part in parts if not isinstance(part, PointSeeds)]
+    points = [part for part in parts if isinstance(part, PointSeeds) and not part.in_voxels]
+    others = [part for part in parts if not isinstance(part, PointSeeds) or part.in_voxels]
     together = [_joined(points), *others] if points else others
     return together[0] if len(together) == 1 else MixedSeeds(tuple(together))
 
@@ -237,6 +248,9 @@ def seeds_of(path: str) -> Seeds:
     if kind in IMAGE_FILES:
         return LabelSeeds(read_image(path)[0], path)
     if kind == ".csv":
+        voxels = read_napari_points(path)
+        if voxels is not None:
+            return PointSeeds(voxels, None, path, in_voxels=True)
         return PointSeeds(*read_points_csv(path), path)
     known = ", ".join((*MESH_FILES, *IMAGE_FILES, ".csv"))
     raise InputError(f"{path}: unknown extension '{kind}' for seeds; known are {known}, or {AUTO}")
