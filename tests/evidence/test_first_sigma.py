@@ -115,6 +115,20 @@ def test_the_edge_of_what_is_missing_is_not_taken_for_a_sharp_structure():
     assert found.yx.value == pytest.approx(true[2], rel=0.15)
 
 
+@pytest.mark.parametrize("dead", [[8], [18], [18, 19], [18, 19, 20]])
+def test_dead_slices_do_not_look_sharp(dead):
+    grid, true = Grid((36, 56, 56), (0.15, 0.15, 0.15)), (0.45, 0.25, 0.25)
+    image = disc(grid, true)
+    image[dead] = np.nan
+    assert plausible_sigma(image, grid.voxel_size) == pytest.approx(true, rel=0.25)
+
+
+def test_of_noise_no_width_along_z_is_told():
+    for seed in range(40):
+        image = np.random.default_rng(seed).poisson(5, (20, 40, 40))
+        assert not first_sigma(image, (0.3, 0.2, 0.2)).z.known
+
+
 def test_single_missing_voxels_change_little():
     grid, true = Grid((36, 56, 56), (0.15, 0.15, 0.15)), (0.45, 0.25, 0.25)
     dead = np.random.default_rng(1).random(grid.shape) < 0.02

@@ -9,6 +9,8 @@ import pytest
 import napari_deltamic as nd
 from napari_deltamic.fitting import hidden_membranes
 from napari_deltamic.fitting.hidden_membranes import _followed, _grown, _Trial, membranes_as_well
+from napari_deltamic.fitting.level_run import LevelRun
+from napari_deltamic.fitting.schedule import Progress
 from napari_deltamic.fitting.shape import Shape
 from napari_deltamic.geometry import sphere
 
@@ -201,7 +203,7 @@ def membranes_alone(monkeypatch, legs, wide=0.1):
         return SimpleNamespace(leg=leg, leaves_over=leaves_over)
 
     monkeypatch.setattr(hidden_membranes, "other_alone", lambda *_: "small")
-    monkeypatch.setattr(hidden_membranes, "_where_membranes_may_lie", lambda *_: "large")
+    monkeypatch.setattr(hidden_membranes, "_membranes_further_in", lambda *_: "large")
     begin = []
     monkeypatch.setattr(
         hidden_membranes,
@@ -260,7 +262,27 @@ def test_membranes_of_large_cells_begin_within_the_outer_half_of_their_light():
         displaced=displaced,
     )
     terms = SimpleNamespace(settings=SimpleNamespace(collisions=False))
-    name, vertices, optics = hidden_membranes._where_membranes_may_lie(terms, fitted)
+    name, vertices, optics = hidden_membranes._membranes_further_in(terms, fitted)
     assert name == "membrane"
     assert optics is fitted.optics
     np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), 2 - 1.2 * 0.2, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("structure", "again", "word"),
+    [("membrane", False, "better than insides"), ("both", True, "as well")],
+)
+def test_beside_membranes_that_were_found_alone_insides_are_asked_for_once_more(
+    structure, again, word
+):
+    mesh, said, posed = sphere(MIDDLE, 1.0), [], []
+    fitted = SimpleNamespace(structure=structure, mesh=mesh)
+    stage = SimpleNamespace(progress=Progress(again=True, unsure=True, iterations=7))
+    at = SimpleNamespace(fitted=fitted, stage=stage)
+    at.progressed = lambda progress: posed.append(progress) or at
+    context = SimpleNamespace(
+        reporter=SimpleNamespace(say=said.append), upkeep=SimpleNamespace(restart=lambda: None)
+    )
+    LevelRun._go_on_elsewhere(SimpleNamespace(at=at, _context=context), mesh)
+    assert posed == [Progress(again=again, unsure=True)]
+    assert word in said[0]

@@ -58,7 +58,7 @@ class CellFacts:
         A neighbour with which it may be one cell: the image hardly shows the wall between them
         (:func:`~.unseen_walls.unseen_walls`). None without one.
     slices
-        Along Z, how many slices high it is.
+        Along Z, how many slices high it is; infinite where a second view tells that as well.
     point
         Whether it is no more than a point beside the PSF (:func:`~.growth_alarm.shrunken`).
     """

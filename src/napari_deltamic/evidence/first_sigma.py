@@ -67,7 +67,7 @@ def plausible_sigma(
     z, yx = found.z.value, found.yx.value
     least, most = SPECTRUM.z_over_yx
     if z < least * yx:
-        z = yx  # of planes along the slices, such as the cover slip's, or a wrong step
+        z = yx  # planes along the slices, such as the cover slip's, look sharp
     in_voxels = z / voxel_size[0], yx / max(voxel_size[1:])
     bounds = zip(in_voxels, SPECTRUM.in_voxels, strict=True)
     if not all(low <= width <= high for width, (low, high) in bounds):
@@ -108,6 +108,7 @@ def _structure(part: np.ndarray) -> float:
 
 
 def _faded(part: np.ndarray) -> np.ndarray:
+    part = _bridged(part)
     finite = np.isfinite(part)
     part = np.where(finite, part - (part[finite].mean() if finite.any() else 0), 0)
     gone = binary_opening(~finite, np.ones((3, 3, 3)))  # single voxels tell nothing wrong
@@ -117,6 +118,21 @@ def _faded(part: np.ndarray) -> np.ndarray:
         window = np.hanning(n + 2)[1:-1] ** 0.5
         part = part * np.expand_dims(window, tuple(a for a in range(3) if a != axis))
     return part
+
+
+def _bridged(part: np.ndarray) -> np.ndarray:
+    """Without what is missing in a few slices only, such as dead ones: interpolated along Z."""
+    finite = np.isfinite(part)
+    if finite.all():
+        return part
+    at = np.arange(len(part)).reshape(-1, 1, 1)
+    below = np.maximum.accumulate(np.where(finite, at, -1), axis=0)
+    above = np.minimum.accumulate(np.where(finite, at, len(part))[::-1], axis=0)[::-1]
+    few = ~finite & (below >= 0) & (above < len(part)) & (above - below <= SPECTRUM.dead + 1)
+    first, last = (np.clip(k, 0, len(part) - 1) for k in (below, above))
+    share = (at - first) / np.maximum(last - first, 1)
+    low, high = (np.take_along_axis(part, k, axis=0) for k in (first, last))
+    return np.where(few, (1 - share) * low + share * high, part)
 
 
 def _rings(
@@ -160,23 +176,20 @@ def _fitted(
 ) -> FirstSigma:
     size = np.array([voxel_size[0], max(voxel_size[1:])])
     squared = kz**2 + k**2
-    unsure = 1 / SPECTRUM.log_flatness**2
+    known = 1 / SPECTRUM.log_flatness**2
     floor = float(np.quantile(power, SPECTRUM.noise_floor)) + 1e-30
     # The modes of one ring belong to one shape: they are not as many draws as they are.
     weight = np.minimum(count, SPECTRUM.most_modes)
 
     def model(p: np.ndarray) -> np.ndarray:
         width_z, width_yx = np.exp(p[1:3]) * size
-        along, flat = np.exp(2 * p[4]) * kz**2, np.exp(2 * p[4])
-        # Of ellipsoids of revolution, so many times as long along z as across.
-        signal = flat * squared / (k**2 + along) ** 2
-        signal = signal * np.exp(p[0] - (width_z * kz) ** 2 - (width_yx * k) ** 2)
+        signal = _shells(kz, k, p[4]) * np.exp(p[0] - (width_z * kz) ** 2 - (width_yx * k) ** 2)
         whole: np.ndarray = signal + np.exp(p[3])
         return whole
 
     def loss(p: np.ndarray) -> float:
         m = model(p)
-        return float((weight * (np.log(m) + power / m)).sum() + unsure * p[4] ** 2 / 2)
+        return float((weight * (np.log(m) + power / m)).sum() + known * p[4] ** 2 / 2)
 
     low = squared < np.quantile(squared, SPECTRUM.low_waves)
     start = float(np.log(np.median(power[low] * squared[low]) + 1e-30))
@@ -195,15 +208,27 @@ def _fitted(
     )
     best = min(tried, key=lambda r: float(r.fun))
     p = np.asarray(best.x)
-    signal = np.exp(p[0] - (size.min() * SPECTRUM.sharp) ** 2) / squared.min()
+    signal = np.exp(p[0] - (size.min() * SPECTRUM.sharp) ** 2) * _shells(kz, k, p[4]).max()
     if not signal > SPECTRUM.above_noise * np.exp(p[3]):
         nothing = unknown("the spectrum shows no structure above the noise")
         return FirstSigma(nothing, nothing)
-    errors = _errors(model, p, weight, np.diag([0, 0, 0, 0, unsure]))
-    return FirstSigma(
-        _width(p[1], float(errors[1]), size[0], "z"),
-        _width(p[2], float(errors[2]), size[1], "y and x"),
-    )
+    errors = _errors(model, p, weight, np.diag([0, 0, 0, 0, known]))
+    z = _width(p[1], float(errors[1]), size[0], "z")
+    yx = _width(p[2], float(errors[2]), size[1], "y and x")
+    if z.known and not yx.known:  # of noise, that can be: flatness stands in for a width
+        z = unknown(yx.reason)
+    return FirstSigma(z, yx)
+
+
+def _shells(kz: np.ndarray, k: np.ndarray, log_flat: float) -> np.ndarray:
+    """Power of shells of ellipsoids of revolution, so many times as long along z as across.
+
+    1 / (k^2 K), K the Gaussian curvature where the normal is along the wave vector: of spheres,
+    1 / k^2.
+    """
+    squared = np.exp(2 * log_flat)
+    power: np.ndarray = squared * (kz**2 + k**2) / (k**2 + squared * kz**2) ** 2
+    return power
 
 
 def _errors(  # type: ignore[no-untyped-def]

@@ -47,7 +47,8 @@ class SanityRules:
     elongations
         Length of structures along Z over that in the plane, from where their surfaces face.
         Measured: 0.73 to 2.4 in order, 0.39 to 0.6 and 1.9 to 4.1 where the step is wrong. Spread
-        cells are flat: red blood cells 0.33 to 0.59.
+        cells are flat, red blood cells 0.33 to 0.59, so the lower bound is below all of these: a
+        step that is too small shows in the PSF, too.
     doubtful_ratios, doubtful_elongations
         The same where both point the same way: both at once would be a coincidence otherwise.
         Measured: 2.4 in order where structures are long (widefield), 3.3 to 4.5 where the step is

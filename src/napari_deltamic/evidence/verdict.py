@@ -64,8 +64,8 @@ class VerdictRules:
         it is fair, and poor; the same where it did not count. Chosen, not measured: a dead slice of
         20 hides a twentieth.
     slices
-        Least height. By definition of a slice between two surfaces, and one on each. Measured: six
-        cells of 1.1 to 1.8 slices, which were good, were 0.66 voxel off.
+        Least height. Chosen: a slice between two surfaces, and one on each. Measured: six cells of
+        1.1 to 1.8 slices, which were good, were 0.66 voxel off; none between 1.8 and 3.
     uneven
         Of the brightness deep inside a cell, standard deviation without noise: insides of one
         brightness had none, chromatin of 0.2 to 0.5 had 0.1 to 0.2, and borders were 0.2 to 0.6
@@ -321,7 +321,7 @@ def _of_cell(cell: CellFacts, usual: float, facts: Facts) -> CellVerdict:
         text = "it is so small that membrane and interior look the same through the PSF"
         found.append(("fair", f"{text}: say which is labelled (--structure)"))
     if cell.slices < RULES.slices:
-        text = f"it is only {cell.slices:.1f} slices high: how high is hardly told"
+        text = f"it is only {cell.slices:.1f} slices high: its height is poorly determined"
         found.append(("fair", text))
     if cell.fold is not None:
         z, y, x = cell.fold

@@ -21,6 +21,7 @@ from .state_of import state_of
 
 _UNDONE = "a coarse level was undone: a cell had drifted away from its start"
 _FURTHER_IN = "membranes shine as well: the fit goes on with surfaces further in"
+_MEMBRANES = "membranes explain the image better than insides: the fit goes on with them"
 
 
 class LevelRun:
@@ -282,10 +283,11 @@ class LevelRun:
     def _go_on_elsewhere(self, before: Mesh) -> None:
         """The surface was taken up again further in, or where the fit began."""
         reporter, upkeep = self._context.reporter, self._context.upkeep
-        again = self.at.fitted.structure != "membrane"  # beside which insides may shine, too
-        self.at = self.at.progressed(Progress(again=again, unsure=self.at.stage.progress.unsure))
+        alone = self.at.fitted.structure == "membrane"  # insides beside them are asked for yet
+        unsure = self.at.stage.progress.unsure
+        self.at = self.at.progressed(Progress(again=not alone, unsure=unsure))
         upkeep.restart()
-        reporter.say(_FURTHER_IN)
+        reporter.say(_MEMBRANES if alone else _FURTHER_IN)
         now = self.at.fitted.mesh
         if not np.array_equal(now.faces, before.faces):
             upkeep.begin_level(now, 0.0)

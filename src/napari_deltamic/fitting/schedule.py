@@ -127,7 +127,7 @@ class Progress:
     answered
         Whether that was asked at rest since the surface last went elsewhere.
     again
-        Whether insides that had left were asked for again.
+        Whether what had left was asked for again, for the last time.
     unsure
         Whether membranes and insides together explained more then, but not surely.
     """
