@@ -5,9 +5,10 @@ import pytest
 from test_tilted_ground import SHAPE, SIZE, X, counted
 
 from napari_deltamic import Grid
-from napari_deltamic.evidence.put_together import put_together
+from napari_deltamic.evidence.put_together import put_together, start_of
 from napari_deltamic.evidence.tilted_ground import tilted_ground
 from napari_deltamic.geometry import sphere
+from napari_deltamic.runs.seeds import MeshSeeds, PointSeeds
 from napari_deltamic.runs.settings import RunSettings, SceneSettings
 from napari_deltamic.scene.effects import Effects
 from napari_deltamic.scene.effects.smooth import Background
@@ -17,14 +18,14 @@ IMAGE = counted(40 - 20 * X)
 BALL = sphere((3.5, 3.5, 5.0), 1.5, edge_length=0.5)
 
 
-def made(scene, **how):
+def made(scene, points=None, **how):
     """The fit, the image that its start was made of, and what was told."""
     seen, told = [], []
     settings = RunSettings(image="", seeds="", scene=scene)
 
     def start(level, grid):
         seen.append(level)
-        return BALL, "rough"
+        return BALL, "rough", points
 
     job = put_together(settings, IMAGE, GRID, start, tell=lambda *news: told.append(news), **how)
     return job, seen[0], told[0]
@@ -38,6 +39,25 @@ def test_what_is_left_open_the_image_tells():
     assert "the background varies by" in uneven
     assert tilted_ground(level) is None
     assert job.image is IMAGE
+
+
+@pytest.mark.parametrize(
+    ("further", "crowded"), [((0, 0.6, 0), {1}), ((0, 3.0, 0), set()), ((90, 0, 0), set())]
+)
+def test_several_points_in_one_surface_are_known(further, crowded):
+    middle = np.array([3.5, 3.5, 5.0])
+    points = np.stack([middle, middle + further])
+    job, _, _ = made(SceneSettings(voxel_size=SIZE), points)
+    assert job.crowded == crowded
+    assert made(SceneSettings(voxel_size=SIZE))[0].crowded == set()
+
+
+def test_points_of_seeds_are_told_in_um():
+    one = PointSeeds(np.array([[3.5, 3.5, 5.0]]) / SIZE, np.array([1.5]), in_voxels=True)
+    mesh, kind, points = start_of(one, IMAGE, GRID)
+    assert (len(mesh.region_ids()), kind) == (1, "rough")
+    np.testing.assert_allclose(points, [[3.5, 3.5, 5.0]])
+    assert start_of(MeshSeeds(BALL), IMAGE, GRID)[2] is None
 
 
 def test_of_a_series_the_background_is_not_looked_for():

@@ -83,6 +83,7 @@ def test_what_concerns_all(change, grade, word):
         ({"point": True}, "poor", "shrunk to a point"),
         ({"slices": 2.4}, "fair", "only 2.4 slices high"),
         ({"slices": 3.1}, "good", "good"),
+        ({"crowded": True}, "fair", "several points lie in it"),
         ({"cut": True}, "fair", "border"),
         ({"inside": 0.4}, "fair", "light inside"),
         ({"inside": -0.4}, "fair", "light around"),
@@ -218,6 +219,11 @@ def test_facts_of_a_fit(monkeypatch):
     assert judged(capped).grade == "poor"
     assert judged(facts).grade == "good"
     assert not cell.point
+    assert not cell.crowded
+    crowded = facts_of(
+        replace(job, crowded=frozenset({cell.region})), state, analyse_residual(image, grid, state)
+    )
+    assert crowded.cells[0].crowded
     assert cell.slices == pytest.approx(3.0 / size[0], rel=0.02)
     middle, places = np.full(3, 2.3), state.mesh.vertices_numpy()
     small = replace(state, mesh=state.mesh.with_vertices(middle + 0.1 * (places - middle)))

@@ -17,6 +17,7 @@ from ..evidence.put_together import put_together, start_of
 from ..fitting.checks import check_image
 from ..fitting.job import FitInput
 from ..geometry import Mesh
+from ..geometry.mesh import FloatArray
 from ..images.missing import finite_or_nan
 from ..images.padding import without_padding
 from ..images.stacks import SIZES_AGREE, read_image
@@ -70,8 +71,10 @@ def fit_of(
     return put_together(settings, image, grid, start, tell=tell, ground=ground)
 
 
-def load_seeds(path: str, image: NDArray[Any], grid: Grid) -> tuple[Mesh, SeedKind]:
-    """Starting surfaces, from a file or found, and how near to the membranes they lie.
+def load_seeds(
+    path: str, image: NDArray[Any], grid: Grid
+) -> tuple[Mesh, SeedKind, FloatArray | None]:
+    """Starting surfaces, from a file or found; see ``start_of``.
 
     Raises
     ------

@@ -59,6 +59,8 @@ class CellFacts:
         (:func:`~.unseen_walls.unseen_walls`). None without one.
     slices
         Along Z, how many slices high it is; infinite where a second view tells that as well.
+    crowded
+        Whether several points were placed in it.
     point
         Whether it is no more than a point beside the PSF (:func:`~.growth_alarm.shrunken`).
     """
@@ -80,6 +82,7 @@ class CellFacts:
     seen: float = 1.0
     counted: float = 1.0
     slices: float = inf
+    crowded: bool = False
     point: bool = False
     fold: tuple[float, float, float] | None = None
     unseen_wall: int | None = None

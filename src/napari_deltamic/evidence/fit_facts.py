@@ -129,6 +129,7 @@ def _cells(
             seen=seen.get(region, 1.0),
             counted=counted.get(region, 1.0),
             slices=np.inf if job.second is not None else heights[region] / job.grid.voxel_size[0],
+            crowded=region in job.crowded,
             point=region in points,
             fold=folded.get(region),
             unseen_wall=unseen.get(region),

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from ..fitting.job import FitInput, assemble, levelled
 from ..geometry import Mesh
-from ..runs.seeds import SeedKind, Seeds
+from ..geometry.labels.voxels import voxel_labels
+from ..geometry.mesh import FloatArray
+from ..runs.seeds import PointSeeds, SeedKind, Seeds
 from ..runs.settings import RunSettings, SceneSettings
 from ..scene import Grid
 from .first_sigma import with_first_psf
 from .tilted_ground import with_ground
 
-Start = Callable[[NDArray[Any], Grid], tuple[Mesh, SeedKind]]
+Start = Callable[[NDArray[Any], Grid], tuple[Mesh, SeedKind, FloatArray | None]]
 
 
 def put_together(
@@ -33,8 +37,8 @@ def put_together(
     Parameters
     ----------
     image : (Z, Y, X); NaN where missing.
-    start : makes the mesh, from the image without what effects add to it, and says how near to
-        the membranes it lies.
+    start : makes the mesh, from the image without what effects add to it, says how near to
+        the membranes it lies, and which points (n, 3) um it was made for, if any.
     tell : called before that with the scene to be fitted; a sentence on its background, '' where
         that is even; and whether the image told how wide the PSF is.
     second : (Z, Y, X) second view, where it is in no file.
@@ -50,11 +54,24 @@ def put_together(
     scene, told = with_first_psf(scene, level)
     if tell is not None:
         tell(scene, uneven, told)
-    mesh, kind = start(level, grid)
+    mesh, kind, points = start(level, grid)
     whole = settings.model_copy(update={"scene": scene})
-    return assemble(whole, image, grid, mesh, kind, second)
+    job = assemble(whole, image, grid, mesh, kind, second)
+    return job if points is None else replace(job, crowded=_crowded(mesh, grid, points))
 
 
-def start_of(seeds: Seeds, image: NDArray[Any], grid: Grid) -> tuple[Mesh, SeedKind]:
-    """Starting surfaces, and how near to the membranes they lie."""
-    return seeds.make(image, grid), seeds.kind
+def start_of(
+    seeds: Seeds, image: NDArray[Any], grid: Grid
+) -> tuple[Mesh, SeedKind, FloatArray | None]:
+    """Starting surfaces, how near to the membranes they lie, and points that a user gave."""
+    points = seeds.places(grid) if isinstance(seeds, PointSeeds) else None
+    return seeds.make(image, grid), seeds.kind, points
+
+
+def _crowded(mesh: Mesh, grid: Grid, points: FloatArray) -> frozenset[int]:
+    """Regions that several points lie in."""
+    labels = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
+    index = np.floor((points - np.asarray(grid.origin)) / np.asarray(grid.voxel_size) + 0.5)
+    index = index[((index >= 0) & (index < grid.shape)).all(1)].astype(int)
+    regions, number = np.unique(labels[tuple(index.T)], return_counts=True)
+    return frozenset(regions[(number > 1) & (regions > 0)].tolist())

@@ -320,6 +320,9 @@ def _of_cell(cell: CellFacts, usual: float, facts: Facts) -> CellVerdict:
     if cell.small:
         text = "it is so small that membrane and interior look the same through the PSF"
         found.append(("fair", f"{text}: say which is labelled (--structure)"))
+    if cell.crowded:
+        text = "several points lie in it: are there several cells? Then give each a radius"
+        found.append(("fair", text))
     if cell.slices < RULES.slices:
         text = f"it is only {cell.slices:.1f} slices high: its height is poorly determined"
         found.append(("fair", text))

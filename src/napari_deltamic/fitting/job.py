@@ -36,6 +36,7 @@ class FitInput:
     kind : how near to the membranes the mesh lies.
     predicted : um, mean distance to the true surface that is to be expected; None where it is not
         known.
+    crowded : regions in which a user placed several points.
     """
 
     settings: RunSettings
@@ -47,6 +48,7 @@ class FitInput:
     second: NDArray[Any] | None = None
     kind: SeedKind = "rough"
     predicted: float | None = None
+    crowded: frozenset[int] = frozenset()
 
     @property
     def has_missing(self) -> bool:

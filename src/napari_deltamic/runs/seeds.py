@@ -75,10 +75,10 @@ class PointSeeds:
 
     def make(self, image: NDArray[Any], grid: Grid) -> Mesh:
         """See ``Seeds``."""
-        points, whole = self._places(grid), filled(image)
+        points, whole = self.places(grid), filled(image)
         return seeds_from_points(whole, grid.voxel_size, points, self.radii, grid.origin)
 
-    def _places(self, grid: Grid) -> FloatArray:
+    def places(self, grid: Grid) -> FloatArray:
         """(n, 3) um."""
         if not self.in_voxels:
             return self.points
@@ -86,7 +86,7 @@ class PointSeeds:
 
     def save(self, folder: Path, image: NDArray[Any], grid: Grid) -> Path:
         """See ``Seeds``."""
-        points = self._places(grid)
+        points = self.places(grid)
         rows = points if self.radii is None else np.column_stack([points, self.radii])
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
