@@ -64,7 +64,7 @@ class SanityRules:
         near 1. Measured: 0.42 at most in 34 stacks (light cones, backgrounds that rise along X),
         0.87 or more in 14 films.
     followed
-        Share of the image's variance around the seeds that distance to them explains: 0.14 or more
+        Share of the image's variance around the seeds that distance to them explains: 0.08 or more
         in scenes whose seeds were half a radius off or had six bright neighbours, 0.09 at most with
         seeds of another image.
     flat
@@ -81,7 +81,7 @@ class SanityRules:
     lean: float = 0.45
     structure: float = 1.5
     lasting: float = 0.6
-    followed: float = 0.1
+    followed: float = 0.08
     flat: float = 0.8
 
 
