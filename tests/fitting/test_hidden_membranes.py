@@ -225,7 +225,7 @@ def membranes_alone(monkeypatch, legs, wide=0.1):
         (FEW, SURE, 0.6, 0.8, 0.1, False),
         (SURE, FEW, 0.6, 0.8, 0.1, False),
         (-SURE, SURE, 0.6, 0.8, 0.1, False),  # a nucleus with chromatin
-        (SURE, SURE, 0.75, 0.8, 0.1, False),
+        (SURE, SURE, 0.85, 0.8, 0.1, False),
         (SURE, SURE, 0.6, 1.0, 0.1, False),  # a bright droplet that fades
         (SURE, SURE, 0.75, 0.8, 0.18, True),  # of small cells
         (SURE, SURE, 0.97, 0.8, 0.18, False),
