@@ -161,8 +161,8 @@ def read_points_csv(path: str | Path) -> tuple[FloatArray, FloatArray | None]:
     header = [field.lower() for field in rows[0]] if rows else []
     if header not in (["z", "y", "x"], ["z", "y", "x", "radius"]):
         raise InputError(
-            f"{path}: the first line must be z,y,x or z,y,x,radius, or the file a Points layer "
-            "that napari saved"
+            f"{path}: the first line must be z,y,x or z,y,x,radius; a Points layer that napari "
+            "saved is read as well"
         )
     values = _values(path, rows[1:], len(header))
     return values[:, :3], values[:, 3] if len(header) == 4 else None
