@@ -237,6 +237,10 @@ def test_facts_of_a_fit(monkeypatch):
     assert 0.0005 < facts.error.whole.total < 0.02
     smoothed = replace(job, image=gaussian_filter(image, 1.0))
     assert facts_of(smoothed, state, analyse_residual(image, grid, state)).widths == {}
+    wide = replace(state, optics=nd.GaussianPSF(0.7))  # much too wide, even so
+    found = facts_of(smoothed, wide, analyse_residual(image, grid, wide)).widths
+    assert set(found) == {"across"}
+    assert found["across"] < 0.5
     hazy = image + 80 * (voxel_labels(truth, shape, size) == 0)
     hazy_job = replace(job, image=hazy.astype(np.float32))
     hazy_facts = facts_of(hazy_job, state, analyse_residual(image, grid, state))
