@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import tifffile
 from numpy.typing import NDArray
-from scipy.ndimage import find_objects
+from scipy.ndimage import distance_transform_edt, find_objects
 from skimage.segmentation import expand_labels
 
 from napari_deltamic import Mesh, load_mesh, save_mesh
@@ -85,6 +85,19 @@ def _without_tops(labels: NDArray[np.integer], share: float) -> NDArray[np.integ
     return result
 
 
+def _shrunk(
+    labels: NDArray[np.integer], share: float, voxel_size: Sequence[float]
+) -> NDArray[np.integer]:
+    """Labels of which each reaches so much less far from its deepest place."""
+    result = np.zeros_like(labels)
+    for name, box in enumerate(find_objects(labels), 1):
+        if box is not None:
+            own = np.pad(labels[box] == name, 1)
+            depth = distance_transform_edt(own, sampling=voxel_size)[1:-1, 1:-1, 1:-1]
+            result[box][depth > (1 - share) * depth.max()] = name
+    return result
+
+
 def _psf(scene: Scene) -> list[str]:
     """Options that say what the PSF is."""
     microscope = scene.recipe.microscope
@@ -114,6 +127,7 @@ def _seeds(scene: Scene, folder: Path, told: bool) -> str:
         path = folder / "seeds.tif"
         known = scene.all_labels if told and scene.strangers else scene.labels
         known = _without_tops(expand_labels(known, recipe.grown), recipe.topless)
+        known = known if told else _shrunk(known, recipe.shrunk, scene.voxel_size)
         tifffile.imwrite(path, known.astype(np.uint16), imagej=True, metadata={"axes": "ZYX"})
     elif recipe.seeds == "mesh":
         path = folder / "seeds.ply"

@@ -45,6 +45,7 @@ class Recipe:
     )  # how the background rises along X, and squared; photons
     padded: float = 0.0  # share of the sum of Z and X below which nothing was measured
     grown: int = 0  # voxels by which labels reach out too far
+    shrunk: float = 1.0  # share of its depth that each label keeps, as one of a nucleus may
     topless: float = 0.0  # share of its height that each label lacks at the top
     seeds: SeedKind = "spheres"
     start: tuple[float, float] = (0.9, 0.1)  # radius of spheres and meshes, offset, in radii
@@ -266,6 +267,17 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
     "tissue-both": lambda rng: replace(
         _labelled_tissue(rng), interior=rng.uniform(0.2, 0.8), unequal=0.4
     ),
+    "marked": lambda rng: replace(
+        PLAIN,
+        interior=float(rng.choice([0.0, 0.5])),
+        seeds="labels",
+        shrunk=rng.uniform(0.4, 0.7),
+    ),
+    "marked-tissue": lambda rng: replace(
+        _labelled_tissue(rng),
+        interior=float(rng.choice([0.0, 0.5])),
+        shrunk=rng.uniform(0.4, 0.7),
+    ),
     "tissue-partial": lambda rng: replace(_labelled_tissue(rng), seeded=(1, 2)),
     "packed-nuclei": _packed,
     "packed-partial": _partly_seeded,
@@ -349,6 +361,8 @@ WORDS = {
     "topless": "one cell, its label lacks a fifth to two fifths at the top",
     "topless-crowd": "eight cells, their labels the same",
     "tissue-both": "four cells that share walls, membranes and unequal insides",
+    "marked": "a cell, its label reaches 0.4 to 0.7 times as far, as that of a nucleus",
+    "marked-tissue": "four cells that share walls, their labels the same",
     "tissue-partial": "two of four cells that share walls, labelled",
     "packed-nuclei": "some 40 small nuclei, packed, dim and bright",
     "packed-partial": "the same, one of three without a label",

@@ -39,7 +39,7 @@ def nothing_found(monkeypatch, labels=None):
     """As where neither darkness nor a threshold tells what a point lies in."""
     told = Refused("point 1 lies in no region", (1,))
     labels = np.zeros(SHAPE, np.int32) if labels is None else labels
-    monkeypatch.setattr(regions_at_points, "_regions", lambda *_: (labels.copy(), {1: told}))
+    monkeypatch.setattr(regions_at_points, "closed_regions", lambda *_: (labels.copy(), {1: told}))
     return told
 
 

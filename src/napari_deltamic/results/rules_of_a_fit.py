@@ -48,11 +48,13 @@ from ..fitting import (
     voxel_ownership,
 )
 from ..fitting.schedule import Schedule
+from ..geometry.labels import whole_cells
 from ..geometry.labels.cell_rules import FINDING
 from ..optics import narrow
 
 RULES_OF_A_FIT: dict[str, dict[str, Any]] = {
     "cells": asdict(FINDING),
+    "markers": asdict(whole_cells.RULES),
     "sanity": asdict(sanity.RULES),
     "first PSF": asdict(SPECTRUM),
     "shape": asdict(shape_dial.RULES),

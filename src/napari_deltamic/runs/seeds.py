@@ -113,7 +113,8 @@ class LabelSeeds:
                 f"the labels have shape {self.labels.shape}, the image {grid.shape}: "
                 "they must cover the same voxels"
             )
-        return mesh_from_labels(self.labels, grid.voxel_size, grid.origin)
+        size, whole = grid.voxel_size, filled(image)
+        return mesh_from_labels(self.labels, size, grid.origin, image=whole)
 
     def save(self, folder: Path, image: NDArray[Any], grid: Grid) -> Path:
         """See ``Seeds``."""

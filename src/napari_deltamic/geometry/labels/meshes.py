@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import ndimage
 
-from napari_deltamic.errors import InputError, RepairWarning
+from napari_deltamic.errors import InputError, RepairWarning, listed
 from napari_deltamic.geometry.connected import connected
 from napari_deltamic.geometry.contacts import label_contacts
 from napari_deltamic.geometry.labels.label_repair import repair_labels, share_out_gaps
 from napari_deltamic.geometry.labels.partition import TooCoarse, partition_mesh, with_volumes
 from napari_deltamic.geometry.labels.surface_nets import closed_surface
 from napari_deltamic.geometry.labels.voxels import box_around
+from napari_deltamic.geometry.labels.whole_cells import whole_cells
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
 from napari_deltamic.geometry.refused import told
 from napari_deltamic.geometry.remeshing import can_remesh, remesh
@@ -45,6 +46,7 @@ def mesh_from_labels(
     *,
     gap: float | None = None,
     shared_walls: bool = True,
+    image: ArrayLike | None = None,
 ) -> Mesh:
     """A smooth mesh of all labels of an image, with regions (label, neighbour or 0).
 
@@ -64,13 +66,15 @@ def mesh_from_labels(
         lines of one voxel that some segmentations leave between cells.
     shared_walls : False gives each label a surface of its own; touching ones lie on each other.
         Walls cannot be shared without the compiled extension.
+    image : (Z, Y, X), finite: labels that only mark the cells that it shows, such as those of their
+        nuclei, become whole cells; a RepairWarning names them.
 
     Raises
     ------
     InputError
         No label, no whole numbers, not 3D, or every label too small for the edge length.
     """
-    found = surfaces_of_labels(labels, voxel_size, origin, edge_length, gap, shared_walls)
+    found = surfaces_of_labels(labels, voxel_size, origin, edge_length, gap, shared_walls, image)
     if found.too_small:
         texts = [f"label {k} is too small for edges of {found.edge:g} um" for k in found.too_small]
         warnings.warn(told(texts, found.count, "label"), RepairWarning, stacklevel=2)
@@ -97,6 +101,7 @@ def surfaces_of_labels(
     edge_length: float | None = None,
     gap: float | None = None,
     shared_walls: bool = True,
+    image: ArrayLike | None = None,
 ) -> LabelSurfaces:
     """The work of `mesh_from_labels`, which says what the arguments are."""
     size, start = (
@@ -106,7 +111,12 @@ def surfaces_of_labels(
     repaired = repair_labels(labels, size)
     for repair in repaired.repairs:
         warnings.warn(repair, RepairWarning, stacklevel=3)
-    array = repaired.labels.astype(np.int64)
+    whole, marks = repaired.labels, list[int]()
+    if image is not None:
+        whole, marks = whole_cells(np.asarray(image), whole, size)
+    if marks:
+        warnings.warn(_enlarged(marks), RepairWarning, stacklevel=3)
+    array = whole.astype(np.int64)
     edge = default_edge(array, size) if edge_length is None else float(edge_length)
     if not edge > 0:
         raise InputError(f"edge length must be positive, not {edge:g}")
@@ -125,6 +135,12 @@ def surfaces_of_labels(
     present = {k for mesh in meshes for k in mesh.region_ids().tolist()}
     too_small = [k for k in names.tolist() if k not in present]
     return LabelSurfaces(meshes, too_small, len(names), edge)
+
+
+def _enlarged(names: list[int]) -> str:
+    verb, starts = ("lies", "the whole cell") if len(names) == 1 else ("lie", "whole cells")
+    text = f"{listed('label', names)} {verb} well inside what the image shows"
+    return f"{text}: the fit starts from {starts}"
 
 
 def default_edge(labels: IntArray, size: FloatArray) -> float:

@@ -46,7 +46,7 @@ def regions_at(
     it is clearly brighter than what is around, and it reaches into no other region; points
     without that are told.
     """
-    labels, left = _regions(data, size, voxels, names)
+    labels, left = closed_regions(data, size, voxels, names)
     at = dict(zip(names, voxels, strict=True))
     for name in [k for k, one in left.items() if len(one.points) == 1]:
         if (labels == name).any():
@@ -71,10 +71,10 @@ def _balls(
         yield ball_at(data.shape, size, voxel, ball.radius)
 
 
-def _regions(
+def closed_regions(
     data: FloatArray, size: FloatArray, voxels: IntArray, names: list[int]
 ) -> tuple[Labels, dict[int, Refused]]:
-    """Those of darkness, or of cells that are found without help; and points without either."""
+    """As :func:`regions_at`, without balls; and the points without a region, by their names."""
     labels, refused = label_basins(data, size, voxels, names)
     at = {name: tuple(voxel) for name, voxel in zip(names, voxels.tolist(), strict=True)}
     why = {one.points[-1]: one for one in refused}

@@ -1,0 +1,126 @@
+"""Labels that only mark their cells, such as those of their nuclei."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import distance_transform_edt, gaussian_filter
+
+from napari_deltamic import Grid
+from napari_deltamic.errors import RepairWarning
+from napari_deltamic.geometry import mesh_from_labels
+from napari_deltamic.geometry.labels.whole_cells import whole_cells
+from napari_deltamic.runs.seeds import LabelSeeds
+
+SIZE = np.ones(3)
+SHAPE = (32, 32, 60)
+MIDDLES = (16, 16, 15), (16, 16, 41)
+RADIUS = 10.0
+
+
+def distances(middle):
+    places = np.moveaxis(np.indices(SHAPE), 0, -1)
+    return np.linalg.norm(places - middle, axis=-1)
+
+
+def numbered(radius):
+    labels = np.zeros(SHAPE, np.int32)
+    for name, middle in enumerate(MIDDLES, 1):
+        labels[distances(middle) < radius] = name
+    return labels
+
+
+def seen(light):
+    noise = np.random.default_rng(0)
+    return noise.poisson(5 + 100 * gaussian_filter(light, 1.2)).astype(float)
+
+
+def shells():
+    return sum(np.abs(distances(middle) - RADIUS) < 1 for middle in MIDDLES).astype(float)
+
+
+def solids():
+    return (numbered(RADIUS) > 0).astype(float)
+
+
+IMAGES = {"membranes": shells(), "nuclei": solids(), "both": shells() + 0.5 * solids()}
+
+
+def overlap(one, other):
+    return 2 * (one & other).sum() / (one.sum() + other.sum())
+
+
+@pytest.mark.parametrize("share", [0.35, 0.5, 0.65])
+@pytest.mark.parametrize("kind", IMAGES)
+def test_a_label_well_inside_its_cell_becomes_the_cell(kind, share):
+    found, names = whole_cells(seen(IMAGES[kind]), numbered(share * RADIUS), SIZE)
+    assert names == [1, 2]
+    whole = numbered(RADIUS)
+    assert min(overlap(found == k, whole == k) for k in (1, 2)) > 0.8  # a voxel: 0.83
+
+
+@pytest.mark.parametrize("radius", [RADIUS - 1, RADIUS, RADIUS + 2])
+@pytest.mark.parametrize("kind", IMAGES)
+def test_labels_of_whole_cells_stay_what_they_are(kind, radius):
+    labels = numbered(radius)
+    found, names = whole_cells(seen(IMAGES[kind]), labels, SIZE)
+    assert names == []
+    assert (found == labels).all()
+
+
+def test_a_label_that_lacks_one_side_stays():
+    """The fit finds the rest (:mod:`.missed_parts`)."""
+    labels = numbered(RADIUS)
+    labels[:15] = 0
+    assert whole_cells(seen(shells()), labels, SIZE)[1] == []
+
+
+def test_where_nothing_is_seen_around_it_a_label_stays():
+    noise = np.random.default_rng(0).poisson(20, SHAPE).astype(float)
+    assert whole_cells(noise, numbered(4), SIZE)[1] == []
+
+
+def test_of_a_cell_and_a_mark_the_mark_alone_becomes_a_cell():
+    labels = np.where(numbered(RADIUS) == 1, 1, numbered(4))
+    found, names = whole_cells(seen(shells()), labels, SIZE)
+    assert names == [2]
+    assert ((found == 1) == (labels == 1)).all()
+
+
+def test_what_the_border_cuts_goes_on_there():
+    image, labels = seen(shells())[16:], numbered(5)[16:]
+    assert whole_cells(image, labels, SIZE)[1] == [1, 2]
+
+
+def test_a_wall_with_a_hole_parts_two_marks():
+    """Flooded from points, both lie in one region."""
+    labels, inside = np.zeros(SHAPE, np.int32), np.zeros(SHAPE, bool)
+    inside[4:28, 4:28, 8:52] = True
+    depth = distance_transform_edt(inside)
+    light = ((depth > 0) & (depth <= 2)).astype(float)
+    light[4:28, 4:28, 29:31] = 1.0
+    light[14:18, 14:18, 29:31] = 0.0
+    labels[12:20, 12:20, 15:23], labels[12:20, 12:20, 37:45] = 1, 2
+    found, names = whole_cells(seen(light), labels, SIZE)
+    assert names == [1, 2]
+    assert (found == 1).sum() == pytest.approx((found == 2).sum(), rel=0.1)
+    assert not (found[..., 32:] == 1).any()
+
+
+@pytest.mark.parametrize(
+    ("names", "words"), [((1, 2), "labels 1 and 2 lie"), ((7,), "label 7 lies")]
+)
+def test_a_user_is_told(names, words):
+    labels = numbered(4)
+    labels = np.where(labels == 1, names[0], labels * (len(names) > 1))
+    with pytest.warns(RepairWarning, match=f"{words} well inside what the image shows"):
+        mesh = mesh_from_labels(labels, SIZE, image=seen(shells()))
+    wanted = 4 / 3 * np.pi * RADIUS**3
+    assert list(mesh.volumes()) == list(names)
+    assert list(mesh.volumes().values()) == pytest.approx(len(names) * [wanted], rel=0.15)
+
+
+@pytest.mark.filterwarnings("ignore:labels 1 and 2 lie:UserWarning")
+def test_label_seeds_look_at_the_image_that_may_have_holes():
+    image = seen(shells())
+    image[:, :2] = np.nan
+    mesh = LabelSeeds(numbered(4)).make(image, Grid(SHAPE, (1.0, 1.0, 1.0)))
+    assert min(mesh.volumes().values()) > 3500
