@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from napari.layers._source import layer_source
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.evidence import put_together
@@ -85,6 +86,25 @@ def test_found_cells_are_of_their_image(make_widget, with_image, spin, other, mo
     choose(widget, "other")
     assert "Found" not in widget.seeds.note.text()
     assert found not in widget.seeds.cells.ticked
+
+
+def test_nuclei_found_in_one_channel_mark_the_cells_of_another(
+    make_widget, with_image, spin, monkeypatch, tmp_path, pixels
+):
+    labels = np.zeros(pixels.shape, np.int32)
+    labels[8:12, 9:14, 9:14] = 1
+    monkeypatch.setattr(find_cells_button, "look", lambda *given: CellsFound(labels, 1.0, False))
+    with layer_source(path=str(tmp_path / "two.tif")):
+        for name in ("nuclei", "membranes"):
+            with_image.add_image(pixels, name=name)
+    widget = make_widget()
+    choose(widget, "nuclei")
+    widget.seeds.find_cells.click()
+    spin(lambda: "Found 1 cell" in widget.seeds.note.text())
+    choose(widget, "membranes")
+    assert with_image.layers["found cells"] in widget.seeds.cells.ticked
+    choose(widget, "cell")  # of no file
+    assert with_image.layers["found cells"] not in widget.seeds.cells.ticked
 
 
 def test_recommendations_are_of_their_image(seeded, spin, other, monkeypatch):

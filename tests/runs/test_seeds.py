@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+import tifffile
 
 import napari_deltamic as nd
-from napari_deltamic.errors import InputError
+from napari_deltamic.errors import InputError, RepairWarning
 from napari_deltamic.geometry import sphere
-from napari_deltamic.images.stacks import read_image
+from napari_deltamic.images.stacks import read_image, write_image
 from napari_deltamic.runs.seeds import (
     FoundSeeds,
     LabelSeeds,
@@ -84,6 +85,46 @@ def test_auto_looks_for_cells(image):
     found = seeds.labels(image, GRID)
     at = tuple(np.round(np.array(CENTER) / GRID.voxel_size).astype(int))
     assert found[at] > 0
+
+
+def nuclei_and_membranes(path, image):
+    z, y, x = np.indices(GRID.shape) * np.reshape(GRID.voxel_size, (3, 1, 1, 1))
+    away = np.sqrt((z - CENTER[0]) ** 2 + (y - CENTER[1]) ** 2 + (x - CENTER[2]) ** 2)
+    nuclei = np.random.default_rng(1).poisson(5 + 100 / (1 + np.exp(8 * (away - 0.6))))
+    both = np.stack([np.asarray(image), nuclei], axis=1).astype(np.float32)
+    tifffile.imwrite(path, both, imagej=True, metadata={"axes": "ZCYX"})
+    return nuclei.astype(np.float32)
+
+
+@pytest.mark.parametrize("told", ["auto@2", "auto@2:1.2"])
+def test_nuclei_of_another_channel_mark_the_cells(image, tmp_path, told):
+    nuclei = nuclei_and_membranes(tmp_path / "two.tif", image)
+    seeds = seeds_of(told, str(tmp_path / "two.tif"))
+    marks = seeds.labels(image, GRID)
+    np.testing.assert_array_equal(marks, FoundSeeds(seeds.size).labels(nuclei, GRID))
+    assert seeds.size == (1.2 if ":" in told else None)
+    with pytest.warns(RepairWarning, match="lies well inside what the image shows"):
+        mesh = seeds.make(image, GRID)
+    (volume,) = mesh.volumes().values()
+    assert 5 < volume < 12  # 9.2 um^3 inside the membrane
+    assert (marks > 0).sum() * np.prod(GRID.voxel_size) < 2
+
+
+@pytest.mark.parametrize(
+    ("told", "file", "words"),
+    [
+        ("auto@", "two.tif", "which channel of which file"),
+        ("auto@2", "", "which channel of which file"),
+        ("auto@2:x", "two.tif", "'x' is no size of cells"),
+        ("auto@3", "two.tif", "3"),
+        ("auto@1", "other.tif", "the nuclei have shape"),
+    ],
+)
+def test_a_channel_of_nuclei_that_cannot_be_used(image, tmp_path, told, file, words):
+    nuclei_and_membranes(tmp_path / "two.tif", image)
+    write_image(tmp_path / "other.tif", np.ones((4, 4, 4), np.float32), GRID.voxel_size)
+    with pytest.raises(InputError, match=words):
+        seeds_of(told, file and str(tmp_path / file)).make(image, GRID)
 
 
 def test_what_is_no_file_of_seeds(tmp_path):

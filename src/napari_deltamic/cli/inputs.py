@@ -67,21 +67,21 @@ def fit_of(
             use = "where the fit of the PSF starts" if settings.fit.fit_psf else held
             notes.add(f"no sigma given: {_shown(scene.sigma)} um (Z Y X), {how}, is {use}")
 
-    start = partial(load_seeds, settings.seeds)
+    start = partial(load_seeds, settings.seeds, settings.image)
     return put_together(settings, image, grid, start, tell=tell, ground=ground)
 
 
 def load_seeds(
-    path: str, image: NDArray[Any], grid: Grid
+    path: str, file: str, image: NDArray[Any], grid: Grid
 ) -> tuple[Mesh, SeedKind, FloatArray | None]:
-    """Starting surfaces, from a file or found; see ``start_of``.
+    """Starting surfaces, from a file or found; see ``start_of``. file : that of the image.
 
     Raises
     ------
     InputError
         As the readers do; it names the file.
     """
-    seeds = seeds_of(path)
+    seeds = seeds_of(path, file)
     try:
         return start_of(seeds, image, grid)
     except NoCellsFound as error:

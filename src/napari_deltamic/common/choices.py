@@ -60,5 +60,5 @@ AUTO = "auto"  # in the place of a file of seeds: cells are looked for in the im
 
 
 def is_auto(seeds: str) -> bool:
-    """Whether cells are looked for: "auto", or "auto:12" for those of about 12 um."""
-    return seeds == AUTO or seeds.startswith(f"{AUTO}:")
+    """Whether cells are looked for: "auto", "auto:12" for those of about 12 um, or "auto@2"."""
+    return seeds == AUTO or seeds.startswith((f"{AUTO}:", f"{AUTO}@"))

@@ -118,6 +118,12 @@ def origin_of(layer: Any) -> tuple[str, str | None]:
     return str(layer.source.path or ""), None
 
 
+def of_one_stack(layer: Any, other: Any) -> bool:
+    """Whether two layers are channels of the same file, of the same shape."""
+    one, same = origin_of(layer)[0], origin_of(other)[0]
+    return bool(one) and one == same and data_of(layer).shape == data_of(other).shape
+
+
 def file_of(layer: Any) -> tuple[str, str | None]:
     """The file with this 3D image, and its channel there; ('', None) where it is in no file.
 

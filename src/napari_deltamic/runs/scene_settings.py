@@ -102,7 +102,7 @@ class RunFields(Settings):
         title="cells",
         tip="where the fit starts: a mesh, a label image, a CSV (z,y,x or z,y,x,radius; um; or a "
         "Points layer that napari saved), or auto, which looks for the cells of the image (auto:12 "
-        "for cells of about 12 um)",
+        "for cells of about 12 um; auto@2 where nuclei in channel 2 mark them)",
         metavar="FILE",
     )
 

@@ -26,7 +26,7 @@ from ..geometry import (
 )
 from ..geometry.formats import MESH_FILES
 from ..geometry.mesh import FloatArray
-from ..images.missing import filled
+from ..images.missing import filled, finite_or_nan
 from ..images.stacks import read_image, write_image
 from ..scene import Grid
 
@@ -201,10 +201,21 @@ def _joined(parts: Sequence[PointSeeds]) -> PointSeeds:
 
 @dataclass(frozen=True)
 class FoundSeeds:
-    """The cells of an image of membranes, or of nuclei, found without a click."""
+    """The cells of an image of membranes, or of nuclei, found without a click.
 
-    size: float | None = None  # um, the diameter of a typical cell; None: estimated
+    Attributes
+    ----------
+    size
+        um, the diameter of a typical cell; None: estimated.
+    path
+        As :func:`seeds_of` reads it.
+    nuclei
+        File and channel that show nuclei, which mark the cells; None: the image itself shows them.
+    """
+
+    size: float | None = None
     path: str = AUTO
+    nuclei: tuple[str, str] | None = None
     kind: SeedKind = "labels"
 
     def make(self, image: NDArray[Any], grid: Grid) -> Mesh:
@@ -220,21 +231,31 @@ class FoundSeeds:
         # Imported where it is needed, as that takes a while.
         from ..geometry.labels.bright_cells import cells_of
 
+        if self.nuclei is not None:
+            file, channel = self.nuclei
+            image = finite_or_nan(read_image(file, channel, f"--seeds {AUTO}@")[0])
+        if image.shape != grid.shape:
+            raise InputError(f"the nuclei have shape {image.shape}, the image {grid.shape}")
         return cells_of(image, grid.voxel_size, self.size).labels
 
 
-def _size_in(path: str) -> float | None:
-    """um, of "auto:12"; None of "auto"."""
-    told = path[len(AUTO) + 1 :]
+def _found(path: str, image: str) -> FoundSeeds:
+    """Of "auto", "auto:12" (um), "auto@2" (a channel of the image), "auto@2:12"."""
+    place, colon, told = path[len(AUTO) :].partition(":")
+    if place and not (place[1:] and image):
+        raise InputError(f"{path}: which channel of which file shows the nuclei? {AUTO}@2, say")
     try:
-        return float(told) if path != AUTO else None
+        size = float(told) if colon else None
     except ValueError:
         raise InputError(f"{path}: {told!r} is no size of cells, um: {AUTO}:12, say") from None
+    return FoundSeeds(size, path, (image, place[1:]) if place else None)
 
 
-def seeds_of(path: str) -> Seeds:
+def seeds_of(path: str, image: str = "") -> Seeds:
     """Seeds from a file, by its extension: mesh, label image, or points; or "auto", or
-    "auto:12" for cells of about 12 um.
+    "auto:12" for cells of about 12 um; or "auto@2", where nuclei in another channel mark them.
+
+    image : file of the image, if there is one.
 
     Raises
     ------
@@ -242,7 +263,7 @@ def seeds_of(path: str) -> Seeds:
         If the extension is unknown, or the file cannot be read.
     """
     if is_auto(path):
-        return FoundSeeds(_size_in(path), path)
+        return _found(path, image)
     kind = Path(path).suffix.lower()
     if kind in MESH_FILES:
         return MeshSeeds(load_mesh(path), path)

@@ -19,6 +19,7 @@ from ...fitting.job import levelled
 from ...runs.settings import SceneSettings
 from ...scene import Grid
 from ..document import Document
+from ..layer_channels import of_one_stack
 from ..viewing.colours import label_colormap
 from ..viewing.frame import Frame
 from ..widgets import Signal, sentence, slider
@@ -78,9 +79,13 @@ class FindCells(QPushButton):
         self._tell("Looking for cells ...")
 
     def suit(self, shape: tuple[int, ...], voxel_size: tuple[float, ...]) -> None:
-        """Another image: what was asked of the last one, and found in it, is of no use."""
+        """Another image: what was asked of the last one, and found in it, is of no use.
+
+        Unless it is another channel of the same stack: nuclei that were found mark its cells.
+        """
         self.forget()
-        if self._found_in is not None and self._found_in is not self._image.layer:
+        before, now = self._found_in, self._image.layer
+        if not (before is None or before is now or of_one_stack(before, now)):
             self._found_in = None
             self._tell("")
             if self._layer is not None:
