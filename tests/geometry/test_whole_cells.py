@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from scipy.ndimage import distance_transform_edt, gaussian_filter
+from scipy.ndimage import distance_transform_edt, gaussian_filter, grey_dilation, grey_erosion
 
 from napari_deltamic import Grid
-from napari_deltamic.errors import RepairWarning
+from napari_deltamic.errors import InputError, RepairWarning
 from napari_deltamic.geometry import mesh_from_labels
 from napari_deltamic.geometry.labels.whole_cells import whole_cells
 from napari_deltamic.runs.seeds import LabelSeeds
@@ -124,3 +124,53 @@ def test_label_seeds_look_at_the_image_that_may_have_holes():
     image[:, :2] = np.nan
     mesh = LabelSeeds(numbered(4)).make(image, Grid(SHAPE, (1.0, 1.0, 1.0)))
     assert min(mesh.volumes().values()) > 3500
+
+
+def test_of_a_tissue_one_mark_becomes_one_cell():
+    """Flooded from one point, what closes around it may be several cells."""
+    rng = np.random.default_rng(3)
+    places, shape = rng.uniform(0, 1, (12, 3)) * (32, 40, 40), (32, 40, 40)
+    away = np.linalg.norm(np.moveaxis(np.indices(shape), 0, -1)[..., None, :] - places, axis=-1)
+    cells = away.argmin(-1) + 1
+    grown, shrunk = grey_dilation(cells, (3, 3, 3)), grey_erosion(cells, (3, 3, 3))
+    image = seen((grown != shrunk).astype(float))
+    for name in range(1, 13):
+        depth = distance_transform_edt(np.pad(cells == name, 1))[1:-1, 1:-1, 1:-1]
+        labels = np.where(depth > 0.5 * depth.max(), name, 0).astype(np.int32)
+        found, names = whole_cells(image, labels, SIZE)
+        assert names in ([], [name])
+        assert (found == name).sum() < 1.2 * (cells == name).sum()
+
+
+def shell(radius, middle=MIDDLES[0]):
+    return (np.abs(distances(middle) - radius) < 1).astype(float)
+
+
+@pytest.mark.parametrize(
+    "light",
+    [
+        (distances(MIDDLES[0]) > 6).astype(float),
+        0.3 * shell(6) + shell(13),
+        0.4 * (distances(MIDDLES[0]) < 6) + shell(13),
+        0.15 * shell(6) + shell(13),
+    ],
+    ids=["dark in bright ground", "dim wall", "nucleus and membrane", "dimmer wall"],
+)
+def test_a_label_that_ends_where_the_image_does_stays(light):
+    labels = (distances(MIDDLES[0]) < 6).astype(np.int32)
+    assert whole_cells(seen(light), labels, SIZE)[1] == []
+
+
+@pytest.mark.parametrize("name", [10**7, 2**31 - 1])
+def test_numbers_may_be_large(name):
+    labels = np.where(numbered(4) == 1, np.int32(name), 0).astype(np.int32)
+    found, names = whole_cells(seen(shells()), labels, SIZE)
+    assert names == [name]
+    assert set(np.unique(found)) == {0, name}
+    assert found.dtype == np.int32
+
+
+@pytest.mark.parametrize("image", [np.zeros((3, 3, 3)), np.full(SHAPE, np.nan)])
+def test_an_image_that_is_none_of_the_labels(image):
+    with pytest.raises(InputError, match="finite and of the shape of the labels"):
+        mesh_from_labels(numbered(4), SIZE, image=image)

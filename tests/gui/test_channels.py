@@ -79,7 +79,7 @@ def test_a_channel_becomes_a_layer(widget, viewer, pixels, axis, series, spin):
     assert widget.image.voxel_size.value() == pytest.approx(SIZE)
     np.testing.assert_array_equal(widget.doc.image.stack(), pixels)
     assert not viewer.layers["both"].visible
-    assert not channels(widget)
+    assert widget.image.channels.currentText() == named  # and another one may be chosen
     if not series:
         widget.seeds.place.click()
         viewer.layers["seeds"].add(CENTER)
@@ -142,6 +142,27 @@ def test_the_file_says_which_channels_there_are(widget, viewer, pixels, from_fil
     assert widget.doc.image.layer.name == "both, channel 2, membrane"
     np.testing.assert_array_equal(widget.doc.image.stack(), pixels)
     assert widget.image.voxel_size.value() == pytest.approx(SIZE)
+
+
+def test_another_channel_can_be_chosen_after_the_first(widget, viewer, from_file):
+    from_file()
+    choose(widget, "1 of 2, DAPI")
+    assert channels(widget)[1:] == ["1 of 2, DAPI", "2 of 2, membrane"]
+    assert widget.image.channels.currentText() == "1 of 2, DAPI"
+    zoom = viewer.camera.zoom
+    choose(widget, "2 of 2, membrane")
+    nuclei, membranes = (viewer.layers[f"both, channel {k}"] for k in ("1, DAPI", "2, membrane"))
+    assert widget.doc.image.layer is membranes
+    np.testing.assert_array_equal(membranes.scale, nuclei.scale)
+    assert viewer.camera.zoom == zoom
+    assert (nuclei.visible, membranes.visible) == (False, True)
+    choose(widget, "1 of 2, DAPI")  # the same layer again
+    assert widget.doc.image.layer is nuclei
+    assert len(viewer.layers) == 3
+    assert (nuclei.visible, membranes.visible) == (True, False)
+    viewer.layers.remove("both")
+    assert channels(widget)[1:] == []
+    assert widget.doc.image.layer is nuclei
 
 
 def command_of(widget, spin):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import tifffile
 from napari.layers._source import layer_source
 
 from napari_deltamic.errors import InputError
@@ -91,11 +92,14 @@ def test_found_cells_are_of_their_image(make_widget, with_image, spin, other, mo
 def test_nuclei_found_in_one_channel_mark_the_cells_of_another(
     make_widget, with_image, spin, monkeypatch, tmp_path, pixels
 ):
+    path, names = tmp_path / "two.ome.tif", ["nuclei", "membranes"]
+    told = {"axes": "ZCYX", "Channel": {"Name": names}}
+    tifffile.imwrite(path, np.stack([pixels, pixels], 1), ome=True, metadata=told)
     labels = np.zeros(pixels.shape, np.int32)
     labels[8:12, 9:14, 9:14] = 1
     monkeypatch.setattr(find_cells_button, "look", lambda *given: CellsFound(labels, 1.0, False))
-    with layer_source(path=str(tmp_path / "two.tif")):
-        for name in ("nuclei", "membranes"):
+    with layer_source(path=str(path)):
+        for name in (*names, "neither"):
             with_image.add_image(pixels, name=name)
     widget = make_widget()
     choose(widget, "nuclei")
@@ -103,7 +107,9 @@ def test_nuclei_found_in_one_channel_mark_the_cells_of_another(
     spin(lambda: "Found 1 cell" in widget.seeds.note.text())
     choose(widget, "membranes")
     assert with_image.layers["found cells"] in widget.seeds.cells.ticked
-    choose(widget, "cell")  # of no file
+    assert widget.seeds.find_cells.message == "Found 1 cell of about 1 µm."
+    assert not widget.seeds.find_cells.others
+    choose(widget, "neither")  # of its channels
     assert with_image.layers["found cells"] not in widget.seeds.cells.ticked
 
 

@@ -127,6 +127,27 @@ def test_a_channel_of_nuclei_that_cannot_be_used(image, tmp_path, told, file, wo
         seeds_of(told, file and str(tmp_path / file)).make(image, GRID)
 
 
+def test_padding_around_nuclei_is_no_cell(image, tmp_path):
+    nuclei = nuclei_and_membranes(tmp_path / "two.tif", image)
+    both = np.stack([image, 100 + nuclei], axis=1).astype(np.float32)
+    both[:6] = 0
+    tifffile.imwrite(tmp_path / "two.tif", both, imagej=True, metadata={"axes": "ZCYX"})
+    marks = seeds_of("auto@2", str(tmp_path / "two.tif")).labels(image, GRID)
+    assert marks.max() == 1
+    assert (marks > 0).sum() * np.prod(GRID.voxel_size) < 2
+
+
+def test_labels_beside_other_seeds_stay_as_they_are(image):
+    """They know nothing of the ground of the others."""
+    marks = LabelSeeds(3 * (np.indices(GRID.shape).sum(0) == 33).astype(np.uint8))
+    marks.labels[8:12, 10:14, 10:14] = 3
+    (labels,) = [
+        part for part in mixed([marks, KINDS["spheres"][0]]).parts if part.kind == "labels"
+    ]
+    assert not labels.marks
+    assert mixed([marks]).marks
+
+
 def test_what_is_no_file_of_seeds(tmp_path):
     with pytest.raises(InputError, match=r"unknown extension '\.doc'.*or auto"):
         seeds_of(str(tmp_path / "seeds.doc"))

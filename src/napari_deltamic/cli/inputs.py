@@ -85,7 +85,7 @@ def load_seeds(
     try:
         return start_of(seeds, image, grid)
     except NoCellsFound as error:
-        how = f"{AUTO}:12 looks for cells of about 12 um"
+        how = f"{path.partition(':')[0]}:12 looks for cells of about 12 um"
         raise InputError(f"{path}: {error} ({how})") from None
     except InputError as error:
         raise InputError(f"{path}: {error}") from None

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..common.choices import AUTO
 from ..common.writing import own_folder, written_together
 from ..errors import PROGRAM, InputError, failure
 from ..fitting.job import FitInput
@@ -76,6 +77,11 @@ class _Job:
 
 def _gather(arguments: argparse.Namespace, notes: Notes) -> _Job:
     values = run_values(arguments, notes, TrackRun)
+    if str(values.get("seeds")).startswith(f"{AUTO}@"):
+        raise InputError(
+            f"{values['seeds']}: nuclei of another channel are looked for in single stacks only: "
+            "give labels of the first frame"
+        )
     images = open_series(values["image"], values.get("channel"), CHANNEL)
     if len(images) < 2:
         raise InputError(f"{values['image']}: tracking needs two frames or more, not {len(images)}")

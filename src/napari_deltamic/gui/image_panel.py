@@ -100,7 +100,7 @@ class ImagePanel(QGroupBox):
         return text
 
     def _offer_channels(self) -> None:
-        """Those of the layer; where no layer can be fitted, of one that cannot."""
+        """Those of the layer, or of what it is a channel of; else of one that cannot be fitted."""
         layer = self._of_channels = self._image.with_channels()
         self._choices = channels(layer)
         self.channels.clear()
@@ -109,6 +109,9 @@ class ImagePanel(QGroupBox):
         self.channels.addItems(
             [f"{k + 1} of {n}, {name or f'along axis {a + 1}'}" for a, k, n, name in self._choices]
         )
+        taken = self._image.taken_channel
+        if taken in self._choices:
+            self.channels.setCurrentIndex(self._choices.index(taken) + 1)
         self._form.setRowVisible(self.channels, bool(self._choices))
 
     def _take_channel(self, index: int) -> None:

@@ -6,6 +6,7 @@ import weakref
 from collections.abc import Callable
 from functools import partial
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from napari.layers import Image, Labels, Points, Shapes
@@ -57,6 +58,8 @@ class ImageSource(LayerChoice):
         self.box: Box | None = None  # the region of the layer that is fitted; None: all of it
         # Files, and channels in them, that were asked for their voxel size.
         self._asked: set[tuple[str, str | None]] = set()
+        # Layers that were made of a channel, and what of.
+        self._taken: WeakKeyDictionary[Any, tuple[weakref.ref[Any], Choice]] = WeakKeyDictionary()
         self._of_layer = Connections()
         super().__init__(viewer, is_one_channel)
         events = viewer.layers.events
@@ -129,15 +132,38 @@ class ImageSource(LayerChoice):
     # ---- what is chosen of the layer ----------------------------------------------------------
 
     def take_channel(self, whole: Any, choice: Choice) -> None:
-        """One channel of a layer as a layer of its own, in the place of all."""
-        if whole is not None and whole in self._viewer.layers:
+        """One channel of a layer as a layer of its own, in the place of all, or of another one."""
+        if whole is None or whole not in self._viewer.layers:
+            return
+        of = weakref.ref(whole), choice
+        known = (layer for layer in self._viewer.layers if self._taken.get(layer) == of)
+        layer = next(known, None)
+        other = None if self.taken_channel is None else self.layer
+        (whole if other is None else other).visible = False
+        if layer is None:
             layer = channel_layer(whole, choice)
-            whole.visible = False
+            if other is not None and other.ndim == layer.ndim:  # its size may be known by now
+                layer.scale, layer.translate, layer.units = (
+                    other.scale,
+                    other.translate,
+                    other.units,
+                )
+            self._taken[layer] = of
             self._viewer.add_layer(layer)
-            self.choose(layer)
+        layer.visible = True
+        self.choose(layer)
+
+    @property
+    def taken_channel(self) -> Choice | None:
+        """Which of the channels of :meth:`with_channels` the layer is; None if it is not."""
+        of = None if self.layer is None else self._taken.get(self.layer)
+        return of[1] if of is not None and of[0]() in self._viewer.layers else None
 
     def with_channels(self) -> Any:
-        """The layer whose channels may be chosen: this one, or one that cannot be fitted."""
+        """The layer whose channels may be chosen: this one, or the one that it is a channel of; one
+        that cannot be fitted, if there is none."""
+        if self.taken_channel is not None:
+            return self._taken[self.layer][0]()
         others = [other for other in self._viewer.layers if why_unusable(other)]
         return self.layer if self.layer is not None or not others else others[-1]
 

@@ -119,9 +119,9 @@ def origin_of(layer: Any) -> tuple[str, str | None]:
 
 
 def of_one_stack(layer: Any, other: Any) -> bool:
-    """Whether two layers are channels of the same file, of the same shape."""
-    one, same = origin_of(layer)[0], origin_of(other)[0]
-    return bool(one) and one == same and data_of(layer).shape == data_of(other).shape
+    """Whether two layers are different channels of the same file."""
+    (one, channel), (same, another) = file_of(layer), file_of(other)
+    return bool(one) and one == same and None not in (channel, another)
 
 
 def file_of(layer: Any) -> tuple[str, str | None]:

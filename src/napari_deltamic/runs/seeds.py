@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, Protocol, get_args
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..common.choices import AUTO, IMAGE_FILES, is_auto
 from ..common.writing import write_atomically
-from ..errors import InputError
+from ..errors import InputError, NoCellsFound
 from ..geometry import (
     Mesh,
     load_mesh,
@@ -27,6 +27,7 @@ from ..geometry import (
 from ..geometry.formats import MESH_FILES
 from ..geometry.mesh import FloatArray
 from ..images.missing import filled, finite_or_nan
+from ..images.padding import without_padding
 from ..images.stacks import read_image, write_image
 from ..scene import Grid
 
@@ -100,11 +101,18 @@ class PointSeeds:
 
 @dataclass(frozen=True)
 class LabelSeeds:
-    """A label image on the same voxels."""
+    """A label image on the same voxels.
+
+    Attributes
+    ----------
+    marks
+        Whether labels may only mark the cells that the image shows, such as those of nuclei.
+    """
 
     labels: NDArray[Any]
     path: str = ""
     kind: SeedKind = "labels"
+    marks: bool = True
 
     def make(self, image: NDArray[Any], grid: Grid) -> Mesh:
         """See ``Seeds``."""
@@ -113,8 +121,8 @@ class LabelSeeds:
                 f"the labels have shape {self.labels.shape}, the image {grid.shape}: "
                 "they must cover the same voxels"
             )
-        size, whole = grid.voxel_size, filled(image)
-        return mesh_from_labels(self.labels, size, grid.origin, image=whole)
+        seen = filled(image) if self.marks else None
+        return mesh_from_labels(self.labels, grid.voxel_size, grid.origin, image=seen)
 
     def save(self, folder: Path, image: NDArray[Any], grid: Grid) -> Path:
         """See ``Seeds``."""
@@ -180,6 +188,12 @@ def mixed(parts: Sequence[Seeds]) -> Seeds:
     """
     points = [part for part in parts if isinstance(part, PointSeeds) and not part.in_voxels]
     others = [part for part in parts if not isinstance(part, PointSeeds) or part.in_voxels]
+    # Labels that mark cells would take the ground of other parts, which they do not know.
+    others = (
+        [replace(part, marks=False) if isinstance(part, LabelSeeds) else part for part in others]
+        if len(parts) > 1
+        else others
+    )
     together = [_joined(points), *others] if points else others
     return together[0] if len(together) == 1 else MixedSeeds(tuple(together))
 
@@ -231,12 +245,18 @@ class FoundSeeds:
         # Imported where it is needed, as that takes a while.
         from ..geometry.labels.bright_cells import cells_of
 
-        if self.nuclei is not None:
-            file, channel = self.nuclei
-            image = finite_or_nan(read_image(file, channel, f"--seeds {AUTO}@")[0])
-        if image.shape != grid.shape:
-            raise InputError(f"the nuclei have shape {image.shape}, the image {grid.shape}")
-        return cells_of(image, grid.voxel_size, self.size).labels
+        if self.nuclei is None:
+            return cells_of(image, grid.voxel_size, self.size).labels
+        file, channel = self.nuclei
+        seen = finite_or_nan(read_image(file, channel, f"--seeds {AUTO}@")[0])
+        if seen.shape != grid.shape:
+            raise InputError(f"the nuclei have shape {seen.shape}, the image {grid.shape}")
+        try:
+            return cells_of(without_padding(seen)[0], grid.voxel_size, self.size).labels
+        except NoCellsFound:
+            raise
+        except InputError as error:
+            raise InputError(f"channel {channel}: {error}") from None
 
 
 def _found(path: str, image: str) -> FoundSeeds:

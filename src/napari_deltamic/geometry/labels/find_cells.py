@@ -336,7 +336,7 @@ def _without_gaps(labels: Labels, found: _Regions) -> WalledCells:
     if not len(found.names):
         return WalledCells(labels, found.surely)
     volume = found.diameter**3
-    boxes = enumerate(ndimage.find_objects(labels), 1)
+    boxes = enumerate(ndimage.find_objects(labels, len(found.names)), 1)  # one may be covered
     solid = np.array([0.0 if box is None else solidity(labels[box] == k) for k, box in boxes])
     closed, solid = (x / _upper_quartile(x, volume) for x in (found.enclosed, solid))
     whole = (closed * solid >= FINDING.gap) | (closed >= FINDING.closed)

@@ -72,7 +72,8 @@ def mesh_from_labels(
     Raises
     ------
     InputError
-        No label, no whole numbers, not 3D, or every label too small for the edge length.
+        No label, no whole numbers, not 3D, or every label too small for the edge length; an image
+        of another shape, or with gaps.
     """
     found = surfaces_of_labels(labels, voxel_size, origin, edge_length, gap, shared_walls, image)
     if found.too_small:
@@ -113,7 +114,12 @@ def surfaces_of_labels(
         warnings.warn(repair, RepairWarning, stacklevel=3)
     whole, marks = repaired.labels, list[int]()
     if image is not None:
-        whole, marks = whole_cells(np.asarray(image), whole, size)
+        seen = np.asarray(image)
+        if seen.shape != whole.shape or not np.isfinite(seen).all():
+            raise InputError(
+                f"the image must be finite and of the shape of the labels, {whole.shape}"
+            )
+        whole, marks = whole_cells(seen, whole, size)
     if marks:
         warnings.warn(_enlarged(marks), RepairWarning, stacklevel=3)
     array = whole.astype(np.int64)

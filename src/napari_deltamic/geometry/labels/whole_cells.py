@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from skimage.segmentation import watershed
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.labels.basins import noise_after
 from napari_deltamic.geometry.labels.regions_at_points import closed_regions
+from napari_deltamic.geometry.labels.voxels import box_around
 from napari_deltamic.geometry.mesh import FloatArray
 
 Labels = NDArray[np.int32]
@@ -30,21 +32,23 @@ class MarkerRules:
 
     Attributes
     ----------
-    edge
-        Of the largest contrast around a label, what its own edge has at most. Measured
-        (benchmarks.defaults): 0.5 to 1.5 in 330 of 340 labels of whole cells, 0.1 to 0.5 in labels
-        that reach 0.4 times as far.
     reach
-        Depths of a label, so far around which that is looked for: cells 3.5 times as wide.
+        Depths of a label, so far around which its cell may end: 3.5 times as wide. Chosen.
     layers
-        In one depth, of one of which the median is one of those brightnesses; chosen.
-    noise
-        Standard deviations of noise that the contrast has at least; chosen.
+        In one depth, of which each has one brightness, its median; chosen.
+    edge
+        Of the steepest change between layers further out, the steepest within a label and at its
+        border, at most. By definition 1 where labels end at the border of their cells.
+    noise, seen
+        Standard deviations of noise, and share of the largest change around a label, from which on
+        a change is seen: the first one must come beyond the label. Chosen.
+    back
+        Of that change, how far brightness may go back on its way: a label that ends on a dim wall
+        inside a brighter one is a cell of its own. Chosen.
     fewest
         Voxels of a layer that counts; chosen.
     most
-        Share of the labels that do not end on an edge, from which on all are taken for markers;
-        chosen.
+        Share of the labels that end on no edge, from which on all are taken for markers; chosen.
     held
         Share of a label that lies in its region, at least; chosen.
     others
@@ -55,40 +59,48 @@ class MarkerRules:
     apart
         Share of the label's outermost voxels that lie within the region, not on its border.
         Chosen: labels that lack a part of their cell meet its border elsewhere.
+    crest
+        Of the rise from the label to the border of a region, the fall beyond it, at least: bright
+        ground around something dark is no wall. Chosen.
     """
 
-    edge: float = 0.5
     reach: float = 2.5
     layers: int = 6
+    edge: float = 0.8
     noise: float = 5.0
+    seen: float = 0.35
+    back: float = 0.05
     fewest: int = 8
     most: float = 0.5
     held: float = 0.9
     others: float = 0.5
     larger: float = 1.5
     apart: float = 0.8
+    crest: float = 0.25
 
 
 RULES = MarkerRules()
+_BEYOND = 2, 4  # voxels beyond a border, where a crest has fallen; chosen
 
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """An image: as it is, and smoothed; um of a voxel; and contrast that is more than noise."""
+    """An image: as it is, and smoothed; um of a voxel; and the noise of the smoothed one."""
 
     image: FloatArray
     smooth: FloatArray
     size: FloatArray
-    least: float
+    noise: float
 
 
 @dataclass(frozen=True, eq=False)
 class _Label:
-    """Where a label is: its box, its deepest voxel, and how deep that lies, um."""
+    """Where a label is: its box, its deepest voxel, how deep that lies (um); and its voxels."""
 
     box: Box
     voxel: NDArray[np.intp]
     depth: float
+    voxels: int
 
 
 def whole_cells(image: FloatArray, labels: Labels, size: FloatArray) -> tuple[Labels, list[int]]:
@@ -103,30 +115,39 @@ def whole_cells(image: FloatArray, labels: Labels, size: FloatArray) -> tuple[La
     size
         (3,) um of a voxel.
     """
+    names, ranks = np.unique(np.append(0, labels), return_inverse=True)  # names may be huge
+    ranked = ranks[1:].reshape(labels.shape).astype(np.int32)
     data, sigma = image.astype(np.float64), float(size.min()) / size
     smooth = ndimage.gaussian_filter(data, sigma, mode="nearest")
-    seen = _Seen(data, smooth, size, RULES.noise * noise_after(data, sigma))
-    known = dict(_each(labels, size))
-    marks = [name for name, one in known.items() if _ends_on_nothing(seen, labels, name, one)]
-    asked = list(known) if len(marks) >= RULES.most * len(known) else marks
-    result, changed = labels, list[int]()
-    for find in (_regions, _between):
-        left = {name: known[name] for name in asked if name not in changed}
-        if not marks or not left:
-            break
-        found = find(seen, result, left)
-        theirs = [name for name in left if _is_of(found, labels, name)]
-        result = np.where((result == 0) & np.isin(found, theirs), found, result)
-        changed += theirs
-    return result, sorted(changed)
+    seen = _Seen(data, smooth, size, noise_after(data, sigma))
+    known = dict(_each(ranked, size))
+    marks = [k for k, one in known.items() if _ends_on_nothing(seen, ranked, k, one)]
+    if not marks:
+        return labels, []
+    asked = known if len(marks) >= RULES.most * len(known) else {k: known[k] for k in marks}
+    result, changed = ranked.copy(), list[int]()
+    found = [find(seen, ranked, asked) for find in (_regions, _between)]
+    boxes = [ndimage.find_objects(one, len(known)) for one in found]
+    for k in asked:
+        regions = [
+            _Region(k, one, box_around(box[k - 1], asked[k].box))
+            for one, box in zip(found, boxes, strict=True)
+            if box[k - 1] is not None
+        ]
+        fit = [one for one in regions if one.is_of(seen, ranked, known)]
+        if fit:
+            min(fit, key=lambda one: one.voxels).fill(result)
+            changed.append(int(names[k]))
+    return names[result].astype(labels.dtype), changed
 
 
 def _each(labels: Labels, size: FloatArray) -> Iterator[tuple[int, _Label]]:
     for name, box in enumerate(ndimage.find_objects(labels), 1):
-        if box is not None:
-            depth = _depth(labels[box] == name, size)
-            deepest = np.array(np.unravel_index(depth.argmax(), depth.shape))
-            yield name, _Label(box, deepest + [side.start for side in box], float(depth.max()))
+        own = labels[box] == name
+        depth = _depth(own, size)
+        deepest = np.array(np.unravel_index(depth.argmax(), depth.shape))
+        first = [side.start for side in box]
+        yield name, _Label(box, deepest + first, float(depth.max()), int(own.sum()))
 
 
 def _depth(own: Mask, size: FloatArray) -> FloatArray:
@@ -150,62 +171,104 @@ def _between(seen: _Seen, labels: Labels, asked: dict[int, _Label]) -> Labels:
     By the watershed from markers (F. Meyer and S. Beucher, 1990), of which one is what lies far
     from all of them. It also parts cells whose wall is dim in one place.
     """
-    names = list(asked)
-    away = ndimage.distance_transform_edt(~np.isin(labels, names), sampling=seen.size)
+    away = ndimage.distance_transform_edt(~np.isin(labels, list(asked)), sampling=seen.size)
     outside = away > RULES.reach * np.median([one.depth for one in asked.values()])
     far = int(labels.max()) + 1
     found: Labels = watershed(seen.smooth, np.where(outside & (labels == 0), far, labels))
-    border = ndimage.grey_dilation(found, (3, 3, 3)) != ndimage.grey_erosion(found, (3, 3, 3))
-    crests = np.asarray(ndimage.median(seen.smooth, np.where(border, found, 0), names))
-    grounds = np.asarray(ndimage.median(seen.smooth, labels, names))
-    enclosed = np.array(names)[crests - grounds > seen.least]
-    return np.where(np.isin(found, enclosed), found, 0)
+    return np.where(found == far, 0, found)
 
 
 def _ends_on_nothing(seen: _Seen, labels: Labels, name: int, at: _Label) -> bool:
     """Whether the image changes little where a label ends, and more further out."""
+    light, inner = _layers(seen, labels, name, at)
+    if inner == 0 or len(light) < inner + 2:
+        return False
+    change = light - light[0]
+    clear = max(RULES.noise * seen.noise, RULES.seen * float(np.abs(change).max()))
+    first = int(np.argmax(np.abs(change) > clear))  # 0: nowhere
+    if first < inner:
+        return False
+    way = np.sign(change[first]) * change[: first + 1]
+    back = float((np.maximum.accumulate(way) - way).max())
+    if back > max(RULES.back * float(way[-1]), seen.noise / 2):
+        return False
+    steps = np.abs(np.diff(light))
+    return bool(steps[:inner].max() <= RULES.edge * steps[inner:].max())
+
+
+def _layers(seen: _Seen, labels: Labels, name: int, at: _Label) -> tuple[FloatArray, int]:
+    """Brightness of layers of and around a label, from its core on; how many are of the label."""
     every = np.maximum(at.depth / RULES.layers / seen.size, 1).astype(int)  # few voxels tell enough
     size, reach = every * seen.size, RULES.reach * at.depth
     around = _wider(at.box, reach / seen.size, labels.shape)
     part = tuple(slice(s.start, s.stop, n) for s, n in zip(around, every.tolist(), strict=True))
     light, own, free = seen.smooth[part], labels[part] == name, labels[part] == 0
-    if not own.any():
-        return False
-    step, inner = float(size.max()), _depth(own, size)
+    step, inner = float(size.min()), _depth(own, size)
     outer = ndimage.distance_transform_edt(~own, sampling=size)
-    core = float(np.median(light[own & (inner >= inner.max() / 2)]))
-
-    def contrast(layer: Mask) -> float:
-        few = np.count_nonzero(layer) < RULES.fewest
-        return 0.0 if few else float(np.median(light[layer])) - core
-
-    layers = (free & (outer > k) & (outer <= k + step) for k in np.arange(step, reach, step))
-    most = max((contrast(layer) for layer in layers), key=abs, default=0.0)
-    edge = abs(contrast(own & (inner <= step)))
-    if most < 0:  # what is bright ends beyond its border, what is dark before it
-        edge = max(edge, abs(contrast(free & (outer <= step))))
-    return abs(most) > seen.least and edge < RULES.edge * abs(most)
+    within = [own & (inner > k) & (inner <= k + step) for k in np.arange(0, inner.max(), step)]
+    beyond = [free & (outer > k) & (outer <= k + step) for k in np.arange(0, reach, step)]
+    inside, around_it = (
+        [float(np.median(light[m])) for m in layers if np.count_nonzero(m) >= RULES.fewest]
+        for layers in (within[::-1], beyond)
+    )
+    return np.array(inside + around_it), len(inside)
 
 
-def _is_of(found: Labels, labels: Labels, name: int) -> bool:
-    """Whether a label lies well inside the region of its name, which is larger."""
-    own, region = labels == name, found == name
-    held, volume = np.count_nonzero(own & region), np.count_nonzero(own)
-    gained = np.count_nonzero(region & (labels == 0))
-    if held < RULES.held * volume or volume + gained < RULES.larger * volume:
-        return False
-    of, inside = (np.bincount(labels[m]) for m in (np.isin(labels, labels[region]), region))
-    if (
-        np.delete(inside, [0, name]) > RULES.others * np.delete(of[: len(inside)], [0, name])
-    ).any():
-        return False
-    (box,) = ndimage.find_objects((own | region).astype(np.uint8))
-    box = _wider(box, np.zeros(3), own.shape)
-    own, region = own[box], own[box] | region[box]
-    # What the border of the image cuts goes on there.
-    rim, within = (ndimage.binary_erosion(m, border_value=1) for m in (own, region))
-    rim = own & ~rim
-    return bool(np.count_nonzero(rim & within) >= RULES.apart * np.count_nonzero(rim))
+@dataclass(frozen=True, eq=False)
+class _Region:
+    """What was found around a label, in a box that holds both."""
+
+    name: int
+    found: Labels
+    box: Box
+
+    @cached_property
+    def mask(self) -> Mask:
+        return np.asarray(self.found[self.box] == self.name)
+
+    @property
+    def voxels(self) -> int:
+        return int(np.count_nonzero(self.mask))
+
+    def fill(self, labels: Labels) -> None:
+        """Give the label the ground that nobody has."""
+        part = labels[self.box]
+        part[self.mask & (part == 0)] = self.name
+
+    def is_of(self, seen: _Seen, labels: Labels, known: dict[int, _Label]) -> bool:
+        """Whether the label lies well inside, of all labels alone, and a border ends the region."""
+        held = np.bincount(labels[self.box][self.mask], minlength=len(known) + 1)
+        own = known[self.name].voxels
+        if held[self.name] < RULES.held * own:
+            return False
+        if any(held[k] > RULES.others * one.voxels for k, one in known.items() if k != self.name):
+            return False
+        least, largest = RULES.larger, (1 + RULES.reach) ** 3
+        if not least * own <= own + held[0] <= largest * own:
+            return False
+        return self._apart(labels) and self._ends(seen, labels)
+
+    def _apart(self, labels: Labels) -> bool:
+        box = _wider(self.box, np.zeros(3), labels.shape)
+        own, region = labels[box] == self.name, self.found[box] == self.name
+        # What the border of the image cuts goes on there.
+        core, within = (ndimage.binary_erosion(m, border_value=1) for m in (own, own | region))
+        rim = own & ~core
+        return bool(np.count_nonzero(rim & within) >= RULES.apart * np.count_nonzero(rim))
+
+    def _ends(self, seen: _Seen, labels: Labels) -> bool:
+        """Whether the image falls beyond its border, if it rises up to there."""
+        box = _wider(self.box, np.full(3, _BEYOND[1]), labels.shape)
+        region, light = self.found[box] == self.name, seen.smooth[box]
+        rim = region & ~ndimage.binary_erosion(region, border_value=1)
+        near, far = (ndimage.binary_dilation(region, iterations=n) for n in _BEYOND)
+        beyond = far & ~near
+        if not (rim.any() and beyond.any()):
+            return False
+        core, border, out = (
+            float(np.median(light[m])) for m in (labels[box] == self.name, rim, beyond)
+        )
+        return border <= core or border - out >= RULES.crest * (border - core)
 
 
 def _wider(box: Box, by: FloatArray, shape: tuple[int, ...]) -> Box:

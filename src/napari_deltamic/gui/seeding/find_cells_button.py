@@ -85,10 +85,11 @@ class FindCells(QPushButton):
         """
         self.forget()
         before, now = self._found_in, self._image.layer
-        if not (before is None or before is now or of_one_stack(before, now)):
-            self._found_in = None
-            self._tell("")
-            if self._layer is not None:
+        if before is not None and before is not now:
+            marks = of_one_stack(before, now)
+            self._found_in = before if marks else None
+            self._tell(self.message if marks else "")  # other sizes would be looked for here
+            if self._layer is not None and not marks:
                 self._cells.choose(self._layer, ticked=False)
         sides = np.multiply(shape, voxel_size)
         least = 4 * float(np.cbrt(np.prod(voxel_size)))  # less is refused
