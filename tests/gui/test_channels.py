@@ -14,6 +14,7 @@ from napari_deltamic.cli.messages import Notes
 from napari_deltamic.errors import InputError
 from napari_deltamic.gui import fit_widget
 from napari_deltamic.gui.results import more_actions
+from napari_deltamic.gui.viewing.frame import camera_of
 from napari_deltamic.runs.settings import RunSettings
 
 from .conftest import CENTER, SHAPE, SIZE
@@ -149,12 +150,13 @@ def test_another_channel_can_be_chosen_after_the_first(widget, viewer, from_file
     choose(widget, "1 of 2, DAPI")
     assert channels(widget)[1:] == ["1 of 2, DAPI", "2 of 2, membrane"]
     assert widget.image.channels.currentText() == "1 of 2, DAPI"
-    zoom = viewer.camera.zoom
+    camera = camera_of(viewer)
+    zoom = camera.zoom
     choose(widget, "2 of 2, membrane")
     nuclei, membranes = (viewer.layers[f"both, channel {k}"] for k in ("1, DAPI", "2, membrane"))
     assert widget.doc.image.layer is membranes
     np.testing.assert_array_equal(membranes.scale, nuclei.scale)
-    assert viewer.camera.zoom == zoom
+    assert camera.zoom == zoom
     assert (nuclei.visible, membranes.visible) == (False, True)
     choose(widget, "1 of 2, DAPI")  # the same layer again
     assert widget.doc.image.layer is nuclei

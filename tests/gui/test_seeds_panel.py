@@ -227,7 +227,7 @@ def test_cells_found_are_seeds_that_can_be_corrected(panel, with_image, finder, 
     assert panel.find_cells.cell_size.value() == pytest.approx(2.5, abs=0.01)
     assert "Found 1 cell of about 2.5 µm" in panel.note.text()
     assert "9 cells of 1.5 µm" in panel.note.text()
-    assert taken(panel).make(None, grid_of(panel)).region_ids().tolist() == [1]
+    assert taken(panel).make(np.zeros(SHAPE), grid_of(panel)).region_ids().tolist() == [1]
     panel.find_cells.cell_size.setValue(1.25)
     panel.cells.choose(layer, False)
     panel.find_cells.click()
