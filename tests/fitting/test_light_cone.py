@@ -127,7 +127,9 @@ def test_the_default_width_of_tall_voxels_asks_nothing(monkeypatch):
     tall = nd.Grid((12, 32, 32), (0.4, 0.1, 0.1))
     image = nd.render(TRUE, tall, nd.GaussianPSF((0.2, 0.12, 0.12))).numpy()
     asked = []
-    monkeypatch.setattr("napari_deltamic.fitting.light_cone._posed", lambda *a: asked.append(a))
+    monkeypatch.setattr(
+        "napari_deltamic.fitting.light_cone.posed_through", lambda *a: asked.append(a)
+    )
     start = nd.GaussianPSF([1.2 * d for d in tall.voxel_size])
     *_, state = nd.fit(image, tall, START, start, settings=FitSettings())
     assert state.optics.sigma_um[0] < 2.6 * state.optics.sigma_um[1]
@@ -261,7 +263,7 @@ def test_a_psf_of_light_that_no_dye_emits_is_not_kept(excitation, possible):
     assert is_of_light(OBJECTIVE)
     strange = nd.ConfocalPSF(nd.ScalarPSF(1.2, 0.6, 1.33), excitation)
     assert is_of_light(strange) == possible
-    former = SimpleNamespace(come_back=lambda stage: None, posed_here=lambda: 2.0)
+    former = SimpleNamespace(come_back=lambda stage, tried: None, posed_here=lambda: 2.0)
     said = []
     run = SimpleNamespace(
         let_former_go=lambda: former,
@@ -307,7 +309,9 @@ def test_an_objective_is_tried_where_a_few_steps_explain_more_with_light_of_dyes
 
     module = "napari_deltamic.fitting.light_cone"
     begun = {nd.ConfocalPSF: 0.95, nd.ScalarPSF: 0.99}
-    monkeypatch.setattr(f"{module}._posed", lambda optics, *_: posed(optics, begun[type(optics)]))
+    monkeypatch.setattr(
+        f"{module}.posed_through", lambda optics, *_: posed(optics, begun[type(optics)])
+    )
     monkeypatch.setattr(f"{module}.stepped", after_steps)
     fitted = SimpleNamespace(optics=GAUSSIAN, first_optics=GAUSSIAN)
     level = SimpleNamespace(grid=GRID)
@@ -336,7 +340,9 @@ def test_a_widefield_objective_that_is_far_off_is_not_followed(monkeypatch):
 
     module = "napari_deltamic.fitting.light_cone"
     begun = {nd.ConfocalPSF: 0.95, nd.ScalarPSF: 2.1}
-    monkeypatch.setattr(f"{module}._posed", lambda optics, *_: posed(optics, begun[type(optics)]))
+    monkeypatch.setattr(
+        f"{module}.posed_through", lambda optics, *_: posed(optics, begun[type(optics)])
+    )
     monkeypatch.setattr(f"{module}.stepped", after_steps)
     fitted = SimpleNamespace(optics=GAUSSIAN, first_optics=GAUSSIAN)
     terms = SimpleNamespace(settings=FitSettings(), second=None, level=SimpleNamespace(grid=GRID))

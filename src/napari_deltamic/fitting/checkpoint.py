@@ -15,7 +15,7 @@ from ..errors import InputError
 from ..scene.earlier_files import without_inside
 from ..scene.effects import Effects
 from .fitted import Arrays, Fitted, other_settings
-from .light_cone import ThroughObjective, objective_from, values_of
+from .found_psf import FoundPSF, psf_from, values_of
 from .stage import Stage
 from .topology import TopologyPolicy
 
@@ -133,10 +133,10 @@ def former_in(found: Arrays) -> Arrays:
     return {name[start:]: found[name] for name in found if name.startswith(_FORMER)}
 
 
-def objective_in(found: Arrays) -> ThroughObjective | None:
+def objective_in(found: Arrays) -> FoundPSF | None:
     """The objective's PSF that a fit had begun with; None where it was another one."""
     try:
         values = json_values(str(found["run"]))["objective"]
-        return None if values is None else objective_from(values)
+        return None if values is None else psf_from(values)
     except (KeyError, TypeError, ValueError, InputError):  # of an earlier version, or damaged
         return None

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from ..geometry.mesh import FloatArray
-from ..optics import ConfocalPSF, GaussianPSF, Optics
+from ..optics import ConfocalPSF, GaussianMixturePSF, GaussianPSF, Optics
 from ..scene.columns import Now, effect_columns
 from ..scene.effects import Effect, Effects, OffsetEffect
 from .level import Voxels
@@ -143,10 +143,27 @@ class Imaging:
             return np.zeros((0, 0))
         low, high = (t.numpy() for t in self.start.limits())
         found = np.diag((_PRIOR * (high - low) / 2) ** -2.0)
-        if isinstance(self.start, GaussianPSF):
-            found[1:3, 1:3] += _OF_RATIO / _ROUND**2
+        for pair in _equally_wide(self.start):
+            found[np.ix_(pair, pair)] += _OF_RATIO / _ROUND**2
         fitted = self.start.fitted if isinstance(self.start, ConfocalPSF) else ()
         if {"wavelength", "excitation"} <= set(fitted):
             both = [fitted.index(name) for name in ("wavelength", "excitation")]
             found[np.ix_(both, both)] += _OF_RATIO / _STOKES**2
         return found
+
+
+def _equally_wide(optics: Optics) -> list[list[int]]:
+    """Pairs of fitted numbers of a PSF that are widths across, whose ratio stays as it is.
+
+    Those along Y and X; and of Gaussians of a mixture that are equally wide.
+    """
+    if isinstance(optics, GaussianPSF):
+        return [[1, 2]]
+    if not isinstance(optics, GaussianMixturePSF):
+        return []
+    along_y = [name for name in optics.values if name.endswith("_y")]
+    pairs = [(name, name.replace("_y", "_x")) for name in along_y]
+    same = (optics.values[name] == optics.values[along_y[0]] for name in along_y[1:])
+    pairs += [(along_y[0], name) for name, tied in zip(along_y[1:], same, strict=True) if tied]
+    free = optics.fitted
+    return [[free.index(name) for name in pair] for pair in pairs if {*pair} <= {*free}]

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..geometry import Mesh
-from ..optics import GaussianPSF, Optics, ScalarPSF
-from ..runs.optics_settings import MicroscopeOptics, optics_from_values
+from ..optics import GaussianPSF, Optics
+from ..runs.optics_settings import optics_from_values
 from ..runs.scene_settings import SIGMA_IN_VOXELS
 from ..runs.seeds import SeedKind as SeedKind
 from ..runs.settings import NEAR_LEVELS, FitSettings, RunSettings, SceneSettings
@@ -21,7 +21,7 @@ from ..scene.effects import Effects
 from ..scene.render import offset
 from . import FitState, counted_voxels, fit
 from .default_accuracy import image_noise
-from .light_cone import values_of
+from .found_psf import settings_of
 from .shape_dial import Situation, dialled, with_edges
 from .voxel_ownership import counted_around
 
@@ -91,25 +91,9 @@ def scene_with(scene: SceneSettings, optics: Optics) -> SceneSettings:
         tilted = optics_from_values({"kind": "gaussian", "covariance": rows})
         return scene.model_copy(update={"sigma": None, "optics": tilted})
     if scene.optics is None:
-        return _with_objective(scene, optics)
+        found = settings_of(optics)
+        return scene if found is None else scene.model_copy(update={"sigma": None, "optics": found})
     return scene.model_copy(update={"optics": scene.optics.moved(optics.described())})
-
-
-def _with_objective(scene: SceneSettings, optics: Optics) -> SceneSettings:
-    """The settings of a scene where a fit has found an objective's PSF."""
-    found = values_of(optics)
-    if found is None:
-        return scene
-    objective = MicroscopeOptics(
-        modality="widefield" if isinstance(optics, ScalarPSF) else "confocal",
-        na=found["na"],
-        wavelength=found["wavelength"],
-        immersion=found["index"],
-        excitation=found.get("excitation"),
-        model="scalar",
-        fitted=tuple(found["fitted"]),
-    )
-    return scene.model_copy(update={"sigma": None, "optics": objective})
 
 
 def following(job: FitInput, state: FitState) -> FitInput:

@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import sqrt
-from typing import Any
 
 import numpy as np
 from torch import Tensor
@@ -108,12 +107,9 @@ def objective_instead(
     image
         (Z, Y, X) as it renders that, of any amplitude.
     """
-    settings, first = terms.settings, fitted.first_optics
-    given = _is_plain(fitted.optics) and _is_plain(first)
-    if not given or not settings.fit_psf or terms.second is not None:
+    if not may_change(terms, fitted):
         return None, 0
-    if narrower_than_told(fitted.optics.sigma_um, terms.level.grid.voxel_size):
-        return None, 0
+    first = fitted.first_optics
     roundest = _tangent_of_half(_WIDEST)
     known = not _is_default(first.sigma_um, terms.level.grid.voxel_size)
     about = first.sigma_um if known else fitted.optics.sigma_um
@@ -122,9 +118,9 @@ def objective_instead(
         return None, 0
     confocal, widefield = confocal_of(about), widefield_of(about)
     # One is let go before the other is posed, to save memory.
-    of_widefield = _share(_posed(widefield, terms, fitted), image)
-    rival, enough, taken = _posed(confocal, terms, fitted), 1.0, 0
-    if _share(rival, image) < of_widefield:
+    of_widefield = share_left(posed_through(widefield, terms, fitted), image)
+    rival, enough, taken = posed_through(confocal, terms, fitted), 1.0, 0
+    if share_left(rival, image) < of_widefield:
         left, of_light, taken = _end(rival, image)
         if left >= 1 or of_light:
             return (confocal if left < 1 else None), taken
@@ -132,24 +128,33 @@ def objective_instead(
     del rival
     if of_widefield > RULES.far:
         return None, taken
-    left, _, further = _end(_posed(widefield, terms, fitted), image)
+    left, _, further = _end(posed_through(widefield, terms, fitted), image)
     return (widefield if left < enough else None), taken + further
 
 
 def _end(rival: Objective, image: Tensor) -> tuple[float, bool, int]:
     """After a few steps, the share that is left, whether dyes shine so, and evaluations."""
     rival, taken = _followed(rival, image)
-    return _share(rival, image), is_of_light(rival.fitted.optics), taken
+    return share_left(rival, image), is_of_light(rival.fitted.optics), taken
 
 
-def _posed(optics: ThroughObjective, terms: Terms, fitted: Fitted) -> Objective:
+def may_change(terms: Terms, fitted: Fitted) -> bool:
+    """Whether a fit has fitted a Gaussian PSF, in place of which there may be another kind."""
+    if not (_is_plain(fitted.optics) and _is_plain(fitted.first_optics)):
+        return False
+    if not terms.settings.fit_psf or terms.second is not None:
+        return False
+    return not narrower_than_told(fitted.optics.sigma_um, terms.level.grid.voxel_size)
+
+
+def posed_through(optics: Optics, terms: Terms, fitted: Fitted) -> Objective:
     """The objective where a fit is, seen through a PSF."""
     rival = fitted.seen_through(optics)
     rival = rival.with_structure(may_shine(terms.settings.structure, fitted.mesh, optics))
     return begun(terms, rival, Preconditioners())
 
 
-def _share(objective: Objective, image: Tensor) -> float:
+def share_left(objective: Objective, image: Tensor) -> float:
     """What an objective leaves over what the fit has left."""
     return objective.left / objective.posed.left_by(image)[0]
 
@@ -203,24 +208,6 @@ def confocal_of(sigma: Sequence[float]) -> ConfocalPSF:
     )
     assert isinstance(made, ConfocalPSF)
     return made
-
-
-def values_of(optics: Optics) -> dict[str, Any] | None:
-    """What makes a PSF that a fit has found; None for one of another kind."""
-    if not isinstance(optics, ThroughObjective):
-        return None
-    values = {name: float(value.detach()) for name, value in optics.values.items()}
-    return {**values, "fitted": list(optics.fitted)}
-
-
-def objective_from(values: dict[str, Any]) -> ThroughObjective:
-    """From :func:`values_of`."""
-    values = dict(values)
-    lit = {name: values.pop(name) for name in ("excitation", "pinhole") if name in values}
-    if not lit:
-        return ScalarPSF(**values)
-    fitted = values.pop("fitted")
-    return ConfocalPSF(ScalarPSF(**values), **lit, fitted=fitted)
 
 
 def _as_wide(sigma: Sequence[float]) -> tuple[float, float]:

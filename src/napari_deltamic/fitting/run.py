@@ -180,9 +180,9 @@ class Run:
         self._level.go_on()
         return self._level.posed()
 
-    def come_back(self, stage: Stage) -> None:
-        """Go on after another run, which ended at this stage; its PSF is not asked for again."""
-        self._go_on_at(replace(self._level.at, stage=self.stage.after(stage)))
+    def come_back(self, stage: Stage, tried: int) -> None:
+        """Go on after another run, which ended at this stage; tried : see :class:`.Stage`."""
+        self._go_on_at(replace(self._level.at, stage=self.stage.after(stage, tried)))
 
     def _go_on_at(self, at: Position) -> None:
         self._level = LevelRun(self._context, at)

@@ -32,8 +32,9 @@ class Stage:
         The iteration of the last change from outside: the patience starts anew.
     begun_at
         The iteration before the first one with this kind of PSF: so it does then.
-    objective_tried
-        Whether the PSF of an objective explained less than this one.
+    psfs_tried
+        Kinds of PSF that explained less than this one: 1, that of an objective; 2, also one with
+        long tails.
     """
 
     level_number: int
@@ -44,7 +45,7 @@ class Stage:
     evaluations: int = 0
     changed_at: int = 0
     begun_at: int = 0
-    objective_tried: bool = False
+    psfs_tried: int = 0
 
     @property
     def edited(self) -> bool:
@@ -70,21 +71,23 @@ class Stage:
             begun_at=self.iteration,
         )
 
-    def after(self, other: Stage) -> Stage:
-        """Where this was, after a fit with the PSF of an objective; counts go on."""
+    def after(self, other: Stage, tried: int) -> Stage:
+        """Where this was, after a fit with another PSF; counts go on.
+
+        tried : see :attr:`psfs_tried`.
+        """
         return replace(
             self,
             iteration=other.iteration,
             evaluations=other.evaluations,
             begun_at=other.iteration,
-            objective_tried=True,
+            psfs_tried=tried,
         )
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, but for the PSF."""
         counts = {name: getattr(self, name) for name in _COUNTS}
-        tried = self.objective_tried
-        return {**counts, "objective_tried": tried, "progress": asdict(self.progress)}
+        return {**counts, "psfs_tried": self.psfs_tried, "progress": asdict(self.progress)}
 
     @classmethod
     def from_dict(cls, values: dict[str, Any], blurred_for: Optics) -> Stage:
@@ -100,5 +103,5 @@ class Stage:
             # Earlier versions kept none of these.
             changed_at=int(values.get("changed_at", 0)),
             begun_at=int(values.get("begun_at", 0)),
-            objective_tried=bool(values.get("objective_tried", False)),
+            psfs_tried=int(values.get("psfs_tried", 0)),
         )

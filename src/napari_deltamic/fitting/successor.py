@@ -1,19 +1,22 @@
-"""Which fit follows one that has ended: through an objective's PSF, or back to a Gaussian one.
+"""Which fit follows one that has ended: through another PSF, or back to a Gaussian one.
 
-The PSF of an objective is chosen after a few steps (:mod:`.light_cone`), and what has begun anew
-with it may end elsewhere: with cells lost or merged, or where the microscope was another one. So
-both ends are compared, and the one that leaves less of the same voxels stays.
+The PSF of an objective is chosen after a few steps (:mod:`.light_cone`), and so is one with long
+tails where no objective is better (:mod:`.psf_tails`). What has begun anew with it may end
+elsewhere: with cells lost or merged, or where the microscope was another one. So both ends are
+compared, and the one that leaves less of the same voxels stays.
 """
 
 from __future__ import annotations
 
 from typing import Protocol, Self, TypeVar
 
-from ..optics import GaussianPSF, Optics, ScalarPSF
+from ..optics import ConfocalPSF, GaussianMixturePSF, GaussianPSF, Optics, ScalarPSF
 from .checkpoint import Checkpoint, former_in, objective_in
 from .fit_objective import Objective, Terms
 from .fitted import Arrays, Fitted
+from .found_psf import FoundPSF
 from .light_cone import ANEW, GOES_ON, ThroughObjective, is_of_light, objective_instead
+from .psf_tails import HAS_TAILS, tails_instead
 from .stage import Stage
 
 BACK = "the new PSF explains less: the fit goes back to the Gaussian PSF"
@@ -43,7 +46,7 @@ class Ending(Protocol):
     def go_on_from(self, kept: Arrays) -> None: ...
     def go_on_at(self, fitted: Fitted) -> None: ...
     def posed_here(self) -> Objective: ...
-    def come_back(self, stage: Stage) -> None: ...
+    def come_back(self, stage: Stage, tried: int) -> None: ...
 
 
 Run = TypeVar("Run", bound=Ending)
@@ -57,13 +60,17 @@ def successor(run: Run, finished: bool) -> tuple[Run | None, bool]:
     former = run.let_former_go()
     if former is not None:
         return (_back(run, former), False) if not run.stage.edited else (None, False)
-    if run.stage.objective_tried or not finished:
+    if not finished:
         return None, False
-    found, taken = objective_instead(run.terms, run.fitted, run.objective.now.rendered)
-    run.spend(taken)
-    if found is None:
-        return None, False
-    return (None if run.stage.edited else _through(run, found)), True
+    for number, instead in enumerate((objective_instead, tails_instead), 1):
+        if run.stage.psfs_tried >= number:
+            continue
+        found, taken = instead(run.terms, run.fitted, run.objective.now.rendered)
+        run.spend(taken)
+        if found is not None:
+            following = None if run.stage.edited else _through(run, found)
+            return following, isinstance(found, ThroughObjective)
+    return None, False
 
 
 def resumed(run: Run, kept: Arrays) -> Run:
@@ -87,16 +94,16 @@ def resumed(run: Run, kept: Arrays) -> Run:
     return following
 
 
-def _through(run: Run, optics: ThroughObjective) -> Run:
+def _through(run: Run, optics: FoundPSF) -> Run:
     """The run that follows with this PSF."""
     former = run.again(run.fitted.first_optics)
     former.go_on_from(run.checkpoint().saved())
     following = run.again(optics, former)
     if isinstance(optics, ScalarPSF):
         run.say(ANEW)
-    else:
-        run.say(GOES_ON)
-        following.go_on_at(run.fitted)
+        return following
+    run.say(GOES_ON if isinstance(optics, ConfocalPSF) else HAS_TAILS)
+    following.go_on_at(run.fitted)
     return following
 
 
@@ -118,5 +125,6 @@ def _back(run: Run, former: Run) -> Run | None:
     if plausible and run.objective.leaves_over(former.posed_here()) <= 1:
         return None
     run.say(BACK if plausible else IMPLAUSIBLE)
-    former.come_back(run.stage)
+    tried = 2 if isinstance(run.fitted.optics, GaussianMixturePSF) else 1
+    former.come_back(run.stage, tried)
     return former

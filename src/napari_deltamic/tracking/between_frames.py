@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..fitting.fit import fit
 from ..fitting.light_cone import confocal_of, widefield_of
+from ..fitting.psf_tails import core_and_tails
 from ..fitting.state import FitState
 from ..geometry.mesh import Mesh
 from ..optics import GaussianPSF, Optics
@@ -107,8 +108,9 @@ class BetweenFrames:
         """The PSF that the fit of a frame ended with, where that is known."""
         numbers = torch.tensor(result.psf, dtype=self.optics.parameters().dtype)
         known: list[Optics] = [self.optics]
-        if isinstance(self.optics, GaussianPSF):  # a fit may have found that of an objective
-            known += [widefield_of(self.optics.sigma_um), confocal_of(self.optics.sigma_um)]
+        if isinstance(self.optics, GaussianPSF):  # a fit may have found another kind
+            about = self.optics.sigma_um
+            known += [widefield_of(about), confocal_of(about), core_and_tails(about)]
         same = []
         for optics in known:
             with suppress(InputError):  # where the numbers are of another kind

@@ -1,0 +1,82 @@
+"""Whether a PSF has a sharp core and long tails along Z.
+
+Aberrations, a light sheet that is thick in places or a pinhole that is wide leave tails that are
+neither those of a Gaussian nor of an ideal objective. A Gaussian is then too long for what is in
+focus and too short for what is not. So, where no objective explains an image better, a few steps
+are taken with two Gaussians that are equally wide across; where that leaves much less unexplained,
+the fit goes on with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from ..optics import GaussianMixturePSF
+from .fit_objective import Objective, Terms
+from .fitted import Fitted
+from .light_cone import may_change, posed_through, share_left
+from .rival_structures import stepped
+
+HAS_TAILS = "the image shows a PSF with long tails along Z: the fit continues with two Gaussians"
+
+
+@dataclass(frozen=True)
+class TailRules:
+    """Where two Gaussians begin, and when they are followed.
+
+    Attributes
+    ----------
+    core, tails
+        Lengths along Z over that of the Gaussian that was fitted; of equal masses. Chosen between
+        it and those that two fits of real nuclei and one of a real droplet ended with: 0.3 to 0.54
+        of it, and 1.8 to 2.2.
+    left
+        Of the squares that the Gaussian leaves: what leaves more after a few steps is dropped.
+        Measured: 0.54 in a real droplet, 0.88 in real nuclei, whose volumes and heights came closer
+        to those drawn by hand, 0.95 in vesicles, which hardly changed; above 0.9 in 56 of 60 random
+        scenes (benchmarks.defaults), of which the others ended as before.
+    """
+
+    core: float = 0.5
+    tails: float = 1.5
+    left: float = 0.9
+
+
+RULES = TailRules()
+
+
+def tails_instead(
+    terms: Terms, fitted: Fitted, image: Tensor
+) -> tuple[GaussianMixturePSF | None, int]:
+    """Two Gaussians that explain an image much better than the one that was fitted.
+
+    Returns them as they were before the steps, None if one is held or explains about as much; and
+    the evaluations that this took.
+
+    Parameters
+    ----------
+    terms, fitted
+        Of the fit at its end, before its last level is left.
+    image
+        (Z, Y, X) as it renders that, of any amplitude.
+    """
+    if not may_change(terms, fitted):
+        return None, 0
+    tailed, looked = core_and_tails(fitted.optics.sigma_um), list[float]()
+
+    def hopeless(objective: Objective) -> bool:
+        looked.append(share_left(objective, image))
+        # Would not do if it gained as much again.
+        return len(looked) > 1 and 2 * looked[-1] - looked[-2] >= RULES.left
+
+    rival, taken = stepped(posed_through(tailed, terms, fitted), hopeless)
+    return (tailed if share_left(rival, image) < RULES.left else None), taken
+
+
+def core_and_tails(sigma: Sequence[float]) -> GaussianMixturePSF:
+    """Two Gaussians, one shorter and one longer than another; sigma : um, Z Y X, of that one."""
+    z, y, x = sigma
+    return GaussianMixturePSF([(RULES.core * z, y, x), (RULES.tails * z, y, x)], (1.0, 1.0))

@@ -1,0 +1,214 @@
+"""A fit whose image shows long tails of the PSF along Z goes on with two Gaussians."""
+
+from dataclasses import replace
+from functools import cache
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import napari_deltamic as nd
+from napari_deltamic.fitting import psf_tails
+from napari_deltamic.fitting.found_psf import psf_from, values_of
+from napari_deltamic.fitting.imaging import Imaging
+from napari_deltamic.fitting.job import FitInput, following, optics_of
+from napari_deltamic.fitting.psf_tails import HAS_TAILS, RULES, core_and_tails, tails_instead
+from napari_deltamic.fitting.successor import BACK, successor
+from napari_deltamic.geometry import sphere
+from napari_deltamic.measure.surface_distance import distance_to_surface
+from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
+from napari_deltamic.scene.effects import Effects
+
+SIZE, SHAPE = (0.2, 0.1, 0.1), (30, 32, 32)
+TRUE = sphere((2.9, 1.55, 1.55), 0.95, edge_length=0.13)
+START = sphere((2.9, 1.55, 1.55), 0.85, edge_length=0.28)
+GRID = nd.Grid(SHAPE, SIZE)
+TAILED = nd.GaussianMixturePSF([(0.2, 0.11, 0.11), (0.9, 0.11, 0.11)], (1.0, 1.5))
+ABOUT = nd.GaussianPSF((0.35, 0.11, 0.11))
+
+
+@cache
+def image():
+    clean = nd.render_scene(nd.Scene((nd.Solid(TRUE),), TAILED), GRID).numpy()
+    drawn = np.random.default_rng(0).poisson(5 + 100 * clean / clean.max())
+    return drawn.astype(np.float32)
+
+
+def begun(**further):
+    settings = FitSettings(structure="interior", **further)
+    return nd.fit(image(), GRID, START, ABOUT, settings=settings)
+
+
+@cache
+def states():
+    return list(begun())
+
+
+def off(state):
+    """um, root mean square over the true surface."""
+    away = distance_to_surface(TRUE.vertices_numpy(), state.mesh)
+    return float(np.sqrt((np.asarray(away) ** 2).mean()))
+
+
+def test_a_fit_goes_on_with_a_core_and_tails():
+    told = [HAS_TAILS in state.message for state in states()].index(True)
+    kinds = [type(state.optics) for state in states()]
+    assert set(kinds[: told + 1]) == {nd.GaussianPSF}
+    assert set(kinds[told + 1 :]) == {nd.GaussianMixturePSF}
+    assert [state.iteration for state in states()] == list(range(1, len(kinds) + 1))
+    assert [state.converged for state in states()] == [False] * (len(kinds) - 1) + [True]
+    assert not states()[-1].cone
+    assert off(states()[-1]) < 0.5 * off(states()[told])
+    found, true = (
+        {p.name: p.value for p in optics.described()} for optics in (states()[-1].optics, TAILED)
+    )
+    assert found == pytest.approx(true, rel=0.15)
+    across = [found[name] for name in ("sigma1_y", "sigma1_x", "sigma2_y", "sigma2_x")]
+    assert max(across) < 1.01 * min(across)
+
+
+def test_a_checkpoint_goes_on_with_a_core_and_tails(tmp_path):
+    first = [type(state.optics) for state in states()].index(nd.GaussianMixturePSF)
+    states()[first + 5].save(tmp_path / "state.npz")
+    settings = FitSettings(structure="interior")
+    given = image(), GRID, START, ABOUT
+    *_, resumed = nd.fit(*given, settings=settings, resume=tmp_path / "state.npz")
+    assert isinstance(resumed.optics, nd.GaussianMixturePSF)
+    assert resumed.iteration == states()[-1].iteration
+    np.testing.assert_allclose(
+        resumed.mesh.vertices_numpy(), states()[-1].mesh.vertices_numpy(), atol=1e-6
+    )
+
+
+def test_a_fit_goes_back_where_tails_explain_less(monkeypatch):
+    asked = []
+
+    def tried(terms, fitted, image):
+        asked.append(fitted.optics)
+        z, y, x = fitted.optics.sigma_um
+        far_off = nd.GaussianMixturePSF([(8 * z, 4 * y, 4 * x)] * 2, (1.0, 1.0), fitted=["mass2"])
+        return far_off, 1
+
+    monkeypatch.setattr("napari_deltamic.fitting.successor.tails_instead", tried)
+    found = list(begun())
+    messages = [state.message for state in found]
+    assert any(BACK in message for message in messages)
+    assert isinstance(found[-1].optics, nd.GaussianPSF)
+    assert found[-1].converged
+    assert len(asked) == 1
+
+
+@pytest.mark.parametrize(
+    ("optics", "fit_psf", "second"),
+    [
+        (nd.GaussianPSF((0.35, 0.11, 0.11)), False, None),
+        (nd.GaussianPSF((0.35, 0.11, 0.11)), True, object()),
+        (nd.GaussianPSF((0.35, 0.05, 0.05)), True, None),  # narrower than voxels tell
+        (TAILED, True, None),
+        (nd.ScalarPSF(1.2, 0.6, 1.33), True, None),
+    ],
+)
+def test_another_psf_is_not_asked_where_it_is_known(optics, fit_psf, second):
+    fitted = SimpleNamespace(optics=optics, first_optics=optics)
+    level = SimpleNamespace(grid=GRID)
+    terms = SimpleNamespace(settings=FitSettings(fit_psf=fit_psf), second=second, level=level)
+    assert tails_instead(terms, fitted, None) == (None, 0)
+
+
+@pytest.mark.parametrize(("left", "found"), [(0.99 * RULES.left, True), (1.01 * RULES.left, False)])
+def test_tails_have_to_explain_much_more(monkeypatch, left, found):
+    monkeypatch.setattr(psf_tails, "posed_through", lambda optics, *_: optics)
+    monkeypatch.setattr(psf_tails, "stepped", lambda rival, hopeless: (rival, 7))
+    monkeypatch.setattr(psf_tails, "share_left", lambda rival, image: left)
+    fitted = SimpleNamespace(optics=ABOUT, first_optics=ABOUT)
+    terms = SimpleNamespace(settings=FitSettings(), second=None, level=SimpleNamespace(grid=GRID))
+    tailed, taken = tails_instead(terms, fitted, None)
+    assert (tailed is not None, taken) == (found, 7)
+
+
+@pytest.mark.parametrize(
+    ("shares", "stops"), [((1.2, 1.1), True), ((1.2, 1.0), False), ((0.95, 0.92), False)]
+)
+def test_steps_end_where_they_gain_too_little(monkeypatch, shares, stops):
+    asked, left = [], iter(shares)
+
+    def stepped(rival, hopeless):
+        asked.extend([hopeless(rival), hopeless(rival)])
+        return rival, 1
+
+    monkeypatch.setattr(psf_tails, "posed_through", lambda optics, *_: optics)
+    monkeypatch.setattr(psf_tails, "stepped", stepped)
+    monkeypatch.setattr(psf_tails, "share_left", lambda rival, image: next(left, 1.0))
+    fitted = SimpleNamespace(optics=ABOUT, first_optics=ABOUT)
+    terms = SimpleNamespace(settings=FitSettings(), second=None, level=SimpleNamespace(grid=GRID))
+    tails_instead(terms, fitted, None)
+    assert asked == [False, stops]
+
+
+def test_tails_are_asked_after_an_objective_and_each_once(monkeypatch):
+    asked = []
+    for name in ("objective_instead", "tails_instead"):
+        answer = lambda *given, name=name: asked.append(name) or (None, 3)  # noqa: E731
+        monkeypatch.setattr(f"napari_deltamic.fitting.successor.{name}", answer)
+    spent = []
+    for tried, expected in [(0, 2), (1, 1), (2, 0)]:
+        asked.clear()
+        spent.clear()
+        run = SimpleNamespace(
+            let_former_go=lambda: None,
+            stage=SimpleNamespace(edited=False, psfs_tried=tried),
+            terms=None,
+            fitted=SimpleNamespace(),
+            objective=SimpleNamespace(now=SimpleNamespace(rendered=None)),
+            spend=spent.append,
+        )
+        assert successor(run, True) == (None, False)
+        assert asked == ["objective_instead", "tails_instead"][2 - expected :]
+        assert spent == [3] * expected
+
+
+def test_a_psf_that_was_found_is_kept_as_plain_values():
+    again = psf_from(values_of(TAILED))
+    assert again.described() == TAILED.described()
+    held = nd.GaussianMixturePSF([0.1, 0.2, 0.3], (1, 2, 3), fitted=["mass2"])
+    assert psf_from(values_of(held)).described() == held.described()
+    assert values_of(ABOUT) is None
+
+
+def test_settings_of_the_job_follow():
+    settings = RunSettings(image="", seeds="", scene=SceneSettings(voxel_size=SIZE))
+    job = FitInput(settings, image(), GRID, START, ABOUT, None)
+    made = core_and_tails(ABOUT.sigma_um)
+    found = following(job, replace(states()[0], optics=made))
+    assert found.optics is made
+    again = optics_of(RunSettings.model_validate(found.settings.model_dump()).scene)
+    assert again.described() == made.described()
+
+
+@pytest.mark.parametrize(
+    ("optics", "pairs"),
+    [
+        (ABOUT, [(1, 2)]),
+        (TAILED, [(1, 2), (4, 5), (1, 4)]),
+        # Of another width across: as the user has it.
+        (nd.GaussianMixturePSF([(0.2, 0.1, 0.1), (0.9, 0.2, 0.2)], (1, 1)), [(1, 2), (4, 5)]),
+        (nd.GaussianMixturePSF([0.1, 0.2], (1, 1), fitted=["sigma2_y", "sigma2_x"]), [(0, 1)]),
+        (nd.ScalarPSF(1.2, 0.6, 1.33), []),
+    ],
+)
+def test_widths_across_stay_alike(optics, pairs):
+    start, effects = optics.parameters().numpy(), np.zeros(0)
+    imaging = Imaging(optics, Effects(), optics, True, False)
+    tied = []
+    for i in range(len(start)):
+        for j in range(i):
+            moved = start.copy()
+            moved[i], moved[j] = moved[i] + 0.1, moved[j] - 0.1
+            if imaging.prior(moved, effects)[0] > 10:  # nats; 0.5 of a log width costs one
+                tied.append((j, i))
+    ties = {tuple(sorted(pair)) for pair in pairs}
+    assert ties <= set(tied)
+    together = start.copy()
+    for i in {i for pair in pairs for i in pair}:
+        together[i] += 0.1
+    assert imaging.prior(together, effects)[0] < 1
