@@ -21,7 +21,7 @@ from skimage.segmentation import expand_labels
 from napari_deltamic import Mesh, load_mesh, save_mesh
 from napari_deltamic.geometry import sphere
 
-from .imaging import APERTURE, wavelength
+from .imaging import APERTURE, Field, point_spread, wavelength
 from .scenes import Scene
 
 PROGRAM = (sys.executable, "-m", "napari_deltamic")
@@ -58,7 +58,7 @@ def fitted(
     seeds = _seeds(scene, folder, told)
     words = ["fit", str(image), "--voxel-size", *map(str, scene.voxel_size), "--seeds", seeds]
     if told:
-        words += [*_psf(scene), *_possible(scene.recipe.told)]
+        words += [*_psf(scene, folder), *_possible(scene.recipe.told)]
     out = folder / ("told" if told else "default")
     words += [*further, "-o", str(out), "--overwrite"]
     began = time.monotonic()
@@ -98,12 +98,17 @@ def _shrunk(
     return result
 
 
-def _psf(scene: Scene) -> list[str]:
+def _psf(scene: Scene, folder: Path) -> list[str]:
     """Options that say what the PSF is."""
-    microscope = scene.recipe.microscope
+    microscope, across = scene.recipe.microscope, scene.recipe.psf[1] * scene.voxel_size[2]
     if not microscope:
         return ["--sigma", *map(str, scene.sigma)]
-    wave = f"{wavelength(microscope, scene.recipe.psf[1] * scene.voxel_size[2]):.4f}"
+    if scene.recipe.aberrated:
+        field = Field(scene.recipe.shape, scene.voxel_size)
+        point = point_spread(microscope, field, across, scene.recipe.aberrated)
+        tifffile.imwrite(folder / "psf.tif", point.astype(np.float32))
+        return ["--psf", str(folder / "psf.tif"), "--psf-voxel-size", *map(str, field.fine_size)]
+    wave = f"{wavelength(microscope, across):.4f}"
     words = ["--modality", microscope, "--na", str(APERTURE), "--immersion", "water"]
     words += ["--psf-model", "scalar", "--wavelength", wave]
     return [*words, "--excitation", wave] if microscope == "confocal" else words

@@ -159,17 +159,29 @@ def wavelength(microscope: str, across: float) -> float:
     return across * APERTURE / _ACROSS[microscope]
 
 
-def seen_by(microscope: str, light: Array, field: Field, across: float) -> Array:
-    """The stack without noise, by a microscope whose PSF is so wide in the plane (um).
+def seen_by(
+    microscope: str, light: Array, field: Field, across: float, aberrated: float = 0.0
+) -> Array:
+    """The stack without noise, by a microscope; see :func:`point_spread`."""
+    point = point_spread(microscope, field, across, aberrated)
+    return np.maximum(field.binned(fftconvolve(light, point, "same")), 0)
 
-    Its field is summed over the pupil plane by plane (scalar theory, no aberrations); of a confocal
-    one, light that excites has the wavelength of that which is detected.
+
+def point_spread(microscope: str, field: Field, across: float, aberrated: float = 0.0) -> Array:
+    """The PSF on fine voxels, of unit sum, of a microscope, as wide in the plane (um) as asked.
+
+    Its field is summed over the pupil plane by plane (scalar theory); of a confocal one, light that
+    excites has the wavelength of that which is detected.
+
+    aberrated : rad, root mean square over the pupil, of primary spherical aberration.
     """
     wave = wavelength(microscope, across)
     depth, *plane = (n // 2 * 2 + 1 for n in field.fine_shape)
     ky, kx = (np.fft.fftfreq(n, d) for n, d in zip(plane, field.fine_size[1:], strict=True))
     squared = ky[:, None] ** 2 + kx**2
-    pupil = squared <= (APERTURE / wave) ** 2
+    radius = squared / (APERTURE / wave) ** 2  # squared, 1 at the rim of the pupil
+    zernike = np.sqrt(5) * (6 * radius**2 - 6 * radius + 1)
+    pupil = (radius <= 1) * np.exp(1j * aberrated * zernike)
     along = np.sqrt(np.maximum((WATER / wave) ** 2 - squared, 0))
     focus = (np.arange(depth) - depth // 2) * field.fine_size[0]
     waves = (np.fft.ifft2(pupil * np.exp(2j * np.pi * z * along)) for z in focus)
@@ -180,7 +192,10 @@ def seen_by(microscope: str, light: Array, field: Field, across: float) -> Array
         )
         pinhole = (y[:, None] ** 2 + x**2 <= (_PINHOLE * wave / APERTURE) ** 2).astype(float)
         point = point * np.stack([fftconvolve(one, pinhole, "same") for one in point])
-    return np.maximum(field.binned(fftconvolve(light, point / point.sum(), "same")), 0)
+    # Aberrations move the focus: where it is, is where the stage says.
+    brightest = int(point.max((1, 2)).argmax())
+    result: Array = np.roll(point, depth // 2 - brightest, 0) / point.sum()
+    return result
 
 
 def effective_sigma(field: Field, sigma: tuple[float, float, float]) -> tuple[float, ...]:

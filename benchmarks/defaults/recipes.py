@@ -24,6 +24,7 @@ class Recipe:
     aspect: float = 1.0  # Z over lateral voxel side
     psf: tuple[float, float] = (1.2, 1.2)  # standard deviation along Z (of its voxels) and in plane
     microscope: Microscope = ""  # of NA 1.2 in water, as wide in plane; else the PSF is a Gaussian
+    aberrated: float = 0.0  # rad, root mean square, of spherical aberration of that microscope
     photons: float = 60.0
     dark: float = 6.0
     membrane: float = 1.0
@@ -323,6 +324,18 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
     "confocal-nuclei": lambda rng: _crowd(
         rng, membrane=0.0, interior=1.0, microscope="confocal", aspect=2.0, shape=(30, 54, 54)
     ),
+    "aberrated": lambda rng: _flat_voxels(
+        rng, "confocal", aberrated=rng.uniform(0.4, 0.8), shape=(30, 48, 48)
+    ),
+    "aberrated-nuclei": lambda rng: _crowd(
+        rng,
+        membrane=0.0,
+        interior=1.0,
+        microscope="confocal",
+        aberrated=rng.uniform(0.4, 0.8),
+        aspect=2.0,
+        shape=(36, 54, 54),
+    ),
     "confluent": _confluent,
     "mixed": _mixed,
     "wrong-start": lambda rng: replace(PLAIN, start=(0.6, 0.4)),
@@ -388,6 +401,8 @@ WORDS = {
     "widefield-tissue": "four cells that share walls, widefield",
     "confocal": "a membrane, confocal",
     "confocal-nuclei": "eight nuclei, confocal",
+    "aberrated": "a membrane, confocal with spherical aberration",
+    "aberrated-nuclei": "eight nuclei, confocal with spherical aberration",
     "confluent": "cells that fill the stack, labelled",
     "mixed": "all of these at once, cells of 10 to 52 voxels",
     "wrong-start": "a membrane, start of 0.6 of its size, 0.4 radii beside it",

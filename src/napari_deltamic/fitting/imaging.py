@@ -22,9 +22,10 @@ _PRIOR = 0.36
 # objectives are round, and more of a difference is of what the model does not show. Measured: half
 # and twice move surfaces of single cells by 0.004 voxel at most.
 _ROUND = 0.002
-# Standard deviation of log(excitation / emission) around what it is at the start. Chosen: dyes are
-# excited at 0.8 to 0.97 of what they emit. Without it a real droplet had 0.3 in some frames.
-_STOKES = 0.1
+# Standard deviation of log(excitation / emission) around what it is at the start, 0.93. Chosen:
+# most dyes are excited at 0.9 to 0.97 of what they emit. Without it a real droplet had 0.3 in some
+# frames; with 0.1, a cell seen with spherical aberration had 1.4.
+_STOKES = 0.03
 _EFFECT_PRIOR = 100.0  # the same of an effect's, in units of its scale: their bounds say enough
 _OF_RATIO = np.array([[1.0, -1.0], [-1.0, 1.0]])  # exact: second derivatives of half its square
 

@@ -11,11 +11,20 @@ from __future__ import annotations
 from typing import Protocol, Self, TypeVar
 
 from ..optics import ConfocalPSF, GaussianMixturePSF, GaussianPSF, Optics, ScalarPSF
+from ..optics.narrow import narrower_than_told
 from .checkpoint import Checkpoint, former_in, objective_in
 from .fit_objective import Objective, Terms
 from .fitted import Arrays, Fitted
 from .found_psf import FoundPSF
-from .light_cone import ANEW, GOES_ON, ThroughObjective, is_of_light, objective_instead
+from .light_cone import (
+    ABERRATED,
+    ANEW,
+    GOES_ON,
+    ThroughObjective,
+    is_of_light,
+    objective_instead,
+    spherical_of,
+)
 from .psf_tails import HAS_TAILS, tails_instead
 from .stage import Stage
 
@@ -102,6 +111,9 @@ def _through(run: Run, optics: FoundPSF) -> Run:
     if isinstance(optics, ScalarPSF):
         run.say(ANEW)
         return following
+    if spherical_of(optics):
+        run.say(ABERRATED)
+        return following
     run.say(GOES_ON if isinstance(optics, ConfocalPSF) else HAS_TAILS)
     following.go_on_at(run.fitted)
     return following
@@ -121,10 +133,11 @@ def is_given_up(run: Run, former: Run | None) -> bool:
 
 def _back(run: Run, former: Run) -> Run | None:
     """The fit before, where its end explains more, or this one's PSF cannot be; None else."""
-    plausible = is_of_light(run.fitted.optics)
-    if plausible and run.objective.leaves_over(former.posed_here()) <= 1:
+    optics, voxel_size = run.fitted.optics, run.terms.level.grid.voxel_size
+    possible = is_of_light(optics) and not narrower_than_told(optics.sigma_um, voxel_size)
+    if possible and run.objective.leaves_over(former.posed_here()) <= 1:
         return None
-    run.say(BACK if plausible else IMPLAUSIBLE)
-    tried = 2 if isinstance(run.fitted.optics, GaussianMixturePSF) else 1
+    run.say(BACK if possible else IMPLAUSIBLE)
+    tried = 2 if isinstance(optics, GaussianMixturePSF) else 1
     former.come_back(run.stage, tried)
     return former
