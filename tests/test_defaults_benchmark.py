@@ -89,3 +89,14 @@ def test_a_deskewed_stack_keeps_the_labels_of_cells_that_are_mostly_there():
         left = set(np.unique(cut.all_labels[own & known]).tolist())
         assert left <= ({name} if known[own].mean() > 0.5 else {-1})
     assert (cut.all_labels == -1).any()
+
+
+def test_an_aberrated_focus_is_where_the_stage_says():
+    sharp, aberrated = (imaging.point_spread("confocal", FIELD, 0.24, a) for a in (0.0, 0.6))
+    middle = sharp.shape[0] // 2
+    for point in (sharp, aberrated):
+        assert point.sum() == pytest.approx(1)
+        assert int(point.max((1, 2)).argmax()) == middle
+    np.testing.assert_allclose(sharp, sharp[::-1], atol=1e-6 * sharp.max())
+    assert aberrated.max() < 0.9 * sharp.max()
+    assert np.abs(aberrated - aberrated[::-1]).max() > 0.1 * aberrated.max()
