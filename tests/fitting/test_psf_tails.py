@@ -11,7 +11,7 @@ import napari_deltamic as nd
 from napari_deltamic.fitting import psf_tails
 from napari_deltamic.fitting.found_psf import psf_from, values_of
 from napari_deltamic.fitting.imaging import Imaging
-from napari_deltamic.fitting.job import FitInput, following, optics_of
+from napari_deltamic.fitting.job import FitInput, following, optics_of, scene_with
 from napari_deltamic.fitting.psf_tails import HAS_TAILS, RULES, core_and_tails, tails_instead
 from napari_deltamic.fitting.successor import BACK, successor
 from napari_deltamic.geometry import sphere
@@ -41,7 +41,7 @@ def begun(**further):
 
 @pytest.fixture(autouse=True)
 def no_objective(monkeypatch):
-    """As where no objective explains more: an aberrated one comes close to these tails."""
+    """As where no objective explains more."""
     monkeypatch.setattr(
         "napari_deltamic.fitting.successor.objective_instead", lambda *given: (None, 0)
     )
@@ -123,10 +123,10 @@ def test_another_psf_is_not_asked_where_it_is_known(optics, fit_psf, second):
 
 @pytest.mark.parametrize(("left", "found"), [(0.99 * RULES.left, True), (1.01 * RULES.left, False)])
 def test_tails_have_to_explain_much_more(monkeypatch, left, found):
-    monkeypatch.setattr(psf_tails, "posed_through", lambda optics, *_: optics)
+    monkeypatch.setattr(psf_tails, "begun", lambda terms, fitted, factored: fitted)
     monkeypatch.setattr(psf_tails, "stepped", lambda rival, hopeless: (rival, 7))
     monkeypatch.setattr(psf_tails, "share_left", lambda rival, image: left)
-    fitted = SimpleNamespace(optics=ABOUT, first_optics=ABOUT)
+    fitted = SimpleNamespace(optics=ABOUT, first_optics=ABOUT, seen_through=lambda optics: optics)
     terms = SimpleNamespace(settings=FitSettings(), second=None, level=SimpleNamespace(grid=GRID))
     tailed, taken = tails_instead(terms, fitted, None)
     assert (tailed is not None, taken) == (found, 7)
@@ -142,10 +142,10 @@ def test_steps_end_where_they_gain_too_little(monkeypatch, shares, stops):
         asked.extend([hopeless(rival), hopeless(rival)])
         return rival, 1
 
-    monkeypatch.setattr(psf_tails, "posed_through", lambda optics, *_: optics)
+    monkeypatch.setattr(psf_tails, "begun", lambda terms, fitted, factored: fitted)
     monkeypatch.setattr(psf_tails, "stepped", stepped)
     monkeypatch.setattr(psf_tails, "share_left", lambda rival, image: next(left, 1.0))
-    fitted = SimpleNamespace(optics=ABOUT, first_optics=ABOUT)
+    fitted = SimpleNamespace(optics=ABOUT, first_optics=ABOUT, seen_through=lambda optics: optics)
     terms = SimpleNamespace(settings=FitSettings(), second=None, level=SimpleNamespace(grid=GRID))
     tails_instead(terms, fitted, None)
     assert asked == [False, stops]
@@ -173,6 +173,38 @@ def test_tails_are_asked_after_an_objective_and_each_once(monkeypatch):
         assert spent == [3] * expected
 
 
+def test_a_run_that_was_edited_is_not_asked_for_tails(monkeypatch):
+    asked = []
+    monkeypatch.setattr(
+        "napari_deltamic.fitting.successor.tails_instead", lambda *given: asked.append(given)
+    )
+    run = SimpleNamespace(
+        let_former_go=lambda: None,
+        stage=SimpleNamespace(edited=True, psfs_tried=0),
+        terms=None,
+        fitted=SimpleNamespace(),
+        objective=SimpleNamespace(now=SimpleNamespace(rendered=None)),
+        spend=lambda evaluations: None,
+    )
+    assert successor(run, True) == (None, False)
+    assert not asked
+
+
+def test_what_shines_is_held(monkeypatch):
+    """Even where all may shine: in two nuclei, membranes took the credit of the tails."""
+    begun_with, own = [], psf_tails.begun
+
+    def noted(terms, fitted, factored):
+        begun_with.append(fitted.structure)
+        return own(terms, fitted, factored)
+
+    monkeypatch.setattr(psf_tails, "begun", noted)
+    found = list(nd.fit(image(), GRID, START, ABOUT, settings=FitSettings(structure="auto")))
+    assert begun_with == ["interior"]
+    first = [type(state.optics) for state in found].index(nd.GaussianMixturePSF)
+    assert {state.light.membrane for state in found[first:]} == {0.0}
+
+
 def test_a_psf_that_was_found_is_kept_as_plain_values():
     again = psf_from(values_of(TAILED))
     assert again.described() == TAILED.described()
@@ -189,6 +221,11 @@ def test_settings_of_the_job_follow():
     assert found.optics is made
     again = optics_of(RunSettings.model_validate(found.settings.model_dump()).scene)
     assert again.described() == made.described()
+    # Also where the user had described a Gaussian.
+    about = {"kind": "microscope", "na": 1.2, "wavelength": 0.5, "model": "gaussian"}
+    for given in ({"kind": "gaussian", "sigma": (0.3, 0.1, 0.1)}, about):
+        scene = SceneSettings(voxel_size=SIZE, optics=given)
+        assert optics_of(scene_with(scene, made)).described() == made.described()
 
 
 @pytest.mark.parametrize(
@@ -198,6 +235,11 @@ def test_settings_of_the_job_follow():
         (TAILED, [(1, 2), (4, 5), (1, 4)]),
         # Of another width across: as the user has it.
         (nd.GaussianMixturePSF([(0.2, 0.1, 0.1), (0.9, 0.2, 0.2)], (1, 1)), [(1, 2), (4, 5)]),
+        # As a fit has left them.
+        (
+            nd.GaussianMixturePSF([(0.2, 0.1, 0.1), (0.9, 0.1001, 0.1)], (1, 1)),
+            [(1, 2), (4, 5), (1, 4)],
+        ),
         (nd.GaussianMixturePSF([0.1, 0.2], (1, 1), fitted=["sigma2_y", "sigma2_x"]), [(0, 1)]),
         (nd.ScalarPSF(1.2, 0.6, 1.33), []),
     ],

@@ -48,7 +48,6 @@ def settings_of(optics: Optics) -> MicroscopeOptics | MixtureOptics | None:
         immersion=found["index"],
         excitation=found.get("excitation"),
         model="scalar",
-        spherical=found["spherical"],
         fitted=fitted,
     )
 

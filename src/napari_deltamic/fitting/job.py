@@ -90,10 +90,12 @@ def scene_with(scene: SceneSettings, optics: Optics) -> SceneSettings:
         rows = optics.covariance.detach().tolist()
         tilted = optics_from_values({"kind": "gaussian", "covariance": rows})
         return scene.model_copy(update={"sigma": None, "optics": tilted})
-    if scene.optics is None:
-        found = settings_of(optics)
-        return scene if found is None else scene.model_copy(update={"sigma": None, "optics": found})
-    return scene.model_copy(update={"optics": scene.optics.moved(optics.described())})
+    found, given = settings_of(optics), scene.optics
+    if found is not None and (given is None or type(given.build()) is not type(optics)):
+        return scene.model_copy(update={"sigma": None, "optics": found})
+    if given is None:
+        return scene
+    return scene.model_copy(update={"optics": given.moved(optics.described())})
 
 
 def following(job: FitInput, state: FitState) -> FitInput:

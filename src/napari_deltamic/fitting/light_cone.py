@@ -4,8 +4,7 @@ Out of focus, light spreads over a cone (all of it in a widefield microscope, wh
 in a confocal one). With a Gaussian PSF, a fit makes up for it with surfaces and light inside, and
 cells come out too high, or are lost. So at its end a few steps are taken with the PSF of an
 objective about as wide; where that leaves less unexplained, the fit begins anew with it, or, of a
-confocal one, whose cone is faint, goes on with it, unless it is far from symmetric: spherical
-aberration, as below a coverslip, draws the cone to one side.
+confocal one, whose cone is faint, goes on with it.
 """
 
 from __future__ import annotations
@@ -38,7 +37,6 @@ _OF_LIGHT = (0.2, 2.0)  # um; wavelengths that microscopes use, near enough for 
 _FITTED = ("na", "wavelength")
 ThroughObjective = ScalarPSF | ConfocalPSF
 ANEW = "the image shows a widefield light cone: the fit restarts with a widefield PSF"
-ABERRATED = "the image shows an aberrated light cone: the fit restarts with a confocal PSF"
 GOES_ON = "the image shows a confocal light cone: the fit continues with a confocal PSF"
 
 
@@ -54,12 +52,6 @@ class LightConeRules:
         Excitation over emission, beyond which a PSF that was found is not that of a microscope.
         Chosen: dyes are excited at 0.8 to 0.97 of what they emit, some at 0.65. Seen: 0.17 to 0.3
         in fits of real stacks, where they stood in for what the model lacks.
-    aberrated, restart
-        A confocal PSF with more rad of spherical aberration after a few steps, which leave less of
-        the squares that the Gaussian leaves, begins anew. Measured: up to 0.13 rad in seven stacks
-        without aberration. In five of cells with membranes or nuclei and 0.4 to 0.8 rad, 0.45 to
-        0.69 rad; where 0.74 to 0.83 were left, two that went on ended 0.37 and 1.4 voxels off, and
-        one that began anew 0.12; where 0.96 and 0.99 were left, going on was as good.
     far
         Of the squares that the Gaussian leaves: a widefield PSF that leaves more before the first
         step is not followed. Measured: 0.1 to 1.03 times as many in 20 widefield stacks (50 to
@@ -75,8 +67,6 @@ class LightConeRules:
 
     told: float = 1.2
     stokes: tuple[float, float] = (0.6, 1.2)
-    aberrated: float = 0.3
-    restart: float = 0.88
     far: float = 2.0
     hopeless: float = 30.0
 
@@ -128,27 +118,24 @@ def objective_instead(
         return None, 0
     confocal, widefield = confocal_of(about), widefield_of(about)
     # One is let go before the other is posed, to save memory.
-    of_widefield = share_left(posed_through(widefield, terms, fitted), image)
-    rival, enough, taken = posed_through(confocal, terms, fitted), 1.0, 0
+    of_widefield = share_left(_posed(widefield, terms, fitted), image)
+    rival, enough, taken = _posed(confocal, terms, fitted), 1.0, 0
     if share_left(rival, image) < of_widefield:
-        left, optics, taken = _end(rival, image)
-        aberration = spherical_of(optics)
-        if left < RULES.restart and abs(aberration) > RULES.aberrated:
-            return confocal_of(about, aberration), taken
-        if left >= 1 or is_of_light(optics):
+        left, of_light, taken = _end(rival, image)
+        if left >= 1 or of_light:
             return (confocal if left < 1 else None), taken
         enough = left
     del rival
     if of_widefield > RULES.far:
         return None, taken
-    left, _, further = _end(posed_through(widefield, terms, fitted), image)
+    left, _, further = _end(_posed(widefield, terms, fitted), image)
     return (widefield if left < enough else None), taken + further
 
 
-def _end(rival: Objective, image: Tensor) -> tuple[float, Optics, int]:
-    """After a few steps, the share that is left, the PSF, and evaluations."""
+def _end(rival: Objective, image: Tensor) -> tuple[float, bool, int]:
+    """After a few steps, the share that is left, whether dyes shine so, and evaluations."""
     rival, taken = _followed(rival, image)
-    return share_left(rival, image), rival.fitted.optics, taken
+    return share_left(rival, image), is_of_light(rival.fitted.optics), taken
 
 
 def may_change(terms: Terms, fitted: Fitted) -> bool:
@@ -160,8 +147,8 @@ def may_change(terms: Terms, fitted: Fitted) -> bool:
     return not narrower_than_told(fitted.optics.sigma_um, terms.level.grid.voxel_size)
 
 
-def posed_through(optics: Optics, terms: Terms, fitted: Fitted) -> Objective:
-    """The objective where a fit is, seen through a PSF."""
+def _posed(optics: ThroughObjective, terms: Terms, fitted: Fitted) -> Objective:
+    """The objective where a fit is, seen through a PSF; all that may shine does again."""
     rival = fitted.seen_through(optics)
     rival = rival.with_structure(may_shine(terms.settings.structure, fitted.mesh, optics))
     return begun(terms, rival, Preconditioners())
@@ -196,11 +183,6 @@ def is_of_light(optics: Optics) -> bool:
     return least <= ratio <= most
 
 
-def spherical_of(optics: Optics) -> float:
-    """rad of spherical aberration of a confocal PSF; 0 of any other."""
-    return float(optics.values["spherical"].detach()) if isinstance(optics, ConfocalPSF) else 0.0
-
-
 def widefield_of(sigma: Sequence[float]) -> ScalarPSF:
     """A widefield PSF about as wide, whose aperture and wavelength are fitted; sigma : um, Z Y X.
 
@@ -210,10 +192,8 @@ def widefield_of(sigma: Sequence[float]) -> ScalarPSF:
     return ScalarPSF(na, wavelength, _INDEX, fitted=_FITTED)
 
 
-def confocal_of(sigma: Sequence[float], spherical: float = 0.0) -> ConfocalPSF:
-    """A confocal PSF, whose aperture, both wavelengths and spherical aberration are fitted.
-
-    sigma : um, Z Y X. spherical : rad, where it begins.
+def confocal_of(sigma: Sequence[float]) -> ConfocalPSF:
+    """A confocal PSF, whose aperture and both wavelengths are fitted; sigma : um, Z Y X.
 
     Begun with those of a widefield PSF of that width: what a pinhole takes off it, the fit finds.
     """
@@ -224,8 +204,7 @@ def confocal_of(sigma: Sequence[float], spherical: float = 0.0) -> ConfocalPSF:
         wavelength=wavelength,
         immersion=_INDEX,
         model="scalar",
-        spherical=spherical,
-        fitted=(*_FITTED, "excitation", "spherical"),
+        fitted=(*_FITTED, "excitation"),
     )
     assert isinstance(made, ConfocalPSF)
     return made

@@ -17,8 +17,9 @@ from torch import Tensor
 from ..optics import GaussianMixturePSF
 from .fit_objective import Objective, Terms
 from .fitted import Fitted
-from .light_cone import may_change, posed_through, share_left
-from .rival_structures import stepped
+from .light_cone import may_change, share_left
+from .preconditioner import Preconditioners
+from .rival_structures import begun, stepped
 
 HAS_TAILS = "the image shows a PSF with long tails along Z: the fit continues with two Gaussians"
 
@@ -72,7 +73,8 @@ def tails_instead(
         # Would not do if it gained as much again.
         return len(looked) > 1 and 2 * looked[-1] - looked[-2] >= RULES.left
 
-    rival, taken = stepped(posed_through(tailed, terms, fitted), hopeless)
+    # What shines is held: else light of membranes might explain more, and the tails get the credit.
+    rival, taken = stepped(begun(terms, fitted.seen_through(tailed), Preconditioners()), hopeless)
     return (tailed if share_left(rival, image) < RULES.left else None), taken
 
 

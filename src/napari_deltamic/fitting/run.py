@@ -162,10 +162,15 @@ class Run:
         given = begun, optics, self._level.at.settings, effects
         return Run(self._context.problem, *given, self.stage.begun_anew(optics), former)
 
-    def go_on_at(self, fitted: Fitted) -> None:
-        """Begin at the last level, where the fit with another PSF has ended."""
+    def go_on_at(self, fitted: Fitted, all_shines: bool) -> None:
+        """Begin at the last level, where the fit with another PSF has ended.
+
+        all_shines : whether all that may shine does again, or what did in the end.
+        """
         at = self._level.at
-        fitted = at.choice.anew(fitted.seen_through(at.fitted.optics))
+        fitted = fitted.seen_through(at.fitted.optics)
+        if all_shines:
+            fitted = at.choice.anew(fitted)
         stage = replace(at.stage, level_number=len(at.levels) - 1)
         self._go_on_at(Position(fitted, stage, at.settings))
         self._context.reporter.other_mesh(fitted.mesh)

@@ -10,21 +10,12 @@ from __future__ import annotations
 
 from typing import Protocol, Self, TypeVar
 
-from ..optics import ConfocalPSF, GaussianMixturePSF, GaussianPSF, Optics, ScalarPSF
-from ..optics.narrow import narrower_than_told
+from ..optics import GaussianMixturePSF, GaussianPSF, Optics, ScalarPSF
 from .checkpoint import Checkpoint, former_in, objective_in
 from .fit_objective import Objective, Terms
 from .fitted import Arrays, Fitted
 from .found_psf import FoundPSF
-from .light_cone import (
-    ABERRATED,
-    ANEW,
-    GOES_ON,
-    ThroughObjective,
-    is_of_light,
-    objective_instead,
-    spherical_of,
-)
+from .light_cone import ANEW, GOES_ON, ThroughObjective, is_of_light, objective_instead
 from .psf_tails import HAS_TAILS, tails_instead
 from .stage import Stage
 
@@ -53,7 +44,7 @@ class Ending(Protocol):
     def let_former_go(self) -> Self | None: ...
     def checkpoint(self) -> Checkpoint: ...
     def go_on_from(self, kept: Arrays) -> None: ...
-    def go_on_at(self, fitted: Fitted) -> None: ...
+    def go_on_at(self, fitted: Fitted, all_shines: bool) -> None: ...
     def posed_here(self) -> Objective: ...
     def come_back(self, stage: Stage, tried: int) -> None: ...
 
@@ -72,7 +63,7 @@ def successor(run: Run, finished: bool) -> tuple[Run | None, bool]:
     if not finished:
         return None, False
     for number, instead in enumerate((objective_instead, tails_instead), 1):
-        if run.stage.psfs_tried >= number:
+        if run.stage.psfs_tried >= number or (number > 1 and run.stage.edited):
             continue
         found, taken = instead(run.terms, run.fitted, run.objective.now.rendered)
         run.spend(taken)
@@ -111,11 +102,9 @@ def _through(run: Run, optics: FoundPSF) -> Run:
     if isinstance(optics, ScalarPSF):
         run.say(ANEW)
         return following
-    if spherical_of(optics):
-        run.say(ABERRATED)
-        return following
-    run.say(GOES_ON if isinstance(optics, ConfocalPSF) else HAS_TAILS)
-    following.go_on_at(run.fitted)
+    tailed = isinstance(optics, GaussianMixturePSF)
+    run.say(HAS_TAILS if tailed else GOES_ON)
+    following.go_on_at(run.fitted, all_shines=not tailed)
     return following
 
 
@@ -133,11 +122,10 @@ def is_given_up(run: Run, former: Run | None) -> bool:
 
 def _back(run: Run, former: Run) -> Run | None:
     """The fit before, where its end explains more, or this one's PSF cannot be; None else."""
-    optics, voxel_size = run.fitted.optics, run.terms.level.grid.voxel_size
-    possible = is_of_light(optics) and not narrower_than_told(optics.sigma_um, voxel_size)
-    if possible and run.objective.leaves_over(former.posed_here()) <= 1:
+    plausible = is_of_light(run.fitted.optics)
+    if plausible and run.objective.leaves_over(former.posed_here()) <= 1:
         return None
-    run.say(BACK if possible else IMPLAUSIBLE)
-    tried = 2 if isinstance(optics, GaussianMixturePSF) else 1
+    run.say(BACK if plausible else IMPLAUSIBLE)
+    tried = 2 if isinstance(run.fitted.optics, GaussianMixturePSF) else 1
     former.come_back(run.stage, tried)
     return former

@@ -28,7 +28,6 @@ WAVELENGTHS = (0.2, 8.0)
 WAVELENGTH = Spec("wavelength", "um", "of the emitted light, in vacuum", 0.0, None, WAVELENGTHS)
 INDEX = Spec("index", "", "refractive index of the immersion", None, None, (1.0, 2.0))
 APODISATION = Spec("apodisation", "", "amplitude across the pupil falls as exp(-apodisation rho^2)")
-SPHERICAL = Spec("spherical", "", "spherical aberration: rad, root mean square over the pupil")
 LAYERS = (
     Spec("sample_index", "", "index of the sample", None, None, (1.0, 2.0), _FOCAL_SHIFT),
     Spec("depth", "um", "of the structure below the coverslip", 0.0, None, (0.0, 1000.0)),
@@ -44,9 +43,6 @@ LAYERS = (
          _MICROSCOPE),
 )  # fmt: skip
 _BELOW_SAMPLE_INDEX = 0.999
-# rad of spherical aberration that a fit which begins with less has nodes and room for. Chosen: the
-# light in the focus is a third then (Strehl ratio exp(-1)).
-_ABERRATED = 1.0
 _AXIAL_UNITS, _LATERAL_UNITS = 2.5, 5.0  # of resolution: extents that hold most of a PSF
 
 
@@ -92,10 +88,6 @@ class ObjectivePSF(RadialPSF):
         """Path (um) of rays beyond that of those in focus, which depends on the weight of each."""
         return None
 
-    def _widest_path(self, s: Tensor, weight: Tensor) -> Tensor | None:
-        """The same as far as a fit may take it, which nodes have to suffice for."""
-        return self._path(s, weight)
-
     def _fields(self, s: Tensor, amplitude: Tensor) -> list[tuple[float, Tensor, int]]:
         """Weight of the intensity, amplitude along the pupil, and order of its Bessel function."""
         return [(1.0, amplitude, 0)]
@@ -121,7 +113,7 @@ class ObjectivePSF(RadialPSF):
         """How far aberrated rays land from the focus, along Z and across (um)."""
         rho = torch.linspace(0, 1, 65, dtype=torch.float64)
         s = rho * self._aperture()
-        path = self._widest_path(s, rho)
+        path = self._path(s, rho)
         if path is None:
             return 0.0, 0.0
         cosine = torch.sqrt(self._values["index"] ** 2 - s**2)
@@ -163,25 +155,12 @@ class ObjectivePSF(RadialPSF):
         return found
 
 
-def without_defocus(
-    path: Tensor, s: Tensor, index: Tensor, weight: Tensor
-) -> tuple[Tensor, Tensor]:
-    """A path along the pupil without its mean and its defocus, and that defocus (um)."""
-    cosine = torch.sqrt(index**2 - s**2)
-    weight = weight / weight.sum()
-    path, cosine = path - (weight * path).sum(), cosine - (weight * cosine).sum()
-    defocus = (weight * path * cosine).sum() / (weight * cosine**2).sum()
-    return path - defocus * cosine, defocus
-
-
 class ScalarPSF(ObjectivePSF):
-    """Scalar PSF of an aplanatic objective, with spherical aberration at most.
+    """Scalar PSF of an aplanatic objective without aberrations.
 
     The amplitude across the pupil is ``cos(angle)^(-1/2) exp(-apodisation rho^2)``: the sine
     condition for light that is emitted alike in all directions (B. M. Hanser et al., J. Microsc.
-    216, 2004). Of the aberration, ``sqrt(5) (6 rho^4 - 6 rho^2 + 1)`` rad (R. J. Noll, J. Opt. Soc.
-    Am. 66, 1976), what shifts the focus is taken away, as it would move what is measured. With
-    other aberrations: :class:`PupilPSF`, :class:`GibsonLanniPSF`.
+    216, 2004). With aberrations: :class:`PupilPSF`, :class:`GibsonLanniPSF`.
 
     Parameters
     ----------
@@ -190,8 +169,6 @@ class ScalarPSF(ObjectivePSF):
         Numbers or tensors: the OTF is differentiable in all of them.
     apodisation
         0 for none.
-    spherical
-        rad, root mean square over the pupil, of spherical aberration; of either sign, 0 for none.
     fitted
         Names of the parameters that a fit moves.
     extent
@@ -210,34 +187,13 @@ class ScalarPSF(ObjectivePSF):
         wavelength: float | Tensor,
         index: float | Tensor = 1.515,
         apodisation: float | Tensor = 0.0,
-        spherical: float | Tensor = 0.0,
         *,
         fitted: Sequence[str] = ("na",),
         extent: Extent | None = None,
     ) -> None:
         check_aperture(plain(na), plain(index))
         values = {"na": na, "wavelength": wavelength, "index": index, "apodisation": apodisation}
-        values["spherical"] = spherical
-        specs = NA, WAVELENGTH, INDEX, APODISATION, SPHERICAL
-        super().__init__(specs, values, fitted, extent)
-
-    def _path(self, s: Tensor, weight: Tensor) -> Tensor | None:
-        return self._aberrated(self._values["spherical"], s, weight)
-
-    def _widest_path(self, s: Tensor, weight: Tensor) -> Tensor | None:
-        most = self._values["spherical"].detach().abs()
-        if "spherical" in self.fitted:
-            most = most.clamp_min(_ABERRATED)
-        return self._aberrated(most, s, weight)
-
-    def _aberrated(self, phase: Tensor, s: Tensor, weight: Tensor) -> Tensor | None:
-        """um; phase : rad, root mean square over the pupil."""
-        if not (phase.requires_grad or plain(phase)):
-            return None
-        squared = (s / self._aperture()) ** 2
-        shape = 5**0.5 * (6 * squared**2 - 6 * squared + 1)
-        shape, _ = without_defocus(shape, s, self._values["index"], weight)
-        return phase * self._values["wavelength"] / (2 * pi) * shape
+        super().__init__((NA, WAVELENGTH, INDEX, APODISATION), values, fitted, extent)
 
     def _amplitude(self, s: Tensor) -> Tensor:
         v = self._values
@@ -338,7 +294,12 @@ class GibsonLanniPSF(ObjectivePSF):
 
     def _split(self, s: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
         """The path without its mean and its defocus, and that defocus (um of immersion)."""
-        return without_defocus(self._layers(s), s, self._values["index"], weight)
+        path = self._layers(s)
+        cosine = torch.sqrt(self._values["index"] ** 2 - s**2)
+        weight = weight / weight.sum()
+        path, cosine = path - (weight * path).sum(), cosine - (weight * cosine).sum()
+        defocus = (weight * path * cosine).sum() / (weight * cosine**2).sum()
+        return path - defocus * cosine, defocus
 
     def _path(self, s: Tensor, weight: Tensor) -> Tensor | None:
         return self._split(s, weight)[0]
