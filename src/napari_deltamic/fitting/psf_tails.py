@@ -3,7 +3,7 @@
 Aberrations, a light sheet that is thick in places or a pinhole that is wide leave tails that are
 neither those of a Gaussian nor of an ideal objective. A Gaussian is then too long for what is in
 focus and too short for what is not. So, where no objective explains an image better, a few steps
-are taken with two Gaussians that are equally wide across; where that leaves much less unexplained,
+are taken with two Gaussians that are equally wide across; where that leaves clearly less unexplained,
 the fit goes on with them.
 """
 
@@ -52,7 +52,7 @@ RULES = TailRules()
 def tails_instead(
     terms: Terms, fitted: Fitted, image: Tensor
 ) -> tuple[GaussianMixturePSF | None, int]:
-    """Two Gaussians that explain an image much better than the one that was fitted.
+    """Two Gaussians that explain an image clearly better than the one that was fitted.
 
     Returns them as they were before the steps, None if one is held or explains about as much; and
     the evaluations that this took.
