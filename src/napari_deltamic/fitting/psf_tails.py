@@ -3,8 +3,8 @@
 Aberrations, a light sheet that is thick in places or a pinhole that is wide leave tails that are
 neither those of a Gaussian nor of an ideal objective. A Gaussian is then too long for what is in
 focus and too short for what is not. So, where no objective explains an image better, a few steps
-are taken with two Gaussians that are equally wide across; where that leaves clearly less unexplained,
-the fit goes on with them.
+are taken with two Gaussians that are equally wide across; where that leaves clearly less
+unexplained, the fit goes on with them.
 """
 
 from __future__ import annotations
