@@ -327,6 +327,9 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
     "aberrated": lambda rng: _flat_voxels(
         rng, "confocal", aberrated=rng.uniform(0.4, 0.8), shape=(30, 48, 48)
     ),
+    "aberrated-widefield": lambda rng: _flat_voxels(
+        rng, "widefield", aberrated=rng.uniform(0.4, 0.8), shape=(30, 48, 48)
+    ),
     "aberrated-nuclei": lambda rng: _crowd(
         rng,
         membrane=0.0,
@@ -402,6 +405,7 @@ WORDS = {
     "confocal": "a membrane, confocal",
     "confocal-nuclei": "eight nuclei, confocal",
     "aberrated": "a membrane, confocal with spherical aberration",
+    "aberrated-widefield": "a membrane, widefield with spherical aberration",
     "aberrated-nuclei": "eight nuclei, confocal with spherical aberration",
     "confluent": "cells that fill the stack, labelled",
     "mixed": "all of these at once, cells of 10 to 52 voxels",

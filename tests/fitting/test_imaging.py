@@ -29,9 +29,9 @@ def test_wavelengths_of_dyes_go_together():
     assert together < 1
     assert nats(free, wavelength=1.3) > together + 3
     assert nats(free, excitation=1 / 1.3) > 3
-    # 0.3 in the logarithm of their ratio are three standard deviations.
-    apart = nats(free, excitation=np.exp(0.3)) - nats(
-        confocal("excitation"), excitation=np.exp(0.3)
+    # 0.006 in the logarithm of their ratio are three standard deviations.
+    apart = nats(free, excitation=np.exp(0.006)) - nats(
+        confocal("excitation"), excitation=np.exp(0.006)
     )
     assert apart == pytest.approx(4.5)
 

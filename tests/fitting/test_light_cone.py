@@ -13,15 +13,16 @@ from napari_deltamic.evidence.predicted_error import predicted_error
 from napari_deltamic.evidence.verdict import judged
 from napari_deltamic.fitting.job import FitInput, following, optics_of
 from napari_deltamic.fitting.light_cone import (
+    ABERRATED,
     ANEW,
     GOES_ON,
     confocal_of,
-    is_of_light,
     objective_instead,
+    spherical_of,
     widefield_of,
 )
 from napari_deltamic.fitting.rival_structures import gone_on, stepped
-from napari_deltamic.fitting.successor import BACK, IMPLAUSIBLE, is_given_up, successor
+from napari_deltamic.fitting.successor import BACK, NARROW, is_given_up, successor
 from napari_deltamic.fitting.topology_trials import TopologyTrials
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure.surface_distance import distance_to_surface
@@ -234,6 +235,7 @@ def resting(optics, left=1.0, edited=False, answered=False):
         stage=SimpleNamespace(edited=edited, progress=SimpleNamespace(answered=answered)),
         fitted=SimpleNamespace(optics=optics),
         objective=objective,
+        terms=SimpleNamespace(level=SimpleNamespace(grid=GRID)),
         posed_here=lambda: objective,
     )
 
@@ -244,7 +246,7 @@ def resting(optics, left=1.0, edited=False, answered=False):
         (resting(OBJECTIVE, left=1.5), True),
         (resting(OBJECTIVE, left=1.05), False),  # what is tried at rest may still win
         (resting(OBJECTIVE, left=0.7), False),
-        (resting(nd.ConfocalPSF(OBJECTIVE, 0.3), left=0.7), True),  # that of no microscope
+        (resting(nd.GaussianPSF((0.3, 0.05, 0.05)), left=0.7), True),  # narrower than voxels tell
         (resting(OBJECTIVE, left=1.5, edited=True), False),
         (resting(OBJECTIVE, left=1.5, answered=True), False),
     ],
@@ -255,66 +257,61 @@ def test_a_psf_that_explains_much_less_is_given_up_at_rest(run, given_up):
     assert not is_given_up(run, None)
 
 
-@pytest.mark.parametrize(("excitation", "possible"), [(0.3, False), (0.55, True), (1.0, False)])
-def test_a_psf_of_light_that_no_dye_emits_is_not_kept(excitation, possible):
-    """Whatever it explains: here it is the true one."""
-    assert is_of_light(GAUSSIAN)
-    assert is_of_light(OBJECTIVE)
-    strange = nd.ConfocalPSF(nd.ScalarPSF(1.2, 0.6, 1.33), excitation)
-    assert is_of_light(strange) == possible
-    former = SimpleNamespace(come_back=lambda stage, tried: None, posed_here=lambda: 2.0)
-    said = []
-    run = SimpleNamespace(
-        let_former_go=lambda: former,
-        stage=SimpleNamespace(edited=False),
-        fitted=SimpleNamespace(optics=strange),
-        objective=SimpleNamespace(leaves_over=lambda former: 1 / former),
-        say=said.append,
-    )
-    following, cone = successor(run, True)
-    assert following is (None if possible else former)
-    assert not cone
-    assert said == ([] if possible else [IMPLAUSIBLE])
+def test_a_psf_narrower_than_voxels_tell_is_not_kept():
+    """Whatever it explains: it stands in for something else."""
+    former = resting(GAUSSIAN)
+    former.come_back = lambda stage, tried: None
+    for width, kept in ((0.1, True), (0.05, False)):
+        said = []
+        run = resting(
+            nd.GaussianMixturePSF([(0.3, width, width), (0.9, width, width)], (1, 1)), 0.5
+        )
+        run.let_former_go, run.say = lambda: former, said.append
+        assert successor(run, True) == (None if kept else former, False)
+        assert said == ([] if kept else [NARROW])
 
 
-@pytest.mark.parametrize(
-    ("excitation", "confocal", "widefield", "expected"),
-    [
-        (0.55, 0.9, 0.8, confocal_of(GAUSSIAN.sigma_um)),
-        (0.55, 1.1, 0.8, None),
-        # A cone is there, but no microscope has this one.
-        (0.3, 0.9, 0.8, widefield_of(GAUSSIAN.sigma_um)),
-        (0.3, 0.9, 1.1, None),
-        (0.3, 0.7, 0.8, None),  # more than that one left
-    ],
-)
-def test_an_objective_is_tried_where_a_few_steps_explain_more_with_light_of_dyes(
-    monkeypatch, excitation, confocal, widefield, expected
-):
-    """The confocal one explains more at first; left : in the end, after 7 evaluations each."""
+def after_steps(monkeypatch, confocal, widefield, spherical=0.0, widefield_at_first=0.99):
+    """What is found where the confocal PSF leaves 0.95 at first, and so much after the steps."""
 
     def posed(optics, left):
         run = resting(optics, left)
         return SimpleNamespace(fitted=run.fitted, left=left, posed=run.objective.posed)
 
-    ends = [
-        (nd.ConfocalPSF(OBJECTIVE, excitation), confocal),
-        (OBJECTIVE, widefield),
-    ]
-
-    def after_steps(rival, hopeless):
-        (end,) = (e for e in ends if type(e[0]) is type(rival.fitted.optics))
-        return posed(*end), 7
-
+    end = nd.ConfocalPSF(nd.ScalarPSF(1.2, 0.6, 1.33, spherical=spherical), 0.56)
+    of_widefield = nd.ScalarPSF(1.2, 0.6, 1.33, spherical=spherical)
+    ends = {nd.ConfocalPSF: (end, confocal), nd.ScalarPSF: (of_widefield, widefield)}
+    at_first = {nd.ConfocalPSF: 0.95, nd.ScalarPSF: widefield_at_first}
     module = "napari_deltamic.fitting.light_cone"
-    begun = {nd.ConfocalPSF: 0.95, nd.ScalarPSF: 0.99}
-    monkeypatch.setattr(f"{module}._posed", lambda optics, *_: posed(optics, begun[type(optics)]))
-    monkeypatch.setattr(f"{module}.stepped", after_steps)
+    monkeypatch.setattr(
+        f"{module}._posed", lambda optics, *_: posed(optics, at_first[type(optics)])
+    )
+    monkeypatch.setattr(
+        f"{module}.stepped",
+        lambda rival, hopeless: (posed(*ends[type(rival.fitted.optics)]), 7),
+    )
     fitted = SimpleNamespace(optics=GAUSSIAN, first_optics=GAUSSIAN)
-    level = SimpleNamespace(grid=GRID)
-    terms = SimpleNamespace(settings=FitSettings(), second=None, level=level)
-    found, evaluations = objective_instead(terms, fitted, None)
-    assert evaluations == (14 if excitation < 0.5 else 7)
+    terms = SimpleNamespace(settings=FitSettings(), second=None, level=SimpleNamespace(grid=GRID))
+    return (terms, fitted), objective_instead(terms, fitted, None)
+
+
+@pytest.mark.parametrize(
+    ("confocal", "widefield", "at_first", "expected"),
+    [
+        (0.8, 0.9, 0.99, confocal_of(GAUSSIAN.sigma_um)),
+        (0.8, 1.1, 0.99, confocal_of(GAUSSIAN.sigma_um)),
+        (0.9, 0.8, 0.99, widefield_of(GAUSSIAN.sigma_um)),
+        (1.1, 0.8, 0.99, widefield_of(GAUSSIAN.sigma_um)),
+        (1.1, 1.1, 0.99, None),
+        (0.9, 0.8, 2.5, confocal_of(GAUSSIAN.sigma_um)),  # that one was far off
+        (1.1, 0.8, 2.5, None),
+    ],
+)
+def test_the_objective_that_leaves_least_after_a_few_steps_is_found(
+    monkeypatch, confocal, widefield, at_first, expected
+):
+    _, (found, taken) = after_steps(monkeypatch, confocal, widefield, widefield_at_first=at_first)
+    assert taken == (7 if at_first > 2 else 14)
     if expected is None:
         assert found is None
         return
@@ -323,26 +320,63 @@ def test_an_objective_is_tried_where_a_few_steps_explain_more_with_light_of_dyes
     assert found.described() == expected.described()
 
 
-def test_a_widefield_objective_that_is_far_off_is_not_followed(monkeypatch):
-    """Where the confocal one leads to a PSF that no microscope has."""
-    followed = []
+@pytest.mark.parametrize("spherical", [0.05, 0.2, -0.6])
+def test_a_widefield_fit_begins_with_the_aberration_that_steps_find(monkeypatch, spherical):
+    _, (found, _) = after_steps(monkeypatch, 0.9, 0.8, spherical)
+    aberrated = abs(spherical) > 0.1
+    assert ("spherical" in found.fitted) == aberrated
+    assert spherical_of(found) == pytest.approx(spherical if aberrated else 0.0)
 
-    def posed(optics, left):
-        run = resting(optics, left)
-        return SimpleNamespace(fitted=run.fitted, left=left, posed=run.objective.posed)
 
-    def after_steps(rival, hopeless):
-        followed.append(rival.fitted.optics)
-        return posed(nd.ConfocalPSF(OBJECTIVE, 0.3), 0.9), 7
+@pytest.mark.parametrize(
+    ("spherical", "anew"), [(0.6, True), (-0.6, True), (0.2, False), (0.05, False)]
+)
+def test_a_confocal_fit_begins_anew_where_it_is_much_aberrated(monkeypatch, spherical, anew):
+    (terms, fitted), (found, _) = after_steps(monkeypatch, 0.9, 1.1, spherical)
+    assert spherical_of(found) == pytest.approx(spherical if anew else 0.0)
+    assert ("spherical" in found.fitted) == (abs(spherical) > 0.1)
+    went_on = []
+    run = SimpleNamespace(
+        let_former_go=lambda: None,
+        stage=SimpleNamespace(edited=False, psfs_tried=0),
+        terms=terms,
+        fitted=fitted,
+        objective=SimpleNamespace(now=SimpleNamespace(rendered=None)),
+        spend=lambda evaluations: None,
+        say=went_on.append,
+        checkpoint=lambda: SimpleNamespace(saved=dict),
+        again=lambda optics, former=None: SimpleNamespace(
+            go_on_from=lambda kept: None,
+            go_on_at=lambda fitted, all_shines: went_on.append(fitted),
+        ),
+    )
+    successor(run, True)
+    assert went_on == ([ABERRATED] if anew else [GOES_ON, fitted])
 
-    module = "napari_deltamic.fitting.light_cone"
-    begun = {nd.ConfocalPSF: 0.95, nd.ScalarPSF: 2.1}
-    monkeypatch.setattr(f"{module}._posed", lambda optics, *_: posed(optics, begun[type(optics)]))
-    monkeypatch.setattr(f"{module}.stepped", after_steps)
-    fitted = SimpleNamespace(optics=GAUSSIAN, first_optics=GAUSSIAN)
-    terms = SimpleNamespace(settings=FitSettings(), second=None, level=SimpleNamespace(grid=GRID))
-    assert objective_instead(terms, fitted, None) == (None, 7)
-    assert [type(optics) for optics in followed] == [nd.ConfocalPSF]
+
+ABERRATED_PSF = nd.ConfocalPSF(nd.ScalarPSF(1.2, 0.6, 1.33, spherical=0.6), 0.56)
+
+
+def test_a_cell_below_a_coverslip_is_found():
+    states = states_of(ABERRATED_PSF)
+    assert any(ABERRATED in state.message for state in states)
+    found = states[-1].optics
+    assert isinstance(found, nd.ConfocalPSF)
+    assert spherical_of(found) == pytest.approx(0.6, abs=0.15)
+    first = [type(state.optics) for state in states].index(nd.ConfocalPSF)
+    assert off(states[-1]) < 0.5 * off(states[first - 1])
+
+
+def test_a_checkpoint_goes_on_with_an_aberrated_psf(tmp_path):
+    states = states_of(ABERRATED_PSF)
+    first = [type(state.optics) for state in states].index(nd.ConfocalPSF)
+    states[first + 5].save(tmp_path / "state.npz")
+    *_, resumed = begun(ABERRATED_PSF, resume=tmp_path / "state.npz")
+    assert resumed.iteration == states[-1].iteration
+    assert spherical_of(resumed.optics) == pytest.approx(spherical_of(states[-1].optics), abs=1e-6)
+    np.testing.assert_allclose(
+        resumed.mesh.vertices_numpy(), states[-1].mesh.vertices_numpy(), atol=1e-6
+    )
 
 
 @pytest.mark.slow

@@ -41,7 +41,7 @@ def begun(**further):
 
 @pytest.fixture(autouse=True)
 def no_objective(monkeypatch):
-    """As where no objective explains more."""
+    """As where no objective explains more: an aberrated one comes close to these tails."""
     monkeypatch.setattr(
         "napari_deltamic.fitting.successor.objective_instead", lambda *given: (None, 0)
     )

@@ -48,6 +48,7 @@ def settings_of(optics: Optics) -> MicroscopeOptics | MixtureOptics | None:
         immersion=found["index"],
         excitation=found.get("excitation"),
         model="scalar",
+        spherical=found["spherical"],
         fitted=fitted,
     )
 

@@ -4,7 +4,9 @@ Out of focus, light spreads over a cone (all of it in a widefield microscope, wh
 in a confocal one). With a Gaussian PSF, a fit makes up for it with surfaces and light inside, and
 cells come out too high, or are lost. So at its end a few steps are taken with the PSF of an
 objective about as wide; where that leaves less unexplained, the fit begins anew with it, or, of a
-confocal one, whose cone is faint, goes on with it.
+confocal one, whose cone is faint, goes on with it, unless it is far from symmetric: spherical
+aberration, as a mismatch of refractive indices causes, draws the cone to one side. It is fitted
+where these steps find some.
 """
 
 from __future__ import annotations
@@ -37,6 +39,7 @@ _OF_LIGHT = (0.2, 2.0)  # um; wavelengths that microscopes use, near enough for 
 _FITTED = ("na", "wavelength")
 ThroughObjective = ScalarPSF | ConfocalPSF
 ANEW = "the image shows a widefield light cone: the fit restarts with a widefield PSF"
+ABERRATED = "the image shows an aberrated light cone: the fit restarts with a confocal PSF"
 GOES_ON = "the image shows a confocal light cone: the fit continues with a confocal PSF"
 
 
@@ -48,10 +51,11 @@ class LightConeRules:
     ----------
     told
         How far off the spectrum's first widths may be: it tells them to 10 or 20 %.
-    stokes
-        Excitation over emission, beyond which a PSF that was found is not that of a microscope.
-        Chosen: dyes are excited at 0.8 to 0.97 of what they emit, some at 0.65. Seen: 0.17 to 0.3
-        in fits of real stacks, where they stood in for what the model lacks.
+    aberrated, much
+        rad of spherical aberration after a few steps, from which on it is fitted, and from which on
+        a confocal PSF begins anew. Chosen; measured: up to 0.03 in seven widefield and confocal
+        stacks of no aberration; of 0.4 to 0.8 rad, 0.42 to 0.6 in seven stacks of cells with
+        membranes or nuclei, 0.14 in an eighth.
     far
         Of the squares that the Gaussian leaves: a widefield PSF that leaves more before the first
         step is not followed. Measured: 0.1 to 1.03 times as many in 20 widefield stacks (50 to
@@ -66,7 +70,8 @@ class LightConeRules:
     """
 
     told: float = 1.2
-    stokes: tuple[float, float] = (0.6, 1.2)
+    aberrated: float = 0.1
+    much: float = 0.3
     far: float = 2.0
     hopeless: float = 30.0
 
@@ -83,9 +88,9 @@ def objective_instead(
     default width, as it has become). The one that leaves less of the same voxels unexplained at the
     end of the fit is followed for a few steps from there. (Of 18 simulated widefield and confocal
     stacks of six kinds, following both would have chosen the same one in 16, and neither in two;
-    following both took a fifth of the time of a fit of 56 cells.) If these steps lead to a confocal
-    PSF that no microscope has, the widefield one is followed as well, and has to leave less than
-    that: measured in a widefield stack of small cells, 0.98 voxel off with a Gaussian.
+    following both took a fifth of the time of a fit of 56 cells.) If that is the confocal one, and
+    the widefield one is not far off, it is followed as well, and has to leave less than that:
+    measured in a widefield stack of small cells, 0.98 voxel off with a Gaussian.
 
     What is left is compared over the voxels of the last objective posed. (In 14 stacks, posing it
     anew after the last step changed that by 0.004 at most.) A widefield PSF that is far off where
@@ -96,9 +101,9 @@ def objective_instead(
     narrower than voxels can resolve: it stands in for light that the model lacks, and so would any
     other PSF.
 
-    Returns that PSF as it was before the steps; None if the Gaussian is held or explains as much
-    (in six simulated confocal stacks, steps never led to a PSF that no microscope has). Also the
-    evaluations that this took.
+    Returns that PSF as it was before the steps, with the spherical aberration that they led to if
+    that is large; None if the Gaussian is held or explains as much. Also the evaluations that this
+    took.
 
     Parameters
     ----------
@@ -116,26 +121,31 @@ def objective_instead(
     long_at_first = known and _roundness(about) <= RULES.told * roundest
     if not long_at_first and _roundness(fitted.optics.sigma_um) > roundest:
         return None, 0
-    confocal, widefield = confocal_of(about), widefield_of(about)
+    found: ThroughObjective | None = None
     # One is let go before the other is posed, to save memory.
-    of_widefield = share_left(_posed(widefield, terms, fitted), image)
-    rival, enough, taken = _posed(confocal, terms, fitted), 1.0, 0
+    of_widefield = share_left(_posed(widefield_of(about, 0.0), terms, fitted), image)
+    rival, enough, taken = _posed(confocal_of(about, 0.0), terms, fitted), 1.0, 0
     if share_left(rival, image) < of_widefield:
-        left, of_light, taken = _end(rival, image)
-        if left >= 1 or of_light:
-            return (confocal if left < 1 else None), taken
-        enough = left
+        rival, taken = _followed(rival, image, enough)
+        left = share_left(rival, image)
+        if left < enough:
+            aberration = _where_found(rival)
+            if aberration is not None and abs(aberration) <= RULES.much:
+                aberration = 0.0  # it goes on, and finds it
+            found, enough = confocal_of(about, aberration), left
     del rival
     if of_widefield > RULES.far:
-        return None, taken
-    left, _, further = _end(_posed(widefield, terms, fitted), image)
-    return (widefield if left < enough else None), taken + further
+        return found, taken
+    rival, further = _followed(_posed(widefield_of(about, 0.0), terms, fitted), image, enough)
+    if share_left(rival, image) < enough:
+        found = widefield_of(about, _where_found(rival))
+    return found, taken + further
 
 
-def _end(rival: Objective, image: Tensor) -> tuple[float, bool, int]:
-    """After a few steps, the share that is left, whether dyes shine so, and evaluations."""
-    rival, taken = _followed(rival, image)
-    return share_left(rival, image), is_of_light(rival.fitted.optics), taken
+def _where_found(rival: Objective) -> float | None:
+    """rad of spherical aberration after a few steps; None where there is none."""
+    aberration = spherical_of(rival.fitted.optics)
+    return aberration if abs(aberration) > RULES.aberrated else None
 
 
 def may_change(terms: Terms, fitted: Fitted) -> bool:
@@ -159,8 +169,11 @@ def share_left(objective: Objective, image: Tensor) -> float:
     return objective.left / objective.posed.left_by(image)[0]
 
 
-def _followed(rival: Objective, image: Tensor) -> tuple[Objective, int]:
-    """The objective after a few steps, and evaluations taken."""
+def _followed(rival: Objective, image: Tensor, enough: float) -> tuple[Objective, int]:
+    """The objective after a few steps, and evaluations taken.
+
+    enough : share left, of which less is wanted.
+    """
     looked: list[float] = []
 
     def hopeless(objective: Objective) -> bool:
@@ -168,32 +181,31 @@ def _followed(rival: Objective, image: Tensor) -> tuple[Objective, int]:
         looked.append(objective.left / left)
         if len(looked) == 1:
             return objective.left - noise > RULES.hopeless * max(left - noise, 0.0)
-        return 2 * looked[-1] - looked[-2] >= 1  # would not do if it gained as much again
+        return 2 * looked[-1] - looked[-2] >= enough  # would not do if it gained as much again
 
     return stepped(rival, hopeless)
 
 
-def is_of_light(optics: Optics) -> bool:
-    """Whether dyes could be excited and emit as a PSF has it."""
-    if not isinstance(optics, ConfocalPSF):
-        return True
-    values = optics.values
-    ratio = float(values["excitation"].detach() / values["wavelength"].detach())
-    least, most = RULES.stokes
-    return least <= ratio <= most
+def spherical_of(optics: Optics) -> float:
+    """rad of spherical aberration of the PSF of an objective; 0 of any other."""
+    if not isinstance(optics, ThroughObjective):
+        return 0.0
+    return float(optics.values["spherical"].detach())
 
 
-def widefield_of(sigma: Sequence[float]) -> ScalarPSF:
+def widefield_of(sigma: Sequence[float], spherical: float | None = None) -> ScalarPSF:
     """A widefield PSF about as wide, whose aperture and wavelength are fitted; sigma : um, Z Y X.
 
-    As wide as light makes one.
+    As wide as light makes one. spherical : rad, where that begins to be fitted; None for none.
     """
     na, wavelength = _as_wide(sigma)
-    return ScalarPSF(na, wavelength, _INDEX, fitted=_FITTED)
+    return ScalarPSF(na, wavelength, _INDEX, spherical=spherical or 0.0, fitted=_fitted(spherical))
 
 
-def confocal_of(sigma: Sequence[float]) -> ConfocalPSF:
-    """A confocal PSF, whose aperture and both wavelengths are fitted; sigma : um, Z Y X.
+def confocal_of(sigma: Sequence[float], spherical: float | None = None) -> ConfocalPSF:
+    """A confocal PSF about as wide, whose aperture and wavelengths are fitted; sigma : um, Z Y X.
+
+    spherical : rad, where that begins to be fitted; None for none.
 
     Begun with those of a widefield PSF of that width: what a pinhole takes off it, the fit finds.
     """
@@ -204,10 +216,16 @@ def confocal_of(sigma: Sequence[float]) -> ConfocalPSF:
         wavelength=wavelength,
         immersion=_INDEX,
         model="scalar",
-        fitted=(*_FITTED, "excitation"),
+        spherical=spherical or 0.0,
+        fitted=(*_fitted(spherical), "excitation"),
     )
     assert isinstance(made, ConfocalPSF)
     return made
+
+
+def _fitted(spherical: float | None) -> tuple[str, ...]:
+    """Names of the parameters of an objective that are fitted."""
+    return _FITTED if spherical is None else (*_FITTED, "spherical")
 
 
 def _as_wide(sigma: Sequence[float]) -> tuple[float, float]:

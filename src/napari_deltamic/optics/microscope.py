@@ -37,6 +37,7 @@ def microscope(
     sample_index: float | None = None,
     depth: float = 0.0,
     zernike: dict[int, float] | None = None,
+    spherical: float = 0.0,
     model: PSFModel = "vectorial",
     fitted: tuple[str, ...] | None = None,
 ) -> GaussianPSF | TablePSF:
@@ -65,6 +66,8 @@ def microscope(
         um: of the structure below the coverslip.
     zernike
         Noll index -> phase (rad), for the model ``"pupil"``.
+    spherical
+        rad, root mean square over the pupil, of spherical aberration, for the model ``"scalar"``.
     model
         ``"vectorial"`` (the most exact), ``"scalar"``, ``"gibson-lanni"`` (scalar, with the layers
         of the sample), ``"pupil"`` (scalar, with Zernike phases), or ``"gaussian"``, the
@@ -100,10 +103,14 @@ def microscope(
         _check(SHEET, sheet)
     if zernike and model != "pupil":
         raise InputError(f"Zernike phases belong to the model 'pupil', not to '{model}'")
+    if spherical and model != "scalar":
+        raise InputError(f"spherical aberration belongs to the model 'scalar', not to '{model}'")
     if model == "gaussian":
         sigma = gaussian_widths(modality, na, wavelength, index, excitation, pinhole, sheet)
         return GaussianPSF(sigma)
-    detection = _objective(model, na, wavelength, index, sample, depth, zernike, fitted, modality)
+    layers = sample, depth
+    aberrations = zernike, spherical
+    detection = _objective(model, na, wavelength, index, layers, aberrations, fitted, modality)
     free = ("na",) if fitted is None else fitted
     if lit:
         if not isinstance(detection, ObjectivePSF):
@@ -123,12 +130,12 @@ def _objective(
     na: float,
     wavelength: float,
     index: float,
-    sample_index: float,
-    depth: float,
-    zernike: dict[int, float] | None,
+    layers: tuple[float, float],
+    aberrations: tuple[dict[int, float] | None, float],
     fitted: tuple[str, ...] | None,
     modality: Modality,
 ) -> ObjectivePSF | PupilPSF:
+    (sample_index, depth), (zernike, spherical) = layers, aberrations
     # What is fitted is said to the outermost model.
     own = fitted if modality == "widefield" else None
     free = ("na",) if own is None else own
@@ -139,7 +146,7 @@ def _objective(
             "sample of another index"
         )
     if model == "scalar":
-        return ScalarPSF(na, wavelength, index, fitted=free)
+        return ScalarPSF(na, wavelength, index, spherical=spherical, fitted=free)
     if model == "pupil":
         return PupilPSF(na, wavelength, index, zernike, fitted=own)
     kind = GibsonLanniPSF if model == "gibson-lanni" else VectorialPSF

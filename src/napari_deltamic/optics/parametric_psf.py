@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
+from math import log
 from typing import Self
 
 import torch
 from torch import Tensor
+from torch.nn.functional import softshrink
 
 from ..common.one_thread import in_one_thread, one_thread
 from ..common.triple import Triple
@@ -87,6 +89,12 @@ class ParametricPSF:
                 values[s.name] = decode(s, numbers[s.name], values)
         return self._with_values(values)
 
+    def with_fitted(self, fitted: Sequence[str]) -> Self:
+        """The same model, of which a fit moves other parameters."""
+        other = self._with_values(self._values)
+        other._fitted = check_fitted(self._specs, fitted)
+        return other
+
     def limits(self) -> tuple[Tensor, Tensor]:
         """Range (P,), (P,) of :meth:`parameters` that a fit started here stays within."""
         p = self.parameters().detach()
@@ -95,13 +103,18 @@ class ParametricPSF:
         return p - reach, p + reach
 
     def sharpened(self, factor: float) -> Self:
-        """What a fit may make of the PSF before a band is planned anew: widths times ``factor``."""
+        """What a fit may make of the PSF before a band is planned anew: widths times ``factor``.
+
+        Phases come as much nearer to 0 as its logarithm: a step changes both by the same number.
+        """
         values = dict(self._values)
         for name in self._fitted:
             if name == "na":
                 values[name] = torch.minimum(values[name] / factor, 0.999 * values["index"])
             elif name in ("wavelength", "excitation") or name.startswith("sigma"):
                 values[name] = values[name] * factor
+            elif name == "spherical":
+                values[name] = softshrink(values[name], -log(factor))
         return self._with_values(values) if self._fitted else self
 
     def detach(self) -> Self:

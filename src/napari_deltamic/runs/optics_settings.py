@@ -123,6 +123,14 @@ class MicroscopeOptics(_Optics):
     zernike: dict[int, float] | None = Field(
         default=None, description="Noll index -> phase, rad; for the model 'pupil'"
     )
+    spherical: float = setting(
+        0.0,
+        title="spherical aberration",
+        tip="root mean square over the pupil, of either sign; for the model 'scalar'",
+        unit="rad",
+        step=0.1,
+        advanced=True,
+    )
     model: PSFModel = setting(
         "vectorial",
         title="model",

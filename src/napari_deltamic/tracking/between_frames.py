@@ -111,6 +111,7 @@ class BetweenFrames:
         if isinstance(self.optics, GaussianPSF):  # a fit may have found another kind
             about = self.optics.sigma_um
             known += [widefield_of(about), confocal_of(about), core_and_tails(about)]
+            known += [widefield_of(about, 0.0), confocal_of(about, 0.0)]
         same = []
         for optics in known:
             with suppress(InputError):  # where the numbers are of another kind
