@@ -1,5 +1,7 @@
 """The scenes of the benchmark of defaults are what they say, by their own renderer."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -41,6 +43,17 @@ def test_the_truth_has_no_error_and_a_lost_cell_is_off_by_its_radius():
     assert 0.7 < score(scene, away).surface < 2
     assert score(scene, None).surface == pytest.approx(11)
     assert score(scene, None).lost == 1
+
+
+def test_a_focus_that_aberrations_move_is_no_error_but_more_is():
+    scene = made("plain", 0, "a commit")
+    aberrated = replace(scene, recipe=replace(scene.recipe, aberrated=0.6))
+    for away in (0.15, -0.15):
+        moved = scene.truth.translated((away, 0, 0))
+        assert score(aberrated, moved).surface < 0.02 < score(scene, moved).surface
+    far = scene.truth.translated((0.6, 0, 0))
+    nearer = scene.truth.translated((0.4, 0, 0))
+    assert score(aberrated, far).surface == pytest.approx(score(scene, nearer).surface, rel=0.05)
 
 
 def test_odd_draws_follow_the_commit_and_even_ones_do_not():

@@ -16,6 +16,9 @@ from .scenes import Scene
 _SAMPLES = 1500  # of the surface of one cell
 _AXIAL = 0.7  # |cosine| of normal and Z from which on a place counts as axial
 _SWALLOWED = 0.3  # of a neighbour's volume
+# um along Z, within which an aberrated PSF may have its focus. Measured between its brightest plane
+# and that of the least spread of phases, 0.09 at 0.6 rad and 0.16 at 0.77 (wavelength 1.3 um).
+_FOCUS = 0.2
 _LOST = 0.35  # volume common to both over that of either: less is another thing
 
 
@@ -63,7 +66,7 @@ def score(scene: Scene, mesh: Mesh | None) -> Score:
 
 
 def _in_focus(scene: Scene, mesh: Mesh) -> Mesh:
-    """A fit moved along Z as a whole onto the truth.
+    """A fit moved along Z as a whole onto the truth, as far as a focus may be another.
 
     An aberrated PSF is not symmetric along Z: where it has its focus is a matter of definition.
     """
@@ -71,7 +74,7 @@ def _in_focus(scene: Scene, mesh: Mesh) -> Mesh:
     if not common:
         return mesh
     true, found = ([_height(m.region_surface(k)) for k in common] for m in (scene.truth, mesh))
-    away = np.median(np.subtract(true, found))
+    away = np.clip(np.median(np.subtract(true, found)), -_FOCUS, _FOCUS)
     return mesh.with_vertices(mesh.vertices_numpy() + np.array([away, 0.0, 0.0]))
 
 

@@ -1,5 +1,6 @@
 """A fit whose image shows the cone of light of an objective goes on with such a PSF."""
 
+import json
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
@@ -376,6 +377,32 @@ def test_a_checkpoint_goes_on_with_an_aberrated_psf(tmp_path):
     assert spherical_of(resumed.optics) == pytest.approx(spherical_of(states[-1].optics), abs=1e-6)
     np.testing.assert_allclose(
         resumed.mesh.vertices_numpy(), states[-1].mesh.vertices_numpy(), atol=1e-6
+    )
+
+
+@pytest.mark.slow
+def test_a_widefield_cell_below_a_coverslip_is_found():
+    states = states_of(nd.ScalarPSF(1.2, 0.6, 1.33, spherical=0.6))
+    first = [type(state.optics) for state in states].index(nd.ScalarPSF)
+    assert spherical_of(states[first].optics) > 0.3
+    assert spherical_of(states[-1].optics) == pytest.approx(0.6, abs=0.1)
+    assert off(states[-1]) < 0.5 * off(states[first - 1])
+
+
+def test_a_psf_saved_with_fewer_values_is_the_same(tmp_path):
+    """Earlier versions knew no spherical aberration."""
+    given = image_through(CONFOCAL), GRID, START, CONFOCAL
+    settings = FitSettings(max_iterations=3, structure="membrane")
+    states = list(nd.fit(*given, settings=settings))
+    states[0].save(tmp_path / "state.npz")
+    kept = dict(np.load(tmp_path / "state.npz"))
+    run = json.loads(str(kept["run"]))
+    assert run["objective"].pop("spherical") == 0
+    kept["run"] = np.array(json.dumps(run))
+    np.savez(tmp_path / "before.npz", **kept)
+    *_, resumed = nd.fit(*given, settings=settings, resume=tmp_path / "before.npz")
+    np.testing.assert_allclose(
+        resumed.mesh.vertices_numpy(), states[-1].mesh.vertices_numpy(), atol=1e-9
     )
 
 

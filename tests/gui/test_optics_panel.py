@@ -64,6 +64,25 @@ def test_only_the_fields_of_the_modality_are_there(panel):
     assert "pinhole" not in rows(panel)
     panel.objective.numbers["sample_index"].setValue(1.38)
     assert "depth" in rows(panel)
+    assert "spherical" not in rows(panel)
+    panel.objective.show_values(optics_from_values({**WATER, "model": "scalar"}))
+    panel.objective._show_rows()
+    assert "spherical" in rows(panel)
+
+
+def test_a_negative_aberration_is_shown_and_belongs_to_its_model(panel):
+    found = optics_from_values(
+        {**WATER, "model": "scalar", "spherical": -0.5, "fitted": ("na", "spherical")}
+    )
+    panel.objective.show_settings(found)
+    field = panel.objective.numbers["spherical"]
+    assert field.value() == -0.5
+    field.setValue(-0.4)
+    assert panel.objective.settings().spherical == -0.4
+    model = panel.objective.model
+    model.setCurrentIndex(model.findData("vectorial"))
+    assert panel.objective.settings().fitted == ("na",)
+    assert panel.objective.settings().build().fitted == ("na",)
 
 
 def test_the_widths_of_the_psf_are_told(panel, spin):
@@ -144,6 +163,9 @@ def test_a_command_gives_the_same_psf(capsys):
         ("--wavelength", "0.6"),
     }
     assert "--pinhole" in words
+    # With a space before it, argparse would take it for a flag.
+    aberrated = optics_from_values({**WATER, "model": "scalar", "spherical": -4e-5})
+    assert "--spherical=-4e-05" in optics_flags(aberrated)
     with pytest.raises(nd.InputError, match=r"run\.toml"):
         optics_flags(optics_from_values({**WATER, "fitted": ("na", "wavelength")}))
 

@@ -123,7 +123,16 @@ def test_padding_of_a_frame_is_not_known():
     assert frame.known[:, 4:].all()
 
 
-@pytest.mark.parametrize("made", [widefield_of, confocal_of, GaussianPSF])
+@pytest.mark.parametrize(
+    "made",
+    [
+        widefield_of,
+        confocal_of,
+        lambda sigma: widefield_of(sigma, 0.4),
+        lambda sigma: confocal_of(sigma, -0.4),
+        GaussianPSF,
+    ],
+)
 def test_going_on_knows_the_psf_that_a_fit_found(made):
     """A frame whose fit went on with the PSF of an objective is followed by it."""
     done = tracked(drifting(2))[:1]

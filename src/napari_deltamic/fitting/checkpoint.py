@@ -101,7 +101,9 @@ class Checkpoint:
         if "run" not in found:  # of an earlier version: its optimiser starts anew
             return replace(self, fitted=self.fitted.surface_loaded(found))
         plain: dict[str, Any] = json_values(str(found["run"]))
-        if plain.get("objective") != values_of(self.fitted.first_optics):
+        begun_with = objective_in(found)  # read anew: earlier versions kept fewer values
+        saved = None if begun_with is None else values_of(begun_with)
+        if saved != values_of(self.fitted.first_optics):
             raise other_settings()
         if plain["density"] != self.density:
             raise other_settings()

@@ -23,9 +23,9 @@ _PRIOR = 0.36
 # and twice move surfaces of single cells by 0.004 voxel at most.
 _ROUND = 0.002
 # Standard deviation of log(excitation / emission) around what it is at the start: dyes tell it, and
-# images hardly do. Measured: left free, it stands in for what a model lacks, 0.3 in a real droplet;
-# with 0.03 and spherical aberration, 1.2 to 1.4, and aberrations of 0.6 and 0.77 rad become 0.76
-# and 0.95, where with 0.002 they are found within 0.01 (three cells).
+# images hardly do. Measured: left free, the ratio stands in for what a model lacks (it ended at 0.3
+# in a real droplet). With 0.03 it ended at 1.2 to 1.4 in cells with spherical aberration, and the
+# fits were given up; with 0.002, 0.6 and 0.77 rad of that were found within 0.02 (two cells).
 _STOKES = 0.002
 _EFFECT_PRIOR = 100.0  # the same of an effect's, in units of its scale: their bounds say enough
 _OF_RATIO = np.array([[1.0, -1.0], [-1.0, 1.0]])  # exact: second derivatives of half its square

@@ -52,10 +52,10 @@ class LightConeRules:
     told
         How far off the spectrum's first widths may be: it tells them to 10 or 20 %.
     aberrated, much
-        rad of spherical aberration after a few steps, from which on it is fitted, and from which on
-        a confocal PSF begins anew. Chosen; measured: up to 0.03 in seven widefield and confocal
-        stacks of no aberration; of 0.4 to 0.8 rad, 0.42 to 0.6 in seven stacks of cells with
-        membranes or nuclei, 0.14 in an eighth.
+        rad of spherical aberration after a few steps. What has more than the first is fitted with
+        it, a confocal PSF with more than the second begins anew. Chosen; measured: up to 0.03 in
+        seven widefield and confocal stacks of no aberration; of 0.4 to 0.8 rad, 0.4 to 0.6 in seven
+        stacks of cells with membranes or nuclei, 0.14 in an eighth.
     far
         Of the squares that the Gaussian leaves: a widefield PSF that leaves more before the first
         step is not followed. Measured: 0.1 to 1.03 times as many in 20 widefield stacks (50 to
@@ -86,11 +86,10 @@ def objective_instead(
 
     It is widefield or confocal, and as wide as the Gaussian was at the start (or, if that was the
     default width, as it has become). The one that leaves less of the same voxels unexplained at the
-    end of the fit is followed for a few steps from there. (Of 18 simulated widefield and confocal
-    stacks of six kinds, following both would have chosen the same one in 16, and neither in two;
-    following both took a fifth of the time of a fit of 56 cells.) If that is the confocal one, and
-    the widefield one is not far off, it is followed as well, and has to leave less than that:
-    measured in a widefield stack of small cells, 0.98 voxel off with a Gaussian.
+    end of the fit is followed for a few steps from there. If that is the confocal one, and the
+    widefield one is not far off, it is followed as well, and has to leave less than that: a
+    widefield stack of small cells, 0.98 voxel off with a Gaussian, needs it. (Of 18 simulated
+    stacks of six kinds, following both wherever they are would have changed none.)
 
     What is left is compared over the voxels of the last objective posed. (In 14 stacks, posing it
     anew after the last step changed that by 0.004 at most.) A widefield PSF that is far off where
@@ -101,9 +100,9 @@ def objective_instead(
     narrower than voxels can resolve: it stands in for light that the model lacks, and so would any
     other PSF.
 
-    Returns that PSF as it was before the steps, with the spherical aberration that they led to if
-    that is large; None if the Gaussian is held or explains as much. Also the evaluations that this
-    took.
+    Returns that PSF as it was before the steps, and of what they found its spherical aberration
+    (see :class:`LightConeRules`); None if the Gaussian is held or explains as much. Also the
+    evaluations that this took.
 
     Parameters
     ----------
@@ -123,7 +122,7 @@ def objective_instead(
         return None, 0
     found: ThroughObjective | None = None
     # One is let go before the other is posed, to save memory.
-    of_widefield = share_left(_posed(widefield_of(about, 0.0), terms, fitted), image)
+    of_widefield = share_left(_posed(widefield_of(about), terms, fitted), image)
     rival, enough, taken = _posed(confocal_of(about, 0.0), terms, fitted), 1.0, 0
     if share_left(rival, image) < of_widefield:
         rival, taken = _followed(rival, image, enough)

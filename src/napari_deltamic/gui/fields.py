@@ -70,14 +70,14 @@ class TripleField(QWidget):
 
 
 class Number(QDoubleSpinBox):
-    """A number that is 0 or more, without zeros at its end.
+    """A number, 0 or more unless signed, without zeros at its end.
 
     It is wide open: a value in another unit is to be named, not cut.
     """
 
-    def __init__(self, parent: QWidget | None = None) -> None:
+    def __init__(self, parent: QWidget | None = None, *, signed: bool = False) -> None:
         super().__init__(parent)
-        self.setRange(0, 100_000)
+        self.setRange(-100_000 if signed else 0, 100_000)
         self.setDecimals(4)
         self.setKeyboardTracking(False)
         self.setStyleSheet("QDoubleSpinBox { min-width: 60px; }")
@@ -160,7 +160,7 @@ def _field(found: Described, parent: QWidget) -> tuple[Any, Any]:
         whole.setKeyboardTracking(False)
         return whole, whole.valueChanged
     if found.kind == "number":
-        number = Number(parent)
+        number = Number(parent, signed=(found.low or 0) < 0)
         number.setSingleStep(found.step or 0.1)
         if found.optional and found.start is None:
             number.setSpecialValueText(found.automatic)

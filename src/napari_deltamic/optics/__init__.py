@@ -63,6 +63,9 @@ class Optics(Protocol):
     def sharpened(self, factor: float) -> "Optics":
         """The sharpest PSF that a fit may make of it before the band is planned anew."""
 
+    def narrowed(self, factor: float) -> "Optics":
+        """The same PSF with widths times ``factor``."""
+
     def detach(self) -> "Optics":
         """A copy that is no part of any gradient."""
 

@@ -122,6 +122,10 @@ class GaussianPSF:
         return p - reach, p + reach
 
     def sharpened(self, factor: float) -> GaussianPSF:
+        """What a fit may make of it before a band is planned anew: widths times ``factor``."""
+        return self.narrowed(factor)
+
+    def narrowed(self, factor: float) -> GaussianPSF:
         """The same PSF with widths times ``factor``."""
         p = self.parameters().detach().clone()
         p[:3] += float(np.log(factor))

@@ -69,7 +69,7 @@ class ConfocalPSF(RadialPSF):
             raise InputError("a confocal PSF is made of one of the objective, symmetric about Z")
         if not plain(pinhole) > 0:
             raise InputError(f"the pinhole must be larger than 0 Airy units, not {plain(pinhole)}")
-        self._detection = detection.with_fitted([n for n in fitted if n in detection.values])
+        self._detection = detection._moving(fitted)
         self._disk = disk
         own = {"excitation": excitation, "pinhole": pinhole}
         super().__init__(
@@ -155,7 +155,7 @@ class LightSheetPSF(TablePSF):
             raise InputError("a light sheet PSF is made of the PSF of an objective")
         if not plain(sheet) > 0:
             raise InputError(f"the light sheet must be thicker than 0 um, not {plain(sheet)}")
-        self._detection = detection.with_fitted([n for n in fitted if n in detection.values])
+        self._detection = detection._moving(fitted)
         super().__init__(
             (*detection._specs, SHEET), {**detection.values, "sheet": sheet}, fitted, None
         )

@@ -29,7 +29,7 @@ Extent = tuple[float, float]
 TAPER = 1.0
 _LEAK = 6.3  # rad: where the transform of a window of extent 1 has fallen to a thousandth
 _DENSER = 1.25  # than the Nyquist rate: planes and nodes
-GROWTH = 1.25  # of the support that a fit may ask for
+_GROWTH = 1.25  # of the support that a fit may ask for
 
 
 def window(distance: Tensor, extent: float) -> Tensor:
@@ -80,7 +80,7 @@ class TablePSF(ParametricPSF):
     def _keep_within(self, extent: Extent) -> None:
         self._flat: Extent = extent
         kz, _, kr = self._needed()
-        self._resolved = (GROWTH * kz, GROWTH * kr)
+        self._resolved = (_GROWTH * kz, _GROWTH * kr)
         self._place_planes()
         self._place_nodes()
 
@@ -94,8 +94,7 @@ class TablePSF(ParametricPSF):
         raise NotImplementedError
 
     _kept_planes: Tensor | None
-    # Whether these nodes no longer suffice, or a PSF that this one is made of has other ones.
-    _outgrown = False
+    _outgrown = False  # whether a PSF that this one is made of has other nodes by now
 
     def _intensity(self, z: Tensor) -> Tensor:
         """(Nz, ...) intensity on the planes ``z``, at the nodes across."""
@@ -135,7 +134,7 @@ class TablePSF(ParametricPSF):
         with torch.no_grad():
             kz, _, kr = other._needed()
             if kz > other._resolved[0] or kr > other._resolved[1] or other._outgrown:
-                other._resolved = (GROWTH * kz, GROWTH * kr)
+                other._resolved = (_GROWTH * kz, _GROWTH * kr)
                 other._place_planes()
                 other._place_nodes()
         return other

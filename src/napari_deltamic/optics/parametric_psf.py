@@ -89,12 +89,6 @@ class ParametricPSF:
                 values[s.name] = decode(s, numbers[s.name], values)
         return self._with_values(values)
 
-    def with_fitted(self, fitted: Sequence[str]) -> Self:
-        """The same model, of which a fit moves other parameters."""
-        other = self._with_values(self._values)
-        other._fitted = check_fitted(self._specs, fitted)
-        return other
-
     def limits(self) -> tuple[Tensor, Tensor]:
         """Range (P,), (P,) of :meth:`parameters` that a fit started here stays within."""
         p = self.parameters().detach()
@@ -117,6 +111,14 @@ class ParametricPSF:
                 values[name] = softshrink(values[name], -log(factor))
         return self._with_values(values) if self._fitted else self
 
+    def narrowed(self, factor: float) -> Self:
+        """The same PSF with widths times ``factor``, as shorter waves make it."""
+        values = dict(self._values)
+        for name in values:
+            if name in ("wavelength", "excitation") or name.startswith("sigma"):
+                values[name] = values[name] * factor
+        return self._with_values(values)
+
     def detach(self) -> Self:
         """A copy that is no part of any gradient."""
         return self._with_values({name: v.detach() for name, v in self._values.items()})
@@ -127,6 +129,12 @@ class ParametricPSF:
         other._values = {s.name: values[s.name] for s in self._specs}
         other._forget()
         other._adopt(values)
+        return other
+
+    def _moving(self, names: Sequence[str]) -> Self:
+        """The same model as part of another, of which a fit moves parameters of these names."""
+        other = self._with_values(self._values)
+        other._fitted = tuple(name for name in self._values if name in names)
         return other
 
     def _adopt(self, values: Mapping[str, Tensor]) -> None:

@@ -81,7 +81,10 @@ def _words(found: Described, value: Any) -> list[str]:
     if found.kind == "triple":
         return [found.flag, *(f"{part:.6g}" for part in value)]
     values = value if found.kind == "numbers" else [value]
-    return [found.flag, *(_exact(part) for part in values)]
+    exact = [_exact(part) for part in values]
+    if len(exact) == 1 and exact[0].startswith("-"):  # argparse may take -1e-5 for a flag
+        return [f"{found.flag}={exact[0]}"]
+    return [found.flag, *exact]
 
 
 def _exact(value: Any) -> str:

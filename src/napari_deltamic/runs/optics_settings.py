@@ -128,6 +128,8 @@ class MicroscopeOptics(_Optics):
         title="spherical aberration",
         tip="root mean square over the pupil, of either sign; for the model 'scalar'",
         unit="rad",
+        ge=-10,
+        le=10,
         step=0.1,
         advanced=True,
     )

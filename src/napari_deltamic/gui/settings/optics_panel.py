@@ -50,6 +50,7 @@ _SHOWN_FOR = {
     "sheet": ("modality", ("light sheet",)),
     "sample_index": _LAYERED,
     "depth": _LAYERED,
+    "spherical": ("model", ("scalar",)),
 }
 
 
@@ -207,7 +208,8 @@ class ObjectiveFields(Form):
 
     def settings(self) -> MicroscopeOptics:
         """The settings shown. InputError where one is missing."""
-        found: dict[str, Any] = {"kind": "microscope", "fitted": self._fitted}
+        free = self._fitted and tuple(name for name in self._fitted if self._needs(name))
+        found: dict[str, Any] = {"kind": "microscope", "fitted": free}
         found |= {name: value for name, value in self.values().items() if self._needs(name)}
         if found["model"] == "pupil":
             found["zernike"] = self._zernike
