@@ -1,10 +1,12 @@
 """Membranes that a fit of insides has taken for insides that reach further out."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import napari_deltamic as nd
-from napari_deltamic.evidence.fainter_membranes import fainter_membranes
+from napari_deltamic.evidence.fainter_membranes import _with_membranes, fainter_membranes
 from napari_deltamic.evidence.predicted_error import predicted_error
 from napari_deltamic.fitting import curvature as limits
 from napari_deltamic.fitting import fit
@@ -55,6 +57,19 @@ def test_a_membrane_is_taken_for_an_inside_that_reaches_further(hidden):
     assert radius(state) - RADIUS == pytest.approx(FURTHER, rel=0.2)
     left = (image - state.rendered()).ravel()
     assert left @ left == pytest.approx(image.sum(), rel=0.02)
+
+
+def test_what_is_tried_looks_like_the_fit(hidden):
+    """With the surface where it truly is: what differs is small beside what membranes add."""
+    image, settings, state = hidden
+    posed = posed_at(image, GRID, state, settings)
+    width = float(np.prod(state.optics.sigma_um) ** (1 / 3))
+    other, _ = _with_membranes(posed, state, FURTHER / width)
+    assert other.optics.sigma_um == pytest.approx(OPTICS.sigma_um, rel=0.1)
+    before, after = (state.amplitude * posed.shown(s) for s in (state, other))
+    inside = replace(other, light=replace(other.light, membrane=0.0))
+    without = state.amplitude * posed.shown(inside)
+    assert np.linalg.norm(after - before) < 0.2 * np.linalg.norm(without - before)
 
 
 @pytest.mark.parametrize("most", [None, 10])

@@ -191,3 +191,12 @@ def test_precision_follows_the_axes():
 def test_what_is_refused(arguments, message):
     with pytest.raises(nd.InputError, match=message):
         nd.GaussianPSF(**arguments)
+
+
+def test_widened():
+    plain = nd.GaussianPSF((0.4, 0.3, 0.2)).widened(0.3)
+    assert plain.diagonal
+    assert_allclose(plain.sigma_um, np.hypot((0.4, 0.3, 0.2), 0.3))
+    tilted = nd.GaussianPSF(covariance=[[0.2, 0.05, 0], [0.05, 0.1, 0], [0, 0, 0.1]])
+    found = tilted.widened(0.3).covariance - tilted.covariance
+    assert_allclose(found, 0.09 * np.eye(3), atol=1e-12)

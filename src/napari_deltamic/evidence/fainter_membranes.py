@@ -75,7 +75,7 @@ def _with_membranes(posed: Posed, state: FitState, widths: float) -> tuple[FitSt
     density = light.membrane * state.density + light.interior * depth * insides
     optics = state.optics
     if len(posed.at.optics):  # else it is known, and tells them apart
-        optics = optics.narrowed(1 / np.hypot(1.0, widths))
+        optics = optics.widened(depth)
     other = replace(
         state,
         mesh=mesh.with_vertices(mesh.vertices_numpy() + moved),

@@ -63,8 +63,8 @@ class Optics(Protocol):
     def sharpened(self, factor: float) -> "Optics":
         """The sharpest PSF that a fit may make of it before the band is planned anew."""
 
-    def narrowed(self, factor: float) -> "Optics":
-        """The same PSF with widths times ``factor``."""
+    def widened(self, by: float) -> "Optics":
+        """A PSF of the same kind whose variance is larger by about the square of ``by`` (um)."""
 
     def detach(self) -> "Optics":
         """A copy that is no part of any gradient."""

@@ -122,14 +122,17 @@ class GaussianPSF:
         return p - reach, p + reach
 
     def sharpened(self, factor: float) -> GaussianPSF:
-        """What a fit may make of it before a band is planned anew: widths times ``factor``."""
-        return self.narrowed(factor)
-
-    def narrowed(self, factor: float) -> GaussianPSF:
         """The same PSF with widths times ``factor``."""
         p = self.parameters().detach().clone()
         p[:3] += float(np.log(factor))
         return self.with_parameters(p)
+
+    def widened(self, by: float) -> GaussianPSF:
+        """With a variance that is larger by the square of ``by`` (um)."""
+        covariance = self.covariance.detach() + by**2 * torch.eye(3, dtype=torch.float64)
+        if self.diagonal:
+            return GaussianPSF(covariance.diagonal().sqrt())
+        return GaussianPSF(covariance=covariance)
 
     def described(self) -> tuple[Parameter, ...]:
         """Every parameter with its unit, value and bounds."""

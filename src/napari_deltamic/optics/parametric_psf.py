@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from math import log
 from typing import Self
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import softshrink
@@ -111,12 +112,15 @@ class ParametricPSF:
                 values[name] = softshrink(values[name], -log(factor))
         return self._with_values(values) if self._fitted else self
 
-    def narrowed(self, factor: float) -> Self:
-        """The same PSF with widths times ``factor``, as shorter waves make it."""
+    def widened(self, by: float) -> Self:
+        """A PSF of the same kind whose variance is larger by about the square of ``by`` (um)."""
         values = dict(self._values)
-        for name in values:
-            if name in ("wavelength", "excitation") or name.startswith("sigma"):
-                values[name] = values[name] * factor
+        longer = float(np.hypot(1.0, by / np.prod(self.sigma_um) ** (1 / 3)))
+        for name, value in values.items():
+            if name.startswith("sigma"):
+                values[name] = torch.hypot(value, value.new_tensor(by))
+            elif name in ("wavelength", "excitation"):  # all lengths are proportional to them
+                values[name] = value * longer
         return self._with_values(values)
 
     def detach(self) -> Self:
