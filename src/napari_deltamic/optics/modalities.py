@@ -11,7 +11,7 @@ from torch import Tensor
 from ..errors import InputError
 from .bessel import j0, jinc
 from .objective import WAVELENGTHS, ObjectivePSF
-from .otf_table import TAPER, Extent, RadialPSF, TablePSF, gauss_legendre, nodes_for
+from .otf_table import FEWER_ACROSS, TAPER, Extent, RadialPSF, TablePSF, gauss_legendre, nodes_for
 from .parameters import Spec, plain
 
 AIRY = 0.61  # radius of the Airy disc, in wavelength / NA
@@ -108,7 +108,8 @@ class ConfocalPSF(RadialPSF):
         gathered = (r + float(self._pinhole_radius().detach()) * _MARGIN, z)
         self._detection = self._detection.with_extent((gathered[1], gathered[0]))
         q = self._detection._resolved[1]
-        self._q, q_weight = gauss_legendre(0.0, q, nodes_for(q * (r + (1 + TAPER) * gathered[0])))
+        phase = q * (r + (1 + TAPER) * gathered[0])
+        self._q, q_weight = gauss_legendre(0.0, q, nodes_for(FEWER_ACROSS * phase))
         inner = self._detection._r
         self._inverse = (q_weight * self._q / (2 * pi))[:, None] * j0(self._q[:, None] * self._r)
         self._forward = (

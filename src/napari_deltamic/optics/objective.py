@@ -17,7 +17,7 @@ from torch import Tensor
 
 from ..errors import InputError
 from .bessel import j0, j1, j2
-from .otf_table import TAPER, Extent, RadialPSF, gauss_legendre, nodes_for
+from .otf_table import FEWER_IN_PUPIL, TAPER, Extent, RadialPSF, gauss_legendre, nodes_for
 from .parameters import Spec, plain
 
 _FOCAL_SHIFT = "its main effect is the scale of z, which no image can tell from the shape"
@@ -71,7 +71,6 @@ class ObjectivePSF(RadialPSF):
         fitted: Sequence[str],
         extent: Extent | None,
     ) -> None:
-        self._spread: Extent = (0.0, 0.0)
         super().__init__(specs, values, fitted, extent)
 
     def with_extent(self, extent: Extent) -> ObjectivePSF:
@@ -145,11 +144,10 @@ class ObjectivePSF(RadialPSF):
     def _place_nodes(self) -> None:
         super()._place_nodes()
         kz, kr = self._resolved
-        self._spread = self._ray_spread()
         z, r = (1 + TAPER) * self._flat[0], (1 + TAPER) * self._flat[1]
-        # Rays of the aberrated pupil vary as fast as those of a defocus that spreads as far.
-        phase = kr / 2 * r + kz * (z + 2 * self._spread[0])
-        self._rho, self._rho_weight = gauss_legendre(0.0, 1.0, nodes_for(phase))
+        # What of aberrations adds phase is within the extent, which has room for them.
+        phase = kr / 2 * r + kz * z
+        self._rho, self._rho_weight = gauss_legendre(0.0, 1.0, nodes_for(FEWER_IN_PUPIL * phase))
 
     def intensity_at(self, z: Tensor, r: Tensor) -> Tensor:
         """(Nz, Nr) intensity at focus positions ``z`` and distances ``r`` from the axis (um)."""

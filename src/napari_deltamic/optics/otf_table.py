@@ -29,6 +29,10 @@ Extent = tuple[float, float]
 TAPER = 1.0
 _LEAK = 6.3  # rad: where the transform of a window of extent 1 has fallen to a thousandth
 _DENSER = 1.25  # than the Nyquist rate: planes and nodes
+# Share of the nodes that a wave over the whole extent needs: at its end, the window is near zero.
+# Measured (NA 1.2, up to 3 rad of aberration or 80 um deep): with 0.7 across, OTFs change by less
+# than 1e-8, with 0.5 by 5e-8; with 0.6 over the pupil by 1e-13, with 0.4 by 1e-10, 0.25 by 1e-2.
+FEWER_ACROSS, FEWER_IN_PUPIL = 0.7, 0.6
 _GROWTH = 1.25  # of the support that a fit may ask for
 
 
@@ -93,7 +97,6 @@ class TablePSF(ParametricPSF):
         """Nodes across the axis."""
         raise NotImplementedError
 
-    _kept_planes: Tensor | None
     _outgrown = False  # whether a PSF that this one is made of has other nodes by now
 
     def _intensity(self, z: Tensor) -> Tensor:
@@ -128,6 +131,7 @@ class TablePSF(ParametricPSF):
         half = ceil(total / step)
         self._z = torch.arange(-half, half + 1, dtype=torch.float64) * (total / half)
         self._z_weight = window(self._z.abs(), self._flat[0]) * (total / half)
+        self._known: Kept[Tensor] = Kept(3)  # planes by values, also of PSFs made of this one
 
     def _with_values(self, values: Mapping[str, Tensor]) -> Self:
         other = super()._with_values(values)
@@ -157,16 +161,16 @@ class TablePSF(ParametricPSF):
         return z, r, r
 
     def _planes(self) -> Tensor:
-        """The intensity on the planes; kept while no parameter asks for a gradient."""
-        if self._differentiable():
-            return self._intensity(self._z)
-        if self._kept_planes is None:
-            self._kept_planes = self._intensity(self._z)
-        return self._kept_planes
+        """The intensity on the planes; without a gradient, it is kept.
 
-    def _forget(self) -> None:
-        super()._forget()
-        self._kept_planes = None
+        A fit asks for it where it has asked for the gradient.
+        """
+        values = tuple(self._number(name) for name in self._values)
+        if not self._differentiable():
+            return self._known.get(values, lambda: self._intensity(self._z))
+        planes = self._intensity(self._z)
+        self._known.get(values, planes.detach)
+        return planes
 
     def _otf(self, axes: Axes) -> Tensor:
         kz, ky, kx = (a.reshape(-1).to(torch.float64) for a in axes)
@@ -215,7 +219,7 @@ class RadialPSF(TablePSF):
     def _place_nodes(self) -> None:
         reach = (1 + TAPER) * self._flat[1]
         # The intensity and the wave that it is transformed with are resolved together.
-        count = nodes_for(2 * self._resolved[1] * reach)
+        count = nodes_for(FEWER_ACROSS * 2 * self._resolved[1] * reach)
         self._r, weight = gauss_legendre(0.0, reach, count)
         self._line_weight = weight * window(self._r, self._flat[1])
         self._r_weight = 2 * pi * self._r * self._line_weight
