@@ -6,7 +6,7 @@ import torch
 
 from napari_deltamic import InputError, optics
 from napari_deltamic.fitting.found_psf import psf_from, settings_of, values_of
-from napari_deltamic.fitting.light_cone import confocal_of
+from napari_deltamic.fitting.light_cone import confocal_of, widefield_of
 
 Z = torch.linspace(-3, 3, 241, dtype=torch.float64)
 AXIS = torch.zeros(1, dtype=torch.float64)
@@ -115,6 +115,20 @@ def test_settings_tell_it():
     assert torch.equal(again.otf(AXES), found.otf(AXES))
     kept = psf_from(values_of(found))
     assert torch.equal(kept.otf(AXES), found.otf(AXES))
+
+
+@pytest.mark.parametrize("sigma", [(0.3, 0.11, 0.11), (6.0, 0.2, 0.2), (0.05, 0.05, 0.05)])
+def test_whatever_a_fit_may_find_has_settings(sigma):
+    """As far as it may go, and from there as far again."""
+    for made in (confocal_of, widefield_of):
+        for end in (0, 1):
+            found = made(sigma, 0.0)
+            for _ in range(2):
+                found = found.with_parameters(found.limits()[end])
+                again = settings_of(found).build()
+                for one, other in zip(again.described(), found.described(), strict=True):
+                    assert one.value == pytest.approx(other.value)
+                found = again
 
 
 def test_microscopes_take_it_for_the_scalar_model_alone():

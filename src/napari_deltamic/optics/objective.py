@@ -22,10 +22,10 @@ from .parameters import Spec, plain
 
 _FOCAL_SHIFT = "its main effect is the scale of z, which no image can tell from the shape"
 _MICROSCOPE = "it is known from the objective; fit the depth or the coverslip instead"
-NA = Spec("na", "", "numerical aperture", 0.0, "index", (0.05, 1.7))
-# um; by definition not nm. Light is shorter than 2, but a fit may find 4 times as much (RANGE)
-# where more than diffraction makes a PSF wide, and its settings are read again.
-WAVELENGTHS = (0.2, 8.0)
+# Of these, a fit may find 4 times as much or as little as light has (RANGE), where more than
+# diffraction makes a PSF wide, and again so when it goes on: its settings are read again. Chosen.
+NA = Spec("na", "", "numerical aperture", 0.0, "index", (0.005, 1.7))
+WAVELENGTHS = (0.01, 40.0)  # um; neither nm nor mm of light
 WAVELENGTH = Spec("wavelength", "um", "of the emitted light, in vacuum", 0.0, None, WAVELENGTHS)
 INDEX = Spec("index", "", "refractive index of the immersion", None, None, (1.0, 2.0))
 APODISATION = Spec("apodisation", "", "amplitude across the pupil falls as exp(-apodisation rho^2)")
