@@ -54,7 +54,8 @@ def test_zernike_phases_belong_to_the_pupil():
 BAD = [
     ({"wavelength": 520}, "wavelength 520 um: did you mean 0.52"),
     ({"wavelength": 0.00052}, "did you mean 0.52"),
-    ({"wavelength": 50.0}, "wavelength must lie between"),
+    ({"wavelength": 50.0}, "wavelength 50 um: did you mean 0.05"),
+    ({"wavelength": 1e6}, "wavelength must lie between"),
     ({"na": 1.4}, "NA 1.4 must be below the refractive index of the immersion, 1.333"),
     ({"na": 140}, "na must lie between"),
     ({"na": 0}, "na must lie between"),
