@@ -157,3 +157,23 @@ def test_a_fit_may_find_a_wavelength_longer_than_light(kind):
     found = begun._with_values({**begun.values, **moved})  # so sharp that nodes are placed anew
     made = MODELS[kind](**longer)  # as settings that are read again
     assert_allclose(found.otf(axes()).numpy(), made.otf(axes()).numpy(), atol=1e-4)
+
+
+@pytest.mark.parametrize("made", ["scalar", "confocal", "light sheet"])
+def test_there_and_back_it_is_the_same(made):
+    """Planes are kept by values, and nodes may be others by then."""
+    objective = optics.ScalarPSF(0.8, 0.5, 1.33)
+    first = {
+        "scalar": objective,
+        "confocal": optics.ConfocalPSF(objective, 0.45),
+        "light sheet": optics.LightSheetPSF(objective, 2.0),
+    }[made]
+    axes = [torch.linspace(-20, 20, 9, dtype=torch.float64) for _ in range(3)]
+    box = axes[0][:, None, None], axes[1][None, :, None], axes[2][None, None]
+    before = first.otf(box)
+    start = first.parameters()
+    for further in (0.1, 0.2, 0.4, 0.8):
+        there = first.with_parameters(start + further)
+        there.otf(box)
+        back = there.with_parameters(start).otf(box)
+        assert float((back - before).abs().max()) < 0.02

@@ -162,7 +162,9 @@ class LightSheetPSF(TablePSF):
         )
 
     def _adopt(self, values: Mapping[str, Tensor]) -> None:
+        planes = self._detection._known
         self._detection = self._detection._with_values(values)
+        self._outgrown = self._detection._known is not planes
 
     def _bandwidth(self) -> tuple[float, float, float]:
         """rad/um along Z, Y, X: of the intensity."""
@@ -174,7 +176,7 @@ class LightSheetPSF(TablePSF):
         return min(z, 3 / _FWHM * self._number("sheet")), r
 
     def _place_nodes(self) -> None:
-        pass  # those of the detection
+        self._outgrown = False  # nodes are those of the detection
 
     def _intensity(self, z: Tensor) -> Tensor:
         planes = self._detection._intensity(z)
