@@ -31,3 +31,8 @@ def judged(grades, reasons=()):
 def test_cells_that_are_not_good_are_named_or_counted(grades, reasons, said):
     text = "Fair: the cells explain 90% of the signal around them"
     assert told(judged(grades, reasons)) == text + said
+
+
+def test_a_question_has_no_full_stop():
+    said = told(judged(["fair"], ("it is thick: are these two cells?", "slices are shifted")))
+    assert said.endswith("them. It is thick: are these two cells? Slices are shifted.")

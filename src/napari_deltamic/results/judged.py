@@ -116,10 +116,14 @@ def told(known: Judged) -> str:
     reasons = [r for r in verdict.reasons if "is explained" not in r and not names_cells(r)]
     if any(names_cells(reason) for reason in verdict.reasons):
         reasons.append(f"{_of_cells(verdict)}: the table says why")
-    text += "".join(f" {reason[0].upper()}{reason[1:]}." for reason in reasons)
+    text += "".join(f" {_sentence(reason)}" for reason in reasons)
     if verdict.grade == "poor":
         text += " Look at the surfaces before you use them."
     return text
+
+
+def _sentence(reason: str) -> str:
+    return reason[0].upper() + reason[1:] + ("" if reason.endswith("?") else ".")
 
 
 def _of_cells(verdict: Verdict) -> str:
