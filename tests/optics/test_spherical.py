@@ -131,6 +131,11 @@ def test_whatever_a_fit_may_find_has_settings(sigma):
                 found = again
 
 
+def test_a_value_that_cannot_be_is_no_other_unit():
+    with pytest.raises(InputError, match="spherical must lie between -10 and 10 rad, not 30"):
+        optics.ScalarPSF(1.2, 0.6, 1.33, spherical=30.0)
+
+
 def test_microscopes_take_it_for_the_scalar_model_alone():
     given = {"na": 1.2, "wavelength": 0.5, "immersion": "water", "spherical": 0.3}
     found = optics.microscope("confocal", model="scalar", **given)

@@ -104,7 +104,7 @@ class ObjectivePSF(RadialPSF):
         return None
 
     def _widest_path(self, s: Tensor, weight: Tensor) -> Tensor | None:
-        """The same as far as a fit may take it, which nodes have to suffice for."""
+        """The same as far as a fit may take it, which the extent has room for."""
         return self._path(s, weight)
 
     def _fields(self, s: Tensor, amplitude: Tensor) -> list[tuple[float, Tensor, int]]:
@@ -145,7 +145,7 @@ class ObjectivePSF(RadialPSF):
         super()._place_nodes()
         kz, kr = self._resolved
         z, r = (1 + TAPER) * self._flat[0], (1 + TAPER) * self._flat[1]
-        # What of aberrations adds phase is within the extent, which has room for them.
+        # Aberrations need no more nodes: the extent holds the rays that they spread.
         phase = kr / 2 * r + kz * z
         self._rho, self._rho_weight = gauss_legendre(0.0, 1.0, nodes_for(FEWER_IN_PUPIL * phase))
 

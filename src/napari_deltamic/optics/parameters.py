@@ -102,7 +102,7 @@ def check_unit(spec: Spec, number: float) -> None:
     low, high = spec.typical
     if low <= number <= high:
         return
-    for factor in (1e-3, 1e3) if spec.unit else ():
+    for factor in (1e-3, 1e3) if spec.unit not in ("", "rad") else ():
         if low <= number * factor <= high:
             raise InputError(
                 f"{spec.name} {number:g} {spec.unit}: did you mean {number * factor:g}?"

@@ -100,7 +100,7 @@ class ParametricPSF:
     def sharpened(self, factor: float) -> Self:
         """What a fit may make of the PSF before a band is planned anew: widths times ``factor``.
 
-        Phases come as much nearer to 0 as its logarithm: a step changes both by the same number.
+        Phases come closer to 0 by its logarithm, which is as far as one step may move them.
         """
         values = dict(self._values)
         for name in self._fitted:
