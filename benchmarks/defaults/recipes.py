@@ -19,6 +19,7 @@ class Recipe:
     cells: tuple[tuple[float, float, float, float], ...] = ((0, 0, 0, 11),)  # offset Z Y X, radius
     seeded: tuple[int, ...] = (1,)  # cells that have a seed, from 1
     together: bool = False  # cells share walls
+    flattened: float = 1.0  # height of each cell that shares none, of what it would be
     roughness: float = 0.12
     shape: tuple[int, int, int] = (40, 40, 40)
     aspect: float = 1.0  # Z over lateral voxel side
@@ -184,6 +185,35 @@ def _cut_chromatin(rng: np.random.Generator) -> Recipe:
     return replace(whole, cells=((place, 0.0, 0.0, radius),), shape=(slices, side, side), psf=psf)
 
 
+def _flat_nuclei(rng: np.random.Generator) -> Recipe:
+    """Four flat nuclei, as of cells on glass, in a few slices that may cut them; with chromatin."""
+    aspect, high = rng.choice([3.0, 5.0]), rng.uniform(2.5, 6.0)  # slices
+    radii = rng.uniform(14.0, 22.0, 4)
+    slices = max(5, round(high + rng.uniform(1.5, 4.0)))
+    beyond = rng.uniform(0.0, 0.4) * high if rng.random() < 0.6 else -0.5  # cut by the first one
+    depth = (high / 2 - beyond - (slices - 1) / 2) * aspect
+    corners = [(a, b) for a in (-23.0, 23.0) for b in (-23.0, 23.0)]
+    cells = [(depth, *corner, float(r)) for corner, r in zip(corners, radii, strict=True)]
+    return Recipe(
+        tuple(cells),
+        (1, 2, 3, 4),
+        flattened=high * aspect / (2 * float(radii.mean())),
+        roughness=rng.uniform(0.05, 0.12),
+        shape=(slices, 96, 96),
+        aspect=float(aspect),
+        psf=(rng.uniform(0.7, 1.3), rng.uniform(1.0, 1.8)),
+        photons=float(np.exp(rng.uniform(np.log(20), np.log(200)))),
+        membrane=0.0,
+        interior=1.0,
+        unequal=0.4,
+        grain=rng.uniform(0.1, 0.5),
+        clump=rng.uniform(1.0, 3.0),
+        nucleoli=int(rng.integers(0, 4)),
+        seeds="labels",
+        told=("--structure", "interior"),
+    )
+
+
 def _confluent(rng: np.random.Generator) -> Recipe:
     """Cells that fill the stack; only those count of which half a cell or more lies in it."""
     shape, radius = (30, 42, 42), rng.uniform(7, 9)
@@ -291,6 +321,7 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
     ),
     "chromatin": _chromatin,
     "chromatin-cut": _cut_chromatin,
+    "flat-nuclei": _flat_nuclei,
     "chromatin-both": lambda rng: _chromatin(
         rng, membrane=1.0, interior=rng.uniform(0.3, 1.2), told=("--structure", "both")
     ),
@@ -387,6 +418,7 @@ WORDS = {
     "grainy-nuclei": "eight nuclei with chromatin",
     "chromatin": "a nucleus with chromatin and nucleoli",
     "chromatin-cut": "the same, cut by the border, in a few slices",
+    "flat-nuclei": "four flat nuclei with chromatin, in a few slices",
     "chromatin-both": "a membrane, and an inside with chromatin",
     "fading": "a membrane that fades along Z",
     "fading-tissue": "four cells that share walls, fading along Z",

@@ -152,7 +152,7 @@ def _cells(
     for k, centre in centres.items():
         ball = sphere((0, 0, 0), radii[k], edge_length=_EDGE * unit)
         ball = _fingered(_waved(ball, np.zeros(3), recipe.roughness, rng), recipe.arms, rng)
-        v = ball.vertices_numpy() + centre
+        v = ball.vertices_numpy() * (recipe.flattened, 1.0, 1.0) + centre
         parts.append(Mesh(v, ball.faces, ball.regions * k))
     return Mesh.merge(parts), centres, radii
 

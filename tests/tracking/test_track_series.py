@@ -35,7 +35,7 @@ def test_a_cell_that_drifts_is_followed():
     assert [r.frame for r in results] == [0, 1, 2, 3]
     assert [r.time for r in results] == [0, 30, 60, 90]
     for t, result in enumerate(results):
-        np.testing.assert_allclose(center(result.mesh), MIDDLE + VOXEL * t * STEP, atol=0.05)
+        np.testing.assert_allclose(center(result.mesh), MIDDLE + VOXEL * t * STEP, atol=0.03)
         assert result.cells == (1,)
         assert result.events == ()
         assert surface_distance(result.mesh, ball(t * STEP), 2000).mean < 0.15 * VOXEL
@@ -89,7 +89,7 @@ def test_a_jump_of_almost_a_radius_is_bridged():
     images = [photographed(ball()), photographed(ball((0, 5, -4)), seed=1)]
     results = tracked(images)
     np.testing.assert_allclose(
-        center(results[1].mesh), MIDDLE + VOXEL * np.array([0, 5, -4]), atol=0.06
+        center(results[1].mesh), MIDDLE + VOXEL * np.array([0, 5, -4]), atol=0.03
     )
     assert results[1].events == ()
 
@@ -136,7 +136,7 @@ def test_one_bad_frame_does_not_stop_the_series(name):
     assert [r.mesh is None for r in results] == [False, False, True, False]
     assert "frame 2 skipped" in results[2].message
     assert why in results[2].message
-    np.testing.assert_allclose(center(results[3].mesh), MIDDLE + VOXEL * 3 * STEP, atol=0.06)
+    np.testing.assert_allclose(center(results[3].mesh), MIDDLE + VOXEL * 3 * STEP, atol=0.03)
 
 
 def test_a_frame_that_is_out_of_focus_is_left_out():
@@ -181,7 +181,7 @@ def test_one_of_two_cells_leaves():
     assert results[-1].cells == (1,)
     assert [e.cell for r in results for e in r.events if e.kind == "ended"] == [2]
     np.testing.assert_allclose(
-        center(results[-1].mesh), MIDDLE + VOXEL * np.array([0, 4, 5]), atol=0.06
+        center(results[-1].mesh), MIDDLE + VOXEL * np.array([0, 4, 5]), atol=0.03
     )
 
 
