@@ -186,29 +186,29 @@ def _cut_chromatin(rng: np.random.Generator) -> Recipe:
 
 
 def _flat_nuclei(rng: np.random.Generator) -> Recipe:
-    """Four flat nuclei, as of cells on glass, in a few slices that may cut them; with chromatin."""
+    """Two flat nuclei, as of cells on glass, in a few slices that may cut them; with chromatin."""
     aspect, high = rng.choice([3.0, 5.0]), rng.uniform(2.5, 6.0)  # slices
-    radii = rng.uniform(14.0, 22.0, 4)
+    radii = rng.uniform(20.0, 34.0, 2)
     slices = max(5, round(high + rng.uniform(1.5, 4.0)))
     beyond = rng.uniform(0.0, 0.4) * high if rng.random() < 0.6 else -0.5  # cut by the first one
     depth = (high / 2 - beyond - (slices - 1) / 2) * aspect
-    corners = [(a, b) for a in (-23.0, 23.0) for b in (-23.0, 23.0)]
-    cells = [(depth, *corner, float(r)) for corner, r in zip(corners, radii, strict=True)]
+    places = (-radii[0] - 1.5, radii[1] + 1.5)
+    cells = [(depth, 0.0, float(x), float(r)) for x, r in zip(places, radii, strict=True)]
     return Recipe(
         tuple(cells),
-        (1, 2, 3, 4),
+        (1, 2),
         flattened=high * aspect / (2 * float(radii.mean())),
         roughness=rng.uniform(0.05, 0.12),
-        shape=(slices, 96, 96),
+        shape=(slices, 96, 168),
         aspect=float(aspect),
-        psf=(rng.uniform(0.7, 1.3), rng.uniform(1.0, 1.8)),
+        psf=(rng.uniform(0.7, 1.3), rng.uniform(0.8, 1.8)),
         photons=float(np.exp(rng.uniform(np.log(20), np.log(200)))),
         membrane=0.0,
         interior=1.0,
         unequal=0.4,
-        grain=rng.uniform(0.1, 0.5),
+        grain=rng.uniform(0.1, 0.6),
         clump=rng.uniform(1.0, 3.0),
-        nucleoli=int(rng.integers(0, 4)),
+        nucleoli=int(rng.integers(0, 5)),
         seeds="labels",
         told=("--structure", "interior"),
     )
@@ -418,7 +418,7 @@ WORDS = {
     "grainy-nuclei": "eight nuclei with chromatin",
     "chromatin": "a nucleus with chromatin and nucleoli",
     "chromatin-cut": "the same, cut by the border, in a few slices",
-    "flat-nuclei": "four flat nuclei with chromatin, in a few slices",
+    "flat-nuclei": "two flat nuclei with chromatin, in a few slices",
     "chromatin-both": "a membrane, and an inside with chromatin",
     "fading": "a membrane that fades along Z",
     "fading-tissue": "four cells that share walls, fading along Z",

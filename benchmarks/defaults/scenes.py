@@ -122,7 +122,9 @@ def scene_of(name: str, recipe: Recipe, rng: np.random.Generator) -> Scene:
     for k, occupied in solid.items():
         every[space.binned(occupied) > 0.5] = k
     labels = np.where(np.isin(every, known), every, 0).astype(np.int32)
-    given = (truth, strangers, centres, radii, _careless(labels, rng), every)
+    # Of flat cells, that much of a voxel along Z would be half of their height.
+    sides = size if recipe.flattened != 1 else (1.0, 1.0, 1.0)
+    given = (truth, strangers, centres, radii, _careless(labels, sides, rng), every)
     return Scene(name, recipe, image, voxel, effective_sigma(space, sigma), *given)
 
 
@@ -249,15 +251,20 @@ def _specks(
     return out
 
 
-def _careless(labels: NDArray[np.int32], rng: np.random.Generator) -> NDArray[np.int32]:
-    """Labels as another tool draws them: borders a voxel or two off, smoothly so."""
+def _careless(
+    labels: NDArray[np.int32], sides: tuple[float, float, float], rng: np.random.Generator
+) -> NDArray[np.int32]:
+    """Labels as another tool draws them: borders a voxel or two off, smoothly so.
+
+    sides : of voxels, as far as distances count.
+    """
     result = np.zeros_like(labels)
     wander = gaussian_filter(rng.normal(size=labels.shape), 4)
     wander *= 0.8 / wander.std()
     best = np.full(labels.shape, -np.inf)
     for k in np.unique(labels[labels > 0]):
         own = labels == k
-        depth = distance_transform_edt(own) - distance_transform_edt(~own)
+        depth = distance_transform_edt(own, sides) - distance_transform_edt(~own, sides)
         mine = (depth + wander > 0) & (depth > best)
         if mine.sum() < _LEAST_LABEL * own.sum():
             mine = own  # no tool draws what is hardly there

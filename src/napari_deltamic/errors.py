@@ -31,7 +31,7 @@ class DoubtWarning(UserWarning):
 
 
 class SlowPathWarning(UserWarning):
-    """The compiled extension is missing; results are the same, but slower."""
+    """The compiled extension is missing: images are the same, but slower, and nothing is remeshed."""
 
 
 TOLD = (RepairWarning, DoubtWarning, SlowPathWarning)  # warnings that users see

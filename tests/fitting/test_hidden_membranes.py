@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 
 import napari_deltamic as nd
+from napari_deltamic import GaussianPSF
 from napari_deltamic.fitting import hidden_membranes
+from napari_deltamic.fitting.fitted import Fitted
 from napari_deltamic.fitting.hidden_membranes import _followed, _grown, _Trial, membranes_as_well
 from napari_deltamic.fitting.level_run import LevelRun
 from napari_deltamic.fitting.schedule import Progress
 from napari_deltamic.fitting.shape import Shape
 from napari_deltamic.geometry import sphere
+from napari_deltamic.scene.effects import Effects
 
 MIDDLE = np.full(3, 2.3)
 
@@ -23,15 +26,35 @@ SURE = np.concatenate([FEW, FEW])  # 2.7 errors
 SCATTER = 5.5 * (-1.0) ** np.arange(16)
 
 
-def followed(monkeypatch, *gains, evened=(), shines="both", over=(), less=False, even=False):
+def squeezed(mesh, times):
+    """Flatter along Z."""
+    return mesh.with_vertices(MIDDLE + (mesh.vertices_numpy() - MIDDLE) * (times, 1, 1))
+
+
+BALL, SHEET = sphere(MIDDLE, 1.0), squeezed(sphere(MIDDLE, 1.5), 0.15)
+NARROW = SimpleNamespace(sigma_um=(0.1,) * 3)
+
+
+def followed(
+    monkeypatch,
+    *gains,
+    evened=(),
+    shines="both",
+    over=(),
+    less=False,
+    even=False,
+    mesh=BALL,
+):
     """After how many legs a rival stops that has gained so much by then, and what it has taken.
 
     over : brightness of insides after each, 1 unless given. less : what the trial should say.
-    even : whether brightness deep inside hardly varies.
+    even : whether brightness deep inside hardly varies. mesh : the cells.
     """
+    fitted = SimpleNamespace(mesh=mesh, first_optics=NARROW)
 
     def rival(leg):
-        return SimpleNamespace(leg=leg, structure=lambda: SimpleNamespace(structure=shines))
+        shows = SimpleNamespace(structure=shines)
+        return SimpleNamespace(leg=leg, structure=lambda: shows, fitted=fitted)
 
     def gained(one, other):
         # Evened, it gains no more unless given: insides alone are too uneven.
@@ -53,7 +76,8 @@ def followed(monkeypatch, *gains, evened=(), shines="both", over=(), less=False,
     )
     trial = _followed(_Trial(rival(0), 5), None, 6)
     leg, may = trial.rival.leg, shines != "interior"
-    assert trial.stands == (may and gains[leg] > 100 and (even or not over or over[leg] <= 2.5))
+    hidden = mesh is SHEET or (over and over[leg] > 2.5)
+    assert trial.stands == (may and gains[leg] > 100 and (even or not hidden))
     assert trial.hints == (may and max(gains[: leg + 1]) > 60)
     assert trial.less == (less or not may)
     assert trial.evaluations == 5 + 3 * leg
@@ -100,6 +124,12 @@ def test_a_rival_whose_membranes_fade_is_followed_no_further(monkeypatch):
 def test_bright_insides_hide_no_membranes_if_they_are_even(monkeypatch):
     assert followed(monkeypatch, 80.0, 120.0, 140.0, over=(2.8, 2.9, 2.4), even=True) == 1
     assert followed(monkeypatch, 20.0, 50.0, 120.0, over=(2.4, 2.6, 2.8), even=True) == 2
+
+
+def test_flat_cells_have_no_membrane_that_may_be_chromatin(monkeypatch):
+    gains = 80.0, 120.0, 140.0, 141.0
+    assert followed(monkeypatch, *gains, mesh=SHEET) == 3
+    assert followed(monkeypatch, *gains, mesh=SHEET, even=True) == 1
 
 
 @pytest.mark.parametrize(("times", "grown"), [(1.2, False), (1.3, True)])
@@ -250,22 +280,30 @@ def test_membranes_alone_are_followed_while_they_get_better(monkeypatch):
     assert membranes_alone(monkeypatch, small, wide=0.18) == (False, 0)
 
 
-def test_membranes_of_large_cells_begin_within_the_outer_half_of_their_light():
-    mesh = sphere((0.0, 0.0, 0.0), 2.0, edge_length=0.4)
-
-    def displaced(vertices, optics):
-        return SimpleNamespace(with_structure=lambda structure: (structure, vertices, optics))
-
-    fitted = SimpleNamespace(
-        shape=Shape.begun(mesh, "uniform"),
-        optics=SimpleNamespace(sigma_um=(0.2, 0.2, 0.2)),
-        displaced=displaced,
-    )
+def begun_within(mesh, width):
+    """Membranes as they begin within insides; width : um, of the PSF at the start."""
+    first, optics, none = GaussianPSF(width), GaussianPSF(0.2), Effects()
+    shape = Shape.begun(mesh, "smooth")
+    fitted = Fitted(shape, optics, none, first, none, structure="interior")
     terms = SimpleNamespace(settings=SimpleNamespace(collisions=False))
-    name, vertices, optics = hidden_membranes._membranes_further_in(terms, fitted)
-    assert name == "membrane"
-    assert optics is fitted.optics
-    np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), 2 - 1.2 * 0.2, atol=0.02)
+    begin = hidden_membranes._membranes_further_in(terms, fitted)
+    assert begin.structure == "membrane"
+    assert begin.optics is fitted.optics
+    return begin
+
+
+def test_membranes_of_large_cells_begin_within_the_outer_half_of_their_light():
+    begin = begun_within(sphere((0.0, 0.0, 0.0), 2.0, edge_length=0.4), 0.2)
+    lengths = np.linalg.norm(begin.mesh.vertices_numpy(), axis=1)
+    np.testing.assert_allclose(lengths, 2 - 1.2 * 0.2, atol=0.02)
+    assert begin.shape.model == "smooth"
+
+
+@pytest.mark.parametrize(("times", "model"), [(0.15, "interface"), (0.6, "smooth")])
+def test_membranes_of_flat_cells_are_as_bright_everywhere(times, model):
+    """0.9 um high, and 3.6; the PSF begins with 0.2."""
+    mesh = squeezed(sphere(MIDDLE, 3.0, edge_length=0.5), times)
+    assert begun_within(mesh, 0.2).shape.model == model
 
 
 @pytest.mark.parametrize(

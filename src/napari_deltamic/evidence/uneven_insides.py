@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from ..fitting.amplitudes import inside_over_membrane
-from ..fitting.evening import RULES, unevenness
+from ..fitting.evening import deep_inside, unevenness
 from ..fitting.job import FitInput
 from ..fitting.level import differences
 from ..fitting.saturation import filled_in
@@ -50,10 +50,11 @@ def uneven_insides(job: FitInput, state: FitState, rendered: np.ndarray) -> dict
     widths = np.asarray(state.optics.sigma_um) / np.asarray(grid.voxel_size)
     noise = differences(torch.from_numpy(left)).numpy()
     shown = shown.astype(np.float64)
-    found = unevenness(left + shown, shown, share.astype(np.float64), noise, widths)
+    share = share.astype(np.float64)
+    found = unevenness(left + shown, shown, share, noise, widths)
     if found is None:
         return {}
     labels = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
-    deep = share > RULES.deep
+    deep = deep_inside(share, widths)
     cells = {int(k): deep & (labels == k) for k in mesh.region_ids()}
     return {k: float(found.gain[own].std()) for k, own in cells.items() if own.any()}

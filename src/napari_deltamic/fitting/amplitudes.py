@@ -130,6 +130,19 @@ def all_small(mesh: Mesh, optics: Optics, times: float = 1.0) -> bool:
     return hardly_wider(float(np.median(volumes)), optics, times)
 
 
+def all_flat(mesh: Mesh, optics: Optics, times: float) -> bool:
+    """Whether they do as most of its cells are flat, not as they are small.
+
+    Three volumes over the area is the radius of a ball, and 1.5 times the thickness of a sheet;
+    here in widths of the PSF along each axis. times : as for :func:`hardly_wider`.
+    """
+    scaled = mesh.with_vertices(mesh.vertices_numpy() / np.asarray(optics.sigma_um))
+    areas, volumes = scaled.areas(), scaled.volumes()
+    around = {k: areas[(scaled.regions == k).any(1)].sum() for k in volumes}
+    radius = np.median([3 * abs(volumes[k]) / around[k] for k in volumes])
+    return bool(radius <= times * RULES.telling) and not all_small(mesh, optics, times)
+
+
 def hardly_wider(volume: float, optics: Optics, times: float = 1.0) -> bool:
     """Whether insides of a cell of so many um^3 look like membranes through the PSF.
 

@@ -297,8 +297,8 @@ class _Look:
         gain, own = gain.to(voxels.weights), own.to(voxels.weights)
         evened = voxels.measured + own * (1 / gain - 1)
         weights = voxels.weights * gain**2
-        # Beside a membrane that is off, insides look uneven; of cut ones, that is a guess.
-        if light.membrane == 0 and voxels.full is None:
+        # Beside a membrane that is off, dim insides look uneven; of cut ones, that is a guess.
+        if seen > EVENING.trusted and voxels.full is None:
             bright, left = (i.reshape(-1)[index] for i in (shown, noise))
             trusted = uneven.weights(as_floats(weights), bright, left / as_floats(gain))
             weights = torch.from_numpy(trusted).to(weights)

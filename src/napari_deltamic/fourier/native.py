@@ -20,7 +20,8 @@ def native() -> ModuleType | None:
     except ImportError:
         warnings.warn(
             "the compiled extension of napari-deltamic is missing: images are computed in torch, "
-            "8 to 10 times slower by the particle-mesh, 40 to 150 times by the closed form "
+            "8 to 10 times slower by the particle-mesh, 40 to 150 times by the closed form; "
+            "cells share no walls and meshes are not remeshed, so fits may end elsewhere "
             "(to get it back, reinstall with a C++ compiler and --no-cache-dir)",
             SlowPathWarning,
             stacklevel=3,
