@@ -31,7 +31,7 @@ class DoubtWarning(UserWarning):
 
 
 class SlowPathWarning(UserWarning):
-    """The compiled extension is missing: images are the same, but slower, and nothing is remeshed."""
+    """The compiled extension is missing: images are the same, but slower; nothing is remeshed."""
 
 
 TOLD = (RepairWarning, DoubtWarning, SlowPathWarning)  # warnings that users see
