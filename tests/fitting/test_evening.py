@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from napari_deltamic import GaussianPSF, Grid, fit
-from napari_deltamic.fitting.evening import RULES, Unevenness, deep_inside, unevenness
+from napari_deltamic.fitting.evening import RULES, Unevenness, deepest, unevenness
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure import surface_distance
 from napari_deltamic.runs.settings import FitSettings
@@ -14,7 +14,7 @@ from napari_deltamic.scene.render import expected_image
 
 GRID, OPTICS, CENTRE = Grid((34,) * 3, (1.0,) * 3), GaussianPSF(1.3), (16.4, 16.7, 16.2)
 BALL = sphere(CENTRE, 9.0, edge_length=1.2)
-WIDTHS = np.full(3, 1.3)
+WIDTHS, EVERYWHERE = np.full(3, 1.3), np.ones(GRID.shape, bool)
 INSIDE = expected_image(BALL, GRID, OPTICS, 1e-4, 1.0, 0.0, light=INSIDES).clip(0).astype(float)
 
 
@@ -29,7 +29,7 @@ def read(true, photons=100.0):
     shown = photons * INSIDE
     seen = np.random.default_rng(0).poisson(shown * true + 3.0) - 3.0
     noise = np.sqrt(shown + 3.0) * np.random.default_rng(2).choice([-1.0, 1.0], GRID.shape)
-    found = unevenness(seen, shown, INSIDE, noise, WIDTHS)
+    found = unevenness(seen, shown, INSIDE, noise, WIDTHS, EVERYWHERE)
     return None if found is None else found.gain, RULES.deep < INSIDE
 
 
@@ -54,19 +54,46 @@ def test_noise_alone_says_nothing():
 
 
 def test_where_nothing_is_deep_nothing_is_read():
-    given = INSIDE, INSIDE, 0.15 * INSIDE, 0 * INSIDE, WIDTHS
+    given = INSIDE, INSIDE, 0.15 * INSIDE, 0 * INSIDE, WIDTHS, EVERYWHERE
     assert unevenness(*given) is None
 
 
+HALF = 0.5 * INSIDE  # as if no voxel saw more than half of a flat cell
+
+
 def test_of_flat_cells_it_is_read_where_they_are_deepest():
-    """No voxel sees more than half of it."""
-    true = field()
-    given = INSIDE * true, INSIDE, 0.5 * INSIDE, 0 * INSIDE, WIDTHS
-    found = unevenness(*given)
+    true = field(width=1.5)
+    found = unevenness(INSIDE * true, INSIDE, HALF, 0 * INSIDE, WIDTHS, EVERYWHERE)
     assert found is not None
-    assert np.abs(found.gain / true - 1)[RULES.deep < INSIDE].mean() < 0.04
-    rim = deep_inside(0.5 * INSIDE, WIDTHS) & (INSIDE < 0.7)
+    middle = RULES.deep < INSIDE
+    assert np.corrcoef(found.gain[middle], true[middle])[0, 1] > 0.8
+    rim = deepest(HALF, WIDTHS) & (INSIDE < 0.7)
     assert not rim.any(), "beside what is deep, the rim is not"
+
+
+def test_what_varies_slowly_in_flat_cells_is_their_height():
+    slow = np.exp(0.03 * (np.arange(34.0) - 16)) * np.ones(GRID.shape)
+    middle = RULES.deep < INSIDE
+    given = INSIDE * slow, INSIDE
+    thick = unevenness(*given, INSIDE, 0 * INSIDE, WIDTHS, EVERYWHERE)
+    flat = unevenness(*given, HALF, 0 * INSIDE, WIDTHS, EVERYWHERE)
+    assert np.abs(thick.gain / slow - 1)[middle].mean() < 0.02
+    assert flat is None
+
+
+@pytest.mark.parametrize("photons", [5.0, 100.0])
+def test_noise_alone_says_nothing_of_flat_cells(photons):
+    """Only one slice is read there, so less of the noise is smoothed away."""
+    sheet = np.where(np.abs(np.arange(34) - 16)[:, None, None] < 1, HALF, 0.3 * HALF)
+    rng, shown = np.random.default_rng(0), photons * INSIDE
+    seen = rng.poisson(shown + 3.0) - 3.0
+    noise = np.sqrt(shown + 3.0) * rng.choice([-1.0, 1.0], GRID.shape)
+    assert unevenness(seen, shown, sheet, noise, WIDTHS, EVERYWHERE) is None
+
+
+def test_where_the_deep_does_not_count_the_rim_is_not_read():
+    counted = RULES.deep > INSIDE
+    assert unevenness(INSIDE * field(), INSIDE, INSIDE, 0 * INSIDE, WIDTHS, counted) is None
 
 
 def test_it_is_no_less_and_no_more_than_a_cell_may_be():
@@ -78,7 +105,7 @@ def test_it_is_no_less_and_no_more_than_a_cell_may_be():
 def test_voxels_are_trusted_less_where_uneven_insides_shine():
     """A fifth of 10 is 2, of variance 4, beside noise of variance 1 or 2; where none shines, 0."""
     noise = np.array([1.0, -1.0, np.sqrt(2.0)])
-    found = Unevenness(np.ones(3), 0.04)
+    found = Unevenness(np.ones(3), 0.04, np.ones(3, bool))
     weights = found.weights(np.array([3.0, 3.0, 1.5]), np.array([0.0, 10.0, 10.0]), noise)
     assert weights == pytest.approx([3 / 1, 3 / 5, 3 / 6])
 
@@ -103,9 +130,9 @@ def test_a_grainy_nucleus_is_found(sd):
     assert surface_distance(last.mesh, BALL).mean < (0.22 if sd else 0.06)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
 def test_the_height_of_a_flat_nucleus_does_not_follow_its_chromatin(seed):
-    """Its volume was 0.48 to 0.64 of the true one where brightness was read deep inside alone."""
+    """Read deep inside alone, its volume was 0.48 to 0.64 of it, and 1.2 to 1.7 voxels off."""
     grid, optics = Grid((8, 44, 44), (4.0, 1.0, 1.0)), GaussianPSF((4.5, 1.2, 1.2))
 
     def flat(radius, height):
@@ -120,5 +147,6 @@ def test_the_height_of_a_flat_nucleus_does_not_follow_its_chromatin(seed):
     chromatin = np.exp(0.45 * noise / noise.std())
     image = rng.poisson(5 + 100 * inside / inside.max() * chromatin).astype(float)
     settings = FitSettings(levels=(1.0,), structure="interior", fit_psf=False)
-    *_, last = fit(image, grid, flat(15.0, 12.0), optics, settings=settings)
+    *_, last = fit(image, grid, flat(15.0, 16.0), optics, settings=settings)
     assert last.mesh.volumes()[1] == pytest.approx(truth.volumes()[1], rel=0.25)
+    assert surface_distance(last.mesh, truth, 2000).mean < 1.0

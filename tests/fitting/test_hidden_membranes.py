@@ -9,6 +9,7 @@ import pytest
 import napari_deltamic as nd
 from napari_deltamic import GaussianPSF
 from napari_deltamic.fitting import hidden_membranes
+from napari_deltamic.fitting.amplitudes import all_flat
 from napari_deltamic.fitting.fitted import Fitted
 from napari_deltamic.fitting.hidden_membranes import _followed, _grown, _Trial, membranes_as_well
 from napari_deltamic.fitting.level_run import LevelRun
@@ -44,11 +45,13 @@ def followed(
     less=False,
     even=False,
     mesh=BALL,
+    uneven=True,
 ):
     """After how many legs a rival stops that has gained so much by then, and what it has taken.
 
     over : brightness of insides after each, 1 unless given. less : what the trial should say.
-    even : whether brightness deep inside hardly varies. mesh : the cells.
+    even : whether brightness deep inside hardly varies. mesh : the cells. uneven : whether insides
+    of both are, by what is left of them.
     """
     fitted = SimpleNamespace(mesh=mesh, first_optics=NARROW)
 
@@ -64,6 +67,7 @@ def followed(
     monkeypatch.setattr(hidden_membranes, "gone_on", lambda one: (rival(one.leg + 1), 3))
     monkeypatch.setattr(hidden_membranes, "gains_over", gained)
     monkeypatch.setattr(hidden_membranes, "are_even", lambda one: even)
+    monkeypatch.setattr(hidden_membranes, "is_uneven", lambda one: uneven)
     monkeypatch.setattr(
         hidden_membranes, "more_than_insides", lambda one, known: known[-1].sum() > bounds[3.0]
     )
@@ -76,8 +80,8 @@ def followed(
     )
     trial = _followed(_Trial(rival(0), 5), None, 6)
     leg, may = trial.rival.leg, shines != "interior"
-    hidden = mesh is SHEET or (over and over[leg] > 2.5)
-    assert trial.stands == (may and gains[leg] > 100 and (even or not hidden))
+    seen = not (mesh is SHEET and uneven) and (even or not over or over[leg] <= 2.5)
+    assert trial.stands == (may and gains[leg] > 100 and seen)
     assert trial.hints == (may and max(gains[: leg + 1]) > 60)
     assert trial.less == (less or not may)
     assert trial.evaluations == 5 + 3 * leg
@@ -129,7 +133,63 @@ def test_bright_insides_hide_no_membranes_if_they_are_even(monkeypatch):
 def test_flat_cells_have_no_membrane_that_may_be_chromatin(monkeypatch):
     gains = 80.0, 120.0, 140.0, 141.0
     assert followed(monkeypatch, *gains, mesh=SHEET) == 3
-    assert followed(monkeypatch, *gains, mesh=SHEET, even=True) == 1
+    assert followed(monkeypatch, *gains, mesh=SHEET, uneven=False) == 1
+
+
+@pytest.mark.parametrize(("mesh", "stands"), [(BALL, True), (SHEET, False)])
+def test_nor_at_once(monkeypatch, mesh, stands):
+    fitted = SimpleNamespace(
+        shape=SimpleNamespace(mesh=mesh),
+        first_optics=NARROW,
+        displaced=lambda *_: fitted,
+        with_density=lambda _: fitted,
+        with_structure=lambda _: fitted,
+        mesh=mesh,
+    )
+    terms = SimpleNamespace(settings=SimpleNamespace(collisions=False))
+    shows = SimpleNamespace(structure="both")
+    rival = SimpleNamespace(fitted=fitted, structure=lambda: shows)
+    for name, value in (
+        ("begun", rival),
+        ("gone_on", (rival, 3)),
+        ("moved_in", None),
+        ("stand", True),
+        ("is_uneven", True),
+        ("_followed", "followed"),
+    ):
+        monkeypatch.setattr(hidden_membranes, name, lambda *_, value=value: value)
+    found = hidden_membranes._from_further_in(terms, SimpleNamespace(fitted=fitted), None, 6)
+    assert (found != "followed") == stands
+
+
+@pytest.mark.parametrize(
+    ("stretched", "width", "flat"),
+    [
+        ((0.15, 1, 1), (0.1, 0.1, 0.1), True),
+        ((0.5, 1, 1), (0.1, 0.1, 0.1), False),
+        ((0.5, 1, 1), (0.4, 0.1, 0.1), True),  # as long as the PSF is there
+        ((1, 0.5, 1), (0.4, 0.1, 0.1), True),
+        ((1, 1, 1), (0.1, 0.1, 0.1), False),
+        ((0.3, 0.3, 0.3), (0.1, 0.1, 0.1), False),  # small
+    ],
+)
+def test_cells_are_flat_as_the_psf_sees_them(stretched, width, flat):
+    mesh = sphere(MIDDLE, 1.5)
+    mesh = mesh.with_vertices(mesh.vertices_numpy() * stretched)
+    optics = SimpleNamespace(sigma_um=width)
+    assert all_flat(mesh, optics, hidden_membranes.RULES.small) == flat
+
+
+def test_most_cells_decide_whether_they_are_flat():
+    ball, sheet = sphere(MIDDLE, 1.5), squeezed(sphere(MIDDLE, 1.5), 0.15)
+    away = [10.0 * k for k in range(3)]
+
+    def together(*parts):
+        moved = [p.with_vertices(p.vertices_numpy() + d) for p, d in zip(parts, away, strict=True)]
+        return nd.Mesh.merge(moved)
+
+    assert all_flat(together(ball, sheet, sheet), NARROW, 2.4)
+    assert not all_flat(together(ball, ball, sheet), NARROW, 2.4)
 
 
 @pytest.mark.parametrize(("times", "grown"), [(1.2, False), (1.3, True)])

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from ..fitting.amplitudes import inside_over_membrane
-from ..fitting.evening import deep_inside, unevenness
+from ..fitting.evening import unevenness
 from ..fitting.job import FitInput
 from ..fitting.level import differences
 from ..fitting.saturation import filled_in
@@ -46,15 +46,14 @@ def uneven_insides(job: FitInput, state: FitState, rendered: np.ndarray) -> dict
     image = filled_in(np.asarray(job.image, np.float64), rendered)
     known = np.isfinite(image)
     left = np.where(known, image - rendered, 0.0)
-    share = np.where(known if job.counted is None else known & job.counted, share, 0.0)
+    counted = known if job.counted is None else known & job.counted
     widths = np.asarray(state.optics.sigma_um) / np.asarray(grid.voxel_size)
     noise = differences(torch.from_numpy(left)).numpy()
     shown = shown.astype(np.float64)
     share = share.astype(np.float64)
-    found = unevenness(left + shown, shown, share, noise, widths)
+    found = unevenness(left + shown, shown, share, noise, widths, counted)
     if found is None:
         return {}
     labels = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
-    deep = deep_inside(share, widths)
-    cells = {int(k): deep & (labels == k) for k in mesh.region_ids()}
+    cells = {int(k): found.deep & (labels == k) for k in mesh.region_ids()}
     return {k: float(found.gain[own].std()) for k, own in cells.items() if own.any()}

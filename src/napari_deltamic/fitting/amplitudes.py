@@ -131,10 +131,10 @@ def all_small(mesh: Mesh, optics: Optics, times: float = 1.0) -> bool:
 
 
 def all_flat(mesh: Mesh, optics: Optics, times: float) -> bool:
-    """Whether they do as most of its cells are flat, not as they are small.
+    """Whether most cells are large, but so thin that their insides look like membranes.
 
-    Three volumes over the area is the radius of a ball, and 1.5 times the thickness of a sheet;
-    here in widths of the PSF along each axis. times : as for :func:`hardly_wider`.
+    By three volumes over the area, which is the radius of a ball and 1.5 times the thickness of a
+    sheet; here in widths of the PSF along each axis. times : as for :func:`hardly_wider`.
     """
     scaled = mesh.with_vertices(mesh.vertices_numpy() / np.asarray(optics.sigma_um))
     areas, volumes = scaled.areas(), scaled.volumes()

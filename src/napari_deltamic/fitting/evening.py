@@ -2,8 +2,10 @@
 
 The inside of a cell is modelled as evenly bright. Where the image is brighter or dimmer there than
 the rendering, beyond noise, the border of the cell would move to make up for it. How bright each
-inside is at every place is read from voxels that see nothing else, and carried a little further to
-its border; measured values are divided by that, and their weights multiplied by its square.
+inside is at every place is read from voxels that see hardly anything else, and carried a little
+further to its border; measured values are divided by that, and their weights multiplied by its
+square. In cells as flat as the PSF is long no voxel does: where brightness clearly varies over a
+few widths of the PSF, it is read from those that see most; else what varies is the height.
 
 At the border that is a guess, off by about as much as brightness varies. To the variance of every
 voxel is added what that makes of the inside's light there, so that the dim side of the border,
@@ -32,11 +34,16 @@ class EveningRules:
         read: nearer to the border it would be read from where the border is off. 0.8 and 0.9 were
         about as good on nuclei of which brightness varies by 0.2 to 0.5 (benchmarks.defaults).
     near
-        Widths of the PSF within which the largest is looked for: as far as a border dims what is
-        inside (2 of them, a share of 0.98). With 0.8 of everything, the surfaces of three of eight
-        nuclei of 2.5 to 6 slices followed their chromatin (1.5 voxels off, then 0.4).
+        Widths of the PSF along each axis within which the largest is looked for: as far as a border
+        dims what is inside (there, a share of 0.98). With 0.8 of everything, three of eight nuclei
+        of 2.5 to 6 slices followed their chromatin (``flat-nuclei``, benchmarks.defaults).
     seen
-        That share at least: chosen, a quarter of what makes a voxel one of the inside elsewhere.
+        That the largest must be at least. Chosen: insides of which less is seen hardly shine.
+    broad, chromatin
+        Times ``width``: what varies over less, by more than this of the brightness, is read in flat
+        cells as well. Measured where fits begin and end (``flat-nuclei``, without what noise adds):
+        0.15 to 0.26 in nuclei whose heights followed their chromatin, 0.05 to 0.1 in three whose
+        did not; 0.08 and less in even ones as high as a wedge, from a flat start.
     width
         Widths of the PSF over which it is smoothed, and so how far it is carried: 0.7 and 1.5 were
         about as good.
@@ -44,7 +51,8 @@ class EveningRules:
         Standard deviations at which the filter ends: so far that it reaches the border of a cell
         from wherever brightness is read.
     noise
-        Times the variance that noise gives it: what exceeds that is believed.
+        Times the variance that noise gives it: what exceeds that is believed. Chosen; measured with
+        noise alone, from 3 to 100 photons: 0.7 to 1.0 times in the mean, 1.4 at most.
     inside
         Of the peak of a membrane's image: an inside that is darker is left as it is, since what is
         uneven there may be the membrane's own light. At 0.3 of it and more, evening it brought
@@ -52,8 +60,8 @@ class EveningRules:
         inside); on vesicles with 0.08 it took them 0.03 to 0.1 voxel further from their ridge.
     trusted
         Of the same peak, above which how much insides vary counts for weights: dim ones look uneven
-        beside a membrane that is off. Chosen. With 1, 15 simulated fits of both end as without;
-        real nuclei no longer wind around their grains before membranes have left the model.
+        beside a membrane that is off. Chosen; in 15 simulated fits of both it changes nothing. In
+        real nuclei, which begin with a faint membrane, surfaces wound around grains without it.
     least, most
         Of the even brightness: beyond, it is another thing.
     """
@@ -62,6 +70,8 @@ class EveningRules:
     near: float = 2.0
     seen: float = 0.2
     width: float = 1.0
+    broad: float = 4.0
+    chromatin: float = 0.12
     cut_off: float = 6.0
     noise: float = 2.0
     inside: float = 0.2
@@ -86,10 +96,13 @@ class Unevenness:
         (Z, Y, X) brightness relative to the model.
     variance
         Of that, without what noise adds.
+    deep
+        (Z, Y, X) bool: the voxels that it was read from.
     """
 
     gain: FloatArray
     variance: float
+    deep: NDArray[np.bool_]
 
     def weights(self, weights: FloatArray, shown: FloatArray, noise: FloatArray) -> FloatArray:
         """(N,) of evened voxels whose insides are known as well as they vary.
@@ -108,15 +121,22 @@ class Unevenness:
         return weights / (1 + weights * further)
 
 
-def deep_inside(share: FloatArray, widths: FloatArray) -> NDArray[np.bool_]:
-    """Voxels that tell how bright an inside is; all (Z, Y, X), widths (3,) of the PSF, voxels.
+def deepest(share: FloatArray, widths: FloatArray) -> NDArray[np.bool_]:
+    """Voxels that see more of an inside than those near them do, and some of it.
 
-    Of those near a voxel, the ones that see most: in a cell as flat as the PSF is long, none sees
-    an inside alone. Were its brightness not read there, its height would follow it.
+    All (Z, Y, X); widths : (3,) of the PSF, voxels. In a cell as flat as the PSF is long, no voxel
+    sees an inside alone.
     """
-    near = 2 * np.ceil(RULES.near * widths).astype(int) + 1
-    most = maximum_filter(share, tuple(near))
-    return np.asarray((share > RULES.deep * most) & (most > RULES.seen))
+    reach = np.ceil(RULES.near * widths).astype(int)
+    deep = np.zeros(share.shape, bool)
+    some = np.argwhere(share > RULES.deep * RULES.seen)
+    if not len(some):
+        return deep
+    ends = zip(some.min(0) - reach, some.max(0) + reach + 1, strict=True)
+    box = tuple(slice(max(0, low), high) for low, high in ends)
+    most = maximum_filter(share[box], tuple(2 * reach + 1))
+    deep[box] = (share[box] > RULES.deep * most) & (most > RULES.seen)
+    return deep
 
 
 def unevenness(
@@ -125,6 +145,7 @@ def unevenness(
     share: FloatArray,
     noise: FloatArray,
     widths: FloatArray,
+    counted: NDArray[np.bool_],
 ) -> Unevenness | None:
     """Brightness of insides relative to the model; None where noise explains it.
 
@@ -135,29 +156,65 @@ def unevenness(
     shown
         The same as modelled.
     share
-        Share of what each voxel sees that is inside; 0 where it does not count.
+        Share of what each voxel sees that is inside.
     noise
         As large as the noise of each voxel in the mean.
     widths
         (3,) of the PSF, voxels.
+    counted
+        (Z, Y, X) bool: where the image tells anything.
     """
-    deep = deep_inside(share, widths)
+    alone = (share > RULES.deep) & counted
+    deep = deepest(share, widths) & counted
+    found = _read(insides, shown, noise, deep, widths) if (deep & ~alone).any() else None
+    # Else, what varies in flat cells is their height.
+    if found is None or found.fine <= RULES.chromatin**2:
+        deep, found = alone, _read(insides, shown, noise, alone, widths)
+    if found is None:
+        return None
+    variance = float(np.var(found.ratio[deep]))
+    believed = 1 - RULES.noise * found.by_noise / max(variance, 1e-300)
+    if believed <= 0:
+        return None
+    gain = np.clip(1 + believed * (found.ratio - 1), RULES.least, RULES.most)
+    return Unevenness(gain, believed * variance, deep)
+
+
+@dataclass(frozen=True, eq=False)
+class _Read:
+    """Brightness over the model; what noise makes its variance, and how much varies finely."""
+
+    ratio: FloatArray
+    by_noise: float
+    fine: float
+
+
+def _read(
+    insides: FloatArray,
+    shown: FloatArray,
+    noise: FloatArray,
+    deep: NDArray[np.bool_],
+    widths: FloatArray,
+) -> _Read | None:
+    """From these voxels; arguments as for :func:`unevenness`. None if there are none."""
     if not deep.any():
         return None
     size = RULES.width * widths
-    sums = (np.where(deep, image, 0.0) for image in (insides, shown))
-    own, model = (gaussian_filter(s, size, truncate=RULES.cut_off) for s in sums)
+
+    def smooth(image: FloatArray, times: float = 1.0) -> FloatArray:
+        of_deep = np.where(deep, image, 0.0)
+        return np.asarray(gaussian_filter(of_deep, times * size, truncate=RULES.cut_off))
+
+    own, model = smooth(insides), smooth(shown)
     faint = _FADES * float(model.max())
     if faint <= 0:
         return None
-    found = (own + faint) / (model + faint)
-    # Of the mean of independent voxels under a Gaussian filter: one voxel's variance over this.
+    ratio = (own + faint) / (model + faint)
+    broad = (smooth(insides, RULES.broad) + faint) / (smooth(shown, RULES.broad) + faint)
+    # Of a sum of independent voxels under a Gaussian filter; in places, as dim cells are noisier
+    # beside bright ones.
     independent = float(np.prod(2 * np.sqrt(np.pi) * size))
-    # In places, as dim cells are noisier beside bright ones.
-    by_noise = float(np.mean((noise[deep] / np.maximum(shown[deep], faint)) ** 2)) / independent
-    variance = float(np.var(found[deep]))
-    believed = 1 - RULES.noise * by_noise / max(variance, 1e-300)
-    if believed <= 0:
-        return None
-    gain = np.clip(1 + believed * (found - 1), RULES.least, RULES.most)
-    return Unevenness(gain, believed * variance)
+    summed = smooth(noise**2, 0.5**0.5) / independent
+    by_noise = float(np.mean((summed / (model + faint) ** 2)[deep]))
+    fine = float(np.var((ratio / np.maximum(broad, RULES.least))[deep])) - by_noise
+    return _Read(ratio, by_noise, fine)

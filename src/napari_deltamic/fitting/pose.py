@@ -288,8 +288,8 @@ class _Look:
         insides = self._likely(voxels, model, given) - (model - shown)
         widths = np.asarray(self.imaging.optics.sigma_um) / np.asarray(level.grid.voxel_size)
         noise = as_floats(differences(torch.from_numpy(insides - shown)))
-        share = np.where(level.counted.cpu().numpy(), share, 0.0)
-        uneven = unevenness(insides, shown, share, noise, widths)
+        counted = level.counted.cpu().numpy()
+        uneven = unevenness(insides, shown, share, noise, widths, counted)
         if uneven is None:
             return voxels
         index = voxels.index.cpu().numpy()
