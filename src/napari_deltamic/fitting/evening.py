@@ -42,7 +42,7 @@ class EveningRules:
     broad, chromatin
         Times ``width``: what varies over less, by more than this of the brightness, is read in flat
         cells as well. Measured where fits begin and end (``flat-nuclei``, without what noise adds):
-        0.15 to 0.26 in nuclei whose heights followed their chromatin, 0.05 to 0.1 in three whose
+        0.11 to 0.26 in nuclei whose heights followed their chromatin, 0.05 to 0.1 in four whose
         did not; 0.08 and less in even ones as high as a wedge, from a flat start.
     width
         Widths of the PSF over which it is smoothed, and so how far it is carried: 0.7 and 1.5 were
@@ -71,7 +71,7 @@ class EveningRules:
     seen: float = 0.2
     width: float = 1.0
     broad: float = 4.0
-    chromatin: float = 0.12
+    chromatin: float = 0.09
     cut_off: float = 6.0
     noise: float = 2.0
     inside: float = 0.2
