@@ -63,10 +63,11 @@ HALF = 0.5 * INSIDE  # as if no voxel saw more than half of a flat cell
 
 def test_of_flat_cells_it_is_read_where_they_are_deepest():
     true = field(width=1.5)
-    found = unevenness(INSIDE * true, INSIDE, HALF, 0 * INSIDE, WIDTHS, EVERYWHERE)
+    found = unevenness(INSIDE * true, INSIDE, HALF, 0 * INSIDE, WIDTHS, EVERYWHERE, True)
     assert found is not None
     middle = RULES.deep < INSIDE
     assert np.corrcoef(found.gain[middle], true[middle])[0, 1] > 0.8
+    assert unevenness(INSIDE * true, INSIDE, HALF, 0 * INSIDE, WIDTHS, EVERYWHERE) is None
     rim = deepest(HALF, WIDTHS) & (INSIDE < 0.7)
     assert not rim.any(), "beside what is deep, the rim is not"
 
@@ -76,7 +77,7 @@ def test_what_varies_slowly_in_flat_cells_is_their_height():
     middle = RULES.deep < INSIDE
     given = INSIDE * slow, INSIDE
     thick = unevenness(*given, INSIDE, 0 * INSIDE, WIDTHS, EVERYWHERE)
-    flat = unevenness(*given, HALF, 0 * INSIDE, WIDTHS, EVERYWHERE)
+    flat = unevenness(*given, HALF, 0 * INSIDE, WIDTHS, EVERYWHERE, True)
     assert np.abs(thick.gain / slow - 1)[middle].mean() < 0.02
     assert flat is None
 
@@ -88,7 +89,7 @@ def test_noise_alone_says_nothing_of_flat_cells(photons):
     rng, shown = np.random.default_rng(0), photons * INSIDE
     seen = rng.poisson(shown + 3.0) - 3.0
     noise = np.sqrt(shown + 3.0) * rng.choice([-1.0, 1.0], GRID.shape)
-    assert unevenness(seen, shown, sheet, noise, WIDTHS, EVERYWHERE) is None
+    assert unevenness(seen, shown, sheet, noise, WIDTHS, EVERYWHERE, True) is None
 
 
 def test_where_the_deep_does_not_count_the_rim_is_not_read():

@@ -177,7 +177,7 @@ def test_cells_are_flat_as_the_psf_sees_them(stretched, width, flat):
     mesh = sphere(MIDDLE, 1.5)
     mesh = mesh.with_vertices(mesh.vertices_numpy() * stretched)
     optics = SimpleNamespace(sigma_um=width)
-    assert all_flat(mesh, optics, hidden_membranes.RULES.small) == flat
+    assert all_flat(mesh, optics) == flat
 
 
 def test_most_cells_decide_whether_they_are_flat():
@@ -188,8 +188,8 @@ def test_most_cells_decide_whether_they_are_flat():
         moved = [p.with_vertices(p.vertices_numpy() + d) for p, d in zip(parts, away, strict=True)]
         return nd.Mesh.merge(moved)
 
-    assert all_flat(together(ball, sheet, sheet), NARROW, 2.4)
-    assert not all_flat(together(ball, ball, sheet), NARROW, 2.4)
+    assert all_flat(together(ball, sheet, sheet), NARROW)
+    assert not all_flat(together(ball, ball, sheet), NARROW)
 
 
 @pytest.mark.parametrize(("times", "grown"), [(1.2, False), (1.3, True)])

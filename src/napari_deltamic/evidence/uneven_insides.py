@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from ..fitting.amplitudes import inside_over_membrane
+from ..fitting.amplitudes import all_flat, inside_over_membrane
 from ..fitting.evening import unevenness
 from ..fitting.job import FitInput
 from ..fitting.level import differences
@@ -51,7 +51,8 @@ def uneven_insides(job: FitInput, state: FitState, rendered: np.ndarray) -> dict
     noise = differences(torch.from_numpy(left)).numpy()
     shown = shown.astype(np.float64)
     share = share.astype(np.float64)
-    found = unevenness(left + shown, shown, share, noise, widths, counted)
+    flat = all_flat(mesh, state.optics)
+    found = unevenness(left + shown, shown, share, noise, widths, counted, flat)
     if found is None:
         return {}
     labels = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)

@@ -51,8 +51,8 @@ class EveningRules:
         Standard deviations at which the filter ends: so far that it reaches the border of a cell
         from wherever brightness is read.
     noise
-        Times the variance that noise gives it: what exceeds that is believed. Chosen; measured with
-        noise alone, from 3 to 100 photons: 0.7 to 1.0 times in the mean, 1.4 at most.
+        Times the variance that noise gives it: what exceeds that is believed. Measured with noise
+        alone, from 3 to 100 photons: 0.7 to 1.0 times in the mean, 1.4 at most.
     inside
         Of the peak of a membrane's image: an inside that is darker is left as it is, since what is
         uneven there may be the membrane's own light. At 0.3 of it and more, evening it brought
@@ -73,7 +73,7 @@ class EveningRules:
     broad: float = 4.0
     chromatin: float = 0.09
     cut_off: float = 6.0
-    noise: float = 2.0
+    noise: float = 1.4
     inside: float = 0.2
     trusted: float = 1.0
     least: float = 0.3
@@ -146,6 +146,7 @@ def unevenness(
     noise: FloatArray,
     widths: FloatArray,
     counted: NDArray[np.bool_],
+    flat: bool = False,
 ) -> Unevenness | None:
     """Brightness of insides relative to the model; None where noise explains it.
 
@@ -163,10 +164,12 @@ def unevenness(
         (3,) of the PSF, voxels.
     counted
         (Z, Y, X) bool: where the image tells anything.
+    flat
+        Whether cells are as flat as the PSF is long.
     """
     alone = (share > RULES.deep) & counted
-    deep = deepest(share, widths) & counted
-    found = _read(insides, shown, noise, deep, widths) if (deep & ~alone).any() else None
+    deep = deepest(share, widths) & counted if flat else alone
+    found = _read(insides, shown, noise, deep, widths) if flat else None
     # Else, what varies in flat cells is their height.
     if found is None or found.fine <= RULES.chromatin**2:
         deep, found = alone, _read(insides, shown, noise, alone, widths)

@@ -72,10 +72,7 @@ class HiddenRules:
         Times the radius of cells whose inside can be told from membranes, up to which membranes
         alone win if they leave 5 % less, as other rivals do (:mod:`.rival_structures`). Chosen: a
         pair of cells that they mended were 1.5 times as large; from 2.4 times on, cells have an
-        inside that the image of no membrane reaches. Flat cells are as large where three volumes
-        over the area are. Measured in widths of the PSF: 2.5 to 4.6 in simulated nuclei of 2.5 to
-        6 slices, of which three of eight had become smooth membranes of a quarter to a half of
-        their volume; 4.5 to 5.0 in real ones; 9 in red blood cells, which need smooth membranes.
+        inside that the image of no membrane reaches.
     within
         Widths of the PSF as it is, by which membranes of larger cells begin further in. Chosen:
         from 0.6, red blood cells got there in twice as many steps.
@@ -286,7 +283,7 @@ def _believed(both: Objective) -> bool:
 
 def _are_flat(fitted: Fitted) -> bool:
     """Whether cells are as flat as the PSF is long."""
-    return all_flat(fitted.mesh, fitted.first_optics, RULES.small)
+    return all_flat(fitted.mesh, fitted.first_optics)
 
 
 def _grows(before: Sequence[FloatArray] | None, now: Sequence[FloatArray]) -> bool:

@@ -14,11 +14,11 @@ from ..fourier.devices import for_objects
 from ..geometry.bending import BendingEnergy
 from ..geometry.cell_bending import CellBending
 from ..geometry.junction_bending import JunctionBending
-from ..geometry.mesh import FloatArray
+from ..geometry.mesh import FloatArray, Mesh
 from ..scene import Renderer
 from ..scene.effects import Effects
 from ..scene.light import INSIDES, MEMBRANES, Light
-from .amplitudes import inside_over_membrane, light_of
+from .amplitudes import all_flat, inside_over_membrane, light_of
 from .density import Density
 from .evening import RULES as EVENING
 from .evening import unevenness
@@ -95,7 +95,7 @@ def pose(
     at = Variables(shape.mesh.vertices_numpy(), log, cells, *imaging.numbers())
     given = shape.mesh, imaging.optics, imaging.effects
     renderer = level.renderer(*given, insides=structure != "membrane")
-    look = _Look(level, renderer, density, insides, imaging, structure)
+    look = _Look(level, renderer, density, insides, imaging, structure, shape.mesh)
     voxels, light = look.voxels(at)
     widths = level.factor * np.asarray(imaging.optics.sigma_um)
     shining = inside_over_membrane(light, widths)
@@ -174,6 +174,7 @@ class _Look:
     insides: Insides
     imaging: Imaging
     structure: Structure
+    mesh: Mesh
 
     def rendered(
         self,
@@ -289,7 +290,8 @@ class _Look:
         widths = np.asarray(self.imaging.optics.sigma_um) / np.asarray(level.grid.voxel_size)
         noise = as_floats(differences(torch.from_numpy(insides - shown)))
         counted = level.counted.cpu().numpy()
-        uneven = unevenness(insides, shown, share, noise, widths, counted)
+        flat = all_flat(self.mesh, self.imaging.optics)
+        uneven = unevenness(insides, shown, share, noise, widths, counted, flat)
         if uneven is None:
             return voxels
         index = voxels.index.cpu().numpy()
