@@ -51,7 +51,7 @@ def uneven_insides(job: FitInput, state: FitState, rendered: np.ndarray) -> dict
     noise = differences(torch.from_numpy(left)).numpy()
     shown = shown.astype(np.float64)
     share = share.astype(np.float64)
-    flat = all_flat(mesh, state.optics)
+    flat = all_flat(mesh, job.optics)
     found = unevenness(left + shown, shown, share, noise, widths, counted, flat)
     if found is None:
         return {}

@@ -37,12 +37,13 @@ class AmplitudeRules:
         of up to 2.4 are found to be 2.6 or less. Volumes were off by at most 0.03 more than without
         asking. Those of insides of 4 widths without a haze and of 5, and of both of 3.3 without the
         strongest haze and of 4 and 5, were off by at most 0.08, not by 0.26 to 0.66.
-    flat
-        Times that radius, up to which large cells are flat. Measured in widths of the PSF, by
-        :func:`all_flat`: 2.5 to 4.6 in simulated nuclei of 2.5 to 6 slices, of which three of eight
-        had become smooth membranes of a quarter to a half of their volume; 4.5 to 5.0 in real ones;
-        9 in red blood cells, which need smooth membranes. The bound is that of
-        :mod:`.hidden_membranes` for small cells.
+    thin, flat
+        Times that radius, up to which cells are thin, and of the radius of the ball as large, below
+        which they are flat, both by :func:`all_flat`. Measured in widths of the PSF: 2.5 to 4.6 in
+        simulated nuclei of 2.5 to 6 slices, of which three of eight had become smooth membranes of
+        a quarter to a half of their volume; 4.5 to 5.0 in real ones; 9 in red blood cells, which
+        need smooth membranes. Of the ball: 0.2 to 0.53 in those nuclei, 0.93 and more in round
+        cells.
     unseen
         Of the insides' image: where membranes are dimmer than this beside it, they cannot be seen,
         and their amplitude is no scale.
@@ -50,7 +51,8 @@ class AmplitudeRules:
 
     telling: float = 2.5
     clearly: float = 1.06
-    flat: float = 2.4
+    thin: float = 2.4
+    flat: float = 0.7
     unseen: float = 1e-3
 
 
@@ -138,16 +140,22 @@ def all_small(mesh: Mesh, optics: Optics, times: float = 1.0) -> bool:
 
 
 def all_flat(mesh: Mesh, optics: Optics) -> bool:
-    """Whether most cells are large, but so thin that their insides look like membranes.
+    """Whether most cells are flat, and so thin that their insides look like membranes.
 
     By three volumes over the area, which is the radius of a ball and 1.5 times the thickness of a
     sheet; here in widths of the PSF along each axis.
+
+    optics : as at the start. Fits through another PSF, long along Z until it was given up, would
+    have taken a crowd of nuclei for flat ones.
     """
     scaled = mesh.with_vertices(mesh.vertices_numpy() / np.asarray(optics.sigma_um))
-    areas, volumes = scaled.areas(), scaled.volumes()
-    around = {k: areas[(scaled.regions == k).any(1)].sum() for k in volumes}
-    radius = np.median([3 * abs(volumes[k]) / around[k] for k in volumes])
-    return bool(radius <= RULES.flat * RULES.telling) and not all_small(mesh, optics, RULES.flat)
+    areas, each = scaled.areas(), scaled.volumes()
+    area = np.array([areas[(scaled.regions == k).any(1)].sum() for k in each])
+    volume = np.abs(list(each.values()))
+    ball = np.cbrt(3 / (4 * np.pi) * volume)
+    thickness = 3 * volume / area
+    thin = np.median(thickness) <= RULES.thin * RULES.telling
+    return bool(thin and np.median(thickness / ball) < RULES.flat)
 
 
 def hardly_wider(volume: float, optics: Optics, times: float = 1.0) -> bool:

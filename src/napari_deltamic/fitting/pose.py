@@ -290,7 +290,7 @@ class _Look:
         widths = np.asarray(self.imaging.optics.sigma_um) / np.asarray(level.grid.voxel_size)
         noise = as_floats(differences(torch.from_numpy(insides - shown)))
         counted = level.counted.cpu().numpy()
-        flat = all_flat(self.mesh, self.imaging.optics)
+        flat = all_flat(self.mesh, self.imaging.start)
         uneven = unevenness(insides, shown, share, noise, widths, counted, flat)
         if uneven is None:
             return voxels
