@@ -40,10 +40,9 @@ class AmplitudeRules:
     thin, flat
         Times that radius, up to which cells are thin, and of the radius of the ball as large, below
         which they are flat, both by :func:`all_flat`. Measured in widths of the PSF: 2.5 to 4.6 in
-        simulated nuclei of 2.5 to 6 slices, of which three of eight had become smooth membranes of
-        a quarter to a half of their volume; 4.5 to 5.0 in real ones; 9 in red blood cells, which
-        need smooth membranes. Of the ball: 0.2 to 0.53 in those nuclei, 0.93 and more in round
-        cells.
+        simulated nuclei of 2.5 to 6 slices, of which three of eight ended with a quarter to a half
+        of their volume; 4.5 to 5.0 in real ones; 9 in red blood cells, which need smooth membranes.
+        Of the ball: 0.29 to 0.53 in those nuclei, 0.9 and more in round cells.
     unseen
         Of the insides' image: where membranes are dimmer than this beside it, they cannot be seen,
         and their amplitude is no scale.
