@@ -12,6 +12,7 @@ import napari_deltamic as nd
 from napari_deltamic.evidence.facts import CellFacts, Facts
 from napari_deltamic.evidence.predicted_error import predicted_error
 from napari_deltamic.evidence.verdict import judged
+from napari_deltamic.fitting import light_cone
 from napari_deltamic.fitting.job import FitInput, following, optics_of
 from napari_deltamic.fitting.light_cone import (
     ABERRATED,
@@ -287,10 +288,12 @@ def after_steps(monkeypatch, confocal, widefield, spherical=0.0, widefield_at_fi
     monkeypatch.setattr(
         f"{module}._posed", lambda optics, *_: posed(optics, at_first[type(optics)])
     )
-    monkeypatch.setattr(
-        f"{module}.stepped",
-        lambda rival, hopeless: (posed(*ends[type(rival.fitted.optics)]), 7),
-    )
+
+    def stepped(rival, hopeless):
+        hopeless(rival)
+        return posed(*ends[type(rival.fitted.optics)]), 7
+
+    monkeypatch.setattr(f"{module}.stepped", stepped)
     fitted = SimpleNamespace(optics=GAUSSIAN, first_optics=GAUSSIAN)
     terms = SimpleNamespace(settings=FitSettings(), second=None, level=SimpleNamespace(grid=GRID))
     return (terms, fitted), objective_instead(terms, fitted, None)
@@ -324,6 +327,36 @@ def test_the_objective_that_leaves_least_after_a_few_steps_is_found(
     # As it was before the steps.
     assert type(found) is type(expected)
     assert found.described() == expected.described()
+
+
+@pytest.mark.parametrize(
+    ("left", "legs"),
+    [
+        ([1.7, 1.004, 0.7], 2),  # it gains what it lacks
+        ([1.7, 1.4, 1.2, 1.1, 0.9], 1),  # it would not, if it gained as much again
+        ([1.7, 0.9, 0.7], 1),  # it is enough
+        ([4.0, 2.4, 1.6, 1.2, 0.9], 3),  # no further
+    ],
+)
+def test_an_objective_is_followed_while_it_may_do(monkeypatch, left, legs):
+    at = iter(left)
+
+    class Rival:
+        posed = SimpleNamespace(left_by=lambda image: (1.0, 0.0))
+
+        def __init__(self):
+            self.left = next(at)
+
+        def anew(self):
+            return self
+
+    def stepped(rival, hopeless):
+        hopeless(rival)
+        return Rival(), 7
+
+    monkeypatch.setattr(light_cone, "stepped", stepped)
+    rival, taken = light_cone._followed(Rival(), None, 1.0)
+    assert (rival.left, taken) == (left[legs], 7 * legs)
 
 
 @pytest.mark.parametrize("spherical", [0.05, 0.2, -0.6])

@@ -281,26 +281,36 @@ def test_insides_alone_begin_where_they_look_like_both():
         np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), 2 + further, atol=0.02)
 
 
+class Begun:
+    """What is told of where a rival begins."""
+
+    def __init__(self, vertices, *told):
+        self.vertices, self.told = vertices, told
+
+    def with_structure(self, structure):
+        return Begun(self.vertices, *self.told, structure)
+
+    def with_density(self, model):
+        return Begun(self.vertices, *self.told, model)
+
+
 @pytest.mark.parametrize(
-    ("name", "other", "radius"), [("interior", "membrane", 1.549), ("membrane", "interior", 2.582)]
+    ("name", "other", "radius"),
+    [("interior", ("membrane", "interface"), 1.549), ("membrane", ("interior",), 2.582)],
 )
 def test_the_other_alone_begins_where_its_light_is_spread_alike(name, other, radius):
     mesh = sphere((0.0, 0.0, 0.0), 2.0, edge_length=0.4)
-
-    def displaced(vertices, optics):
-        return SimpleNamespace(with_structure=lambda structure: (structure, vertices))
-
     fitted = SimpleNamespace(
         mesh=mesh,
         structure=name,
         shape=Shape.begun(mesh, "uniform"),
         first_optics=None,
-        displaced=displaced,
+        displaced=lambda vertices, optics: Begun(vertices),
     )
     terms = SimpleNamespace(settings=SimpleNamespace(collisions=False))
-    found, vertices = small_cells.other_alone(terms, fitted)
-    assert found == other
-    np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), radius, atol=0.02)
+    found = small_cells.other_alone(terms, fitted)
+    assert found.told == other
+    np.testing.assert_allclose(np.linalg.norm(found.vertices, axis=1), radius, atol=0.02)
 
 
 def test_radii_are_those_of_the_smallest_cell_at_a_vertex_whatever_cells_are_called():

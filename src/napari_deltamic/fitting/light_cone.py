@@ -67,6 +67,10 @@ class LightConeRules:
         widefield stacks (6 to 10,000 photons, some with light inside or around), 13 to 55 in
         confocal ones of 30 photons and more without a haze, more with Gaussian PSFs as long. With a
         confocal one: 0.9 to 1.6 times in four confocal stacks.
+    legs
+        How often one is followed as far again, while it leaves too much, and would not if it
+        gained as much again. Measured on eight nuclei under 0.76 rad of spherical aberration: a
+        confocal PSF had found 0.17 rad after the first leg, and left 1.004 times as much.
     """
 
     told: float = 1.2
@@ -74,6 +78,7 @@ class LightConeRules:
     much: float = 0.3
     far: float = 2.0
     hopeless: float = 30.0
+    legs: int = 2
 
 
 RULES = LightConeRules()
@@ -185,7 +190,14 @@ def _followed(rival: Objective, image: Tensor, enough: float) -> tuple[Objective
             return objective.left - noise > RULES.hopeless * max(left - noise, 0.0)
         return 2 * looked[-1] - looked[-2] >= enough  # would not do if it gained as much again
 
-    return stepped(rival, hopeless)
+    rival, taken = stepped(rival, hopeless)
+    for _ in range(RULES.legs):
+        left = share_left(rival, image)
+        if left < enough or 2 * left - looked[-1] >= enough:
+            break
+        rival, more = stepped(rival.anew(), hopeless)
+        taken += more
+    return rival, taken
 
 
 def spherical_of(optics: Optics) -> float:
