@@ -40,6 +40,7 @@ class Recipe:
     grain: float = 0.0  # the same inside cells, over a few voxels: chromatin
     clump: float = 1.7  # voxels in plane over which that is smooth
     nucleoli: int = 0  # balls inside each cell that are a third as bright
+    nucleus: float = 0.0  # radius of one that is a quarter as bright, of that of its cell
     fading: float = 1.0  # brightness of the last slice, of that of the first
     tilted: tuple[float, float] = (
         0.0,
@@ -172,6 +173,12 @@ def _chromatin(rng: np.random.Generator, **others: Any) -> Recipe:
         "told": ("--structure", "interior"),
     }
     return Recipe(**(given | others))  # type: ignore[arg-type]
+
+
+def _cytoplasm(rng: np.random.Generator) -> Recipe:
+    """One cell of any size whose cytoplasm shines and whose nucleus does not."""
+    given = {"grain": rng.uniform(0.05, 0.3), "nucleoli": 0, "nucleus": rng.uniform(0.45, 0.65)}
+    return _chromatin(rng, seeds=str(rng.choice(["labels", "spheres", "points"])), **given)
 
 
 def _cut_chromatin(rng: np.random.Generator) -> Recipe:
@@ -321,6 +328,10 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
     ),
     "chromatin": _chromatin,
     "chromatin-cut": _cut_chromatin,
+    "cytoplasm": _cytoplasm,
+    "crowd-cytoplasm": lambda rng: _crowd(
+        rng, membrane=0.0, interior=1.0, nucleus=rng.uniform(0.45, 0.6)
+    ),
     "flat-nuclei": _flat_nuclei,
     "chromatin-both": lambda rng: _chromatin(
         rng, membrane=1.0, interior=rng.uniform(0.3, 1.2), told=("--structure", "both")
@@ -418,6 +429,8 @@ WORDS = {
     "grainy-nuclei": "eight nuclei with chromatin",
     "chromatin": "a nucleus with chromatin and nucleoli",
     "chromatin-cut": "the same, cut by the border, in a few slices",
+    "cytoplasm": "a cell whose cytoplasm shines and whose nucleus does not",
+    "crowd-cytoplasm": "eight such cells, side by side",
     "flat-nuclei": "two flat nuclei with chromatin, in a few slices",
     "chromatin-both": "a membrane, and an inside with chromatin",
     "fading": "a membrane that fades along Z",

@@ -97,6 +97,8 @@ def scene_of(name: str, recipe: Recipe, rng: np.random.Generator) -> Scene:
         light += recipe.interior * cell[k] * occupied * grain
         for _ in range(recipe.nucleoli):
             light *= _nucleolus(space, centres[k], radii[k], rng)
+        if recipe.nucleus:
+            light *= _nucleus(space, centres[k], radii[k], recipe.nucleus, rng)
     if recipe.haze:
         light += recipe.haze * _haze(space, rng) * (1 - sum(solid.values()))
     if recipe.fading != 1:
@@ -219,11 +221,25 @@ def _grain(recipe: Recipe, space: Field, rng: np.random.Generator) -> Array:
 
 def _nucleolus(space: Field, centre: Array, radius: float, rng: np.random.Generator) -> Array:
     """A third in a ball of about a fifth of a cell's radius, not near its border; else 1."""
-    place = space.fine_position(centre + radius * rng.uniform(-0.35, 0.35, 3))
-    axes = [np.arange(n) - p for n, p in zip(space.fine_shape, place, strict=True)]
+    middle = centre + radius * rng.uniform(-0.35, 0.35, 3)
+    within = _away(space, middle) < radius * rng.uniform(0.15, 0.25)
+    return np.where(within, 1 / 3, 1.0)
+
+
+def _nucleus(
+    space: Field, centre: Array, radius: float, share: float, rng: np.random.Generator
+) -> Array:
+    """A quarter in a ball of that share of a cell's radius, somewhat off its middle; else 1."""
+    middle = centre + (1 - share) * radius * rng.uniform(-0.3, 0.3, 3)
+    return np.where(_away(space, middle) < share * radius, 1 / 4, 1.0)
+
+
+def _away(space: Field, middle: Array) -> Array:
+    """um, from there, of each fine voxel."""
+    at = space.fine_position(middle)
+    axes = [np.arange(n) - p for n, p in zip(space.fine_shape, at, strict=True)]
     each = np.meshgrid(*axes, indexing="ij", sparse=True)
-    away = sum((a * d) ** 2 for a, d in zip(each, space.fine_size, strict=True))
-    return np.where(away < (radius * rng.uniform(0.15, 0.25)) ** 2, 1 / 3, 1.0)
+    return np.sqrt(sum((a * d) ** 2 for a, d in zip(each, space.fine_size, strict=True)))
 
 
 def _haze(space: Field, rng: np.random.Generator) -> Array:

@@ -122,6 +122,8 @@ class Facts:
         Whether insides shine in an image that looks deconvolved.
     unsure
         Whether membranes may shine as well, with surfaces further in.
+    hollow
+        Whether what looks like a membrane may be cytoplasm around a dark nucleus.
     accuracy
         Relative error that the rendered images might have.
     """
@@ -139,4 +141,5 @@ class Facts:
     slices: SlicesApart = field(default_factory=SlicesApart)
     sharpened: bool = False
     unsure: bool = False
+    hollow: bool = False
     accuracy: float = 0.0

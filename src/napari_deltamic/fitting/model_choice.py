@@ -17,6 +17,7 @@ from .rival_structures import RULES as RIVALS
 from .rival_structures import (
     best_of,
     insides_alone,
+    insides_may_do,
     is_uneven,
     without_rim,
 )
@@ -121,7 +122,10 @@ class ModelChoice:
             return found, taken, replace(progress, again=True, unsure=unsure and one)
         if self.is_open(fitted) and not progress.answered:  # once for each surface
             found, taken = self._at_rest(terms, objective, fitted, factored)
-            return found, taken, replace(progress, answered=True)
+            unsure, more = False, 0
+            if found is fitted:
+                unsure, more = insides_may_do(terms, objective, factored)
+            return found, taken + more, replace(progress, answered=True, unsure=unsure)
         return fitted, 0, progress
 
     @staticmethod

@@ -129,7 +129,7 @@ class Progress:
     again
         Whether what had left was asked for again, for the last time.
     unsure
-        Whether membranes and insides together explained more then, but not surely.
+        Whether what else might shine explained as much then, or nearly so.
     """
 
     iterations: int = 0

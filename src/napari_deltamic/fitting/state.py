@@ -54,7 +54,8 @@ class FitState:
         Whether the image shows the light cone of an objective, which this PSF lacks; asked at the
         end of a fit.
     unsure
-        Whether membranes may shine in addition to the insides, with surfaces further in.
+        Whether membranes may shine in addition to the insides, with surfaces further in; of both,
+        whether insides alone may, with surfaces further out.
     """
 
     iteration: int

@@ -60,7 +60,7 @@ def state_of(
         light=fitted.light,
         pinned=fitted.shape.pinned if fitted.shape.pinned.any() else None,
         evaluations=stage.evaluations,
-        unsure=stage.progress.unsure and fitted.structure == "interior",
+        unsure=stage.progress.unsure and fitted.structure != "membrane",
         _render=rendered,
         _checkpoint=lambda: kept,
     )

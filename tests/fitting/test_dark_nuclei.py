@@ -1,0 +1,87 @@
+"""Cytoplasm around a dark nucleus, a few widths of the PSF thick, looks like a membrane."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import napari_deltamic as nd
+from napari_deltamic.fitting import fit, rival_structures
+from napari_deltamic.fitting.shape import Shape
+from napari_deltamic.geometry import sphere
+from napari_deltamic.runs.settings import FitSettings
+from synthetic import CENTER, GRID, OPTICS, RADIUS
+
+FEW = np.array([20.0, 15.0, 10.0, 5.0, 3.0])  # nats, 1.9 errors
+MANY = np.full(16, 10.0)  # 4 errors
+
+
+def ended(*shining):
+    scene = nd.Scene(shining, OPTICS)
+    image = nd.simulate(scene, GRID, photons=60.0, background=5.0, seed=3).image
+    settings = FitSettings(levels=(1.0,), fit_psf=True)
+    *_, state = fit(image, GRID, sphere(CENTER, RADIUS, subdivisions=3), OPTICS, settings=settings)
+    return state
+
+
+def test_cytoplasm_around_a_dark_nucleus_is_doubted():
+    cell, nucleus = (sphere(CENTER, r * RADIUS, subdivisions=3) for r in (1.0, 0.5))
+    state = ended(nd.Solid(cell), nd.Solid(nucleus, -0.75))
+    # What makes the test worth its name: the fit is wrong.
+    assert state.light.membrane > 0
+    assert state.mesh.volumes()[1] < 0.8 * cell.volumes()[1]
+    assert state.unsure
+
+
+def test_a_membrane_with_a_dim_inside_is_not():
+    cell = sphere(CENTER, RADIUS, subdivisions=3)
+    state = ended(nd.Surface(cell, 0.5), nd.Solid(cell))
+    assert state.light.membrane > 0 < state.light.interior
+    assert state.mesh.volumes()[1] == pytest.approx(cell.volumes()[1], rel=0.05)
+    assert not state.unsure
+
+
+@pytest.mark.parametrize(
+    ("interior", "gains", "doubted"),
+    [
+        (0.3, [FEW, FEW], True),
+        (0.3, [FEW, MANY], True),  # with insides evened, they are near
+        (0.3, [MANY, MANY], False),
+        (0.8, [FEW, FEW], False),  # too bright for a dark middle
+        (-0.3, [FEW, FEW], False),  # darker than the medium
+    ],
+)
+def test_insides_alone_may_do_unless_both_surely_explain_more(
+    monkeypatch, interior, gains, doubted
+):
+    mesh, begun = sphere((0.0, 0.0, 0.0), 2.0, edge_length=0.4), []
+
+    def displaced(vertices, optics):
+        begun.append((vertices, optics))
+        return SimpleNamespace(with_structure=lambda name: name)
+
+    # The peak of the image of a membrane of 1, through a PSF of this width, is 1.
+    width = 1 / np.sqrt(2 * np.pi)
+    fitted = SimpleNamespace(
+        shape=Shape.begun(mesh, "uniform"),
+        optics=SimpleNamespace(sigma_um=(width,) * 3),
+        first_optics="as it began",
+        displaced=displaced,
+    )
+    both = SimpleNamespace(
+        fitted=fitted,
+        now=SimpleNamespace(light=SimpleNamespace(membrane=1.0, interior=interior)),
+        terms=SimpleNamespace(settings=SimpleNamespace(structure="auto", collisions=False)),
+        evaluations=lambda: 1,
+    )
+    both.anew = lambda: both
+    monkeypatch.setattr(rival_structures, "begun", lambda terms, one, factored: one)
+    monkeypatch.setattr(rival_structures, "gone_on", lambda one: (one, 5))
+    monkeypatch.setattr(rival_structures, "gains_over", lambda one, other: gains)
+    found, taken = rival_structures.insides_may_do(both.terms, both, None)
+    assert found is doubted
+    assert taken == (6 if begun else 0)
+    for vertices, optics in begun:
+        assert optics == "as it began"
+        further = np.linalg.norm(vertices, axis=1) - 2
+        np.testing.assert_allclose(further, 1.18 * width, atol=0.02)
