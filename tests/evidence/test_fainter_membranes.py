@@ -20,15 +20,14 @@ from synthetic import CENTER, GRID, OPTICS, RADIUS
 FURTHER = 0.065  # um: half a width of the PSF
 
 
-def ended(membrane, photons=100.0, draw=2, structure="interior", start=1.0, **more):
-    """A fit of a ball that shines inside: image, settings, and where it ends."""
+def ended(membrane, photons=100.0, draw=2, **more):
+    """A fit of the inside alone: image, settings, and where it ends."""
     ball = sphere(CENTER, RADIUS, subdivisions=3)
     shining = (nd.Solid(ball), nd.Surface(ball, membrane)) if membrane else (nd.Solid(ball),)
     scene = nd.Scene(shining, OPTICS)
     image = nd.simulate(scene, GRID, photons=photons, background=5.0, seed=draw).image
-    settings = FitSettings(levels=(1.0,), structure=structure, **more)
-    begin = sphere(CENTER, start * RADIUS, subdivisions=3)
-    *_, state = fit(image, GRID, begin, OPTICS, settings=settings)
+    settings = FitSettings(levels=(1.0,), structure="interior", **more)
+    *_, state = fit(image, GRID, ball, OPTICS, settings=settings)
     return image, settings, state
 
 
@@ -106,22 +105,6 @@ def test_photons_tell_them_apart():
     few, many = (ended(0.0, n, fit_psf=True) for n in (100.0, 5000.0))
     few, many = (inwards(one[2], found(*one).moved) if found(*one) else 0.0 for one in (few, many))
     assert many < few
-
-
-def test_both_may_be_an_inside_alone_that_reaches_further_out():
-    """From too small a start, what reaches further out is taken for a membrane."""
-    image, settings, state = ended(0.0, 30.0, structure="both", start=0.85, fit_psf=True)
-    assert state.light.membrane > 0
-    assert radius(state) < RADIUS - FURTHER
-    other = found(image, settings, state)
-    assert other.gain > -1
-    assert -inwards(state, other.moved) > 0.5 * (RADIUS - radius(state))
-
-
-def test_bright_membranes_are_not_doubted():
-    image, settings, state = ended(4 * FURTHER, structure="both", fit_psf=True)
-    assert radius(state) == pytest.approx(RADIUS, abs=0.1 * FURTHER)
-    assert abs(inwards(state, found(image, settings, state).moved)) < 0.1 * FURTHER
 
 
 def test_membranes_alone_are_no_insides():

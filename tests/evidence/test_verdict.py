@@ -53,7 +53,7 @@ def test_a_fit_without_fault_is_good():
         ({"cut": 0.3}, "good", "good"),
         ({"compressed": True}, "fair", "look log-scaled"),
         ({"unsure": True}, "fair", "membranes may be fluorescent as well"),
-        ({"hollow": True}, "fair", "may be cytoplasm around dark nuclei"),
+        ({"alone": True}, "fair", "insides alone may explain as much"),
         (
             {"slices": SlicesApart(shift=0.43)},
             "fair",

@@ -42,17 +42,17 @@ def test_a_membrane_with_a_dim_inside_is_not():
 
 
 @pytest.mark.parametrize(
-    ("interior", "gains", "doubted"),
+    ("interior", "gains", "doubted", "further"),
     [
-        (0.3, [FEW, FEW], True),
-        (0.3, [FEW, MANY], True),  # with insides evened, they are near
-        (0.3, [MANY, MANY], False),
-        (0.8, [FEW, FEW], False),  # too bright for a dark middle
-        (-0.3, [FEW, FEW], False),  # darker than the medium
+        (0.3, [FEW, FEW], True, 1.18),
+        (0.3, [FEW, MANY], True, 1.18),  # with insides evened, they are near
+        (0.3, [MANY, MANY], False, 1.18),
+        (5.0, [FEW, FEW], True, 0.2 / 0.3989),  # too bright for a dark middle
+        (-0.3, [FEW, FEW], False, None),  # darker than the medium
     ],
 )
 def test_insides_alone_may_do_unless_both_surely_explain_more(
-    monkeypatch, interior, gains, doubted
+    monkeypatch, interior, gains, doubted, further
 ):
     mesh, begun = sphere((0.0, 0.0, 0.0), 2.0, edge_length=0.4), []
 
@@ -62,10 +62,11 @@ def test_insides_alone_may_do_unless_both_surely_explain_more(
 
     # The peak of the image of a membrane of 1, through a PSF of this width, is 1.
     width = 1 / np.sqrt(2 * np.pi)
+    first = SimpleNamespace(sigma_um=(width,) * 3)
     fitted = SimpleNamespace(
         shape=Shape.begun(mesh, "uniform"),
         optics=SimpleNamespace(sigma_um=(width,) * 3),
-        first_optics="as it began",
+        first_optics=first,
         displaced=displaced,
     )
     both = SimpleNamespace(
@@ -80,8 +81,9 @@ def test_insides_alone_may_do_unless_both_surely_explain_more(
     monkeypatch.setattr(rival_structures, "gains_over", lambda one, other: gains)
     found, taken = rival_structures.insides_may_do(both.terms, both, None)
     assert found is doubted
-    assert taken == (6 if begun else 0)
+    assert taken == (0 if further is None else 6)
+    assert len(begun) == (further is not None)
     for vertices, optics in begun:
-        assert optics == "as it began"
-        further = np.linalg.norm(vertices, axis=1) - 2
-        np.testing.assert_allclose(further, 1.18 * width, atol=0.02)
+        assert optics is first
+        away = np.linalg.norm(vertices, axis=1) - 2
+        np.testing.assert_allclose(away, further * width, atol=0.02)

@@ -122,8 +122,8 @@ class Facts:
         Whether insides shine in an image that looks deconvolved.
     unsure
         Whether membranes may shine as well, with surfaces further in.
-    hollow
-        Whether what looks like a membrane may be cytoplasm around a dark nucleus.
+    alone
+        Whether insides alone may explain as much as both, with surfaces further out.
     accuracy
         Relative error that the rendered images might have.
     """
@@ -141,5 +141,5 @@ class Facts:
     slices: SlicesApart = field(default_factory=SlicesApart)
     sharpened: bool = False
     unsure: bool = False
-    hollow: bool = False
+    alone: bool = False
     accuracy: float = 0.0

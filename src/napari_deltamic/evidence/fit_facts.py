@@ -74,7 +74,7 @@ def facts_of(
         sharpened=state.light.interior > 0
         and is_sharpened(seen - shown, state.optics.sigma_um, size),
         unsure=state.unsure and not state.light.membrane,
-        hollow=state.unsure and state.light.membrane > 0,
+        alone=state.unsure and state.light.membrane > 0,
         accuracy=job.settings.fit.image_accuracy,
     )
 

@@ -251,8 +251,9 @@ def _of_whole(facts: Facts) -> list[tuple[Grade, str]]:
     if facts.unsure:
         text = "membranes may be fluorescent as well, and the surfaces then lie further in"
         found.append(("fair", f"{text} (try --structure both)"))
-    if facts.hollow:
-        text = "the membranes may be cytoplasm around dark nuclei, which ends further out"
+    if facts.alone:
+        text = "insides alone may explain as much, with surfaces further out"
+        text += ", as cytoplasm around dark nuclei would"
         found.append(("fair", f"{text} (try --structure interior)"))
     if facts.accuracy > RULES.accuracy:
         text = f"images are rendered with an error of {facts.accuracy:.0%}, too coarse to judge by"
