@@ -330,7 +330,11 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
     "chromatin-cut": _cut_chromatin,
     "cytoplasm": _cytoplasm,
     "crowd-cytoplasm": lambda rng: _crowd(
-        rng, membrane=0.0, interior=1.0, nucleus=rng.uniform(0.45, 0.6)
+        rng,
+        membrane=0.0,
+        interior=1.0,
+        nucleus=rng.uniform(0.45, 0.6),
+        told=("--structure", "interior"),
     ),
     "flat-nuclei": _flat_nuclei,
     "chromatin-both": lambda rng: _chromatin(
