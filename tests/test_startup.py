@@ -121,6 +121,21 @@ def test_a_batch_whose_workers_fit_does_not_load_the_engine_itself():
     assert done.stdout.strip() == "[]", done.stderr
 
 
+def test_a_fit_does_not_load_what_torch_traces_with(tmp_path):
+    """SymPy takes half a second to load, a tenth of a small fit."""
+    code = (
+        "import sys\n"
+        "from napari_deltamic.cli import main\n"
+        "given = ['--shape', '24', '24', '24', '--voxel-size', '0.2', '0.2', '0.2', '-o', 's']\n"
+        "assert main(['simulate', '--cells', '2', '--sigma', '0.2', '0.2', '0.2', *given]) == 0\n"
+        "assert main(['fit', 's/image.tif', '--seeds', 's/labels.tif', '-o', 'f']) == 0\n"
+        "print('sympy' in sys.modules)\n"
+    )
+    run = {"cwd": tmp_path, "capture_output": True, "text": True}
+    done = subprocess.run([sys.executable, "-c", code], **run)
+    assert done.stdout.splitlines()[-1:] == ["False"], done.stderr
+
+
 def test_commands_look_for_cycles_seldom():
     code = (
         "import gc, runpy, sys\n"

@@ -124,7 +124,8 @@ def gaussian(width: Sequence[float]) -> Transfer:
 
 def flat(axes: tuple[Tensor, Tensor, Tensor]) -> Tensor:
     """An OTF of 1 everywhere."""
-    return torch.ones(torch.broadcast_shapes(*(a.shape for a in axes)), dtype=axes[0].dtype)
+    # NumPy's broadcast_shapes: that of torch loads SymPy, which takes half a second.
+    return torch.ones(np.broadcast_shapes(*(a.shape for a in axes)), dtype=axes[0].dtype)
 
 
 def _untraced(function: Callable[..., Spreading]) -> Callable[..., Spreading]:

@@ -34,7 +34,7 @@ def _polynomial(
     for axis in reversed(range(len(along))):
         values = torch.as_tensor(_legendre(along[axis], most))
         total = torch.tensordot(values, total, ([1], [axis])).movedim(0, axis)
-    return total.reshape(torch.broadcast_shapes(*(t.shape for t in along)))
+    return total.reshape(np.broadcast_shapes(*(t.shape for t in along)))
 
 
 def _legendre(at: Tensor, most: int) -> NDArray[np.float64]:
