@@ -33,6 +33,7 @@ from napari_deltamic.cli.inputs import gather
 from napari_deltamic.cli.messages import Notes
 from napari_deltamic.errors import InputError
 from napari_deltamic.evidence.camera import NoiseLine, camera_from_image
+from napari_deltamic.evidence.evidence_rules import CAMERA
 from napari_deltamic.fitting import FitState
 from napari_deltamic.fitting.convergence import Patches, vertex_normals
 from napari_deltamic.fitting.curvature import Curvature
@@ -153,9 +154,10 @@ def halves(stack: Stack, folder: Path, rng: np.random.Generator) -> tuple[Half, 
     """
     image = read_image(stack.image)[0]
     camera = camera_from_image(image)
-    if camera.line is None:
+    line = camera.line
+    if line is None or line.slope_error > CAMERA.largest_error * line.slope:
         raise InputError(camera.gain.reason)
-    photons = photons_of(image.astype(np.float64), camera.line)
+    photons = photons_of(image.astype(np.float64), line)
     one = rng.binomial(photons, 0.5)
     found = [
         _fitted(stack, folder / f"half{k}.tif", part) for k, part in enumerate((one, photons - one))

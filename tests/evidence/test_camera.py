@@ -94,6 +94,15 @@ def test_rescaled_values_have_no_gain_but_a_line():
     assert found.line is not None
 
 
+def test_dim_images_tell_that_noise_grows_but_not_the_gain():
+    """With one variance for all, what is left of a dim membrane would be more than its noise."""
+    found = camera_from_image(stack(gain=1.0, offset=20.0, read=2.0, peak=1.5))
+    assert not found.gain.known
+    assert "dim" in found.gain.reason
+    assert found.line is not None
+    assert found.line.variance(np.array([22.0, 24.5])) == pytest.approx([6.0, 8.5], rel=0.1)
+
+
 def test_dark_values_that_were_cut_tell_no_offset():
     image = stack().astype(np.int32)
     found = camera_from_image(np.maximum(image - 106, 0).astype(np.uint16))

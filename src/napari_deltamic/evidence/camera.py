@@ -64,7 +64,7 @@ class Camera:
         The value at which bright voxels were cut.
     line
         Variance against mean, where they are related as those of a camera are; also for images that
-        were rescaled, whose values are no counts.
+        were rescaled, whose values are no counts, and for dim ones, which do not tell the gain.
     """
 
     gain: Finding
@@ -110,6 +110,9 @@ def camera_from_image(image: np.ndarray, known: np.ndarray | None = None) -> Cam
             "the values run from 0 to 1: they were rescaled, so they are not photon counts"
         )
         return Camera(gain, gain, unknown(gain.reason), unknown(gain.reason), line)
+    if line.slope_error > CAMERA.largest_error * line.slope:
+        gain = unknown("the image is too dim to tell how its noise grows with brightness")
+        return Camera(gain, gain, _level(values, finite[middle], low), high, line)
     gain = Finding(line.slope, line.slope_error, "slope of the variance against the mean")
     if low is not None:
         nothing = unknown(f"dark voxels were cut at {low:g}")
@@ -188,7 +191,7 @@ def _line(values: np.ndarray, usable: np.ndarray) -> tuple[NoiseLine | None, str
     if len(n) < 4:
         return None, "the image has too few levels of brightness"
     slope, intercept, error = _weighted_line(x, v, n)
-    if not slope > 0 or error > CAMERA.largest_error * slope:
+    if not slope > 0 or error > CAMERA.surely_related * slope:
         return None, "the noise does not grow with brightness as that of counted photons does"
     return NoiseLine(slope, intercept, error, float(x[0])), ""
 

@@ -128,8 +128,10 @@ class CameraRules:
     bins, fewest
         Of brightness, and the voxels that one needs: variances of 60 squares are right within a
         fifth, which 48 bins average out.
-    largest_error
-        Of the gain, relative: beyond it the image does not tell.
+    largest_error, surely_related
+        Of the slope of the variance, relative: the first beyond which the image does not tell the
+        gain, the second beyond which it does not tell that noise grows with brightness at all.
+        Chosen: a fifth, and two standard errors from none.
     dark_radius, fewest_dark
         Voxels around one by whose mean it is called dark, so that its own noise does not choose it;
         with fewer dark voxels their spread is not that of read noise.
@@ -154,6 +156,7 @@ class CameraRules:
     bins: int = 48
     fewest: int = 60
     largest_error: float = 0.2
+    surely_related: float = 0.5
     dark_radius: int = 2
     fewest_dark: int = 2000
     looked_at: int = 4_000_000
