@@ -9,7 +9,12 @@ import torch
 
 import napari_deltamic as nd
 from napari_deltamic.errors import InputError
-from napari_deltamic.fitting import hidden_membranes, model_choice, structure_choice
+from napari_deltamic.fitting import (
+    hidden_membranes,
+    model_choice,
+    rival_structures,
+    structure_choice,
+)
 from napari_deltamic.fitting.amplitudes import mixture
 from napari_deltamic.fitting.errors_of_measures import posed_at
 from napari_deltamic.fitting.fit_objective import Objective
@@ -250,21 +255,47 @@ def test_small_cells_in_a_haze_stay_what_they_began_as():
     assert abs(last.mesh.region_volume(1) / small.region_volume(1) - 1) < 0.15
 
 
-@pytest.mark.parametrize(("over", "believed"), [(9.0, False), (3.0, True)])
-def test_a_membrane_that_is_drowned_by_the_inside_is_not_believed(monkeypatch, over, believed):
-    """Nor where insides are even; over : brightness of the inside, of the membrane's peak."""
+@pytest.mark.parametrize(
+    ("over", "beneath", "believed"), [(9.0, 1.0, False), (3.0, 1.0, True), (1.0, 1.6, False)]
+)
+def test_a_membrane_that_is_drowned_or_follows_chromatin_is_not_believed(
+    monkeypatch, over, beneath, believed
+):
+    """Nor where insides are even; over : brightness of the inside, of the membrane's peak.
+
+    beneath : how uneven insides are once membranes are even. In flat cells, membranes of any
+    brightness explain all of it, and their own objective is left with none.
+    """
     begun = fitted(image_of(INSIDES), max_iterations=1)
     peak = 1 / (np.sqrt(2 * np.pi) * np.prod(OPTICS.sigma_um) ** (1 / 3))
     objective = SimpleNamespace(
         structure=lambda: structure_choice.Chosen("both", False, outshone=True),
         dark_insides_denied=lambda: False,
         unevenness=lambda: 1.0,
+        insides_vary=lambda: np.inf,
+        fitted=begun,
         now=SimpleNamespace(light=Light(1.0, over * peak)),
     )
+    even = SimpleNamespace(**{**vars(objective), "unevenness": lambda: beneath})
     alone = object()
+    monkeypatch.setattr(model_choice, "with_even_membranes", lambda *_: (even, 5))
     monkeypatch.setattr(model_choice, "without_rim", lambda *_: (alone, 7))
     found, taken = model_choice.ModelChoice._at_rest(None, objective, begun, None)
-    assert (found, taken) == ((begun, 0) if believed else (alone, 7))
+    assert (found, taken) == ((begun, 5) if believed else (alone, 12))
+
+
+def test_membranes_are_denied_where_insides_alone_explain_more_once_they_are_even(monkeypatch):
+    """Else two errors of what is measured are enough where membranes are clear."""
+    gain = np.full(40, 10.0)
+    both = SimpleNamespace(
+        now=SimpleNamespace(light=Light(1.0, 0.1)),
+        fitted=SimpleNamespace(optics=OPTICS),
+        leaves_over=lambda alone: 0.99,
+        insides_vary=lambda: np.inf,
+        terms=SimpleNamespace(settings=FitSettings()),
+    )
+    assert rival_structures.stand(both, both, [0 * gain, gain])
+    assert not rival_structures.stand(both, both, [-gain, gain])
 
 
 @pytest.mark.parametrize(("light", "name"), [(INSIDES, "interior"), (MEMBRANES, "membrane")])

@@ -57,6 +57,16 @@ def test_a_label_well_inside_its_cell_becomes_the_cell(kind, share):
     assert min(overlap(found == k, whole == k) for k in (1, 2)) > 0.8  # a voxel: 0.83
 
 
+def test_noise_of_the_few_voxels_in_the_core_of_a_label_is_no_edge():
+    """Of a small label in an even inside, that are dim by chance around their brightest ones."""
+    middle = np.array(MIDDLES[0])
+    image = seen(IMAGES["both"])
+    core = distances(MIDDLES[0]) < 1.5
+    image[core] += 0.5 * image[distances(MIDDLES[0]) < 4].std()
+    labels = (distances(middle) < 0.4 * RADIUS).astype(np.int32)
+    assert whole_cells(image, labels, SIZE)[1] == [1]
+
+
 @pytest.mark.parametrize("radius", [RADIUS - 1, RADIUS, RADIUS + 2])
 @pytest.mark.parametrize("kind", IMAGES)
 def test_labels_of_whole_cells_stay_what_they_are(kind, radius):

@@ -19,6 +19,7 @@ from .rival_structures import (
     insides_alone,
     insides_may_do,
     is_uneven,
+    with_even_membranes,
     without_rim,
 )
 from .schedule import Progress
@@ -138,16 +139,17 @@ class ModelChoice:
             return fitted.with_structure(found.structure), 0
         if objective.dark_insides_denied():
             return fitted.with_structure("membrane"), 0
-        rival = None
-        over = inside_over_membrane(objective.now.light, fitted.optics.sigma_um)
-        if found.outshone and (over > RIVALS.drowned or is_uneven(objective)):
-            rival = without_rim
+        alone, taken, more, rim = None, 0, 0, False
+        if found.outshone:
+            over = inside_over_membrane(objective.now.light, fitted.optics.sigma_um)
+            even, taken = with_even_membranes(terms, objective, factored)
+            # In flat cells, membranes of any brightness explain all chromatin: none is left.
+            rim = over > RIVALS.drowned or is_uneven(objective) or is_uneven(even)
+        if rim:
+            alone, more = without_rim(terms, objective, even, factored)
         elif found.faint:
-            rival = insides_alone
-        if rival is None:
-            return fitted, 0
-        alone, taken = rival(terms, objective, factored)
-        return (fitted if alone is None else alone), taken
+            alone, more = insides_alone(terms, objective, factored)
+        return (fitted if alone is None else alone), taken + more
 
     def _asked_again(self, fitted: Fitted, progress: Progress) -> bool:
         """Whether, at rest, to ask once more for what left a fit.

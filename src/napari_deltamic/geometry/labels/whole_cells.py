@@ -42,9 +42,9 @@ class MarkerRules:
     noise, seen
         Standard deviations of noise, and share of the largest change around a label, from which on
         a change is seen: the first one must come beyond the label. Chosen.
-    back
-        Of that change, how far brightness may go back on its way: a label that ends on a dim wall
-        inside a brighter one is a cell of its own. Chosen.
+    back, surely
+        Of that change, how far brightness may go back on its way, and of the error of the two
+        layers: a label that ends on a dim wall inside a brighter one is a cell of its own. Chosen.
     fewest
         Voxels of a layer that counts; chosen.
     most
@@ -70,6 +70,7 @@ class MarkerRules:
     noise: float = 5.0
     seen: float = 0.35
     back: float = 0.05
+    surely: float = 2.0
     fewest: int = 8
     most: float = 0.5
     held: float = 0.9
@@ -81,6 +82,9 @@ class MarkerRules:
 
 RULES = MarkerRules()
 _BEYOND = 2, 4  # voxels beyond a border, where a crest has fallen; chosen
+# By definition: along an axis, how far one independent value reaches after a Gaussian, in its
+# widths; and the error of a median over that of a mean.
+_SHARED, _OF_MEDIAN = 2 * np.pi**0.5, (np.pi / 2) ** 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +184,7 @@ def _between(seen: _Seen, labels: Labels, asked: dict[int, _Label]) -> Labels:
 
 def _ends_on_nothing(seen: _Seen, labels: Labels, name: int, at: _Label) -> bool:
     """Whether the image changes little where a label ends, and more further out."""
-    light, inner = _layers(seen, labels, name, at)
+    light, values, inner = _layers(seen, labels, name, at)
     if inner == 0 or len(light) < inner + 2:
         return False
     change = light - light[0]
@@ -189,15 +193,23 @@ def _ends_on_nothing(seen: _Seen, labels: Labels, name: int, at: _Label) -> bool
     if first < inner:
         return False
     way = np.sign(change[first]) * change[: first + 1]
-    back = float((np.maximum.accumulate(way) - way).max())
-    if back > max(RULES.back * float(way[-1]), seen.noise / 2):
+    error = seen.noise * _OF_MEDIAN / np.sqrt(np.maximum(values[: first + 1], 1))
+    highest = np.maximum.accumulate(way)
+    there = np.maximum.accumulate(np.where(way == highest, np.arange(len(way)), 0))
+    unsure = RULES.surely * np.hypot(error, error[there])
+    if (highest - way > np.maximum(RULES.back * way[-1], unsure)).any():
         return False
     steps = np.abs(np.diff(light))
     return bool(steps[:inner].max() <= RULES.edge * steps[inner:].max())
 
 
-def _layers(seen: _Seen, labels: Labels, name: int, at: _Label) -> tuple[FloatArray, int]:
-    """Brightness of layers of and around a label, from its core on; how many are of the label."""
+def _layers(
+    seen: _Seen, labels: Labels, name: int, at: _Label
+) -> tuple[FloatArray, FloatArray, int]:
+    """Brightness of layers of and around a label, from its core on; by how many independent values.
+
+    And how many are of the label.
+    """
     every = np.maximum(at.depth / RULES.layers / seen.size, 1).astype(int)  # few voxels tell enough
     size, reach = every * seen.size, RULES.reach * at.depth
     around = _wider(at.box, reach / seen.size, labels.shape)
@@ -208,10 +220,13 @@ def _layers(seen: _Seen, labels: Labels, name: int, at: _Label) -> tuple[FloatAr
     within = [own & (inner > k) & (inner <= k + step) for k in np.arange(0, inner.max(), step)]
     beyond = [free & (outer > k) & (outer <= k + step) for k in np.arange(0, reach, step)]
     inside, around_it = (
-        [float(np.median(light[m])) for m in layers if np.count_nonzero(m) >= RULES.fewest]
+        [light[m] for m in layers if np.count_nonzero(m) >= RULES.fewest]
         for layers in (within[::-1], beyond)
     )
-    return np.array(inside + around_it), len(inside)
+    each = inside + around_it
+    share = np.prod(np.maximum(_SHARED * float(seen.size.min()) / size, 1))  # of one value; voxels
+    values = np.array([len(one) for one in each]) / share
+    return np.array([float(np.median(one)) for one in each]), values, len(inside)
 
 
 @dataclass(frozen=True, eq=False)
