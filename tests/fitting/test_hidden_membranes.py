@@ -13,9 +13,11 @@ from napari_deltamic.fitting.amplitudes import all_flat
 from napari_deltamic.fitting.fitted import Fitted
 from napari_deltamic.fitting.hidden_membranes import _followed, _grown, _Trial, membranes_as_well
 from napari_deltamic.fitting.level_run import LevelRun
+from napari_deltamic.fitting.model_choice import ModelChoice
 from napari_deltamic.fitting.schedule import Progress
 from napari_deltamic.fitting.shape import Shape
 from napari_deltamic.geometry import sphere
+from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene.effects import Effects
 
 MIDDLE = np.full(3, 2.3)
@@ -384,3 +386,14 @@ def test_beside_membranes_that_were_found_alone_insides_are_asked_for_once_more(
     LevelRun._go_on_elsewhere(SimpleNamespace(at=at, _context=context), mesh)
     assert posed == [Progress(again=again, unsure=True)]
     assert word in said[0]
+
+
+@pytest.mark.parametrize(("structure", "unsure"), [("interior", True), ("both", False)])
+def test_membranes_may_shine_as_well_only_where_none_do(monkeypatch, structure, unsure):
+    """Where a user asks for both, the verdict would say that insides alone may do."""
+    fitted = SimpleNamespace(structure=structure)
+    monkeypatch.setattr(ModelChoice, "_asked_again", lambda *_: True)
+    monkeypatch.setattr(ModelChoice, "_with_both_again", staticmethod(lambda *_: (fitted, 3, True)))
+    choice = ModelChoice(FitSettings(structure="both"), 1)
+    found = choice.asked_anew(None, None, fitted, None, Progress(), None)
+    assert found == (fitted, 3, Progress(again=True, unsure=unsure))

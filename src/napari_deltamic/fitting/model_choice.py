@@ -120,7 +120,9 @@ class ModelChoice:
             one = self.levels == 1  # else the start is far, and rivals have been tried on the way
             given = terms, objective, fitted, factored, start if one else None
             found, taken, unsure = self._with_both_again(*given, HIDDEN.further if one else 0)
-            return found, taken, replace(progress, again=True, unsure=unsure and one)
+            # Where a user asks for both, there is nothing to say: the other doubt is that of both.
+            unsure = unsure and one and fitted.structure == "interior"
+            return found, taken, replace(progress, again=True, unsure=unsure)
         if self.is_open(fitted) and not progress.answered:  # once for each surface
             found, taken = self._at_rest(terms, objective, fitted, factored)
             unsure, more = False, 0
