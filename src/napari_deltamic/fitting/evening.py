@@ -14,6 +14,7 @@ where it is little, decides where the border lies.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -172,7 +173,7 @@ def unevenness(
     deep = deepest(share, widths) & counted if flat else alone
     found = _read(insides, shown, noise, deep, widths) if flat else None
     # Else, what varies in flat cells is their height.
-    if found is None or found.fine <= RULES.chromatin**2:
+    if found is None or found.varies_finely() <= RULES.chromatin**2:
         deep, found = alone, _read(insides, shown, noise, alone, widths)
     if found is None:
         return None
@@ -186,11 +187,20 @@ def unevenness(
 
 @dataclass(frozen=True, eq=False)
 class _Read:
-    """Brightness over the model; what noise makes its variance, and how much varies finely."""
+    """Brightness over the model, and what noise makes its variance.
+
+    broad : the same, smoothed as widely as takes most of the time; made where it is asked for.
+    """
 
     ratio: FloatArray
     by_noise: float
-    fine: float
+    deep: NDArray[np.bool_]
+    broad: Callable[[], FloatArray]
+
+    def varies_finely(self) -> float:
+        """Variance of what is not as broad, without what noise makes of it."""
+        fine = self.ratio / np.maximum(self.broad(), RULES.least)
+        return float(np.var(fine[self.deep])) - self.by_noise
 
 
 def _read(
@@ -214,11 +224,13 @@ def _read(
     if faint <= 0:
         return None
     ratio = (own + faint) / (model + faint)
-    broad = (smooth(insides, RULES.broad) + faint) / (smooth(shown, RULES.broad) + faint)
+
+    def broad() -> FloatArray:
+        return (smooth(insides, RULES.broad) + faint) / (smooth(shown, RULES.broad) + faint)
+
     # Of a sum of independent voxels under a Gaussian filter; in places, as dim cells are noisier
     # beside bright ones.
     independent = float(np.prod(2 * np.sqrt(np.pi) * size))
     summed = smooth(noise**2, 0.5**0.5) / independent
     by_noise = float(np.mean((summed / (model + faint) ** 2)[deep]))
-    fine = float(np.var((ratio / np.maximum(broad, RULES.least))[deep])) - by_noise
-    return _Read(ratio, by_noise, fine)
+    return _Read(ratio, by_noise, deep, broad)
