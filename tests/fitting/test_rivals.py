@@ -295,10 +295,14 @@ class Begun:
 
 
 @pytest.mark.parametrize(
-    ("name", "other", "radius"),
-    [("interior", ("membrane", "interface"), 1.549), ("membrane", ("interior",), 2.582)],
+    ("name", "density", "other", "radius"),
+    [
+        ("interior", "smooth", ("membrane", "interface"), 1.549),
+        ("interior", "uniform", ("membrane", "uniform"), 1.549),
+        ("membrane", "smooth", ("interior",), 2.582),
+    ],
 )
-def test_the_other_alone_begins_where_its_light_is_spread_alike(name, other, radius):
+def test_the_other_alone_begins_where_its_light_is_spread_alike(name, density, other, radius):
     mesh = sphere((0.0, 0.0, 0.0), 2.0, edge_length=0.4)
     fitted = SimpleNamespace(
         mesh=mesh,
@@ -307,7 +311,7 @@ def test_the_other_alone_begins_where_its_light_is_spread_alike(name, other, rad
         first_optics=None,
         displaced=lambda vertices, optics: Begun(vertices),
     )
-    terms = SimpleNamespace(settings=SimpleNamespace(collisions=False))
+    terms = SimpleNamespace(settings=SimpleNamespace(collisions=False, density=density))
     found = small_cells.other_alone(terms, fitted)
     assert found.told == other
     np.testing.assert_allclose(np.linalg.norm(found.vertices, axis=1), radius, atol=0.02)

@@ -195,7 +195,8 @@ def _followed(rival: Objective, image: Tensor, enough: float) -> tuple[Objective
         left = share_left(rival, image)
         if left < enough or 2 * left - looked[-1] >= enough:
             break
-        rival, more = stepped(rival.anew(), hopeless)
+        rival = rival.anew()  # the one before is let go, to save memory
+        rival, more = stepped(rival, hopeless)
         taken += more
     return rival, taken
 
