@@ -69,16 +69,7 @@ class FitWidget(QWidget):
         self.destroyed.connect(doc.close)
         for slot in (self.settings.estimate_all, self.start):
             self.running.fit_again.connect(slot)
-        bind_keys(
-            doc,
-            {
-                "Alt-C": self.seeds.find_cells.start,
-                "Alt-F": self.start_or_stop,
-                "Alt-P": self.footer.pause_button.click,
-                "Alt-W": self.running.go_to_worst,
-                "Alt-V": doc.look_further,
-            },
-        )
+        bind_keys(doc, self._keys())
         doc.at_end(chooses.close_links)
         self._lay_out()
         preferences, remark = read_preferences()
@@ -105,6 +96,19 @@ class FitWidget(QWidget):
         """End what runs, and let the viewer go; the widget is of no use after that."""
         self.seeds.preview.clear()
         self.doc.close()
+
+    def _keys(self) -> Mapping[str, Callable[[], Any]]:
+        """What keys of the viewer do.
+
+        No Alt: with it, Linux and Windows open napari's menus, and macOS types other letters.
+        """
+        return {
+            "Shift-C": self.seeds.find_cells.start,
+            "Shift-F": self.start_or_stop,
+            "Shift-H": self.footer.pause_button.click,
+            "Shift-W": self.running.go_to_worst,
+            "Shift-S": self.doc.look_further,
+        }
 
     def _simulate(self) -> None:
         """Open the other widget of this plugin, in a tab: below, it would leave no room here."""
