@@ -2,7 +2,6 @@
 
 import csv
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +10,7 @@ from napari.layers import Image, Layer, Surface
 
 import napari_deltamic as nd
 from napari_deltamic.geometry import sphere
+from napari_deltamic.gui import small_widgets
 from napari_deltamic.gui.small_widgets import measure_surface, measure_widget
 from napari_deltamic.gui.viewing.frame import OWN
 
@@ -51,7 +51,44 @@ def image():
 def test_it_has_a_field_for_each_argument(app):
     widget = measure_widget()
     assert widget.image.value is None
-    assert widget.folder.value == Path()
+    assert widget.folder.value is None
+    assert not widget.folder.line_edit.value, "not '.', which would be a folder"
+    widget.close()
+
+
+@pytest.fixture
+def warned(monkeypatch):
+    """What the user is told."""
+    texts = []
+    monkeypatch.setattr(small_widgets, "show_warning", texts.append)
+    return texts
+
+
+def test_mistakes_are_told_in_a_sentence(app, surface, warned, tmp_path):
+    widget = measure_widget()
+    widget.call_button.changed.emit(True)
+    assert warned == ["there is no Surface layer to measure"]
+    widget.surface.choices = [surface]
+    widget.call_button.changed.emit(True)
+    assert warned[1:] == ["choose a folder for the tables, or an image for a layer with them"]
+    (tmp_path / "cells.csv").touch()
+    widget.folder.value = tmp_path
+    widget.call_button.changed.emit(True)
+    assert "choose another folder" in warned[2]
+    assert len(warned) == 3
+    assert widget.call_button.enabled
+    widget.close()
+
+
+def test_what_fails_in_the_thread_is_told_too(app, surface, warned, spin, tmp_path):
+    (tmp_path / "file").touch()
+    widget = measure_widget()
+    widget.surface.choices = [surface]
+    widget.folder.value = tmp_path / "file" / "out"
+    widget.call_button.changed.emit(True)
+    spin(lambda: warned)
+    assert "Traceback" not in warned[0]
+    assert "out" in warned[0]
     widget.close()
 
 

@@ -9,6 +9,7 @@ from napari.layers import Layer
 import napari_deltamic as nd
 from napari_deltamic.common.choices import IMMERSIONS
 from napari_deltamic.common.description import described
+from napari_deltamic.gui import small_widgets
 from napari_deltamic.gui.small_widgets import simulate_cells, simulate_widget
 from napari_deltamic.gui.viewing.frame import OWN
 from napari_deltamic.runs.optics_settings import MicroscopeOptics
@@ -85,3 +86,14 @@ def test_the_psf_may_be_that_of_a_microscope(app):
 def test_bad_input_is_refused_at_once(app, options, says):
     with pytest.raises(nd.InputError, match=says):
         simulate_cells(**{**SMALL, **options})
+
+
+def test_a_mistake_is_told_in_a_sentence(app, monkeypatch):
+    texts = []
+    monkeypatch.setattr(small_widgets, "show_warning", texts.append)
+    widget = simulate_widget()
+    widget.effects.value = "foo"
+    widget.call_button.changed.emit(True)
+    (text,) = texts
+    assert text.startswith("unknown effect")
+    widget.close()

@@ -2,6 +2,7 @@
 
 # No annotations as strings here: magicgui makes the fields of them.
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal, Optional
 
@@ -9,6 +10,7 @@ from magicgui import magic_factory
 from napari.layers import Image, Surface
 from napari.qt.threading import FunctionWorker, create_worker
 from napari.types import LayerDataTuple
+from napari.utils.notifications import show_warning
 
 from ..common.choices import IMMERSIONS, CellKind
 from ..common.description import described
@@ -26,13 +28,13 @@ from .cell_source import mesh_of_surface
 from .viewing.cell_layers import labels_options
 from .viewing.colours import surface_look, vertex_values
 from .viewing.frame import OWN, TRUTH, WORLD, Frame, shape_of
-from .window_words import for_window
+from .window_words import attempt, for_window, words_of
 
 
 def measure_surface(
     surface: Surface,
     image: Optional[Image] = None,  # noqa: UP045  (magicgui reads it)
-    folder: Annotated[Path, {"mode": "d"}] = Path(),
+    folder: Annotated[Optional[Path], {"mode": "d"}] = None,  # noqa: UP045
 ) -> FunctionWorker[list[LayerDataTuple]]:
     """Measure the cells, walls and junctions of a Surface layer.
 
@@ -48,29 +50,50 @@ def measure_surface(
     """
     if surface is None:
         raise InputError("there is no Surface layer to measure")
-    written = folder if folder != Path() else None
-    if image is None and written is None:
+    if image is None and folder is None:
         raise InputError("choose a folder for the tables, or an image for a layer with them")
     frame = WORLD if image is None else Frame.of(image)
     grid = None if image is None else frame.grid(shape_of(image))
     mesh, name = mesh_of_surface(surface, frame), surface.name
-    if written is not None and (written / "cells.csv").exists():
-        raise InputError(f"{written} holds measurements already: choose another folder")
+    if folder is not None and (folder / "cells.csv").exists():
+        raise InputError(f"{folder} holds measurements already: choose another folder")
 
     def work() -> list[Any]:
         measured = measure(mesh, Known(grid=grid))
-        if written is not None:
-            with own_folder(written):
-                write_measurements(written, mesh, measured, grid=grid)
+        if folder is not None:
+            with own_folder(folder):
+                write_measurements(folder, mesh, measured, grid=grid)
         if grid is None:
             return []
         options = labels_options(measured.cells.rows, frame, f"{name}: cells")
         return [(labels_of(mesh, grid), options, "labels")]
 
-    return create_worker(work, _start_thread=True)
+    return _in_thread(work)
 
 
-measure_widget = magic_factory(measure_surface, call_button="Measure")
+def _in_thread(work: Callable[[], list[Any]]) -> Any:
+    """Start a function; where it fails the user reads why."""
+    return create_worker(work, _start_thread=True, _connect={"errored": _tell})
+
+
+def _tell(error: Exception) -> None:
+    show_warning(for_window(words_of(error)))
+
+
+def _press_in_words(widget: Any) -> None:
+    """A mistake is told in a sentence: magicgui's button would show where in the code it arose."""
+
+    def press() -> None:
+        pressed.enabled = False  # as magicgui does
+        attempt(widget, lambda reason: show_warning(for_window(reason)))
+        pressed.enabled = True
+
+    pressed = widget.call_button
+    pressed.changed.disconnect()
+    pressed.changed.connect(press)
+
+
+measure_widget = magic_factory(measure_surface, widget_init=_press_in_words, call_button="Measure")
 
 
 Lengths = tuple[float, float, float]
@@ -150,11 +173,11 @@ def simulate_cells(
         made = simulate(scene, grid, photons=photons, background=background, seed=seed)
         return layers_of(made, f"simulated {kind}, seed {seed}")
 
-    return create_worker(work, _start_thread=True)
+    return _in_thread(work)
 
 
 def _tend(widget: Any) -> None:
-    """Only the fields of the kind of PSF chosen are there."""
+    """Only the fields of the kind of PSF chosen are there; mistakes are told in a sentence."""
 
     def show(psf: str) -> None:
         widget.sigma.visible = psf == "Gaussian"
@@ -163,6 +186,7 @@ def _tend(widget: Any) -> None:
 
     widget.psf.changed.connect(show)
     show(widget.psf.value)
+    _press_in_words(widget)
 
 
 simulate_widget = magic_factory(simulate_cells, widget_init=_tend, call_button="Simulate")
