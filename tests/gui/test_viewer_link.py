@@ -7,6 +7,8 @@ from napari_deltamic.geometry import sphere
 from napari_deltamic.gui.viewing.frame import Frame, camera_of
 from napari_deltamic.gui.viewing.viewer_link import ViewerLink, limits_of
 
+from .conftest import SIZE
+
 
 def test_the_rendered_image_is_shown_though_the_measured_one_was_removed(viewer):
     pixels, lost = np.zeros((6, 7, 8)), []
@@ -20,6 +22,20 @@ def test_the_rendered_image_is_shown_though_the_measured_one_was_removed(viewer)
     link.close()
     assert lost == ["the image layer was removed"]
     assert {"cell: rendered", "cell: residual"} <= {one.name for one in viewer.layers}
+
+
+@pytest.mark.parametrize("view", ["rendered", "residual"])
+def test_each_image_is_there_once_though_it_alone_makes_the_slices(viewer, view):
+    """Without another layer, adding it moves the slices, which asks for it anew."""
+    pixels = np.zeros((6, 7, 8))
+    layer = viewer.add_image(pixels, scale=SIZE, name="cell", units=("um",) * 3)
+    link = ViewerLink(viewer, layer, Frame.of(layer), print)
+    link.show_mesh(sphere((0.9, 0.7, 0.8), 0.4, edge_length=0.2))
+    link.take_images(pixels, pixels)
+    viewer.layers.clear()
+    link.look(view)
+    assert [one.name for one in viewer.layers] == [f"cell: {view}"]
+    link.close()
 
 
 def test_a_residual_that_is_large_in_many_places_is_not_saturated_there(viewer):

@@ -136,9 +136,11 @@ class ViewerLink(MeshLayers):
         if rendered and self.rendered is None and images is not None:
             look = source.colormap, source.contrast_limits
             self.rendered = self._image(images[0], "rendered", *look)
+            self.add(self.rendered, above=True)  # under the meshes, which it would hide
         if residual and self.residual is None and images is not None:
             self._limits = limits_of(images[1])
             self.residual = self._image(images[1], "residual", "PiYG", self._limits)
+            self.add(self.residual, above=True)
             self.residual.colorbar.visible = True
         for layer, wanted in ((self.rendered, rendered), (self.residual, residual)):
             if layer is not None and bool(layer.visible) != wanted:
@@ -169,7 +171,8 @@ class ViewerLink(MeshLayers):
                 camera.center, camera.zoom = center, zoom
 
     def _image(self, data: NDArray[Any], what: str, colormap: Any, limits: Any) -> Image:
-        layer = Image(
+        """Not added yet: that may change the slices, and by then the layer is to be known."""
+        return Image(
             data,
             name=f"{self.image_layer.name}: {what}",
             metadata={OWN: dict(MADE_BY_FIT)},
@@ -178,8 +181,6 @@ class ViewerLink(MeshLayers):
             contrast_limits=limits,
             **self.frame.image_options(),
         )
-        self.add(layer, above=True)  # under the meshes, which it would hide
-        return layer
 
     def _layer_removed(self, event: Any) -> None:
         if event.value is self.image_layer:
