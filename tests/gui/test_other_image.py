@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import tifffile
+from napari.layers import Image
 from napari.layers._source import layer_source
 
 from napari_deltamic.errors import InputError
@@ -173,3 +174,56 @@ def test_a_fit_of_a_region_that_fails_leaves_the_result_where_it_was(seeded, spi
     spin(lambda: not seeded.doc.run.running)
     assert seeded.doc.link.frame == seeded.doc.image.frame()
     assert session.capture(seeded.parts)[0].result is not None
+
+
+def wait_for_grade(widget, spin):
+    spin(lambda: not widget.doc.run.running and widget.doc.record.judged is not None)
+
+
+def test_without_an_image_nothing_is_known_and_nothing_is_shown(seeded, with_image, spin, told):
+    seeded.settings.max_iterations.setValue(3)
+    seeded.start()
+    wait_for_grade(seeded, spin)
+    assert not seeded.running.grade.isHidden()
+    told.clear()
+    with_image.layers.clear()
+    assert (seeded.doc.record, seeded.doc.records) == (None, {})
+    assert seeded.running.isHidden()
+    assert seeded.running.grade.isHidden()
+    assert seeded.results.isHidden()
+    for view in ("residual", "rendered", "image"):
+        seeded.running.view.setCurrentText(view)
+        spin(seconds=0.05, must=False)
+        assert len(with_image.layers) == 0
+    assert told == []
+
+
+def test_what_is_found_after_the_image_went_is_not_shown(seeded, with_image, spin, monkeypatch):
+    asked = []
+    monkeypatch.setattr(seeded.judging.background, "ask", lambda *what: asked.append(what))
+    seeded.settings.max_iterations.setValue(3)
+    seeded.start()
+    spin(lambda: not seeded.doc.run.running and asked)
+    seeded.doc.look("residual")
+    with_image.layers.clear()
+    work, take = asked[-1]
+    take(work())
+    assert len(with_image.layers) == 0
+
+
+@pytest.mark.parametrize("seen", [True, False])
+def test_a_fit_whose_layers_all_go_can_be_saved_but_is_not_shown(
+    begun, with_image, spin, tmp_path, seen
+):
+    begun.doc.look("residual")
+    if seen:
+        spin(lambda: "cell: residual" in with_image.layers)
+    with_image.layers.clear()
+    wait_for_grade(begun, spin)
+    spin(seconds=0.1, must=False)
+    assert not any(isinstance(layer, Image) for layer in with_image.layers)
+    assert begun.running.grade.isHidden()
+    assert not begun.running.view.isVisibleTo(begun.running)
+    assert begun.results.isEnabled()
+    begun.results.save_meshes(str(tmp_path / "a.ply"))
+    assert (tmp_path / "a.ply").exists()

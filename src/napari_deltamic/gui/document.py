@@ -74,6 +74,7 @@ class Document:
         self.learned = Learned()  # how long fits take on this machine
         self._last: list[Callable[[], None]] = []  # what is done when the window is closed
         self._of_run: Record | None = None
+        self._rescued: Record | None = None  # its image went while it was fitted
         self._place: tuple[Frame, tuple[int, ...]]  # that the last fit was started for
         self._fresh = True  # whether the run has a mesh of its own
         self._closed = False
@@ -88,11 +89,19 @@ class Document:
 
     @property
     def record(self) -> Record | None:
-        """That of the fit that runs, else that of the image chosen; without any, the last one."""
-        layer = self.image.layer
-        if layer is None or (self.running and self._of_run is not None):
+        """That of the fit that runs, else that of the image chosen.
+
+        Without an image, there is only that of a fit which ended for the want of it.
+        """
+        if self.running and self._of_run is not None:
             return self._of_run
-        return self.records.get(layer)
+        layer = self.image.layer
+        return self._rescued if layer is None else self.records.get(layer)
+
+    @property
+    def in_sight(self) -> bool:
+        """Whether there is an image to look at what is known of it, or a fit that runs."""
+        return self.image.layer is not None or self.running
 
     @property
     def result(self) -> Record | None:
@@ -178,6 +187,7 @@ class Document:
         """Start a fit of the image of a record; InputError where something else runs."""
         record.words, record.judged = ("", ""), None
         self.run, self._of_run, self.begun, self._fresh = run, record, False, fresh
+        self._rescued = None
         run.render = self.view != "image"
         self.work.start(run)
         self.said.emit("preparing the seeds ..." if fresh else "starting ...")
@@ -282,7 +292,7 @@ class Document:
             do()
         for source in (self.second, self.cells, self.image):
             source.close_links()
-        self._last, self.run, self._of_run = [], None, None
+        self._last, self.run, self._of_run, self._rescued = [], None, None, None
         self.records.clear()
         for signals in (self, self.image, self.cells, self.second, self.settings, self.work):
             for name in dir(type(signals)):
@@ -309,9 +319,13 @@ class Document:
             self.warned.emit(f"the fit ends, as {reason}; its result can still be saved")
 
     def _layer_removed(self, event: Any) -> None:
-        """What is known of an image goes with it; of the last one fitted it can still be saved."""
+        """What is known of an image goes with it; of one that was being fitted it can be saved."""
         record = self.records.get(event.value)
-        if record is not None and record is not self._of_run:
+        if record is None:
+            return
+        if self.running and record is self._of_run:
+            self._rescued = record
+        else:
             record.link.close()
             del self.records[event.value]
 

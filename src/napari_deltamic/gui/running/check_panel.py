@@ -134,8 +134,9 @@ class CheckPanel(QGroupBox):
         ended = None if doc.running else record
         words = ("", "") if ended is None else ended.words
         self._show_verdict(*(("failed", self._failed) if self._failed else words))
-        self._show_grade(ended)
-        shown = record is not None and (record.state is not None or (doc.running and doc.begun))
+        self._show_grade(ended if doc.in_sight else None)
+        known = record is not None and (record.state is not None or (doc.running and doc.begun))
+        shown = known and doc.in_sight
         for part in (self.curve, self._looks, self.edit, self.history):
             part.setVisible(shown)
         if ended is not None and ended.state is not None:

@@ -230,15 +230,15 @@ class Judging:
         if state is not None and record.state is not state:
             return
         doc = self._doc
+        self._place()  # first: where nothing is to be seen, no layers are made
         record.link.take_images(images.rendered, images.residual)
         if images.judged is not None:
             record.judge(images.judged)
             if record is doc.record:
                 doc.judged.emit()
-        self._place()
 
     def _place(self) -> None:
         """Each image is shown as its own record has it."""
         for record in self._doc.records.values():
-            own = record is self._doc.record
+            own = record is self._doc.record and self._doc.in_sight
             record.link.look(self._doc.view if own else "image")
