@@ -11,7 +11,7 @@ from napari_deltamic._writer import write_surface
 from napari_deltamic.errors import InputError
 from napari_deltamic.gui.tracking import panel, track_work
 from napari_deltamic.gui.viewing.colours import region_colours
-from napari_deltamic.gui.viewing.frame import OWN
+from napari_deltamic.gui.viewing.frame import OWN, camera_of
 from napari_deltamic.results.track_report import read_results
 from napari_deltamic.tracking import track
 
@@ -75,6 +75,25 @@ def test_contours_and_table_follow_the_slider(widget, viewer, spin):
         middle[t] = contours[:, 0].mean(axis=0)
         assert widget.tracking.frame.text().startswith(f"time {t}")
     np.testing.assert_allclose((middle[3] - middle[0])[1:], 3 * STEP[1:], atol=0.1)
+
+
+def test_a_row_goes_to_its_cell_in_its_frame(widget, viewer, spin):
+    widget.tracking.start()
+    spin(ended(widget), 60)
+    table = widget.tracking.table
+    for t in (1, 3):
+        viewer.dims.set_current_step(0, t)
+        viewer.dims.set_point((1, 2, 3), (1, 2, 3))
+        camera_of(viewer).center = (0, 0, 0)
+        table.clearSelection()
+        assert camera_of(viewer).center == (0, 0, 0), "nothing was chosen"
+        table.selectRow(0)
+        place = np.add((1, 2, 3), CENTER) + t * STEP
+        assert viewer.dims.current_step[0] == t
+        np.testing.assert_allclose(viewer.dims.point, (5 * t, *place), atol=0.2)
+        np.testing.assert_allclose(camera_of(viewer).center, place, atol=0.1)
+    widget.tracking.layers.go_to(2, CENTER)
+    assert viewer.dims.current_step[0] == 2
 
 
 def test_tracking_starts_at_the_frame_shown(widget, viewer, spin):

@@ -13,7 +13,7 @@ from ...measure import measure_cells
 from ...results.colouring import PALETTE, colour_indices, plain_index
 from ...tracking import FrameResult, lineage, surface_4d
 from ..viewing.colours import PALETTE_RGBA, in_steps, region_colours
-from ..viewing.frame import MADE_BY_FIT, OWN, Frame
+from ..viewing.frame import MADE_BY_FIT, OWN, Frame, camera_of, go_to
 from ..viewing.mesh_layers import MeshLayers
 from ..viewing.own_layers import Tracks
 
@@ -70,6 +70,14 @@ class TrackLayers(MeshLayers):
         if len(news) == 1 and self.number == news[0] - 1:
             self.viewer.dims.set_current_step(self.viewer.dims.ndim - 4, news[0])
         self.slice_changed()
+
+    def go_to(self, number: int, center: Sequence[float]) -> None:
+        """Move sliders and camera to a frame and a place in it, um."""
+        if not np.isfinite(center).all():
+            return
+        image, world = self.image_layer, self.frame.to_world(center).tolist()
+        go_to(self.viewer, [image.translate[-4] + number * image.scale[-4], *world])
+        camera_of(self.viewer).center = tuple(world)
 
     def slice_changed(self, event: Any = None) -> None:
         super().slice_changed(event)

@@ -41,6 +41,7 @@ class TrackPanel(QGroupBox):
         self.work: TrackWork | None = None  # the last run, or that of a session
         self.layers: TrackLayers | None = None
         self._seeds: list[Any] = []  # layers that the run started from
+        self._frame = 0  # whose cells the table has
         tip = (
             "Fit the frame shown from the seeds, and every later frame from the one before. Cells "
             "keep their numbers."
@@ -58,6 +59,7 @@ class TrackPanel(QGroupBox):
         buttons = row(self.track_button, self.go_on_button, form)
         shown = self.verdict, self.frame, self.table, self.save_button
         filled(QVBoxLayout(self), buttons, *shown)
+        self.table.chosen.connect(self._chosen)
         doc.image.changed.connect(self._image_changed)
         doc.work.changed.connect(self._work_changed)
         doc.at_end(self._let_go)
@@ -236,10 +238,16 @@ class TrackPanel(QGroupBox):
         elif result.mesh is None:
             self.frame.setText(result.message)
         else:
+            self._frame = result.frame
             self.table.show_rows(measure_cells(result.mesh), layers.colours)
             told = [*(event.text for event in result.events), result.message]
             text = f"time {result.frame}: {counted(len(result.cells), 'cell')}"
             self.frame.setText("; ".join([text, *filter(None, told)]))
+
+    def _chosen(self, regions: tuple[int, ...], by_hand: bool) -> None:
+        """Go to the cell chosen last, at the time of its row."""
+        if self.layers is not None and by_hand and regions:
+            self.layers.go_to(self._frame, self.table.center(regions[-1]))
 
     def _ask_folder(self) -> None:
         folder = QFileDialog.getExistingDirectory(self, "Folder for the frames")
