@@ -6,6 +6,7 @@ from napari_deltamic.common.description import described
 from napari_deltamic.errors import InputError
 from napari_deltamic.gui.fields import Form
 from napari_deltamic.gui.settings.optics_panel import ObjectiveFields
+from napari_deltamic.gui.window_words import for_window
 from napari_deltamic.runs.optics_settings import MeasuredOptics, MicroscopeOptics
 from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.runs.track_settings import TrackSettings
@@ -23,7 +24,7 @@ def test_every_setting_of_a_fit_is_in_the_window_once(make_widget):
     for name, found in described(FitSettings).items():
         if name not in ("accuracy", "shape_error"):
             assert found.sentence in fields_of(widget)[name].toolTip()
-            assert fields_of(widget)[name].accessibleName() == found.label
+            assert fields_of(widget)[name].accessibleName() == for_window(found.label)
 
 
 @pytest.mark.parametrize("model", [FitSettings, MicroscopeOptics, MeasuredOptics, TrackSettings])
@@ -33,7 +34,8 @@ def test_a_form_has_a_field_for_each_setting(app, model):
     titles = [form.form.itemAt(k) for k in range(form.form.count())]
     words = [item.widget().text() for item in titles if hasattr(item.widget(), "text")]
     for found in described(model).values():
-        assert found.label in words or found.title in words
+        assert for_window(found.label) in words or found.title in words
+    assert not [word for word in words if word.endswith(" um")]
 
 
 def test_what_is_shown_stays_exact_until_it_is_edited(make_widget):

@@ -33,6 +33,8 @@ def contrast(one, other):
             "thick (see what is labelled, estimate the PSF from the image)",
         ),
         ("no place for it (--nonesuch)", "no place for it"),
+        ("also (try --structure both)", "also (try both for 'what is labelled')"),
+        ("no (try --nonesuch both); (try it)", "no; (try it)"),
         ("of about 2 um were found, 3 umbrellas", "of about 2 µm were found, 3 umbrellas"),
         ("one of two (or both)", "one of two (or both)"),
     ],

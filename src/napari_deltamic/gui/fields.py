@@ -20,6 +20,7 @@ from superqt.utils import signals_blocked
 from ..common.description import Described, described
 from ..common.triple import Triple, triple
 from .widgets import Signal, be_narrow, row
+from .window_words import for_window
 
 _MOST = 1_000_000  # of a whole number without a limit
 
@@ -118,13 +119,14 @@ class Form(QWidget):
         for name, found in self.described.items():
             field, by_user = _field(found, self)
             field.setToolTip(tip_of(found))
-            field.setAccessibleName(found.label)
+            label = for_window(found.label)
+            field.setAccessibleName(label)
             by_user.connect(partial(self._edited, name))
             self.fields[name] = field
             if found.kind == "switch":  # across both columns: a narrow dock has no room
                 self.form.addRow(field)
             else:
-                self.form.addRow(found.label, field)
+                self.form.addRow(label, field)
 
     def values(self) -> dict[str, Any]:
         """What is shown, as plain values; together they may be no good."""

@@ -27,7 +27,8 @@ _PLACES = {
 
 def for_window(text: str) -> str:
     """A text as the window says it: with the names of its fields for flags in brackets, and µm."""
-    shown = re.sub(r" \((--[^)]*)\)", _placed, text)
+    shown = re.sub(r" \(try (--[a-z-]+) (\w+)\)", _tried, text)
+    shown = re.sub(r" \((--[^)]*)\)", _placed, shown)
     return re.sub(r"\bum\b", "µm", shown)
 
 
@@ -50,6 +51,12 @@ def attempt(action: Callable[[], None], warn: Callable[[str], None]) -> None:
         action()
     except Exception as error:  # a bug is no reason to frighten a user or to lose the fit
         warn(words_of(error))
+
+
+def _tried(asked: re.Match[str]) -> str:
+    """A flag with a value: the field, and what is to be chosen there."""
+    place = _PLACES.get(asked[1])
+    return f" (try {asked[2]} for '{place}')" if place else ""
 
 
 def _placed(flags: re.Match[str]) -> str:

@@ -237,7 +237,7 @@ class SecondViewFields(QWidget):
         self._form = QFormLayout()
         self._form.setContentsMargins(0, 0, 0, 0)
         self._form.addRow("second view", self.chooser)
-        self._form.addRow("its PSF, um", self.sigma)
+        self._form.addRow("its PSF, µm", self.sigma)
         column(self._form, self.note, of=self)  # a form would cut a text of several lines
         self._of_layers = Connections()  # where the two layers lie
         doc.second.shown.connect(self._show)
