@@ -1,6 +1,7 @@
 """Copy as command: nothing that takes long happens on the thread of the window."""
 
 import threading
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from napari_deltamic.gui.results import more_actions
 from napari_deltamic.images.stacks import write_image
 from napari_deltamic.runs import seeds
+from napari_deltamic.runs.batch import batch_jobs
 
 from .conftest import CENTER
 from .seeding import PLACE
@@ -77,3 +79,32 @@ def test_a_folder_gets_a_batch_file(mixture, told, tmp_path):
     assert 'images = ["a.tif"]' in (tmp_path / "batch.toml").read_text()
     mixture.commands.folder_action.trigger()
     assert "is there already" in told[-1]
+
+
+@pytest.mark.parametrize(
+    ("choice", "given"),
+    [("quick", None), ("careful", None), ("normal", None), ("exact", "0"), ("3e-3", "0.003")],
+)
+def test_a_folder_takes_the_accuracy_of_each_stack(mixture, tmp_path, choice, given):
+    """Only an accuracy that the user gave is of all stacks; a name is one of each stack's noise."""
+    write_image(tmp_path / "a.tif", np.ones((4, 5, 6), np.float32), (0.3, 0.2, 0.2))
+    mixture.settings.accuracy.setCurrentText(choice)
+    mixture.commands.folder_action.trigger()
+    words = batch_jobs(tmp_path / "batch.toml")[0].options
+    found = words[words.index("--accuracy") + 1] if "--accuracy" in words else None
+    assert (found if found is None else float(found)) == (given if given is None else float(given))
+    named = choice in ("quick", "careful")
+    assert (("--shape-error", choice) in pairwise(words)) == named
+
+
+def test_no_folder_is_asked_for_without_an_image(mixture, with_image, told, monkeypatch):
+    asked = []
+    monkeypatch.setattr(
+        more_actions.QFileDialog,
+        "getExistingDirectory",
+        staticmethod(lambda *a: asked.append(a) or ""),
+    )
+    with_image.layers.remove("cell")
+    mixture.commands.folder_action.trigger()
+    assert "3D image" in told[-1]
+    assert not asked

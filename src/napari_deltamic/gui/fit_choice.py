@@ -73,6 +73,12 @@ class FitChoice:
         }
         return self.other_settings().model_copy(update=found)
 
+    def fit_of_any_image(self) -> FitSettings:
+        """The same for other images: what their noise decides is left to each of them."""
+        found = self.fit_settings()
+        named = self.accuracy in SHAPE_CHOICES
+        return found.model_copy(update={"accuracy": None}) if named else found
+
     def other_settings(self) -> FitSettings:
         """The same without the accuracy."""
         if isinstance(self._fit, InputError):

@@ -45,10 +45,13 @@ class CommandCopy:
         self.background.ask(chosen.compared, self._checked)
 
     def _run_folder(self) -> None:
+        doc = self._doc
+        seeds = doc.cells.seeds(doc.image.frame())  # what is missing is told first
+        fit = doc.settings.fit_of_any_image()
+        settings = doc.run_settings(seeds.path).model_copy(update={"fit": fit})
         folder = QFileDialog.getExistingDirectory(self._parent, "Folder of stacks")
         if folder:
-            seeds = self._doc.cells.seeds(self._doc.image.frame())
-            self._done(write_batch(folder, self._doc.run_settings(seeds.path)))
+            self._done(write_batch(folder, settings))
 
     def _checked(self, chosen: Chosen) -> None:
         folder = ""
