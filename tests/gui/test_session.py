@@ -11,6 +11,7 @@ from napari_deltamic.gui import fit_widget
 from napari_deltamic.gui.running import worker
 from napari_deltamic.images.stacks import write_image
 from napari_deltamic.results.session_file import load_session
+from napari_deltamic.runs.command import command
 from napari_deltamic.runs.optics_settings import MeasuredOptics, optics_from_values
 from napari_deltamic.scene.effects import Attenuation, Effects
 
@@ -99,6 +100,28 @@ def test_a_reopened_session_is_the_same(seeded, with_image, spin, tmp_path, told
     np.testing.assert_allclose(
         viewer.layers["cell: rendered"].data, with_image.layers["cell: rendered"].data, rtol=1e-4
     )
+
+
+def test_the_names_of_axes_come_back(seeded, with_image, spin, tmp_path, reopened):
+    for layer in with_image.layers:
+        layer.axis_labels = ("z", "y", "x")
+    save(seeded, tmp_path / "a.deltamic", spin)
+    viewer, _ = reopened(tmp_path / "a.deltamic")
+    assert [tuple(layer.axis_labels) for layer in viewer.layers] == [("z", "y", "x")] * 2
+    assert tuple(viewer.dims.axis_labels) == tuple(with_image.dims.axis_labels)
+
+
+def test_a_psf_that_the_image_tells_stays_one(seeded, spin, tmp_path, reopened, pixels):
+    assert seeded.doc.settings.psf_is_open
+    save(seeded, tmp_path / "a.deltamic", spin)
+    _, after = reopened(tmp_path / "a.deltamic")
+    assert "as wide as the blur" in after.settings.psf_line.text()
+    assert after.doc.settings.sigma == seeded.doc.settings.sigma
+    assert "--sigma" not in command(after.doc.run_settings(), "result")
+    after.settings.sigma._boxes[0].setValue(0.5)
+    save(after, tmp_path / "b.deltamic", spin)
+    _, after = reopened(tmp_path / "b.deltamic")
+    assert "--sigma 0.5" in command(after.doc.run_settings(), "result")
 
 
 def test_saving_again_gives_the_same_session(seeded, spin, tmp_path, reopened):

@@ -158,13 +158,16 @@ class FitChoice:
         self.accuracy = chosen(choice)
         self.changed.emit(False)
 
-    def show_scene(self, scene: SceneSettings) -> None:
-        """Take a PSF and effects, which belong to the image chosen."""
+    def show_scene(self, scene: SceneSettings, *, psf_is_open: bool = False) -> None:
+        """Take a PSF and effects, which belong to the image chosen.
+
+        psf_is_open : whether nobody gave that PSF: it is only what is shown until a fit starts.
+        """
         layer = self._image.layer
         self._came_with = None if layer is None else weakref.ref(layer)
         self.psf = scene.optics
         if scene.sigma is not None:
-            self.sigma, self._sigma_given = scene.sigma, True
+            self.sigma, self._sigma_given = scene.sigma, not psf_is_open
         self.show_effects(scene.effects)
 
     def show_effects(self, effects: Effects) -> None:

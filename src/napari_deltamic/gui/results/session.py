@@ -55,6 +55,7 @@ def capture(parts: Parts) -> tuple[Session, str]:
             "shown": {"view": doc.view},
             "view": {"ndisplay": dims.ndisplay, "point": point[-3:], "time": point[:-3]},
             "accuracy": doc.settings.accuracy,
+            "psf_is_open": doc.settings.psf_is_open,
             "result_time": doc.link.time if result and doc.link else [],
         },
         second=_second(doc, frame, result[1] if result else None),
@@ -85,7 +86,8 @@ def restore(parts: Parts, session: Session) -> Generator[None]:
     if _left(doc, image):
         return
     doc.settings.show_fit(session.settings.fit)
-    doc.settings.show_scene(session.settings.scene)
+    is_open = bool(session.panels.get("psf_is_open", False))  # earlier sessions do not say
+    doc.settings.show_scene(session.settings.scene, psf_is_open=is_open)
     _show_second(doc, session, second)
     with suppress(ValueError):  # an earlier session has no name of it: the number is shown
         doc.settings.show_accuracy(usable_choice(session.panels.get("accuracy")))

@@ -50,6 +50,8 @@ def image_layer(saved: SavedImage, tracks: SavedTracks | None = None) -> Image:
         return Image(saved.pixels, metadata={OWN: {}}, **options)
     for name, first in zip(("scale", "translate", "units"), tracks.time, strict=True):
         options[name] = (first, *options[name])
+    if "axis_labels" in options:
+        options["axis_labels"] = ("t", *options["axis_labels"])
     return Image(tracks.pixels, metadata={OWN: {}}, **options)
 
 
@@ -152,6 +154,9 @@ def _shown(layer: Any, names: tuple[str, ...]) -> dict[str, Any]:
     if isinstance(layer, Image | Surface):
         shown["contrast_limits"] = [float(limit) for limit in layer.contrast_limits]
         shown["colormap"] = _save_colormap(layer.colormap)
+    labels = [str(label) for label in layer.axis_labels[-3:]]
+    if labels != ["-3", "-2", "-1"]:  # napari's names of axes that nobody has named
+        shown["axis_labels"] = labels
     return shown
 
 
