@@ -39,6 +39,7 @@ def test_a_fit_without_fault_is_good():
     ("change", "grade", "word"),
     [
         ({"finished": False}, "poor", "has not converged"),
+        ({"finished": False, "by_hand": True}, "poor", "changed by hand"),
         ({"explained": 0.6}, "fair", "60% of the signal"),
         ({"explained": 0.2}, "poor", "20% of the signal"),
         ({"explained": -1.7}, "poor", "none of the signal"),

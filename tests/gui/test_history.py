@@ -80,6 +80,34 @@ def test_undo_and_redo(ended):
     assert not bar.redo_button.isEnabled()
 
 
+def test_undo_brings_back_the_fit_with_its_verdict(seeded, spin):
+    seeded.start()
+    spin(lambda: not seeded.doc.run.running)
+    check, record = seeded.running, seeded.doc.result
+    spin(lambda: check.grade.text() != "")
+    graded, fitted = (check.grade.text(), check.grade.verdict), record.state
+    assert graded[1] == "good"
+    assert check.verdict.verdict == "converged"
+    for radius in (0.8, 0.5):
+        use(seeded, "push", radius).drag(right_end(seeded))
+        assert check.grade.text() == "Changed by hand: continue the fit."
+        assert (check.grade.verdict, check.verdict.verdict) == ("", "")
+    spin(lambda: record.judged is not None)
+    assert record.judged.verdict.reasons[0] == "it was changed by hand: continue the fit"
+    assert check.grade.text() == "Changed by hand: continue the fit."
+    assert check.again.isHidden()
+    check.history.undo_button.click()
+    assert record.by_hand
+    check.history.undo_button.click()
+    assert record.state.converged
+    assert (record.state.mesh, record.state.loss) == (fitted.mesh, fitted.loss)
+    assert check.verdict.verdict == "converged"
+    spin(lambda: record.judged is not None)
+    assert (check.grade.text(), check.grade.verdict) == graded
+    check.history.redo_button.click()
+    assert record.by_hand
+
+
 def test_undo_of_settings_shows_them_again(begun, spin):
     before = begun.doc.settings.fit_settings().density
     begun.settings.density.setCurrentText("smooth")

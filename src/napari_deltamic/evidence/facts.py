@@ -126,6 +126,8 @@ class Facts:
         Whether insides alone may explain as much as both, with surfaces further out.
     accuracy
         Relative error that the rendered images might have.
+    by_hand
+        Whether the shapes were changed by hand after the fit.
     """
 
     finished: bool
@@ -143,3 +145,4 @@ class Facts:
     unsure: bool = False
     alone: bool = False
     accuracy: float = 0.0
+    by_hand: bool = False

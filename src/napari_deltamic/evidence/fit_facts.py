@@ -9,6 +9,7 @@ import numpy as np
 
 from ..fitting.amplitudes import RULES as AMPLITUDES
 from ..fitting.amplitudes import hardly_wider
+from ..fitting.by_hand import is_by_hand
 from ..fitting.deep_insides import Cells, dark_insides_shown, deep_brightness
 from ..fitting.growth_alarm import shrunken
 from ..fitting.job import FitInput, levelled
@@ -76,6 +77,7 @@ def facts_of(
         unsure=state.unsure and not state.light.membrane,
         alone=state.unsure and state.light.membrane > 0,
         accuracy=job.settings.fit.image_accuracy,
+        by_hand=is_by_hand(state),
     )
 
 

@@ -214,7 +214,9 @@ def names_cells(reason: str) -> bool:
 
 def _of_whole(facts: Facts) -> list[tuple[Grade, str]]:
     found: list[tuple[Grade, str]] = []
-    if not facts.finished:
+    if facts.by_hand:
+        found.append(("poor", "it was changed by hand: continue the fit"))
+    elif not facts.finished:
         found.append(("poor", "the fit has not converged: continue it, or start from better seeds"))
     if facts.explained is None:
         found.append(("poor", "nothing around the surfaces is brighter or darker than noise"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from ..geometry.carry import carried
@@ -12,6 +13,21 @@ from ..scene import expected_image
 from .change import Change
 from .job import FitInput
 from .state import FitState
+
+_CHANGED = "changed by hand after the fit"
+
+
+def is_by_hand(state: FitState) -> bool:
+    """Whether a state was changed by hand, so that no fit has judged it; sessions keep that."""
+    return state.message == _CHANGED
+
+
+def is_again(state: FitState, before: FitState) -> bool:
+    """Whether changes by hand have led back to an earlier state: undo hands over its very mesh."""
+    one, other = state.optics, before.optics
+    if state.mesh is not before.mesh or type(one) is not type(other):
+        return False
+    return one is other or torch.equal(one.parameters(), other.parameters())
 
 
 def changed_by_hand(state: FitState, job: FitInput, change: Change) -> FitState:
@@ -43,7 +59,7 @@ def changed_by_hand(state: FitState, job: FitInput, change: Change) -> FitState:
         pinned=pinned,
         loss=float("nan"),
         converged=False,
-        message="changed by hand after the fit",
+        message=_CHANGED,
         _render=rendered,
         _checkpoint=dict,
     )

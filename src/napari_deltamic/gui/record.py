@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..fitting import FitState
+from ..fitting.by_hand import is_again, is_by_hand
 from ..fitting.job import FitInput
 from ..measure import measure_cells
 from ..results.judged import Judged
@@ -27,6 +28,7 @@ class Record:
     state, job : of the result; None before there is one.
     rows : measurements of its cells.
     judged : how good it is, once that is known.
+    fitted : the last state of a fit that was a result, whatever was changed by hand since.
     """
 
     link: ViewerLink
@@ -38,6 +40,12 @@ class Record:
     seconds: float = 0.0
     rows: Sequence[Mapping[str, Any]] = ()
     judged: Judged | None = None
+    fitted: FitState | None = None
+
+    @property
+    def by_hand(self) -> bool:
+        """Whether the result is no longer that of a fit."""
+        return self.state is not None and is_by_hand(self.state)
 
     def of_fit(self) -> tuple[FitState, FitInput]:
         """State and job of the result. InputError where there is none."""
@@ -57,6 +65,16 @@ class Record:
         """Take a state for the result; of how good it is, nothing is known yet."""
         self.state, self.job, self.history, self.seconds = state, job, history, seconds
         self.rows, self.judged = measure_cells(state.mesh), None
+        if not self.by_hand:
+            self.fitted = state
+
+    def take_changed(self, state: FitState, note: str) -> None:
+        """Take a state that was changed by hand, or that of the fit where undo leads back to it."""
+        fitted = self.fitted
+        if fitted is not None and is_again(state, fitted):
+            state = replace(fitted, pinned=state.pinned)
+        self.show(state, note)
+        self.take(state, self.job, self.history, self.seconds)
 
     def pin(self, pinned: NDArray[np.bool_]) -> None:
         """Note which vertices of the result are pinned, (V,), for a fit that goes on."""

@@ -133,6 +133,8 @@ class CheckPanel(QGroupBox):
             self.note.say("")
         ended = None if doc.running else record
         words = ("", "") if ended is None else ended.words
+        if ended is not None and ended.by_hand:
+            words = "", words[1]  # how the fit ended is no praise of what is shown
         self._show_verdict(*(("failed", self._failed) if self._failed else words))
         self._show_grade(ended if doc.in_sight else None)
         known = record is not None and (record.state is not None or (doc.running and doc.begun))
@@ -171,7 +173,10 @@ class CheckPanel(QGroupBox):
         """How well the shapes explain the image, and what can be done about it."""
         known = None if record is None else record.judged
         grade = "" if known is None else known.verdict.grade
-        self.grade.say("" if known is None else told(known), grade)
+        text = "" if known is None else told(known)
+        if record is not None and record.by_hand:  # no fit has looked at these shapes
+            text, grade = "Changed by hand: continue the fit.", ""
+        self.grade.say(text, grade)
         self.worst.setVisible(known is not None and bool(known.found.spots))
         fit = None if record is None or record.job is None else record.job.settings.fit
         all_estimated = fit is not None and fit.fit_psf and fit.density == "smooth"

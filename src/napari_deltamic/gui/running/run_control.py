@@ -64,14 +64,14 @@ class RunControl:
         self._asked.append((self._doc.run.waiting.shift(shift, of), note))
 
     def replace_result(self, state: FitState, note: str) -> None:
-        """Take a state for the result: it was changed by hand."""
+        """Take a state for the result: it was changed by hand, or back to that of the fit."""
         record = self._doc.result
         if record is None:
             return
-        record.show(state, note)
-        record.take(state, record.job, record.history, record.seconds)
+        record.take_changed(state, note)
         self._doc.result_changed.emit()
-        self._doc.noted.emit(f"{note}: the result was changed by hand")
+        now = "was changed by hand" if record.by_hand else "is that of the fit again"
+        self._doc.noted.emit(f"{note}: the result {now}")
 
     def go_on_from(self, mesh: Mesh, optics: Any, pinned: NDArray[np.bool_] | None) -> None:
         """Start a fit from a state of the last one, with little blur. InputError if it cannot."""
