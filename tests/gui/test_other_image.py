@@ -9,6 +9,7 @@ from napari.layers._source import layer_source
 from napari_deltamic.errors import InputError
 from napari_deltamic.evidence import put_together
 from napari_deltamic.geometry.labels.bright_cells import CellsFound
+from napari_deltamic.gui.fit_widget import FitWidget
 from napari_deltamic.gui.results import session
 from napari_deltamic.gui.seeding import find_cells_button
 from napari_deltamic.gui.settings import effects_panel
@@ -88,6 +89,32 @@ def test_found_cells_are_of_their_image(make_widget, with_image, spin, other, mo
     choose(widget, "other")
     assert "Found" not in widget.seeds.note.text()
     assert found not in widget.seeds.cells.ticked
+
+
+def test_why_no_cells_were_looked_for_goes_with_the_next_image(app, viewer, spin, pixels):
+    viewer.add_image(pixels[0], name="flat")
+    widget = FitWidget(viewer)
+    widget.seeds.find_cells.click()
+    assert "single plane" in widget.seeds.find_cells.message
+    viewer.add_image(pixels, name="cell", scale=SIZE)
+    assert not widget.seeds.find_cells.message
+    assert widget.seeds.note.text().startswith("Press 'Find cells'")
+    widget.close_links()
+
+
+def test_why_no_cells_were_found_goes_with_the_image(make_widget, spin, other, monkeypatch):
+    def fail(*arguments):
+        raise InputError("nothing but noise")
+
+    monkeypatch.setattr(find_cells_button, "look", fail)
+    widget = make_widget()
+    widget.seeds.find_cells.click()
+    spin(lambda: widget.seeds.find_cells.message == "Nothing but noise.")
+    assert "noise" in widget.seeds.note.text()
+    other()
+    choose(widget, "other")
+    assert not widget.seeds.find_cells.message
+    assert "noise" not in widget.seeds.note.text()
 
 
 def test_nuclei_found_in_one_channel_mark_the_cells_of_another(

@@ -53,10 +53,10 @@ class FindCells(QPushButton):
         # Sizes that the cells may have instead, with how many would be found, about; 0: not known.
         self.others: Sequence[tuple[float, int]] = ()
         self._sizes: list[tuple[float, int]] = []
-        self._moved = False
+        self._moved = self._refused = False
         self._layer: Any = None
         self._found_in: Any = None  # the image layer that the message and the labels are of
-        self.background = doc.background(lambda reason: self._tell(sentence(reason)))
+        self.background = doc.background(self._refuse)
         doc.listen(doc.viewer.layers.events.removed, self._layers_changed)
         self.clicked.connect(self.start)
         self.cell_size.valueChanged.connect(self._note_move)
@@ -71,7 +71,7 @@ class FindCells(QPushButton):
         try:
             frame, read = self._image.frame(), self._image.reader()
         except InputError as error:
-            self._tell(sentence(str(error)))
+            self._refuse(str(error))
             return
         size = float(self.cell_size.value()) if self._moved else None
         then = partial(self._show, self._image.layer, frame, size)
@@ -97,8 +97,8 @@ class FindCells(QPushButton):
         self._moved, self._sizes = False, []
 
     def forget(self) -> None:
-        """Give up what is under way."""
-        if self.background.busy:
+        """Give up what is under way, and why nothing came of it: the image is not what it was."""
+        if self.background.busy or self._refused:
             self.background.drop()
             self._tell("")
 
@@ -158,7 +158,12 @@ class FindCells(QPushButton):
             self._layer = None
             self._tell("")
 
+    def _refuse(self, reason: str) -> None:
+        self._tell(sentence(reason))
+        self._refused = True
+
     def _tell(self, message: str, others: Sequence[tuple[float, int]] = ()) -> None:
+        self._refused = False
         self.message, self.others = message, others
         self.told.emit()
 
