@@ -233,6 +233,30 @@ def test_what_is_missing_is_said(make_widget, with_image, told):
     assert widget.doc.run is None
 
 
+def test_why_a_fit_did_not_start_goes_when_it_could(make_widget, with_image, told, spin, pixels):
+    widget = make_widget()
+    reason, check = widget.footer.reason, widget.running
+    widget.start()
+    assert reason.text().startswith("No cells yet: press 'Find cells'")
+    assert reason.verdict == "failed"
+    assert check.isHidden(), "nothing was fitted yet"
+    widget.seeds.place.click()
+    spin(lambda: reason.text() == "Layer 'seeds' has no points yet: click inside each cell.")
+    with_image.layers["seeds"].add(CENTER)
+    spin(lambda: not reason.text())
+    widget.settings.accuracy.setCurrentText("much")
+    widget.start()
+    assert reason.text().startswith("Accuracy must be")
+    widget.settings.accuracy.show_choice("normal")
+    widget.settings.accuracy.lineEdit().editingFinished.emit()
+    assert not reason.text()
+    with_image.layers["seeds"].data = np.zeros((0, 3))
+    widget.start()
+    assert reason.text()
+    widget.doc.image.choose(with_image.add_image(pixels[::-1], name="other", scale=SIZE))
+    assert not reason.text()
+
+
 def test_closing_the_widget_ends_the_fit(seeded, with_image, spin, endless):
     seeded.start()
     spin(lambda: "cell: surfaces" in with_image.layers)

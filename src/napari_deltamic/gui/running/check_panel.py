@@ -38,7 +38,6 @@ class CheckPanel(QGroupBox):
     def __init__(self, doc: Document, edits: Edits, control: Any, parent: QWidget) -> None:
         super().__init__("4  Check", parent)
         self._doc = doc
-        self._failed = ""  # why the last fit of the image chosen did not start
         self._note_of: Any = None  # the image that the note is about
         self._offset = 0  # iterations of the runs before the present one
         self.verdict, self.grade = Note(self, style=""), Note(self, style="font-weight: bold;")
@@ -106,7 +105,6 @@ class CheckPanel(QGroupBox):
         self.slice.activated.connect(self._turn)
         self.history.moment_chosen.connect(self._look_at)
         doc.noted.connect(self.tell)
-        doc.failed.connect(self._tell_failed)
         doc.work.changed.connect(self._work_changed)
         doc.began.connect(self._began)
         doc.shown.connect(self._show_snapshot)
@@ -116,26 +114,19 @@ class CheckPanel(QGroupBox):
 
     def _work_changed(self) -> None:
         if self._doc.running:  # which just began, or else nothing of it is lost
-            self._failed = ""
             self.note.say("")
             self._show()
-
-    def _tell_failed(self, text: str) -> None:
-        self._failed = text
-        self._note_of = self._doc.image.layer
-        self._show()
 
     def _show(self) -> None:
         """All that is known of the fit that runs, or else of the image chosen."""
         doc, record = self._doc, self._doc.record
         if self._note_of is not doc.image.layer and not doc.running:
-            self._failed = ""
             self.note.say("")
         ended = None if doc.running else record
         words = ("", "") if ended is None else ended.words
         if ended is not None and ended.by_hand:
             words = "", words[1]  # how the fit ended is no praise of what is shown
-        self._show_verdict(*(("failed", self._failed) if self._failed else words))
+        self._show_verdict(*words)
         self._show_grade(ended if doc.in_sight else None)
         known = record is not None and (record.state is not None or (doc.running and doc.begun))
         shown = known and doc.in_sight

@@ -7,8 +7,9 @@ from typing import Any
 from qtpy.QtWidgets import QProgressBar, QWidget
 
 from ...common.words import duration
+from ...errors import InputError
 from ..document import Document
-from ..widgets import Note, button, column, row
+from ..widgets import Note, button, column, row, sentence
 from .worker import FitRun, Snapshot
 
 
@@ -18,6 +19,7 @@ class Footer(QWidget):
     def __init__(self, doc: Document, control: Any, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._doc = doc
+        self._of: tuple[Any, ...] = ()  # the image that the reason is about
         tip = "Fit the surfaces of the cells to the image."
         self.run_button = button("Fit", tip, control.start, self)
         self.run_button.setStyleSheet("font-weight: bold;")
@@ -29,11 +31,15 @@ class Footer(QWidget):
         self.progress = QProgressBar(self)
         self.progress.setTextVisible(True)
         self.message = Note(self)
+        self.reason = Note(self, verdict="failed")  # why a fit of the image chosen did not start
         buttons = (self.run_button, 2), (self.pause_button, 1), (self.stop_button, 1)
-        parts = row(*buttons, spacing=4), self.progress, self.message
+        parts = row(*buttons, spacing=4), self.reason, self.progress, self.message
         column(*parts, of=self, spacing=4).setContentsMargins(4, 4, 4, 4)
         self.pause_button.toggled.connect(self._pause)
         doc.said.connect(self.message.say)
+        doc.failed.connect(self._show_reason)
+        for signal in (doc.cells_changed, doc.settings.changed, doc.image.changed):
+            signal.connect(self._look_again)
         doc.shown.connect(self._show_fit)
         doc.work.changed.connect(self._work_changed)
         doc.work.looked.connect(self._looked)
@@ -47,9 +53,30 @@ class Footer(QWidget):
         self.progress.setVisible(task is not None)
         if task is not None:
             self._advance(0, 0)
+            self.reason.say("")
         else:
             self.message.say("")
             self.pause_button.setChecked(False)
+
+    def _show_reason(self, text: str) -> None:
+        self._of = self._doc.image.key()
+        self.reason.say(sentence(text))
+
+    def _look_again(self, by_user: bool = False) -> None:
+        """Something is another: a reason that holds no more goes, or gives way to another one."""
+        if self.reason.text():
+            same = self._of == self._doc.image.key()
+            self.reason.say(sentence(self._missing()) if same else "")
+
+    def _missing(self) -> str:
+        """Why a fit could not start now, as far as that is seen without a look at the voxels."""
+        doc = self._doc
+        try:
+            doc.cells.seeds(doc.image.frame(), copied=False)
+            doc.run_settings()
+        except InputError as error:
+            return str(error)
+        return ""
 
     def _looked(self) -> None:
         """What any task but a fit, which says more, is doing."""
